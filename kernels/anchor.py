@@ -1,0 +1,110 @@
+"""The material anchor of an output vertex: constant weights over input vertices of its cluster, one set for all frames.
+
+With the cluster's quadric ``(A, b, c)`` in key frame ``t`` about the ordering's position and ``p_i`` its input vertices
+relative to it, ``sum_t Q_t(sum_i w_i p_i) = w^T G w`` for weights that sum to one, with
+``G_ij = sum_t p_i^T A p_j + b.p_i + b.p_j + c``. Minimising ``w^T G w + r |w - 1/n|^2`` subject to ``sum w = 1`` gives
+``w`` proportional to ``(G + r I)^-1 1``: one Cholesky solve per cluster, ``r = regularisation tr(G) / n``.
+"""
+
+import warp as wp
+
+from warpqem.kernels.quadric import Quadric, apply_matrix, linear_part
+
+wp.set_module_options({"enable_backward": False})  # no gradients are taken
+
+# Added to the diagonal so that a cluster on a plane (G = 0) gets equal weights instead of a division by zero.
+LEAST_DIAGONAL = wp.constant(wp.float32(1.0e-20))
+
+
+@wp.kernel
+def measure_cluster_distances(
+    root_in: wp.array[wp.int32],
+    key_position_in: wp.array2d[wp.vec3],
+    ordered_position_in: wp.array2d[wp.vec3],
+    # outputs
+    distance_out: wp.array[wp.float32],
+):
+    """Sum over key frames of the squared distance of an input vertex from where ordering put its cluster's vertex."""
+    v = wp.tid()
+    u = root_in[v]
+    total = wp.float32(0.0)
+    if u >= 0:
+        for t in range(key_position_in.shape[1]):
+            total += wp.length_sq(key_position_in[v, t] - ordered_position_in[u, t])
+    distance_out[v] = total
+
+
+@wp.func
+def packed(i: wp.int32, j: wp.int32) -> wp.int32:
+    """Index of entry ``(i, j)``, ``j <= i``, in a lower triangle stored by rows."""
+    return i * (i + 1) // 2 + j
+
+
+@wp.func
+def factorise(g: wp.array[wp.float32], o: wp.int32, n: wp.int32):
+    """Cholesky factor of the packed symmetric matrix at offset ``o``, in place."""
+    for i in range(n):
+        for j in range(i + 1):
+            s = g[o + packed(i, j)]
+            for k in range(j):
+                s -= g[o + packed(i, k)] * g[o + packed(j, k)]
+            if i == j:
+                g[o + packed(i, i)] = wp.sqrt(wp.max(s, LEAST_DIAGONAL))
+            else:
+                g[o + packed(i, j)] = s / g[o + packed(j, j)]
+
+
+@wp.kernel
+def fit_anchor_weights(
+    cluster_vertex_in: wp.array[wp.int32],
+    member_start_in: wp.array[wp.int32],
+    member_in: wp.array[wp.int32],
+    matrix_start_in: wp.array[wp.int32],
+    key_position_in: wp.array2d[wp.vec3],
+    ordered_position_in: wp.array2d[wp.vec3],
+    quadric_in: wp.array2d[Quadric],
+    regularisation: wp.float32,
+    # outputs
+    matrix: wp.array[wp.float32],
+    weight_out: wp.array[wp.float32],
+):
+    """Weights of the members of each cluster (``matrix`` is zeroed scratch for the packed Gram matrices)."""
+    cluster = wp.tid()
+    u = cluster_vertex_in[cluster]
+    first = member_start_in[cluster]
+    n = member_start_in[cluster + 1] - first
+    o = matrix_start_in[cluster]
+    for t in range(key_position_in.shape[1]):
+        q = quadric_in[u, t]
+        b = linear_part(q)
+        origin = ordered_position_in[u, t]
+        for i in range(n):
+            p = key_position_in[member_in[first + i], t] - origin
+            y = apply_matrix(q, p) + b
+            s = wp.dot(b, p) + q[9]
+            for j in range(i + 1):
+                r = key_position_in[member_in[first + j], t] - origin
+                matrix[o + packed(i, j)] = matrix[o + packed(i, j)] + wp.dot(y, r) + s
+    total = wp.float32(0.0)
+    for i in range(n):
+        total += matrix[o + packed(i, i)]
+    shift = regularisation * total / wp.float32(n) + LEAST_DIAGONAL
+    for i in range(n):
+        matrix[o + packed(i, i)] = matrix[o + packed(i, i)] + shift
+    factorise(matrix, o, n)
+    for i in range(n):
+        s = wp.float32(1.0)
+        for k in range(i):
+            s -= matrix[o + packed(i, k)] * weight_out[first + k]
+        weight_out[first + i] = s / matrix[o + packed(i, i)]
+    sum = wp.float32(0.0)
+    for back in range(n):
+        i = n - 1 - back
+        s = weight_out[first + i]
+        for k in range(i + 1, n):
+            s -= matrix[o + packed(k, i)] * weight_out[first + k]
+        s = s / matrix[o + packed(i, i)]
+        weight_out[first + i] = s
+        sum += s
+    for i in range(n):
+        weight_out[first + i] = weight_out[first + i] / sum

@@ -1,0 +1,126 @@
+"""Commit the collapses of one round, and compact the faces that are left."""
+
+import warp as wp
+
+from warpqem.kernels.edge_cost import INFINITE_COST, merged_quadric
+from warpqem.kernels.independent_set import EdgeList
+from warpqem.kernels.mesh_state import CollapseLog, MeshState
+from warpqem.kernels.quadric import NO_PLANE, quadric_value, shift_origin, trace
+from warpqem.kernels.topology import BORDER, LOCKED, find_half_edge, half_edge_target, previous_corner
+
+wp.set_module_options({"enable_backward": False})  # no gradients are taken
+
+
+@wp.func
+def merge_vertex(state: MeshState, u: wp.int32, v: wp.int32, target: wp.array2d[wp.vec3], slot: wp.int32) -> wp.float32:
+    """Move ``u`` to the target in every frame, with the quadrics of both; the mean squared error is returned."""
+    total = wp.float32(0.0)
+    area = wp.float32(0.0)
+    for t in range(state.position.shape[1]):
+        d = target[slot, t] - state.position[u, t]
+        q = merged_quadric(state, u, v, t)
+        total += wp.max(quadric_value(q, d), 0.0)
+        area += trace(q)
+        state.quadric[u, t] = shift_origin(q, d)
+        state.position[u, t] = target[slot, t]
+    state.vertex_flags[u] = state.vertex_flags[u] | state.vertex_flags[v]
+    state.cost_weight[u] = 0.5 * (state.cost_weight[u] + state.cost_weight[v])
+    return total / wp.max(area, NO_PLANE)
+
+
+@wp.func
+def carry_trajectory(state: MeshState, u: wp.int32, v: wp.int32, anchor: wp.float32):
+    """Move the trajectory of ``u`` to the material point ``(1 - anchor) p_u + anchor p_v`` in every frame."""
+    for t in range(state.trajectory.shape[1]):
+        p = state.trajectory[u, t]
+        state.trajectory[u, t] = p + anchor * (state.trajectory[v, t] - p)
+
+
+@wp.func
+def mask_star(state: MeshState, mask: wp.array[wp.int32], pass_index: wp.int32, v: wp.int32):
+    """Mask a vertex and its one-ring for the rest of the pass."""
+    for i in range(state.star_start[v], state.star_start[v + 1]):
+        f = state.star_corner[i] // 3
+        for k in range(3):
+            mask[state.corner_vertex[3 * f + k]] = pass_index
+
+
+@wp.kernel
+def commit_winners(
+    state: MeshState,
+    winners: EdgeList,
+    faces_removed_in: wp.array[wp.int32],
+    target_in: wp.array2d[wp.vec3],
+    anchor_in: wp.array[wp.float32],
+    pass_index: wp.int32,
+    stride: wp.int32,
+    # outputs
+    mask: wp.array[wp.int32],
+    log: CollapseLog,
+):
+    """Collapse the winners that remove faces (the legal ones): the lower vertex is kept, the other removed, and the collapse logged."""
+    for i in range(wp.tid(), winners.count[0], stride):
+        if faces_removed_in[i] > 0:
+            h = winners.half_edge[i]
+            a = state.corner_vertex[h]
+            b = half_edge_target(state.corner_vertex, h)
+            opposite = find_half_edge(state.corner_vertex, state.star_start, state.star_corner, b, a)
+            u = a
+            v = b
+            # A locked vertex is the one kept, so that it keeps its index; else the lower index is.
+            if (state.vertex_flags[b] & LOCKED) != 0 or ((state.vertex_flags[a] & LOCKED) == 0 and b < a):
+                u = b
+                v = a
+            slot = wp.atomic_add(log.count, 0, 1)
+            log.kept[slot] = u
+            log.removed[slot] = v
+            log.left_wing[slot] = state.corner_vertex[previous_corner(h)]
+            log.right_wing[slot] = -1
+            if opposite >= 0:
+                log.right_wing[slot] = state.corner_vertex[previous_corner(opposite)]
+            log.faces_removed[slot] = faces_removed_in[i]
+            log.cost[slot] = state.edge_cost[h]
+            log.pass_index[slot] = pass_index
+            mask_star(state, mask, pass_index, u)
+            mask_star(state, mask, pass_index, v)
+            if state.trajectory.shape[0] > 0:
+                carry_trajectory(state, u, v, wp.where(u == a, anchor_in[i], 1.0 - anchor_in[i]))
+            log.error[slot] = merge_vertex(state, u, v, target_in, i)
+            for j in range(state.star_start[v], state.star_start[v + 1]):
+                g = state.star_corner[j]
+                f = g // 3
+                if half_edge_target(state.corner_vertex, g) == u or state.corner_vertex[previous_corner(g)] == u:
+                    for k in range(3):
+                        state.corner_vertex[3 * f + k] = -1
+                        state.edge_cost[3 * f + k] = INFINITE_COST
+                else:
+                    state.corner_vertex[g] = u
+
+
+@wp.kernel
+def mark_live_faces(
+    corner_vertex_in: wp.array[wp.int32],
+    # outputs
+    live_out: wp.array[wp.int32],
+):
+    """1 for each live face."""
+    f = wp.tid()
+    live_out[f] = wp.where(corner_vertex_in[3 * f] >= 0, 1, 0)
+
+
+@wp.kernel
+def move_live_faces(
+    corner_vertex_in: wp.array[wp.int32],
+    edge_cost_in: wp.array[wp.float32],
+    live_rank_in: wp.array[wp.int32],
+    # outputs
+    corner_vertex_out: wp.array[wp.int32],
+    edge_cost_out: wp.array[wp.float32],
+):
+    """Close the gaps between live faces, keeping their order; ``live_rank_in`` is the inclusive sum of live flags."""
+    f = wp.tid()
+    if corner_vertex_in[3 * f] >= 0:
+        g = live_rank_in[f] - 1
+        for k in range(3):
+            corner_vertex_out[3 * g + k] = corner_vertex_in[3 * f + k]
+            edge_cost_out[3 * g + k] = edge_cost_in[3 * f + k]

@@ -1,0 +1,187 @@
+"""Cost of an edge collapse summed over key frames, and where each collapse puts its vertex.
+
+The sum over frames is Mohr & Gleicher's deformation sensitive decimation (2003); the material anchor along the edge is
+ours: one constant ``lambda`` for all frames, so that soft directions follow the material instead of sliding.
+"""
+
+import warp as wp
+
+from warpqem.kernels.deformation import length_deformation
+from warpqem.kernels.mesh_state import CollapseLog, CostModel, MeshState
+from warpqem.kernels.quadric import (
+    NO_PLANE,
+    Quadric,
+    anchored_minimiser,
+    apply_matrix,
+    linear_part,
+    quadric_value,
+    shift_origin,
+    trace,
+)
+from warpqem.kernels.topology import (
+    BORDER,
+    FROZEN,
+    LOCKED,
+    half_edge_target,
+    is_canonical,
+    previous_corner,
+)
+
+wp.set_module_options({"enable_backward": False})  # no gradients are taken
+
+INFINITE_COST = wp.constant(wp.float32(wp.inf))
+# Costs stay above zero, so that the sign is free to say "asleep" and the float's bits order the edges.
+LEAST_COST = wp.constant(wp.float32(1.0e-37))
+# Where the quadrics leave the anchor open (flat or empty stars), this pull, relative to the stiffness of the stars,
+# takes it to the middle of the edge; it is far below what any curvature asks for.
+MIDDLE_PULL = wp.constant(wp.float32(1.0e-3))
+# On flat ground every edge costs nothing. This part of area x length^2 makes short edges go first, far below the cost
+# of any visible bend, so that triangles stay compact.
+LENGTH_COST = wp.constant(wp.float32(1.0e-6))
+
+
+@wp.struct
+class EdgePrice:
+    """What a collapse costs (area x length^2, weighted) and its mean squared error (length^2)."""
+
+    cost: wp.float32
+    error: wp.float32
+
+
+@wp.func
+def merged_quadric(state: MeshState, u: wp.int32, v: wp.int32, t: wp.int32) -> Quadric:
+    """``Q_u + Q_v`` about the position of ``u``."""
+    d = state.position[v, t] - state.position[u, t]
+    return state.quadric[u, t] + shift_origin(state.quadric[v, t], -d)
+
+
+@wp.func
+def edge_anchor(state: MeshState, model: CostModel, u: wp.int32, v: wp.int32) -> wp.float32:
+    """``lambda`` of the material anchor ``(1 - lambda) p_u + lambda p_v``: minimises the quadrics' sum over all frames.
+
+    A vertex on the border, or locked, is the anchor itself when the other end is free.
+    """
+    fu = state.vertex_flags[u]
+    fv = state.vertex_flags[v]
+    if (fu & LOCKED) != (fv & LOCKED):
+        return wp.where((fv & LOCKED) != 0, wp.float32(1.0), wp.float32(0.0))
+    if (fu & BORDER) != (fv & BORDER):
+        return wp.where((fv & BORDER) != 0, wp.float32(1.0), wp.float32(0.0))
+    slope = wp.float32(0.0)
+    stiffness = wp.float32(0.0)
+    pull = wp.float32(0.0)
+    for t in range(state.position.shape[1]):
+        d = state.position[v, t] - state.position[u, t]
+        q = merged_quadric(state, u, v, t)
+        slope += wp.dot(linear_part(q), d)
+        stiffness += wp.dot(d, apply_matrix(q, d))
+        pull += trace(q) * wp.dot(d, d)
+    if model.endpoint == 1:
+        # Q(1) - Q(0) = 2 b.d + d^T A d
+        return wp.where(2.0 * slope + stiffness < 0.0, wp.float32(1.0), wp.float32(0.0))
+    pull *= MIDDLE_PULL
+    if stiffness + pull <= NO_PLANE:
+        return 0.5
+    return wp.clamp((0.5 * pull - slope) / (stiffness + pull), 0.0, 1.0)
+
+
+@wp.func
+def collapse_offset(
+    state: MeshState, model: CostModel, q: Quadric, u: wp.int32, v: wp.int32, t: wp.int32, anchor: wp.float32
+) -> wp.vec3:
+    """Where the merged vertex goes in frame ``t``, relative to ``p_u``."""
+    m = anchor * (state.position[v, t] - state.position[u, t])
+    if model.endpoint == 1 or ((state.vertex_flags[u] | state.vertex_flags[v]) & LOCKED) != 0:
+        return m
+    return anchored_minimiser(q, m, model.epsilon)
+
+
+@wp.func
+def price_edge(state: MeshState, model: CostModel, h: wp.int32) -> EdgePrice:
+    """Cost over key frames of the collapse of half-edge ``h``; an infinite cost where no collapse is allowed."""
+    u = state.corner_vertex[h]
+    v = half_edge_target(state.corner_vertex, h)
+    price = EdgePrice()
+    price.cost = INFINITE_COST
+    flags = state.vertex_flags[u] | state.vertex_flags[v]
+    if (flags & FROZEN) != 0 or (state.vertex_flags[u] & state.vertex_flags[v] & LOCKED) != 0:
+        return price
+    anchor = edge_anchor(state, model, u, v)
+    total = wp.float32(0.0)
+    area = wp.float32(0.0)
+    spread = wp.float32(0.0)
+    for t in range(state.position.shape[1]):
+        q = merged_quadric(state, u, v, t)
+        x = collapse_offset(state, model, q, u, v, t, anchor)
+        d = state.position[v, t] - state.position[u, t]
+        total += wp.max(quadric_value(q, x), 0.0)
+        area += trace(q)
+        spread += trace(q) * wp.dot(d, d)
+    price.error = total / wp.max(area, NO_PLANE)
+    if price.error > model.error_limit:
+        return price
+    weight = 0.5 * (state.cost_weight[u] + state.cost_weight[v])
+    price.cost = weight * (total + LENGTH_COST * spread) + LEAST_COST
+    if model.deformation_weight > 0.0:
+        price.cost += model.deformation_weight * length_deformation(
+            state.corner_vertex, state.star_start, state.star_corner, state.trajectory, h
+        )
+    return price
+
+
+@wp.kernel
+def price_all_edges(state: MeshState, model: CostModel):
+    """Price every edge of the mesh into ``state.edge_cost``."""
+    h = wp.tid()
+    cost = INFINITE_COST
+    if state.corner_vertex[h] >= 0 and is_canonical(
+        state.corner_vertex, state.star_start, state.star_corner, state.vertex_flags, h
+    ):
+        price = price_edge(state, model, h)
+        cost = price.cost
+    state.edge_cost[h] = cost
+
+
+@wp.kernel
+def reprice_moved_stars(
+    state: MeshState,
+    model: CostModel,
+    log: CollapseLog,
+    pass_begin: wp.array[wp.int32],
+    stride: wp.int32,
+):
+    """Price again the edges at each vertex that the last pass moved.
+
+    Winners of one pass are never neighbours, so each such edge has exactly one moved end.
+    """
+    for i in range(pass_begin[0] + wp.tid(), log.count[0], stride):
+        u = log.kept[i]
+        for j in range(state.star_start[u], state.star_start[u + 1]):
+            out = state.star_corner[j]
+            into = previous_corner(out)
+            for side in range(2):
+                h = wp.where(side == 0, out, into)
+                cost = INFINITE_COST
+                if is_canonical(state.corner_vertex, state.star_start, state.star_corner, state.vertex_flags, h):
+                    price = price_edge(state, model, h)
+                    cost = price.cost
+                state.edge_cost[h] = cost
+
+
+@wp.kernel
+def wake_neighbourhoods(
+    state: MeshState,
+    log: CollapseLog,
+    pass_begin: wp.array[wp.int32],
+    stride: wp.int32,
+):
+    """Wake the refused edges around each vertex that moved: their faces changed, so they may be legal now."""
+    for i in range(pass_begin[0] + wp.tid(), log.count[0], stride):
+        u = log.kept[i]
+        for j in range(state.star_start[u], state.star_start[u + 1]):
+            w = half_edge_target(state.corner_vertex, state.star_corner[j])
+            for k in range(state.star_start[w], state.star_start[w + 1]):
+                h = state.star_corner[k]
+                state.edge_cost[h] = wp.abs(state.edge_cost[h])
+                h = previous_corner(h)
+                state.edge_cost[h] = wp.abs(state.edge_cost[h])

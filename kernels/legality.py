@@ -1,0 +1,169 @@
+"""Which collapses are legal. A collapse ``u v -> u`` is refused when one of these rules is broken:
+
+| rule            | why                                                                                              |
+|-----------------|--------------------------------------------------------------------------------------------------|
+| link condition  | a common neighbour that is not a wing would leave two faces on three edges (a non-manifold edge) |
+| pinch           | an inner edge between two border vertices would join the borders at one vertex                   |
+| wing            | a wing needs a face fan after it lost one face: 3 faces inside, 1 at a border                    |
+| flip, any frame | a face may turn past ``TURN_COSINE`` in a few frames only (crumpling motion does so by itself)   |
+| flip, the whole | ``sum over frames of n.n' sqrt(A A' w w')`` must stay positive (seed paper of aqem, equation 7)  |
+"""
+
+import warp as wp
+
+from warpqem.kernels.edge_cost import collapse_offset, edge_anchor, merged_quadric
+from warpqem.kernels.independent_set import EdgeList
+from warpqem.kernels.mesh_state import CostModel, MeshState
+from warpqem.kernels.topology import BORDER, find_half_edge, half_edge_target, previous_corner
+
+wp.set_module_options({"enable_backward": False})  # no gradients are taken
+
+# A face may not turn by more than 78 degrees in one collapse: beyond that it folds over its neighbour within a few more.
+TURN_COSINE = wp.constant(wp.float32(0.2))
+# Squared normals (4 area^2 squared, in diagonals^4) below this belong to faces without an orientation: nothing to flip.
+NO_AREA = wp.constant(wp.float32(1.0e-28))
+
+
+@wp.func
+def is_ring_vertex(state: MeshState, u: wp.int32, w: wp.int32) -> wp.bool:
+    """Whether ``w`` shares a face with ``u``."""
+    found = wp.bool(False)
+    for i in range(state.star_start[u], state.star_start[u + 1]):
+        h = state.star_corner[i]
+        if half_edge_target(state.corner_vertex, h) == w or state.corner_vertex[previous_corner(h)] == w:
+            found = True
+    return found
+
+
+@wp.func
+def keeps_fan(state: MeshState, wing: wp.int32) -> wp.bool:
+    """Whether a wing may lose one of its faces."""
+    degree = state.star_start[wing + 1] - state.star_start[wing]
+    if (state.vertex_flags[wing] & BORDER) != 0:
+        return degree >= 2
+    return degree >= 4
+
+
+@wp.func
+def is_manifold_collapse(state: MeshState, h: wp.int32) -> wp.bool:
+    """Link condition, pinch and wing rules for half-edge ``h``."""
+    u = state.corner_vertex[h]
+    v = half_edge_target(state.corner_vertex, h)
+    left = state.corner_vertex[previous_corner(h)]
+    right = wp.int32(-1)
+    opposite = find_half_edge(state.corner_vertex, state.star_start, state.star_corner, v, u)
+    if opposite >= 0:
+        right = state.corner_vertex[previous_corner(opposite)]
+        if (state.vertex_flags[u] & state.vertex_flags[v] & BORDER) != 0 or not keeps_fan(state, right):
+            return False
+    if not keeps_fan(state, left):
+        return False
+    for i in range(state.star_start[v], state.star_start[v + 1]):
+        g = state.star_corner[i]
+        for side in range(2):
+            w = wp.where(side == 0, half_edge_target(state.corner_vertex, g), state.corner_vertex[previous_corner(g)])
+            if w != u and w != left and w != right and is_ring_vertex(state, u, w):
+                return False
+    return True
+
+
+@wp.func
+def is_flip(old_normal: wp.vec3, new_normal: wp.vec3) -> wp.bool:
+    """Whether a face turns past ``TURN_COSINE``; a face without area in the old state cannot."""
+    old_square = wp.dot(old_normal, old_normal)
+    if old_square <= NO_AREA:
+        return False
+    d = wp.dot(old_normal, new_normal)
+    return d <= 0.0 or d * d <= TURN_COSINE * TURN_COSINE * old_square * wp.dot(new_normal, new_normal)
+
+
+@wp.func
+def turns_over(
+    state: MeshState,
+    corner: wp.int32,
+    target: wp.array2d[wp.vec3],
+    slot: wp.int32,
+    flip_tolerance: wp.int32,
+) -> wp.bool:
+    """Whether the face at ``corner`` breaks a flip rule when the corner's vertex moves to ``target[slot]``."""
+    a = state.corner_vertex[corner]
+    b = half_edge_target(state.corner_vertex, corner)
+    c = state.corner_vertex[previous_corner(corner)]
+    key_count = state.position.shape[1]
+    flips = wp.int32(0)
+    for t in range(key_count):
+        p = state.position[b, t]
+        edge = state.position[c, t] - p
+        if is_flip(wp.cross(edge, state.position[a, t] - p), wp.cross(edge, target[slot, t] - p)):
+            flips += 1
+            if flips > flip_tolerance:
+                return True
+    if flips == 0:
+        return False
+    # All frames together: n.n' sqrt(A A'), with both normals as long as twice the area. The vertex weights of
+    # equation 7 are the same factor in every frame, so they do not change the sum's sign.
+    agreement = wp.float32(0.0)
+    for t in range(key_count):
+        p = state.position[b, t]
+        edge = state.position[c, t] - p
+        n = wp.cross(edge, state.position[a, t] - p)
+        m = wp.cross(edge, target[slot, t] - p)
+        scale = wp.sqrt(wp.length(n) * wp.length(m))
+        if scale > 0.0:
+            agreement += wp.dot(n, m) / scale
+    return agreement <= 0.0
+
+
+@wp.kernel
+def place_winners(
+    state: MeshState,
+    model: CostModel,
+    winners: EdgeList,
+    stride: wp.int32,
+    # outputs
+    target_out: wp.array2d[wp.vec3],
+    anchor_out: wp.array[wp.float32],
+):
+    """The merged vertex of each winner in each key frame, and the anchor along its edge."""
+    for i in range(wp.tid(), winners.count[0], stride):
+        h = winners.half_edge[i]
+        u = state.corner_vertex[h]
+        v = half_edge_target(state.corner_vertex, h)
+        anchor = edge_anchor(state, model, u, v)
+        anchor_out[i] = anchor
+        for t in range(state.position.shape[1]):
+            q = merged_quadric(state, u, v, t)
+            target_out[i, t] = state.position[u, t] + collapse_offset(state, model, q, u, v, t, anchor)
+
+
+@wp.kernel
+def judge_winners(
+    state: MeshState,
+    winners: EdgeList,
+    target_in: wp.array2d[wp.vec3],
+    flip_tolerance: wp.int32,
+    stride: wp.int32,
+    # outputs
+    faces_removed_out: wp.array[wp.int32],
+):
+    """The faces each legal winner removes; 0 for an illegal one, whose edge sleeps until its neighbourhood changes."""
+    for i in range(wp.tid(), winners.count[0], stride):
+        h = winners.half_edge[i]
+        u = state.corner_vertex[h]
+        v = half_edge_target(state.corner_vertex, h)
+        legal = is_manifold_collapse(state, h)
+        for side in range(2):
+            a = wp.where(side == 0, u, v)
+            b = wp.where(side == 0, v, u)
+            j = state.star_start[a]
+            while legal and j < state.star_start[a + 1]:
+                g = state.star_corner[j]
+                if half_edge_target(state.corner_vertex, g) != b and state.corner_vertex[previous_corner(g)] != b:
+                    legal = not turns_over(state, g, target_in, i, flip_tolerance)
+                j += 1
+        if legal:
+            opposite = find_half_edge(state.corner_vertex, state.star_start, state.star_corner, v, u)
+            faces_removed_out[i] = wp.where(opposite >= 0, 2, 1)
+        else:
+            faces_removed_out[i] = 0
+            state.edge_cost[h] = -state.edge_cost[h]

@@ -1,0 +1,47 @@
+"""The state of a mesh while its edges are collapsed: what the kernels of one pass read and write."""
+
+import warp as wp
+
+from warpqem.kernels.quadric import Quadric
+
+wp.set_module_options({"enable_backward": False})  # no gradients are taken
+
+
+@wp.struct
+class MeshState:
+    """Faces, stars, and per vertex and key frame the position and the quadric about it (V vertices, N faces, K keys)."""
+
+    corner_vertex: wp.array[wp.int32]  # (3N,) vertex of each corner; -1 in a dead face
+    star_start: wp.array[wp.int32]  # (V+1,) stars as compressed rows
+    star_corner: wp.array[wp.int32]  # (3N,)
+    position: wp.array2d[wp.vec3]  # (V, K) in units of the bounding-box diagonal
+    quadric: wp.array2d[Quadric]  # (V, K) origin at the vertex's position in that frame
+    vertex_flags: wp.array[wp.int32]  # (V,) BORDER | LOCKED | FROZEN
+    cost_weight: wp.array[wp.float32]  # (V,) multiplies the cost; averaged when two vertices merge
+    edge_cost: wp.array[wp.float32]  # (3N,) at canonical half-edges; inf: no collapse here; negative: asleep
+    trajectory: wp.array2d[wp.vec3]  # (V, F) every frame's position, only where a deformation term needs it
+
+
+@wp.struct
+class CostModel:
+    """How an edge is priced and where its collapse puts the vertex."""
+
+    epsilon: wp.float32  # pull towards the edge anchor, relative to the quadric's trace
+    endpoint: wp.int32  # 1: the vertex goes to the better end; 0: to the optimum
+    error_limit: wp.float32  # squared error, in diagonals squared, above which no edge collapses
+    deformation_weight: wp.float32  # factor of the deformation term; 0: none
+
+
+@wp.struct
+class CollapseLog:
+    """Collapses in the order of application; a pass owns the range from its first slot to the count."""
+
+    count: wp.array[wp.int32]  # (1,)
+    kept: wp.array[wp.int32]  # (V,)
+    removed: wp.array[wp.int32]  # (V,)
+    left_wing: wp.array[wp.int32]  # (V,) the vertex opposite the edge in its canonical face
+    right_wing: wp.array[wp.int32]  # (V,) -1 at a border
+    cost: wp.array[wp.float32]  # (V,)
+    error: wp.array[wp.float32]  # (V,) squared, in diagonals squared
+    faces_removed: wp.array[wp.int32]  # (V,)
+    pass_index: wp.array[wp.int32]  # (V,)

@@ -1,0 +1,185 @@
+"""Half-edges, vertex stars, borders and non-manifold vertices.
+
+Half-edge ``3 f + k`` runs from corner ``k`` of face ``f`` to the next corner. A dead face has -1 at its corners. The
+star of a vertex is the list of its corners, in ascending order, as one compressed-row array for all vertices.
+"""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})  # no gradients are taken
+
+# Vertex flags. BORDER: an edge with one face ends here. LOCKED: asked for by the user, the vertex keeps its position.
+# FROZEN: the star is not one fan of faces, so the link condition says nothing and no edge here may collapse.
+BORDER = wp.constant(wp.int32(1))
+LOCKED = wp.constant(wp.int32(2))
+FROZEN = wp.constant(wp.int32(4))
+
+
+@wp.func
+def next_corner(h: wp.int32) -> wp.int32:
+    """The next corner of the same face."""
+    result = h + 1
+    if h % 3 == 2:
+        result = h - 2
+    return result
+
+
+@wp.func
+def previous_corner(h: wp.int32) -> wp.int32:
+    """The previous corner of the same face."""
+    result = h - 1
+    if h % 3 == 0:
+        result = h + 2
+    return result
+
+
+@wp.func
+def half_edge_target(corner_vertex: wp.array[wp.int32], h: wp.int32) -> wp.int32:
+    """The vertex a half-edge runs to."""
+    return corner_vertex[next_corner(h)]
+
+
+@wp.func
+def find_half_edge(
+    corner_vertex: wp.array[wp.int32],
+    star_start: wp.array[wp.int32],
+    star_corner: wp.array[wp.int32],
+    u: wp.int32,
+    v: wp.int32,
+) -> wp.int32:
+    """The half-edge from ``u`` to ``v``, or -1."""
+    found = wp.int32(-1)
+    for i in range(star_start[u], star_start[u + 1]):
+        h = star_corner[i]
+        if half_edge_target(corner_vertex, h) == v:
+            found = h
+    return found
+
+
+@wp.func
+def is_canonical(
+    corner_vertex: wp.array[wp.int32],
+    star_start: wp.array[wp.int32],
+    star_corner: wp.array[wp.int32],
+    vertex_flags: wp.array[wp.int32],
+    h: wp.int32,
+) -> wp.bool:
+    """One half-edge stands for each edge: the one to the higher vertex, or the only one there is."""
+    u = corner_vertex[h]
+    v = half_edge_target(corner_vertex, h)
+    if u < v:
+        return True
+    if (vertex_flags[u] & vertex_flags[v] & BORDER) == 0:
+        return False
+    return find_half_edge(corner_vertex, star_start, star_corner, v, u) < 0
+
+
+@wp.kernel
+def count_corners(
+    corner_vertex_in: wp.array[wp.int32],
+    # outputs
+    corner_count_out: wp.array[wp.int32],
+):
+    """Corners per vertex (zeroed before the launch)."""
+    v = corner_vertex_in[wp.tid()]
+    if v >= 0:
+        wp.atomic_add(corner_count_out, v, 1)
+
+
+@wp.kernel
+def fill_stars(
+    corner_vertex_in: wp.array[wp.int32],
+    # outputs
+    star_cursor: wp.array[wp.int32],
+    star_corner_out: wp.array[wp.int32],
+):
+    """Put each corner into its vertex's list; ``star_cursor`` starts at the end of each list and runs down."""
+    h = wp.tid()
+    v = corner_vertex_in[h]
+    if v >= 0:
+        star_corner_out[wp.atomic_sub(star_cursor, v, 1) - 1] = h
+
+
+@wp.kernel
+def sort_stars(
+    star_start_in: wp.array[wp.int32],
+    # outputs
+    star_corner: wp.array[wp.int32],
+):
+    """Ascending order in each list, so that nothing depends on the order of threads (insertion sort: lists are short)."""
+    v = wp.tid()
+    first = star_start_in[v]
+    for i in range(first + 1, star_start_in[v + 1]):
+        h = star_corner[i]
+        j = i - 1
+        while j >= first and star_corner[j] > h:
+            star_corner[j + 1] = star_corner[j]
+            j -= 1
+        star_corner[j + 1] = h
+
+
+@wp.kernel
+def classify_vertices(
+    corner_vertex_in: wp.array[wp.int32],
+    star_start_in: wp.array[wp.int32],
+    star_corner_in: wp.array[wp.int32],
+    # outputs
+    vertex_flags: wp.array[wp.int32],
+    border_half_edge_out: wp.array[wp.int32],
+):
+    """Set BORDER and FROZEN from the star of each vertex, and mark the half-edges without an opposite one.
+
+    A manifold star is one fan: turning about the vertex from face to face, from the border where there is one, meets
+    every face exactly once. Edges with more than two faces or with two half-edges of one direction break the fan.
+    """
+    v = wp.tid()
+    first = star_start_in[v]
+    last = star_start_in[v + 1]
+    degree = last - first
+    open_out = wp.int32(0)
+    repeated = wp.int32(0)
+    start = wp.int32(-1)
+    for i in range(first, last):
+        h = star_corner_in[i]
+        w = half_edge_target(corner_vertex_in, h)
+        before = wp.int32(0)
+        same = wp.int32(0)
+        for j in range(first, last):
+            g = star_corner_in[j]
+            if half_edge_target(corner_vertex_in, g) == w:
+                same += 1
+            if corner_vertex_in[previous_corner(g)] == w:
+                before += 1
+        if same > 1 or before > 1:
+            repeated += 1
+        if before == 0:
+            border_half_edge_out[h] = 1
+            open_out += 1
+            start = h
+    open_in = wp.int32(0)
+    for i in range(first, last):
+        w = corner_vertex_in[previous_corner(star_corner_in[i])]
+        after = wp.int32(0)
+        for j in range(first, last):
+            if half_edge_target(corner_vertex_in, star_corner_in[j]) == w:
+                after += 1
+        if after == 0:
+            open_in += 1
+    flags = vertex_flags[v]
+    if open_out + open_in > 0:
+        flags = flags | BORDER
+    fan = wp.int32(0)
+    if repeated == 0 and open_out <= 1 and open_in == open_out and degree > 0:
+        if start < 0:
+            start = star_corner_in[first]
+        h = start
+        # Turn from the face on the left of v -> w to the one whose half-edge leaves v along the other side.
+        while h >= 0 and fan < degree:
+            fan += 1
+            w = corner_vertex_in[previous_corner(h)]
+            h = find_half_edge(corner_vertex_in, star_start_in, star_corner_in, v, w)
+            if h == start:
+                h = -1
+    if degree > 0 and fan != degree:
+        flags = flags | FROZEN
+    vertex_flags[v] = flags

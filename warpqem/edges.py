@@ -1,0 +1,41 @@
+"""Undirected edges of a triangle mesh with their wings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+__all__ = ["EdgeTable", "edge_table"]
+
+
+@dataclass(frozen=True)
+class EdgeTable:
+    """Edges in ascending order of their ends.
+
+    Attributes:
+        ends: (E, 2) int32, lower vertex first.
+        wings: (E, 2) int32, the vertices opposite the edge in its first and last face, so that the first face
+            runs ``ends[0] -> ends[1]`` where the faces are consistently oriented; the second is -1 at a border.
+        face_count: (E,) int32, faces at the edge.
+    """
+
+    ends: np.ndarray
+    wings: np.ndarray
+    face_count: np.ndarray
+
+
+def edge_table(faces: np.ndarray) -> EdgeTable:
+    """Edges of ``faces`` (N, 3) int."""
+    tail, head, wing = faces.ravel(), np.roll(faces, -1, axis=1).ravel(), np.roll(faces, 1, axis=1).ravel()
+    low, high = np.minimum(tail, head).astype(np.int64), np.maximum(tail, head)
+    # Half-edges that run from the lower to the higher vertex come first within an edge.
+    key = (low * (int(faces.max()) + 1) + high) * 2 + (tail > head)
+    order = np.argsort(key, kind="stable")
+    key = key[order] >> 1
+    first = np.flatnonzero(np.append(True, key[1:] != key[:-1]))
+    count = np.diff(np.append(first, len(key)))
+    last = first + count - 1
+    ends = np.stack([low[order[first]], high[order[first]]], axis=1)
+    wings = np.stack([wing[order[first]], np.where(count > 1, wing[order[last]], -1)], axis=1)
+    return EdgeTable(ends.astype(np.int32), wings.astype(np.int32), count.astype(np.int32))

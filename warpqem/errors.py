@@ -1,0 +1,51 @@
+"""Named errors of warpqem. Every message says what was wrong, where, and with which value."""
+
+from __future__ import annotations
+
+__all__ = [
+    "DegenerateMeshError",
+    "DeviceError",
+    "FaceIndexError",
+    "MeshShapeError",
+    "NonFinitePointError",
+    "OptionError",
+    "StageError",
+    "UnreachableTargetError",
+    "WarpqemError",
+]
+
+
+class WarpqemError(Exception):
+    """Base of every error that warpqem raises on purpose."""
+
+
+class MeshShapeError(WarpqemError, ValueError):
+    """An array has the wrong shape or dtype."""
+
+
+class NonFinitePointError(WarpqemError, ValueError):
+    """A point is NaN or infinite; the message names vertex and frame."""
+
+
+class FaceIndexError(WarpqemError, IndexError):
+    """A face refers to a vertex that does not exist."""
+
+
+class DegenerateMeshError(WarpqemError, ValueError):
+    """The mesh has no extent, no usable face, or no point."""
+
+
+class OptionError(WarpqemError, ValueError):
+    """An option has a value outside its range, or two options exclude each other."""
+
+
+class DeviceError(WarpqemError, RuntimeError):
+    """The Warp device asked for does not exist on this machine."""
+
+
+class UnreachableTargetError(WarpqemError, RuntimeError):
+    """No legal edge collapse leads to the face count asked for; the message names the count reached."""
+
+
+class StageError(WarpqemError):
+    """A USD stage, prim or attribute cannot be read or written; the message names prim, attribute and time."""

@@ -1,0 +1,65 @@
+"""The collapse log on the host."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from warpqem.kernels.mesh_state import CollapseLog
+
+__all__ = ["CollapseRecord", "read_log"]
+
+
+@dataclass(frozen=True)
+class CollapseRecord:
+    """Edge collapses in the order of application (C of them): by pass, then by cost.
+
+    Collapses of one pass are independent, so the mesh after any prefix is valid.
+
+    Attributes:
+        kept: (C,) int32 input vertex that goes on, at a new position.
+        removed: (C,) int32 input vertex that ends.
+        wings: (C, 2) int32, the vertices opposite the edge; the second is -1 at a border.
+        faces_removed: (C,) int32, 1 at a border, else 2.
+        cost: (C,) float32, sum over key frames of area x squared distance on a mesh of unit diagonal, weighted.
+        error: (C,) float32, RMS distance over key frames, in diagonals, of the vertex from its cluster's planes.
+        pass_index: (C,) int32, from 1.
+    """
+
+    kept: np.ndarray
+    removed: np.ndarray
+    wings: np.ndarray
+    faces_removed: np.ndarray
+    cost: np.ndarray
+    error: np.ndarray
+    pass_index: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.kept)
+
+    def roots(self, vertex_count: int) -> np.ndarray:
+        """(V,) int32, the vertex that each vertex has collapsed into after all collapses."""
+        parent = np.arange(vertex_count, dtype=np.int32)
+        parent[self.removed] = self.kept
+        while True:
+            grandparent = parent[parent]
+            if np.array_equal(grandparent, parent):
+                return parent
+            parent = grandparent
+
+
+def read_log(log: CollapseLog) -> CollapseRecord:
+    """Fetch the log; within a pass, where threads log in any order, collapses are put in the order of their cost."""
+    count = int(log.count.numpy()[0])
+    pass_index, cost, removed = (a.numpy()[:count] for a in (log.pass_index, log.cost, log.removed))
+    order = np.lexsort((removed, cost, pass_index))
+    return CollapseRecord(
+        kept=log.kept.numpy()[:count][order],
+        removed=removed[order],
+        wings=np.stack([log.left_wing.numpy()[:count], log.right_wing.numpy()[:count]], axis=1)[order],
+        faces_removed=log.faces_removed.numpy()[:count][order],
+        cost=cost[order],
+        error=np.sqrt(log.error.numpy()[:count])[order],
+        pass_index=pass_index[order],
+    )

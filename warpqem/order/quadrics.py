@@ -1,0 +1,90 @@
+"""Initial quadrics of every vertex in every key frame."""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from warpqem.kernels import plane_quadrics as kernels
+from warpqem.kernels.quadric import Quadric
+from warpqem.order.stars import Stars
+
+__all__ = ["BORDER_WEIGHT", "border_lists", "initial_quadrics"]
+
+# A border edge of length l counts as a square of area l^2 standing on the border: as much as the faces beside it.
+BORDER_WEIGHT = 1.0
+
+
+def border_lists(corner_vertex: np.ndarray, border: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Border half-edges by vertex, each at both its ends.
+
+    Args:
+        corner_vertex: (3N,) int32.
+        border: (3N,) int, non-zero at border half-edges.
+
+    Returns:
+        ``vertex`` (B,), ``start`` (B+1,) and ``half_edge``: those of ``vertex[i]`` are
+        ``half_edge[start[i]:start[i + 1]]``, ascending; all int32.
+    """
+    half_edge = np.flatnonzero(border)
+    following = half_edge - half_edge % 3 + (half_edge + 1) % 3
+    ends = np.concatenate([corner_vertex[half_edge], corner_vertex[following]])
+    order = np.lexsort((np.concatenate([half_edge, half_edge]), ends))
+    vertex, first = np.unique(ends[order], return_index=True)
+    start = np.append(first, len(ends))
+    entries = np.concatenate([half_edge, half_edge])[order]
+    return vertex.astype(np.int32), start.astype(np.int32), entries.astype(np.int32)
+
+
+def initial_quadrics(
+    corner_vertex: wp.array, stars: Stars, border: wp.array, position: wp.array, quadric_scale: wp.array
+) -> wp.array:
+    """Area-weighted plane quadrics and border planes about each vertex, times ``quadric_scale`` (V,).
+
+    Args:
+        corner_vertex: (3N,) int32.
+        stars: stars of all vertices.
+        border: (3N,) int32, 1 at border half-edges.
+        position: (V, K) vec3, in diagonals.
+        quadric_scale: (V,) float32, multiplies a vertex's own quadric.
+
+    Returns:
+        (V, K) ``Quadric``.
+    """
+    device = corner_vertex.device
+    vertex_count, key_count = position.shape
+    face_count = len(corner_vertex) // 3
+    normal = wp.empty((face_count, key_count), dtype=wp.vec3, device=device)
+    wp.launch(
+        kernels.weigh_face_normals,
+        dim=(face_count, key_count),
+        inputs=[corner_vertex, position],
+        outputs=[normal],
+        device=device,
+    )
+    quadric = wp.empty((vertex_count, key_count), dtype=Quadric, device=device)
+    wp.launch(
+        kernels.gather_vertex_quadrics,
+        dim=(vertex_count, key_count),
+        inputs=[stars.start, stars.corner, normal, quadric_scale],
+        outputs=[quadric],
+        device=device,
+    )
+    vertex, start, half_edge = border_lists(corner_vertex.numpy(), border.numpy())
+    if len(vertex):
+        wp.launch(
+            kernels.add_border_planes,
+            dim=(len(vertex), key_count),
+            inputs=[
+                wp.array(half_edge, device=device),
+                wp.array(start, device=device),
+                wp.array(vertex, device=device),
+                corner_vertex,
+                position,
+                quadric_scale,
+                BORDER_WEIGHT,
+            ],
+            outputs=[quadric],
+            device=device,
+        )
+    return quadric

@@ -1,0 +1,126 @@
+"""The order stage: which edges collapse, decided on the key frames. Its result is a topology and a vertex map."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from warpqem.kernels.mesh_state import CostModel, MeshState
+from warpqem.order.log import CollapseRecord, read_log
+from warpqem.order.passes import Orderer
+from warpqem.order.quadrics import initial_quadrics
+from warpqem.order.stars import build_stars, classify_vertices
+
+__all__ = ["OrderSettings", "OrderedMesh", "order_collapses"]
+
+
+@dataclass(frozen=True)
+class OrderSettings:
+    """What decides the order.
+
+    Attributes:
+        target_faces: stop at so many faces.
+        error_limit: RMS error in diagonals above which no edge collapses; inf for none.
+        epsilon: pull of a merged vertex towards the material anchor of its edge, relative to the quadric.
+        endpoint: the merged vertex goes to one of the edge's ends.
+        deformation_weight: factor of the edge-length deformation term; 0 for none.
+    """
+
+    target_faces: int
+    error_limit: float
+    epsilon: float
+    endpoint: bool
+    deformation_weight: float
+
+
+@dataclass(frozen=True)
+class OrderedMesh:
+    """The topology that ordering left, and what placement needs of it (V input vertices, K key frames).
+
+    Attributes:
+        faces: (N', 3) int32 over input vertices: each cluster goes by the vertex that was kept.
+        root: (V,) int32, the kept vertex that each input vertex collapsed into.
+        key_position: (V, K) vec3, the input on the key frames, in diagonals.
+        position: (V, K) vec3, where ordering put the kept vertices.
+        quadric: (V, K) Quadric of each kept vertex's cluster, about ``position``.
+        border: (3N,) int32, 1 at the input's border half-edges.
+        frozen: (V,) bool, vertices that may not move (locked, or with a non-manifold star).
+        exhausted: no legal collapse was left before the target.
+        log: the collapses.
+    """
+
+    faces: np.ndarray
+    root: np.ndarray
+    key_position: wp.array
+    position: wp.array
+    quadric: wp.array
+    border: np.ndarray
+    exhausted: bool
+    log: CollapseRecord
+
+
+@dataclass(frozen=True)
+class OrderInput:
+    """A mesh on the device's scale: positions in diagonals, per-vertex values as in :class:`MeshState`."""
+
+    faces: np.ndarray  # (N, 3) int32
+    key_points: np.ndarray  # (K, V, 3) float32, in diagonals
+    vertex_flags: np.ndarray  # (V,) int32
+    quadric_scale: np.ndarray  # (V,) float32
+    cost_weight: np.ndarray  # (V,) float32
+    trajectories: np.ndarray | None  # (F, V, 3) float32, only with a deformation term
+
+
+def _vertex_major(points: np.ndarray, device: str) -> wp.array:
+    """(V, F) vec3 from (F, V, 3): a vertex's trajectory is contiguous."""
+    return wp.array(np.ascontiguousarray(points.transpose(1, 0, 2)), dtype=wp.vec3, device=device)
+
+
+def order_collapses(
+    mesh: OrderInput, settings: OrderSettings, device: str, progress: Callable[[int], None] | None = None
+) -> OrderedMesh:
+    """Collapse edges down to the target; ``progress`` is called with the live face count after each pass."""
+    vertex_count = len(mesh.vertex_flags)
+    corner_vertex = wp.array(mesh.faces.ravel(), dtype=wp.int32, device=device)
+    stars = build_stars(corner_vertex, vertex_count)
+    state = MeshState()
+    state.corner_vertex = corner_vertex
+    state.star_start, state.star_corner = stars.start, stars.corner
+    state.vertex_flags = wp.array(mesh.vertex_flags, dtype=wp.int32, device=device)
+    border = classify_vertices(corner_vertex, stars, state.vertex_flags)
+    key_position = _vertex_major(mesh.key_points, device)
+    state.position = wp.clone(key_position)
+    quadric_scale = wp.array(mesh.quadric_scale, dtype=wp.float32, device=device)
+    state.quadric = initial_quadrics(corner_vertex, stars, border, key_position, quadric_scale)
+    state.cost_weight = wp.array(mesh.cost_weight, dtype=wp.float32, device=device)
+    state.edge_cost = wp.empty(len(corner_vertex), dtype=wp.float32, device=device)
+    no_trajectory = wp.empty((0, 0), dtype=wp.vec3, device=device)
+    state.trajectory = no_trajectory if mesh.trajectories is None else _vertex_major(mesh.trajectories, device)
+
+    model = CostModel()
+    model.epsilon = settings.epsilon
+    model.endpoint = int(settings.endpoint)
+    # float32 has no room above this; no error on a mesh of unit diagonal comes near it.
+    model.error_limit = min(settings.error_limit**2, float(np.finfo(np.float32).max))
+    model.deformation_weight = settings.deformation_weight
+
+    orderer = Orderer(state, stars, model, len(mesh.faces), device)
+    reached = orderer.run(settings.target_faces, progress)
+    log = read_log(orderer.log)
+    return OrderedMesh(
+        faces=state.corner_vertex.numpy()[: 3 * orderer.face_slots].reshape(-1, 3)[_live(state, orderer.face_slots)],
+        root=log.roots(vertex_count),
+        key_position=key_position,
+        position=state.position,
+        quadric=state.quadric,
+        border=border.numpy(),
+        exhausted=reached == "exhausted",
+        log=log,
+    )
+
+
+def _live(state: MeshState, face_slots: int) -> np.ndarray:
+    return state.corner_vertex.numpy()[: 3 * face_slots : 3] >= 0

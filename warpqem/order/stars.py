@@ -1,0 +1,64 @@
+"""Vertex stars on the device: built anew from the faces once a pass."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from warpqem.kernels import topology as kernels
+
+__all__ = ["Stars", "build_stars", "classify_vertices"]
+
+
+class Stars:
+    """Buffers for the stars of ``vertex_count`` vertices and up to ``face_count`` faces, reused from pass to pass.
+
+    Attributes:
+        start: (V+1,) int32, the first entry of each vertex's list; the last entry is the number of corners.
+        corner: (3N,) int32, corners by vertex, ascending within a vertex.
+    """
+
+    def __init__(self, vertex_count: int, face_count: int, device: str) -> None:
+        self.device = device
+        self.start = wp.zeros(vertex_count + 1, dtype=wp.int32, device=device)
+        self.corner = wp.empty(3 * face_count, dtype=wp.int32, device=device)
+        self._cursor = wp.zeros(vertex_count + 1, dtype=wp.int32, device=device)
+
+    def build(self, corner_vertex: wp.array, half_edge_count: int) -> None:
+        """Fill the lists from the first ``half_edge_count`` corners; corners with vertex -1 are left out."""
+        device = self.device
+        self._cursor.zero_()
+        wp.launch(
+            kernels.count_corners, dim=half_edge_count, inputs=[corner_vertex], outputs=[self._cursor], device=device
+        )
+        wp.utils.array_scan(self._cursor, self.start, inclusive=False)
+        wp.utils.array_scan(self._cursor, self._cursor, inclusive=True)
+        wp.launch(
+            kernels.fill_stars,
+            dim=half_edge_count,
+            inputs=[corner_vertex],
+            outputs=[self._cursor, self.corner],
+            device=device,
+        )
+        vertex_count = len(self.start) - 1
+        wp.launch(kernels.sort_stars, dim=vertex_count, inputs=[self.start], outputs=[self.corner], device=device)
+
+
+def build_stars(corner_vertex: wp.array, vertex_count: int) -> Stars:
+    """Stars of a mesh given as ``corner_vertex`` (3N,) int32."""
+    half_edge_count = len(corner_vertex)
+    stars = Stars(vertex_count, half_edge_count // 3, corner_vertex.device)
+    stars.build(corner_vertex, half_edge_count)
+    return stars
+
+
+def classify_vertices(corner_vertex: wp.array, stars: Stars, vertex_flags: wp.array) -> wp.array:
+    """Add BORDER and FROZEN to ``vertex_flags`` (V,) int32; return (3N,) int32, 1 at each border half-edge."""
+    border = wp.zeros(len(corner_vertex), dtype=wp.int32, device=corner_vertex.device)
+    wp.launch(
+        kernels.classify_vertices,
+        dim=len(vertex_flags),
+        inputs=[corner_vertex, stars.start, stars.corner],
+        outputs=[vertex_flags, border],
+        device=corner_vertex.device,
+    )
+    return border

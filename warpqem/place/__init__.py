@@ -1,0 +1,1 @@
+"""The place stage: where every output vertex is in every frame."""

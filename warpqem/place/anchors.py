@@ -1,0 +1,100 @@
+"""Material anchors: for each output vertex, constant weights over input vertices of its cluster."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from warpqem.kernels import anchor as kernels
+from warpqem.order.stage import OrderedMesh
+
+__all__ = ["Anchors", "fit_anchors", "nearest_anchors"]
+
+# An anchor uses at most so many of its cluster's vertices, the nearest to where ordering put the vertex. The small dense
+# solve grows with the cube of this, and weights far from the vertex are near zero.
+MOST_MEMBERS = 32
+
+
+@dataclass(frozen=True)
+class Anchors:
+    """Anchors of C output vertices as compressed rows.
+
+    Attributes:
+        start: (C+1,) int32.
+        vertex: input vertices, nearest first.
+        weight: float32, sum 1 per anchor.
+    """
+
+    start: np.ndarray
+    vertex: np.ndarray
+    weight: np.ndarray
+
+
+def nearest_members(ordered: OrderedMesh, cluster: np.ndarray, cluster_count: int, most: int) -> Anchors:
+    """The ``most`` vertices of each cluster nearest to where ordering put it over the key frames, with weight 1 / n.
+
+    ``cluster`` (V,) is the output vertex of each input vertex, -1 where there is none.
+    """
+    device = ordered.position.device
+    distance = wp.empty(len(cluster), dtype=wp.float32, device=device)
+    wp.launch(
+        kernels.measure_cluster_distances,
+        dim=len(cluster),
+        inputs=[wp.array(ordered.root, device=device), ordered.key_position, ordered.position],
+        outputs=[distance],
+        device=device,
+    )
+    vertex = np.flatnonzero(cluster >= 0)
+    order = np.lexsort((distance.numpy()[vertex], cluster[vertex]))
+    vertex = vertex[order]
+    size = np.bincount(cluster[vertex], minlength=cluster_count)
+    rank = np.arange(len(vertex)) - np.repeat(np.cumsum(size) - size, size)
+    vertex = vertex[rank < most]
+    size = np.minimum(size, most)
+    start = np.concatenate([[0], np.cumsum(size)]).astype(np.int32)
+    return Anchors(start, vertex.astype(np.int32), np.repeat(1.0 / size, size).astype(np.float32))
+
+
+def nearest_anchors(ordered: OrderedMesh, cluster: np.ndarray, cluster_count: int) -> Anchors:
+    """Each vertex anchored to the one input vertex nearest to where ordering put it (exact for endpoint placement)."""
+    return nearest_members(ordered, cluster, cluster_count, most=1)
+
+
+def fit_anchors(
+    ordered: OrderedMesh,
+    kept: np.ndarray,
+    cluster: np.ndarray,
+    regularisation: float,
+) -> Anchors:
+    """Weights that minimise the cluster's quadrics over all key frames, pulled towards equal weights.
+
+    Args:
+        ordered: result of the order stage.
+        kept: (C,) int32, input vertex that each output vertex goes by.
+        cluster: (V,) int32, output vertex of each input vertex, -1 where there is none.
+        regularisation: pull towards equal weights, relative to the mean diagonal of the Gram matrix.
+    """
+    device = ordered.position.device
+    members = nearest_members(ordered, cluster, len(kept), MOST_MEMBERS)
+    size = np.diff(members.start).astype(np.int64)
+    matrix_start = np.concatenate([[0], np.cumsum(size * (size + 1) // 2)])
+    weight = wp.zeros(len(members.vertex), dtype=wp.float32, device=device)
+    wp.launch(
+        kernels.fit_anchor_weights,
+        dim=len(kept),
+        inputs=[
+            wp.array(kept, dtype=wp.int32, device=device),
+            wp.array(members.start, device=device),
+            wp.array(members.vertex, device=device),
+            wp.array(matrix_start.astype(np.int32), device=device),
+            ordered.key_position,
+            ordered.position,
+            ordered.quadric,
+            regularisation,
+        ],
+        outputs=[wp.zeros(int(matrix_start[-1]), dtype=wp.float32, device=device), weight],
+        device=device,
+    )
+    return Anchors(members.start, members.vertex, weight.numpy())

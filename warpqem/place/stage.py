@@ -1,0 +1,180 @@
+"""The place stage: one pass over all frames, a block of frames at a time.
+
+Memory is that of the block and of the clusters; the number of frames does not matter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from warpqem.kernels import placement as kernels
+from warpqem.order.quadrics import BORDER_WEIGHT
+from warpqem.order.stage import OrderedMesh
+from warpqem.place.anchors import Anchors, fit_anchors, nearest_anchors
+from warpqem.place.rows import sum_repeated
+
+__all__ = ["PlaceSettings", "PlacedBlock", "Placer", "frame_blocks"]
+
+# Frames are placed in blocks of so many bytes of input: large enough to keep any device busy, small beside its memory.
+BLOCK_BYTES = 64 * 2**20
+
+
+@dataclass(frozen=True)
+class PlaceSettings:
+    """How vertices are placed.
+
+    Attributes:
+        epsilon: pull towards the material anchor, relative to the quadric; higher is steadier.
+        regularisation: pull of the anchor's weights towards equal ones.
+        endpoint: every output vertex is an input vertex.
+    """
+
+    epsilon: float
+    regularisation: float
+    endpoint: bool
+
+
+@dataclass(frozen=True)
+class PlacedBlock:
+    """A block of placed frames: ``points`` (B, C, 3) float32 and the number of turned-over faces per frame (B,)."""
+
+    points: np.ndarray
+    flips: np.ndarray
+
+
+def frame_blocks(frame_count: int, vertex_count: int) -> Iterator[slice]:
+    """Consecutive blocks of frames of bounded size."""
+    size = max(1, BLOCK_BYTES // (12 * vertex_count))
+    for first in range(0, frame_count, size):
+        yield slice(first, min(first + size, frame_count))
+
+
+class Placer:
+    """Places the output vertices of one ordered mesh in any block of frames.
+
+    Args:
+        faces: (N, 3) int32, the input's faces.
+        ordered: result of the order stage.
+        quadric_scale: (V,) float32, scale of each input vertex's quadric.
+        pinned: (V,) bool, input vertices that keep their position.
+        scale: map to the mesh of unit diagonal.
+        settings: see :class:`PlaceSettings`.
+        device: Warp device.
+
+    Attributes:
+        vertex_map: (V,) int32, input vertex to output vertex, -1 for a vertex without a face.
+        faces: (N', 3) int32 over output vertices.
+    """
+
+    def __init__(
+        self,
+        faces: np.ndarray,
+        ordered: OrderedMesh,
+        quadric_scale: np.ndarray,
+        pinned: np.ndarray,
+        scale: kernels.UnitScale,
+        settings: PlaceSettings,
+        device: str,
+    ) -> None:
+        self._scale, self._settings, self._device = scale, settings, device
+        # Output vertices keep the order of the input vertices they go by.
+        kept, out_faces = np.unique(ordered.faces, return_inverse=True)
+        index = np.full(len(ordered.root), -1, dtype=np.int32)
+        index[kept] = np.arange(len(kept), dtype=np.int32)
+        self.vertex_map = index[ordered.root]
+        self.faces = out_faces.reshape(-1, 3).astype(np.int32)
+        self._vertex_count = len(kept)
+        if settings.endpoint:
+            anchors = nearest_anchors(ordered, self.vertex_map, len(kept))
+            solved = np.zeros(len(kept), dtype=np.int32)
+        else:
+            anchors = fit_anchors(ordered, kept, self.vertex_map, settings.regularisation)
+            anchors = _pin(anchors, kept, pinned)
+            # A vertex alone in its cluster lies on all its planes: it is its own optimum.
+            alone = np.bincount(self.vertex_map[self.vertex_map >= 0], minlength=len(kept)) == 1
+            solved = (~alone & ~pinned[kept]).astype(np.int32)
+        self._clusters = self._gather_clusters(faces, ordered.border, quadric_scale, anchors, solved)
+        self._corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device)
+        self._out_corner_vertex = wp.array(self.faces.ravel(), dtype=wp.int32, device=device)
+
+    def _gather_clusters(
+        self, faces: np.ndarray, border: np.ndarray, quadric_scale: np.ndarray, anchors: Anchors, solved: np.ndarray
+    ) -> kernels.Clusters:
+        """Faces and border edges of each cluster, each once, weighted by its corners there."""
+        corner_vertex = faces.ravel()
+        corner = np.arange(len(corner_vertex))
+        face_rows = sum_repeated(
+            self.vertex_map[corner_vertex], corner // 3, quadric_scale[corner_vertex], self._vertex_count
+        )
+        half_edge = np.flatnonzero(border)
+        ends = np.concatenate([half_edge, half_edge - half_edge % 3 + (half_edge + 1) % 3])
+        border_rows = sum_repeated(
+            self.vertex_map[corner_vertex[ends]],
+            np.concatenate([half_edge, half_edge]),
+            BORDER_WEIGHT * quadric_scale[corner_vertex[ends]],
+            self._vertex_count,
+        )
+        clusters = kernels.Clusters()
+        fields = dict(
+            zip(
+                ("member_start", "member", "member_weight"),
+                (anchors.start, anchors.vertex, anchors.weight),
+                strict=True,
+            )
+        )
+        fields |= dict(zip(("face_start", "face", "face_weight"), face_rows, strict=True))
+        fields |= dict(zip(("border_start", "border", "border_weight"), border_rows, strict=True))
+        for name, values in (fields | {"solved": solved}).items():
+            setattr(clusters, name, wp.array(values, device=self._device))
+        return clusters
+
+    def place(self, points: np.ndarray) -> PlacedBlock:
+        """Place a block of frames (B, V, 3) float32 in the input's coordinates."""
+        device, frame_count = self._device, len(points)
+        shape = (frame_count, self._vertex_count)
+        out = wp.empty(shape, dtype=wp.vec3, device=device)
+        normal = wp.empty(shape, dtype=wp.vec3, device=device)
+        wp.launch(
+            kernels.place_vertices,
+            dim=shape,
+            inputs=[
+                wp.array(points, dtype=wp.vec3, device=device, copy=False),
+                self._corner_vertex,
+                self._clusters,
+                self._scale,
+                self._settings.epsilon,
+            ],
+            outputs=[out, normal],
+            device=device,
+        )
+        flips = wp.zeros(frame_count, dtype=wp.int32, device=device)
+        wp.launch(
+            kernels.count_flips,
+            dim=(frame_count, len(self.faces)),
+            inputs=[out, normal, self._out_corner_vertex],
+            outputs=[flips],
+            device=device,
+        )
+        return PlacedBlock(out.numpy(), flips.numpy())
+
+    def place_all(self, points: np.ndarray, progress: Callable[[int], None] | None = None) -> PlacedBlock:
+        """Place all frames (F, V, 3), block by block; ``progress`` is called with the number of frames done."""
+        placed = np.empty((len(points), self._vertex_count, 3), dtype=np.float32)
+        flips = np.empty(len(points), dtype=np.int32)
+        for block in frame_blocks(len(points), points.shape[1]):
+            result = self.place(points[block])
+            placed[block], flips[block] = result.points, result.flips
+            if progress:
+                progress(block.stop)
+        return PlacedBlock(placed, flips)
+
+
+def _pin(anchors: Anchors, kept: np.ndarray, pinned: np.ndarray) -> Anchors:
+    """Give the pinned vertices among an anchor's members all its weight."""
+    cluster = np.repeat(np.arange(len(kept)), np.diff(anchors.start))
+    weight = np.where(pinned[kept][cluster], (anchors.vertex == kept[cluster]).astype(np.float32), anchors.weight)
+    return Anchors(anchors.start, anchors.vertex, weight)
