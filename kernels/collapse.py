@@ -5,8 +5,8 @@ import warp as wp
 from warpqem.kernels.edge_cost import INFINITE_COST, merged_quadric
 from warpqem.kernels.independent_set import EdgeList
 from warpqem.kernels.mesh_state import CollapseLog, MeshState
-from warpqem.kernels.quadric import NO_PLANE, quadric_value, shift_origin, trace
-from warpqem.kernels.topology import BORDER, LOCKED, find_half_edge, half_edge_target, previous_corner
+from warpqem.kernels.quadric import NO_PLANE, shift_origin, trace
+from warpqem.kernels.topology import LOCKED, find_half_edge, half_edge_target, previous_corner
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
@@ -17,11 +17,10 @@ def merge_vertex(state: MeshState, u: wp.int32, v: wp.int32, target: wp.array2d[
     total = wp.float32(0.0)
     area = wp.float32(0.0)
     for t in range(state.position.shape[1]):
-        d = target[slot, t] - state.position[u, t]
-        q = merged_quadric(state, u, v, t)
-        total += wp.max(quadric_value(q, d), 0.0)
+        q = shift_origin(merged_quadric(state, u, v, t, 0.0), target[slot, t] - state.position[u, t])
+        total += wp.max(q[9], 0.0)
         area += trace(q)
-        state.quadric[u, t] = shift_origin(q, d)
+        state.quadric[u, t] = q
         state.position[u, t] = target[slot, t]
     state.vertex_flags[u] = state.vertex_flags[u] | state.vertex_flags[v]
     state.cost_weight[u] = 0.5 * (state.cost_weight[u] + state.cost_weight[v])
@@ -52,13 +51,13 @@ def commit_winners(
     faces_removed_in: wp.array[wp.int32],
     target_in: wp.array2d[wp.vec3],
     anchor_in: wp.array[wp.float32],
-    pass_index: wp.int32,
+    pass_number_in: wp.array[wp.int32],
     stride: wp.int32,
     # outputs
     mask: wp.array[wp.int32],
     log: CollapseLog,
 ):
-    """Collapse the winners that remove faces (the legal ones): the lower vertex is kept, the other removed, and the collapse logged."""
+    """Collapse the legal winners, those that remove faces, and log them. The lower vertex is kept, the other removed."""
     for i in range(wp.tid(), winners.count[0], stride):
         if faces_removed_in[i] > 0:
             h = winners.half_edge[i]
@@ -80,9 +79,9 @@ def commit_winners(
                 log.right_wing[slot] = state.corner_vertex[previous_corner(opposite)]
             log.faces_removed[slot] = faces_removed_in[i]
             log.cost[slot] = state.edge_cost[h]
-            log.pass_index[slot] = pass_index
-            mask_star(state, mask, pass_index, u)
-            mask_star(state, mask, pass_index, v)
+            log.pass_index[slot] = pass_number_in[0]
+            mask_star(state, mask, pass_number_in[0], u)
+            mask_star(state, mask, pass_number_in[0], v)
             if state.trajectory.shape[0] > 0:
                 carry_trajectory(state, u, v, wp.where(u == a, anchor_in[i], 1.0 - anchor_in[i]))
             log.error[slot] = merge_vertex(state, u, v, target_in, i)

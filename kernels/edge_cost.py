@@ -14,9 +14,9 @@ from warpqem.kernels.quadric import (
     anchored_minimiser,
     apply_matrix,
     linear_part,
-    quadric_value,
     shift_origin,
     trace,
+    value_at_minimiser,
 )
 from warpqem.kernels.topology import (
     BORDER,
@@ -49,10 +49,10 @@ class EdgePrice:
 
 
 @wp.func
-def merged_quadric(state: MeshState, u: wp.int32, v: wp.int32, t: wp.int32) -> Quadric:
-    """``Q_u + Q_v`` about the position of ``u``."""
+def merged_quadric(state: MeshState, u: wp.int32, v: wp.int32, t: wp.int32, anchor: wp.float32) -> Quadric:
+    """``Q_u + Q_v`` about the material point ``p_u + anchor (p_v - p_u)``."""
     d = state.position[v, t] - state.position[u, t]
-    return state.quadric[u, t] + shift_origin(state.quadric[v, t], -d)
+    return shift_origin(state.quadric[u, t], anchor * d) + shift_origin(state.quadric[v, t], (anchor - 1.0) * d)
 
 
 @wp.func
@@ -71,11 +71,15 @@ def edge_anchor(state: MeshState, model: CostModel, u: wp.int32, v: wp.int32) ->
     stiffness = wp.float32(0.0)
     pull = wp.float32(0.0)
     for t in range(state.position.shape[1]):
+        # d.b and d^T A d of the merged quadric, without building it: this loop is half the price of an edge.
         d = state.position[v, t] - state.position[u, t]
-        q = merged_quadric(state, u, v, t)
-        slope += wp.dot(linear_part(q), d)
-        stiffness += wp.dot(d, apply_matrix(q, d))
-        pull += trace(q) * wp.dot(d, d)
+        qu = state.quadric[u, t]
+        qv = state.quadric[v, t]
+        bend_u = wp.dot(d, apply_matrix(qu, d))
+        bend_v = wp.dot(d, apply_matrix(qv, d))
+        slope += wp.dot(d, linear_part(qu) + linear_part(qv)) - bend_v
+        stiffness += bend_u + bend_v
+        pull += (trace(qu) + trace(qv)) * wp.dot(d, d)
     if model.endpoint == 1:
         # Q(1) - Q(0) = 2 b.d + d^T A d
         return wp.where(2.0 * slope + stiffness < 0.0, wp.float32(1.0), wp.float32(0.0))
@@ -86,14 +90,9 @@ def edge_anchor(state: MeshState, model: CostModel, u: wp.int32, v: wp.int32) ->
 
 
 @wp.func
-def collapse_offset(
-    state: MeshState, model: CostModel, q: Quadric, u: wp.int32, v: wp.int32, t: wp.int32, anchor: wp.float32
-) -> wp.vec3:
-    """Where the merged vertex goes in frame ``t``, relative to ``p_u``."""
-    m = anchor * (state.position[v, t] - state.position[u, t])
-    if model.endpoint == 1 or ((state.vertex_flags[u] | state.vertex_flags[v]) & LOCKED) != 0:
-        return m
-    return anchored_minimiser(q, m, model.epsilon)
+def keeps_anchor(state: MeshState, model: CostModel, u: wp.int32, v: wp.int32) -> wp.bool:
+    """Whether the merged vertex goes to the anchor itself: always to an end, or to a locked vertex."""
+    return model.endpoint == 1 or ((state.vertex_flags[u] | state.vertex_flags[v]) & LOCKED) != 0
 
 
 @wp.func
@@ -107,14 +106,17 @@ def price_edge(state: MeshState, model: CostModel, h: wp.int32) -> EdgePrice:
     if (flags & FROZEN) != 0 or (state.vertex_flags[u] & state.vertex_flags[v] & LOCKED) != 0:
         return price
     anchor = edge_anchor(state, model, u, v)
+    at_anchor = keeps_anchor(state, model, u, v)
     total = wp.float32(0.0)
     area = wp.float32(0.0)
     spread = wp.float32(0.0)
     for t in range(state.position.shape[1]):
-        q = merged_quadric(state, u, v, t)
-        x = collapse_offset(state, model, q, u, v, t, anchor)
+        q = merged_quadric(state, u, v, t, anchor)
         d = state.position[v, t] - state.position[u, t]
-        total += wp.max(quadric_value(q, x), 0.0)
+        if at_anchor:
+            total += wp.max(q[9], 0.0)
+        else:
+            total += value_at_minimiser(q, anchored_minimiser(q, model.epsilon), model.epsilon)
         area += trace(q)
         spread += trace(q) * wp.dot(d, d)
     price.error = total / wp.max(area, NO_PLANE)

@@ -1,7 +1,7 @@
 """The independent set of collapses of one round: cap, candidates, claim.
 
-An edge wins when its 64-bit key (cost bits, then a shuffled index) is the smallest at every vertex of its closed neighbourhood.
-Then no two winners' face stars touch, and the batch equals the same collapses made one after another in any order.
+An edge wins when its 64-bit key (cost bits, then a shuffled index) is the smallest at every vertex of its closed
+neighbourhood. Then no two winners' face stars touch, and the batch equals the same collapses made one after another in any order.
 """
 
 import warp as wp
@@ -174,7 +174,7 @@ def withdraw_claims(
 def shrink_candidates(
     state: MeshState,
     mask_in: wp.array[wp.int32],
-    pass_index: wp.int32,
+    pass_number_in: wp.array[wp.int32],
     candidates_in: EdgeList,
     stride: wp.int32,
     # outputs
@@ -189,5 +189,5 @@ def shrink_candidates(
         u = state.corner_vertex[h]
         if u >= 0 and is_candidate_cost(state.edge_cost[h]):
             v = half_edge_target(state.corner_vertex, h)
-            if mask_in[u] != pass_index and mask_in[v] != pass_index:
+            if mask_in[u] != pass_number_in[0] and mask_in[v] != pass_number_in[0]:
                 candidates_out.half_edge[wp.atomic_add(candidates_out.count, 0, 1)] = h

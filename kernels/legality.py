@@ -11,14 +11,15 @@
 
 import warp as wp
 
-from warpqem.kernels.edge_cost import collapse_offset, edge_anchor, merged_quadric
+from warpqem.kernels.edge_cost import edge_anchor, keeps_anchor, merged_quadric
 from warpqem.kernels.independent_set import EdgeList
 from warpqem.kernels.mesh_state import CostModel, MeshState
+from warpqem.kernels.quadric import anchored_minimiser
 from warpqem.kernels.topology import BORDER, find_half_edge, half_edge_target, previous_corner
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
-# A face may not turn by more than 78 degrees in one collapse: beyond that it folds over its neighbour within a few more.
+# A face may not turn by more than 78 degrees in one collapse: beyond that it folds over its neighbour a few later.
 TURN_COSINE = wp.constant(wp.float32(0.2))
 # Squared normals (4 area^2 squared, in diagonals^4) below this belong to faces without an orientation: nothing to flip.
 NO_AREA = wp.constant(wp.float32(1.0e-28))
@@ -131,9 +132,13 @@ def place_winners(
         v = half_edge_target(state.corner_vertex, h)
         anchor = edge_anchor(state, model, u, v)
         anchor_out[i] = anchor
+        at_anchor = keeps_anchor(state, model, u, v)
         for t in range(state.position.shape[1]):
-            q = merged_quadric(state, u, v, t)
-            target_out[i, t] = state.position[u, t] + collapse_offset(state, model, q, u, v, t, anchor)
+            p = state.position[u, t]
+            target = p + anchor * (state.position[v, t] - p)
+            if not at_anchor:
+                target += anchored_minimiser(merged_quadric(state, u, v, t, anchor), model.epsilon)
+            target_out[i, t] = target
 
 
 @wp.kernel

@@ -9,7 +9,7 @@ wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
 @wp.struct
 class MeshState:
-    """Faces, stars, and per vertex and key frame the position and the quadric about it (V vertices, N faces, K keys)."""
+    """Faces, stars, and per vertex and key frame position and quadric (V vertices, N faces, K key frames)."""
 
     corner_vertex: wp.array[wp.int32]  # (3N,) vertex of each corner; -1 in a dead face
     star_start: wp.array[wp.int32]  # (V+1,) stars as compressed rows

@@ -10,14 +10,6 @@ wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
 
 @wp.struct
-class UnitScale:
-    """Map of the input's coordinates to a mesh of unit diagonal: ``(p - centre) * factor``."""
-
-    centre: wp.vec3
-    factor: wp.float32
-
-
-@wp.struct
 class Clusters:
     """What each of the C output vertices is made of, as compressed rows."""
 
@@ -33,36 +25,29 @@ class Clusters:
     solved: wp.array[wp.int32]  # (C,) 0: the vertex is the anchor itself
 
 
-@wp.func
-def unit_position(points: wp.array2d[wp.vec3], scale: UnitScale, t: wp.int32, v: wp.int32) -> wp.vec3:
-    """A vertex on the mesh of unit diagonal."""
-    return (points[t, v] - scale.centre) * scale.factor
-
-
 @wp.kernel
 def place_vertices(
     points_in: wp.array2d[wp.vec3],
     corner_vertex_in: wp.array[wp.int32],
     clusters: Clusters,
-    scale: UnitScale,
     epsilon: wp.float32,
     # outputs
     points_out: wp.array2d[wp.vec3],
     normal_out: wp.array2d[wp.vec3],
 ):
-    """Positions (B, C) of a block of B frames (B, V), and the area-weighted normal of each cluster's input faces."""
+    """Positions (B, C) of a block of B frames (B, V), in diagonals, and the area-weighted normal of each cluster."""
     t, c = wp.tid()
     anchor = wp.vec3()
     for i in range(clusters.member_start[c], clusters.member_start[c + 1]):
-        anchor += clusters.member_weight[i] * unit_position(points_in, scale, t, clusters.member[i])
+        anchor += clusters.member_weight[i] * points_in[t, clusters.member[i]]
     q = Quadric()
     normal = wp.vec3()
     for i in range(clusters.face_start[c], clusters.face_start[c + 1]):
         f = clusters.face[i]
-        p = unit_position(points_in, scale, t, corner_vertex_in[3 * f])
+        p = points_in[t, corner_vertex_in[3 * f]]
         cross = wp.cross(
-            unit_position(points_in, scale, t, corner_vertex_in[3 * f + 1]) - p,
-            unit_position(points_in, scale, t, corner_vertex_in[3 * f + 2]) - p,
+            points_in[t, corner_vertex_in[3 * f + 1]] - p,
+            points_in[t, corner_vertex_in[3 * f + 2]] - p,
         )
         length = wp.length(cross)
         normal += cross
@@ -75,14 +60,14 @@ def place_vertices(
         for i in range(clusters.border_start[c], clusters.border_start[c + 1]):
             h = clusters.border[i]
             plane = border_plane(
-                unit_position(points_in, scale, t, corner_vertex_in[h]),
-                unit_position(points_in, scale, t, half_edge_target(corner_vertex_in, h)),
-                unit_position(points_in, scale, t, corner_vertex_in[previous_corner(h)]),
+                points_in[t, corner_vertex_in[h]],
+                points_in[t, half_edge_target(corner_vertex_in, h)],
+                points_in[t, corner_vertex_in[previous_corner(h)]],
                 anchor,
             )
             q += plane * clusters.border_weight[i]
-        x = anchor + anchored_minimiser(q, wp.vec3(), epsilon)
-    points_out[t, c] = x / scale.factor + scale.centre
+        x = anchor + anchored_minimiser(q, epsilon)
+    points_out[t, c] = x
 
 
 @wp.kernel

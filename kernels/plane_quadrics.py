@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from warpqem.kernels.quadric import Quadric, plane_quadric, shift_origin
+from warpqem.kernels.quadric import Quadric, plane_quadric
 from warpqem.kernels.topology import half_edge_target
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
@@ -10,7 +10,7 @@ wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
 @wp.func
 def border_plane(p: wp.vec3, q: wp.vec3, r: wp.vec3, origin: wp.vec3) -> Quadric:
-    """The plane through the edge ``p q``, perpendicular to its face ``p q r``, weighted by the edge's squared length."""
+    """The plane through edge ``p q``, perpendicular to its face ``p q r``, weighted by the edge's squared length."""
     edge = q - p
     m = wp.cross(edge, wp.cross(edge, r - p))
     length = wp.length(m)

@@ -69,15 +69,15 @@ def shift_origin(q: Quadric, d: wp.vec3) -> Quadric:
 
 
 @wp.func
-def anchored_minimiser(q: Quadric, anchor: wp.vec3, epsilon: wp.float32) -> wp.vec3:
-    """``argmin Q(x) + epsilon tr(A) |x - anchor|^2``: stiff directions follow the quadric, soft ones the anchor.
+def anchored_minimiser(q: Quadric, epsilon: wp.float32) -> wp.vec3:
+    """``argmin Q(x) + epsilon tr(A) |x|^2``: stiff directions follow the quadric, soft ones stay at the origin.
 
     The system is divided by its trace, so its entries are of order one whatever the areas are, and ``epsilon > 0``
     bounds its condition number by ``1 + 1 / epsilon``: the closed form by cofactors is safe in float32.
     """
     tr = trace(q)
     if tr <= NO_PLANE:
-        return anchor
+        return wp.vec3()
     s = 1.0 / tr
     a = q[0] * s + epsilon
     b = q[1] * s
@@ -85,17 +85,21 @@ def anchored_minimiser(q: Quadric, anchor: wp.vec3, epsilon: wp.float32) -> wp.v
     d = q[3] * s + epsilon
     e = q[4] * s
     f = q[5] * s + epsilon
-    # Solved for the step from the anchor, so that the right side is the (small) gradient there.
-    r = -s * (linear_part(q) + apply_matrix(q, anchor))
     c00 = d * f - e * e
     c01 = c * e - b * f
     c02 = b * e - c * d
     c11 = a * f - c * c
     c12 = b * c - a * e
     c22 = a * d - b * b
-    inverse = 1.0 / (a * c00 + b * c01 + c * c02)
-    return anchor + inverse * wp.vec3(
-        c00 * r[0] + c01 * r[1] + c02 * r[2],
-        c01 * r[0] + c11 * r[1] + c12 * r[2],
-        c02 * r[0] + c12 * r[1] + c22 * r[2],
+    scale = -s / (a * c00 + b * c01 + c * c02)
+    return scale * wp.vec3(
+        c00 * q[6] + c01 * q[7] + c02 * q[8],
+        c01 * q[6] + c11 * q[7] + c12 * q[8],
+        c02 * q[6] + c12 * q[7] + c22 * q[8],
     )
+
+
+@wp.func
+def value_at_minimiser(q: Quadric, x: wp.vec3, epsilon: wp.float32) -> wp.float32:
+    """``Q(x)`` at the anchored minimiser, where ``A x = -b - epsilon tr(A) x``; never negative."""
+    return wp.max(q[9] + wp.dot(x, linear_part(q)) - epsilon * trace(q) * wp.dot(x, x), 0.0)

@@ -93,11 +93,11 @@ def fill_stars(
     star_cursor: wp.array[wp.int32],
     star_corner_out: wp.array[wp.int32],
 ):
-    """Put each corner into its vertex's list; ``star_cursor`` starts at the end of each list and runs down."""
+    """Put each corner into its vertex's list; ``star_cursor`` starts at the beginning of each list and runs up."""
     h = wp.tid()
     v = corner_vertex_in[h]
     if v >= 0:
-        star_corner_out[wp.atomic_sub(star_cursor, v, 1) - 1] = h
+        star_corner_out[wp.atomic_add(star_cursor, v, 1)] = h
 
 
 @wp.kernel
@@ -106,7 +106,7 @@ def sort_stars(
     # outputs
     star_corner: wp.array[wp.int32],
 ):
-    """Ascending order in each list, so that nothing depends on the order of threads (insertion sort: lists are short)."""
+    """Ascending order in each list, so that nothing depends on the order of threads (insertion sort, short lists)."""
     v = wp.tid()
     first = star_start_in[v]
     for i in range(first + 1, star_start_in[v + 1]):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 __all__ = [
     "DegenerateMeshError",
     "DeviceError",
@@ -44,7 +46,15 @@ class DeviceError(WarpqemError, RuntimeError):
 
 
 class UnreachableTargetError(WarpqemError, RuntimeError):
-    """No legal edge collapse leads to the face count asked for; the message names the count reached."""
+    """No legal edge collapse leads to the face count asked for; the message names the count reached.
+
+    Attributes:
+        result: the :class:`warpqem.SimplifiedMesh` as far as legal collapses go, for callers who can use it.
+    """
+
+    def __init__(self, message: str, result: Any = None) -> None:
+        super().__init__(message)
+        self.result = result
 
 
 class StageError(WarpqemError):

@@ -42,6 +42,16 @@ class AnimatedMesh:
         """Input vertices V, unreferenced ones included."""
         return self.points.shape[1]
 
+    def unit_points(self, frames: slice | np.ndarray) -> np.ndarray:
+        """The chosen frames on a mesh of unit diagonal about ``centre``: (B, V, 3) float32."""
+        unit = self.points[frames] - self.centre
+        unit *= np.float32(1.0 / self.diagonal)
+        return unit
+
+    def original_points(self, unit: np.ndarray) -> np.ndarray:
+        """Unit positions (..., 3) float32 back in the caller's coordinates, float32."""
+        return (unit * self.diagonal + (self.centre + self.origin)).astype(np.float32)
+
 
 def as_numpy(array: Any) -> np.ndarray:
     """A NumPy view or copy of a NumPy, Warp, array-interface or DLPack array, or a sequence."""
@@ -80,8 +90,9 @@ def read_mesh(points: Any, faces: Any = None) -> AnimatedMesh:
         # float64 coordinates far from the origin keep their precision when the offset goes first.
         origin = p[0].mean(axis=0, dtype=np.float64)
         p = (p - origin).astype(np.float32)
-    _check_finite(p)
-    low, high = p.min(axis=1), p.max(axis=1)
+    low, high = _frame_bounds(p)
+    if not (np.isfinite(low).all() and np.isfinite(high).all()):
+        raise _non_finite(p)
     diagonal = float(np.linalg.norm(high.astype(np.float64) - low, axis=1).max())
     if not 0.0 < diagonal < np.inf:
         raise DegenerateMeshError(f"the mesh has no extent: its bounding-box diagonal is {diagonal:g} in every frame")
@@ -121,17 +132,31 @@ def _checked_faces(faces: np.ndarray, vertex_count: int) -> np.ndarray:
     return np.ascontiguousarray(faces[proper])
 
 
-def _check_finite(points: np.ndarray) -> None:
-    # The sum is finite only if all are (or overflows, and then the exact test decides): one pass, no temporary.
-    if np.isfinite(points.sum(dtype=np.float64)):
-        return
+def _frame_bounds(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest corner (F, 3) of each frame; NaN and infinity come through.
+
+    Vertices are taken 64 at a time, so that NumPy reduces long contiguous rows instead of rows of three.
+    """
+    frame_count, vertex_count, _ = points.shape
+    whole = vertex_count - vertex_count % 64
+    rows = points[:, :whole].reshape(frame_count, -1, 192)
+    rest = points[:, whole:]
+    bounds = []
+    for reduce in (np.min, np.max):
+        parts = [reduce(rest, axis=1)] if whole < vertex_count else []
+        if whole:
+            parts.append(reduce(reduce(rows, axis=1).reshape(frame_count, 64, 3), axis=1))
+        bounds.append(reduce(np.stack(parts), axis=0))
+    return bounds[0], bounds[1]
+
+
+def _non_finite(points: np.ndarray) -> NonFinitePointError:
     bad = ~np.isfinite(points)
-    if bad.any():
-        frame, vertex, axis = np.argwhere(bad)[0]
-        raise NonFinitePointError(
-            f"point of vertex {vertex} in frame {frame} has {'xyz'[axis]} = {points[frame, vertex, axis]} "
-            f"({int(bad.any(axis=2).sum())} such points in all)"
-        )
+    frame, vertex, axis = np.argwhere(bad)[0]
+    return NonFinitePointError(
+        f"point of vertex {vertex} in frame {frame} has {'xyz'[axis]} = {points[frame, vertex, axis]} "
+        f"({int(bad.any(axis=2).sum())} such points in all)"
+    )
 
 
 def as_vertex_values(values: Any, name: str, vertex_count: int) -> np.ndarray:

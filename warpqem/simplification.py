@@ -12,12 +12,11 @@ import numpy as np
 from warpqem.cost_models import CostModelSpec, cost_model, feature_weights
 from warpqem.device import resolve_device
 from warpqem.errors import OptionError, UnreachableTargetError
-from warpqem.kernels.placement import UnitScale
 from warpqem.kernels.topology import LOCKED
 from warpqem.key_frames import choose_key_frames
 from warpqem.mesh_input import AnimatedMesh, as_numpy, as_vertex_values, read_mesh
 from warpqem.order.log import CollapseRecord
-from warpqem.order.stage import OrderedMesh, OrderInput, OrderSettings, order_collapses
+from warpqem.order.stage import OrderInput, OrderSettings, order_collapses
 from warpqem.place.stage import Placer, PlaceSettings
 
 __all__ = ["SimplifiedMesh", "simplify"]
@@ -103,7 +102,7 @@ def simplify(
         OptionError: an option outside its range, or options that exclude each other.
         MeshShapeError, NonFinitePointError, FaceIndexError, DegenerateMeshError: see :mod:`warpqem.errors`.
         DeviceError: there is no such device.
-        UnreachableTargetError: no legal collapse leads to the face count asked for.
+        UnreachableTargetError: no legal collapse leads to the face count asked for; its ``result`` is what there is.
     """
     spec = cost_model(metric)
     goal_options = (ratio, target_faces, max_error)
@@ -114,16 +113,15 @@ def simplify(
     lock_mask = _lock_mask(locked, mesh.vertex_count)
     weights = _cost_weights(spec, mesh, vertex_weights, device)
     keys = _key_frames(spec, mesh, key_frames)
-    unit = _unit_scale(mesh)
     quadric_scale = np.ones(mesh.vertex_count, dtype=np.float32)
     ordered = order_collapses(
         OrderInput(
             faces=mesh.faces,
-            key_points=_to_unit(mesh.points[keys], unit),
+            key_points=mesh.unit_points(keys),
             vertex_flags=np.where(lock_mask, LOCKED, 0).astype(np.int32),
             quadric_scale=quadric_scale,
             cost_weight=weights,
-            trajectories=_to_unit(mesh.points, unit) if spec.deformation_weight > 0 else None,
+            trajectories=mesh.unit_points(slice(None)) if spec.deformation_weight > 0 else None,
         ),
         OrderSettings(
             target_faces=goal.target_faces,
@@ -135,27 +133,31 @@ def simplify(
         device,
         _order_progress(progress, len(mesh.faces), goal.target_faces),
     )
-    stopped = _why_stopped(ordered, goal)
     placer = Placer(
         mesh.faces,
         ordered,
         quadric_scale,
         lock_mask,
-        unit,
         PlaceSettings(_epsilon(coherence), _regularisation(coherence), placement == "endpoint"),
         device,
     )
-    placed = placer.place_all(mesh.points, _place_progress(progress, mesh.frame_count))
-    return SimplifiedMesh(
-        points=(placed.points + mesh.origin).astype(np.float32) if mesh.origin.any() else placed.points,
+    placed = placer.place_all(mesh, _place_progress(progress, mesh.frame_count))
+    result = SimplifiedMesh(
+        points=placed.points,
         faces=placer.faces,
         vertex_map=placer.vertex_map,
-        stopped=stopped,
+        stopped=ordered.stopped,
         error=100.0 * float(ordered.log.error.max(initial=0.0)),
         flips=placed.flips,
         log=ordered.log,
         key_frames=keys,
     )
+    if goal.target_faces > 0 and result.stopped == "no legal collapse":
+        raise UnreachableTargetError(
+            f"{len(result.faces)} faces are left and no edge collapse is legal, {goal.target_faces} were asked for",
+            result,
+        )
+    return result
 
 
 def _epsilon(coherence: float) -> float:
@@ -232,32 +234,6 @@ def _key_frames(spec: CostModelSpec, mesh: AnimatedMesh, key_frames: int | None)
     if spec.single_frame:
         return np.zeros(1, dtype=np.int64)
     return choose_key_frames(mesh.points, mesh.frame_count if key_frames is None else int(key_frames))
-
-
-def _unit_scale(mesh: AnimatedMesh) -> UnitScale:
-    unit = UnitScale()
-    unit.centre = mesh.centre
-    unit.factor = 1.0 / mesh.diagonal
-    return unit
-
-
-def _to_unit(points: np.ndarray, unit: UnitScale) -> np.ndarray:
-    return (points - np.array(unit.centre, dtype=np.float32)) * np.float32(unit.factor)
-
-
-def _why_stopped(ordered: OrderedMesh, goal: _Goal) -> str:
-    """Name what stopped the ordering.
-
-    Raises:
-        UnreachableTargetError: a face count was asked for, and only legality stands in its way.
-    """
-    if not ordered.exhausted:
-        return "target"
-    if goal.max_error < math.inf:
-        return "max_error"
-    raise UnreachableTargetError(
-        f"{len(ordered.faces)} faces are left and no edge collapse is legal, {goal.target_faces} were asked for"
-    )
 
 
 def _order_progress(progress: Progress | None, face_count: int, target: int) -> Callable[[int], None] | None:

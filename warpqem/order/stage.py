@@ -47,8 +47,7 @@ class OrderedMesh:
         position: (V, K) vec3, where ordering put the kept vertices.
         quadric: (V, K) Quadric of each kept vertex's cluster, about ``position``.
         border: (3N,) int32, 1 at the input's border half-edges.
-        frozen: (V,) bool, vertices that may not move (locked, or with a non-manifold star).
-        exhausted: no legal collapse was left before the target.
+        stopped: "target", "max_error" or "no legal collapse".
         log: the collapses.
     """
 
@@ -58,7 +57,7 @@ class OrderedMesh:
     position: wp.array
     quadric: wp.array
     border: np.ndarray
-    exhausted: bool
+    stopped: str
     log: CollapseRecord
 
 
@@ -103,12 +102,11 @@ def order_collapses(
     model = CostModel()
     model.epsilon = settings.epsilon
     model.endpoint = int(settings.endpoint)
-    # float32 has no room above this; no error on a mesh of unit diagonal comes near it.
-    model.error_limit = min(settings.error_limit**2, float(np.finfo(np.float32).max))
+    model.error_limit = settings.error_limit**2
     model.deformation_weight = settings.deformation_weight
 
     orderer = Orderer(state, stars, model, len(mesh.faces), device)
-    reached = orderer.run(settings.target_faces, progress)
+    stopped = orderer.run(settings.target_faces, progress)
     log = read_log(orderer.log)
     return OrderedMesh(
         faces=state.corner_vertex.numpy()[: 3 * orderer.face_slots].reshape(-1, 3)[_live(state, orderer.face_slots)],
@@ -117,7 +115,7 @@ def order_collapses(
         position=state.position,
         quadric=state.quadric,
         border=border.numpy(),
-        exhausted=reached == "exhausted",
+        stopped=stopped,
         log=log,
     )
 

@@ -31,7 +31,7 @@ class Stars:
             kernels.count_corners, dim=half_edge_count, inputs=[corner_vertex], outputs=[self._cursor], device=device
         )
         wp.utils.array_scan(self._cursor, self.start, inclusive=False)
-        wp.utils.array_scan(self._cursor, self._cursor, inclusive=True)
+        wp.copy(self._cursor, self.start)
         wp.launch(
             kernels.fill_stars,
             dim=half_edge_count,

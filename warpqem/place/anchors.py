@@ -12,8 +12,8 @@ from warpqem.order.stage import OrderedMesh
 
 __all__ = ["Anchors", "fit_anchors", "nearest_anchors"]
 
-# An anchor uses at most so many of its cluster's vertices, the nearest to where ordering put the vertex. The small dense
-# solve grows with the cube of this, and weights far from the vertex are near zero.
+# An anchor uses at most so many of its cluster's vertices, the nearest to where ordering put the vertex. The small
+# dense solve grows with the cube of this, and weights far from the vertex are near zero.
 MOST_MEMBERS = 32
 
 

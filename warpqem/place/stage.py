@@ -12,6 +12,7 @@ import numpy as np
 import warp as wp
 
 from warpqem.kernels import placement as kernels
+from warpqem.mesh_input import AnimatedMesh
 from warpqem.order.quadrics import BORDER_WEIGHT
 from warpqem.order.stage import OrderedMesh
 from warpqem.place.anchors import Anchors, fit_anchors, nearest_anchors
@@ -40,7 +41,7 @@ class PlaceSettings:
 
 @dataclass(frozen=True)
 class PlacedBlock:
-    """A block of placed frames: ``points`` (B, C, 3) float32 and the number of turned-over faces per frame (B,)."""
+    """Placed frames: ``points`` (B, C, 3) float32 and the number of turned-over faces per frame (B,)."""
 
     points: np.ndarray
     flips: np.ndarray
@@ -61,7 +62,6 @@ class Placer:
         ordered: result of the order stage.
         quadric_scale: (V,) float32, scale of each input vertex's quadric.
         pinned: (V,) bool, input vertices that keep their position.
-        scale: map to the mesh of unit diagonal.
         settings: see :class:`PlaceSettings`.
         device: Warp device.
 
@@ -76,11 +76,10 @@ class Placer:
         ordered: OrderedMesh,
         quadric_scale: np.ndarray,
         pinned: np.ndarray,
-        scale: kernels.UnitScale,
         settings: PlaceSettings,
         device: str,
     ) -> None:
-        self._scale, self._settings, self._device = scale, settings, device
+        self._settings, self._device = settings, device
         # Output vertices keep the order of the input vertices they go by.
         kept, out_faces = np.unique(ordered.faces, return_inverse=True)
         index = np.full(len(ordered.root), -1, dtype=np.int32)
@@ -97,6 +96,10 @@ class Placer:
             # A vertex alone in its cluster lies on all its planes: it is its own optimum.
             alone = np.bincount(self.vertex_map[self.vertex_map >= 0], minlength=len(kept)) == 1
             solved = (~alone & ~pinned[kept]).astype(np.int32)
+        # An anchor that is one input vertex, not solved for, is copied, so that it keeps its bits.
+        single = np.flatnonzero((solved == 0) & (np.maximum.reduceat(anchors.weight, anchors.start[:-1]) == 1.0))
+        self._copied = single
+        self._copied_from = anchors.vertex[_heaviest(anchors)[single]]
         self._clusters = self._gather_clusters(faces, ordered.border, quadric_scale, anchors, solved)
         self._corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device)
         self._out_corner_vertex = wp.array(self.faces.ravel(), dtype=wp.int32, device=device)
@@ -132,22 +135,17 @@ class Placer:
             setattr(clusters, name, wp.array(values, device=self._device))
         return clusters
 
-    def place(self, points: np.ndarray) -> PlacedBlock:
-        """Place a block of frames (B, V, 3) float32 in the input's coordinates."""
-        device, frame_count = self._device, len(points)
+    def _place_block(self, unit_points: np.ndarray) -> PlacedBlock:
+        """Place a block of frames (B, V, 3) float32, in diagonals."""
+        device, frame_count = self._device, len(unit_points)
         shape = (frame_count, self._vertex_count)
         out = wp.empty(shape, dtype=wp.vec3, device=device)
         normal = wp.empty(shape, dtype=wp.vec3, device=device)
+        points = wp.array(unit_points, dtype=wp.vec3, device=device, copy=False)
         wp.launch(
             kernels.place_vertices,
             dim=shape,
-            inputs=[
-                wp.array(points, dtype=wp.vec3, device=device, copy=False),
-                self._corner_vertex,
-                self._clusters,
-                self._scale,
-                self._settings.epsilon,
-            ],
+            inputs=[points, self._corner_vertex, self._clusters, self._settings.epsilon],
             outputs=[out, normal],
             device=device,
         )
@@ -161,16 +159,24 @@ class Placer:
         )
         return PlacedBlock(out.numpy(), flips.numpy())
 
-    def place_all(self, points: np.ndarray, progress: Callable[[int], None] | None = None) -> PlacedBlock:
-        """Place all frames (F, V, 3), block by block; ``progress`` is called with the number of frames done."""
-        placed = np.empty((len(points), self._vertex_count, 3), dtype=np.float32)
-        flips = np.empty(len(points), dtype=np.int32)
-        for block in frame_blocks(len(points), points.shape[1]):
-            result = self.place(points[block])
-            placed[block], flips[block] = result.points, result.flips
+    def place_all(self, mesh: AnimatedMesh, progress: Callable[[int], None] | None = None) -> PlacedBlock:
+        """Place all frames of the mesh, block by block; ``progress`` is called with the number of frames done."""
+        placed = np.empty((mesh.frame_count, self._vertex_count, 3), dtype=np.float32)
+        flips = np.empty(mesh.frame_count, dtype=np.int32)
+        for block in frame_blocks(mesh.frame_count, mesh.vertex_count):
+            result = self._place_block(mesh.unit_points(block))
+            placed[block], flips[block] = mesh.original_points(result.points), result.flips
+            placed[block, self._copied] = mesh.points[block, self._copied_from] + mesh.origin
             if progress:
                 progress(block.stop)
         return PlacedBlock(placed, flips)
+
+
+def _heaviest(anchors: Anchors) -> np.ndarray:
+    """Index into ``anchors.vertex`` of the member with the largest weight, per anchor (C,)."""
+    cluster = np.repeat(np.arange(len(anchors.start) - 1), np.diff(anchors.start))
+    order = np.lexsort((-anchors.weight, cluster))
+    return order[anchors.start[:-1]]
 
 
 def _pin(anchors: Anchors, kept: np.ndarray, pinned: np.ndarray) -> Anchors:

@@ -1,0 +1,124 @@
+"""Closest point on a triangle mesh: bounding-volume search in single precision, result in double precision."""
+
+import warp as wp
+
+# No gradients are taken, and leaving out the adjoint code halves the compile time.
+wp.set_module_options({"enable_backward": False})
+
+# Search radius in mesh units (the caller scales the mesh to unit diagonal): everything is nearer, and its square still
+# fits single precision.
+SEARCH_RADIUS = wp.constant(1.0e15)
+
+# Single precision places a point of a unit-sized mesh to about 2e-7. Below this distance that is more than 2e-4 of the
+# distance itself and may pick the wrong face of two neighbours, so the choice is made again in double precision.
+EXACT_BELOW = wp.constant(wp.float64(1.0e-3))
+
+# Added to the box of the second search: several times the rounding of the single-precision boxes of the hierarchy.
+BOX_MARGIN = wp.constant(1.0e-6)
+
+
+@wp.func
+def segment_parameter(p: wp.vec3d, a: wp.vec3d, b: wp.vec3d):
+    """Parameter in [0, 1] of the point of segment ab closest to p; 0 for a segment without length."""
+    ab = b - a
+    length_squared = wp.dot(ab, ab)
+    if length_squared == wp.float64(0.0):
+        return wp.float64(0.0)
+    return wp.clamp(wp.dot(p - a, ab) / length_squared, wp.float64(0.0), wp.float64(1.0))
+
+
+@wp.func
+def offset_squared(p: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, barycentric: wp.vec3d):
+    """Squared distance from p to the point of triangle abc with the given barycentric coordinates."""
+    r = (p - a) - barycentric[1] * (b - a) - barycentric[2] * (c - a)
+    return wp.dot(r, r)
+
+
+@wp.func
+def closest_barycentric(p: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
+    """Barycentric coordinates of the point of triangle abc closest to p; right for degenerate triangles too.
+
+    The best of the three edges is compared with the foot of the perpendicular, where that lies inside: no case
+    distinction depends on the sign of a rounded determinant.
+    """
+    zero = wp.float64(0.0)
+    one = wp.float64(1.0)
+    t = segment_parameter(p, a, b)
+    best = wp.vec3d(one - t, t, zero)
+    best_squared = offset_squared(p, a, b, c, best)
+
+    t = segment_parameter(p, b, c)
+    candidate = wp.vec3d(zero, one - t, t)
+    candidate_squared = offset_squared(p, a, b, c, candidate)
+    if candidate_squared < best_squared:
+        best = candidate
+        best_squared = candidate_squared
+
+    t = segment_parameter(p, c, a)
+    candidate = wp.vec3d(t, zero, one - t)
+    candidate_squared = offset_squared(p, a, b, c, candidate)
+    if candidate_squared < best_squared:
+        best = candidate
+        best_squared = candidate_squared
+
+    ab = b - a
+    ac = c - a
+    ap = p - a
+    normal = wp.cross(ab, ac)
+    normal_squared = wp.dot(normal, normal)
+    if normal_squared > zero:
+        v = wp.dot(wp.cross(ap, ac), normal) / normal_squared
+        w = wp.dot(wp.cross(ab, ap), normal) / normal_squared
+        candidate = wp.vec3d(one - v - w, v, w)
+        if v >= zero and w >= zero and v + w <= one and offset_squared(p, a, b, c, candidate) < best_squared:
+            best = candidate
+    return best
+
+
+@wp.kernel
+def find_closest_points(
+    # inputs
+    mesh_in: wp.uint64,
+    points_in: wp.array[wp.vec3d],
+    indices_in: wp.array[wp.int32],
+    queries_in: wp.array[wp.vec3d],
+    # outputs
+    distance_out: wp.array[wp.float64],
+    face_out: wp.array[wp.int32],
+    barycentric_out: wp.array[wp.vec3d],
+):
+    """Closest face, barycentric coordinates and distance per query; face -1 where the search finds no face."""
+    i = wp.tid()
+    p = queries_in[i]
+    p_single = wp.vec3(wp.float32(p[0]), wp.float32(p[1]), wp.float32(p[2]))
+    found = wp.mesh_query_point_no_sign(mesh_in, p_single, SEARCH_RADIUS)
+    if not found.result:
+        face_out[i] = -1
+        return
+
+    best_face = found.face
+    a = points_in[indices_in[3 * best_face]]
+    b = points_in[indices_in[3 * best_face + 1]]
+    c = points_in[indices_in[3 * best_face + 2]]
+    best = closest_barycentric(p, a, b, c)
+    best_squared = offset_squared(p, a, b, c, best)
+
+    if best_squared < EXACT_BELOW * EXACT_BELOW:
+        radius = wp.float32(wp.sqrt(best_squared)) + BOX_MARGIN
+        extent = wp.vec3(radius, radius, radius)
+        query = wp.mesh_query_aabb(mesh_in, p_single - extent, p_single + extent)
+        face = wp.int32(0)
+        while wp.mesh_query_next(query, face):
+            a = points_in[indices_in[3 * face]]
+            b = points_in[indices_in[3 * face + 1]]
+            c = points_in[indices_in[3 * face + 2]]
+            candidate = closest_barycentric(p, a, b, c)
+            candidate_squared = offset_squared(p, a, b, c, candidate)
+            if candidate_squared < best_squared or (candidate_squared == best_squared and face < best_face):
+                best = candidate
+                best_squared = candidate_squared
+                best_face = face
+
+    distance_out[i] = wp.sqrt(best_squared)
+    face_out[i] = best_face
+    barycentric_out[i] = best

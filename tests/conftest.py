@@ -1,0 +1,10 @@
+"""Fixtures shared by all tests."""
+
+import pytest
+import warp as wp
+
+
+@pytest.fixture(scope="session", params=["cpu", "cuda:0"] if wp.is_cuda_available() else ["cpu"])
+def device(request):
+    """Every Warp device to test on: the CPU, and the first GPU where there is one."""
+    return request.param
