@@ -17,7 +17,7 @@ class Clusters:
     member: wp.array[wp.int32]  # input vertices of the anchor
     member_weight: wp.array[wp.float32]  # sum 1 per cluster
     face_start: wp.array[wp.int32]  # (C+1,)
-    face: wp.array[wp.int32]  # input faces with a corner in the cluster
+    face: wp.array[wp.vec3i]  # corners of the input faces with a corner in the cluster
     face_weight: wp.array[wp.float32]  # corners in the cluster, each times its vertex's quadric scale
     border_start: wp.array[wp.int32]  # (C+1,)
     border: wp.array[wp.int32]  # border half-edges with an end in the cluster
@@ -44,16 +44,13 @@ def place_vertices(
     normal = wp.vec3()
     for i in range(clusters.face_start[c], clusters.face_start[c + 1]):
         f = clusters.face[i]
-        p = points_in[t, corner_vertex_in[3 * f]]
-        cross = wp.cross(
-            points_in[t, corner_vertex_in[3 * f + 1]] - p,
-            points_in[t, corner_vertex_in[3 * f + 2]] - p,
-        )
+        p = points_in[t, f[0]]
+        cross = wp.cross(points_in[t, f[1]] - p, points_in[t, f[2]] - p)
         length = wp.length(cross)
         normal += cross
         if length > 0.0:
-            n = cross / length
-            q += plane_quadric(n, wp.dot(n, anchor - p), 0.5 * length * clusters.face_weight[i])
+            # Twice the area is the cross product's length: area n n^T = cross cross^T / (2 length).
+            q += plane_quadric(cross, wp.dot(cross, anchor - p), 0.5 * clusters.face_weight[i] / length)
     normal_out[t, c] = normal
     x = anchor
     if clusters.solved[c] == 1:

@@ -18,7 +18,7 @@ NO_PLANE = wp.constant(wp.float32(1.0e-30))
 
 @wp.func
 def plane_quadric(normal: wp.vec3, offset: wp.float32, weight: wp.float32) -> Quadric:
-    """``weight * (normal.x + offset)^2`` for a unit normal."""
+    """``weight * (normal.x + offset)^2``."""
     n = normal * weight
     d = offset * weight
     return Quadric(

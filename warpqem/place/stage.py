@@ -110,29 +110,28 @@ class Placer:
         """Faces and border edges of each cluster, each once, weighted by its corners there."""
         corner_vertex = faces.ravel()
         corner = np.arange(len(corner_vertex))
-        face_rows = sum_repeated(
+        face_start, face, face_weight = sum_repeated(
             self.vertex_map[corner_vertex], corner // 3, quadric_scale[corner_vertex], self._vertex_count
         )
         half_edge = np.flatnonzero(border)
         ends = np.concatenate([half_edge, half_edge - half_edge % 3 + (half_edge + 1) % 3])
-        border_rows = sum_repeated(
+        border_start, border_half_edge, border_weight = sum_repeated(
             self.vertex_map[corner_vertex[ends]],
             np.concatenate([half_edge, half_edge]),
             BORDER_WEIGHT * quadric_scale[corner_vertex[ends]],
             self._vertex_count,
         )
-        clusters = kernels.Clusters()
-        fields = dict(
-            zip(
-                ("member_start", "member", "member_weight"),
-                (anchors.start, anchors.vertex, anchors.weight),
-                strict=True,
-            )
-        )
-        fields |= dict(zip(("face_start", "face", "face_weight"), face_rows, strict=True))
-        fields |= dict(zip(("border_start", "border", "border_weight"), border_rows, strict=True))
-        for name, values in (fields | {"solved": solved}).items():
-            setattr(clusters, name, wp.array(values, device=self._device))
+        clusters, device = kernels.Clusters(), self._device
+        clusters.member_start = wp.array(anchors.start, device=device)
+        clusters.member = wp.array(anchors.vertex, device=device)
+        clusters.member_weight = wp.array(anchors.weight, device=device)
+        clusters.face_start = wp.array(face_start, device=device)
+        clusters.face = wp.array(faces[face], dtype=wp.vec3i, device=device)
+        clusters.face_weight = wp.array(face_weight, device=device)
+        clusters.border_start = wp.array(border_start, device=device)
+        clusters.border = wp.array(border_half_edge, device=device)
+        clusters.border_weight = wp.array(border_weight, device=device)
+        clusters.solved = wp.array(solved, device=device)
         return clusters
 
     def _place_block(self, unit_points: np.ndarray) -> PlacedBlock:
