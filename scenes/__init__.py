@@ -1,0 +1,1 @@
+"""Seeded procedural generators of the animated test scenes kept in this folder."""

@@ -1,0 +1,199 @@
+"""The command line."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from pxr import Usd, UsdGeom
+from test_usd_stages import cloth_stage, define_cloth, skinned_stage
+from typer.testing import CliRunner, Result
+
+from warpqem.cli.main import app
+
+
+def run(*arguments: object) -> Result:
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+@pytest.fixture
+def cloth(tmp_path) -> Path:
+    cloth_stage(tmp_path / "in.usda")
+    return tmp_path / "in.usda"
+
+
+@pytest.fixture
+def half_broken(tmp_path) -> Path:
+    """A file with one good mesh and one that cannot be read."""
+    stage = cloth_stage(tmp_path / "in.usda")
+    define_cloth(stage, "/Root/Broken").GetFaceVertexCountsAttr().Set([4])
+    stage.Save()
+    return tmp_path / "in.usda"
+
+
+def test_simplify_writes_the_output_and_a_table(cloth, tmp_path):
+    result = run("simplify", cloth, "-o", tmp_path / "out.usda", "--ratio", 0.5, "--device", "cpu")
+    assert result.exit_code == 0
+    assert "/Root/Cloth" in result.stdout
+    assert "128" in result.stdout
+    stage = Usd.Stage.Open(str(tmp_path / "out.usda"))
+    assert len(UsdGeom.Mesh(stage.GetPrimAtPath("/Root/Cloth")).GetFaceVertexCountsAttr().Get()) in (63, 64)
+
+
+def test_simplify_passes_all_options_on(cloth, tmp_path):
+    options = "--max-error 2 --metric dod --coherence 0.2 --placement endpoint --key-frames 2 --frames 1:2 --flatten"
+    report = tmp_path / "report.json"
+    result = run(
+        "simplify", cloth, "-o", tmp_path / "out.usdc", *options.split(), "--prim", "/Root", "--device", "cpu",
+        "--json", report,
+    )  # fmt: skip
+    assert result.exit_code == 0, result.stderr
+    [prim] = json.loads(report.read_text())["prims"]
+    assert (prim["frames"], prim["stopped"]) == (2, "max_error")
+
+
+def test_simplify_names_what_it_drops(tmp_path):
+    skinned_stage(tmp_path / "in.usda")
+    result = run("simplify", tmp_path / "in.usda", "-o", tmp_path / "out.usda", "--ratio", 0.5, "--device", "cpu")
+    assert [line for line in result.stderr.splitlines() if line.startswith("warning: /Char/Body: dropped")] != []
+    assert "skin binding with 1 blend shape" in result.stderr
+
+
+def test_json_to_stdout_is_all_there_is_on_stdout(cloth, tmp_path):
+    result = run("simplify", cloth, "-o", tmp_path / "out.usda", "--ratio", 0.5, "--device", "cpu", "--json", "-")
+    assert json.loads(result.stdout)["prims"][0]["status"] == "simplified"
+    assert "/Root/Cloth" in result.stderr
+
+
+def test_one_failed_mesh_gives_exit_code_1(half_broken, tmp_path):
+    result = run("simplify", half_broken, "-o", tmp_path / "out.usda", "--ratio", 0.5, "--device", "cpu")
+    assert result.exit_code == 1
+    assert (tmp_path / "out.usda").exists()
+    assert any(line.startswith("error: /Root/Broken.faceVertexCounts") for line in result.stderr.splitlines())
+
+
+def test_strict_writes_nothing(half_broken, tmp_path):
+    result = run("simplify", half_broken, "-o", tmp_path / "out.usda", "--ratio", 0.5, "--device", "cpu", "--strict")
+    assert result.exit_code == 1
+    assert not (tmp_path / "out.usda").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--ratio", "25"], "for 25 % give 0.25"),
+        (["--ratio", "0"], "ratio 0"),
+        (["--ratio", "0.5", "--faces", "9"], "exactly one"),
+        ([], "exactly one"),
+        (["--ratio", "0.5", "--frames", "9:1"], "frame range"),
+        (["--ratio", "0.5", "--metric", "best"], "--metric"),
+        (["--ratio", "half"], "--ratio"),
+        (["--rotio", "0.5"], "--rotio"),
+        (["--ratio", "0.5", "--coherence", "7"], "coherence"),
+    ],
+)
+def test_wrong_usage_is_one_line_and_exit_code_2(cloth, tmp_path, options, message):
+    result = run("simplify", cloth, "-o", tmp_path / "out.usda", *options)
+    assert result.exit_code == 2
+    [line] = result.stderr.splitlines()
+    assert line.startswith("error: ")
+    assert message in line
+
+
+def test_missing_input_is_one_line_and_exit_code_1(tmp_path):
+    result = run("simplify", tmp_path / "none.usd", "-o", tmp_path / "out.usda", "--ratio", 0.5)
+    assert result.exit_code == 1
+    assert result.stderr.splitlines() == [f"error: {tmp_path / 'none.usd'}: no such file"]
+
+
+def test_input_as_output_is_refused(cloth):
+    before = cloth.read_bytes()
+    result = run("simplify", cloth, "-o", cloth, "--ratio", 0.5)
+    assert result.exit_code == 2
+    assert cloth.read_bytes() == before
+
+
+def test_device_that_does_not_exist_is_one_line(cloth, tmp_path):
+    result = run("simplify", cloth, "-o", tmp_path / "out.usda", "--ratio", 0.5, "--device", "cuda:77")
+    assert result.exit_code == 1
+    assert "cuda:77" in result.stderr.splitlines()[-1]
+
+
+def test_defect_is_one_line_without_a_traceback(cloth, tmp_path, monkeypatch):
+    def fail(*arguments: object, **options: object) -> None:
+        raise ZeroDivisionError("by nought")
+
+    monkeypatch.setattr("warpqem.usd.simplify.simplify_stage", fail)
+    result = run("simplify", cloth, "-o", tmp_path / "out.usda", "--ratio", 0.5)
+    assert result.exit_code == 1
+    assert result.stderr.startswith("error: ZeroDivisionError: by nought")
+    assert "Traceback" not in result.output
+
+
+def test_info_describes_each_mesh(cloth):
+    result = run("info", cloth)
+    assert result.exit_code == 0
+    assert "/Root/Cloth" in result.stdout
+
+
+def test_info_as_json(half_broken):
+    result = run("info", half_broken, "--json", "-")
+    assert result.exit_code == 0
+    meshes = json.loads(result.stdout)["meshes"]
+    assert [mesh["triangles"] for mesh in meshes] == [128, 0]
+    assert "faceVertexCounts" in meshes[1]["problems"][0]
+
+
+def test_compare_measures_a_result_against_its_input(cloth, tmp_path):
+    out, report = tmp_path / "out.usda", tmp_path / "report.json"
+    run("simplify", cloth, "-o", out, "--ratio", 0.5, "--device", "cpu")
+    heat = tmp_path / "heat.usdc"
+    result = run("compare", cloth, out, "--samples", 200, "--json", report, "--heatmap", heat, "--device", "cpu")
+    assert result.exit_code == 0, result.stderr
+    [prim] = json.loads(report.read_text())["prims"]
+    assert prim["comparison"]["rms"] > 0
+    assert len(prim["comparison"]["per_frame"]["rms"]) == 3
+    assert heat.exists()
+
+
+def test_compare_with_a_mesh_missing_gives_exit_code_1(cloth, tmp_path):
+    stage = cloth_stage(tmp_path / "two.usda")
+    define_cloth(stage, "/Root/Flag")
+    stage.Save()
+    result = run("compare", cloth, tmp_path / "two.usda", "--samples", 100, "--device", "cpu")
+    assert result.exit_code == 1
+    assert "error: /Root/Flag: no such mesh" in result.stderr
+
+
+def test_features_writes_colors(cloth, tmp_path):
+    result = run("features", cloth, "-o", tmp_path / "out.usda", "--device", "cpu")
+    assert result.exit_code == 0, result.stderr
+    stage = Usd.Stage.Open(str(tmp_path / "out.usda"))
+    assert UsdGeom.Mesh(stage.GetPrimAtPath("/Root/Cloth")).GetDisplayColorPrimvar().HasAuthoredValue()
+
+
+def test_version_is_printed():
+    assert run("--version").stdout.startswith("warpqem ")
+
+
+@pytest.mark.parametrize("command", ["simplify", "info", "compare", "features"])
+def test_every_option_has_a_help_text(command):
+    import typer.main
+
+    group = typer.main.get_command(app)
+    for parameter in group.commands[command].params:
+        assert parameter.help, parameter.name
+
+
+def test_help_loads_neither_warp_nor_usd():
+    code = (
+        "import sys; sys.argv = ['warpqem', '--help']\n"
+        "from warpqem.cli.main import app\n"
+        "try:\n    app()\nexcept SystemExit as stop:\n    assert stop.code == 0\n"
+        "assert not {'warp', 'pxr', 'numpy', 'trimesh'} & set(sys.modules), sorted(sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr

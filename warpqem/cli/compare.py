@@ -1,0 +1,100 @@
+"""`warpqem compare`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.table import Table
+
+from warpqem.cli.console import EXIT_FAILED, print_table, progress_bar, quiet_warp, tell, write_json
+from warpqem.cli.options import Device, Frames, JsonReport, Prims
+
+if TYPE_CHECKING:
+    from warpqem.usd.compare import PairReport
+
+__all__ = ["compare"]
+
+
+def compare(
+    reference: Annotated[str, typer.Argument(metavar="REFERENCE", help="USD file with the original meshes.")],
+    test: Annotated[str, typer.Argument(metavar="TEST", help="USD file with simplified meshes at the same paths.")],
+    samples: Annotated[int, typer.Option(help="Number of sample points on each mesh.")] = 20000,
+    frames: Frames = None,
+    prim: Prims = None,
+    heatmap: Annotated[
+        str | None,
+        typer.Option(
+            metavar="OUT",
+            help="Write a layer over TEST that colours each vertex by its distance to REFERENCE in each frame "
+            "(primvars:displayColor); switch materials off to see it.",
+        ),
+    ] = None,
+    scale: Annotated[
+        float | None,
+        typer.Option(
+            metavar="PCT",
+            help="Distance of the heat map's last colour, in % of the bounding-box diagonal; by default the largest",
+        ),
+    ] = None,
+    device: Device = None,
+    json: JsonReport = None,
+) -> None:
+    """Measure the meshes of TEST against those of REFERENCE with the same prim path, at the frames of both.
+
+    Distances are in % of the reference's bounding-box diagonal in the frame, angles in degrees. Jitter and slide
+    are second differences over time: how much the surface trembles, and how much vertices swim on it.
+
+    Exit codes: 0 all done; 1 an error, or some pair failed; 2 wrong usage.
+    """
+    quiet_warp()
+    from warpqem.usd import CompareOptions, FrameRange, compare_stages
+
+    options = CompareOptions(
+        samples=samples,
+        frames=FrameRange.parse(frames) if frames else None,
+        prims=tuple(prim or ()),
+        device=device,
+        heatmap=heatmap,
+        heatmap_scale=scale,
+    )
+    with progress_bar("reading") as progress:
+        pairs = compare_stages(reference, test, options, progress)
+    for pair in pairs:
+        if pair.message is not None:
+            tell("error", pair.message)
+    print_table(_table(reference, test, pairs), to_stderr=json == "-")
+    if json is not None:
+        write_json(json, {"reference": reference, "test": test, "prims": [pair.to_dict() for pair in pairs]})
+    if not pairs:
+        tell("error", f"neither {reference} nor {test} has a mesh")
+    if not pairs or any(pair.message is not None for pair in pairs):
+        raise typer.Exit(EXIT_FAILED)
+
+
+def _table(reference: str, test: str, pairs: list[PairReport]) -> Table:
+    table = Table(title=f"{reference} - {test}")
+    table.add_column("mesh", overflow="fold")
+    names = ("frames", "faces", "RMS %", "mean %", "Hausdorff %", "normals deg", "flips", "jitter %", "slide %")
+    for name in (*names, "edge length %"):
+        table.add_column(name, justify="right")
+    for pair in pairs:
+        measures = pair.comparison
+        if measures is None:
+            table.add_row(pair.path, "failed")
+            continue
+        values = (
+            measures.rms,
+            measures.mean,
+            measures.hausdorff,
+            measures.normal_deviation,
+            measures.flips,
+            measures.jitter,
+            measures.slide,
+            measures.edge_length_error,
+        )
+        faces = f"{measures.reference_topology.faces} / {measures.test_topology.faces}"
+        table.add_row(
+            pair.path, str(measures.frame_count), faces, *("" if value is None else f"{value:.4g}" for value in values)
+        )
+    return table

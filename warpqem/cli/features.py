@@ -1,0 +1,55 @@
+"""`warpqem features`."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+import typer
+from rich.table import Table
+
+from warpqem.cli.console import EXIT_FAILED, print_table, progress_bar, quiet_warp, tell, write_json
+from warpqem.cli.options import Device, Frames, Input, JsonReport, Output, Prims
+
+__all__ = ["features"]
+
+
+def features(
+    input_file: Input,
+    output: Output,
+    frames: Frames = None,
+    prim: Prims = None,
+    device: Device = None,
+    json: JsonReport = None,
+) -> None:
+    """Colour the motion features, the parts that bend while a mesh moves: one colour for each, grey for the rest.
+
+    OUT is a layer over IN with primvars:displayColor on each mesh; switch materials off to see it.
+
+    Exit codes: 0 all done; 1 an error, or some mesh failed; 2 wrong usage.
+    """
+    quiet_warp()
+    from warpqem.usd import FrameRange, color_features
+
+    with progress_bar("reading") as progress:
+        reports = color_features(
+            input_file,
+            output,
+            prims=tuple(prim or ()),
+            frames=FrameRange.parse(frames) if frames else None,
+            device=device,
+            progress=progress,
+        )
+    table = Table(title=f"{input_file} -> {output}")
+    table.add_column("mesh", overflow="fold")
+    for name in ("frames", "features", "vertices in features", "vertices"):
+        table.add_column(name, justify="right")
+    for report in reports:
+        if report.message is not None:
+            tell("error", report.message)
+        counts = (report.frames, report.features, report.feature_vertices, report.vertices)
+        table.add_row(report.path, *(["failed"] if report.message else map(str, counts)))
+    print_table(table, to_stderr=json == "-")
+    if json is not None:
+        write_json(json, {"input": input_file, "output": output, "prims": [asdict(report) for report in reports]})
+    if any(report.message is not None for report in reports):
+        raise typer.Exit(EXIT_FAILED)

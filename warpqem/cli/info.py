@@ -1,0 +1,58 @@
+"""`warpqem info`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rich.table import Table
+
+from warpqem.cli.console import print_table, quiet_warp, tell, write_json
+from warpqem.cli.options import Input, JsonReport
+
+if TYPE_CHECKING:
+    from warpqem.usd.inspect import MeshInfo
+
+__all__ = ["info"]
+
+
+def info(input_file: Input, json: JsonReport = None) -> None:
+    """Describe every mesh: frames, vertices, faces, edges, skin, blend shapes, UV sets, subsets, problems.
+
+    Exit codes: 0 done, whatever the meshes are like; 1 the file cannot be read; 2 wrong usage.
+    """
+    quiet_warp()
+    from warpqem.usd import inspect_stage
+
+    meshes = inspect_stage(input_file)
+    print_table(_table(input_file, meshes), to_stderr=json == "-")
+    for mesh in meshes:
+        for problem in mesh.problems:
+            tell("note", problem if problem.startswith(mesh.path) else f"{mesh.path}: {problem}")
+    if json is not None:
+        write_json(json, {"input": input_file, "meshes": [mesh.to_dict() for mesh in meshes]})
+
+
+def _table(input_file: str, meshes: list[MeshInfo]) -> Table:
+    table = Table(title=f"{input_file}: {len(meshes)} mesh{'' if len(meshes) == 1 else 'es'}")
+    table.add_column("mesh", overflow="fold")
+    names = ("frames", "vertices", "faces", "triangles", "border edges", "non-manifold edges", "joints", "blend shapes")
+    for name in names:
+        table.add_column(name, justify="right")
+    table.add_column("UV sets")
+    for name in ("subsets", "problems"):
+        table.add_column(name, justify="right")
+    for mesh in meshes:
+        counts = (
+            mesh.frames,
+            mesh.vertices,
+            mesh.faces,
+            mesh.triangles,
+            mesh.border_edges,
+            mesh.non_manifold_edges,
+            mesh.joints,
+            mesh.blend_shapes,
+        )
+        table.add_row(
+            mesh.path, *map(str, counts), " ".join(mesh.uv_sets), str(len(mesh.subsets)), str(len(mesh.problems))
+        )
+    return table

@@ -1,0 +1,45 @@
+"""The `warpqem` command line: one file for each command, Warp and USD loaded only when a command runs."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from warpqem import __version__
+from warpqem.cli.compare import compare
+from warpqem.cli.console import OneLineErrors
+from warpqem.cli.features import features
+from warpqem.cli.info import info
+from warpqem.cli.simplify import simplify
+
+__all__ = ["app"]
+
+app = typer.Typer(
+    name="warpqem",
+    cls=OneLineErrors,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    help="Simplify animated meshes in USD files: one topology for all frames, least error over all frames.",
+    epilog="Exit codes: 0 all done; 1 an error, or some mesh failed; 2 wrong usage.",
+)
+
+app.command()(simplify)
+app.command()(info)
+app.command()(compare)
+app.command()(features)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        print(f"warpqem {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _common(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    pass

@@ -1,0 +1,151 @@
+"""`warpqem simplify`."""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.table import Table
+
+from warpqem.cli.console import EXIT_FAILED, print_table, progress_bar, quiet_warp, tell, write_json
+from warpqem.cli.options import Device, Frames, Input, JsonReport, Output, Prims
+
+if TYPE_CHECKING:
+    from warpqem.usd.report import PrimReport, StageReport
+
+__all__ = ["simplify"]
+
+
+class Metric(str, Enum):
+    """Cost models."""
+
+    dsd = "dsd"
+    qem = "qem"
+    dod = "dod"
+    aqem = "aqem"
+
+
+class Placement(str, Enum):
+    """Vertex placements."""
+
+    optimal = "optimal"
+    endpoint = "endpoint"
+
+
+def simplify(
+    input_file: Input,
+    output: Output,
+    ratio: Annotated[
+        float | None, typer.Option(help="Share of its triangles that each mesh keeps, above 0 and at most 1.")
+    ] = None,
+    faces: Annotated[
+        int | None,
+        typer.Option(help="Triangles of all meshes together; each mesh gets its part by what its faces are worth."),
+    ] = None,
+    max_error: Annotated[
+        float | None,
+        typer.Option(metavar="PCT", help="Largest error of each mesh, in % of its bounding-box diagonal."),
+    ] = None,
+    metric: Annotated[
+        Metric,
+        typer.Option(
+            help="Cost model: dsd sums the error over frames, qem takes the first frame only, dod adds stretching "
+            "edges, aqem keeps joints."
+        ),
+    ] = Metric.dsd,
+    coherence: Annotated[
+        float,
+        typer.Option(help="0 to 1: 0 fits every frame on its own, 1 lets vertices stick to the surface over time."),
+    ] = 0.5,
+    placement: Annotated[
+        Placement, typer.Option(help="Merged vertices at the optimal point, or at an endpoint of the edge.")
+    ] = Placement.optimal,
+    key_frames: Annotated[
+        int, typer.Option(help="Number of frames, different in pose, that decide the topology.")
+    ] = 16,
+    frames: Frames = None,
+    prim: Prims = None,
+    device: Device = None,
+    flatten: Annotated[
+        bool, typer.Option("--flatten", help="Write one self-contained file instead of a layer over IN.")
+    ] = False,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Stop at the first mesh that cannot be done, and write nothing.")
+    ] = False,
+    json: JsonReport = None,
+) -> None:
+    """Simplify every mesh over all its frames. Give one of --ratio, --faces and --max-error.
+
+    OUT is a small layer over IN that holds the new meshes; keep the two files together, or use --flatten. Skinned
+    and blend-shaped meshes become point caches. What does not fit the new meshes is dropped, with a warning.
+
+    Exit codes: 0 all done; 1 an error, or some mesh failed; 2 wrong usage.
+    """
+    quiet_warp()
+    from warpqem.usd import FrameRange, SimplifyOptions, simplify_stage
+
+    options = SimplifyOptions(
+        ratio=ratio,
+        faces=faces,
+        max_error=max_error,
+        metric=metric.value,
+        coherence=coherence,
+        placement=placement.value,
+        key_frames=key_frames,
+        frames=FrameRange.parse(frames) if frames else None,
+        prims=tuple(prim or ()),
+        device=device,
+        flatten=flatten,
+        strict=strict,
+    )
+    with progress_bar("reading") as progress:
+        report = simplify_stage(input_file, output, options, progress)
+    _tell_problems(report)
+    print_table(_table(report), to_stderr=json == "-")
+    if json is not None:
+        write_json(json, report.to_dict())
+    if report.failed:
+        raise typer.Exit(EXIT_FAILED)
+
+
+def _tell_problems(report: StageReport) -> None:
+    for prim in report.prims:
+        if prim.dropped:
+            tell("warning", f"{prim.path}: dropped, does not fit the new mesh: {', '.join(prim.dropped)}")
+        if prim.stopped == "no legal collapse":
+            tell("warning", f"{prim.path}: stopped at {prim.faces_after} faces, no legal collapse is left")
+        if prim.status == "failed":
+            tell("error", prim.message or prim.path)
+    if report.output is None:
+        tell("error", f"nothing written: no mesh of {report.input} could be simplified")
+
+
+def _table(report: StageReport) -> Table:
+    table = Table(title=f"{report.input} -> {report.output or 'nothing written'}")
+    table.add_column("mesh", overflow="fold")
+    for name in ("frames", "faces before", "faces after", "error %"):
+        table.add_column(name, justify="right")
+    table.add_column("stopped")
+    table.add_column("seconds", justify="right")
+    for prim in report.prims:
+        table.add_row(*_row(prim))
+    if len(report.prims) > 1:
+        table.add_section()
+        table.add_row(
+            f"{len(report.prims)} meshes",
+            "",
+            str(sum(prim.faces_before for prim in report.prims)),
+            str(sum(prim.faces_after for prim in report.prims)),
+            "",
+            f"{len(report.failed)} failed" if report.failed else "",
+            f"{sum(prim.seconds for prim in report.prims):.1f}",
+        )
+    return table
+
+
+def _row(prim: PrimReport) -> list[str]:
+    error = "" if prim.error is None else f"{prim.error:.4f}"
+    stopped = prim.stopped if prim.status == "simplified" else prim.status
+    counts = [str(count) if prim.frames else "" for count in (prim.frames, prim.faces_before, prim.faces_after)]
+    return [prim.path, *counts, error, stopped or "", f"{prim.seconds:.1f}"]

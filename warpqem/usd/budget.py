@@ -1,0 +1,83 @@
+"""Share a face budget between meshes.
+
+Every mesh is simplified once, as far as it goes, to learn what its collapses cost. The budget is then spent where a
+face saves the most error: all meshes stop at the same cost of the next collapse (equal marginal cost, the condition for
+the least total error).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["CostCurve", "split_budget"]
+
+
+@dataclass(frozen=True)
+class CostCurve:
+    """What simplifying one mesh costs, in units that are the same for all meshes of a stage.
+
+    Attributes:
+        face_count: Faces before the first collapse.
+        cost: float64, shape (C,), cost of each collapse in order of application: squared distance times area, averaged
+            over the frames, in world units to the fourth power.
+        faces_removed: int64, shape (C,), faces each collapse removed.
+    """
+
+    face_count: int
+    cost: npt.NDArray[np.float64]
+    faces_removed: npt.NDArray[np.int64]
+
+    @classmethod
+    def from_log(
+        cls,
+        face_count: int,
+        cost: npt.NDArray[np.float32],
+        faces_removed: npt.NDArray[np.int32],
+        unit_length: float,
+        frame_count: int,
+    ) -> CostCurve:
+        """Bring the costs of a collapse log to world units.
+
+        Args:
+            face_count: Faces before the first collapse.
+            cost: float32, shape (C,), squared distance times area, summed over frames, at unit bounding-box diagonal.
+            faces_removed: int32, shape (C,).
+            unit_length: World length of the bounding-box diagonal that the log takes as 1.
+            frame_count: Frames the cost is summed over.
+        """
+        # Squared distance times area is a length to the fourth power.
+        scale = unit_length**4 / frame_count
+        return cls(face_count, cost.astype(np.float64) * scale, faces_removed.astype(np.int64))
+
+
+def split_budget(curves: Sequence[CostCurve], budget: int) -> list[int]:
+    """Face count of each mesh so that all together have at most `budget` faces at the least total cost.
+
+    A collapse that is cheaper than one before it comes for free once that one is done, so the running maximum of the
+    cost decides. Ties go to the mesh that comes first.
+
+    Args:
+        curves: One curve for each mesh.
+        budget: Faces of all meshes together.
+
+    Returns:
+        One face count for each mesh. Their sum is at most `budget`, less by no more than one collapse removes, or the
+        least that the curves reach.
+    """
+    face_counts = np.array([curve.face_count for curve in curves], dtype=np.int64)
+    surplus = int(face_counts.sum()) - budget
+    if surplus <= 0 or not curves:
+        return face_counts.tolist()
+    marginal = np.concatenate([np.maximum.accumulate(curve.cost) for curve in curves])
+    removed = np.concatenate([curve.faces_removed for curve in curves])
+    owner = np.repeat(np.arange(len(curves)), [len(curve.cost) for curve in curves])
+    # A stable sort keeps the order of application within each mesh, where the running maximum never falls.
+    order = np.argsort(marginal, kind="stable")
+    total = np.cumsum(removed[order])
+    spent = order[: int(np.searchsorted(total, surplus)) + 1]
+    np.subtract.at(face_counts, owner[spent], removed[spent])
+    return face_counts.tolist()

@@ -1,0 +1,162 @@
+"""Look at the meshes of a stage without changing anything."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+from pxr import Sdf, Usd, UsdGeom
+
+from warpqem.errors import StageError
+from warpqem.measure import topology
+from warpqem.usd.mesh import MeshSource
+from warpqem.usd.skel import StagePoses
+from warpqem.usd.stage import find_meshes, open_stage
+
+__all__ = ["MeshInfo", "inspect_stage"]
+
+UV_TYPES = (
+    Sdf.ValueTypeNames.TexCoord2fArray,
+    Sdf.ValueTypeNames.TexCoord2dArray,
+    Sdf.ValueTypeNames.TexCoord2hArray,
+    Sdf.ValueTypeNames.Float2Array,
+)
+
+
+@dataclass
+class MeshInfo:
+    """What a mesh consists of.
+
+    Attributes:
+        path: Prim path.
+        frames: Number of authored poses, 1 for a mesh that does not move.
+        first_time: Time code of the first pose, None for a mesh that does not move.
+        last_time: Time code of the last pose.
+        vertices: Authored points.
+        faces: Authored faces of any number of corners.
+        triangles: Triangles that the faces are cut into.
+        border_edges: Edges with one face.
+        non_manifold_edges: Edges with more than two faces.
+        joints: Joints that the mesh is bound to.
+        blend_shapes: Blend shapes of the mesh.
+        uv_sets: Names of the texture coordinate primvars.
+        subsets: Names of the GeomSubsets.
+        orientation: "rightHanded" or "leftHanded".
+        subdivision: Subdivision scheme.
+        problems: What is wrong, or in the way of simplification, in words.
+    """
+
+    path: str
+    frames: int = 0
+    first_time: float | None = None
+    last_time: float | None = None
+    vertices: int = 0
+    faces: int = 0
+    triangles: int = 0
+    border_edges: int = 0
+    non_manifold_edges: int = 0
+    joints: int = 0
+    blend_shapes: int = 0
+    uv_sets: list[str] = field(default_factory=list)
+    subsets: list[str] = field(default_factory=list)
+    orientation: str = ""
+    subdivision: str = ""
+    problems: list[str] = field(default_factory=list)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain dictionaries, lists, numbers and None, ready for JSON."""
+        return asdict(self)
+
+
+def inspect_stage(path: str | os.PathLike[str]) -> list[MeshInfo]:
+    """Describe every mesh of a USD file, instance proxies last.
+
+    Raises:
+        StageError: the file cannot be read.
+    """
+    stage = open_stage(path)
+    poses = StagePoses(stage)
+    selection = find_meshes(stage)
+    infos = [_inspect(prim, poses) for prim in selection.prims]
+    infos += [MeshInfo(proxy, problems=[str(error)]) for proxy, error in selection.refused]
+    return infos
+
+
+def _inspect(prim: Usd.Prim, poses: StagePoses) -> MeshInfo:
+    mesh = UsdGeom.Mesh(prim)
+    info = MeshInfo(
+        path=str(prim.GetPath()),
+        uv_sets=[
+            str(primvar.GetPrimvarName())
+            for primvar in UsdGeom.PrimvarsAPI(prim).GetPrimvarsWithValues()
+            if primvar.GetTypeName() in UV_TYPES
+        ],
+        subsets=[subset.GetPrim().GetName() for subset in UsdGeom.Subset.GetAllGeomSubsets(mesh)],
+        orientation=str(mesh.GetOrientationAttr().Get()),
+        subdivision=str(mesh.GetSubdivisionSchemeAttr().Get()),
+    )
+    try:
+        source = MeshSource(prim, poses)
+    except StageError as error:
+        info.problems.append(str(error))
+        return info
+    _describe_source(info, source)
+    try:
+        source.read(source.frame_times())
+    except StageError as error:
+        info.problems.append(str(error))
+    _find_wrong_lengths(info, source)
+    return info
+
+
+def _describe_source(info: MeshInfo, source: MeshSource) -> None:
+    times = source.authored_times
+    info.frames = max(len(times), 1)
+    info.first_time, info.last_time = (times[0], times[-1]) if times else (None, None)
+    info.vertices = source.point_count
+    info.faces = source.topology.polygon_count
+    info.triangles = len(source.topology.triangles)
+    if source.poser is not None:
+        info.joints, info.blend_shapes = source.poser.joint_count, source.poser.blend_shape_count
+    elif source.prim.HasAttribute("primvars:skel:jointIndices"):
+        info.problems.append("joint influences without a skeleton that they reach (not below a SkelRoot, or not bound)")
+    counts = {
+        "triangles that name a point twice": source.topology.degenerate_count,
+        "faces marked as holes": source.topology.hole_count,
+        "points that no face uses": source.point_count - len(np.unique(source.topology.triangles)),
+    }
+    if info.triangles:
+        figures = topology(source.topology.triangles)
+        info.border_edges, info.non_manifold_edges = figures.border_edges, figures.non_manifold_edges
+        counts["non-manifold vertices"] = figures.non_manifold_vertices
+        counts["triangles that repeat another"] = figures.repeated_faces
+    else:
+        info.problems.append("no faces")
+    info.problems += [f"{what}: {count}" for what, count in counts.items() if count]
+
+
+def _find_wrong_lengths(info: MeshInfo, source: MeshSource) -> None:
+    """Note primvars whose length does not fit their interpolation; reading them is up to the renderer's mercy."""
+    corner_count = len(source.mesh.GetFaceVertexIndicesAttr().Get(Usd.TimeCode.EarliestTime()))
+    expected = {
+        UsdGeom.Tokens.vertex: source.point_count,
+        UsdGeom.Tokens.varying: source.point_count,
+        UsdGeom.Tokens.faceVarying: corner_count,
+        UsdGeom.Tokens.uniform: source.topology.polygon_count,
+    }
+    for primvar in UsdGeom.PrimvarsAPI(source.prim).GetPrimvarsWithValues():
+        count = expected.get(primvar.GetInterpolation())
+        value = (
+            primvar.GetIndices(Usd.TimeCode.EarliestTime())
+            if primvar.IsIndexed()
+            else primvar.Get(Usd.TimeCode.EarliestTime())
+        )
+        if count is None or value is None or not hasattr(value, "__len__"):
+            continue
+        length = len(value) // primvar.GetElementSize()
+        if length != count:
+            info.problems.append(
+                f"primvars:{primvar.GetPrimvarName()}: {length} values, {count} expected ({primvar.GetInterpolation()})"
+            )

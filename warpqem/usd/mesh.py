@@ -1,0 +1,168 @@
+"""Read a mesh with all its poses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from pxr import Usd, UsdGeom
+
+from warpqem.errors import StageError
+from warpqem.usd.frames import FrameRange
+from warpqem.usd.skel import MeshPoser, StagePoses
+from warpqem.usd.stage import world_scale
+from warpqem.usd.topology import Topology, read_topology
+
+__all__ = ["MeshSource", "StageMesh"]
+
+
+@dataclass(frozen=True)
+class StageMesh:
+    """A triangle mesh with one topology and a pose for each frame.
+
+    Attributes:
+        path: Prim path.
+        times: Time code of each frame; None for a mesh that does not move, read at the default time.
+        points: float32, shape (F, V, 3), local space; only points that a face uses.
+        faces: int32, shape (N, 3), indices into `points`, authored winding.
+        used_points: int32, shape (V,), the authored point that each vertex is.
+        left_handed: True where the front of a face shows its corners clockwise.
+        world_scale: World units per local unit at the first frame.
+    """
+
+    path: str
+    times: list[float] | None
+    points: npt.NDArray[np.float32]
+    faces: npt.NDArray[np.int32]
+    used_points: npt.NDArray[np.int32]
+    left_handed: bool
+    world_scale: float
+
+    @property
+    def right_handed_faces(self) -> npt.NDArray[np.int32]:
+        """The faces in counter-clockwise winding, int32, shape (N, 3)."""
+        return np.ascontiguousarray(self.faces[:, ::-1]) if self.left_handed else self.faces
+
+
+class MeshSource:
+    """One mesh of a stage: its topology, checked on construction, and its points at any time."""
+
+    def __init__(self, prim: Usd.Prim, poses: StagePoses) -> None:
+        """Read the topology.
+
+        Args:
+            prim: A `UsdGeom.Mesh` prim.
+            poses: The skin bindings of its stage.
+
+        Raises:
+            StageError: points or faces are missing, blocked or inconsistent, or the topology changes over time.
+        """
+        # A prim does not keep its stage alive.
+        self._stage = prim.GetStage()
+        self.prim = prim
+        self.path = str(prim.GetPath())
+        self.mesh = UsdGeom.Mesh(prim)
+        self.poser: MeshPoser | None = poses.poser(prim)
+        self._points = self.mesh.GetPointsAttr()
+        self.authored_times: list[float] = self._find_times()
+        self.point_count = self._find_point_count()
+        self.topology: Topology = read_topology(self.mesh, self.point_count)
+
+    @property
+    def has_skin_binding(self) -> bool:
+        """True if a skeleton or blend shapes deform the mesh."""
+        return self.poser is not None
+
+    @property
+    def left_handed(self) -> bool:
+        """True if the authored orientation is leftHanded."""
+        return bool(self.mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded)
+
+    def frame_times(self, frames: FrameRange | None = None) -> list[float] | None:
+        """The time code of each frame, or None for a mesh that does not move.
+
+        Raises:
+            StageError: the mesh moves but has no sample inside `frames`.
+        """
+        if not self.authored_times:
+            return None
+        if frames is None:
+            return self.authored_times
+        times = frames.select(self.authored_times)
+        if not times:
+            raise StageError(
+                f"{self.path}.points: no sample between the times {frames.start:g} and {frames.end:g} "
+                f"(samples from {self.authored_times[0]:g} to {self.authored_times[-1]:g}); add a step to interpolate"
+            )
+        return times
+
+    def points_at(self, time: float | None) -> npt.NDArray[np.float32]:
+        """All authored points in one pose.
+
+        Args:
+            time: Time code, None for the default time.
+
+        Returns:
+            float32, shape (authored point count, 3), local space.
+
+        Raises:
+            StageError: the sample is blocked, has another length than the first one, or is not finite.
+        """
+        code = Usd.TimeCode.Default() if time is None else Usd.TimeCode(time)
+        name = "default" if time is None else f"{time:g}"
+        value = self._points.Get(code)
+        if value is None:
+            raise StageError(f"{self.path}.points: no value at time {name} (missing or blocked)")
+        if len(value) != self.point_count:
+            raise StageError(
+                f"{self.path}.points: {len(value)} points at time {name}, {self.point_count} before; "
+                "a mesh whose topology varies over time cannot be simplified"
+            )
+        points = self._posed(value, code)
+        finite = np.isfinite(points).all(axis=1)
+        if not finite.all():
+            vertex = int(np.flatnonzero(~finite)[0])
+            raise StageError(f"{self.path}.points: point {vertex} at time {name} is {points[vertex].tolist()}")
+        return points
+
+    def read(self, times: Sequence[float] | None) -> StageMesh:
+        """Read the mesh at `times` (None: one frame at the default time), without the points that no face uses.
+
+        Raises:
+            StageError: see `points_at`.
+        """
+        used, corners = np.unique(self.topology.triangles, return_inverse=True)
+        points = np.empty((1 if times is None else len(times), len(used), 3), dtype=np.float32)
+        for frame, time in enumerate([None] if times is None else times):
+            points[frame] = self.points_at(time)[used]
+        first = Usd.TimeCode.Default() if times is None else Usd.TimeCode(times[0])
+        return StageMesh(
+            path=self.path,
+            times=None if times is None else list(times),
+            points=points,
+            faces=corners.reshape(-1, 3).astype(np.int32),
+            used_points=used.astype(np.int32),
+            left_handed=self.left_handed,
+            world_scale=world_scale(self.prim, first),
+        )
+
+    def _posed(self, value: object, code: Usd.TimeCode) -> npt.NDArray[np.float32]:
+        if self.poser is not None:
+            return self.poser.pose(value, code)
+        return np.array(value, dtype=np.float32).reshape(-1, 3)
+
+    def _find_times(self) -> list[float]:
+        times = set(self._points.GetTimeSamples())
+        if self.poser is not None:
+            times |= self.poser.times()
+        return sorted(times)
+
+    def _find_point_count(self) -> int:
+        first = Usd.TimeCode(self.authored_times[0]) if self.authored_times else Usd.TimeCode.Default()
+        value = self._points.Get(first)
+        if value is None:
+            name = f"{self.authored_times[0]:g}" if self.authored_times else "default"
+            raise StageError(f"{self.path}.points: no value at time {name} (missing or blocked)")
+        return len(value)

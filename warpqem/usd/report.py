@@ -1,0 +1,73 @@
+"""What happened to each mesh of a stage."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+__all__ = ["PrimReport", "StageReport", "name_prim"]
+
+
+def name_prim(path: str, error: Exception) -> str:
+    """The text of an error, with the prim it is about in front if it does not name it."""
+    text = str(error)
+    return text if text.startswith(path) else f"{path}: {text}"
+
+
+@dataclass
+class PrimReport:
+    """The outcome for one mesh.
+
+    Attributes:
+        path: Prim path.
+        status: "simplified"; "kept" where nothing was to be removed, and the mesh is as in the input; or "failed".
+        frames: Number of poses that were read.
+        faces_before: Triangles before.
+        faces_after: Triangles after.
+        vertices_before: Points in use before.
+        vertices_after: Points after.
+        error: Root mean square error over the frames, in % of the bounding-box diagonal.
+        stopped: Why simplification stopped.
+        flips: Faces that turned over, in all frames together.
+        seconds: Wall-clock time.
+        dropped: What did not fit the new mesh and was taken off it.
+        message: Why it failed, or why it was kept.
+    """
+
+    path: str
+    status: str
+    frames: int = 0
+    faces_before: int = 0
+    faces_after: int = 0
+    vertices_before: int = 0
+    vertices_after: int = 0
+    error: float | None = None
+    stopped: str | None = None
+    flips: int | None = None
+    seconds: float = 0.0
+    dropped: list[str] = field(default_factory=list)
+    message: str | None = None
+
+
+@dataclass
+class StageReport:
+    """The outcome for a stage.
+
+    Attributes:
+        input: Path of the file that was read.
+        output: Path of the file that was written, None if nothing was.
+        prims: One report for each mesh, in stage order; instance proxies last.
+    """
+
+    input: str
+    output: str | None
+    prims: list[PrimReport]
+
+    @property
+    def failed(self) -> list[PrimReport]:
+        """The meshes that could not be done."""
+        return [prim for prim in self.prims if prim.status == "failed"]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain dictionaries, lists, numbers and None, ready for JSON."""
+        return asdict(self)

@@ -1,0 +1,255 @@
+"""Simplify the meshes of a USD file."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+from pxr import Usd
+
+import warpqem
+from warpqem.errors import DeviceError, OptionError, StageError, UnreachableTargetError, WarpqemError
+from warpqem.usd.budget import CostCurve, split_budget
+from warpqem.usd.frames import FrameRange
+from warpqem.usd.mesh import MeshSource, StageMesh
+from warpqem.usd.report import PrimReport, StageReport, name_prim
+from warpqem.usd.skel import StagePoses
+from warpqem.usd.stage import find_meshes, open_stage
+from warpqem.usd.write import OverLayer, check_output_path
+
+__all__ = ["SimplifyOptions", "simplify_stage"]
+
+# Faces that a trial run goes down to, or as near as it can. A closed surface has at least the 4 of a tetrahedron.
+TRIAL_FACES = 4
+
+Progress = Callable[[float, str], None]
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class SimplifyOptions:
+    """How to simplify. Exactly one of `ratio`, `faces` and `max_error` is given.
+
+    Attributes:
+        ratio: Share of its triangles that each mesh keeps, above 0 and at most 1.
+        faces: Triangles of all meshes together, split so that a face saves the same error on each.
+        max_error: Largest error of each mesh, in % of its bounding-box diagonal.
+        metric: Cost model, see `warpqem.simplify`.
+        coherence: 0 to 1, see `warpqem.simplify`.
+        placement: Vertex placement, see `warpqem.simplify`.
+        key_frames: Frames that decide the topology.
+        frames: Time codes to read; None for all authored ones.
+        prims: Prim paths; meshes at and below them are simplified. Empty for all.
+        device: Warp device; None for the default.
+        flatten: Write one self-contained file instead of a layer over the input.
+        strict: Stop at the first mesh that cannot be done, also if it only misses its face count, and write nothing.
+    """
+
+    ratio: float | None = None
+    faces: int | None = None
+    max_error: float | None = None
+    metric: str = "dsd"
+    coherence: float = 0.5
+    placement: str = "optimal"
+    key_frames: int = 16
+    frames: FrameRange | None = None
+    prims: tuple[str, ...] = ()
+    device: str | None = None
+    flatten: bool = False
+    strict: bool = False
+
+    def __post_init__(self) -> None:
+        """Check the targets; the core checks the other options."""
+        given = [name for name in ("ratio", "faces", "max_error") if getattr(self, name) is not None]
+        if len(given) != 1:
+            raise OptionError(f"exactly one of ratio, faces and max_error must be given, not {given or 'none'}")
+        if self.ratio is not None and not 0 < self.ratio <= 1:
+            hint = f"; for {self.ratio:g} % give {self.ratio / 100:g}" if 1 < self.ratio <= 100 else ""
+            raise OptionError(f"ratio {self.ratio:g}: expected a share above 0 and at most 1{hint}")
+        if self.faces is not None and self.faces < 1:
+            raise OptionError(f"faces {self.faces}: expected at least 1")
+        if self.max_error is not None and not self.max_error > 0:
+            raise OptionError(f"max_error {self.max_error:g}: expected a percentage above 0")
+
+
+def simplify_stage(
+    input_path: str | os.PathLike[str],
+    output_path: str | os.PathLike[str],
+    options: SimplifyOptions,
+    progress: Progress | None = None,
+) -> StageReport:
+    """Simplify every mesh of a USD file over all its frames and write the result.
+
+    The input is never touched. The output is a layer over the input that holds only the new meshes, or a self-contained
+    file. Skinned and blend-shaped meshes become point caches. What does not fit the new topology is dropped and named
+    in the report. A mesh that fails is left as it is, and one that has no legal collapse left is done as far as it
+    goes, unless `options.strict`.
+
+    Args:
+        input_path: .usd, .usda, .usdc or .usdz file.
+        output_path: .usd, .usda or .usdc file; replaced if it exists.
+        options: What to do.
+        progress: Called with the fraction done and what is being done.
+
+    Returns:
+        A report on every mesh. Nothing is written if all meshes fail.
+
+    Raises:
+        StageError: the input cannot be read, has no mesh, or the output cannot be written; with `strict`, also a mesh
+            that cannot be done.
+        OptionError: an option or the output path is wrong.
+        DeviceError: there is no such device.
+    """
+    output = check_output_path(output_path, [input_path])
+    stage = open_stage(input_path)
+    run = _Run(stage, options, progress or (lambda fraction, text: None))
+    report = run.simplify()
+    report.input = os.fspath(input_path)
+    if len(report.failed) < len(report.prims):
+        run.layer.save(output, options.flatten)
+        report.output = os.fspath(output_path)
+    return report
+
+
+class _Run:
+    """One pass over the meshes of a stage."""
+
+    def __init__(self, stage: Usd.Stage, options: SimplifyOptions, progress: Progress) -> None:
+        self.stage = stage
+        self.options = options
+        self.progress = progress
+        self.poses = StagePoses(stage)
+        self.layer = OverLayer(stage)
+        self.reports: dict[str, PrimReport] = {}
+
+    def simplify(self) -> StageReport:
+        """Simplify all meshes into the layer."""
+        selection = find_meshes(self.stage, self.options.prims)
+        if not selection.prims and not selection.refused:
+            raise StageError("there is no mesh on the stage")
+        for prim in selection.prims:
+            self.reports[str(prim.GetPath())] = PrimReport(str(prim.GetPath()), "simplified")
+        for path, error in selection.refused:
+            if self.options.strict:
+                raise error
+            self.reports[path] = PrimReport(path, "failed", message=str(error))
+        if self.options.faces is None:
+            self._run_each(selection.prims)
+        else:
+            self._run_budget(selection.prims, self.options.faces)
+        self.progress(1.0, "done")
+        return StageReport("", None, list(self.reports.values()))
+
+    def _run_each(self, prims: list[Usd.Prim]) -> None:
+        for index, prim in enumerate(prims):
+            self._guarded(self._simplify_prim, prim, self._part(index / len(prims), 1 / len(prims), prim), None)
+
+    def _run_budget(self, prims: list[Usd.Prim], budget: int) -> None:
+        curves: dict[Usd.Prim, CostCurve] = {}
+        for index, prim in enumerate(prims):
+            curve = self._guarded(self._trial, prim, self._part(0.5 * index / len(prims), 0.5 / len(prims), prim))
+            if curve is not None:
+                curves[prim] = curve
+        targets = split_budget(list(curves.values()), budget)
+        for index, (prim, target) in enumerate(zip(curves, targets, strict=True)):
+            part = self._part(0.5 + 0.5 * index / len(curves), 0.5 / len(curves), prim)
+            self._guarded(self._simplify_prim, prim, part, target)
+
+    def _part(self, start: float, share: float, prim: Usd.Prim) -> Progress:
+        """Progress of one mesh as a part of the whole."""
+        return lambda fraction, text: self.progress(start + share * fraction, f"{prim.GetName()}: {text}")
+
+    def _guarded(self, action: Callable[..., Result], prim: Usd.Prim, *arguments: Any) -> Result | None:
+        """Do something for a mesh; an error becomes its report, and None is returned, unless the run is strict."""
+        report = self.reports[str(prim.GetPath())]
+        start = time.perf_counter()
+        try:
+            return action(prim, *arguments)
+        except WarpqemError as error:
+            # A wrong option or device is no fault of this mesh.
+            if isinstance(error, (OptionError, DeviceError)):
+                raise
+            report.status = "failed"
+            report.message = name_prim(report.path, error)
+            if self.options.strict:
+                raise StageError(report.message) from error
+            return None
+        finally:
+            report.seconds += time.perf_counter() - start
+
+    def _read(self, prim: Usd.Prim) -> StageMesh:
+        source = MeshSource(prim, self.poses)
+        mesh = source.read(source.frame_times(self.options.frames))
+        report = self.reports[mesh.path]
+        report.frames = len(mesh.points)
+        report.faces_before = report.faces_after = len(mesh.faces)
+        report.vertices_before = report.vertices_after = mesh.points.shape[1]
+        return mesh
+
+    def _call_core(self, mesh: StageMesh, progress: Progress, **goal: float | int | None) -> warpqem.SimplifiedMesh:
+        return warpqem.simplify(
+            mesh.points,
+            mesh.faces,
+            metric=self.options.metric,
+            coherence=self.options.coherence,
+            placement=self.options.placement,
+            key_frames=self.options.key_frames,
+            device=self.options.device,
+            progress=progress,
+            **goal,
+        )
+
+    def _as_far_as_it_goes(self, mesh: StageMesh, progress: Progress, target_faces: int) -> warpqem.SimplifiedMesh:
+        """Simplify to a face count, or to the last legal collapse before it."""
+        try:
+            return self._call_core(mesh, progress, target_faces=target_faces)
+        except UnreachableTargetError as error:
+            if error.result is None:
+                raise
+            return error.result
+
+    def _trial(self, prim: Usd.Prim, progress: Progress) -> CostCurve:
+        """How the error of a mesh grows on the way to as few faces as it can have."""
+        mesh = self._read(prim)
+        if len(mesh.faces) <= TRIAL_FACES:
+            return CostCurve(len(mesh.faces), np.zeros(0), np.zeros(0, dtype=np.int64))
+        result = self._as_far_as_it_goes(mesh, progress, TRIAL_FACES)
+        diagonal = float(np.linalg.norm(np.ptp(mesh.points.astype(np.float64), axis=1), axis=1).max())
+        return CostCurve.from_log(
+            face_count=len(mesh.faces),
+            cost=result.log.cost,
+            faces_removed=result.log.faces_removed,
+            unit_length=diagonal * mesh.world_scale,
+            frame_count=len(result.key_frames),
+        )
+
+    def _simplify_prim(self, prim: Usd.Prim, progress: Progress, target_faces: int | None) -> None:
+        mesh = self._read(prim)
+        report = self.reports[mesh.path]
+        if not len(mesh.faces):
+            report.status, report.message = "kept", "the mesh has no faces"
+            return
+        if target_faces is None and self.options.ratio is not None:
+            target_faces = max(1, round(self.options.ratio * len(mesh.faces)))
+        if target_faces is not None and target_faces >= len(mesh.faces):
+            report.status, report.message = "kept", "the mesh has no more faces than asked for"
+            return
+        if target_faces is None:
+            result = self._call_core(mesh, progress, max_error=self.options.max_error)
+        elif self.options.strict:
+            result = self._call_core(mesh, progress, target_faces=target_faces)
+        else:
+            result = self._as_far_as_it_goes(mesh, progress, target_faces)
+        report.stopped = result.stopped
+        if not len(result.log):
+            report.status, report.message = "kept", f"nothing could be removed ({report.stopped})"
+            return
+        report.dropped = self.layer.replace_mesh(mesh.path, mesh.times, result.points, result.faces)
+        report.faces_after = len(result.faces)
+        report.vertices_after = result.points.shape[1]
+        report.error = float(result.error)
+        report.flips = int(result.flips.sum())

@@ -1,0 +1,111 @@
+"""Open a stage and find the meshes on it."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from pxr import Sdf, Tf, Usd, UsdGeom
+
+from warpqem.errors import StageError
+
+__all__ = ["MeshSelection", "find_meshes", "first_line", "open_stage", "world_scale"]
+
+
+@dataclass
+class MeshSelection:
+    """The meshes of a stage that can be edited, and why others cannot.
+
+    Attributes:
+        prims: `UsdGeom.Mesh` prims in stage order.
+        refused: (prim path, error) of meshes that exist only as instance proxies, one for each mesh of a prototype.
+    """
+
+    prims: list[Usd.Prim] = field(default_factory=list)
+    refused: list[tuple[str, StageError]] = field(default_factory=list)
+
+
+def first_line(error: Exception) -> str:
+    """The first line of an exception's text that says something; USD errors carry a C++ stack after it."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    if not lines:
+        return type(error).__name__
+    # Tf.ErrorException: Error in '<C++ function>' at line <n> in file <path> : '<what is wrong>'
+    found = re.fullmatch(r"Error in .* : '(.*)'", lines[0])
+    return found.group(1) if found else lines[0]
+
+
+def open_stage(path: str | os.PathLike[str]) -> Usd.Stage:
+    """Open a USD file for reading, with all payloads loaded.
+
+    Raises:
+        StageError: the file does not exist or USD cannot read it.
+    """
+    if not Path(path).is_file():
+        raise StageError(f"{path}: no such file")
+    try:
+        stage = Usd.Stage.Open(os.fspath(path))
+    except Tf.ErrorException as error:
+        raise StageError(f"{path}: USD cannot open it ({first_line(error)})") from error
+    if stage is None:
+        raise StageError(f"{path}: USD cannot open it")
+    return stage
+
+
+def find_meshes(stage: Usd.Stage, prim_paths: Sequence[str] = ()) -> MeshSelection:
+    """Every active mesh of the stage, or those at and below `prim_paths`.
+
+    Raises:
+        StageError: one of `prim_paths` is no path, does not exist, or has no mesh at or below it.
+    """
+    roots = [_prim_at(stage, path) for path in prim_paths] or [stage.GetPseudoRoot()]
+    selection = MeshSelection()
+    seen: set[Sdf.Path] = set()
+    instanced: dict[Sdf.Path, list[Usd.Prim]] = {}
+    for root in roots:
+        found = False
+        for prim in Usd.PrimRange(root, Usd.TraverseInstanceProxies()):
+            if not prim.IsA(UsdGeom.Mesh):
+                continue
+            found = True
+            if prim.GetPath() in seen:
+                continue
+            seen.add(prim.GetPath())
+            if prim.IsInstanceProxy():
+                instanced.setdefault(prim.GetPrimInPrototype().GetPath(), []).append(prim)
+            else:
+                selection.prims.append(prim)
+        if not found and prim_paths:
+            raise StageError(f"{root.GetPath()}: no mesh at or below this prim")
+    selection.refused = [_refusal(proxies) for proxies in instanced.values()]
+    return selection
+
+
+def world_scale(prim: Usd.Prim, time: Usd.TimeCode) -> float:
+    """How many world units one unit of the prim's local space measures (cube root of the volume ratio)."""
+    matrix = UsdGeom.XformCache(time).GetLocalToWorldTransform(prim)
+    return float(abs(matrix.GetDeterminant3()) ** (1.0 / 3.0))
+
+
+def _prim_at(stage: Usd.Stage, path: str) -> Usd.Prim:
+    if not Sdf.Path.IsValidPathString(path) or not Sdf.Path(path).IsAbsoluteRootOrPrimPath():
+        raise StageError(f"'{path}' is no absolute prim path, such as /Root/Body")
+    prim = stage.GetPrimAtPath(path)
+    if not prim:
+        raise StageError(f"{path}: no prim at this path")
+    return prim
+
+
+def _refusal(proxies: list[Usd.Prim]) -> tuple[str, StageError]:
+    path = str(proxies[0].GetPath())
+    instance = proxies[0]
+    while not instance.IsInstance():
+        instance = instance.GetParent()
+    shared = f" (shared by {len(proxies)} instances)" if len(proxies) > 1 else ""
+    return path, StageError(
+        f"{path}: the mesh is an instance proxy{shared} and cannot be edited; "
+        f"simplify the asset that {instance.GetPath()} instances, or set instanceable = false on it"
+    )

@@ -1,0 +1,140 @@
+"""Read the polygons of a mesh and cut them into triangles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from pxr import Usd, UsdGeom
+
+from warpqem.errors import StageError
+
+__all__ = ["Topology", "fan_triangulate", "read_topology"]
+
+
+@dataclass(frozen=True)
+class Topology:
+    """The faces of a mesh, the same at every time.
+
+    Attributes:
+        triangles: int32, shape (N, 3), indices into the authored points, authored winding, all corners different.
+        triangle_polygons: int32, shape (N,), the authored face that each triangle is a part of.
+        polygon_count: number of authored faces.
+        hole_count: number of authored faces marked as holes; they have no triangles.
+        degenerate_count: number of triangles left out because they name a point twice.
+        max_corners: corners of the largest authored face.
+    """
+
+    triangles: npt.NDArray[np.int32]
+    triangle_polygons: npt.NDArray[np.int32]
+    polygon_count: int
+    hole_count: int
+    degenerate_count: int
+    max_corners: int
+
+
+def fan_triangulate(
+    counts: npt.NDArray[np.int32], indices: npt.NDArray[np.int32]
+) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
+    """Cut polygons into triangles that share the polygon's first corner.
+
+    A polygon `p0 p1 ... pk` becomes `(p0 p1 p2) (p0 p2 p3) ...`, so the winding stays. Polygons with fewer than three
+    corners cover nothing and give no triangle.
+
+    Args:
+        counts: int32, shape (P,), corners of each polygon, not negative.
+        indices: int32, shape (sum of counts,), vertex of each corner.
+
+    Returns:
+        Triangles (int32, shape (N, 3)) and the polygon of each (int32, shape (N,)).
+    """
+    triangles_per_polygon = np.maximum(counts.astype(np.int64) - 2, 0)
+    polygons = np.repeat(np.arange(len(counts)), triangles_per_polygon)
+    first_corner = np.cumsum(counts, dtype=np.int64) - counts
+    first_triangle = np.cumsum(triangles_per_polygon) - triangles_per_polygon
+    step = np.arange(len(polygons)) - first_triangle[polygons]
+    apex = first_corner[polygons]
+    corners = np.stack([apex, apex + step + 1, apex + step + 2], axis=1)
+    return indices[corners].astype(np.int32).reshape(-1, 3), polygons.astype(np.int32)
+
+
+def read_topology(mesh: UsdGeom.Mesh, point_count: int) -> Topology:
+    """Read and check the faces of a mesh.
+
+    Args:
+        mesh: The mesh.
+        point_count: Number of points the faces may refer to.
+
+    Raises:
+        StageError: faceVertexCounts or faceVertexIndices is missing, blocked, inconsistent, out of range, or changes
+            over time; the message names prim, attribute and time.
+    """
+    counts = _constant_array(mesh.GetFaceVertexCountsAttr())
+    indices = _constant_array(mesh.GetFaceVertexIndicesAttr())
+    path = mesh.GetPath()
+    if counts.size and counts.min() < 0:
+        face = int(counts.argmin())
+        raise StageError(f"{path}.faceVertexCounts: face {face} has {counts[face]} corners")
+    if counts.sum(dtype=np.int64) != len(indices):
+        raise StageError(
+            f"{path}.faceVertexCounts: the counts sum to {counts.sum(dtype=np.int64)}, "
+            f"but faceVertexIndices has {len(indices)} entries"
+        )
+    outside = np.flatnonzero((indices < 0) | (indices >= point_count))
+    if outside.size:
+        corner = int(outside[0])
+        face = int(np.searchsorted(np.cumsum(counts), corner, side="right"))
+        raise StageError(
+            f"{path}.faceVertexIndices: face {face} refers to point {indices[corner]}, "
+            f"but there are {point_count} points ({outside.size} such corners)"
+        )
+    triangles, polygons = fan_triangulate(counts, indices)
+    holes = _hole_faces(mesh, len(counts))
+    if holes.size:
+        kept = ~np.isin(polygons, holes)
+        triangles, polygons = triangles[kept], polygons[kept]
+    proper = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)
+    return Topology(
+        triangles=triangles[proper],
+        triangle_polygons=polygons[proper],
+        polygon_count=len(counts),
+        hole_count=len(holes),
+        degenerate_count=int((~proper).sum()),
+        max_corners=int(counts.max(initial=0)),
+    )
+
+
+def _constant_array(attribute: Usd.Attribute) -> npt.NDArray[np.int32]:
+    """The value of an integer array attribute that must be the same at all its samples."""
+    times = attribute.GetTimeSamples() or [Usd.TimeCode.Default()]
+    first: npt.NDArray[np.int32] | None = None
+    for time in times:
+        value = attribute.Get(time)
+        if value is None:
+            raise StageError(f"{attribute.GetPath()}: no value at time {_name(time)} (missing or blocked)")
+        array = np.asarray(value, dtype=np.int32)
+        if first is None:
+            first = array
+        elif not np.array_equal(first, array):
+            raise StageError(
+                f"{attribute.GetPath()}: changes at time {_name(time)}; "
+                "a mesh whose topology varies over time cannot be simplified"
+            )
+    assert first is not None
+    return first
+
+
+def _hole_faces(mesh: UsdGeom.Mesh, polygon_count: int) -> npt.NDArray[np.int32]:
+    value = mesh.GetHoleIndicesAttr().Get()
+    if value is None:
+        return np.zeros(0, dtype=np.int32)
+    holes = np.unique(np.asarray(value, dtype=np.int32))
+    if holes.size and (holes[0] < 0 or holes[-1] >= polygon_count):
+        wrong = holes[0] if holes[0] < 0 else holes[-1]
+        raise StageError(f"{mesh.GetPath()}.holeIndices: face {wrong} does not exist ({polygon_count} faces)")
+    return holes
+
+
+def _name(time: float | Usd.TimeCode) -> str:
+    return f"{time:g}" if isinstance(time, float) else "default"

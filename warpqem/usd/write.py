@@ -1,0 +1,249 @@
+"""Write simplified meshes as a layer over the input, or as one flat file."""
+
+from __future__ import annotations
+
+import os
+import uuid
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from pxr import Sdf, Tf, Usd, UsdGeom, UsdUtils, Vt
+
+from warpqem.errors import OptionError, StageError
+from warpqem.usd.drop import Dropped, drop_misfits
+from warpqem.usd.stage import first_line
+
+__all__ = ["OverLayer", "check_output_path"]
+
+OUTPUT_SUFFIXES = (".usd", ".usda", ".usdc")
+
+# Metadata of the input's root layer that belongs to that layer alone: its own sublayers and its own relocates compose
+# through it already.
+LAYER_ONLY_METADATA = frozenset({"subLayers", "subLayerOffsets", "primChildren", "layerRelocates", "hasOwnedSubLayers"})
+
+
+def check_output_path(output: str | os.PathLike[str], inputs: Iterable[str | os.PathLike[str]]) -> Path:
+    """Check that a file can be written without touching an input.
+
+    Args:
+        output: The file to write.
+        inputs: Files that must stay as they are.
+
+    Returns:
+        The absolute output path.
+
+    Raises:
+        OptionError: the suffix is not one of .usd, .usda, .usdc, the folder does not exist, or the path is an input.
+    """
+    path = Path(output).absolute()
+    if path.suffix.lower() not in OUTPUT_SUFFIXES:
+        raise OptionError(f"output {output}: the suffix must be one of {', '.join(OUTPUT_SUFFIXES)}")
+    if not path.parent.is_dir():
+        raise OptionError(f"output {output}: the folder {path.parent} does not exist")
+    if path.is_dir():
+        raise OptionError(f"output {output}: this is a folder")
+    for source in inputs:
+        if path.resolve() == Path(source).resolve() or (path.exists() and path.samefile(source)):
+            raise OptionError(f"output {output}: this is the input, which is never overwritten")
+    return path
+
+
+@dataclass(frozen=True)
+class _Weaker:
+    """Which default values an edited mesh already has below the new layer."""
+
+    points: bool
+    extent: bool
+
+
+class OverLayer:
+    """Edits over an input file, kept in memory until saved.
+
+    The stage of the edits has the input as its only sublayer and the same stage metadata.
+    """
+
+    def __init__(self, source: Usd.Stage) -> None:
+        """Start an empty layer over the file that `source` was opened from."""
+        self._source = source.GetRootLayer()
+        self._layer = Sdf.Layer.CreateAnonymous("over.usda")
+        for key in self._source.pseudoRoot.ListInfoKeys():
+            if key not in LAYER_ONLY_METADATA:
+                self._layer.pseudoRoot.SetInfo(key, self._source.pseudoRoot.GetInfo(key))
+        self._layer.subLayerPaths.append(self._source.realPath)
+        self.stage: Usd.Stage = Usd.Stage.Open(self._layer)
+        self._dropped: list[Dropped] = []
+
+    def replace_mesh(
+        self,
+        path: str,
+        times: list[float] | None,
+        points: npt.NDArray[np.float32],
+        faces: npt.NDArray[np.int32],
+    ) -> list[str]:
+        """Give a mesh new faces and poses and drop what does not fit them.
+
+        Args:
+            path: Prim path of a mesh on the input.
+            times: Time code of each frame, None for one frame at the default time.
+            points: float32, shape (F, V, 3), local space.
+            faces: int32, shape (N, 3), in the winding of the mesh's authored orientation.
+
+        Returns:
+            Names of what was dropped.
+
+        Raises:
+            StageError: a point is not finite, or a face refers to a point that does not exist; nothing is authored.
+        """
+        _check_mesh(path, times, points, faces)
+        prim = self.stage.OverridePrim(path)
+        mesh = UsdGeom.Mesh(prim)
+        weaker = _Weaker(mesh.GetPointsAttr().Get() is not None, mesh.GetExtentAttr().Get() is not None)
+        dropped = drop_misfits(prim)
+        self._dropped.append(dropped)
+        counts = np.full(len(faces), 3, dtype=np.int32)
+        mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(counts))
+        mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(np.ascontiguousarray(faces.reshape(-1))))
+        mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+        extents = np.stack([points.min(axis=1), points.max(axis=1)], axis=1)
+        _author(mesh.CreatePointsAttr(), times, points, weaker.points)
+        _author(mesh.CreateExtentAttr(), times, extents, weaker.extent)
+        return dropped.names
+
+    def set_vertex_colors(
+        self, path: str, times: list[float] | None, colors: npt.NDArray[np.float32], interpolation: str = "vertex"
+    ) -> None:
+        """Author `primvars:displayColor` on a mesh, one colour per authored point.
+
+        Args:
+            path: Prim path of a mesh on the input.
+            times: Time code of each frame of colours, None for one set of colours at the default time.
+            colors: float32, shape (F, authored point count, 3), linear Rec. 709.
+            interpolation: Interpolation of the primvar.
+        """
+        mesh = UsdGeom.Mesh(self.stage.OverridePrim(path))
+        primvar = mesh.CreateDisplayColorPrimvar(interpolation)
+        if primvar.IsIndexed():
+            primvar.BlockIndices()
+        _author(primvar.GetAttr(), times, colors, primvar.GetAttr().Get() is not None)
+
+    def save(self, output: Path, flatten: bool = False) -> None:
+        """Write the layer, or the flattened stage, under a temporary name and rename it.
+
+        Args:
+            output: Path checked with `check_output_path`.
+            flatten: Write one self-contained file instead of a layer over the input.
+
+        Raises:
+            StageError: the file cannot be written; nothing is left behind.
+        """
+        if flatten:
+            layer = self._flattened(output.parent)
+        else:
+            # A copy, because an anonymous layer that a stage is open on cannot resolve a relative path.
+            layer = Sdf.Layer.CreateAnonymous("save.usda")
+            layer.TransferContent(self._layer)
+            layer.subLayerPaths[0] = _relative_path(self._source.realPath, output.parent)
+        _export(layer, output)
+
+    def _flattened(self, folder: Path) -> Sdf.Layer:
+        layer = self.stage.Flatten(addSourceFileComment=False)
+        for dropped in self._dropped:
+            for path in dropped.blocked:
+                _remove_property(layer, path)
+            for path in dropped.deactivated:
+                spec = layer.GetPrimAtPath(path)
+                if spec:
+                    # Nothing weaker is left in a flat file that an inactive prim would have to hide.
+                    del layer.GetPrimAtPath(path.GetParentPath()).nameChildren[spec.name]
+            for path in dropped.unbound:
+                _author_empty_relationship(layer, path)
+            for path in dropped.unskinned:
+                _remove_api(layer, path, "SkelBindingAPI")
+        source_folder = Path(self._source.realPath).parent
+        UsdUtils.ModifyAssetPaths(layer, _asset_path_mover(source_folder, folder))
+        return layer
+
+
+def _check_mesh(
+    path: str, times: list[float] | None, points: npt.NDArray[np.float32], faces: npt.NDArray[np.int32]
+) -> None:
+    """A file is read by others: never write into it what they would trip over."""
+    bad = ~np.isfinite(points).all(axis=2)
+    if bad.any():
+        frame, vertex = np.argwhere(bad)[0]
+        name = "default" if times is None else f"{times[frame]:g}"
+        raise StageError(
+            f"{path}.points: the simplified point {vertex} at time {name} is {points[frame, vertex].tolist()} "
+            f"({int(bad.sum())} such points)"
+        )
+    if faces.min() < 0 or faces.max() >= points.shape[1]:
+        raise StageError(f"{path}.faceVertexIndices: {faces.min()} to {faces.max()} for {points.shape[1]} points")
+
+
+def _author(
+    attribute: Usd.Attribute, times: list[float] | None, values: npt.NDArray[np.float32], hides_default: bool
+) -> None:
+    """Author one array per frame; a stale default value of a weaker layer is replaced by the first frame."""
+    arrays = [Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(value)) for value in values]
+    if times is None or hides_default:
+        attribute.Set(arrays[0])
+    for time, array in zip(times or [], arrays, strict=False):
+        attribute.Set(array, time)
+
+
+def _remove_property(layer: Sdf.Layer, path: Sdf.Path) -> None:
+    spec = layer.GetPropertyAtPath(path)
+    if spec:
+        layer.GetPrimAtPath(path.GetPrimPath()).RemoveProperty(spec)
+
+
+def _remove_api(layer: Sdf.Layer, path: Sdf.Path, name: str) -> None:
+    spec = layer.GetPrimAtPath(path)
+    applied = spec.GetInfo("apiSchemas").GetAppliedItems()
+    spec.SetInfo("apiSchemas", Sdf.TokenListOp.CreateExplicit([api for api in applied if api != name]))
+
+
+def _author_empty_relationship(layer: Sdf.Layer, path: Sdf.Path) -> None:
+    """Flattening leaves out relationships without targets, even if they are empty on purpose."""
+    spec = layer.GetRelationshipAtPath(path)
+    if not spec:
+        spec = Sdf.RelationshipSpec(layer.GetPrimAtPath(path.GetPrimPath()), path.name, custom=False)
+    spec.targetPathList.ClearEditsAndMakeExplicit()
+
+
+def _relative_path(target: str, folder: Path) -> str:
+    """Path from a folder to a file, anchored so that USD does not look for it on its search path."""
+    try:
+        relative = os.path.relpath(target, folder.resolve())
+    except ValueError:
+        # On Windows there is no relative path from one drive to another.
+        return Path(target).as_posix()
+    relative = Path(relative).as_posix()
+    return relative if relative.startswith("../") else f"./{relative}"
+
+
+def _asset_path_mover(source_folder: Path, folder: Path) -> Callable[[str], str]:
+    """Flattening makes asset paths absolute; bring those of files that exist or lie with the input back to relative."""
+
+    def move(path: str) -> str:
+        package = path.split("[", 1)[0]
+        if not os.path.isabs(package) or not (os.path.exists(package) or Path(package).is_relative_to(source_folder)):
+            return path
+        return _relative_path(package, folder) + path[len(package) :]
+
+    return move
+
+
+def _export(layer: Sdf.Layer, output: Path) -> None:
+    temporary = output.with_name(f".{output.stem}.{uuid.uuid4().hex}{output.suffix}")
+    try:
+        if not layer.Export(os.fspath(temporary)):
+            raise StageError(f"{output}: USD cannot write it")
+        os.replace(temporary, output)
+    except (OSError, Tf.ErrorException) as error:
+        raise StageError(f"{output}: cannot be written ({first_line(error)})") from error
+    finally:
+        temporary.unlink(missing_ok=True)
