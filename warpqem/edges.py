@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["EdgeTable", "edge_table"]
+__all__ = ["EdgeTable", "edge_key", "edge_table"]
 
 
 @dataclass(frozen=True)
@@ -25,12 +25,17 @@ class EdgeTable:
     face_count: np.ndarray
 
 
+def edge_key(tail: np.ndarray, head: np.ndarray, vertex_count: int) -> np.ndarray:
+    """One int64 for each undirected edge of a mesh of ``vertex_count`` vertices, ascending by its ends."""
+    return np.minimum(tail, head).astype(np.int64) * vertex_count + np.maximum(tail, head)
+
+
 def edge_table(faces: np.ndarray) -> EdgeTable:
     """Edges of ``faces`` (N, 3) int."""
     tail, head, wing = faces.ravel(), np.roll(faces, -1, axis=1).ravel(), np.roll(faces, 1, axis=1).ravel()
-    low, high = np.minimum(tail, head).astype(np.int64), np.maximum(tail, head)
+    low, high = np.minimum(tail, head), np.maximum(tail, head)
     # Half-edges that run from the lower to the higher vertex come first within an edge.
-    key = (low * (int(faces.max()) + 1) + high) * 2 + (tail > head)
+    key = edge_key(tail, head, int(faces.max()) + 1) * 2 + (tail > head)
     order = np.argsort(key, kind="stable")
     key = key[order] >> 1
     first = np.flatnonzero(np.append(True, key[1:] != key[:-1]))

@@ -21,6 +21,7 @@ class AnimatedMesh:
     Attributes:
         points: (F, V, 3) float32, the caller's coordinates minus ``origin``.
         faces: (N, 3) int32 without faces that use a vertex twice.
+        face_index: (N,) int32, the caller's index of each face.
         origin: (3,) float64, taken off before the points were rounded to float32.
         centre: (3,) float32, middle of the bounding box of all frames, about ``origin``.
         diagonal: largest bounding-box diagonal of a frame, in the caller's units.
@@ -28,6 +29,7 @@ class AnimatedMesh:
 
     points: np.ndarray
     faces: np.ndarray
+    face_index: np.ndarray
     origin: np.ndarray
     centre: np.ndarray
     diagonal: float
@@ -84,7 +86,7 @@ def read_mesh(points: Any, faces: Any = None) -> AnimatedMesh:
     elif faces is None:
         raise OptionError("faces (N, 3) are missing")
     p = _checked_points(as_numpy(points))
-    f = _checked_faces(as_numpy(faces), p.shape[1])
+    f, face_index = _checked_faces(as_numpy(faces), p.shape[1])
     origin = np.zeros(3)
     if p.dtype != np.float32:
         # float64 coordinates far from the origin keep their precision when the offset goes first.
@@ -97,7 +99,7 @@ def read_mesh(points: Any, faces: Any = None) -> AnimatedMesh:
     if not 0.0 < diagonal < np.inf:
         raise DegenerateMeshError(f"the mesh has no extent: its bounding-box diagonal is {diagonal:g} in every frame")
     centre = ((low.min(axis=0).astype(np.float64) + high.max(axis=0)) / 2).astype(np.float32)
-    return AnimatedMesh(np.ascontiguousarray(p), f, origin, centre, diagonal)
+    return AnimatedMesh(np.ascontiguousarray(p), f, face_index, origin, centre, diagonal)
 
 
 def _checked_points(points: np.ndarray) -> np.ndarray:
@@ -112,7 +114,7 @@ def _checked_points(points: np.ndarray) -> np.ndarray:
     return points if points.dtype == np.float32 else points.astype(np.float64)
 
 
-def _checked_faces(faces: np.ndarray, vertex_count: int) -> np.ndarray:
+def _checked_faces(faces: np.ndarray, vertex_count: int) -> tuple[np.ndarray, np.ndarray]:
     if faces.ndim != 2 or faces.shape[1] != 3:
         raise MeshShapeError(f"faces must have shape (N, 3), got {faces.shape}")
     if faces.dtype.kind not in "iu":
@@ -129,7 +131,7 @@ def _checked_faces(faces: np.ndarray, vertex_count: int) -> np.ndarray:
     proper = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
     if not proper.any():
         raise DegenerateMeshError(f"none of the {len(faces)} faces has three different vertices")
-    return np.ascontiguousarray(faces[proper])
+    return np.ascontiguousarray(faces[proper]), np.flatnonzero(proper).astype(np.int32)
 
 
 def _frame_bounds(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

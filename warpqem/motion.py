@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from warpqem.components import lowest_members
 from warpqem.device import resolve_device
 from warpqem.edges import edge_table
 from warpqem.kernels import motion as kernels
@@ -87,16 +88,7 @@ def _dihedral_changes(points: np.ndarray, ends: np.ndarray, wings: np.ndarray, d
 
 def _components(vertex_count: int, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Label and size of the connected component of each vertex; -1 and 1 for vertices without an edge."""
-    lowest = np.arange(vertex_count)
-    while True:
-        # Every vertex takes the lowest index among its neighbours, then jumps to that vertex's own.
-        after = lowest.copy()
-        np.minimum.at(after, edges[:, 0], lowest[edges[:, 1]])
-        np.minimum.at(after, edges[:, 1], lowest[edges[:, 0]])
-        after = after[after]
-        if np.array_equal(after, lowest):
-            break
-        lowest = after
+    lowest = lowest_members(vertex_count, edges)
     inside = np.zeros(vertex_count, dtype=bool)
     inside[edges] = True
     label = np.full(vertex_count, -1, dtype=np.int32)

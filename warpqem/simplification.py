@@ -37,6 +37,7 @@ class SimplifiedMesh:
         points: (F, V', 3) float32, in the input's coordinates.
         faces: (N', 3) int32.
         vertex_map: (V,) int32, input vertex to the output vertex it collapsed into; -1 for a vertex without a face.
+        face_map: (N',) int32, the input face that each output face goes on from.
         stopped: "target", "max_error" or "no legal collapse".
         error: % of the bounding-box diagonal, the largest RMS distance over key frames, among all collapses, of a
             merged vertex from the planes of the faces it stands for.
@@ -48,6 +49,7 @@ class SimplifiedMesh:
     points: np.ndarray
     faces: np.ndarray
     vertex_map: np.ndarray
+    face_map: np.ndarray
     stopped: str
     error: float
     flips: np.ndarray
@@ -146,6 +148,7 @@ def simplify(
         points=placed.points,
         faces=placer.faces,
         vertex_map=placer.vertex_map,
+        face_map=mesh.face_index[ordered.face_map],
         stopped=ordered.stopped,
         error=100.0 * float(ordered.log.error.max(initial=0.0)),
         flips=placed.flips,

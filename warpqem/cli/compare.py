@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.markup import escape
 from rich.table import Table
 
 from warpqem.cli.console import EXIT_FAILED, print_table, progress_bar, quiet_warp, tell, write_json
@@ -73,7 +74,7 @@ def compare(
 
 
 def _table(reference: str, test: str, pairs: list[PairReport]) -> Table:
-    table = Table(title=f"{reference} - {test}")
+    table = Table(title=escape(f"{reference} - {test}"))
     table.add_column("mesh", overflow="fold")
     names = ("frames", "faces", "RMS %", "mean %", "Hausdorff %", "normals deg", "flips", "jitter %", "slide %")
     for name in (*names, "edge length %"):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict
 
 import typer
+from rich.markup import escape
 from rich.table import Table
 
 from warpqem.cli.console import EXIT_FAILED, print_table, progress_bar, quiet_warp, tell, write_json
@@ -39,7 +40,7 @@ def features(
             device=device,
             progress=progress,
         )
-    table = Table(title=f"{input_file} -> {output}")
+    table = Table(title=escape(f"{input_file} -> {output}"))
     table.add_column("mesh", overflow="fold")
     for name in ("frames", "features", "vertices in features", "vertices"):
         table.add_column(name, justify="right")

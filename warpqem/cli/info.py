@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from rich.markup import escape
 from rich.table import Table
 
 from warpqem.cli.console import print_table, quiet_warp, tell, write_json
@@ -33,7 +34,7 @@ def info(input_file: Input, json: JsonReport = None) -> None:
 
 
 def _table(input_file: str, meshes: list[MeshInfo]) -> Table:
-    table = Table(title=f"{input_file}: {len(meshes)} mesh{'' if len(meshes) == 1 else 'es'}")
+    table = Table(title=escape(f"{input_file}: {len(meshes)} mesh{'' if len(meshes) == 1 else 'es'}"))
     table.add_column("mesh", overflow="fold")
     names = ("frames", "vertices", "faces", "triangles", "border edges", "non-manifold edges", "joints", "blend shapes")
     for name in names:

@@ -6,6 +6,7 @@ from enum import Enum
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.markup import escape
 from rich.table import Table
 
 from warpqem.cli.console import EXIT_FAILED, print_table, progress_bar, quiet_warp, tell, write_json
@@ -122,7 +123,7 @@ def _tell_problems(report: StageReport) -> None:
 
 
 def _table(report: StageReport) -> Table:
-    table = Table(title=f"{report.input} -> {report.output or 'nothing written'}")
+    table = Table(title=escape(f"{report.input} -> {report.output or 'nothing written'}"))
     table.add_column("mesh", overflow="fold")
     for name in ("frames", "faces before", "faces after", "error %"):
         table.add_column(name, justify="right")

@@ -42,6 +42,7 @@ class OrderedMesh:
 
     Attributes:
         faces: (N', 3) int32 over input vertices: each cluster goes by the vertex that was kept.
+        face_map: (N',) int32, the input face that each of them was.
         root: (V,) int32, the kept vertex that each input vertex collapsed into.
         key_position: (V, K) vec3, the input on the key frames, in diagonals.
         position: (V, K) vec3, where ordering put the kept vertices.
@@ -52,6 +53,7 @@ class OrderedMesh:
     """
 
     faces: np.ndarray
+    face_map: np.ndarray
     root: np.ndarray
     key_position: wp.array
     position: wp.array
@@ -108,9 +110,16 @@ def order_collapses(
     orderer = Orderer(state, stars, model, len(mesh.faces), device)
     stopped = orderer.run(settings.target_faces, progress)
     log = read_log(orderer.log)
+    root = log.roots(vertex_count)
+    faces = root[mesh.faces]
+    # A collapse takes the faces that hold both its ends: the faces left are those whose corners stayed apart.
+    face_map = np.flatnonzero(
+        (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    ).astype(np.int32)
     return OrderedMesh(
-        faces=state.corner_vertex.numpy()[: 3 * orderer.face_slots].reshape(-1, 3)[_live(state, orderer.face_slots)],
-        root=log.roots(vertex_count),
+        faces=faces[face_map],
+        face_map=face_map,
+        root=root,
         key_position=key_position,
         position=state.position,
         quadric=state.quadric,
@@ -118,7 +127,3 @@ def order_collapses(
         stopped=stopped,
         log=log,
     )
-
-
-def _live(state: MeshState, face_slots: int) -> np.ndarray:
-    return state.corner_vertex.numpy()[: 3 * face_slots : 3] >= 0

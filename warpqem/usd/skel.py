@@ -136,6 +136,11 @@ class MeshPoser:
         if not self.skinning_query.HasJointInfluences():
             return np.array(points, dtype=np.float32).reshape(-1, 3)
         transforms = self.skeleton_query.ComputeSkinningTransforms(time)
+        if transforms is not None and self.skinning_query.IsRigidlyDeformed():
+            # One transform for all points, as UsdSkel bakes it. Blending several joints point by point rounds otherwise
+            # and comes out up to a few millionths of the distance from the origin apart.
+            rigid = np.array(self.skinning_query.ComputeSkinnedTransform(transforms, time))
+            return self._to_local_space(_transform(np.asarray(points), rigid), time)
         if transforms is None or not self.skinning_query.ComputeSkinnedPoints(transforms, points, time):
             raise StageError(
                 f"{self.prim.GetPath()}: UsdSkel cannot skin the {len(points)} points at time {time} "
@@ -161,14 +166,17 @@ class MeshPoser:
                 f"of the mesh (skel:blendShapeTargets) at time {time}"
             )
 
-    def _to_local_space(self, points: npt.NDArray[np.float32], time: float | Usd.TimeCode) -> npt.NDArray[np.float32]:
+    def _to_local_space(self, points: npt.NDArray[np.floating], time: float | Usd.TimeCode) -> npt.NDArray[np.float32]:
         """From the skeleton's space to the mesh's; USD matrices act on row vectors."""
         cache = UsdGeom.XformCache(time)
         to_world = np.array(cache.GetLocalToWorldTransform(self.skeleton_query.GetPrim()))
         from_world = np.array(cache.GetLocalToWorldTransform(self.prim).GetInverse())
-        matrix = to_world @ from_world
-        moved: npt.NDArray[np.float64] = points.astype(np.float64) @ matrix[:3, :3] + matrix[3, :3]
-        return moved.astype(np.float32)
+        return _transform(points, to_world @ from_world).astype(np.float32)
+
+
+def _transform(points: npt.NDArray[np.floating], matrix: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    moved: npt.NDArray[np.float64] = points.astype(np.float64) @ matrix[:3, :3] + matrix[3, :3]
+    return moved
 
 
 def _relative_transform_times(first: Usd.Prim, second: Usd.Prim) -> set[float]:

@@ -217,7 +217,7 @@ def _author_empty_relationship(layer: Sdf.Layer, path: Sdf.Path) -> None:
 def _relative_path(target: str, folder: Path) -> str:
     """Path from a folder to a file, anchored so that USD does not look for it on its search path."""
     try:
-        relative = os.path.relpath(target, folder.resolve())
+        relative = os.path.relpath(target, folder)
     except ValueError:
         # On Windows there is no relative path from one drive to another.
         return Path(target).as_posix()

@@ -1,0 +1,154 @@
+"""Carry values from the input surface to the output: every output corner knows its point on the input.
+
+The point is the nearest one in a reference pose, among the input faces that the output vertex stands for, on the
+corner's side of the seams: values never leak from one UV island, or one side of a cut, to another.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from warpqem.components import lowest_members
+from warpqem.device import resolve_device
+from warpqem.edges import edge_key
+from warpqem.kernels import transfer as kernels
+from warpqem.mesh_input import as_numpy
+from warpqem.place.rows import group_rows, sum_repeated
+from warpqem.simplification import SimplifiedMesh
+
+__all__ = ["SurfaceTransfer", "surface_transfer"]
+
+
+@dataclass(frozen=True)
+class SurfaceTransfer:
+    """Points on the input surface for W wedges: an output vertex has one wedge on each side of the seams through it.
+
+    Attributes:
+        corner_wedge: (N', 3) int32, the wedge of each output corner.
+        vertex_wedge: (V',) int32, one wedge of each output vertex.
+        wedge_face: (W,) int32, input face.
+        wedge_weight: (W, 3) float32, barycentric, not negative, sum 1.
+        wedge_vertex: (W, 3) int32, the input vertices of ``wedge_face``.
+        face_map: (N',) int32, the input face that each output face goes on from.
+    """
+
+    corner_wedge: np.ndarray
+    vertex_wedge: np.ndarray
+    wedge_face: np.ndarray
+    wedge_weight: np.ndarray
+    wedge_vertex: np.ndarray
+    face_map: np.ndarray
+
+    def from_vertices(self, values: np.ndarray) -> np.ndarray:
+        """Values at output vertices, (V', ...) float64, from values at input vertices (V, ...)."""
+        return self.wedges_from_vertices(values)[self.vertex_wedge]
+
+    def wedges_from_vertices(self, values: np.ndarray) -> np.ndarray:
+        """Values at wedges, (W, ...) float64, from values at input vertices (V, ...)."""
+        return _blend(values[self.wedge_vertex], self.wedge_weight)
+
+    def wedges_from_corners(self, values: np.ndarray) -> np.ndarray:
+        """Values at wedges, (W, ...) float64, from values at input corners (N, 3, ...)."""
+        return _blend(values[self.wedge_face], self.wedge_weight)
+
+
+def _blend(corner_values: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    return np.einsum("wk,wk...->w...", weight.astype(np.float64), corner_values.astype(np.float64))
+
+
+def surface_transfer(
+    points: Any,
+    faces: Any,
+    result: SimplifiedMesh,
+    *,
+    reference_frame: int = 0,
+    seams: Any = None,
+    device: str | None = None,
+) -> SurfaceTransfer:
+    """Find the point on the input surface of every output corner.
+
+    Args:
+        points: (V, 3), the input's pose in the reference frame.
+        faces: (N, 3), the input's faces, as given to :func:`warpqem.simplify`.
+        result: what that returned.
+        reference_frame: the frame of ``result.points`` that ``points`` is the pose of.
+        seams: (S, 2) int, ends of the edges that values do not cross, as given to :func:`warpqem.simplify`.
+        device: Warp device; None takes cuda:0 if present, else cpu.
+    """
+    device = resolve_device(device)
+    pose, faces = as_numpy(points).astype(np.float64), np.ascontiguousarray(as_numpy(faces), dtype=np.int32)
+    cluster = result.vertex_map[faces]
+    usable = np.flatnonzero((cluster >= 0).all(axis=1))
+    vertex_count = result.points.shape[1]
+    start, face, _ = sum_repeated(cluster[usable].ravel(), np.repeat(usable, 3), np.ones(3 * len(usable)), vertex_count)
+    owner = np.repeat(np.arange(vertex_count), np.diff(start))
+    # Entry: one input face at one output vertex; (owner, face) ascends over the entries.
+    entry_key = owner * len(faces) + face
+    side = _sides(faces, cluster, entry_key, as_numpy(seams)) if seams is not None and len(seams) else owner
+    _, wedge = np.unique(side, return_inverse=True)
+    order, wedge_start = group_rows(wedge, int(wedge.max()) + 1)
+    wedge_owner = owner[order[wedge_start[:-1]]]
+    # Nearness is judged about the pose's middle, where float32 is finest.
+    middle = (pose.min(axis=0) + pose.max(axis=0)) / 2
+    source_face = wp.empty(len(wedge_owner), dtype=wp.int32, device=device)
+    weight = wp.empty(len(wedge_owner), dtype=wp.vec3, device=device)
+    wp.launch(
+        kernels.find_wedge_sources,
+        dim=len(wedge_owner),
+        inputs=[
+            wp.array(wedge_start, device=device),
+            wp.array(face[order], dtype=wp.int32, device=device),
+            wp.array(
+                (result.points[reference_frame][wedge_owner] - middle).astype(np.float32), dtype=wp.vec3, device=device
+            ),
+            wp.array(faces.ravel(), device=device),
+            wp.array((pose - middle).astype(np.float32), dtype=wp.vec3, device=device),
+        ],
+        outputs=[source_face, weight],
+        device=device,
+    )
+    corner_key = result.faces.astype(np.int64) * len(faces) + result.face_map[:, None]
+    vertex_wedge = np.empty(vertex_count, dtype=np.int32)
+    vertex_wedge[wedge_owner[::-1]] = np.arange(len(wedge_owner) - 1, -1, -1)
+    return SurfaceTransfer(
+        corner_wedge=wedge[np.searchsorted(entry_key, corner_key)].astype(np.int32),
+        vertex_wedge=vertex_wedge,
+        wedge_face=source_face.numpy(),
+        wedge_weight=weight.numpy(),
+        wedge_vertex=faces[source_face.numpy()],
+        face_map=result.face_map,
+    )
+
+
+def _sides(faces: np.ndarray, cluster: np.ndarray, entry_key: np.ndarray, seams: np.ndarray) -> np.ndarray:
+    """Per entry, the lowest entry that it is joined to through edges that are no seams."""
+    first, second = _joined_faces(faces, seams)
+    links = []
+    for k in range(3):
+        owner = cluster[first, k]
+        shared = (owner >= 0) & (cluster[second] == owner[:, None]).any(axis=1)
+        keys = owner[shared].astype(np.int64) * len(faces)
+        links.append(
+            np.stack(
+                [
+                    np.searchsorted(entry_key, keys + first[shared]),
+                    np.searchsorted(entry_key, keys + second[shared]),
+                ],
+                axis=1,
+            )
+        )
+    return lowest_members(len(entry_key), np.concatenate(links))
+
+
+def _joined_faces(faces: np.ndarray, seams: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pairs of faces that share an edge which is no seam."""
+    vertex_count = int(faces.max()) + 1
+    key = edge_key(faces.ravel(), np.roll(faces, -1, axis=1).ravel(), vertex_count)
+    order = np.argsort(key, kind="stable")
+    key = key[order]
+    pair = np.flatnonzero((key[1:] == key[:-1]) & ~np.isin(key[1:], edge_key(seams[:, 0], seams[:, 1], vertex_count)))
+    return order[pair] // 3, order[pair + 1] // 3
