@@ -113,9 +113,9 @@ def _pocket(points: Points, upper: NDArray, lower: NDArray) -> tuple[Points, NDA
     faces: list[list[int]] = []
     for row in range(POCKET_ROWS):
         right, left = loops[0], loops[-1]
-        faces.append([int(upper[0]), int(right[row]), int(right[row + 1])])
-        faces.append([int(upper[-1]), int(left[row + 1]), int(left[row])])
+        faces.append([int(upper[0]), int(right[row + 1]), int(right[row])])
+        faces.append([int(upper[-1]), int(left[row]), int(left[row + 1])])
         for a, b in pairwise(loops):
-            faces.append([int(a[row]), int(b[row]), int(a[row + 1])])
-            faces.append([int(b[row]), int(b[row + 1]), int(a[row + 1])])
+            faces.append([int(a[row]), int(a[row + 1]), int(b[row])])
+            faces.append([int(b[row]), int(a[row + 1]), int(b[row + 1])])
     return rows.reshape(-1, 3), table, np.array(faces, dtype=np.int64)

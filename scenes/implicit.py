@@ -182,6 +182,6 @@ def surface(field: Field, lower: ArrayLike, upper: ArrayLike, spacing: float) ->
     low, high = np.asarray(lower, float), np.asarray(upper, float)
     shape = tuple(int(n) + 1 for n in np.ceil((high - low) / spacing))
     values = _sample(field, low, shape, spacing)
-    vertices, faces, _, _ = marching_cubes(values, 0.0, spacing=(spacing,) * 3, gradient_direction="ascent")
+    vertices, faces, _, _ = marching_cubes(values, 0.0, spacing=(spacing,) * 3, gradient_direction="descent")
     points = np.round(vertices.astype(np.float64) + low, COORDINATE_DECIMALS)
     return project(field, points, 0.5 * spacing, rounds=1), faces.astype(np.int64)

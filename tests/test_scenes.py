@@ -13,7 +13,7 @@ from pxr import Gf, Usd, UsdGeom, UsdSkel
 from scenes import cape, head, head_shape, quadruped
 from scenes.diffusion import diffuse, strongest_influences
 from scenes.implicit import ellipsoid, project, round_cone, surface, union
-from scenes.remesh import well_shaped
+from scenes.remesh import vertex_normals, well_shaped
 from scenes.render import contact_sheet, render
 from scenes.scene import Scene
 from scenes.stage import FIRST_TIME_CODE, write
@@ -131,6 +131,13 @@ def test_quadruped_faces_look_outwards() -> None:
     volume = np.einsum("ni,ni->n", corner[:, 0], np.cross(corner[:, 1], corner[:, 2])).sum() / 6.0
     # A horse of this height weighs about 500 kg.
     assert 0.25 < volume < 0.75
+
+
+def test_head_faces_look_outwards() -> None:
+    scene = generated("talking_head")
+    normals = vertex_normals(scene.points.astype(float), scene.faces)
+    assert normals[scene.points[:, 2].argmax(), 2] > 0.8
+    assert normals[scene.points[:, 1].argmax(), 1] > 0.8
 
 
 # Skin
