@@ -197,3 +197,8 @@ def test_help_loads_neither_warp_nor_usd():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def test_brackets_in_a_file_name_are_no_markup(tmp_path):
+    cloth_stage(tmp_path / "take[bold].usda")
+    assert "take[bold].usda" in run("info", tmp_path / "take[bold].usda").stdout

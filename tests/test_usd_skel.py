@@ -45,6 +45,16 @@ def test_rigidly_bound_poses_equal_bake_skinning():
     assert_poses_equal_bake(skinned_stage(rigid=True))
 
 
+def test_rigid_poses_far_from_the_origin_round_as_bake_skinning_does():
+    stage = skinned_stage(rigid=True)
+    binding = UsdSkel.BindingAPI(stage.GetPrimAtPath(BODY))
+    binding.CreateJointIndicesPrimvar(True, 2).Set([0, 1])
+    binding.CreateJointWeightsPrimvar(True, 2).Set([0.3, 0.7])
+    points = UsdGeom.Mesh(stage.GetPrimAtPath(BODY)).GetPointsAttr()
+    points.Set([p + Gf.Vec3f(300, 200, 100) for p in points.Get()])
+    assert_poses_equal_bake(stage)
+
+
 def test_dual_quaternion_poses_equal_bake_skinning():
     stage = skinned_stage()
     UsdSkel.BindingAPI(stage.GetPrimAtPath(BODY)).CreateSkinningMethodAttr(UsdSkel.Tokens.dualQuaternion)
