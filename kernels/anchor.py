@@ -8,11 +8,14 @@ relative to it, ``sum_t Q_t(sum_i w_i p_i) = w^T G w`` for weights that sum to o
 
 import warp as wp
 
-from warpqem.kernels.quadric import Quadric, apply_matrix, linear_part
+from warpqem.kernels.quadric import Quadric, apply_matrix, linear_part, trace
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
-# Added to the diagonal so that a cluster on a plane (G = 0) gets equal weights instead of a division by zero.
+# Entries of G are sums of products of the size of tr(A) |p|^2 that cancel where a cluster is flat; float32 leaves about
+# 1e-7 of that size. A pull of 1e-5 of it keeps such a matrix positive definite: a flat cluster gets equal weights.
+ROUNDING_PULL = wp.constant(wp.float32(1.0e-5))
+# Added to the diagonal for clusters without any extent.
 LEAST_DIAGONAL = wp.constant(wp.float32(1.0e-20))
 
 
@@ -74,21 +77,24 @@ def fit_anchor_weights(
     first = member_start_in[cluster]
     n = member_start_in[cluster + 1] - first
     o = matrix_start_in[cluster]
+    size = wp.float32(0.0)
     for t in range(key_position_in.shape[1]):
         q = quadric_in[u, t]
+        area = trace(q)
         b = linear_part(q)
         origin = ordered_position_in[u, t]
         for i in range(n):
             p = key_position_in[member_in[first + i], t] - origin
             y = apply_matrix(q, p) + b
             s = wp.dot(b, p) + q[9]
+            size += area * wp.dot(p, p)
             for j in range(i + 1):
                 r = key_position_in[member_in[first + j], t] - origin
                 matrix[o + packed(i, j)] = matrix[o + packed(i, j)] + wp.dot(y, r) + s
     total = wp.float32(0.0)
     for i in range(n):
         total += matrix[o + packed(i, i)]
-    shift = regularisation * total / wp.float32(n) + LEAST_DIAGONAL
+    shift = (regularisation * wp.max(total, 0.0) + ROUNDING_PULL * size) / wp.float32(n) + LEAST_DIAGONAL
     for i in range(n):
         matrix[o + packed(i, i)] = matrix[o + packed(i, i)] + shift
     factorise(matrix, o, n)

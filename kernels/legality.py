@@ -5,6 +5,7 @@
 | link condition  | a common neighbour that is not a wing would leave two faces on three edges (a non-manifold edge) |
 | pinch           | an inner edge between two border vertices would join the borders at one vertex                   |
 | wing            | a wing needs a face fan after it lost one face: 3 faces inside, 1 at a border                    |
+| vanish          | the merged vertex keeps a face, also where the wing is a bow tie that says nothing of this fan   |
 | flip, any frame | a face may turn past ``TURN_COSINE`` in a few frames only (crumpling motion does so by itself)   |
 | flip, the whole | ``sum over frames of n.n' sqrt(A A' w w')`` must stay positive (seed paper of aqem, equation 7)  |
 """
@@ -37,17 +38,22 @@ def is_ring_vertex(state: MeshState, u: wp.int32, w: wp.int32) -> wp.bool:
 
 
 @wp.func
+def degree(state: MeshState, v: wp.int32) -> wp.int32:
+    """Faces at a vertex."""
+    return state.star_start[v + 1] - state.star_start[v]
+
+
+@wp.func
 def keeps_fan(state: MeshState, wing: wp.int32) -> wp.bool:
     """Whether a wing may lose one of its faces."""
-    degree = state.star_start[wing + 1] - state.star_start[wing]
     if (state.vertex_flags[wing] & BORDER) != 0:
-        return degree >= 2
-    return degree >= 4
+        return degree(state, wing) >= 2
+    return degree(state, wing) >= 4
 
 
 @wp.func
 def is_manifold_collapse(state: MeshState, h: wp.int32) -> wp.bool:
-    """Link condition, pinch and wing rules for half-edge ``h``."""
+    """Link condition, pinch, wing and vanish rules for half-edge ``h``."""
     u = state.corner_vertex[h]
     v = half_edge_target(state.corner_vertex, h)
     left = state.corner_vertex[previous_corner(h)]
@@ -58,6 +64,9 @@ def is_manifold_collapse(state: MeshState, h: wp.int32) -> wp.bool:
         if (state.vertex_flags[u] & state.vertex_flags[v] & BORDER) != 0 or not keeps_fan(state, right):
             return False
     if not keeps_fan(state, left):
+        return False
+    removed = wp.where(opposite >= 0, 2, 1)
+    if degree(state, u) + degree(state, v) <= 2 * removed:
         return False
     for i in range(state.star_start[v], state.star_start[v + 1]):
         g = state.star_corner[i]
