@@ -6,7 +6,7 @@ from warpqem.kernels.edge_cost import INFINITE_COST, merged_quadric
 from warpqem.kernels.independent_set import EdgeList
 from warpqem.kernels.mesh_state import CollapseLog, MeshState
 from warpqem.kernels.quadric import NO_PLANE, shift_origin, trace
-from warpqem.kernels.topology import LOCKED, find_half_edge, half_edge_target, previous_corner
+from warpqem.kernels.topology import LOCKED, find_half_edge, half_edge_target, next_corner, previous_corner
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
@@ -33,6 +33,28 @@ def carry_trajectory(state: MeshState, u: wp.int32, v: wp.int32, anchor: wp.floa
     for t in range(state.trajectory.shape[1]):
         p = state.trajectory[u, t]
         state.trajectory[u, t] = p + anchor * (state.trajectory[v, t] - p)
+
+
+@wp.func
+def join_seams(state: MeshState, u: wp.int32, v: wp.int32, h: wp.int32):
+    """The two edges that the face of ``h`` keeps apart become one: a seam when either is.
+
+    Their half-edges in the neighbouring faces are looked up in the stars of ``u`` and ``v``, which no other winner
+    touches.
+    """
+    if state.seam[next_corner(h)] == 0 and state.seam[previous_corner(h)] == 0:
+        return
+    wing = state.corner_vertex[previous_corner(h)]
+    for side in range(2):
+        a = wp.where(side == 0, u, v)
+        b = wp.where(side == 0, v, u)
+        for i in range(state.star_start[a], state.star_start[a + 1]):
+            out = state.star_corner[i]
+            into = previous_corner(out)
+            if half_edge_target(state.corner_vertex, out) == wing and state.corner_vertex[into] != b:
+                state.seam[out] = 1
+            if state.corner_vertex[into] == wing and half_edge_target(state.corner_vertex, out) != b:
+                state.seam[into] = 1
 
 
 @wp.func
@@ -85,6 +107,9 @@ def commit_winners(
             if state.trajectory.shape[0] > 0:
                 carry_trajectory(state, u, v, wp.where(u == a, anchor_in[i], 1.0 - anchor_in[i]))
             log.error[slot] = merge_vertex(state, u, v, target_in, i)
+            join_seams(state, u, v, h)
+            if opposite >= 0:
+                join_seams(state, u, v, opposite)
             for j in range(state.star_start[v], state.star_start[v + 1]):
                 g = state.star_corner[j]
                 f = g // 3
@@ -111,10 +136,12 @@ def mark_live_faces(
 def move_live_faces(
     corner_vertex_in: wp.array[wp.int32],
     edge_cost_in: wp.array[wp.float32],
+    seam_in: wp.array[wp.int32],
     live_rank_in: wp.array[wp.int32],
     # outputs
     corner_vertex_out: wp.array[wp.int32],
     edge_cost_out: wp.array[wp.float32],
+    seam_out: wp.array[wp.int32],
 ):
     """Close the gaps between live faces, keeping their order; ``live_rank_in`` is the inclusive sum of live flags."""
     f = wp.tid()
@@ -123,3 +150,4 @@ def move_live_faces(
         for k in range(3):
             corner_vertex_out[3 * g + k] = corner_vertex_in[3 * f + k]
             edge_cost_out[3 * g + k] = edge_cost_in[3 * f + k]
+            seam_out[3 * g + k] = seam_in[3 * f + k]

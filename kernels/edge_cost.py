@@ -22,6 +22,7 @@ from warpqem.kernels.topology import (
     BORDER,
     FROZEN,
     LOCKED,
+    SEAM,
     half_edge_target,
     is_canonical,
     previous_corner,
@@ -59,7 +60,7 @@ def merged_quadric(state: MeshState, u: wp.int32, v: wp.int32, t: wp.int32, anch
 def edge_anchor(state: MeshState, model: CostModel, u: wp.int32, v: wp.int32) -> wp.float32:
     """``lambda`` of the material anchor ``(1 - lambda) p_u + lambda p_v``: minimises the quadrics' sum over all frames.
 
-    A vertex on the border, or locked, is the anchor itself when the other end is free.
+    A vertex on the border or a seam, or locked, is the anchor itself when the other end is free.
     """
     fu = state.vertex_flags[u]
     fv = state.vertex_flags[v]
@@ -67,6 +68,8 @@ def edge_anchor(state: MeshState, model: CostModel, u: wp.int32, v: wp.int32) ->
         return wp.where((fv & LOCKED) != 0, wp.float32(1.0), wp.float32(0.0))
     if (fu & BORDER) != (fv & BORDER):
         return wp.where((fv & BORDER) != 0, wp.float32(1.0), wp.float32(0.0))
+    if (fu & SEAM) != (fv & SEAM):
+        return wp.where((fv & SEAM) != 0, wp.float32(1.0), wp.float32(0.0))
     slope = wp.float32(0.0)
     stiffness = wp.float32(0.0)
     pull = wp.float32(0.0)
@@ -104,6 +107,8 @@ def price_edge(state: MeshState, model: CostModel, h: wp.int32) -> EdgePrice:
     price.cost = INFINITE_COST
     flags = state.vertex_flags[u] | state.vertex_flags[v]
     if (flags & FROZEN) != 0 or (state.vertex_flags[u] & state.vertex_flags[v] & LOCKED) != 0:
+        return price
+    if (state.vertex_flags[u] & state.vertex_flags[v] & SEAM) != 0 and state.seam[h] == 0:
         return price
     anchor = edge_anchor(state, model, u, v)
     at_anchor = keeps_anchor(state, model, u, v)

@@ -4,6 +4,8 @@
 |-----------------|--------------------------------------------------------------------------------------------------|
 | link condition  | a common neighbour that is not a wing would leave two faces on three edges (a non-manifold edge) |
 | pinch           | an inner edge between two border vertices would join the borders at one vertex                   |
+| seam            | an edge between two seam vertices that is no seam would join the seams (it has no price at all)  |
+| island          | a wing joined to both ends by seams: the face between them would vanish with its island          |
 | wing            | a wing needs a face fan after it lost one face: 3 faces inside, 1 at a border                    |
 | vanish          | the merged vertex keeps a face, also where the wing is a bow tie that says nothing of this fan   |
 | flip, any frame | a face may turn past ``TURN_COSINE`` in a few frames only (crumpling motion does so by itself)   |
@@ -16,7 +18,7 @@ from warpqem.kernels.edge_cost import edge_anchor, keeps_anchor, merged_quadric
 from warpqem.kernels.independent_set import EdgeList
 from warpqem.kernels.mesh_state import CostModel, MeshState
 from warpqem.kernels.quadric import anchored_minimiser
-from warpqem.kernels.topology import BORDER, find_half_edge, half_edge_target, previous_corner
+from warpqem.kernels.topology import BORDER, find_half_edge, half_edge_target, next_corner, previous_corner
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
@@ -52,8 +54,14 @@ def keeps_fan(state: MeshState, wing: wp.int32) -> wp.bool:
 
 
 @wp.func
+def closes_island(state: MeshState, h: wp.int32) -> wp.bool:
+    """Whether both other edges of the face of half-edge ``h`` are seams."""
+    return state.seam[next_corner(h)] == 1 and state.seam[previous_corner(h)] == 1
+
+
+@wp.func
 def is_manifold_collapse(state: MeshState, h: wp.int32) -> wp.bool:
-    """Link condition, pinch, wing and vanish rules for half-edge ``h``."""
+    """Link condition, pinch, island, wing and vanish rules for half-edge ``h``."""
     u = state.corner_vertex[h]
     v = half_edge_target(state.corner_vertex, h)
     left = state.corner_vertex[previous_corner(h)]
@@ -63,7 +71,9 @@ def is_manifold_collapse(state: MeshState, h: wp.int32) -> wp.bool:
         right = state.corner_vertex[previous_corner(opposite)]
         if (state.vertex_flags[u] & state.vertex_flags[v] & BORDER) != 0 or not keeps_fan(state, right):
             return False
-    if not keeps_fan(state, left):
+        if closes_island(state, opposite):
+            return False
+    if not keeps_fan(state, left) or closes_island(state, h):
         return False
     removed = wp.where(opposite >= 0, 2, 1)
     if degree(state, u) + degree(state, v) <= 2 * removed:

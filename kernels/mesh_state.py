@@ -16,8 +16,9 @@ class MeshState:
     star_corner: wp.array[wp.int32]  # (3N,)
     position: wp.array2d[wp.vec3]  # (V, K) in units of the bounding-box diagonal
     quadric: wp.array2d[Quadric]  # (V, K) origin at the vertex's position in that frame
-    vertex_flags: wp.array[wp.int32]  # (V,) BORDER | LOCKED | FROZEN
+    vertex_flags: wp.array[wp.int32]  # (V,) BORDER | LOCKED | FROZEN | SEAM
     cost_weight: wp.array[wp.float32]  # (V,) multiplies the cost; averaged when two vertices merge
+    seam: wp.array[wp.int32]  # (3N,) 1 at both half-edges of a seam edge
     edge_cost: wp.array[wp.float32]  # (3N,) at canonical half-edges; inf: no collapse here; negative: asleep
     trajectory: wp.array2d[wp.vec3]  # (V, F) every frame's position, only where a deformation term needs it
 

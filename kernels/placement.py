@@ -20,7 +20,7 @@ class Clusters:
     face: wp.array[wp.vec3i]  # corners of the input faces with a corner in the cluster
     face_weight: wp.array[wp.float32]  # corners in the cluster, each times its vertex's quadric scale
     border_start: wp.array[wp.int32]  # (C+1,)
-    border: wp.array[wp.int32]  # border half-edges with an end in the cluster
+    border: wp.array[wp.int32]  # border and seam half-edges with an end in the cluster
     border_weight: wp.array[wp.float32]
     solved: wp.array[wp.int32]  # (C,) 0: the vertex is the anchor itself
 

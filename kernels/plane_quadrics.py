@@ -1,4 +1,4 @@
-"""Initial quadrics: area-weighted face planes and constraint planes along border edges, per vertex and frame."""
+"""Initial quadrics: area-weighted face planes and constraint planes along borders and seams, per vertex and frame."""
 
 import warp as wp
 
@@ -68,7 +68,7 @@ def add_border_planes(
     # outputs
     quadric: wp.array2d[Quadric],
 ):
-    """Add the planes of the border edges at each border vertex (a list per vertex, so that no atomics are needed)."""
+    """Add the planes of the border and seam edges of each vertex that has any (a list each: no atomics are needed)."""
     i, t = wp.tid()
     v = border_vertex_in[i]
     origin = position_in[v, t]

@@ -12,12 +12,13 @@ import numpy as np
 from warpqem.cost_models import CostModelSpec, cost_model, feature_weights
 from warpqem.device import resolve_device
 from warpqem.errors import OptionError, UnreachableTargetError
-from warpqem.kernels.topology import LOCKED
+from warpqem.kernels.topology import LOCKED, SEAM
 from warpqem.key_frames import choose_key_frames
 from warpqem.mesh_input import AnimatedMesh, as_numpy, as_vertex_values, read_mesh
 from warpqem.order.log import CollapseRecord
 from warpqem.order.stage import OrderInput, OrderSettings, order_collapses
 from warpqem.place.stage import Placer, PlaceSettings
+from warpqem.seams import read_seams
 
 __all__ = ["SimplifiedMesh", "simplify"]
 
@@ -76,6 +77,7 @@ def simplify(
     placement: str = "optimal",
     vertex_weights: Any = None,
     locked: Any = None,
+    seams: Any = None,
     device: str | None = None,
     progress: Progress | None = None,
 ) -> SimplifiedMesh:
@@ -97,6 +99,8 @@ def simplify(
         placement: "optimal", or "endpoint" to use vertices of the input only.
         vertex_weights: (V,) finite factors >= 0 on the cost at each vertex.
         locked: (V,) bool, or indices, of vertices that keep their position in every frame.
+        seams: (S, 2) vertex pairs: edges that values on the surface do not cross, such as UV seams. They stay closed
+            polylines of edges near where they were; vertices where they end, fork or meet a border keep their position.
         device: Warp device; None takes cuda:0 if present, else cpu.
         progress: called with the part done, 0 to 1, and the stage, "order" or "place".
 
@@ -112,7 +116,8 @@ def simplify(
     device = resolve_device(device)
     mesh = read_mesh(points, faces)
     goal = _goal(len(mesh.faces), *goal_options)
-    lock_mask = _lock_mask(locked, mesh.vertex_count)
+    seam = read_seams(seams, mesh.faces, mesh.vertex_count)
+    pinned = _lock_mask(locked, mesh.vertex_count) | seam.corner
     weights = _cost_weights(spec, mesh, vertex_weights, device)
     keys = _key_frames(spec, mesh, key_frames)
     quadric_scale = np.ones(mesh.vertex_count, dtype=np.float32)
@@ -120,9 +125,10 @@ def simplify(
         OrderInput(
             faces=mesh.faces,
             key_points=mesh.unit_points(keys),
-            vertex_flags=np.where(lock_mask, LOCKED, 0).astype(np.int32),
+            vertex_flags=(np.where(pinned, int(LOCKED), 0) | np.where(seam.on_seam, int(SEAM), 0)).astype(np.int32),
             quadric_scale=quadric_scale,
             cost_weight=weights,
+            seam=seam.half_edge,
             trajectories=mesh.unit_points(slice(None)) if spec.deformation_weight > 0 else None,
         ),
         OrderSettings(
@@ -139,7 +145,7 @@ def simplify(
         mesh.faces,
         ordered,
         quadric_scale,
-        lock_mask,
+        pinned,
         PlaceSettings(_epsilon(coherence), _regularisation(coherence), placement == "endpoint"),
         device,
     )

@@ -65,6 +65,7 @@ class Orderer:
         self._live_rank = wp.empty(face_count, dtype=wp.int32, device=device)
         self._spare_corner_vertex = wp.empty_like(state.corner_vertex)
         self._spare_edge_cost = wp.empty_like(state.edge_cost)
+        self._spare_seam = wp.empty_like(state.seam)
 
     def _new_list(self, capacity: int) -> set_kernels.EdgeList:
         edges = set_kernels.EdgeList()
@@ -225,11 +226,12 @@ class Orderer:
         wp.launch(
             collapse_kernels.move_live_faces,
             dim=self.face_slots,
-            inputs=[state.corner_vertex, state.edge_cost, rank],
-            outputs=[self._spare_corner_vertex, self._spare_edge_cost],
+            inputs=[state.corner_vertex, state.edge_cost, state.seam, rank],
+            outputs=[self._spare_corner_vertex, self._spare_edge_cost, self._spare_seam],
             device=self.device,
         )
         state.corner_vertex, self._spare_corner_vertex = self._spare_corner_vertex, state.corner_vertex
         state.edge_cost, self._spare_edge_cost = self._spare_edge_cost, state.edge_cost
+        state.seam, self._spare_seam = self._spare_seam, state.seam
         self.face_slots = self.live_faces
         self._recorded.clear()

@@ -9,24 +9,24 @@ from warpqem.kernels import plane_quadrics as kernels
 from warpqem.kernels.quadric import Quadric
 from warpqem.order.stars import Stars
 
-__all__ = ["BORDER_WEIGHT", "border_lists", "initial_quadrics"]
+__all__ = ["BORDER_WEIGHT", "constraint_lists", "initial_quadrics"]
 
-# A border edge of length l counts as a square of area l^2 standing on the border: as much as the faces beside it.
+# A border or seam edge of length l counts as a square of area l^2 standing on it: as much as the faces beside it.
 BORDER_WEIGHT = 1.0
 
 
-def border_lists(corner_vertex: np.ndarray, border: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Border half-edges by vertex, each at both its ends.
+def constraint_lists(corner_vertex: np.ndarray, constrained: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Border and seam half-edges by vertex, each at both its ends.
 
     Args:
         corner_vertex: (3N,) int32.
-        border: (3N,) int, non-zero at border half-edges.
+        constrained: (3N,) int, non-zero at border and seam half-edges.
 
     Returns:
         ``vertex`` (B,), ``start`` (B+1,) and ``half_edge``: those of ``vertex[i]`` are
         ``half_edge[start[i]:start[i + 1]]``, ascending; all int32.
     """
-    half_edge = np.flatnonzero(border)
+    half_edge = np.flatnonzero(constrained)
     following = half_edge - half_edge % 3 + (half_edge + 1) % 3
     ends = np.concatenate([corner_vertex[half_edge], corner_vertex[following]])
     order = np.lexsort((np.concatenate([half_edge, half_edge]), ends))
@@ -37,14 +37,14 @@ def border_lists(corner_vertex: np.ndarray, border: np.ndarray) -> tuple[np.ndar
 
 
 def initial_quadrics(
-    corner_vertex: wp.array, stars: Stars, border: wp.array, position: wp.array, quadric_scale: wp.array
+    corner_vertex: wp.array, stars: Stars, constrained: np.ndarray, position: wp.array, quadric_scale: wp.array
 ) -> wp.array:
-    """Area-weighted plane quadrics and border planes about each vertex, times ``quadric_scale`` (V,).
+    """Area-weighted plane quadrics and border and seam planes about each vertex, times ``quadric_scale`` (V,).
 
     Args:
         corner_vertex: (3N,) int32.
         stars: stars of all vertices.
-        border: (3N,) int32, 1 at border half-edges.
+        constrained: (3N,) int32, 1 at border and seam half-edges.
         position: (V, K) vec3, in diagonals.
         quadric_scale: (V,) float32, multiplies a vertex's own quadric.
 
@@ -70,7 +70,7 @@ def initial_quadrics(
         outputs=[quadric],
         device=device,
     )
-    vertex, start, half_edge = border_lists(corner_vertex.numpy(), border.numpy())
+    vertex, start, half_edge = constraint_lists(corner_vertex.numpy(), constrained)
     if len(vertex):
         wp.launch(
             kernels.add_border_planes,

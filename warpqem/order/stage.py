@@ -47,7 +47,7 @@ class OrderedMesh:
         key_position: (V, K) vec3, the input on the key frames, in diagonals.
         position: (V, K) vec3, where ordering put the kept vertices.
         quadric: (V, K) Quadric of each kept vertex's cluster, about ``position``.
-        border: (3N,) int32, 1 at the input's border half-edges.
+        constrained: (3N,) int32, 1 at the input's border and seam half-edges.
         stopped: "target", "max_error" or "no legal collapse".
         log: the collapses.
     """
@@ -58,7 +58,7 @@ class OrderedMesh:
     key_position: wp.array
     position: wp.array
     quadric: wp.array
-    border: np.ndarray
+    constrained: np.ndarray
     stopped: str
     log: CollapseRecord
 
@@ -72,6 +72,7 @@ class OrderInput:
     vertex_flags: np.ndarray  # (V,) int32
     quadric_scale: np.ndarray  # (V,) float32
     cost_weight: np.ndarray  # (V,) float32
+    seam: np.ndarray  # (3N,) int32, 1 at both half-edges of a seam edge
     trajectories: np.ndarray | None  # (F, V, 3) float32, only with a deformation term
 
 
@@ -91,11 +92,12 @@ def order_collapses(
     state.corner_vertex = corner_vertex
     state.star_start, state.star_corner = stars.start, stars.corner
     state.vertex_flags = wp.array(mesh.vertex_flags, dtype=wp.int32, device=device)
-    border = classify_vertices(corner_vertex, stars, state.vertex_flags)
+    constrained = classify_vertices(corner_vertex, stars, state.vertex_flags).numpy() | mesh.seam
+    state.seam = wp.array(mesh.seam, dtype=wp.int32, device=device)
     key_position = _vertex_major(mesh.key_points, device)
     state.position = wp.clone(key_position)
     quadric_scale = wp.array(mesh.quadric_scale, dtype=wp.float32, device=device)
-    state.quadric = initial_quadrics(corner_vertex, stars, border, key_position, quadric_scale)
+    state.quadric = initial_quadrics(corner_vertex, stars, constrained, key_position, quadric_scale)
     state.cost_weight = wp.array(mesh.cost_weight, dtype=wp.float32, device=device)
     state.edge_cost = wp.empty(len(corner_vertex), dtype=wp.float32, device=device)
     no_trajectory = wp.empty((0, 0), dtype=wp.vec3, device=device)
@@ -123,7 +125,7 @@ def order_collapses(
         key_position=key_position,
         position=state.position,
         quadric=state.quadric,
-        border=border.numpy(),
+        constrained=constrained,
         stopped=stopped,
         log=log,
     )

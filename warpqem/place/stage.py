@@ -100,20 +100,25 @@ class Placer:
         single = np.flatnonzero((solved == 0) & (np.maximum.reduceat(anchors.weight, anchors.start[:-1]) == 1.0))
         self._copied = single
         self._copied_from = anchors.vertex[_heaviest(anchors)[single]]
-        self._clusters = self._gather_clusters(faces, ordered.border, quadric_scale, anchors, solved)
+        self._clusters = self._gather_clusters(faces, ordered.constrained, quadric_scale, anchors, solved)
         self._corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device)
         self._out_corner_vertex = wp.array(self.faces.ravel(), dtype=wp.int32, device=device)
 
     def _gather_clusters(
-        self, faces: np.ndarray, border: np.ndarray, quadric_scale: np.ndarray, anchors: Anchors, solved: np.ndarray
+        self,
+        faces: np.ndarray,
+        constrained: np.ndarray,
+        quadric_scale: np.ndarray,
+        anchors: Anchors,
+        solved: np.ndarray,
     ) -> kernels.Clusters:
-        """Faces and border edges of each cluster, each once, weighted by its corners there."""
+        """Faces, border and seam edges of each cluster, each once, weighted by its corners there."""
         corner_vertex = faces.ravel()
         corner = np.arange(len(corner_vertex))
         face_start, face, face_weight = sum_repeated(
             self.vertex_map[corner_vertex], corner // 3, quadric_scale[corner_vertex], self._vertex_count
         )
-        half_edge = np.flatnonzero(border)
+        half_edge = np.flatnonzero(constrained)
         ends = np.concatenate([half_edge, half_edge - half_edge % 3 + (half_edge + 1) % 3])
         border_start, border_half_edge, border_weight = sum_repeated(
             self.vertex_map[corner_vertex[ends]],
