@@ -37,29 +37,39 @@ def length_deformation(
     if opposite >= 0:
         right = corner_vertex[previous_corner(opposite)]
     frame_count = trajectory.shape[1]
-    step_sum = wp.float32(0.0)
-    step_square_sum = wp.float32(0.0)
+    # Sums are taken about the first step: the deviation of nearly even steps would drown in their squares otherwise.
+    first_step = wp.float32(0.0)
+    excess_sum = wp.float32(0.0)
+    excess_square_sum = wp.float32(0.0)
     step_max = wp.float32(0.0)
     area = wp.float32(0.0)
-    before = wp.float32(0.0)
+    edge_before = wp.vec3()
+    length_before = wp.float32(0.0)
     for t in range(frame_count):
         p = trajectory[u, t]
         q = trajectory[v, t]
-        length = wp.length(q - p)
+        edge = q - p
+        length = wp.length(edge)
         area += triangle_area(p, q, trajectory[left, t])
         if right >= 0:
             area += triangle_area(p, q, trajectory[right, t])
         if t > 0:
-            step = wp.abs(length - before)
-            step_sum += step
-            step_square_sum += step * step
+            # The difference of the lengths, from the edges' own difference: small steps keep their digits.
+            step = wp.abs(wp.dot(edge - edge_before, edge + edge_before)) / wp.max(length + length_before, LENGTH_NOISE)
+            if t == 1:
+                first_step = step
+            excess = step - first_step
+            excess_sum += excess
+            excess_square_sum += excess * excess
             step_max = wp.max(step_max, step)
-        before = length
+        edge_before = edge
+        length_before = length
     if frame_count < 2:
         return 0.0
     steps = wp.float32(frame_count - 1)
-    mean = step_sum / steps
-    deviation = wp.sqrt(wp.max(step_square_sum / steps - mean * mean, 0.0))
+    mean_excess = excess_sum / steps
+    mean = first_step + mean_excess
+    deviation = wp.sqrt(wp.max(excess_square_sum / steps - mean_excess * mean_excess, 0.0))
     weight = wp.float32(1.0)
     if deviation > LENGTH_NOISE:
         weight = (step_max - mean) / deviation
