@@ -137,16 +137,22 @@ def price_edge(state: MeshState, model: CostModel, h: wp.int32) -> EdgePrice:
 
 
 @wp.kernel
-def price_all_edges(state: MeshState, model: CostModel):
+def price_all_edges(
+    state: MeshState,
+    model: CostModel,
+    half_edge_count: wp.int32,
+    first_lane: wp.int32,
+    stride: wp.int32,
+):
     """Price every edge of the mesh into ``state.edge_cost``."""
-    h = wp.tid()
-    cost = INFINITE_COST
-    if state.corner_vertex[h] >= 0 and is_canonical(
-        state.corner_vertex, state.star_start, state.star_corner, state.vertex_flags, h
-    ):
-        price = price_edge(state, model, h)
-        cost = price.cost
-    state.edge_cost[h] = cost
+    for h in range(first_lane + wp.tid(), half_edge_count, stride):
+        cost = INFINITE_COST
+        if state.corner_vertex[h] >= 0 and is_canonical(
+            state.corner_vertex, state.star_start, state.star_corner, state.vertex_flags, h
+        ):
+            price = price_edge(state, model, h)
+            cost = price.cost
+        state.edge_cost[h] = cost
 
 
 @wp.kernel
@@ -155,13 +161,14 @@ def reprice_moved_stars(
     model: CostModel,
     log: CollapseLog,
     pass_begin: wp.array[wp.int32],
+    first_lane: wp.int32,
     stride: wp.int32,
 ):
     """Price again the edges at each vertex that the last pass moved.
 
     Winners of one pass are never neighbours, so each such edge has exactly one moved end.
     """
-    for i in range(pass_begin[0] + wp.tid(), log.count[0], stride):
+    for i in range(pass_begin[0] + first_lane + wp.tid(), log.count[0], stride):
         u = log.kept[i]
         for j in range(state.star_start[u], state.star_start[u + 1]):
             out = state.star_corner[j]

@@ -17,6 +17,7 @@ from warpqem.kernels import independent_set as set_kernels
 from warpqem.kernels import legality as legality_kernels
 from warpqem.kernels.mesh_state import CollapseLog, CostModel, MeshState
 from warpqem.order.stars import Stars
+from warpqem.parallel import run_parts, thread_count
 
 __all__ = ["Orderer"]
 
@@ -49,6 +50,7 @@ class Orderer:
         self.lanes = 1 if wp.get_device(device).is_cpu else GPU_LANES
         self.log = self._new_log(vertex_count)
         self._recorded: dict[tuple[wp.Kernel, int], wp.Launch] = {}
+        self._recorded_parts: dict[wp.Kernel, list[wp.Launch]] = {}
         self._pass_number = wp.zeros(1, dtype=wp.int32, device=device)
         self._pass_begin = wp.zeros(1, dtype=wp.int32, device=device)
         self._histogram = wp.zeros(HISTOGRAM_BINS, dtype=wp.int32, device=device)
@@ -121,18 +123,35 @@ class Orderer:
                 progress(self.live_faces)
         return "target"
 
+    def _split_sweep(self, kernel: wp.Kernel, inputs: list) -> None:
+        """Sweep with a kernel whose lanes write apart from each other, over all CPU threads."""
+        threads = thread_count(self.device)
+        commands = self._recorded_parts.get(kernel)
+        if commands is None:
+            commands = [
+                wp.launch(
+                    kernel,
+                    dim=self.lanes,
+                    inputs=[*inputs, part, self.lanes * threads],
+                    device=self.device,
+                    record_cmd=True,
+                )
+                for part in range(threads)
+            ]
+            self._recorded_parts[kernel] = commands
+        run_parts([command.launch for command in commands])
+
     def _is_limited(self) -> bool:
         """Whether the error limit holds back an edge: without it more edges have a price than lie asleep."""
         half_edge_count = 3 * self.face_slots
         asleep = np.isfinite(self.state.edge_cost.numpy()[:half_edge_count]).sum()
         self.model.error_limit = np.inf
+        self._recorded_parts.clear()
         self._price_all()
         return bool(np.isfinite(self.state.edge_cost.numpy()[:half_edge_count]).sum() > asleep)
 
     def _price_all(self) -> None:
-        wp.launch(
-            cost_kernels.price_all_edges, dim=3 * self.face_slots, inputs=[self.state, self.model], device=self.device
-        )
+        self._split_sweep(cost_kernels.price_all_edges, [self.state, self.model, 3 * self.face_slots])
 
     def _run_pass(self, target_faces: int, cap_fraction: float) -> int:
         """One pass; the number of collapses made."""
@@ -154,7 +173,7 @@ class Orderer:
             self.live_faces -= int(self.log.faces_removed.numpy()[begin:end].sum())
             self._compact()
             self.stars.build(self.state.corner_vertex, 3 * self.face_slots)
-            self._sweep(cost_kernels.reprice_moved_stars, [self.state, self.model, self.log, self._pass_begin])
+            self._split_sweep(cost_kernels.reprice_moved_stars, [self.state, self.model, self.log, self._pass_begin])
             self._sweep(cost_kernels.wake_neighbourhoods, [self.state, self.log, self._pass_begin])
         return end - begin
 
@@ -235,3 +254,4 @@ class Orderer:
         state.seam, self._spare_seam = self._spare_seam, state.seam
         self.face_slots = self.live_faces
         self._recorded.clear()
+        self._recorded_parts.clear()

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import warp as wp
 
 from warpqem.kernels import plane_quadrics as kernels
 from warpqem.kernels.quadric import Quadric
 from warpqem.order.stars import Stars
+from warpqem.parallel import run_parts, split_range, thread_count
 
 __all__ = ["BORDER_WEIGHT", "constraint_lists", "initial_quadrics"]
 
@@ -55,21 +58,29 @@ def initial_quadrics(
     vertex_count, key_count = position.shape
     face_count = len(corner_vertex) // 3
     normal = wp.empty((face_count, key_count), dtype=wp.vec3, device=device)
-    wp.launch(
-        kernels.weigh_face_normals,
-        dim=(face_count, key_count),
-        inputs=[corner_vertex, position],
-        outputs=[normal],
-        device=device,
-    )
     quadric = wp.empty((vertex_count, key_count), dtype=Quadric, device=device)
-    wp.launch(
-        kernels.gather_vertex_quadrics,
-        dim=(vertex_count, key_count),
-        inputs=[stars.start, stars.corner, normal, quadric_scale],
-        outputs=[quadric],
-        device=device,
-    )
+    threads = thread_count(device)
+
+    def weigh(part: slice) -> None:
+        wp.launch(
+            kernels.weigh_face_normals,
+            dim=(part.stop - part.start, key_count),
+            inputs=[corner_vertex[3 * part.start : 3 * part.stop], position],
+            outputs=[normal[part]],
+            device=device,
+        )
+
+    def gather(part: slice) -> None:
+        wp.launch(
+            kernels.gather_vertex_quadrics,
+            dim=(part.stop - part.start, key_count),
+            inputs=[stars.start[part.start : part.stop + 1], stars.corner, normal, quadric_scale[part]],
+            outputs=[quadric[part]],
+            device=device,
+        )
+
+    run_parts([partial(weigh, part) for part in split_range(face_count, threads)])
+    run_parts([partial(gather, part) for part in split_range(vertex_count, threads)])
     vertex, start, half_edge = constraint_lists(corner_vertex.numpy(), constrained)
     if len(vertex):
         wp.launch(

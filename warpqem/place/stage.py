@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import warp as wp
@@ -15,6 +16,7 @@ from warpqem.kernels import placement as kernels
 from warpqem.mesh_input import AnimatedMesh
 from warpqem.order.quadrics import BORDER_WEIGHT
 from warpqem.order.stage import OrderedMesh
+from warpqem.parallel import run_parts, split_range, thread_count
 from warpqem.place.anchors import Anchors, fit_anchors, nearest_anchors
 from warpqem.place.rows import sum_repeated
 
@@ -146,13 +148,17 @@ class Placer:
         out = wp.empty(shape, dtype=wp.vec3, device=device)
         normal = wp.empty(shape, dtype=wp.vec3, device=device)
         points = wp.array(unit_points, dtype=wp.vec3, device=device, copy=False)
-        wp.launch(
-            kernels.place_vertices,
-            dim=shape,
-            inputs=[points, self._corner_vertex, self._clusters, self._settings.epsilon],
-            outputs=[out, normal],
-            device=device,
-        )
+
+        def place(part: slice) -> None:
+            wp.launch(
+                kernels.place_vertices,
+                dim=(part.stop - part.start, self._vertex_count),
+                inputs=[points[part], self._corner_vertex, self._clusters, self._settings.epsilon],
+                outputs=[out[part], normal[part]],
+                device=device,
+            )
+
+        run_parts([partial(place, part) for part in split_range(frame_count, thread_count(device))])
         flips = wp.zeros(frame_count, dtype=wp.int32, device=device)
         wp.launch(
             kernels.count_flips,

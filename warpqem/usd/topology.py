@@ -20,7 +20,9 @@ class Topology:
     Attributes:
         triangles: int32, shape (N, 3), indices into the authored points, authored winding, all corners different.
         triangle_polygons: int32, shape (N,), the authored face that each triangle is a part of.
+        triangle_corners: int32, shape (N, 3), the entry of faceVertexIndices that each corner is.
         polygon_count: number of authored faces.
+        corner_count: number of entries of faceVertexIndices.
         hole_count: number of authored faces marked as holes; they have no triangles.
         degenerate_count: number of triangles left out because they name a point twice.
         max_corners: corners of the largest authored face.
@@ -28,15 +30,15 @@ class Topology:
 
     triangles: npt.NDArray[np.int32]
     triangle_polygons: npt.NDArray[np.int32]
+    triangle_corners: npt.NDArray[np.int32]
     polygon_count: int
+    corner_count: int
     hole_count: int
     degenerate_count: int
     max_corners: int
 
 
-def fan_triangulate(
-    counts: npt.NDArray[np.int32], indices: npt.NDArray[np.int32]
-) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
+def fan_triangulate(counts: npt.NDArray[np.int32]) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
     """Cut polygons into triangles that share the polygon's first corner.
 
     A polygon `p0 p1 ... pk` becomes `(p0 p1 p2) (p0 p2 p3) ...`, so the winding stays. Polygons with fewer than three
@@ -44,10 +46,10 @@ def fan_triangulate(
 
     Args:
         counts: int32, shape (P,), corners of each polygon, not negative.
-        indices: int32, shape (sum of counts,), vertex of each corner.
 
     Returns:
-        Triangles (int32, shape (N, 3)) and the polygon of each (int32, shape (N,)).
+        The corners of each triangle, counted over all polygons (int32, shape (N, 3)), and its polygon (int32,
+        shape (N,)).
     """
     triangles_per_polygon = np.maximum(counts.astype(np.int64) - 2, 0)
     polygons = np.repeat(np.arange(len(counts)), triangles_per_polygon)
@@ -56,7 +58,7 @@ def fan_triangulate(
     step = np.arange(len(polygons)) - first_triangle[polygons]
     apex = first_corner[polygons]
     corners = np.stack([apex, apex + step + 1, apex + step + 2], axis=1)
-    return indices[corners].astype(np.int32).reshape(-1, 3), polygons.astype(np.int32)
+    return corners.astype(np.int32).reshape(-1, 3), polygons.astype(np.int32)
 
 
 def read_topology(mesh: UsdGeom.Mesh, point_count: int) -> Topology:
@@ -89,16 +91,19 @@ def read_topology(mesh: UsdGeom.Mesh, point_count: int) -> Topology:
             f"{path}.faceVertexIndices: face {face} refers to point {indices[corner]}, "
             f"but there are {point_count} points ({outside.size} such corners)"
         )
-    triangles, polygons = fan_triangulate(counts, indices)
+    corners, polygons = fan_triangulate(counts)
     holes = _hole_faces(mesh, len(counts))
     if holes.size:
         kept = ~np.isin(polygons, holes)
-        triangles, polygons = triangles[kept], polygons[kept]
+        corners, polygons = corners[kept], polygons[kept]
+    triangles = indices[corners]
     proper = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)
     return Topology(
         triangles=triangles[proper],
         triangle_polygons=polygons[proper],
+        triangle_corners=corners[proper],
         polygon_count=len(counts),
+        corner_count=len(indices),
         hole_count=len(holes),
         degenerate_count=int((~proper).sum()),
         max_corners=int(counts.max(initial=0)),

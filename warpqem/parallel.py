@@ -1,0 +1,56 @@
+"""CPU threads: Warp's CPU backend runs a launch on one thread and releases the interpreter's lock meanwhile.
+
+So a long launch is split into as many as there are cores, each over its own part of the work. A GPU needs none of this.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import warp as wp
+
+__all__ = ["run_parts", "split_range", "thread_count"]
+
+
+@functools.cache
+def _core_count() -> int:
+    """Cores this process may use, or WARPQEM_THREADS where that is set (for batches with a process per core)."""
+    if "WARPQEM_THREADS" in os.environ:
+        return max(1, int(os.environ["WARPQEM_THREADS"]))
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@functools.cache
+def _pool() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(_core_count(), thread_name_prefix="warpqem")
+
+
+def thread_count(device: str) -> int:
+    """Threads that long launches on the device are split over: 1 on a GPU."""
+    return _core_count() if wp.get_device(device).is_cpu else 1
+
+
+def split_range(count: int, parts: int) -> list[slice]:
+    """``count`` items in at most ``parts`` consecutive slices of nearly equal length, none empty."""
+    parts = max(1, min(parts, count))
+    ends = [count * k // parts for k in range(parts + 1)]
+    return [slice(a, b) for a, b in itertools.pairwise(ends)]
+
+
+def run_parts(parts: Sequence[Callable[[], object]]) -> None:
+    """Run all parts, at once where there are several; the first error is raised when all have ended."""
+    if len(parts) == 1:
+        parts[0]()
+        return
+    futures = [_pool().submit(part) for part in parts[1:]]
+    try:
+        parts[0]()
+    finally:
+        errors = [future.exception() for future in futures]
+    for error in errors:
+        if error is not None:
+            raise error

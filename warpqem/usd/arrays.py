@@ -1,0 +1,91 @@
+"""Array values of USD attributes as NumPy arrays and back, with all their samples."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from pxr import Sdf, Usd, UsdGeom, Vt
+
+__all__ = [
+    "from_numpy",
+    "is_continuous",
+    "is_normal",
+    "is_quaternion",
+    "primvar_samples",
+    "sample_codes",
+    "to_numpy",
+]
+
+_QUATERNIONS = (Vt.QuathArray, Vt.QuatfArray, Vt.QuatdArray)
+
+
+def sample_codes(*attributes: Usd.Attribute) -> list[Usd.TimeCode]:
+    """Where attributes have values: the default time if one has a default value, then every time sample of any."""
+    codes = []
+    if any(attribute and attribute.Get(Usd.TimeCode.Default()) is not None for attribute in attributes):
+        codes.append(Usd.TimeCode.Default())
+    times = {time for attribute in attributes if attribute for time in attribute.GetTimeSamples()}
+    return codes + [Usd.TimeCode(time) for time in sorted(times)]
+
+
+def to_numpy(value: Any, element_size: int = 1) -> npt.NDArray[Any] | None:
+    """An array value as (elements, ...), or (elements, element_size, ...); None if it is no whole number of elements.
+
+    Quaternions come as (elements, 4) in the order i, j, k, real; strings, tokens and asset paths as objects.
+    """
+    if value is None or not hasattr(value, "__len__") or isinstance(value, str):
+        return None
+    if hasattr(type(value), "FromNumpy"):
+        array = np.array(value)
+    else:
+        array = np.empty(len(value), dtype=object)
+        array[:] = list(value)
+    if element_size == 1:
+        return array
+    if element_size < 1 or len(array) % element_size:
+        return None
+    return array.reshape(-1, element_size, *array.shape[1:])
+
+
+def from_numpy(array: npt.NDArray[Any], like: Any, element_size: int = 1) -> Any:
+    """An array as `to_numpy` gives it, as a Vt array of the type of `like`."""
+    if element_size != 1:
+        array = array.reshape(-1, *array.shape[2:])
+    kind = type(like)
+    if hasattr(kind, "FromNumpy"):
+        return kind.FromNumpy(np.ascontiguousarray(array))
+    return kind(array.tolist())
+
+
+def is_continuous(value: Any) -> bool:
+    """True if values between two entries make sense: real numbers, vectors, matrices, quaternions."""
+    return hasattr(type(value), "FromNumpy") and np.array(value[:1] if len(value) else value).dtype.kind == "f"
+
+
+def is_quaternion(value: Any) -> bool:
+    """True for an array of quaternions."""
+    return isinstance(value, _QUATERNIONS)
+
+
+def is_normal(type_name: Sdf.ValueTypeName) -> bool:
+    """True for unit directions that stand on a surface."""
+    return str(type_name.role) == "Normal"
+
+
+def primvar_samples(primvar: UsdGeom.Primvar) -> dict[Usd.TimeCode, npt.NDArray[Any]] | None:
+    """The values of a primvar without its indices, (elements, ...) at each sample; None if an index has no value."""
+    indices = primvar.GetIndicesAttr()
+    samples = {}
+    for code in sample_codes(primvar.GetAttr(), indices):
+        values = to_numpy(primvar.GetAttr().Get(code), primvar.GetElementSize())
+        if values is None:
+            return None
+        if indices and indices.HasAuthoredValue():
+            index = to_numpy(indices.Get(code))
+            if index is None or (len(index) and (index.min() < 0 or index.max() >= len(values))):
+                return None
+            values = values[index]
+        samples[code] = values
+    return samples

@@ -1,0 +1,177 @@
+"""Find the edges that values on a mesh do not cross: UV seams, hard edges, subset borders, creases."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from pxr import Usd, UsdGeom
+
+from warpqem.edges import edge_key
+from warpqem.usd.arrays import is_normal, primvar_samples, sample_codes, to_numpy
+from warpqem.usd.mesh import MeshSource
+
+__all__ = ["MeshSeams", "find_seams"]
+
+# Normals on two sides of an edge that differ by less than this angle are one smooth shading (cosine of 15 degrees, half
+# the angle at which modelling tools harden edges by default).
+SMOOTH_COSINE = float(np.cos(np.radians(15.0)))
+
+# Values whose seams end or fork at more than this share of the vertices are no islands with borders but values of
+# single faces, as on a flat-shaded mesh. Held closed, such seams would leave next to nothing to simplify.
+DENSE_SHARE = 0.25
+
+Pairs = npt.NDArray[np.int32]
+
+
+@dataclass
+class MeshSeams:
+    """The seams of one mesh as pairs of vertices.
+
+    Attributes:
+        by_name: The seams of each attribute with one value per corner, int32, shape (S, 2).
+        borders: Subset borders and creases, int32, shape (S, 2).
+        dense: Names of the attributes whose seams are too many to be held closed.
+    """
+
+    by_name: dict[str, Pairs] = field(default_factory=dict)
+    borders: Pairs = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int32))
+    dense: list[str] = field(default_factory=list)
+
+    def add(self, name: str, pairs: Pairs, vertex_count: int) -> None:
+        """Add the seams of one attribute."""
+        self.by_name[name] = pairs
+        degree = np.bincount(pairs.ravel(), minlength=vertex_count)
+        if ((degree != 0) & (degree != 2)).sum() > DENSE_SHARE * vertex_count:
+            self.dense.append(name)
+
+    @property
+    def held(self) -> Pairs:
+        """The edges that stay closed polylines during simplification, int32, shape (S, 2)."""
+        parts = [pairs for name, pairs in self.by_name.items() if name not in self.dense]
+        return np.unique(np.concatenate([*parts, self.borders]), axis=0)
+
+
+@dataclass(frozen=True)
+class _InnerEdges:
+    """Edges with two faces; an edge with more has an entry for each pair of consecutive ones.
+
+    Attributes:
+        ends: (E, 2) vertices, lower first.
+        face: (E, 2) the two faces.
+        corner: (E, 2, 2) for each face the corner (0 to 3N) at each end.
+    """
+
+    ends: npt.NDArray[np.int32]
+    face: npt.NDArray[np.int64]
+    corner: npt.NDArray[np.int64]
+
+    @classmethod
+    def of(cls, faces: npt.NDArray[np.int32]) -> _InnerEdges:
+        vertex_count = int(faces.max()) + 1
+        tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+        key = edge_key(tail, head, vertex_count)
+        order = np.argsort(key, kind="stable")
+        pair = np.flatnonzero(key[order[1:]] == key[order[:-1]])
+        half_edges = np.stack([order[pair], order[pair + 1]], axis=1)
+        following = half_edges - half_edges % 3 + (half_edges + 1) % 3
+        upwards = tail[half_edges] < head[half_edges]
+        corner = np.stack([np.where(upwards, half_edges, following), np.where(upwards, following, half_edges)], axis=2)
+        return cls(faces.ravel()[corner[:, 0]].astype(np.int32), half_edges // 3, corner)
+
+    def where(self, chosen: npt.NDArray[np.bool_]) -> Pairs:
+        """The ends of some edges, each edge once."""
+        return np.unique(self.ends[chosen], axis=0).reshape(-1, 2)
+
+    def values_differ(self, values: npt.NDArray[Any], normals: bool) -> npt.NDArray[np.bool_]:
+        """Where values at corners, (3N, ...), differ between the two faces at either end; normals by their angle."""
+        if not normals and values.dtype != object:
+            # Equal values get equal numbers, so that each is compared once and not at every edge.
+            rows = np.ascontiguousarray(values.reshape(len(values), -1) + np.zeros(1, dtype=values.dtype))
+            _, values = np.unique(rows, axis=0, return_inverse=True)
+            values = values.reshape(-1)
+        first, second = values[self.corner[:, 0]], values[self.corner[:, 1]]
+        if normals:
+            first, second = first.astype(np.float64), second.astype(np.float64)
+            lengths = np.linalg.norm(first, axis=-1) * np.linalg.norm(second, axis=-1)
+            return ((first * second).sum(axis=-1) < SMOOTH_COSINE * lengths).any(axis=1)
+        return np.asarray((first != second).reshape(len(first), -1).any(axis=1), dtype=bool)
+
+
+def find_seams(source: MeshSource, faces: npt.NDArray[np.int32]) -> MeshSeams:
+    """The seams of all faceVarying primvars and normals, of face subsets, and the creases.
+
+    Args:
+        source: The mesh.
+        faces: int32, shape (N, 3), its triangles, in the order of `source.topology.triangles`, on whichever vertices
+            the seams are to be named by.
+
+    Returns:
+        The seams. Borders of the surface are none.
+    """
+    seams = MeshSeams()
+    if not len(faces):
+        return seams
+    edges = _InnerEdges.of(faces)
+    for name, samples, normals in _corner_values(source):
+        differ = np.zeros(len(edges.ends), dtype=bool)
+        for values in samples:
+            differ |= edges.values_differ(values, normals)
+        seams.add(name, edges.where(differ), int(faces.max()) + 1)
+    borders = [_subset_borders(source, edges), _creases(source, edges, faces)]
+    seams.borders = np.unique(np.concatenate(borders), axis=0).astype(np.int32)
+    return seams
+
+
+def _corner_values(source: MeshSource) -> list[tuple[str, list[npt.NDArray[Any]], bool]]:
+    """Name, samples on the triangles' corners (3N, ...), and whether they are normals, of all faceVarying attributes."""
+    topology = source.topology
+    corners = topology.triangle_corners.ravel()
+    found = []
+    for primvar in UsdGeom.PrimvarsAPI(source.prim).GetPrimvarsWithAuthoredValues():
+        samples = primvar_samples(primvar)
+        if primvar.GetInterpolation() != UsdGeom.Tokens.faceVarying or samples is None:
+            continue
+        if all(len(values) == topology.corner_count for values in samples.values()):
+            normals = is_normal(primvar.GetTypeName()) or primvar.GetPrimvarName() == "normals"
+            values = [values[corners] for values in samples.values()]
+            found.append((primvar.GetAttr().GetName(), values, normals))
+    attribute = source.mesh.GetNormalsAttr()
+    if attribute.HasAuthoredValue() and source.mesh.GetNormalsInterpolation() == UsdGeom.Tokens.faceVarying:
+        arrays = [to_numpy(attribute.Get(code)) for code in sample_codes(attribute)]
+        if all(array is not None and len(array) == topology.corner_count for array in arrays):
+            found.append(("normals", [array[corners] for array in arrays if array is not None], True))
+    return found
+
+
+def _subset_borders(source: MeshSource, edges: _InnerEdges) -> Pairs:
+    label = np.zeros(source.topology.polygon_count, dtype=np.int64)
+    for subset in UsdGeom.Subset.GetAllGeomSubsets(source.mesh):
+        if subset.GetElementTypeAttr().Get() != UsdGeom.Tokens.face:
+            continue
+        for code in sample_codes(subset.GetIndicesAttr()):
+            members = np.asarray(subset.GetIndicesAttr().Get(code), dtype=np.int64)
+            member = np.zeros(len(label), dtype=np.int64)
+            member[members[(members >= 0) & (members < len(label))]] = 1
+            _, label = np.unique(2 * label + member, return_inverse=True)
+    face_label = label[source.topology.triangle_polygons]
+    return edges.where(face_label[edges.face[:, 0]] != face_label[edges.face[:, 1]])
+
+
+def _creases(source: MeshSource, edges: _InnerEdges, faces: npt.NDArray[np.int32]) -> Pairs:
+    indices = np.asarray(source.mesh.GetCreaseIndicesAttr().Get(Usd.TimeCode.EarliestTime()) or [], dtype=np.int64)
+    lengths = np.asarray(source.mesh.GetCreaseLengthsAttr().Get(Usd.TimeCode.EarliestTime()) or [], dtype=np.int64)
+    inside = len(indices) and indices.min() >= 0 and indices.max() < source.point_count
+    if not inside or lengths.sum() != len(indices):
+        return np.zeros((0, 2), dtype=np.int32)
+    vertex_of_point = np.full(source.point_count, -1, dtype=np.int64)
+    vertex_of_point[source.topology.triangles.ravel()] = faces.ravel()
+    chain = np.repeat(np.arange(len(lengths)), lengths)
+    within = chain[1:] == chain[:-1]
+    tail, head = vertex_of_point[indices[:-1][within]], vertex_of_point[indices[1:][within]]
+    used = (tail >= 0) & (head >= 0)
+    vertex_count = int(faces.max()) + 1
+    wanted = edge_key(tail[used], head[used], vertex_count)
+    return edges.where(np.isin(edge_key(edges.ends[:, 0], edges.ends[:, 1], vertex_count), wanted))
