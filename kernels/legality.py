@@ -94,7 +94,8 @@ def is_flip(old_normal: wp.vec3, new_normal: wp.vec3) -> wp.bool:
     if old_square <= NO_AREA:
         return False
     d = wp.dot(old_normal, new_normal)
-    return d <= 0.0 or d * d <= TURN_COSINE * TURN_COSINE * old_square * wp.dot(new_normal, new_normal)
+    # cos^2 = d^2 / (old new), divided before it is multiplied: d^2 of a small face would vanish in float32.
+    return d <= 0.0 or d / old_square * d <= TURN_COSINE * TURN_COSINE * wp.dot(new_normal, new_normal)
 
 
 @wp.func

@@ -27,8 +27,8 @@ def choose_key_frames(points: np.ndarray, count: int) -> np.ndarray:
     if count >= frame_count:
         return np.arange(frame_count)
     step = max(1, vertex_count // SAMPLED_VERTICES)
-    sample = points[:, ::step].astype(np.float64)
-    sample -= sample.mean(axis=1, keepdims=True)
+    sample = points[:, ::step]
+    sample = sample - sample.mean(axis=1, keepdims=True)
     distance = np.full(frame_count, np.inf)
     chosen = [0]
     while len(chosen) < count:

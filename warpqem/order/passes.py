@@ -87,8 +87,8 @@ class Orderer:
     def _sweep(self, kernel: wp.Kernel, inputs: list, outputs: list | None = None) -> None:
         """Launch a kernel that walks a list of a length known to the device only.
 
-        The launch is recorded: until the next compaction, arguments change only by which of the two candidate lists
-        comes first, and a replay costs a fifth of a launch.
+        The launch is recorded: its arguments change only by which of the two candidate lists comes first, and for two
+        kernels at a compaction. A replay costs a fifth of a launch.
         """
         key = (kernel, self._candidates[0].half_edge.ptr)
         command = self._recorded.get(key)
@@ -249,9 +249,11 @@ class Orderer:
             outputs=[self._spare_corner_vertex, self._spare_edge_cost, self._spare_seam],
             device=self.device,
         )
-        state.corner_vertex, self._spare_corner_vertex = self._spare_corner_vertex, state.corner_vertex
-        state.edge_cost, self._spare_edge_cost = self._spare_edge_cost, state.edge_cost
-        state.seam, self._spare_seam = self._spare_seam, state.seam
         self.face_slots = self.live_faces
-        self._recorded.clear()
-        self._recorded_parts.clear()
+        # Copied back, not swapped: the recorded launches hold these arrays.
+        half_edge_count = 3 * self.face_slots
+        wp.copy(state.corner_vertex, self._spare_corner_vertex, count=half_edge_count)
+        wp.copy(state.edge_cost, self._spare_edge_cost, count=half_edge_count)
+        wp.copy(state.seam, self._spare_seam, count=half_edge_count)
+        for kernel in (set_kernels.count_costs, set_kernels.collect_candidates):
+            self._recorded = {key: command for key, command in self._recorded.items() if key[0] is not kernel}

@@ -29,9 +29,15 @@ def sum_repeated(
     Returns:
         ``start`` (R+1,) int32, ``item`` int32 ascending within a row, ``weight`` float32.
     """
-    item_count = int(item.max(initial=0)) + 1
-    key, inverse = np.unique(row.astype(np.int64) * item_count + item, return_inverse=True)
-    total = np.bincount(inverse, weights=weight, minlength=len(key))
     start = np.zeros(row_count + 1, dtype=np.int32)
+    if len(row) == 0:
+        return start, np.zeros(0, dtype=np.int32), np.zeros(0, dtype=np.float32)
+    item_count = int(item.max()) + 1
+    key = row.astype(np.int64) * item_count + item
+    order = np.argsort(key)
+    key = key[order]
+    first = np.flatnonzero(np.append(True, key[1:] != key[:-1]))
+    key = key[first]
+    total = np.add.reduceat(weight[order].astype(np.float64), first)
     np.cumsum(np.bincount(key // item_count, minlength=row_count), out=start[1:])
     return start, (key % item_count).astype(np.int32), total.astype(np.float32)
