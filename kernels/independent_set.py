@@ -59,12 +59,13 @@ def claim_key(state: MeshState, h: wp.int32) -> wp.int64:
 def count_costs(
     edge_cost_in: wp.array[wp.float32],
     half_edge_count: wp.int32,
+    sample_step: wp.int32,
     stride: wp.int32,
     # outputs
     histogram_out: wp.array[wp.int32],
 ):
-    """Histogram of the costs of all candidate edges."""
-    for h in range(wp.tid(), half_edge_count, stride):
+    """Histogram of the costs of the candidate edges at every ``sample_step``-th half-edge."""
+    for h in range(wp.tid() * sample_step, half_edge_count, stride * sample_step):
         cost = edge_cost_in[h]
         if is_candidate_cost(cost):
             wp.atomic_add(histogram_out, cost_bin(cost), 1)

@@ -27,7 +27,7 @@ Progress = Callable[[float, str], None]
 # Part of the progress that ordering takes; placing takes the rest.
 ORDER_SHARE = 0.7
 # Ordering follows the material no more stiffly than this: beyond it the order loses shape and gains no steadiness.
-ORDER_EPSILON = 0.1
+ORDER_EPSILON = 0.05
 
 
 @dataclass(frozen=True)
@@ -175,8 +175,8 @@ def _epsilon(coherence: float) -> float:
 
 
 def _regularisation(coherence: float) -> float:
-    """Pull of anchor weights towards equal ones: 0.01 at coherence 0, 0.1 at one half, 1 at 1."""
-    return 10.0 ** (2.0 * coherence - 2.0)
+    """Pull of anchor weights towards equal ones: 0.005 at coherence 0, 0.05 at one half, 0.5 at 1."""
+    return 0.005 * 100.0**coherence
 
 
 def _check_options(

@@ -33,6 +33,10 @@ LIVE_FRACTION = 0.7
 # A face may turn over in this part of the key frames (crumpling motion); 1 of 16.
 FLIP_FRACTION = 0.07
 HISTOGRAM_BINS = 4096
+# The cap is read off every so many half-edges (a step without the factor 3 sees all corners alike), but off all of them
+# where the sample would hold fewer than so many: the cap need not be exact, only the same on every run.
+SAMPLE_STEP = 7
+LEAST_SAMPLE = 2048
 # On a GPU a work list of unknown length is walked by this many lanes: enough to fill any device of today.
 GPU_LANES = 65536
 
@@ -185,9 +189,12 @@ class Orderer:
             wanted = max(LEAST_CANDIDATES, min(wanted, remaining // 2))
         candidates = self._candidates[0]
         candidates.count.zero_()
-        self._sweep(set_kernels.count_costs, [self.state.edge_cost, half_edge_count], [self._histogram])
+        # After a pass without a winner every edge counts: the few that are awake may be missing from a sample.
+        sampled = cap_fraction == CAP_FRACTION and half_edge_count >= SAMPLE_STEP * LEAST_SAMPLE
+        step = SAMPLE_STEP if sampled else 1
+        self._sweep(set_kernels.count_costs, [self.state.edge_cost, half_edge_count, step], [self._histogram])
         wp.launch(
-            set_kernels.find_cap, dim=1, inputs=[wanted], outputs=[self._histogram, self._cap], device=self.device
+            set_kernels.find_cap, dim=1, inputs=[max(1, wanted // step)], outputs=[self._histogram, self._cap], device=self.device
         )
         self._sweep(set_kernels.collect_candidates, [self.state.edge_cost, half_edge_count, self._cap], [candidates])
         return int(candidates.count.numpy()[0])

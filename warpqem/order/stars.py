@@ -39,8 +39,10 @@ class Stars:
             outputs=[self._cursor, self.corner],
             device=device,
         )
-        vertex_count = len(self.start) - 1
-        wp.launch(kernels.sort_stars, dim=vertex_count, inputs=[self.start], outputs=[self.corner], device=device)
+        # One CPU thread fills the lists in ascending order; on a GPU threads arrive in any order.
+        if not wp.get_device(device).is_cpu:
+            vertex_count = len(self.start) - 1
+            wp.launch(kernels.sort_stars, dim=vertex_count, inputs=[self.start], outputs=[self.corner], device=device)
 
 
 def build_stars(corner_vertex: wp.array, vertex_count: int) -> Stars:
