@@ -79,7 +79,7 @@ def commit_winners(
     mask: wp.array[wp.int32],
     log: CollapseLog,
 ):
-    """Collapse and log the legal winners, those that remove faces. The lower vertex is kept, the other removed."""
+    """Collapse and log the legal winners, those that remove faces. The lower vertex is kept, or the locked one."""
     for i in range(wp.tid(), winners.count[0], stride):
         if faces_removed_in[i] > 0:
             h = winners.half_edge[i]

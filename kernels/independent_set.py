@@ -1,8 +1,9 @@
 """The independent set of collapses of one round: cap, candidates, claim.
 
 An edge wins when its 64-bit key (cost bits, then a shuffled index) is the smallest at every vertex of its closed
-neighbourhood. Then no two winners' face stars touch, and the batch equals the same collapses made one after another
-in any order.
+neighbourhood. Then no vertex of a winner is a neighbour of another winner's, so no two winners share a face; they may
+share a ring vertex, whose fan loses a face to each but keeps those between them. So the batch equals the same collapses
+made one after another in any order.
 """
 
 import warp as wp

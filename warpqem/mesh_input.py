@@ -22,6 +22,7 @@ class AnimatedMesh:
         points: (F, V, 3) float32, the caller's coordinates minus ``origin``.
         faces: (N, 3) int32 without faces that use a vertex twice.
         face_index: (N,) int32, the caller's index of each face.
+        used: (V,) bool, vertices with a face.
         origin: (3,) float64, taken off before the points were rounded to float32.
         centre: (3,) float32, middle of the bounding box of all frames, about ``origin``.
         diagonal: largest bounding-box diagonal of a frame, in the caller's units.
@@ -30,6 +31,7 @@ class AnimatedMesh:
     points: np.ndarray
     faces: np.ndarray
     face_index: np.ndarray
+    used: np.ndarray
     origin: np.ndarray
     centre: np.ndarray
     diagonal: float
@@ -61,10 +63,11 @@ def as_numpy(array: Any) -> np.ndarray:
         return array
     if isinstance(array, wp.array):
         return array.numpy()
-    if hasattr(array, "__array_interface__") or hasattr(array, "__array__"):
+    if hasattr(array, "__array_interface__"):
         return np.asarray(array)
     if hasattr(array, "__cuda_array_interface__"):
         return wp.array(array, copy=False).numpy()
+    # Before __array__, which tensors on a GPU have only to raise from it.
     if hasattr(array, "__dlpack__"):
         return wp.from_dlpack(array).numpy()
     return np.asarray(array)
@@ -87,30 +90,34 @@ def read_mesh(points: Any, faces: Any = None) -> AnimatedMesh:
         raise OptionError("faces (N, 3) are missing")
     p = _checked_points(as_numpy(points))
     f, face_index = _checked_faces(as_numpy(faces), p.shape[1])
+    used = np.zeros(p.shape[1], dtype=bool)
+    used[f] = True
+    low, high = _frame_bounds(p)
+    if not max(np.abs(low).max(), np.abs(high).max()) <= np.finfo(np.float32).max:
+        raise _non_finite(p)
     origin = np.zeros(3)
     if p.dtype != np.float32:
         # float64 coordinates far from the origin keep their precision when the offset goes first.
-        origin = p[0].mean(axis=0, dtype=np.float64)
+        origin = p[0, used].mean(axis=0)
         p = (p - origin).astype(np.float32)
-    low, high = _frame_bounds(p)
-    if not (np.isfinite(low).all() and np.isfinite(high).all()):
-        raise _non_finite(p)
+    # A vertex without a face has no say in the mesh's size.
+    low, high = _frame_bounds(p if used.all() else p[:, used])
     diagonal = float(np.linalg.norm(high.astype(np.float64) - low, axis=1).max())
     if not 0.0 < diagonal < np.inf:
         raise DegenerateMeshError(f"the mesh has no extent: its bounding-box diagonal is {diagonal:g} in every frame")
     centre = ((low.min(axis=0).astype(np.float64) + high.max(axis=0)) / 2).astype(np.float32)
-    return AnimatedMesh(np.ascontiguousarray(p), f, face_index, origin, centre, diagonal)
+    return AnimatedMesh(np.ascontiguousarray(p), f, face_index, used, origin, centre, diagonal)
 
 
 def _checked_points(points: np.ndarray) -> np.ndarray:
     if points.dtype.kind not in "fiu":
         raise MeshShapeError(f"points must be real numbers, got dtype {points.dtype}")
-    if points.ndim == 2:
-        points = points[None]
-    if points.ndim != 3 or points.shape[2] != 3:
+    if points.ndim not in (2, 3) or points.shape[-1] != 3:
         raise MeshShapeError(f"points must have shape (F, V, 3) or (V, 3), got {points.shape}")
     if 0 in points.shape:
         raise DegenerateMeshError(f"points are empty: shape {points.shape}")
+    if points.ndim == 2:
+        points = points[None]
     return points if points.dtype == np.float32 else points.astype(np.float64)
 
 
@@ -153,7 +160,7 @@ def _frame_bounds(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _non_finite(points: np.ndarray) -> NonFinitePointError:
-    bad = ~np.isfinite(points)
+    bad = ~(np.abs(points) <= np.finfo(np.float32).max)
     frame, vertex, axis = np.argwhere(bad)[0]
     return NonFinitePointError(
         f"point of vertex {vertex} in frame {frame} has {'xyz'[axis]} = {points[frame, vertex, axis]} "

@@ -13,14 +13,19 @@ from concurrent.futures import ThreadPoolExecutor
 
 import warp as wp
 
+from warpqem.errors import OptionError
+
 __all__ = ["run_parts", "split_range", "thread_count"]
 
 
 @functools.cache
 def _core_count() -> int:
     """Cores this process may use, or WARPQEM_THREADS where that is set (for batches with a process per core)."""
-    if "WARPQEM_THREADS" in os.environ:
-        return max(1, int(os.environ["WARPQEM_THREADS"]))
+    asked = os.environ.get("WARPQEM_THREADS")
+    if asked is not None:
+        if not asked.isdecimal() or int(asked) < 1:
+            raise OptionError(f"WARPQEM_THREADS must be a whole number of at least 1, got {asked!r}")
+        return int(asked)
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

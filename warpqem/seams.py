@@ -44,6 +44,9 @@ def read_seams(seams: Any, faces: np.ndarray, vertex_count: int) -> Seams:
     ends = as_numpy(seams)
     if ends.ndim != 2 or ends.shape[1] != 2 or ends.dtype.kind not in "iu":
         raise MeshShapeError(f"seams must be (S, 2) vertex indices, got shape {ends.shape} dtype {ends.dtype}")
+    outside = (ends < 0) | (ends >= vertex_count)
+    if outside.any():
+        raise OptionError(f"seams name vertex {ends[outside][0]}, but there are {vertex_count} vertices")
     tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     key, index, count = np.unique(edge_key(tail, head, vertex_count), return_inverse=True, return_counts=True)
     wanted = np.unique(edge_key(ends[:, 0], ends[:, 1], vertex_count))

@@ -28,6 +28,8 @@ Progress = Callable[[float, str], None]
 ORDER_SHARE = 0.7
 # Ordering follows the material no more stiffly than this: beyond it the order loses shape and gains no steadiness.
 ORDER_EPSILON = 0.05
+# Weights above this would leave float32 no room for costs, which then count as forbidden.
+MOST_WEIGHT = 1e12
 
 
 @dataclass(frozen=True)
@@ -97,7 +99,7 @@ def simplify(
         coherence: 0 (every frame its own best fit) to 1 (vertices stay on the material).
         key_frames: how many frames decide the order, chosen by their pose; None for all.
         placement: "optimal", or "endpoint" to use vertices of the input only.
-        vertex_weights: (V,) finite factors >= 0 on the cost at each vertex.
+        vertex_weights: (V,) factors from 0 to 1e12 on the cost at each vertex.
         locked: (V,) bool, or indices, of vertices that keep their position in every frame.
         seams: (S, 2) vertex pairs: edges that values on the surface do not cross, such as UV seams. They stay closed
             polylines of edges near where they were; vertices where they end, fork or meet a border keep their position.
@@ -189,16 +191,20 @@ def _check_options(
         raise OptionError(f"ratio {ratio} and target_faces {target_faces} exclude each other")
     if ratio is not None and not 0.0 < ratio <= 1.0:
         raise OptionError(f"ratio must be in (0, 1], got {ratio}")
-    if target_faces is not None and (target_faces != int(target_faces) or target_faces < 1):
+    if target_faces is not None and not _is_count(target_faces):
         raise OptionError(f"target_faces must be a whole number of at least 1, got {target_faces}")
     if max_error is not None and not 0.0 < max_error < math.inf:
         raise OptionError(f"max_error must be a positive number of % of the diagonal, got {max_error}")
     if not 0.0 <= coherence <= 1.0:
         raise OptionError(f"coherence must be in [0, 1], got {coherence}")
-    if key_frames is not None and (key_frames != int(key_frames) or key_frames < 1):
+    if key_frames is not None and not _is_count(key_frames):
         raise OptionError(f"key_frames must be a whole number of at least 1, got {key_frames}")
     if placement not in ("optimal", "endpoint"):
         raise OptionError(f"placement must be 'optimal' or 'endpoint', got {placement!r}")
+
+
+def _is_count(value: float) -> bool:
+    return math.isfinite(value) and value == int(value) and value >= 1
 
 
 def _goal(face_count: int, ratio: float | None, target_faces: int | None, max_error: float | None) -> _Goal:
@@ -233,22 +239,28 @@ def _cost_weights(spec: CostModelSpec, mesh: AnimatedMesh, vertex_weights: Any, 
     if vertex_weights is None:
         return weights
     own = as_vertex_values(vertex_weights, "vertex_weights", mesh.vertex_count)
-    if own.min() < 0:
-        vertex = int(own.argmin())
-        raise OptionError(f"vertex_weights must not be negative, got {own[vertex]} at vertex {vertex}")
+    outside = np.flatnonzero((own < 0) | (own > MOST_WEIGHT))
+    if len(outside):
+        vertex = int(outside[0])
+        raise OptionError(
+            f"vertex_weights must be in [0, {MOST_WEIGHT:g}], got {own[vertex]} at vertex {vertex}; "
+            "use locked for vertices that must not move"
+        )
     return weights * own
 
 
 def _key_frames(spec: CostModelSpec, mesh: AnimatedMesh, key_frames: int | None) -> np.ndarray:
     if spec.single_frame:
         return np.zeros(1, dtype=np.int64)
-    return choose_key_frames(mesh.points, mesh.frame_count if key_frames is None else int(key_frames))
+    points = mesh.points if mesh.used.all() else mesh.points[:, mesh.used]
+    return choose_key_frames(points, mesh.frame_count if key_frames is None else int(key_frames))
 
 
 def _order_progress(progress: Progress | None, face_count: int, target: int) -> Callable[[int], None] | None:
     if progress is None:
         return None
-    return lambda live: progress(ORDER_SHARE * (face_count - live) / max(1, face_count - target), "order")
+    # The last collapse may take one face more than asked for.
+    return lambda live: progress(ORDER_SHARE * min(1.0, (face_count - live) / max(1, face_count - target)), "order")
 
 
 def _place_progress(progress: Progress | None, frame_count: int) -> Callable[[int], None] | None:

@@ -53,8 +53,8 @@ class Orderer:
         self.flip_tolerance = int(FLIP_FRACTION * key_count)
         self.lanes = 1 if wp.get_device(device).is_cpu else GPU_LANES
         self.log = self._new_log(vertex_count)
-        self._recorded: dict[tuple[wp.Kernel, int], wp.Launch] = {}
-        self._recorded_parts: dict[wp.Kernel, list[wp.Launch]] = {}
+        self._recorded: dict[tuple, wp.Launch] = {}
+        self._recorded_parts: dict[tuple, list[wp.Launch]] = {}
         self._pass_number = wp.zeros(1, dtype=wp.int32, device=device)
         self._pass_begin = wp.zeros(1, dtype=wp.int32, device=device)
         self._histogram = wp.zeros(HISTOGRAM_BINS, dtype=wp.int32, device=device)
@@ -91,10 +91,10 @@ class Orderer:
     def _sweep(self, kernel: wp.Kernel, inputs: list, outputs: list | None = None) -> None:
         """Launch a kernel that walks a list of a length known to the device only.
 
-        The launch is recorded: its arguments change only by which of the two candidate lists comes first, and for two
-        kernels at a compaction. A replay costs a fifth of a launch.
+        The launch is recorded, and a replay costs a fifth of a launch. Its arrays stay the same, but for which of the
+        two candidate lists comes first; whole numbers among its inputs may change.
         """
-        key = (kernel, self._candidates[0].half_edge.ptr)
+        key = (kernel, self._candidates[0].half_edge.ptr, *(x for x in inputs if isinstance(x, int)))
         command = self._recorded.get(key)
         if command is None:
             command = wp.launch(
@@ -118,10 +118,10 @@ class Orderer:
         self._price_all()
         cap_fraction = CAP_FRACTION
         while self.live_faces > target_faces:
-            collapsed = self._run_pass(target_faces, cap_fraction)
-            if collapsed == 0 and cap_fraction >= 1.0:
+            candidate_count, collapsed = self._run_pass(target_faces, cap_fraction)
+            if candidate_count == 0 and cap_fraction >= 1.0:
                 return "max_error" if self._is_limited() else "no legal collapse"
-            # No winner under the cap: look further, at all edges before giving up.
+            # No legal winner under the cap: look further, at all edges, until every one has been refused.
             cap_fraction = CAP_FRACTION if collapsed else min(1.0, 4.0 * cap_fraction)
             if progress:
                 progress(self.live_faces)
@@ -130,7 +130,8 @@ class Orderer:
     def _split_sweep(self, kernel: wp.Kernel, inputs: list) -> None:
         """Sweep with a kernel whose lanes write apart from each other, over all CPU threads."""
         threads = thread_count(self.device)
-        commands = self._recorded_parts.get(kernel)
+        key = (kernel, *(x for x in inputs if isinstance(x, int)))
+        commands = self._recorded_parts.get(key)
         if commands is None:
             commands = [
                 wp.launch(
@@ -142,11 +143,14 @@ class Orderer:
                 )
                 for part in range(threads)
             ]
-            self._recorded_parts[kernel] = commands
+            self._recorded_parts[key] = commands
         run_parts([command.launch for command in commands])
 
     def _is_limited(self) -> bool:
-        """Whether the error limit holds back an edge: without it more edges have a price than lie asleep."""
+        """Whether the error limit holds back an edge: without it more edges have a price than lie asleep.
+
+        Lifts the limit and prices all edges anew, so nothing may collapse after it.
+        """
         half_edge_count = 3 * self.face_slots
         asleep = np.isfinite(self.state.edge_cost.numpy()[:half_edge_count]).sum()
         self.model.error_limit = np.inf
@@ -157,8 +161,8 @@ class Orderer:
     def _price_all(self) -> None:
         self._split_sweep(cost_kernels.price_all_edges, [self.state, self.model, 3 * self.face_slots])
 
-    def _run_pass(self, target_faces: int, cap_fraction: float) -> int:
-        """One pass; the number of collapses made."""
+    def _run_pass(self, target_faces: int, cap_fraction: float) -> tuple[int, int]:
+        """One pass; the numbers of candidates and of collapses made."""
         self.pass_index += 1
         self._pass_number.fill_(self.pass_index)
         remaining = self.live_faces - target_faces
@@ -179,7 +183,7 @@ class Orderer:
             self.stars.build(self.state.corner_vertex, 3 * self.face_slots)
             self._split_sweep(cost_kernels.reprice_moved_stars, [self.state, self.model, self.log, self._pass_begin])
             self._sweep(cost_kernels.wake_neighbourhoods, [self.state, self.log, self._pass_begin])
-        return end - begin
+        return candidate_count, end - begin
 
     def _collect_candidates(self, remaining: int, cap_fraction: float) -> int:
         """Fill the list of candidates with the cheapest edges; their number."""
@@ -194,7 +198,11 @@ class Orderer:
         step = SAMPLE_STEP if sampled else 1
         self._sweep(set_kernels.count_costs, [self.state.edge_cost, half_edge_count, step], [self._histogram])
         wp.launch(
-            set_kernels.find_cap, dim=1, inputs=[max(1, wanted // step)], outputs=[self._histogram, self._cap], device=self.device
+            set_kernels.find_cap,
+            dim=1,
+            inputs=[max(1, wanted // step)],
+            outputs=[self._histogram, self._cap],
+            device=self.device,
         )
         self._sweep(set_kernels.collect_candidates, [self.state.edge_cost, half_edge_count, self._cap], [candidates])
         return int(candidates.count.numpy()[0])
@@ -262,5 +270,3 @@ class Orderer:
         wp.copy(state.corner_vertex, self._spare_corner_vertex, count=half_edge_count)
         wp.copy(state.edge_cost, self._spare_edge_cost, count=half_edge_count)
         wp.copy(state.seam, self._spare_seam, count=half_edge_count)
-        for kernel in (set_kernels.count_costs, set_kernels.collect_candidates):
-            self._recorded = {key: command for key, command in self._recorded.items() if key[0] is not kernel}

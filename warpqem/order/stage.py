@@ -14,7 +14,7 @@ from warpqem.order.passes import Orderer
 from warpqem.order.quadrics import initial_quadrics
 from warpqem.order.stars import build_stars, classify_vertices
 
-__all__ = ["OrderSettings", "OrderedMesh", "order_collapses"]
+__all__ = ["OrderInput", "OrderSettings", "OrderedMesh", "order_collapses"]
 
 
 @dataclass(frozen=True)
@@ -48,6 +48,7 @@ class OrderedMesh:
         position: (V, K) vec3, where ordering put the kept vertices.
         quadric: (V, K) Quadric of each kept vertex's cluster, about ``position``.
         constrained: (3N,) int32, 1 at the input's border and seam half-edges.
+        on_line: (V,) bool, input vertices on a border or seam.
         stopped: "target", "max_error" or "no legal collapse".
         log: the collapses.
     """
@@ -59,6 +60,7 @@ class OrderedMesh:
     position: wp.array
     quadric: wp.array
     constrained: np.ndarray
+    on_line: np.ndarray
     stopped: str
     log: CollapseRecord
 
@@ -107,7 +109,9 @@ def order_collapses(
     model.epsilon = settings.epsilon
     model.endpoint = int(settings.endpoint)
     model.error_limit = settings.error_limit**2
-    model.deformation_weight = settings.deformation_weight
+    # The term sums over all frames, the quadrics over the key frames: brought to the same number of frames.
+    key_count, frame_count = len(mesh.key_points), 1 if mesh.trajectories is None else len(mesh.trajectories)
+    model.deformation_weight = settings.deformation_weight * key_count / frame_count
 
     orderer = Orderer(state, stars, model, len(mesh.faces), device)
     stopped = orderer.run(settings.target_faces, progress)
@@ -126,6 +130,16 @@ def order_collapses(
         position=state.position,
         quadric=state.quadric,
         constrained=constrained,
+        on_line=_ends(mesh.faces, constrained, vertex_count),
         stopped=stopped,
         log=log,
     )
+
+
+def _ends(faces: np.ndarray, half_edge_flags: np.ndarray, vertex_count: int) -> np.ndarray:
+    """(V,) bool, vertices at an end of a flagged half-edge."""
+    flagged = half_edge_flags.reshape(-1, 3) != 0
+    ends = np.zeros(vertex_count, dtype=bool)
+    ends[faces[flagged]] = True
+    ends[np.roll(faces, -1, axis=1)[flagged]] = True
+    return ends

@@ -46,7 +46,7 @@ def nearest_members(ordered: OrderedMesh, cluster: np.ndarray, cluster_count: in
         outputs=[distance],
         device=device,
     )
-    vertex = np.flatnonzero(cluster >= 0)
+    vertex = np.flatnonzero(_may_anchor(ordered, cluster, cluster_count))
     order = np.lexsort((distance.numpy()[vertex], cluster[vertex]))
     vertex = vertex[order]
     size = np.bincount(cluster[vertex], minlength=cluster_count)
@@ -55,6 +55,14 @@ def nearest_members(ordered: OrderedMesh, cluster: np.ndarray, cluster_count: in
     size = np.minimum(size, most)
     start = np.concatenate([[0], np.cumsum(size)]).astype(np.int32)
     return Anchors(start, vertex.astype(np.int32), np.repeat(1.0 / size, size).astype(np.float32))
+
+
+def _may_anchor(ordered: OrderedMesh, cluster: np.ndarray, cluster_count: int) -> np.ndarray:
+    """(V,) bool: in a cluster with vertices on a border or seam these alone hold the anchor, so that it stays there."""
+    on_line = ordered.on_line & (cluster >= 0)
+    has_line = np.zeros(cluster_count, dtype=bool)
+    has_line[cluster[on_line]] = True
+    return (cluster >= 0) & (on_line | ~has_line[cluster])
 
 
 def nearest_anchors(ordered: OrderedMesh, cluster: np.ndarray, cluster_count: int) -> Anchors:

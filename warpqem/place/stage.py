@@ -190,7 +190,11 @@ def _heaviest(anchors: Anchors) -> np.ndarray:
 
 
 def _pin(anchors: Anchors, kept: np.ndarray, pinned: np.ndarray) -> Anchors:
-    """Give the pinned vertices among an anchor's members all its weight."""
+    """Anchor each pinned vertex to itself alone, also where it is not among the nearest members of its cluster."""
+    vertex, weight = anchors.vertex.copy(), anchors.weight.copy()
     cluster = np.repeat(np.arange(len(kept)), np.diff(anchors.start))
-    weight = np.where(pinned[kept][cluster], (anchors.vertex == kept[cluster]).astype(np.float32), anchors.weight)
-    return Anchors(anchors.start, anchors.vertex, weight)
+    weight[pinned[kept][cluster]] = 0.0
+    first = anchors.start[:-1][pinned[kept]]
+    vertex[first] = kept[pinned[kept]]
+    weight[first] = 1.0
+    return Anchors(anchors.start, vertex, weight)

@@ -1,0 +1,76 @@
+"""A mesh on a device, ready for the kernels of one pass."""
+
+import numpy as np
+import warp as wp
+
+from warpqem.kernels.independent_set import EdgeList
+from warpqem.kernels.mesh_state import CollapseLog, CostModel, MeshState
+from warpqem.order.quadrics import initial_quadrics
+from warpqem.order.stars import build_stars, classify_vertices
+
+
+def vertex_major(points, device) -> wp.array:
+    """(V, F) vec3 from (F, V, 3)."""
+    return wp.array(np.ascontiguousarray(points.transpose(1, 0, 2)), dtype=wp.vec3, device=device)
+
+
+def build_state(points, faces, device, locked=(), cost_weight=None, with_trajectory=False) -> MeshState:
+    """State of points (K, V, 3) or (V, 3), taken as they are, and faces; every frame is a key frame."""
+    points = points[None] if points.ndim == 2 else points
+    vertex_count = points.shape[1]
+    state = MeshState()
+    state.corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device)
+    stars = build_stars(state.corner_vertex, vertex_count)
+    state.star_start, state.star_corner = stars.start, stars.corner
+    flags = np.zeros(vertex_count, dtype=np.int32)
+    flags[list(locked)] = 2
+    state.vertex_flags = wp.array(flags, device=device)
+    border = classify_vertices(state.corner_vertex, stars, state.vertex_flags)
+    state.position = vertex_major(points, device)
+    ones = wp.ones(vertex_count, dtype=wp.float32, device=device)
+    state.quadric = initial_quadrics(state.corner_vertex, stars, border.numpy(), state.position, ones)
+    weight = np.ones(vertex_count) if cost_weight is None else np.asarray(cost_weight)
+    state.cost_weight = wp.array(weight, dtype=wp.float32, device=device)
+    state.edge_cost = wp.zeros(faces.size, dtype=wp.float32, device=device)
+    state.seam = wp.zeros(faces.size, dtype=wp.int32, device=device)
+    none = wp.empty((0, 0), dtype=wp.vec3, device=device)
+    state.trajectory = vertex_major(points, device) if with_trajectory else none
+    return state
+
+
+def cost_model(epsilon=0.1, endpoint=False, error_limit=np.inf, deformation_weight=0.0) -> CostModel:
+    model = CostModel()
+    model.epsilon, model.endpoint = epsilon, int(endpoint)
+    model.error_limit, model.deformation_weight = error_limit, deformation_weight
+    return model
+
+
+def edge_list(half_edges, device, capacity=None) -> EdgeList:
+    """The half-edges as a list on the device."""
+    half_edges = np.asarray(half_edges, dtype=np.int32)
+    padded = np.zeros(max(1, len(half_edges), capacity or 0), dtype=np.int32)
+    padded[: len(half_edges)] = half_edges
+    edges = EdgeList()
+    edges.count = wp.array([len(half_edges)], dtype=wp.int32, device=device)
+    edges.half_edge = wp.array(padded, dtype=wp.int32, device=device)
+    return edges
+
+
+def listed(edges: EdgeList) -> np.ndarray:
+    return edges.half_edge.numpy()[: int(edges.count.numpy()[0])]
+
+
+def collapse_log(capacity, device) -> CollapseLog:
+    log = CollapseLog()
+    log.count = wp.zeros(1, dtype=wp.int32, device=device)
+    for name in ("kept", "removed", "left_wing", "right_wing", "faces_removed", "pass_index"):
+        setattr(log, name, wp.zeros(capacity, dtype=wp.int32, device=device))
+    for name in ("cost", "error"):
+        setattr(log, name, wp.zeros(capacity, dtype=wp.float32, device=device))
+    return log
+
+
+def half_edge_between(faces, u, v) -> int:
+    """Index of the half-edge from ``u`` to ``v``."""
+    head = np.roll(faces, -1, axis=1)
+    return int(np.flatnonzero((faces.ravel() == u) & (head.ravel() == v))[0])

@@ -1,0 +1,171 @@
+"""Material anchors: constant weights over the input vertices of a cluster."""
+
+from types import SimpleNamespace
+
+import meshes
+import numpy as np
+import pytest
+import warp as wp
+from mesh_state import build_state, vertex_major
+from oracles import quadrics as oracle
+
+from warpqem.kernels.anchor import fit_anchor_weights, measure_cluster_distances
+from warpqem.place.anchors import fit_anchors, nearest_anchors
+
+POINTS, FACES = meshes.swaying_sphere(1, 3)
+# A vertex with its ring, three times.
+CLUSTERS = [np.unique(FACES[(v == FACES).any(axis=1)]) for v in (0, 5, 9)]
+
+
+def gram(points, members, ordered, quadrics) -> np.ndarray:
+    """``sum_t p_i^T A p_j + b.p_i + b.p_j + c`` over members, float64."""
+    total = np.zeros((len(members), len(members)))
+    for x, origin, q in zip(points.astype(np.float64), ordered.astype(np.float64), quadrics, strict=True):
+        p = x[members] - origin
+        total += p @ q.A @ p.T + (p @ q.b)[:, None] + (p @ q.b)[None] + q.c
+    return total
+
+
+def cluster_quadrics(points, members, ordered):
+    """Sum of the members' quadrics per frame, about where ordering put the vertex."""
+    result = []
+    for x, origin in zip(points, ordered, strict=True):
+        own = oracle.vertex_quadrics(x, FACES)
+        total = oracle.zero()
+        for m in members:
+            total += oracle.shifted(own[m], origin.astype(np.float64) - x[m])
+        result.append(total)
+    return result
+
+
+def fitted(members_of, regularisation, device, points=POINTS):
+    """(weights per cluster, Gram matrices) for clusters put at their members' mean."""
+    vertex_count, key_count = points.shape[1], len(points)
+    ordered = np.zeros((vertex_count, key_count, 3), dtype=np.float32)
+    packed = np.zeros((vertex_count, key_count, 10), dtype=np.float32)
+    grams = []
+    for members in members_of:
+        ordered[members[0]] = points[:, members].mean(axis=1)
+        quadrics = cluster_quadrics(points, members, ordered[members[0]])
+        packed[members[0]] = [oracle.pack(q) for q in quadrics]
+        grams.append(gram(points, members, ordered[members[0]], quadrics))
+    size = np.array([len(m) for m in members_of])
+    start = np.concatenate([[0], np.cumsum(size)])
+    matrix_start = np.concatenate([[0], np.cumsum(size * (size + 1) // 2)])
+    heads, member, first, first_entry = (
+        wp.array(np.asarray(a), dtype=wp.int32, device=device)
+        for a in ([m[0] for m in members_of], np.concatenate(members_of), start, matrix_start)
+    )
+    quadric_type = build_state(points, FACES, device).quadric.dtype
+    matrix = wp.zeros(int(matrix_start[-1]), dtype=wp.float32, device=device)
+    weight = wp.zeros(int(start[-1]), dtype=wp.float32, device=device)
+    wp.launch(
+        fit_anchor_weights,
+        dim=len(members_of),
+        inputs=[
+            heads,
+            first,
+            member,
+            first_entry,
+            vertex_major(points, device),
+            wp.array(ordered, dtype=wp.vec3, device=device),
+            wp.array(packed, dtype=quadric_type, device=device),
+            regularisation,
+        ],
+        outputs=[matrix, weight],
+        device=device,
+    )
+    return np.split(weight.numpy(), start[1:-1]), grams
+
+
+def regularised(matrix, regularisation):
+    return matrix + regularisation * np.trace(matrix) / len(matrix) * np.eye(len(matrix))
+
+
+@pytest.mark.parametrize("regularisation", [0.01, 0.1, 1.0])
+def test_weights_sum_to_one(regularisation, device):
+    for weight in fitted(CLUSTERS, regularisation, device)[0]:
+        assert weight.sum() == pytest.approx(1, abs=1e-5)
+
+
+@pytest.mark.parametrize("regularisation", [0.01, 0.1, 1.0])
+def test_weights_minimise_the_regularised_quadratic(regularisation, device):
+    for weight, matrix in zip(*fitted(CLUSTERS, regularisation, device), strict=True):
+        exact = np.linalg.solve(regularised(matrix, regularisation), np.ones(len(matrix)))
+        np.testing.assert_allclose(weight, exact / exact.sum(), atol=2e-3)
+
+
+def test_weights_are_better_than_equal_ones(device):
+    for weight, matrix in zip(*fitted(CLUSTERS, 0.01, device), strict=True):
+        equal = np.full(len(matrix), 1 / len(matrix))
+        assert weight @ matrix @ weight < equal @ matrix @ equal
+
+
+def test_strong_regularisation_gives_equal_weights(device):
+    for weight in fitted(CLUSTERS, 1e5, device)[0]:
+        np.testing.assert_allclose(weight, 1 / len(weight), rtol=1e-3)
+
+
+def test_cluster_on_a_plane_gets_equal_weights(device):
+    flat = POINTS * np.array([1, 1, 0], dtype=np.float32)
+    for weight in fitted(CLUSTERS, 0.1, device, flat)[0]:
+        np.testing.assert_allclose(weight, 1 / len(weight), rtol=1e-4)
+
+
+def test_cluster_of_one_vertex_has_weight_exactly_one(device):
+    assert fitted([np.array([3]), np.array([7])], 0.1, device)[0] == [1.0, 1.0]
+
+
+def test_cluster_distance_is_the_squared_distance_summed_over_frames(device):
+    root = np.arange(POINTS.shape[1], dtype=np.int32)
+    root[[1, 2]] = 0
+    ordered = np.roll(POINTS, 1, axis=0)
+    out = wp.empty(len(root), dtype=wp.float32, device=device)
+    inputs = [wp.array(root, device=device), vertex_major(POINTS, device), vertex_major(ordered, device)]
+    wp.launch(measure_cluster_distances, dim=len(root), inputs=inputs, outputs=[out], device=device)
+    expected = ((POINTS.astype(np.float64) - ordered[:, root]) ** 2).sum(axis=(0, 2))
+    np.testing.assert_allclose(out.numpy(), expected, rtol=1e-4, atol=1e-9)
+
+
+def ordered_mesh(device, root, on_line=None) -> SimpleNamespace:
+    """What anchors need of an order stage in which vertices went to their roots without moving these."""
+    state = build_state(POINTS, FACES, device)
+    on_line = np.zeros(len(root), dtype=bool) if on_line is None else on_line
+    return SimpleNamespace(
+        root=root, key_position=state.position, position=state.position, quadric=state.quadric, on_line=on_line
+    )
+
+
+def test_nearest_anchor_is_the_member_nearest_to_the_ordered_place(device):
+    root = np.arange(POINTS.shape[1], dtype=np.int32)
+    root[10:20] = 4
+    kept, cluster = np.unique(root, return_inverse=True)
+    anchors = nearest_anchors(ordered_mesh(device, root), cluster.astype(np.int32), len(kept))
+    np.testing.assert_array_equal(anchors.vertex, kept)
+    np.testing.assert_array_equal(anchors.weight, 1)
+
+
+def test_large_cluster_keeps_its_thirty_two_nearest_members(device):
+    root = np.zeros(POINTS.shape[1], dtype=np.int32)
+    anchors = fit_anchors(ordered_mesh(device, root), np.array([0]), root, 0.1)
+    distance = ((POINTS.astype(np.float64) - POINTS[:, :1]) ** 2).sum(axis=(0, 2))
+    assert set(anchors.vertex) == set(np.argsort(distance, kind="stable")[:32])
+    assert anchors.weight.sum() == pytest.approx(1, abs=1e-5)
+
+
+def test_vertices_without_a_cluster_are_in_no_anchor(device):
+    root = np.arange(POINTS.shape[1], dtype=np.int32)
+    cluster = np.where(root == 6, -1, root - (root > 6)).astype(np.int32)
+    anchors = fit_anchors(ordered_mesh(device, root), np.delete(root, 6), cluster, 0.1)
+    np.testing.assert_array_equal(anchors.vertex, np.delete(root, 6))
+
+
+def test_vertices_on_a_line_alone_anchor_their_cluster(device):
+    root = np.arange(POINTS.shape[1], dtype=np.int32)
+    root[10:20] = 4
+    on_line = np.zeros(len(root), dtype=bool)
+    on_line[[12, 15]] = True
+    kept, cluster = np.unique(root, return_inverse=True)
+    anchors = fit_anchors(ordered_mesh(device, root, on_line), kept, cluster.astype(np.int32), 0.1)
+    at = int(np.searchsorted(kept, 4))
+    assert set(anchors.vertex[anchors.start[at] : anchors.start[at + 1]].tolist()) == {12, 15}

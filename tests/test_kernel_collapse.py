@@ -1,0 +1,191 @@
+"""Committing collapses, and closing the gaps between live faces."""
+
+import meshes
+import numpy as np
+import pytest
+import warp as wp
+from mesh_state import build_state, collapse_log, cost_model, edge_list, half_edge_between
+from oracles import quadrics as quadric_oracle
+from oracles import topology as oracle
+
+from warpqem.kernels.collapse import commit_winners, mark_live_faces, move_live_faces
+from warpqem.kernels.legality import place_winners
+from warpqem.order.stars import build_stars
+
+MESHES = {"closed": meshes.swaying_sphere(1, 3), "open": meshes.bending_bar(6, 5, 4)}
+PASS = 7
+RIM_EDGE = (1, 0)  # the border half-edge of the open mesh between its vertices 0 and 1
+
+
+class Commit:
+    """One committed edge of a mesh: state, log, mask, target (K, 3) and anchor."""
+
+    def __init__(self, points, faces, edge, device, faces_removed=2, **options):
+        self.faces, self.edge, self.half_edge = faces, edge, half_edge_between(faces, *edge)
+        self.state = build_state(points, faces, device, **options)
+        self.before = self.state.quadric.numpy().astype(np.float64)
+        self.state.edge_cost.fill_(3.0)
+        winners = edge_list([self.half_edge], device)
+        self.target = wp.empty((1, len(points)), dtype=wp.vec3, device=device)
+        self.anchor = wp.empty(1, dtype=wp.float32, device=device)
+        outputs = [self.target, self.anchor]
+        wp.launch(place_winners, dim=1, inputs=[self.state, cost_model(), winners, 1], outputs=outputs, device=device)
+        self.log = collapse_log(points.shape[1], device)
+        self.mask = wp.zeros(points.shape[1], dtype=wp.int32, device=device)
+        number, removed = (wp.array([n], dtype=wp.int32, device=device) for n in (PASS, faces_removed))
+        inputs = [self.state, winners, removed, self.target, self.anchor, number, 1]
+        wp.launch(commit_winners, dim=1, inputs=inputs, outputs=[self.mask, self.log], device=device)
+
+    def live_faces(self):
+        faces = self.state.corner_vertex.numpy().reshape(-1, 3)
+        return faces[faces[:, 0] >= 0]
+
+
+def closed_commit(device, **options):
+    points, faces = MESHES["closed"]
+    u, v = sorted(faces[0, :2].tolist())
+    return Commit(points, faces, (u, v), device, **options)
+
+
+def test_faces_at_the_edge_die_and_the_others_name_the_kept_vertex(device):
+    commit = closed_commit(device)
+    np.testing.assert_array_equal(commit.live_faces(), oracle.collapsed(commit.faces, *commit.edge))
+
+
+def test_stars_built_after_a_commit_hold_each_live_corner_once(device):
+    commit = closed_commit(device)
+    stars = build_stars(commit.state.corner_vertex, len(commit.mask))
+    corners = np.flatnonzero(commit.state.corner_vertex.numpy() >= 0)
+    count = stars.start.numpy()[-1]
+    np.testing.assert_array_equal(np.sort(stars.corner.numpy()[:count]), corners)
+    assert stars.start.numpy()[commit.edge[1]] == stars.start.numpy()[commit.edge[1] + 1]
+
+
+def test_dead_faces_have_no_price(device):
+    commit = closed_commit(device)
+    dead = commit.state.corner_vertex.numpy() < 0
+    cost = commit.state.edge_cost.numpy()
+    assert dead.sum() == 6
+    assert np.isinf(cost[dead]).all()
+    assert np.isfinite(cost[~dead]).all()
+
+
+def test_kept_vertex_moves_to_the_target(device):
+    commit = closed_commit(device)
+    np.testing.assert_array_equal(commit.state.position.numpy()[commit.edge[0]], commit.target.numpy()[0])
+
+
+def test_lower_vertex_is_kept_whichever_way_the_half_edge_runs(device):
+    points, faces = MESHES["closed"]
+    u, v = sorted(faces[0, :2].tolist())
+    log = Commit(points, faces, (v, u), device).log
+    assert (log.kept.numpy()[0], log.removed.numpy()[0]) == (u, v)
+
+
+def test_locked_vertex_is_kept_although_it_is_the_higher(device):
+    points, faces = MESHES["closed"]
+    u, v = sorted(faces[0, :2].tolist())
+    log = Commit(points, faces, (u, v), device, locked=[v]).log
+    assert (log.kept.numpy()[0], log.removed.numpy()[0]) == (v, u)
+
+
+@pytest.mark.parametrize("name", MESHES)
+def test_quadric_of_the_kept_vertex_is_the_sum_about_its_new_place(name, device):
+    points, faces = MESHES[name]
+    u, v = (0, 1) if name == "open" else sorted(faces[0, :2].tolist())
+    edge = RIM_EDGE if name == "open" else (u, v)
+    commit = Commit(points, faces, edge, device, faces_removed=1 if name == "open" else 2)
+    after = commit.state.quadric.numpy()[u]
+    for t in range(len(points)):
+        x = commit.target.numpy()[0, t].astype(np.float64)
+        ends = [quadric_oracle.shifted(quadric_oracle.unpack(commit.before[w, t]), x - points[t, w]) for w in (u, v)]
+        np.testing.assert_allclose(after[t], quadric_oracle.pack(ends[0] + ends[1]), rtol=1e-3, atol=1e-6)
+
+
+def test_error_is_the_mean_square_over_frames(device):
+    commit = closed_commit(device)
+    quadrics = [quadric_oracle.unpack(q) for q in commit.state.quadric.numpy()[commit.edge[0]]]
+    expected = sum(q.c for q in quadrics) / sum(np.trace(q.A) for q in quadrics)
+    assert commit.log.error.numpy()[0] == pytest.approx(expected, rel=1e-3)
+    assert expected > 0
+
+
+def test_flags_are_joined_and_weights_averaged(device):
+    points, faces = MESHES["open"]
+    weight = np.arange(points.shape[1], dtype=float)
+    commit = Commit(points, faces, (1, 7), device, locked=[7], cost_weight=weight)
+    assert commit.state.vertex_flags.numpy()[7] == oracle.BORDER | oracle.LOCKED
+    assert commit.state.cost_weight.numpy()[7] == 4
+
+
+def test_log_names_ends_wings_cost_and_pass(device):
+    commit = closed_commit(device)
+    u, v = commit.edge
+    log = {name: getattr(commit.log, name).numpy()[0] for name in ("kept", "removed", "left_wing", "right_wing")}
+    wings = {w for f in commit.faces.tolist() if u in f and v in f for w in f} - {u, v}
+    assert (log["kept"], log["removed"]) == (u, v)
+    assert {log["left_wing"], log["right_wing"]} == wings
+    assert commit.log.count.numpy()[0] == 1
+    assert commit.log.cost.numpy()[0] == 3
+    assert commit.log.faces_removed.numpy()[0] == 2
+    assert commit.log.pass_index.numpy()[0] == PASS
+
+
+def test_log_of_a_border_edge_has_no_right_wing(device):
+    points, faces = MESHES["open"]
+    log = Commit(points, faces, RIM_EDGE, device, faces_removed=1).log
+    assert log.right_wing.numpy()[0] == -1
+    assert log.left_wing.numpy()[0] in oracle.closed_neighbourhood(faces, {0, 1})
+
+
+def test_neighbourhood_of_a_collapse_is_masked(device):
+    commit = closed_commit(device)
+    near = oracle.closed_neighbourhood(commit.faces, set(commit.edge))
+    np.testing.assert_array_equal(np.flatnonzero(commit.mask.numpy() == PASS), sorted(near))
+
+
+def test_winner_that_removes_no_face_is_left_alone(device):
+    commit = closed_commit(device, faces_removed=0)
+    np.testing.assert_array_equal(commit.live_faces(), commit.faces)
+    assert commit.log.count.numpy()[0] == 0
+    assert not commit.mask.numpy().any()
+
+
+def test_trajectory_of_the_kept_vertex_is_the_material_point(device):
+    commit = closed_commit(device, with_trajectory=True)
+    points = MESHES["closed"][0]
+    u, v = commit.edge
+    anchor = commit.anchor.numpy()[0]
+    moved = commit.state.trajectory.numpy()
+    np.testing.assert_allclose(moved[u], points[:, u] + anchor * (points[:, v] - points[:, u]), atol=1e-6)
+    np.testing.assert_array_equal(moved[v], points[:, v])
+
+
+def test_trajectory_is_the_same_material_point_whichever_way_the_half_edge_runs(device):
+    points, faces = MESHES["closed"]
+    u, v = sorted(faces[0, :2].tolist())
+    there, back = (Commit(points, faces, edge, device, with_trajectory=True) for edge in ((u, v), (v, u)))
+    np.testing.assert_allclose(there.state.trajectory.numpy()[u], back.state.trajectory.numpy()[u], atol=1e-5)
+
+
+def test_compaction_keeps_live_faces_and_their_prices_and_seams_in_order(device):
+    faces = meshes.icosphere(1)[1].copy()
+    faces[[0, 3, 4, 50, len(faces) - 1]] = -1
+    cost = np.arange(faces.size, dtype=np.float32)
+    corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device)
+    rank = wp.empty(len(faces), dtype=wp.int32, device=device)
+    wp.launch(mark_live_faces, dim=len(faces), inputs=[corner_vertex], outputs=[rank], device=device)
+    wp.utils.array_scan(rank, rank, inclusive=True)
+    seam = (np.arange(faces.size) % 5 == 0).astype(np.int32)
+    out = (
+        wp.zeros_like(corner_vertex),
+        wp.zeros(faces.size, dtype=wp.float32, device=device),
+        wp.zeros_like(corner_vertex),
+    )
+    inputs = [corner_vertex, wp.array(cost, device=device), wp.array(seam, device=device), rank]
+    wp.launch(move_live_faces, dim=len(faces), inputs=inputs, outputs=list(out), device=device)
+    live = faces[:, 0] >= 0
+    kept = 3 * live.sum()
+    np.testing.assert_array_equal(out[0].numpy()[:kept].reshape(-1, 3), faces[live])
+    np.testing.assert_array_equal(out[1].numpy()[:kept].reshape(-1, 3), cost.reshape(-1, 3)[live])
+    np.testing.assert_array_equal(out[2].numpy()[:kept].reshape(-1, 3), seam.reshape(-1, 3)[live])

@@ -1,0 +1,226 @@
+"""Price, anchor and placement of an edge collapse over frames."""
+
+import meshes
+import numpy as np
+import pytest
+import warp as wp
+from mesh_state import build_state, collapse_log, cost_model, edge_list, half_edge_between
+from oracles import edge_cost as oracle
+from oracles import motion as motion_oracle
+from oracles.quadrics import vertex_quadrics
+from oracles.topology import edges
+
+from warpqem.kernels.collapse import commit_winners
+from warpqem.kernels.edge_cost import price_all_edges, reprice_moved_stars, wake_neighbourhoods
+from warpqem.kernels.legality import place_winners
+from warpqem.order.stars import build_stars
+
+MESHES = {"closed": meshes.swaying_sphere(1, 3), "open": meshes.bending_bar(6, 5, 4)}
+EPSILON = 0.1
+
+
+def prices(state, model, device) -> np.ndarray:
+    wp.launch(price_all_edges, dim=1, inputs=[state, model, len(state.corner_vertex), 0, 1], device=device)
+    return state.edge_cost.numpy().copy()
+
+
+def placed(state, model, half_edges, device):
+    """(targets (E, K, 3), anchors (E,)) of the half-edges."""
+    winners = edge_list(half_edges, device)
+    target = wp.empty((len(half_edges), state.position.shape[1]), dtype=wp.vec3, device=device)
+    anchor = wp.empty(len(half_edges), dtype=wp.float32, device=device)
+    wp.launch(place_winners, dim=1, inputs=[state, model, winners, 1], outputs=[target, anchor], device=device)
+    return target.numpy(), anchor.numpy()
+
+
+def edge_data(points, faces, u, v):
+    """Quadrics and positions of both ends over the frames, float64."""
+    quadrics = [vertex_quadrics(x, faces) for x in points]
+    x = points.astype(np.float64)
+    return [q[u] for q in quadrics], [q[v] for q in quadrics], x[:, u], x[:, v]
+
+
+def inner_edges(faces):
+    """Half-edges from lower to higher vertex whose ends are both on the border or both inside."""
+    border = {v for e, s in motion_oracle.edge_wings(faces).items() if len(s) == 1 for v in e}
+    found = [e for e, s in motion_oracle.edge_wings(faces).items() if (e[0] in border) == (e[1] in border)]
+    return [(u, v, half_edge_between(faces, u, v)) for u, v in found if len(motion_oracle.edge_wings(faces)[u, v]) == 2]
+
+
+@pytest.mark.parametrize("name", MESHES)
+def test_every_edge_is_priced_once(name, device):
+    points, faces = MESHES[name]
+    cost = prices(build_state(points, faces, device), cost_model(), device)
+    assert np.isfinite(cost).sum() == len(edges(faces))
+    assert (cost[np.isfinite(cost)] > 0).all()
+
+
+@pytest.mark.parametrize("name", MESHES)
+def test_anchor_minimises_the_sum_over_frames(name, device):
+    points, faces = MESHES[name]
+    picked = inner_edges(faces)[::7]
+    _, anchor = placed(build_state(points, faces, device), cost_model(EPSILON), [h for *_, h in picked], device)
+    expected = [oracle.edge_anchor(*edge_data(points, faces, u, v)) for u, v, _ in picked]
+    np.testing.assert_allclose(anchor, expected, atol=2e-3)
+
+
+@pytest.mark.parametrize("name", MESHES)
+def test_cost_and_targets_match_the_oracle(name, device):
+    points, faces = MESHES[name]
+    picked = inner_edges(faces)[::7]
+    state, model = build_state(points, faces, device), cost_model(EPSILON)
+    cost = prices(state, model, device)
+    target, anchor = placed(state, model, [h for *_, h in picked], device)
+    for i, (u, v, h) in enumerate(picked):
+        expected, _, positions = oracle.edge_cost(*edge_data(points, faces, u, v), float(anchor[i]), EPSILON)
+        assert cost[h] == pytest.approx(expected, rel=1e-3, abs=1e-9)
+        np.testing.assert_allclose(target[i], positions, atol=1e-5)
+
+
+def test_weight_multiplies_the_cost_as_the_mean_of_both_ends(device):
+    points, faces = MESHES["closed"]
+    weight = np.ones(points.shape[1])
+    weight[faces[0, 0]] = 5
+    u, v = sorted(faces[0, :2].tolist())
+    h = half_edge_between(faces, u, v)
+    plain = prices(build_state(points, faces, device), cost_model(), device)[h]
+    weighted = prices(build_state(points, faces, device, cost_weight=weight), cost_model(), device)[h]
+    assert weighted == pytest.approx(3 * plain, rel=1e-5)
+
+
+def test_border_vertex_is_the_anchor_of_an_edge_to_the_inside(device):
+    points, faces = meshes.waving_grid(4, 3)
+    out, back = half_edge_between(faces, 2, 7), half_edge_between(faces, 7, 2)
+    _, anchor = placed(build_state(points, faces, device), cost_model(), [out, back], device)
+    np.testing.assert_array_equal(anchor, [0, 1])
+
+
+def test_locked_vertex_is_the_target_in_every_frame(device):
+    points, faces = MESHES["closed"]
+    u, v = faces[0, :2].tolist()
+    h = half_edge_between(faces, u, v)
+    target, anchor = placed(build_state(points, faces, device, locked=[v]), cost_model(), [h], device)
+    assert anchor[0] == 1
+    np.testing.assert_allclose(target[0], points[:, v], atol=1e-7)
+
+
+def test_endpoint_placement_takes_the_end_with_the_lower_sum(device):
+    points, faces = MESHES["closed"]
+    picked = inner_edges(faces)[::5]
+    model = cost_model(endpoint=True)
+    _, anchor = placed(build_state(points, faces, device), model, [h for *_, h in picked], device)
+    for (u, v, _), chosen in zip(picked, anchor, strict=True):
+        data = edge_data(points, faces, u, v)
+        values = [sum(oracle.merged(*frame, end).c for frame in zip(*data, strict=True)) for end in (0.0, 1.0)]
+        assert values[int(chosen)] <= min(values) * (1 + 1e-4) + 1e-9
+
+
+def test_anchor_of_a_flat_edge_is_its_middle(device):
+    points, faces = meshes.grid(4, 4)
+    _, anchor = placed(build_state(points, faces, device), cost_model(), [half_edge_between(faces, 7, 12)], device)
+    assert anchor[0] == pytest.approx(0.5, abs=1e-5)
+
+
+def test_short_edges_of_a_flat_mesh_are_cheaper(device):
+    points, faces = meshes.grid(5, 5)
+    cost = prices(build_state(points, faces, device), cost_model(), device)
+    side, diagonal = half_edge_between(faces, 14, 15), half_edge_between(faces, 15, 20)
+    assert 0 < cost[side] < cost[diagonal]
+
+
+def test_edge_between_two_locked_vertices_has_no_price(device):
+    points, faces = MESHES["closed"]
+    u, v = sorted(faces[0, :2].tolist())
+    cost = prices(build_state(points, faces, device, locked=[u, v]), cost_model(), device)
+    assert np.isinf(cost[half_edge_between(faces, u, v)])
+    assert np.isinf(cost).sum() == faces.size - len(edges(faces)) + 1
+
+
+def test_edges_at_a_frozen_vertex_have_no_price(device):
+    points, faces = meshes.double_cone(6)
+    cost = prices(build_state(points, faces, device), cost_model(), device)
+    at_tip = (faces.ravel() == 0) | (np.roll(faces, -1, axis=1).ravel() == 0)
+    assert np.isinf(cost[at_tip]).all()
+    assert np.isfinite(cost[~at_tip]).all()
+
+
+def test_edges_above_the_error_limit_have_no_price(device):
+    points, faces = MESHES["closed"]
+    state = build_state(points, faces, device)
+    everything = np.isfinite(prices(state, cost_model(EPSILON), device))
+    limit = 1e-3
+    limited = np.isfinite(prices(state, cost_model(EPSILON, error_limit=limit), device))
+    _, anchor = placed(state, cost_model(EPSILON), np.flatnonzero(everything), device)
+    for h, lam in zip(np.flatnonzero(everything), anchor, strict=True):
+        u, v = faces.ravel()[h], np.roll(faces, -1, axis=1).ravel()[h]
+        _, error, _ = oracle.edge_cost(*edge_data(points, faces, u, v), float(lam), EPSILON)
+        if abs(error - limit) > 0.01 * limit:
+            assert limited[h] == (error < limit)
+    assert 0 < limited.sum() < everything.sum()
+
+
+def test_deformation_is_added_with_its_weight(device):
+    points, faces = MESHES["open"]
+    u, v, h = inner_edges(faces)[3]
+    state = build_state(points, faces, device, with_trajectory=True)
+    plain = prices(state, cost_model(), device)[h]
+    with_term = prices(state, cost_model(deformation_weight=2.0), device)[h]
+    expected = 2 * motion_oracle.length_deformation(points, faces, u, v)
+    assert with_term - plain == pytest.approx(expected, rel=1e-2)
+    assert expected > 0
+
+
+def commit_one(state, half_edge, target, device):
+    """Collapse one half-edge; the log of it."""
+    log = collapse_log(state.position.shape[0], device)
+    winners = edge_list([half_edge], device)
+    mask = wp.zeros(state.position.shape[0], dtype=wp.int32, device=device)
+    one = wp.array([1], dtype=wp.int32, device=device)
+    removed = wp.array([2], dtype=wp.int32, device=device)
+    anchor = wp.array([0.5], dtype=wp.float32, device=device)
+    inputs = [state, winners, removed, wp.array(target, dtype=wp.vec3, device=device), anchor, one, 1]
+    wp.launch(commit_winners, dim=1, inputs=inputs, outputs=[mask, log], device=device)
+    return log
+
+
+def rebuilt(state, device):
+    """New stars after a commit."""
+    stars = build_stars(state.corner_vertex, state.position.shape[0])
+    state.star_start, state.star_corner = stars.start, stars.corner
+    return state
+
+
+def test_repricing_the_moved_stars_equals_pricing_everything(device):
+    points, faces = MESHES["closed"]
+    state, model = build_state(points, faces, device), cost_model()
+    prices(state, model, device)
+    h = half_edge_between(faces, *sorted(faces[0, :2].tolist()))
+    log = commit_one(state, h, placed(state, model, [h], device)[0], device)
+    rebuilt(state, device)
+    begin = wp.zeros(1, dtype=wp.int32, device=device)
+    wp.launch(reprice_moved_stars, dim=1, inputs=[state, model, log, begin, 0, 1], device=device)
+    repriced = state.edge_cost.numpy().copy()
+    np.testing.assert_array_equal(repriced, prices(state, model, device))
+
+
+def test_sleeping_edges_wake_around_a_moved_vertex_only(device):
+    points, faces = meshes.swaying_sphere(2, 2)
+    state, model = build_state(points, faces, device), cost_model()
+    asleep = -prices(state, model, device)
+    state.edge_cost.assign(asleep)
+    u, v = sorted(faces[0, :2].tolist())
+    h = half_edge_between(faces, u, v)
+    log = commit_one(state, h, placed(state, model, [h], device)[0], device)
+    rebuilt(state, device)
+    begin = wp.zeros(1, dtype=wp.int32, device=device)
+    wp.launch(wake_neighbourhoods, dim=1, inputs=[state, log, begin, 1], device=device)
+    corner = state.corner_vertex.numpy().reshape(-1, 3)
+    live = corner[corner[:, 0] >= 0]
+    ring = np.unique(live[(live == u).any(axis=1)])
+    tail, head = corner.ravel(), np.roll(corner, -1, axis=1).ravel()
+    near = np.isin(tail, ring) | np.isin(head, ring)
+    cost = state.edge_cost.numpy()
+    finite = np.isfinite(cost) & (tail >= 0)
+    assert (cost[finite & near] > 0).all()
+    assert (cost[finite & ~near] < 0).all()
+    assert (finite & ~near).any()

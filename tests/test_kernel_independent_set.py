@@ -1,0 +1,248 @@
+"""Cap, candidates, claim and winners of a round."""
+
+import meshes
+import numpy as np
+import pytest
+import warp as wp
+from mesh_state import build_state, cost_model, edge_list, listed
+from oracles import topology as oracle
+
+from warpqem.kernels import independent_set as kernels
+from warpqem.kernels.edge_cost import price_all_edges
+
+wp.set_module_options({"enable_backward": False})  # no gradients are taken
+
+BINS = 4096
+MESHES = {"closed": meshes.swaying_sphere(2, 2), "open": meshes.bending_bar(8, 12, 3)}
+
+
+@wp.kernel
+def shuffle_indices(
+    index_in: wp.array[wp.int32],
+    # outputs
+    shuffled_out: wp.array[wp.uint32],
+):
+    shuffled_out[wp.tid()] = kernels.shuffled(index_in[wp.tid()])
+
+
+@wp.kernel
+def bin_costs(
+    cost_in: wp.array[wp.float32],
+    # outputs
+    bin_out: wp.array[wp.int32],
+):
+    bin_out[wp.tid()] = kernels.cost_bin(cost_in[wp.tid()])
+
+
+def bins_of(cost, device) -> np.ndarray:
+    out = wp.empty(len(cost), dtype=wp.int32, device=device)
+    cost = wp.array(cost, dtype=wp.float32, device=device)
+    wp.launch(bin_costs, dim=len(cost), inputs=[cost], outputs=[out], device=device)
+    return out.numpy()
+
+
+def histogram_of(cost, device, step=1) -> wp.array:
+    histogram = wp.zeros(BINS, dtype=wp.int32, device=device)
+    cost = wp.array(cost, dtype=wp.float32, device=device)
+    wp.launch(kernels.count_costs, dim=1, inputs=[cost, len(cost), step, 1], outputs=[histogram], device=device)
+    return histogram
+
+
+def test_sampled_histogram_counts_every_seventh_cost(device):
+    cost = np.geomspace(1e-9, 1.0, 100).astype(np.float32)
+    every_seventh = histogram_of(cost[::7], device).numpy()
+    np.testing.assert_array_equal(histogram_of(cost, device, step=7).numpy(), every_seventh)
+
+
+def cap_of(histogram, wanted, device) -> wp.array:
+    cap = wp.zeros(1, dtype=wp.int32, device=device)
+    wp.launch(kernels.find_cap, dim=1, inputs=[wanted], outputs=[histogram, cap], device=device)
+    return cap
+
+
+def collected(cost, cap, device) -> np.ndarray:
+    candidates = edge_list([], device, len(cost))
+    cost = wp.array(cost, dtype=wp.float32, device=device)
+    wp.launch(kernels.collect_candidates, dim=1, inputs=[cost, len(cost), cap, 1], outputs=[candidates], device=device)
+    return np.sort(listed(candidates))
+
+
+def random_costs(count=1000) -> np.ndarray:
+    return np.random.default_rng(0).lognormal(-10, 3, count).astype(np.float32)
+
+
+def test_shuffled_indices_are_distinct(device):
+    out = wp.empty(100000, dtype=wp.uint32, device=device)
+    index = wp.array(np.arange(100000), dtype=wp.int32, device=device)
+    wp.launch(shuffle_indices, dim=100000, inputs=[index], outputs=[out], device=device)
+    assert len(np.unique(out.numpy())) == 100000
+
+
+def test_shuffled_indices_do_not_favour_low_ones(device):
+    out = wp.empty(10000, dtype=wp.uint32, device=device)
+    index = wp.array(np.arange(10000), dtype=wp.int32, device=device)
+    wp.launch(shuffle_indices, dim=10000, inputs=[index], outputs=[out], device=device)
+    assert abs(np.corrcoef(np.arange(10000), out.numpy().astype(float))[0, 1]) < 0.05
+
+
+def test_bins_keep_the_order_of_costs(device):
+    bins = bins_of(np.sort(random_costs()), device)
+    assert (np.diff(bins) >= 0).all()
+    assert bins.min() >= 0
+    assert bins.max() < BINS
+
+
+def test_largest_finite_cost_has_a_bin(device):
+    assert 0 <= bins_of(np.array([np.finfo(np.float32).max]), device)[0] < BINS
+
+
+def test_costs_of_one_bin_differ_by_one_sixteenth_at_most(device):
+    cost = random_costs()
+    bins = bins_of(cost, device)
+    assert max(cost[bins == b].max() / cost[bins == b].min() for b in np.unique(bins)) <= 1 + 1 / 16
+
+
+def test_histogram_counts_every_candidate_in_its_bin(device):
+    cost = random_costs()
+    expected = np.bincount(bins_of(cost, device), minlength=BINS)
+    np.testing.assert_array_equal(histogram_of(cost, device).numpy(), expected)
+
+
+def test_histogram_leaves_out_sleeping_and_forbidden_edges(device):
+    assert histogram_of(np.array([1, -1, np.inf, -np.inf, 2, np.nan], np.float32), device).numpy().sum() == 2
+
+
+@pytest.mark.parametrize("wanted", [1, 2, 50, 999, 1000])
+def test_cap_is_the_bin_of_the_wanted_cheapest_edge(wanted, device):
+    cost = random_costs()
+    cap = cap_of(histogram_of(cost, device), wanted, device).numpy()[0]
+    assert cap == bins_of(np.sort(cost), device)[wanted - 1]
+
+
+def test_cap_takes_everything_where_more_edges_are_wanted_than_exist(device):
+    cost = random_costs(20)
+    assert cap_of(histogram_of(cost, device), 1000, device).numpy()[0] == bins_of(cost, device).max()
+
+
+def test_cap_of_no_edge_lets_none_through(device):
+    cap = cap_of(histogram_of(np.array([np.inf], np.float32), device), 5, device)
+    assert len(collected(random_costs(5), cap, device)) == 0
+
+
+def test_histogram_is_clear_after_the_cap_is_found(device):
+    histogram = histogram_of(random_costs(), device)
+    cap_of(histogram, 10, device)
+    np.testing.assert_array_equal(histogram.numpy(), 0)
+
+
+def test_candidates_are_the_edges_up_to_the_cap(device):
+    cost = random_costs()
+    cost[::7] *= -1
+    cost[::11] = np.inf
+    cap = cap_of(histogram_of(cost, device), 100, device)
+    limit = cap.numpy()[0]
+    awake = (cost > 0) & np.isfinite(cost)
+    expected = np.flatnonzero(awake & (bins_of(np.where(awake, cost, 1), device) <= limit))
+    np.testing.assert_array_equal(collected(cost, cap, device), expected)
+
+
+def round_of(state, half_edges, claim, device) -> np.ndarray:
+    """Winners of one round among the half-edges."""
+    candidates, winners = edge_list(half_edges, device), edge_list([], device, len(half_edges))
+    wp.launch(kernels.claim_vertices, dim=1, inputs=[state, candidates, 1], outputs=[claim], device=device)
+    wp.launch(kernels.select_winners, dim=1, inputs=[state, candidates, claim, 1], outputs=[winners], device=device)
+    wp.launch(kernels.withdraw_claims, dim=1, inputs=[state, candidates, 1], outputs=[claim], device=device)
+    return listed(winners)
+
+
+@pytest.fixture(scope="module", params=MESHES)
+def priced(request, device):
+    """(state, faces, candidate half-edges, claims) of a mesh with all its edges priced."""
+    points, faces = MESHES[request.param]
+    state = build_state(points, faces, device)
+    wp.launch(price_all_edges, dim=1, inputs=[state, cost_model(), faces.size, 0, 1], device=device)
+    candidates = np.flatnonzero(np.isfinite(state.edge_cost.numpy()))
+    claim = wp.full(points.shape[1], kernels.UNCLAIMED, dtype=wp.int64, device=device)
+    return state, faces, candidates, claim
+
+
+def ends_of(faces, h) -> set[int]:
+    return {int(faces.ravel()[h]), int(np.roll(faces, -1, axis=1).ravel()[h])}
+
+
+def test_no_winner_has_an_end_in_the_star_of_another(priced, device):
+    state, faces, candidates, claim = priced
+    winners = round_of(state, candidates, claim, device)
+    assert len(winners) > 1
+    ends = [ends_of(faces, h) for h in winners]
+    for i, mine in enumerate(ends):
+        near = oracle.closed_neighbourhood(faces, mine)
+        assert all(near.isdisjoint(other) for j, other in enumerate(ends) if j != i)
+
+
+def test_cheapest_edge_always_wins(priced, device):
+    state, _, candidates, claim = priced
+    cost = state.edge_cost.numpy()[candidates]
+    assert candidates[cost.argmin()] in round_of(state, candidates, claim, device)
+
+
+def test_every_winner_is_the_cheapest_of_its_neighbourhood(priced, device):
+    state, faces, candidates, claim = priced
+    cost = state.edge_cost.numpy()
+    ends = {int(h): ends_of(faces, h) for h in candidates}
+    for h in round_of(state, candidates, claim, device):
+        near = oracle.closed_neighbourhood(faces, ends[int(h)])
+        assert cost[h] <= min(cost[g] for g in ends if not near.isdisjoint(ends[g]))
+
+
+def test_winners_do_not_depend_on_the_order_of_candidates(priced, device):
+    state, _, candidates, claim = priced
+    shuffled = np.random.default_rng(1).permutation(candidates)
+    first, second = (np.sort(round_of(state, c, claim, device)) for c in (candidates, shuffled))
+    np.testing.assert_array_equal(first, second)
+
+
+def test_claims_are_withdrawn(priced, device):
+    state, _, candidates, claim = priced
+    round_of(state, candidates, claim, device)
+    assert (claim.numpy() == int(kernels.UNCLAIMED)).all()
+
+
+def test_winners_of_all_rounds_are_a_maximal_independent_set(priced, device):
+    state, faces, candidates, claim = priced
+    number = wp.array([1], dtype=wp.int32, device=device)
+    taken, left = [], candidates
+    masked = np.zeros(len(claim), dtype=np.int32)
+    while len(left):
+        winners = round_of(state, left, claim, device)
+        assert len(winners)
+        taken += winners.tolist()
+        for h in winners:
+            masked[list(oracle.closed_neighbourhood(faces, ends_of(faces, h)))] = 1
+        rest = edge_list([], device, len(left))
+        mask = wp.array(masked, dtype=wp.int32, device=device)
+        inputs = [state, mask, number, edge_list(left, device), 1]
+        wp.launch(kernels.shrink_candidates, dim=1, inputs=inputs, outputs=[rest], device=device)
+        left = listed(rest)
+    ends = [ends_of(faces, h) for h in taken]
+    near = [oracle.closed_neighbourhood(faces, e) for e in ends]
+    assert all(near[i].isdisjoint(ends[j]) for i in range(len(ends)) for j in range(len(ends)) if i != j)
+    assert all(any(not n.isdisjoint(ends_of(faces, h)) for n in near) for h in candidates)
+
+
+def test_shrinking_drops_dead_and_sleeping_candidates(device):
+    points, faces = MESHES["closed"]
+    dead, asleep, kept = 0, 30, 60
+    faces = faces.copy()
+    faces[0] = -1
+    state = build_state(points, np.maximum(faces, 0), device)
+    state.corner_vertex.assign(faces.ravel())
+    cost = np.ones(faces.size, dtype=np.float32)
+    cost[asleep] = -1
+    state.edge_cost.assign(cost)
+    rest = edge_list([], device, 3)
+    mask = wp.zeros(points.shape[1], dtype=wp.int32, device=device)
+    number = wp.array([1], dtype=wp.int32, device=device)
+    inputs = [state, mask, number, edge_list([dead, asleep, kept], device), 1]
+    wp.launch(kernels.shrink_candidates, dim=1, inputs=inputs, outputs=[rest], device=device)
+    assert listed(rest).tolist() == [kept]

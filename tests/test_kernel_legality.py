@@ -1,0 +1,181 @@
+"""Every rule that refuses a collapse, one test each."""
+
+import meshes
+import numpy as np
+import pytest
+import warp as wp
+from mesh_state import build_state, edge_list, half_edge_between
+from oracles import topology as oracle
+
+from warpqem.kernels.legality import judge_winners
+
+
+def judged(state, half_edges, target, device, flip_tolerance=0) -> np.ndarray:
+    """Faces removed by each half-edge, 0 where illegal; ``target`` (E, K, 3)."""
+    out = wp.full(len(half_edges), -1, dtype=wp.int32, device=device)
+    target = wp.array(target, dtype=wp.vec3, device=device)
+    inputs = [state, edge_list(half_edges, device), target, flip_tolerance, 1]
+    wp.launch(judge_winners, dim=1, inputs=inputs, outputs=[out], device=device)
+    return out.numpy()
+
+
+def judged_at_middle(mesh, u, v, device, **options) -> int:
+    points, faces = mesh
+    points = points[None] if points.ndim == 2 else points
+    state = build_state(points, faces, device)
+    middle = (points[:, u] + points[:, v]) / 2
+    return int(judged(state, [half_edge_between(faces, u, v)], middle[None], device, **options)[0])
+
+
+def test_inner_edge_of_a_sphere_removes_two_faces(device):
+    mesh = meshes.icosphere(1)
+    assert judged_at_middle(mesh, *mesh[1][0, :2], device) == 2
+
+
+def test_border_edge_of_a_grid_removes_one_face(device):
+    assert judged_at_middle(meshes.grid(4, 4), 1, 2, device) == 1
+
+
+def test_link_condition_refuses_a_common_neighbour_that_is_no_wing(device):
+    # Around a tube of three, the third vertex of the ring is a neighbour of both ends without a face on the edge.
+    mesh = meshes.tube(3, 4)
+    assert judged_at_middle(mesh, 6, 7, device) == 0
+    wider = meshes.tube(4, 4)
+    assert judged_at_middle(wider, 8, 9, device) == 2
+
+
+def test_link_condition_refuses_to_close_a_hole_of_three_edges(device):
+    points, faces = meshes.icosphere(1)
+    hole, faces = faces[0], faces[1:]
+    assert judged_at_middle((points, faces), hole[1], hole[0], device) == 0
+
+
+def test_pinch_refuses_an_inner_edge_between_border_vertices(device):
+    assert judged_at_middle(meshes.grid(4, 1), 2, 7, device) == 0
+
+
+def test_wing_rule_keeps_three_faces_inside(device):
+    points, faces = meshes.split_faces(meshes.icosphere(1))
+    u, v = meshes.icosphere(1)[1][0, :2]
+    assert judged_at_middle((points, faces), u, v, device) == 0
+    assert judged_at_middle(meshes.icosphere(1), u, v, device) == 2
+
+
+def test_wing_rule_keeps_one_face_at_a_border(device):
+    assert judged_at_middle(meshes.triangle(), 0, 1, device) == 0
+    assert judged_at_middle(meshes.grid(1, 1), 0, 1, device) == 1
+
+
+def test_wing_rule_keeps_the_last_triangles_of_a_tetrahedron(device):
+    assert judged_at_middle(meshes.tetrahedron(), 0, 1, device) == 0
+
+
+def test_vanish_refuses_to_take_the_last_face_of_a_merged_vertex(device):
+    # The wing is a bow tie: its other fan has faces enough for the wing rule.
+    points, faces = meshes.welded(meshes.joined(meshes.triangle(), meshes.fan(4)), {3: 0})
+    assert judged_at_middle((points, faces), 1, 2, device) == 0
+
+
+def flat_fan_moved(frames, flipped, device, flip_tolerance):
+    """Judge a border-free collapse in a grid whose target lies outside its ring in the ``flipped`` frames."""
+    points, faces = meshes.grid(5, 5)
+    state = build_state(np.stack([points] * frames), faces, device)
+    good, bad = (points[14] + points[15]) / 2, points[14] + np.array([-0.7, 0.1, 0], np.float32)
+    target = np.stack([bad if t in flipped else good for t in range(frames)])[None]
+    return int(judged(state, [half_edge_between(faces, 14, 15)], target, device, flip_tolerance)[0])
+
+
+def test_flip_in_one_frame_is_refused(device):
+    assert flat_fan_moved(4, {}, device, 0) == 2
+    assert flat_fan_moved(4, {2}, device, 0) == 0
+
+
+def test_flip_in_few_frames_is_tolerated(device):
+    assert flat_fan_moved(8, {2}, device, 1) == 2
+
+
+def test_flip_in_more_frames_than_tolerated_is_refused(device):
+    assert flat_fan_moved(8, {2, 3}, device, 1) == 0
+
+
+def test_flip_of_the_whole_is_refused_however_many_frames_are_tolerated(device):
+    assert flat_fan_moved(4, {0, 1, 2, 3}, device, 4) == 0
+
+
+@pytest.mark.parametrize(("degrees", "faces_removed"), [(70, 2), (85, 0)])
+def test_face_may_turn_by_78_degrees_at_most(degrees, faces_removed, device):
+    # A hexagon around the edge 0 1, flat; lifting the merged vertex turns the six faces left by the same angle.
+    angle = np.pi * np.arange(8) / 4
+    ring = np.stack([np.cos(angle), np.sin(angle), np.zeros(8)], axis=1) / 2
+    points = np.concatenate([[[-1e-4, 0, 0], [1e-4, 0, 0]], ring]).astype(np.float32)
+    right, left = [8, 9, 2, 3, 4], [4, 5, 6, 7, 8]
+    faces = [[1, 2 + (i - 2) % 8, 2 + (i - 1) % 8] for i in right[:-1]]
+    faces += [[0, 2 + (i - 2) % 8, 2 + (i - 1) % 8] for i in left[:-1]]
+    faces = np.array([*faces, [0, 1, 4], [1, 0, 8]], dtype=np.int32)
+    inradius = 0.5 * np.cos(np.pi / 8)
+    target = np.array([[[0, 0, inradius * np.tan(np.radians(degrees))]]])
+    state = build_state(points, faces, device)
+    assert judged(state, [half_edge_between(faces, 0, 1)], target, device)[0] == faces_removed
+
+
+def test_face_without_area_may_turn_anyhow(device):
+    points, faces = meshes.icosphere(1)
+    state = build_state(np.zeros_like(points), faces, device)
+    half_edge = half_edge_between(faces, *faces[0, :2])
+    assert judged(state, [half_edge], np.ones((1, 1, 3)), device)[0] == 2
+
+
+def test_collapse_to_a_face_without_area_is_refused(device):
+    points, faces = meshes.grid(5, 5)
+    state = build_state(points, faces, device)
+    # On the line through the ring's lower side, one face loses its area.
+    target = (points[14] + points[15]) / 2 - np.array([0, 0.2, 0], np.float32)
+    assert judged(state, [half_edge_between(faces, 14, 15)], target[None, None], device)[0] == 0
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e-3, 1e-4, 1e-5])
+def test_verdict_does_not_depend_on_the_size_of_faces(scale, device):
+    # A part of a hundred thousandth of the diagonal is small, but its faces still have areas far above NO_AREA.
+    points, faces = meshes.grid(5, 5)
+    small = (points * np.float32(scale), faces)
+    assert judged_at_middle(small, 14, 15, device) == 2
+
+
+def test_refused_edge_falls_asleep_and_a_legal_one_does_not(device):
+    points, faces = meshes.grid(4, 1)
+    state = build_state(points, faces, device)
+    state.edge_cost.fill_(3.0)
+    pinched, border = half_edge_between(faces, 2, 7), half_edge_between(faces, 1, 2)
+    middle = np.array([points[[2, 7]].mean(axis=0), points[[1, 2]].mean(axis=0)])[:, None]
+    assert judged(state, [pinched, border], middle, device).tolist() == [0, 1]
+    assert state.edge_cost.numpy()[[pinched, border]].tolist() == [-3, 3]
+
+
+TOPOLOGIES = {
+    "tetrahedron": meshes.tetrahedron(),
+    "octahedron": meshes.octahedron(),
+    "sphere": meshes.icosphere(1),
+    "torus": meshes.torus(5, 3),
+    "thin_torus": meshes.torus(3, 4),
+    "grid": meshes.grid(3, 3),
+    "strip": meshes.grid(4, 1),
+    "tube": meshes.tube(3, 3),
+    "cone": meshes.fan(5, 0.2),
+    "small_cone": meshes.fan(3, 0.2),
+    "stellated": meshes.split_faces(meshes.octahedron()),
+    "back_to_back": meshes.back_to_back(),
+    "square": meshes.grid(1, 1),
+}
+
+
+@pytest.mark.parametrize("name", TOPOLOGIES)
+def test_verdict_without_flips_is_that_of_the_result_staying_manifold(name, device):
+    points, faces = TOPOLOGIES[name]
+    edges = oracle.edges(faces)
+    tail, head = faces.ravel().tolist(), np.roll(faces, -1, axis=1).ravel().tolist()
+    directed = set(zip(tail, head, strict=True))
+    half_edges = [half_edge_between(faces, *(e if e in directed else e[::-1])) for e in edges]
+    # All points in one place: no face has an area, so none can flip.
+    state = build_state(np.zeros_like(points), faces, device)
+    legal = judged(state, half_edges, np.zeros((len(edges), 1, 3)), device) > 0
+    assert legal.tolist() == [oracle.keeps_manifold(faces, u, v) for u, v in edges]

@@ -1,0 +1,132 @@
+"""Dihedral angles over frames, and the motion features built on them."""
+
+import meshes
+import numpy as np
+import pytest
+import warp as wp
+from oracles import motion as oracle
+
+import warpqem
+from warpqem.kernels.motion import dihedral_angle, measure_dihedral_changes, wrapped
+
+wp.set_module_options({"enable_backward": False})  # no gradients are taken
+
+HINGE_EDGE = np.array([[0, 1, 2, 3]], dtype=np.int32)
+
+
+@wp.kernel
+def measure_angles(
+    points_in: wp.array2d[wp.vec3],
+    # outputs
+    angle_out: wp.array[wp.float32],
+):
+    t = wp.tid()
+    angle_out[t] = dihedral_angle(points_in[t, 0], points_in[t, 1], points_in[t, 2], points_in[t, 3])
+
+
+@wp.kernel
+def wrap_angles(
+    angle_in: wp.array[wp.float32],
+    # outputs
+    angle_out: wp.array[wp.float32],
+):
+    angle_out[wp.tid()] = wrapped(angle_in[wp.tid()])
+
+
+def hinge(angles) -> np.ndarray:
+    """(F, 4, 3): faces ``0 1 2`` and ``1 0 3`` about the x axis; a positive angle folds the second one down."""
+    frames = [[[0, 0, 0], [1, 0, 0], [0.5, 1, 0], [0.5, -np.cos(a), -np.sin(a)]] for a in angles]
+    return np.asarray(frames, dtype=np.float32)
+
+
+def changes(points, edges, device) -> np.ndarray:
+    change = wp.zeros(len(edges), dtype=wp.float32, device=device)
+    inputs = [wp.array(edges, dtype=wp.int32, device=device), wp.array(points, dtype=wp.vec3, device=device)]
+    wp.launch(measure_dihedral_changes, dim=len(edges), inputs=inputs, outputs=[change], device=device)
+    return np.degrees(change.numpy())
+
+
+@pytest.mark.parametrize("degrees", [-170, -90, -10, 0, 10, 45, 90, 179])
+def test_angle_of_a_hinge_is_zero_when_flat_and_positive_at_a_ridge(degrees, device):
+    angle = wp.empty(1, dtype=wp.float32, device=device)
+    points = wp.array(hinge([np.radians(degrees)]), dtype=wp.vec3, device=device)
+    wp.launch(measure_angles, dim=1, inputs=[points], outputs=[angle], device=device)
+    assert np.degrees(angle.numpy()[0]) == pytest.approx(degrees, abs=1e-3)
+
+
+def test_change_of_a_hinge_that_opens_by_a_known_angle(device):
+    assert changes(hinge(np.radians([30, 75])), HINGE_EDGE, device)[0] == pytest.approx(45, abs=1e-3)
+
+
+def test_change_takes_the_largest_step_of_all(device):
+    assert changes(hinge(np.radians([0, 5, 25, 20, 10])), HINGE_EDGE, device)[0] == pytest.approx(20, abs=1e-3)
+
+
+def test_change_wraps_past_half_a_turn(device):
+    assert changes(hinge(np.radians([170, 195])), HINGE_EDGE, device)[0] == pytest.approx(25, abs=1e-3)
+
+
+def test_change_of_a_rigid_motion_is_rounding(device):
+    points, faces = meshes.icosphere(1)
+    wings = oracle.edge_wings(faces)
+    edges = [[p, q, *(c for _, _, c in sorted(s, key=lambda h: h[0] != p))] for (p, q), s in wings.items()]
+    assert changes(meshes.rigid_motion(points), np.array(edges), device).max() < 0.01
+
+
+def test_one_frame_changes_nothing(device):
+    assert changes(hinge([1.0]), HINGE_EDGE, device)[0] == 0
+
+
+@pytest.mark.parametrize("turns", [-1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5])
+def test_wrapped_angle_is_equivalent_and_at_most_half_a_turn(turns, device):
+    angle = wp.array([turns * np.pi], dtype=wp.float32, device=device)
+    out = wp.empty(1, dtype=wp.float32, device=device)
+    wp.launch(wrap_angles, dim=1, inputs=[angle], outputs=[out], device=device)
+    result = out.numpy()[0]
+    assert abs(result) <= np.float32(np.pi)
+    assert np.exp(1j * result) == pytest.approx(np.exp(1j * turns * np.pi), abs=1e-5)
+
+
+@pytest.mark.parametrize("mesh", [meshes.bending_bar(8, 12, 5), meshes.waving_grid(6, 4)], ids=["bar", "grid"])
+def test_edge_factors_match_the_oracle(mesh, device):
+    points, faces = mesh
+    result = warpqem.motion_features(points, faces, device=device)
+    expected = oracle.dihedral_changes(points, faces)
+    assert result.edges.tolist() == [list(edge) for edge in expected]
+    np.testing.assert_allclose(result.factor, list(expected.values()), atol=0.05)
+
+
+def test_threshold_is_the_mean_factor(device):
+    result = warpqem.motion_features(*meshes.waving_grid(6, 4), device=device)
+    assert result.threshold == pytest.approx(result.factor.mean(), rel=1e-5)
+    assert result.threshold > 1
+
+
+@pytest.mark.parametrize("mesh", [meshes.bending_bar(8, 12, 5), meshes.waving_grid(6, 4)], ids=["bar", "grid"])
+def test_labels_and_weights_match_the_oracle(mesh, device):
+    points, faces = mesh
+    result = warpqem.motion_features(points, faces, device=device)
+    label, weight = oracle.features(points, faces, points.shape[1])
+    np.testing.assert_array_equal(result.label, label)
+    np.testing.assert_array_equal(result.weight, weight)
+    assert result.feature_count == label.max() + 1
+
+
+def test_still_closed_mesh_has_no_feature(device):
+    points, faces = meshes.icosphere(1)
+    result = warpqem.motion_features(np.stack([points] * 3), faces, device=device)
+    assert result.feature_count == 0
+    np.testing.assert_array_equal(result.weight, 1)
+
+
+def test_joint_of_a_bending_bar_is_a_feature_and_its_rigid_ends_are_not(device):
+    points, faces = meshes.bending_bar(12, 30, 6)
+    label = warpqem.motion_features(points, faces, device=device).label.reshape(31, 12)
+    assert (label[14:17] >= 0).any(axis=1).all()
+    assert (label[3:8] == -1).all()
+
+
+def test_mesh_without_an_inner_edge_has_features_of_border_edges_only(device):
+    result = warpqem.motion_features(*meshes.triangle(), device=device)
+    np.testing.assert_array_equal(result.factor, 0)
+    np.testing.assert_array_equal(result.label, 0)

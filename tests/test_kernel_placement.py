@@ -1,0 +1,134 @@
+"""Placement of every output vertex in every frame, and the count of flipped faces."""
+
+import meshes
+import numpy as np
+import pytest
+import warp as wp
+from oracles import quadrics as oracle
+
+from warpqem.kernels.placement import Clusters, count_flips, place_vertices
+from warpqem.order.quadrics import constraint_lists
+from warpqem.place.rows import sum_repeated
+from warpqem.place.stage import BLOCK_BYTES, frame_blocks
+
+EPSILON = 0.3
+MESHES = {"closed": meshes.swaying_sphere(1, 3), "open": meshes.waving_grid(5, 3)}
+
+
+def gathered(faces, members, device, solved=1) -> Clusters:
+    """One cluster with equal weights of ``members``: face and border terms counted as in the ordering's quadrics."""
+    corner_in = np.isin(faces, members).sum(axis=1)
+    half_edges, weights = [], []
+    directed = set(zip(faces.ravel().tolist(), np.roll(faces, -1, axis=1).ravel().tolist(), strict=True))
+    for h, (a, b) in enumerate(zip(faces.ravel().tolist(), np.roll(faces, -1, axis=1).ravel().tolist(), strict=True)):
+        if (b, a) not in directed and (a in members or b in members):
+            half_edges.append(h)
+            weights.append((a in members) + (b in members))
+    clusters = Clusters()
+
+    def whole(values, dtype):
+        return wp.array(np.asarray(values), dtype=dtype, device=device)
+
+    clusters.member_start, clusters.member = whole([0, len(members)], wp.int32), whole(members, wp.int32)
+    clusters.member_weight = whole(np.full(len(members), 1 / len(members)), wp.float32)
+    clusters.face_start = whole([0, (corner_in > 0).sum()], wp.int32)
+    clusters.face = wp.array(faces[corner_in > 0], dtype=wp.vec3i, device=device)
+    clusters.face_weight = whole(corner_in[corner_in > 0], wp.float32)
+    clusters.border_start = whole([0, len(half_edges)], wp.int32)
+    clusters.border = whole(np.array(half_edges, dtype=np.int32), wp.int32)
+    clusters.border_weight = whole(np.array(weights, dtype=np.float32), wp.float32)
+    clusters.solved = whole([solved], wp.int32)
+    return clusters
+
+
+def placed(points, faces, clusters, device, epsilon=EPSILON):
+    """(positions (F, 3), normals (F, 3)) of the one cluster."""
+    out = [wp.empty((len(points), 1), dtype=wp.vec3, device=device) for _ in range(2)]
+    corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device)
+    inputs = [wp.array(points, dtype=wp.vec3, device=device), corner_vertex, clusters, epsilon]
+    wp.launch(place_vertices, dim=(len(points), 1), inputs=inputs, outputs=out, device=device)
+    return out[0].numpy()[:, 0], out[1].numpy()[:, 0]
+
+
+@pytest.mark.parametrize("name", MESHES)
+@pytest.mark.parametrize("members", [[0, 1], [0, 6, 7, 12], [8]])
+def test_position_solves_the_normal_equation_of_the_cluster(name, members, device):
+    points, faces = MESHES[name]
+    x, _ = placed(points, faces, gathered(faces, members, device), device)
+    for t, frame in enumerate(points.astype(np.float64)):
+        anchor = frame[members].mean(axis=0)
+        own = oracle.vertex_quadrics(frame, faces, origin=np.repeat(anchor[None], len(frame), axis=0))
+        total = oracle.zero()
+        for m in members:
+            total += own[m]
+        np.testing.assert_allclose(x[t], anchor + oracle.minimiser(total, EPSILON), atol=2e-6)
+
+
+@pytest.mark.parametrize("name", MESHES)
+def test_vertex_that_is_not_solved_is_its_anchor(name, device):
+    points, faces = MESHES[name]
+    x, _ = placed(points, faces, gathered(faces, [0, 1], device, solved=0), device)
+    np.testing.assert_allclose(x, points[:, [0, 1]].mean(axis=1), atol=1e-7)
+
+
+def test_strong_pull_keeps_the_vertex_on_the_material(device):
+    points, faces = MESHES["closed"]
+    x, _ = placed(points, faces, gathered(faces, [0, 11, 5], device), device, epsilon=1e4)
+    np.testing.assert_allclose(x, points[:, [0, 11, 5]].mean(axis=1), atol=1e-4)
+
+
+def test_normal_is_the_sum_of_the_faces_cross_products(device):
+    points, faces = MESHES["closed"]
+    _, normal = placed(points, faces, gathered(faces, [0, 1], device), device)
+    corner = points.astype(np.float64)[:, faces[np.isin(faces, [0, 1]).any(axis=1)]]
+    cross = np.cross(corner[:, :, 1] - corner[:, :, 0], corner[:, :, 2] - corner[:, :, 0])
+    np.testing.assert_allclose(normal, cross.sum(axis=1), rtol=1e-4, atol=1e-6)
+
+
+def flips_of(points, normals, faces, device) -> np.ndarray:
+    count = wp.zeros(len(points), dtype=wp.int32, device=device)
+    inputs = [wp.array(a, dtype=wp.vec3, device=device) for a in (points, normals)]
+    inputs.append(wp.array(faces.ravel(), dtype=wp.int32, device=device))
+    wp.launch(count_flips, dim=(len(points), len(faces)), inputs=inputs, outputs=[count], device=device)
+    return count.numpy()
+
+
+def test_faces_that_agree_with_their_normals_are_no_flips(device):
+    points, faces = MESHES["closed"]
+    assert flips_of(points, points, faces, device).tolist() == [0, 0, 0]
+
+
+def test_flips_are_counted_per_frame(device):
+    points, faces = MESHES["closed"]
+    normals = points.copy()
+    normals[1] *= -1
+    assert flips_of(points, normals, faces, device).tolist() == [0, len(faces), 0]
+
+
+def test_repeated_items_of_a_row_are_summed():
+    start, item, weight = sum_repeated(
+        np.array([2, 0, 2, 2, 0]), np.array([5, 1, 5, 3, 1]), np.array([1.0, 2.0, 3.0, 4.0, 5.0]), 4
+    )
+    assert start.tolist() == [0, 1, 1, 3, 3]
+    assert item.tolist() == [1, 3, 5]
+    assert weight.tolist() == [7, 4, 4]
+
+
+def test_constraint_lists_of_a_closed_mesh_are_empty():
+    vertex, start, half_edge = constraint_lists(meshes.octahedron()[1].ravel(), np.zeros(24, dtype=int))
+    assert len(vertex) == len(half_edge) == 0
+    assert start.tolist() == [0]
+
+
+def test_frame_blocks_cover_every_frame_once():
+    blocks = list(frame_blocks(1000, 100000))
+    assert [i for b in blocks for i in range(1000)[b]] == list(range(1000))
+    assert len(blocks) > 1
+
+
+def test_frame_blocks_have_a_bounded_size():
+    assert max(b.stop - b.start for b in frame_blocks(1000, 100000)) * 100000 * 12 <= BLOCK_BYTES
+
+
+def test_frame_block_holds_one_frame_at_least():
+    assert len(list(frame_blocks(3, 10**9))) == 3
