@@ -44,11 +44,12 @@ def test_simplify_writes_the_output_and_a_table(cloth, tmp_path):
 
 
 def test_simplify_passes_all_options_on(cloth, tmp_path):
-    options = "--max-error 2 --metric dod --coherence 0.2 --placement endpoint --key-frames 2 --frames 1:2 --flatten"
+    options = "--max-error 2 --metric dod --coherence 0.2 --placement endpoint --key-frames 2 --frames 1:2"
+    switches = "--flatten --bake --no-weld"
     report = tmp_path / "report.json"
     result = run(
-        "simplify", cloth, "-o", tmp_path / "out.usdc", *options.split(), "--prim", "/Root", "--device", "cpu",
-        "--json", report,
+        "simplify", cloth, "-o", tmp_path / "out.usdc", *options.split(), *switches.split(), "--prim", "/Root",
+        "--device", "cpu", "--json", report,
     )  # fmt: skip
     assert result.exit_code == 0, result.stderr
     [prim] = json.loads(report.read_text())["prims"]
@@ -57,7 +58,8 @@ def test_simplify_passes_all_options_on(cloth, tmp_path):
 
 def test_simplify_names_what_it_drops(tmp_path):
     skinned_stage(tmp_path / "in.usda")
-    result = run("simplify", tmp_path / "in.usda", "-o", tmp_path / "out.usda", "--ratio", 0.5, "--device", "cpu")
+    files = (tmp_path / "in.usda", "-o", tmp_path / "out.usda")
+    result = run("simplify", *files, "--ratio", 0.5, "--device", "cpu", "--bake")
     assert [line for line in result.stderr.splitlines() if line.startswith("warning: /Char/Body: dropped")] != []
     assert "skin binding with 1 blend shape" in result.stderr
 

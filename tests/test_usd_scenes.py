@@ -32,12 +32,14 @@ def test_scene_keeps_every_array_in_step_with_its_faces(scene, tmp_path):
     for prim in find_meshes(result).prims:
         mesh = UsdGeom.Mesh(prim)
         indices = np.array(mesh.GetFaceVertexIndicesAttr().Get())
-        lengths = {len(mesh.GetPointsAttr().Get(time)) for time in mesh.GetPointsAttr().GetTimeSamples()}
+        times = mesh.GetPointsAttr().GetTimeSamples() or [Usd.TimeCode.Default()]
+        lengths = {len(mesh.GetPointsAttr().Get(time)) for time in times}
         assert lengths == {indices.max() + 1}
         expected = {"vertex": indices.max() + 1, "faceVarying": len(indices), "uniform": len(indices) // 3}
         for primvar in UsdGeom.PrimvarsAPI(prim).GetPrimvarsWithAuthoredValues():
             if primvar.GetInterpolation() in expected:
-                assert len(primvar.ComputeFlattened()) == expected[primvar.GetInterpolation()]
+                length = expected[primvar.GetInterpolation()] * primvar.GetElementSize()
+                assert len(primvar.ComputeFlattened()) == length
 
 
 @pytest.mark.parametrize("scene", [*SCENES, *EXTRA], ids=lambda path: path.name)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -10,41 +11,66 @@ import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdSkel
 from test_usd_stages import FRAMES, cloth_stage, skinned_stage
 
+import warpqem
 from warpqem.errors import OptionError, StageError
+from warpqem.usd.carrier import Carrier
+from warpqem.usd.job import MeshJob
+from warpqem.usd.mesh import MeshSource
+from warpqem.usd.skel import StagePoses
 from warpqem.usd.write import OverLayer, check_output_path
 
 CLOTH = "/Root/Cloth"
-FACES = np.array([[0, 1, 2], [1, 3, 2]], dtype=np.int32)
-POSES = np.arange(36, dtype=np.float32).reshape(3, 4, 3)
+BODY = "/Char/Body"
+
+
+@dataclass
+class Replacement:
+    """A simplified mesh, ready to be written."""
+
+    times: list[float] | None
+    points: np.ndarray
+    faces: np.ndarray
+    carrier: Carrier
+
+    def write(self, layer: OverLayer, path: str) -> list[str]:
+        return layer.replace_mesh(path, self.times, self.points, self.faces, self.carrier)
+
+
+def simplified(source: Usd.Stage, path: str = CLOTH) -> Replacement:
+    """A mesh simplified to 40 faces, baked where it has a skin."""
+    mesh_source = MeshSource(source.GetPrimAtPath(path), StagePoses(source))
+    job = MeshJob.prepare(mesh_source, bake=True)
+    result = warpqem.simplify(job.frames, job.faces, target_faces=40, seams=job.seams.hold(40)[0], device="cpu")
+    return Replacement(*job.output_points(result), result.faces, job.carrier(result, "cpu"))
 
 
 def dressed_cloth(path: Path) -> Usd.Stage:
-    """A cloth with everything that refers to its topology, and some that does not."""
+    """A cloth with arrays that do not fit its topology, so that nothing can be carried, and some without one."""
     stage = cloth_stage(path)
     mesh = UsdGeom.Mesh(stage.GetPrimAtPath(CLOTH))
     primvars = UsdGeom.PrimvarsAPI(mesh)
     st = primvars.CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, "faceVarying")
     st.Set([Gf.Vec2f(0)] * 3)
-    st.SetIndices([0] * 256)
-    primvars.CreatePrimvar("wet", Sdf.ValueTypeNames.FloatArray, "vertex").Set([0.5] * 81)
-    primvars.CreatePrimvar("id", Sdf.ValueTypeNames.IntArray, "uniform").Set([1] * 64)
+    st.SetIndices([0] * 255)
+    primvars.CreatePrimvar("wet", Sdf.ValueTypeNames.FloatArray, "vertex").Set([0.5] * 80)
+    primvars.CreatePrimvar("id", Sdf.ValueTypeNames.IntArray, "uniform").Set([1] * 63)
     primvars.CreatePrimvar("tint", Sdf.ValueTypeNames.Color3fArray, "constant").Set([Gf.Vec3f(1)])
-    mesh.CreateNormalsAttr([Gf.Vec3f(0, 0, 1)] * 81)
+    mesh.CreateNormalsAttr([Gf.Vec3f(0, 0, 1)] * 80)
     mesh.CreateVelocitiesAttr().Set([Gf.Vec3f(0)] * 81, 1.0)
     mesh.CreateCreaseIndicesAttr([0, 1])
     mesh.CreateCreaseLengthsAttr([2])
     mesh.CreateCreaseSharpnessesAttr([1.0])
     mesh.CreatePurposeAttr("render")
-    UsdGeom.Subset.CreateGeomSubset(mesh, "left", "face", [0, 1], "materialBind", "nonOverlapping")
+    UsdGeom.Subset.CreateGeomSubset(mesh, "pins", "point", [0, 1], "pins", "unrestricted")
     material = UsdShade.Material.Define(stage, "/Root/Paint")
     UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
     stage.GetRootLayer().Save()
     return stage
 
 
-def written(tmp_path: Path, source: Usd.Stage, flatten: bool, times: list[float] | None = FRAMES) -> Usd.Stage:
+def written(tmp_path: Path, source: Usd.Stage, flatten: bool, path: str = CLOTH) -> Usd.Stage:
     layer = OverLayer(source)
-    layer.replace_mesh(CLOTH, times, POSES if times else POSES[:1], FACES)
+    simplified(source, path).write(layer, path)
     output = tmp_path / "out.usda"
     layer.save(output, flatten)
     return Usd.Stage.Open(str(output))
@@ -56,21 +82,24 @@ def flatten(request):
 
 
 def test_points_and_faces_are_the_new_ones(tmp_path, flatten):
-    stage = written(tmp_path, dressed_cloth(tmp_path / "in.usda"), flatten)
+    source = dressed_cloth(tmp_path / "in.usda")
+    expected = simplified(source)
+    stage = written(tmp_path, source, flatten)
     mesh = UsdGeom.Mesh(stage.GetPrimAtPath(CLOTH))
     assert mesh.GetPointsAttr().GetTimeSamples() == FRAMES
-    for pose, time in zip(POSES, FRAMES, strict=True):
+    for pose, time in zip(expected.points, FRAMES, strict=True):
         np.testing.assert_array_equal(mesh.GetPointsAttr().Get(time), pose)
-    assert list(mesh.GetFaceVertexCountsAttr().Get()) == [3, 3]
-    assert list(mesh.GetFaceVertexIndicesAttr().Get()) == FACES.ravel().tolist()
+    assert list(mesh.GetFaceVertexCountsAttr().Get()) == [3] * len(expected.faces)
+    assert list(mesh.GetFaceVertexIndicesAttr().Get()) == expected.faces.ravel().tolist()
     assert mesh.GetSubdivisionSchemeAttr().Get() == "none"
 
 
 def test_still_mesh_gets_a_default_value_only(tmp_path, flatten):
-    stage = written(tmp_path, cloth_stage(tmp_path / "in.usda", times=None), flatten, None)
+    source = cloth_stage(tmp_path / "in.usda", times=None)
+    stage = written(tmp_path, source, flatten)
     points = UsdGeom.Mesh(stage.GetPrimAtPath(CLOTH)).GetPointsAttr()
     assert points.GetNumTimeSamples() == 0
-    np.testing.assert_array_equal(points.Get(), POSES[0])
+    np.testing.assert_array_equal(points.Get(), simplified(source).points[0])
 
 
 def test_animated_mesh_gets_no_default_value(tmp_path, flatten):
@@ -83,14 +112,16 @@ def test_stale_default_of_the_input_is_replaced(tmp_path, flatten):
     UsdGeom.Mesh(source.GetPrimAtPath(CLOTH)).GetPointsAttr().Set([Gf.Vec3f(0)] * 81)
     source.GetRootLayer().Save()
     stage = written(tmp_path, source, flatten)
-    assert len(UsdGeom.Mesh(stage.GetPrimAtPath(CLOTH)).GetPointsAttr().Get()) == 4
+    assert len(UsdGeom.Mesh(stage.GetPrimAtPath(CLOTH)).GetPointsAttr().Get()) < 81
 
 
 def test_extent_is_that_of_each_frame(tmp_path, flatten):
-    stage = written(tmp_path, dressed_cloth(tmp_path / "in.usda"), flatten)
+    source = dressed_cloth(tmp_path / "in.usda")
+    pose = simplified(source).points[1]
+    stage = written(tmp_path, source, flatten)
     extent = UsdGeom.Mesh(stage.GetPrimAtPath(CLOTH)).GetExtentAttr()
     assert extent.GetTimeSamples() == FRAMES
-    np.testing.assert_array_equal(extent.Get(2.0), [POSES[1].min(axis=0), POSES[1].max(axis=0)])
+    np.testing.assert_array_equal(extent.Get(2.0), [pose.min(axis=0), pose.max(axis=0)])
 
 
 def test_what_refers_to_the_old_topology_is_gone(tmp_path, flatten):
@@ -115,13 +146,13 @@ def test_what_does_not_refer_to_it_stays(tmp_path, flatten):
 def test_everything_dropped_is_named(tmp_path):
     source = dressed_cloth(tmp_path / "in.usda")
     UsdGeom.Mesh(source.GetPrimAtPath(CLOTH)).GetSubdivisionSchemeAttr().Set("loop")
-    dropped = OverLayer(source).replace_mesh(CLOTH, FRAMES, POSES, FACES)
+    dropped = simplified(source).write(OverLayer(source), CLOTH)
     assert sorted(dropped) == [
-        "1 GeomSubset",
+        "1 GeomSubset of points or edges",
         "creaseIndices",
         "creaseLengths",
         "creaseSharpnesses",
-        "normals",
+        "normals (vertex)",
         "primvars:id (uniform)",
         "primvars:st (faceVarying)",
         "primvars:wet (vertex)",
@@ -172,7 +203,7 @@ def test_flat_file_names_assets_by_relative_paths(tmp_path):
 def test_skin_binding_is_gone(tmp_path, flatten):
     source = skinned_stage(tmp_path / "in.usda")
     layer = OverLayer(source)
-    dropped = layer.replace_mesh("/Char/Body", FRAMES, POSES, FACES)
+    dropped = simplified(source, BODY).write(layer, BODY)
     layer.save(tmp_path / "out.usda", flatten)
     stage = Usd.Stage.Open(str(tmp_path / "out.usda"))
     assert "skin binding with 1 blend shape" in dropped
@@ -183,8 +214,9 @@ def test_skin_binding_is_gone(tmp_path, flatten):
 
 
 def test_flat_file_has_no_trace_of_a_skin(tmp_path):
-    layer = OverLayer(skinned_stage(tmp_path / "in.usda"))
-    layer.replace_mesh("/Char/Body", FRAMES, POSES, FACES)
+    source = skinned_stage(tmp_path / "in.usda")
+    layer = OverLayer(source)
+    simplified(source, BODY).write(layer, BODY)
     layer.save(tmp_path / "out.usda", flatten=True)
     stage = Usd.Stage.Open(str(tmp_path / "out.usda"))
     body = stage.GetPrimAtPath("/Char/Body")
@@ -205,7 +237,7 @@ def test_binding_inherited_from_an_ancestor_is_stopped(tmp_path, flatten):
             source.GetPrimAtPath("/Char/Body").RemoveProperty(prop.GetName())
     source.GetRootLayer().Save()
     layer = OverLayer(source)
-    layer.replace_mesh("/Char/Body", FRAMES, POSES, FACES)
+    simplified(source, BODY).write(layer, BODY)
     layer.save(tmp_path / "out.usda", flatten)
     assert_not_skinned(Usd.Stage.Open(str(tmp_path / "out.usda")), "/Char/Body")
 
@@ -224,7 +256,7 @@ def test_validators_of_usd_find_nothing_new(tmp_path, flatten):
     context = validation.ValidationContext(validation.ValidationRegistry().GetOrLoadAllValidators())
     source = skinned_stage(tmp_path / "in.usda")
     layer = OverLayer(source)
-    layer.replace_mesh("/Char/Body", FRAMES, POSES, FACES)
+    simplified(source, BODY).write(layer, BODY)
     layer.save(tmp_path / "out.usda", flatten)
     known = {error.GetName() for error in context.Validate(source)}
     found = context.Validate(Usd.Stage.Open(str(tmp_path / "out.usda")))
@@ -232,11 +264,11 @@ def test_validators_of_usd_find_nothing_new(tmp_path, flatten):
 
 
 def test_point_that_is_not_finite_is_never_written(tmp_path):
-    layer = OverLayer(dressed_cloth(tmp_path / "in.usda"))
-    points = POSES.copy()
-    points[1, 3, 0] = np.inf
+    source = dressed_cloth(tmp_path / "in.usda")
+    broken = simplified(source)
+    broken.points[1, 3, 0] = np.inf
     with pytest.raises(StageError, match=r"/Root/Cloth\.points: the simplified point 3 at time 2"):
-        layer.replace_mesh(CLOTH, FRAMES, points, FACES)
+        broken.write(OverLayer(source), CLOTH)
 
 
 def test_vertex_colors_hide_those_of_the_input(tmp_path):

@@ -51,7 +51,7 @@ def simplify(
     metric: Annotated[
         Metric,
         typer.Option(
-            help="Cost model: dsd sums the error over frames, qem takes the first frame only, dod adds stretching "
+            help="Cost model: dsd sums the error over frames, qem takes the first pose only, dod adds stretching "
             "edges, aqem keeps joints."
         ),
     ] = Metric.dsd,
@@ -68,6 +68,15 @@ def simplify(
     frames: Frames = None,
     prim: Prims = None,
     device: Device = None,
+    bake: Annotated[
+        bool, typer.Option("--bake", help="Write skinned and blend-shaped meshes as point samples, without their skin.")
+    ] = False,
+    weld: Annotated[
+        bool,
+        typer.Option(
+            "--weld/--no-weld", help="Join points that lie together in every frame, such as those split at UV seams."
+        ),
+    ] = True,
     flatten: Annotated[
         bool, typer.Option("--flatten", help="Write one self-contained file instead of a layer over IN.")
     ] = False,
@@ -78,8 +87,8 @@ def simplify(
 ) -> None:
     """Simplify every mesh over all its frames. Give one of --ratio, --faces and --max-error.
 
-    OUT is a small layer over IN that holds the new meshes; keep the two files together, or use --flatten. Skinned
-    and blend-shaped meshes become point caches. What does not fit the new meshes is dropped, with a warning.
+    OUT is a small layer over IN that holds the new meshes; keep the two files together, or use --flatten. Primvars,
+    normals, subsets, skins and blend shapes come along. What does not fit the new meshes is dropped, with a warning.
 
     Exit codes: 0 all done; 1 an error, or some mesh failed; 2 wrong usage.
     """
@@ -97,6 +106,8 @@ def simplify(
         frames=FrameRange.parse(frames) if frames else None,
         prims=tuple(prim or ()),
         device=device,
+        bake=bake,
+        weld=weld,
         flatten=flatten,
         strict=strict,
     )

@@ -9,14 +9,12 @@ from dataclasses import dataclass, field
 
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
-__all__ = ["Dropped", "drop_misfits"]
+from warpqem.usd.blend_shapes import count_shape_users
 
-# Array attributes of UsdGeomMesh with one entry per face, edge or point of the old topology.
-TOPOLOGY_ATTRIBUTES = (
-    "normals",
-    "velocities",
-    "accelerations",
-    "holeIndices",
+__all__ = ["Dropped", "block", "drop_skin", "drop_subdivision"]
+
+# Attributes of UsdGeomMesh that say how a subdivision surface passes its edges and points.
+SHARPNESS_ATTRIBUTES = (
     "creaseIndices",
     "creaseLengths",
     "creaseSharpnesses",
@@ -44,29 +42,8 @@ class Dropped:
     unskinned: list[Sdf.Path] = field(default_factory=list)
 
 
-def drop_misfits(prim: Usd.Prim) -> Dropped:
-    """Block or deactivate everything on a mesh whose length or indices refer to its old topology.
-
-    Constant primvars, transforms, visibility, purpose and material bindings of the mesh stay. The skin binding goes:
-    the points of the new mesh are poses, not a rest shape.
-
-    Args:
-        prim: A mesh below a SkelRoot or not, on a stage whose edit target takes the edits.
-    """
-    dropped = Dropped()
-    _drop_primvars(prim, dropped)
-    for name in TOPOLOGY_ATTRIBUTES:
-        if _block(prim.GetAttribute(name), dropped):
-            dropped.names.append(name)
-    _drop_subsets(prim, dropped)
-    _drop_skin(prim, dropped)
-    scheme = UsdGeom.Mesh(prim).GetSubdivisionSchemeAttr().Get()
-    if scheme != UsdGeom.Tokens.none:
-        dropped.names.append(f"subdivision ({scheme})")
-    return dropped
-
-
-def _block(attribute: Usd.Attribute, dropped: Dropped) -> bool:
+def block(attribute: Usd.Attribute, dropped: Dropped) -> bool:
+    """Hide the value of an attribute; False if it has none."""
     if not attribute or not attribute.HasAuthoredValue():
         return False
     attribute.Block()
@@ -74,31 +51,22 @@ def _block(attribute: Usd.Attribute, dropped: Dropped) -> bool:
     return True
 
 
-def _drop_primvars(prim: Usd.Prim, dropped: Dropped) -> None:
-    for primvar in UsdGeom.PrimvarsAPI(prim).GetPrimvars():
-        name = str(primvar.GetPrimvarName())
-        # primvars:skel:* go with the skin binding, whatever their interpolation.
-        if primvar.GetInterpolation() == UsdGeom.Tokens.constant or name.startswith("skel:"):
-            continue
-        interpolation = primvar.GetInterpolation()
-        _block(primvar.GetIndicesAttr(), dropped)
-        if _block(primvar.GetAttr(), dropped):
-            dropped.names.append(f"primvars:{name} ({interpolation})")
+def drop_subdivision(mesh: UsdGeom.Mesh, dropped: Dropped) -> None:
+    """Take off subdivision, with creases and corners, and the list of holes, which have no faces on the new mesh."""
+    for name in SHARPNESS_ATTRIBUTES:
+        if block(mesh.GetPrim().GetAttribute(name), dropped):
+            dropped.names.append(name)
+    block(mesh.GetHoleIndicesAttr(), dropped)
+    scheme = mesh.GetSubdivisionSchemeAttr().Get()
+    if scheme != UsdGeom.Tokens.none:
+        dropped.names.append(f"subdivision ({scheme})")
 
 
-def _drop_subsets(prim: Usd.Prim, dropped: Dropped) -> None:
-    subsets = UsdGeom.Subset.GetAllGeomSubsets(UsdGeom.Mesh(prim))
-    if not subsets:
-        return
-    for subset in subsets:
-        subset.GetPrim().SetActive(False)
-        dropped.deactivated.append(subset.GetPath())
-    for attribute in prim.GetAuthoredPropertiesInNamespace("subsetFamily"):
-        _block(attribute, dropped)
-    dropped.names.append(f"{len(subsets)} GeomSubset{'s' if len(subsets) > 1 else ''}")
+def drop_skin(prim: Usd.Prim, dropped: Dropped) -> None:
+    """Take the binding to a skeleton and the blend shapes off a mesh whose points are poses, no rest shape.
 
-
-def _drop_skin(prim: Usd.Prim, dropped: Dropped) -> None:
+    Normals of the rest shape go with them.
+    """
     shapes = [child for child in prim.GetChildren() if child.IsA(UsdSkel.BlendShape)]
     properties = prim.GetAuthoredPropertiesInNamespace("skel")
     properties += prim.GetAuthoredPropertiesInNamespace("primvars:skel")
@@ -110,10 +78,13 @@ def _drop_skin(prim: Usd.Prim, dropped: Dropped) -> None:
             prop.SetTargets([])
             dropped.blocked.append(prop.GetPath())
         else:
-            _block(prop, dropped)
+            block(prop, dropped)
+    users = count_shape_users(prim.GetStage()) if shapes else {}
     for shape in shapes:
-        shape.SetActive(False)
-        dropped.deactivated.append(shape.GetPath())
+        # This mesh has let go of its shapes by now, so that any user is another mesh, which still needs the shape.
+        if users[shape.GetPath()] == 0:
+            shape.SetActive(False)
+            dropped.deactivated.append(shape.GetPath())
     if inherited or prim.HasAPI(UsdSkel.BindingAPI):
         # A block does not stop UsdSkel from inheriting influences; an empty skeleton on an applied API does. The API
         # stays on the layer, as the validators of USD ask for it where a weaker layer has properties of a skin.
@@ -124,11 +95,19 @@ def _drop_skin(prim: Usd.Prim, dropped: Dropped) -> None:
         else:
             dropped.blocked.append(skeleton.GetPath())
             dropped.unskinned.append(prim.GetPath())
+    deformed = shapes or inherited or prim.HasAttribute("primvars:skel:jointIndices")
+    for name in ("normals", "primvars:normals", "primvars:normals:indices") if deformed else ():
+        if block(prim.GetAttribute(name), dropped) and not name.endswith("indices"):
+            dropped.names.append(f"{name} of the rest pose")
     count = f" with {len(shapes)} blend shape{'s' if len(shapes) > 1 else ''}" if shapes else ""
     dropped.names.append("skin binding" + count)
 
 
 def _inherits_influences(prim: Usd.Prim) -> bool:
-    """True if an ancestor gives the mesh joint influences."""
-    primvar = UsdGeom.PrimvarsAPI(prim.GetParent()).FindPrimvarWithInheritance("skel:jointIndices")
-    return bool(primvar and primvar.HasAuthoredValue())
+    """True if an ancestor gives the mesh joint influences; UsdSkel inherits them whatever their interpolation."""
+    parent = prim.GetParent()
+    while parent:
+        if parent.GetAttribute("primvars:skel:jointIndices").HasAuthoredValue():
+            return True
+        parent = parent.GetParent()
+    return False

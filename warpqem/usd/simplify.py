@@ -9,13 +9,16 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 from pxr import Usd
 
 import warpqem
 from warpqem.errors import DeviceError, OptionError, StageError, UnreachableTargetError, WarpqemError
+from warpqem.usd.blend_shapes import count_shape_users
 from warpqem.usd.budget import CostCurve, split_budget
 from warpqem.usd.frames import FrameRange
-from warpqem.usd.mesh import MeshSource, StageMesh
+from warpqem.usd.job import MeshJob
+from warpqem.usd.mesh import MeshSource
 from warpqem.usd.report import PrimReport, StageReport, name_prim
 from warpqem.usd.skel import StagePoses
 from warpqem.usd.stage import find_meshes, open_stage
@@ -45,6 +48,9 @@ class SimplifyOptions:
         frames: Time codes to read; None for all authored ones.
         prims: Prim paths; meshes at and below them are simplified. Empty for all.
         device: Warp device; None for the default.
+        bake: Write skinned and blend-shaped meshes as point samples without their skin.
+        weld: Join points of a mesh that differ in nothing that moves them before simplifying; what else differs between
+            them stays apart as faceVarying values.
         flatten: Write one self-contained file instead of a layer over the input.
         strict: Stop at the first mesh that cannot be done, also if it only misses its face count, and write nothing.
     """
@@ -59,6 +65,8 @@ class SimplifyOptions:
     frames: FrameRange | None = None
     prims: tuple[str, ...] = ()
     device: str | None = None
+    bake: bool = False
+    weld: bool = True
     flatten: bool = False
     strict: bool = False
 
@@ -85,9 +93,9 @@ def simplify_stage(
     """Simplify every mesh of a USD file over all its frames and write the result.
 
     The input is never touched. The output is a layer over the input that holds only the new meshes, or a self-contained
-    file. Skinned and blend-shaped meshes become point caches. What does not fit the new topology is dropped and named
-    in the report. A mesh that fails is left as it is, and one that has no legal collapse left is done as far as it
-    goes, unless `options.strict`.
+    file. Skinned and blend-shaped meshes keep their skin, unless `options.bake`. Primvars, normals and subsets are
+    brought to the new topology; what cannot be is dropped and named in the report. A mesh that fails is left as it is,
+    and one that has no legal collapse left is done as far as it goes, unless `options.strict`.
 
     Args:
         input_path: .usd, .usda, .usdc or .usdz file.
@@ -123,6 +131,7 @@ class _Run:
         self.options = options
         self.progress = progress
         self.poses = StagePoses(stage)
+        self.shape_users = count_shape_users(stage)
         self.layer = OverLayer(stage)
         self.reports: dict[str, PrimReport] = {}
 
@@ -181,32 +190,42 @@ class _Run:
         finally:
             report.seconds += time.perf_counter() - start
 
-    def _read(self, prim: Usd.Prim) -> StageMesh:
-        source = MeshSource(prim, self.poses)
-        mesh = source.read(source.frame_times(self.options.frames))
-        report = self.reports[mesh.path]
-        report.frames = len(mesh.points)
-        report.faces_before = report.faces_after = len(mesh.faces)
-        report.vertices_before = report.vertices_after = mesh.points.shape[1]
-        return mesh
+    def _prepare(self, prim: Usd.Prim) -> MeshJob:
+        job = MeshJob.prepare(
+            MeshSource(prim, self.poses),
+            self.options.frames,
+            bake=self.options.bake,
+            welding=self.options.weld,
+            shape_users=self.shape_users,
+        )
+        report = self.reports[job.mesh.path]
+        report.frames = len(job.mesh.points)
+        report.faces_before = report.faces_after = len(job.mesh.faces)
+        report.vertices_before = report.vertices_after = job.mesh.points.shape[1]
+        return job
 
-    def _call_core(self, mesh: StageMesh, progress: Progress, **goal: float | int | None) -> warpqem.SimplifiedMesh:
+    def _call_core(
+        self, job: MeshJob, progress: Progress, seams: npt.NDArray[np.int32], **goal: float | int | None
+    ) -> warpqem.SimplifiedMesh:
         return warpqem.simplify(
-            mesh.points,
-            mesh.faces,
+            job.frames,
+            job.faces,
             metric=self.options.metric,
             coherence=self.options.coherence,
             placement=self.options.placement,
             key_frames=self.options.key_frames,
+            seams=seams,
             device=self.options.device,
             progress=progress,
             **goal,
         )
 
-    def _as_far_as_it_goes(self, mesh: StageMesh, progress: Progress, target_faces: int) -> warpqem.SimplifiedMesh:
+    def _as_far_as_it_goes(
+        self, job: MeshJob, progress: Progress, seams: npt.NDArray[np.int32], target_faces: int
+    ) -> warpqem.SimplifiedMesh:
         """Simplify to a face count, or to the last legal collapse before it."""
         try:
-            return self._call_core(mesh, progress, target_faces=target_faces)
+            return self._call_core(job, progress, seams, target_faces=target_faces)
         except UnreachableTargetError as error:
             if error.result is None:
                 raise
@@ -214,42 +233,56 @@ class _Run:
 
     def _trial(self, prim: Usd.Prim, progress: Progress) -> CostCurve:
         """How the error of a mesh grows on the way to as few faces as it can have."""
-        mesh = self._read(prim)
-        if len(mesh.faces) <= TRIAL_FACES:
-            return CostCurve(len(mesh.faces), np.zeros(0), np.zeros(0, dtype=np.int64))
-        result = self._as_far_as_it_goes(mesh, progress, TRIAL_FACES)
-        diagonal = float(np.linalg.norm(np.ptp(mesh.points.astype(np.float64), axis=1), axis=1).max())
+        job = self._prepare(prim)
+        face_count = len(job.mesh.faces)
+        if face_count <= TRIAL_FACES:
+            return CostCurve(face_count, np.zeros(0), np.zeros(0, dtype=np.int64))
+        result = self._as_far_as_it_goes(job, progress, job.seams.hold(None)[0], TRIAL_FACES)
+        diagonal = float(np.linalg.norm(np.ptp(job.frames.astype(np.float64), axis=1), axis=1).max())
         return CostCurve.from_log(
-            face_count=len(mesh.faces),
+            face_count=face_count,
             cost=result.log.cost,
             faces_removed=result.log.faces_removed,
-            unit_length=diagonal * mesh.world_scale,
+            unit_length=diagonal * job.mesh.world_scale,
             frame_count=len(result.key_frames),
         )
 
     def _simplify_prim(self, prim: Usd.Prim, progress: Progress, target_faces: int | None) -> None:
-        mesh = self._read(prim)
-        report = self.reports[mesh.path]
-        if not len(mesh.faces):
+        job = self._prepare(prim)
+        report = self.reports[job.mesh.path]
+        face_count = len(job.mesh.faces)
+        if not face_count:
             report.status, report.message = "kept", "the mesh has no faces"
             return
         if target_faces is None and self.options.ratio is not None:
-            target_faces = max(1, round(self.options.ratio * len(mesh.faces)))
-        if target_faces is not None and target_faces >= len(mesh.faces):
+            target_faces = max(1, round(self.options.ratio * face_count))
+        if target_faces is not None and target_faces >= face_count:
             report.status, report.message = "kept", "the mesh has no more faces than asked for"
             return
+        seams, let_go = job.seams.hold(target_faces)
         if target_faces is None:
-            result = self._call_core(mesh, progress, max_error=self.options.max_error)
+            result = self._call_core(job, progress, seams, max_error=self.options.max_error)
         elif self.options.strict:
-            result = self._call_core(mesh, progress, target_faces=target_faces)
+            result = self._call_core(job, progress, seams, target_faces=target_faces)
         else:
-            result = self._as_far_as_it_goes(mesh, progress, target_faces)
+            result = self._as_far_as_it_goes(job, progress, seams, target_faces)
         report.stopped = result.stopped
         if not len(result.log):
             report.status, report.message = "kept", f"nothing could be removed ({report.stopped})"
             return
-        report.dropped = self.layer.replace_mesh(mesh.path, mesh.times, result.points, result.faces)
+        self._write(job, result, report)
+        report.dropped += [f"closed seams of {name} (too many)" for name in let_go]
+
+    def _write(self, job: MeshJob, result: warpqem.SimplifiedMesh, report: PrimReport) -> None:
+        times, points = job.output_points(result)
+        carrier = job.carrier(result, self.options.device)
+        report.dropped = self.layer.replace_mesh(job.mesh.path, times, points, result.faces, carrier, job.skin)
+        if job.unskinned_because is not None:
+            report.dropped = [
+                f"{name} ({job.unskinned_because})" if name.startswith("skin binding") else name
+                for name in report.dropped
+            ]
         report.faces_after = len(result.faces)
         report.vertices_after = result.points.shape[1]
         report.error = float(result.error)
-        report.flips = int(result.flips.sum())
+        report.flips = int(result.flips[job.pose_start :].sum())

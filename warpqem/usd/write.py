@@ -13,8 +13,13 @@ import numpy.typing as npt
 from pxr import Sdf, Tf, Usd, UsdGeom, UsdUtils, Vt
 
 from warpqem.errors import OptionError, StageError
-from warpqem.usd.drop import Dropped, drop_misfits
+from warpqem.usd.carrier import Carrier
+from warpqem.usd.drop import Dropped, drop_skin, drop_subdivision
+from warpqem.usd.primvars import carry_arrays, carry_motion, carry_normals, carry_primvars
+from warpqem.usd.skin import Skin
+from warpqem.usd.skin_output import write_skin
 from warpqem.usd.stage import first_line
+from warpqem.usd.subsets import carry_subsets
 
 __all__ = ["OverLayer", "check_output_path"]
 
@@ -82,14 +87,19 @@ class OverLayer:
         times: list[float] | None,
         points: npt.NDArray[np.float32],
         faces: npt.NDArray[np.int32],
+        carrier: Carrier,
+        skin: Skin | None = None,
     ) -> list[str]:
-        """Give a mesh new faces and poses and drop what does not fit them.
+        """Give a mesh new faces and points, bring its values to them, and drop what cannot be brought.
 
         Args:
             path: Prim path of a mesh on the input.
             times: Time code of each frame, None for one frame at the default time.
             points: float32, shape (F, V, 3), local space.
             faces: int32, shape (N, 3), in the winding of the mesh's authored orientation.
+            carrier: Where on the input the new points, faces and corners get their values from.
+            skin: The skin that goes on deforming the points, which are then one frame, the rest shape; None for a mesh
+                without one, or one whose points are poses.
 
         Returns:
             Names of what was dropped.
@@ -101,8 +111,7 @@ class OverLayer:
         prim = self.stage.OverridePrim(path)
         mesh = UsdGeom.Mesh(prim)
         weaker = _Weaker(mesh.GetPointsAttr().Get() is not None, mesh.GetExtentAttr().Get() is not None)
-        dropped = drop_misfits(prim)
-        self._dropped.append(dropped)
+        dropped = self._carry_values(mesh, carrier, times, skin)
         counts = np.full(len(faces), 3, dtype=np.int32)
         mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(counts))
         mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(np.ascontiguousarray(faces.reshape(-1))))
@@ -111,6 +120,24 @@ class OverLayer:
         _author(mesh.CreatePointsAttr(), times, points, weaker.points)
         _author(mesh.CreateExtentAttr(), times, extents, weaker.extent)
         return dropped.names
+
+    def _carry_values(
+        self, mesh: UsdGeom.Mesh, carrier: Carrier, times: list[float] | None, skin: Skin | None
+    ) -> Dropped:
+        dropped = Dropped()
+        self._dropped.append(dropped)
+        prim = mesh.GetPrim()
+        if skin is None:
+            drop_skin(prim, dropped)
+        else:
+            write_skin(self.stage, prim, skin, carrier)
+        carry_primvars(prim, carrier, dropped)
+        carry_normals(mesh, carrier, dropped)
+        carry_motion(prim, carrier, times or [], dropped)
+        carry_arrays(prim, carrier)
+        carry_subsets(mesh, carrier, dropped)
+        drop_subdivision(mesh, dropped)
+        return dropped
 
     def set_vertex_colors(
         self, path: str, times: list[float] | None, colors: npt.NDArray[np.float32], interpolation: str = "vertex"

@@ -1,0 +1,150 @@
+"""Carry primvars, normals and other arrays of a mesh to its new points, faces and corners."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from pxr import Usd, UsdGeom, Vt
+
+from warpqem.usd.arrays import (
+    from_numpy,
+    is_continuous,
+    is_normal,
+    is_quaternion,
+    primvar_samples,
+    sample_codes,
+    to_numpy,
+)
+from warpqem.usd.carrier import Carrier, Rows
+from warpqem.usd.drop import Dropped, block
+
+__all__ = ["carry_arrays", "carry_motion", "carry_normals", "carry_primvars"]
+
+POINT_INTERPOLATIONS = (UsdGeom.Tokens.vertex, UsdGeom.Tokens.varying)
+MOTION_ATTRIBUTES = ("velocities", "accelerations")
+
+
+def carry_primvars(prim: Usd.Prim, carrier: Carrier, dropped: Dropped) -> None:
+    """Bring all primvars that are authored on a mesh to its new topology, at all their samples.
+
+    Constant ones stay. Point values that differ between welded points become faceVarying. Real numbers are blended;
+    other values are those of the nearest input element. Primvars whose length does not fit their interpolation are
+    dropped, and those of a skin left to others.
+    """
+    for primvar in UsdGeom.PrimvarsAPI(prim).GetPrimvars():
+        name, interpolation = str(primvar.GetPrimvarName()), str(primvar.GetInterpolation())
+        if interpolation == UsdGeom.Tokens.constant or name.startswith("skel:") or not primvar.HasAuthoredValue():
+            continue
+        samples = primvar_samples(primvar)
+        count = carrier.input_count(interpolation)
+        if samples is None or count is None or any(len(values) != count for values in samples.values()):
+            block(primvar.GetIndicesAttr(), dropped)
+            block(primvar.GetAttr(), dropped)
+            dropped.names.append(f"primvars:{name} ({interpolation})")
+            continue
+        rows, corner_row = _rows(carrier, primvar.GetAttr().GetName(), interpolation)
+        _write_values(primvar.GetAttr(), samples, rows, primvar.GetElementSize(), name == "normals")
+        if corner_row is not None:
+            indices = primvar.CreateIndicesAttr()
+            indices.Set(Vt.IntArray.FromNumpy(np.ascontiguousarray(corner_row.ravel())))
+            primvar.SetInterpolation(UsdGeom.Tokens.faceVarying)
+        else:
+            block(primvar.GetIndicesAttr(), dropped)
+
+
+def carry_normals(mesh: UsdGeom.Mesh, carrier: Carrier, dropped: Dropped) -> None:
+    """Bring the `normals` of a mesh to its new topology; a mesh without any gets none."""
+    attribute = mesh.GetNormalsAttr()
+    if not attribute.HasAuthoredValue():
+        return
+    interpolation = str(mesh.GetNormalsInterpolation())
+    if interpolation == UsdGeom.Tokens.constant:
+        return
+    samples = _samples_of_length(attribute, carrier.input_count(interpolation))
+    if samples is None:
+        block(attribute, dropped)
+        dropped.names.append(f"normals ({interpolation})")
+        return
+    rows, corner_row = _rows(carrier, "normals", interpolation)
+    if corner_row is not None:
+        # The attribute has no indices, so that each corner has its own entry.
+        rows = Rows(rows.index[corner_row.ravel()], rows.weight[corner_row.ravel()])
+        mesh.SetNormalsInterpolation(UsdGeom.Tokens.faceVarying)
+    _write_values(attribute, samples, rows, 1, True)
+
+
+def carry_motion(prim: Usd.Prim, carrier: Carrier, point_times: list[float], dropped: Dropped) -> None:
+    """Bring velocities and accelerations to the new points where they have samples with the points, and only there."""
+    for name in MOTION_ATTRIBUTES:
+        attribute = prim.GetAttribute(name)
+        if not attribute.HasAuthoredValue():
+            continue
+        samples = _samples_of_length(attribute, carrier.point_count)
+        if samples is None or attribute.GetTimeSamples() != point_times:
+            block(attribute, dropped)
+            dropped.names.append(name)
+            continue
+        _write_values(attribute, samples, carrier.vertices(), 1, False)
+
+
+def carry_arrays(prim: Usd.Prim, carrier: Carrier) -> None:
+    """Bring arrays that no schema of the mesh knows to the new points or faces, if they have as many entries."""
+    known = set(prim.GetPrimDefinition().GetPropertyNames())
+    for attribute in prim.GetAuthoredAttributes():
+        name = attribute.GetName()
+        if name in known or not attribute.GetTypeName().isArray or UsdGeom.Primvar.IsPrimvar(attribute):
+            continue
+        # Indices of a primvar are no primvar; they and those of a skin are carried with what they belong to.
+        if name.startswith(("primvars:", "skel:")):
+            continue
+        for interpolation in (UsdGeom.Tokens.vertex, UsdGeom.Tokens.uniform):
+            samples = _samples_of_length(attribute, carrier.input_count(interpolation))
+            if samples:
+                _write_values(attribute, samples, _rows(carrier, name, interpolation)[0], 1, False)
+                break
+
+
+def _rows(carrier: Carrier, name: str, interpolation: str) -> tuple[Rows, npt.NDArray[np.int32] | None]:
+    """Where values come from, and for those that are to be faceVarying the row of each output corner."""
+    if interpolation == UsdGeom.Tokens.faceVarying:
+        return carrier.corners(name)
+    if interpolation in POINT_INTERPOLATIONS and carrier.is_cut(name):
+        return carrier.corners(name, of_points=True)
+    if interpolation == UsdGeom.Tokens.uniform:
+        return carrier.polygons(), None
+    return carrier.vertices(), None
+
+
+def _samples_of_length(attribute: Usd.Attribute, count: int | None) -> dict[Usd.TimeCode, npt.NDArray[Any]] | None:
+    samples = {}
+    for code in sample_codes(attribute):
+        values = to_numpy(attribute.Get(code))
+        if values is None or len(values) != count:
+            return None
+        samples[code] = values
+    return samples
+
+
+def _write_values(
+    attribute: Usd.Attribute,
+    samples: dict[Usd.TimeCode, npt.NDArray[Any]],
+    rows: Rows,
+    element_size: int,
+    unit_length: bool,
+) -> None:
+    """Author the carried values of every sample."""
+    # Read before anything is written: the first sample written hides those of weaker layers.
+    likes = {code: attribute.Get(code) for code in samples}
+    for code, values in samples.items():
+        like = likes[code]
+        if not is_continuous(like):
+            carried = rows.pick(values)
+        elif is_quaternion(like):
+            carried = rows.blend_directions(values, signed=False)
+        elif unit_length or is_normal(attribute.GetTypeName()):
+            carried = rows.blend_directions(values)
+        else:
+            carried = rows.blend(values)
+        attribute.Set(from_numpy(carried.astype(values.dtype), like, element_size), code)

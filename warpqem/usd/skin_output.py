@@ -1,0 +1,91 @@
+"""Write the skin of a simplified mesh: joint influences and blend shapes of its new points."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
+
+from warpqem.usd.blend_shapes import write_shape
+from warpqem.usd.carrier import Carrier, Rows
+from warpqem.usd.skin import Influences, Skin
+
+__all__ = ["blend_influences", "write_skin"]
+
+
+def write_skin(stage: Usd.Stage, prim: Usd.Prim, skin: Skin, carrier: Carrier) -> None:
+    """Give the new points of a mesh their joint influences and blend shapes.
+
+    Skeleton, animation, geomBindTransform, joint order and targets are those of the input, and so are joints that move
+    the whole mesh as one.
+
+    Args:
+        stage: Stage whose edit target takes the edits.
+        prim: The mesh.
+        skin: Its skin on the old points.
+        carrier: Where the new points get their values from.
+    """
+    rows = carrier.vertices()
+    if skin.influences:
+        _write_influences(prim, {code: blend_influences(item, rows) for code, item in skin.influences.items()})
+    for shape in skin.shapes:
+        write_shape(stage, shape, rows, skin.diagonal)
+
+
+def _write_influences(prim: Usd.Prim, influences: dict[Usd.TimeCode, Influences]) -> None:
+    if not prim.HasAPI(UsdSkel.BindingAPI):
+        # Inherited influences are replaced by the mesh's own, which UsdSkel reads only where the API is applied.
+        UsdSkel.BindingAPI.Apply(prim)
+    primvars = UsdGeom.PrimvarsAPI(prim)
+    for name, kind, arrays in (
+        ("jointIndices", Sdf.ValueTypeNames.IntArray, {code: item.joints for code, item in influences.items()}),
+        ("jointWeights", Sdf.ValueTypeNames.FloatArray, {code: item.weights for code, item in influences.items()}),
+    ):
+        size = next(iter(arrays.values())).shape[1]
+        primvar = primvars.CreatePrimvar(f"skel:{name}", kind, UsdGeom.Tokens.vertex, size)
+        if primvar.IsIndexed():
+            primvar.BlockIndices()
+        array_type = Vt.IntArray if kind == Sdf.ValueTypeNames.IntArray else Vt.FloatArray
+        for code, array in arrays.items():
+            primvar.Set(array_type.FromNumpy(np.ascontiguousarray(array.ravel())), code)
+
+
+def blend_influences(influences: Influences, rows: Rows, most: int | None = None) -> Influences:
+    """Joint influences of new points: the weighted mean of the old points', its largest weights, scaled to sum one.
+
+    Args:
+        influences: Of the old points.
+        rows: The new points as blends of the old ones.
+        most: Influences that a new point keeps; None for as many as an old one has.
+
+    Returns:
+        Influences in order of falling weight. A point without any weight keeps joint 0 with weight 0.
+    """
+    size = influences.joints.shape[1] if most is None else most
+    row_count = len(rows.index)
+    joint_count = int(influences.joints.max(initial=0)) + 1
+    weight = (rows.weight[:, :, None].astype(np.float64) * influences.weights[rows.index]).ravel()
+    row = np.repeat(np.arange(row_count), len(weight) // max(row_count, 1))
+    key, entry = np.unique(row * joint_count + influences.joints[rows.index].ravel(), return_inverse=True)
+    total = np.bincount(entry.ravel(), weights=weight, minlength=len(key))
+    row, joint = key // joint_count, key % joint_count
+    order = np.lexsort((joint, -total, row))
+    row, joint, total = row[order], joint[order], total[order]
+    rank = np.arange(len(row)) - np.searchsorted(row, row)
+    kept = (rank < size) & (total > 0)
+    joints = np.zeros((row_count, size), dtype=np.int32)
+    weights = np.zeros((row_count, size))
+    joints[row[kept], rank[kept]] = joint[kept]
+    weights[row[kept], rank[kept]] = total[kept]
+    return Influences(joints, _sum_to_one(weights))
+
+
+def _sum_to_one(weights: npt.NDArray[np.float64]) -> npt.NDArray[np.float32]:
+    """Weights (V, K) in falling order, scaled so that each row sums to one in float32; rows of zeros stay."""
+    total = weights.sum(axis=1, keepdims=True)
+    scaled: npt.NDArray[np.float32] = np.divide(weights, total, out=np.zeros_like(weights), where=total > 0).astype(
+        np.float32
+    )
+    # What rounding leaves over goes to the largest weight, where it matters least.
+    scaled[:, 0] += np.where(total[:, 0] > 0, np.float32(1) - scaled.sum(axis=1, dtype=np.float32), np.float32(0))
+    return scaled

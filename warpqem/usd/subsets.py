@@ -1,0 +1,33 @@
+"""Carry face subsets of a mesh to its new faces."""
+
+from __future__ import annotations
+
+import numpy as np
+from pxr import UsdGeom, Vt
+
+from warpqem.usd.arrays import sample_codes
+from warpqem.usd.carrier import Carrier
+from warpqem.usd.drop import Dropped
+
+__all__ = ["carry_subsets"]
+
+
+def carry_subsets(mesh: UsdGeom.Mesh, carrier: Carrier, dropped: Dropped) -> None:
+    """Give every face subset the new faces that go on from its faces; subsets of points or edges are deactivated.
+
+    Each new face goes on from one authored face, so subsets that do not overlap, or that share out all faces, still do.
+    """
+    lost = 0
+    for subset in UsdGeom.Subset.GetAllGeomSubsets(mesh):
+        if subset.GetElementTypeAttr().Get() != UsdGeom.Tokens.face:
+            subset.GetPrim().SetActive(False)
+            dropped.deactivated.append(subset.GetPath())
+            lost += 1
+            continue
+        attribute = subset.GetIndicesAttr()
+        members = {code: np.asarray(attribute.Get(code), dtype=np.int64) for code in sample_codes(attribute)}
+        for code, polygons in members.items():
+            faces = np.flatnonzero(np.isin(carrier.face_polygon, polygons)).astype(np.int32)
+            attribute.Set(Vt.IntArray.FromNumpy(faces), code)
+    if lost:
+        dropped.names.append(f"{lost} GeomSubset{'s' if lost > 1 else ''} of points or edges")
