@@ -146,7 +146,8 @@ def test_unknown_device_is_refused_with_the_list_of_existing_ones(device):
 
 def test_negative_vertex_weight_is_named():
     weights = changed(np.ones(42), 9, -2)
-    refused(errors.OptionError, r"vertex_weights must be in \[0, 1e\+12\], got -2.0 at vertex 9", vertex_weights=weights)
+    expected = r"vertex_weights must be in \[0, 1e\+12\], got -2.0 at vertex 9"
+    refused(errors.OptionError, expected, vertex_weights=weights)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
