@@ -51,12 +51,6 @@ def trace(q: Quadric) -> wp.float32:
 
 
 @wp.func
-def quadric_value(q: Quadric, x: wp.vec3) -> wp.float32:
-    """``Q(x)``."""
-    return wp.dot(x, apply_matrix(q, x) + 2.0 * linear_part(q)) + q[9]
-
-
-@wp.func
 def shift_origin(q: Quadric, d: wp.vec3) -> Quadric:
     """The same quadric about an origin moved by ``d``: ``b' = b + A d``, ``c' = c + 2 b.d + d^T A d``."""
     b = linear_part(q)

@@ -11,7 +11,6 @@ from warpqem.kernels.quadric import (
     apply_matrix,
     linear_part,
     plane_quadric,
-    quadric_value,
     shift_origin,
     trace,
     value_at_minimiser,
@@ -41,7 +40,7 @@ def evaluate_quadrics(
     product_out[i] = apply_matrix(q, x_in[i])
     linear_out[i] = linear_part(q)
     trace_out[i] = trace(q)
-    value_out[i] = quadric_value(q, x_in[i])
+    value_out[i] = shift_origin(q, x_in[i])[9]  # Q(x) is the constant about x
     shifted_out[i] = shift_origin(q, x_in[i])
     x = anchored_minimiser(q, epsilon)
     minimiser_out[i] = x
