@@ -18,7 +18,7 @@ from warpqem.mesh_input import AnimatedMesh, as_numpy, as_vertex_values, read_me
 from warpqem.order.log import CollapseRecord
 from warpqem.order.stage import OrderInput, OrderSettings, order_collapses
 from warpqem.place.stage import Placer, PlaceSettings
-from warpqem.seams import read_seams
+from warpqem.seams import Seams, read_seams
 
 __all__ = ["SimplifiedMesh", "simplify"]
 
@@ -122,35 +122,22 @@ def simplify(
     pinned = _lock_mask(locked, mesh.vertex_count) | seam.corner
     weights = _cost_weights(spec, mesh, vertex_weights, device)
     keys = _key_frames(spec, mesh, key_frames)
-    quadric_scale = np.ones(mesh.vertex_count, dtype=np.float32)
+    endpoint = placement == "endpoint"
+    order_input = _order_input(spec, mesh, keys, weights, seam, pinned)
     ordered = order_collapses(
-        OrderInput(
-            faces=mesh.faces,
-            key_points=mesh.unit_points(keys),
-            vertex_flags=(np.where(pinned, int(LOCKED), 0) | np.where(seam.on_seam, int(SEAM), 0)).astype(np.int32),
-            quadric_scale=quadric_scale,
-            cost_weight=weights,
-            seam=seam.half_edge,
-            trajectories=mesh.unit_points(slice(None)) if spec.deformation_weight > 0 else None,
-        ),
+        order_input,
         OrderSettings(
             target_faces=goal.target_faces,
             error_limit=goal.max_error / 100.0,
             epsilon=min(_epsilon(coherence), ORDER_EPSILON),
-            endpoint=placement == "endpoint",
+            endpoint=endpoint,
             deformation_weight=spec.deformation_weight,
         ),
         device,
         _order_progress(progress, len(mesh.faces), goal.target_faces),
     )
-    placer = Placer(
-        mesh.faces,
-        ordered,
-        quadric_scale,
-        pinned,
-        PlaceSettings(_epsilon(coherence), _regularisation(coherence), placement == "endpoint"),
-        device,
-    )
+    settings = PlaceSettings(_epsilon(coherence), _regularisation(coherence), endpoint)
+    placer = Placer(mesh.faces, ordered, order_input.quadric_scale, pinned, settings, device)
     placed = placer.place_all(mesh, _place_progress(progress, mesh.frame_count))
     result = SimplifiedMesh(
         points=placed.points,
@@ -169,6 +156,21 @@ def simplify(
             result,
         )
     return result
+
+
+def _order_input(
+    spec: CostModelSpec, mesh: AnimatedMesh, keys: np.ndarray, weights: np.ndarray, seam: Seams, pinned: np.ndarray
+) -> OrderInput:
+    flags = np.where(pinned, int(LOCKED), 0) | np.where(seam.on_seam, int(SEAM), 0)
+    return OrderInput(
+        faces=mesh.faces,
+        key_points=mesh.unit_points(keys),
+        vertex_flags=flags.astype(np.int32),
+        quadric_scale=np.ones(mesh.vertex_count, dtype=np.float32),
+        cost_weight=weights,
+        seam=seam.half_edge,
+        trajectories=mesh.unit_points(slice(None)) if spec.deformation_weight > 0 else None,
+    )
 
 
 def _epsilon(coherence: float) -> float:
