@@ -48,6 +48,14 @@ def simplify(
         float | None,
         typer.Option(metavar="PCT", help="Largest error of each mesh, in % of its bounding-box diagonal."),
     ] = None,
+    lods: Annotated[
+        str | None,
+        typer.Option(
+            metavar="RATIOS",
+            help="Levels of detail, such as 0.5,0.25,0.1: OUT offers IN as LOD0 and one level for each ratio as LOD1, "
+            "LOD2, ... in the variant set LOD of its default prim.",
+        ),
+    ] = None,
     metric: Annotated[
         Metric,
         typer.Option(
@@ -85,7 +93,7 @@ def simplify(
     ] = False,
     json: JsonReport = None,
 ) -> None:
-    """Simplify every mesh over all its frames. Give one of --ratio, --faces and --max-error.
+    """Simplify every mesh over all its frames. Give one of --ratio, --faces, --max-error and --lods.
 
     OUT is a small layer over IN that holds the new meshes; keep the two files together, or use --flatten. Primvars,
     normals, subsets, skins and blend shapes come along. What does not fit the new meshes is dropped, with a warning.
@@ -94,11 +102,13 @@ def simplify(
     """
     quiet_warp()
     from warpqem.usd import FrameRange, SimplifyOptions, simplify_stage
+    from warpqem.usd.lods import parse_lods
 
     options = SimplifyOptions(
         ratio=ratio,
         faces=faces,
         max_error=max_error,
+        lods=() if lods is None else parse_lods(lods),
         metric=metric.value,
         coherence=coherence,
         placement=placement.value,
@@ -121,39 +131,58 @@ def simplify(
         raise typer.Exit(EXIT_FAILED)
 
 
+def _level(prim: PrimReport) -> str:
+    """Name of the level of detail, empty where there are none."""
+    from warpqem.usd.lods import LevelReport
+
+    return prim.level if isinstance(prim, LevelReport) else ""
+
+
 def _tell_problems(report: StageReport) -> None:
     for prim in report.prims:
+        level = f"{_level(prim)}: " if _level(prim) else ""
         if prim.dropped:
-            tell("warning", f"{prim.path}: dropped, does not fit the new mesh: {', '.join(prim.dropped)}")
+            tell("warning", f"{level}{prim.path}: dropped, does not fit the new mesh: {', '.join(prim.dropped)}")
         if prim.stopped == "no legal collapse":
-            tell("warning", f"{prim.path}: stopped at {prim.faces_after} faces, no legal collapse is left")
+            tell("warning", f"{level}{prim.path}: stopped at {prim.faces_after} faces, no legal collapse is left")
         if prim.status == "failed":
-            tell("error", prim.message or prim.path)
+            tell("error", level + (prim.message or prim.path))
     if report.output is None:
         tell("error", f"nothing written: no mesh of {report.input} could be simplified")
 
 
 def _table(report: StageReport) -> Table:
     table = Table(title=escape(f"{report.input} -> {report.output or 'nothing written'}"))
+    levels = {_level(prim): [other for other in report.prims if _level(other) == _level(prim)] for prim in report.prims}
+    if any(levels):
+        table.add_column("level")
     table.add_column("mesh", overflow="fold")
     for name in ("frames", "faces before", "faces after", "error %"):
         table.add_column(name, justify="right")
     table.add_column("stopped")
     table.add_column("seconds", justify="right")
-    for prim in report.prims:
-        table.add_row(*_row(prim))
-    if len(report.prims) > 1:
-        table.add_section()
-        table.add_row(
-            f"{len(report.prims)} meshes",
-            "",
-            str(sum(prim.faces_before for prim in report.prims)),
-            str(sum(prim.faces_after for prim in report.prims)),
-            "",
-            f"{len(report.failed)} failed" if report.failed else "",
-            f"{sum(prim.seconds for prim in report.prims):.1f}",
-        )
+    for level, prims in levels.items():
+        rows = [_row(prim) for prim in prims]
+        if len(prims) > 1:
+            rows.append(_total(prims))
+        for index, row in enumerate(rows):
+            # The total stands apart from its meshes, and each level from the next.
+            end_section = index == len(rows) - 1 or (len(prims) > 1 and index == len(prims) - 1)
+            table.add_row(*([level] if level else []), *row, end_section=end_section)
     return table
+
+
+def _total(prims: list[PrimReport]) -> list[str]:
+    failed = sum(prim.status == "failed" for prim in prims)
+    return [
+        f"{len(prims)} meshes",
+        "",
+        str(sum(prim.faces_before for prim in prims)),
+        str(sum(prim.faces_after for prim in prims)),
+        "",
+        f"{failed} failed" if failed else "",
+        f"{sum(prim.seconds for prim in prims):.1f}",
+    ]
 
 
 def _row(prim: PrimReport) -> list[str]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
@@ -18,6 +19,7 @@ from warpqem.usd.blend_shapes import count_shape_users
 from warpqem.usd.budget import CostCurve, split_budget
 from warpqem.usd.frames import FrameRange
 from warpqem.usd.job import MeshJob
+from warpqem.usd.lods import LevelLayer, LevelReport, check_lods
 from warpqem.usd.mesh import MeshSource
 from warpqem.usd.report import PrimReport, StageReport, name_prim
 from warpqem.usd.skel import StagePoses
@@ -30,17 +32,20 @@ __all__ = ["SimplifyOptions", "simplify_stage"]
 TRIAL_FACES = 4
 
 Progress = Callable[[float, str], None]
+Save = Callable[[Path], None]
 Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
 class SimplifyOptions:
-    """How to simplify. Exactly one of `ratio`, `faces` and `max_error` is given.
+    """How to simplify. Exactly one of `ratio`, `faces`, `max_error` and `lods` is given.
 
     Attributes:
         ratio: Share of its triangles that each mesh keeps, above 0 and at most 1.
         faces: Triangles of all meshes together, split so that a face saves the same error on each.
         max_error: Largest error of each mesh, in % of its bounding-box diagonal.
+        lods: Ratios of levels of detail, each smaller than the one before, between 0 and 1. The output offers the input
+            and one level for each ratio as variants LOD0, LOD1, ... of the root prim that holds the default prim.
         metric: Cost model, see `warpqem.simplify`.
         coherence: 0 to 1, see `warpqem.simplify`.
         placement: Vertex placement, see `warpqem.simplify`.
@@ -58,6 +63,7 @@ class SimplifyOptions:
     ratio: float | None = None
     faces: int | None = None
     max_error: float | None = None
+    lods: tuple[float, ...] = ()
     metric: str = "dsd"
     coherence: float = 0.5
     placement: str = "optimal"
@@ -73,8 +79,9 @@ class SimplifyOptions:
     def __post_init__(self) -> None:
         """Check the targets; the core checks the other options."""
         given = [name for name in ("ratio", "faces", "max_error") if getattr(self, name) is not None]
+        given += ["lods"] if self.lods else []
         if len(given) != 1:
-            raise OptionError(f"exactly one of ratio, faces and max_error must be given, not {given or 'none'}")
+            raise OptionError(f"exactly one of ratio, faces, max_error and lods must be given, not {given or 'none'}")
         if self.ratio is not None and not 0 < self.ratio <= 1:
             hint = f"; for {self.ratio:g} % give {self.ratio / 100:g}" if 1 < self.ratio <= 100 else ""
             raise OptionError(f"ratio {self.ratio:g}: expected a share above 0 and at most 1{hint}")
@@ -82,6 +89,9 @@ class SimplifyOptions:
             raise OptionError(f"faces {self.faces}: expected at least 1")
         if self.max_error is not None and not self.max_error > 0:
             raise OptionError(f"max_error {self.max_error:g}: expected a percentage above 0")
+        check_lods(self.lods)
+        if self.lods and self.flatten:
+            raise OptionError("lods and flatten exclude each other: every level is a layer over the input")
 
 
 def simplify_stage(
@@ -92,10 +102,11 @@ def simplify_stage(
 ) -> StageReport:
     """Simplify every mesh of a USD file over all its frames and write the result.
 
-    The input is never touched. The output is a layer over the input that holds only the new meshes, or a self-contained
-    file. Skinned and blend-shaped meshes keep their skin, unless `options.bake`. Primvars, normals and subsets are
-    brought to the new topology; what cannot be is dropped and named in the report. A mesh that fails is left as it is,
-    and one that has no legal collapse left is done as far as it goes, unless `options.strict`.
+    The input is never touched. The output is a layer over the input that holds only the new meshes, one that offers
+    them as levels of detail beside the input's own, or a self-contained file. Skinned and blend-shaped meshes keep
+    their skin, unless `options.bake`. Primvars, normals and subsets are brought to the new topology; what cannot be is
+    dropped and named in the report. A mesh that fails is left as it is, and one that has no legal collapse left is done
+    as far as it goes, unless `options.strict`.
 
     Args:
         input_path: .usd, .usda, .usdc or .usdz file.
@@ -104,23 +115,44 @@ def simplify_stage(
         progress: Called with the fraction done and what is being done.
 
     Returns:
-        A report on every mesh. Nothing is written if all meshes fail.
+        A report on every mesh, level after level where `options.lods` is given. Nothing is written if all meshes fail.
 
     Raises:
         StageError: the input cannot be read, has no mesh, or the output cannot be written; with `strict`, also a mesh
             that cannot be done.
-        OptionError: an option or the output path is wrong.
+        OptionError: an option or the output path is wrong, or the root prims of the input cannot hold levels.
         DeviceError: there is no such device.
     """
     output = check_output_path(output_path, [input_path])
     stage = open_stage(input_path)
-    run = _Run(stage, options, progress or (lambda fraction, text: None))
-    report = run.simplify()
+    progress = progress or (lambda fraction, text: None)
+    report, save = (_simplify_levels if options.lods else _simplify_once)(stage, options, progress)
     report.input = os.fspath(input_path)
     if len(report.failed) < len(report.prims):
-        run.layer.save(output, options.flatten)
+        save(output)
         report.output = os.fspath(output_path)
     return report
+
+
+def _simplify_once(stage: Usd.Stage, options: SimplifyOptions, progress: Progress) -> tuple[StageReport, Save]:
+    run = _Run(stage, options, progress)
+    return run.simplify(), lambda output: run.layer.save(output, options.flatten)
+
+
+def _simplify_levels(stage: Usd.Stage, options: SimplifyOptions, progress: Progress) -> tuple[StageReport, Save]:
+    """Every level is a run from the input of its own, so that it equals what its ratio alone would give."""
+    levels = LevelLayer(stage, options.prims)
+    reports: list[PrimReport] = []
+    for index, ratio in enumerate(options.lods):
+
+        def part(fraction: float, text: str, index: int = index) -> None:
+            progress((index + fraction) / len(options.lods), f"LOD{index + 1}: {text}")
+
+        run = _Run(stage, replace(options, ratio=ratio, lods=()), part)
+        report = run.simplify()
+        name = levels.add(run.layer)
+        reports += [LevelReport(**vars(prim), level=name) for prim in report.prims]
+    return StageReport("", None, reports), levels.save
 
 
 class _Run:

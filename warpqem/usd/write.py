@@ -21,7 +21,7 @@ from warpqem.usd.skin_output import write_skin
 from warpqem.usd.stage import first_line
 from warpqem.usd.subsets import carry_subsets
 
-__all__ = ["OverLayer", "check_output_path"]
+__all__ = ["OverLayer", "check_output_path", "copy_stage_metadata", "export_layer", "relative_path"]
 
 OUTPUT_SUFFIXES = (".usd", ".usda", ".usdc")
 
@@ -56,6 +56,13 @@ def check_output_path(output: str | os.PathLike[str], inputs: Iterable[str | os.
     return path
 
 
+def copy_stage_metadata(source: Sdf.Layer, target: Sdf.Layer) -> None:
+    """Give a layer the stage metadata of another, but for what that layer composes by itself."""
+    for key in source.pseudoRoot.ListInfoKeys():
+        if key not in LAYER_ONLY_METADATA:
+            target.pseudoRoot.SetInfo(key, source.pseudoRoot.GetInfo(key))
+
+
 @dataclass(frozen=True)
 class _Weaker:
     """Which default values an edited mesh already has below the new layer."""
@@ -74,12 +81,15 @@ class OverLayer:
         """Start an empty layer over the file that `source` was opened from."""
         self._source = source.GetRootLayer()
         self._layer = Sdf.Layer.CreateAnonymous("over.usda")
-        for key in self._source.pseudoRoot.ListInfoKeys():
-            if key not in LAYER_ONLY_METADATA:
-                self._layer.pseudoRoot.SetInfo(key, self._source.pseudoRoot.GetInfo(key))
+        copy_stage_metadata(self._source, self._layer)
         self._layer.subLayerPaths.append(self._source.realPath)
         self.stage: Usd.Stage = Usd.Stage.Open(self._layer)
         self._dropped: list[Dropped] = []
+
+    @property
+    def layer(self) -> Sdf.Layer:
+        """The edits."""
+        return self._layer
 
     def replace_mesh(
         self,
@@ -172,8 +182,8 @@ class OverLayer:
             # A copy, because an anonymous layer that a stage is open on cannot resolve a relative path.
             layer = Sdf.Layer.CreateAnonymous("save.usda")
             layer.TransferContent(self._layer)
-            layer.subLayerPaths[0] = _relative_path(self._source.realPath, output.parent)
-        _export(layer, output)
+            layer.subLayerPaths[0] = relative_path(self._source.realPath, output.parent)
+        export_layer(layer, output)
 
     def _flattened(self, folder: Path) -> Sdf.Layer:
         layer = self.stage.Flatten(addSourceFileComment=False)
@@ -241,7 +251,7 @@ def _author_empty_relationship(layer: Sdf.Layer, path: Sdf.Path) -> None:
     spec.targetPathList.ClearEditsAndMakeExplicit()
 
 
-def _relative_path(target: str, folder: Path) -> str:
+def relative_path(target: str, folder: Path) -> str:
     """Path from a folder to a file, anchored so that USD does not look for it on its search path."""
     try:
         relative = os.path.relpath(target, folder)
@@ -259,12 +269,17 @@ def _asset_path_mover(source_folder: Path, folder: Path) -> Callable[[str], str]
         package = path.split("[", 1)[0]
         if not os.path.isabs(package) or not (os.path.exists(package) or Path(package).is_relative_to(source_folder)):
             return path
-        return _relative_path(package, folder) + path[len(package) :]
+        return relative_path(package, folder) + path[len(package) :]
 
     return move
 
 
-def _export(layer: Sdf.Layer, output: Path) -> None:
+def export_layer(layer: Sdf.Layer, output: Path) -> None:
+    """Write a layer under a temporary name and rename it.
+
+    Raises:
+        StageError: the file cannot be written; nothing is left behind.
+    """
     temporary = output.with_name(f".{output.stem}.{uuid.uuid4().hex}{output.suffix}")
     try:
         if not layer.Export(os.fspath(temporary)):
