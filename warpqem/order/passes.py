@@ -108,25 +108,6 @@ class Orderer:
             self._recorded[key] = command
         command.launch()
 
-    def run(self, target_faces: int, progress: Callable[[int], None] | None = None) -> str:
-        """Collapse until the target is met; ``progress`` is called with the live face count after each pass.
-
-        Returns:
-            "target"; "max_error" when every edge left would exceed the model's error limit or is illegal, and at least
-            one is held back by the limit alone; "no legal collapse" otherwise.
-        """
-        self._price_all()
-        cap_fraction = CAP_FRACTION
-        while self.live_faces > target_faces:
-            candidate_count, collapsed = self._run_pass(target_faces, cap_fraction)
-            if candidate_count == 0 and cap_fraction >= 1.0:
-                return "max_error" if self._is_limited() else "no legal collapse"
-            # No legal winner under the cap: look further, at all edges, until every one has been refused.
-            cap_fraction = CAP_FRACTION if collapsed else min(1.0, 4.0 * cap_fraction)
-            if progress:
-                progress(self.live_faces)
-        return "target"
-
     def _split_sweep(self, kernel: wp.Kernel, inputs: list) -> None:
         """Sweep with a kernel whose lanes write apart from each other, over all CPU threads."""
         threads = thread_count(self.device)
@@ -145,6 +126,25 @@ class Orderer:
             ]
             self._recorded_parts[key] = commands
         run_parts([command.launch for command in commands])
+
+    def run(self, target_faces: int, progress: Callable[[int], None] | None = None) -> str:
+        """Collapse until the target is met; ``progress`` is called with the live face count after each pass.
+
+        Returns:
+            "target"; "max_error" when every edge left would exceed the model's error limit or is illegal, and at least
+            one is held back by the limit alone; "no legal collapse" otherwise.
+        """
+        self._price_all()
+        cap_fraction = CAP_FRACTION
+        while self.live_faces > target_faces:
+            candidate_count, collapsed = self._run_pass(target_faces, cap_fraction)
+            if candidate_count == 0 and cap_fraction >= 1.0:
+                return "max_error" if self._is_limited() else "no legal collapse"
+            # No legal winner under the cap: look further, at all edges, until every one has been refused.
+            cap_fraction = CAP_FRACTION if collapsed else min(1.0, 4.0 * cap_fraction)
+            if progress:
+                progress(self.live_faces)
+        return "target"
 
     def _is_limited(self) -> bool:
         """Whether the error limit holds back an edge: without it more edges have a price than lie asleep.
