@@ -49,11 +49,15 @@ def gather_vertex_quadrics(
 ):
     """Sum of the face quadrics of a vertex's star. The origin is the vertex, which lies on every plane: b = c = 0."""
     v, t = wp.tid()
-    q = Quadric()
+    diagonal = wp.vec3()
+    mixed = wp.vec3()
     for i in range(star_start_in[v], star_start_in[v + 1]):
         n = weighted_normal_in[star_corner_in[i] // 3, t]
-        q += plane_quadric(n, 0.0, 1.0)
-    quadric_out[v, t] = q * quadric_scale_in[v]
+        diagonal += wp.cw_mul(n, n)
+        mixed += wp.vec3(n[0] * n[1], n[0] * n[2], n[1] * n[2])
+    diagonal *= quadric_scale_in[v]
+    mixed *= quadric_scale_in[v]
+    quadric_out[v, t] = Quadric(diagonal[0], mixed[0], mixed[1], diagonal[1], mixed[2], diagonal[2], 0.0, 0.0, 0.0, 0.0)
 
 
 @wp.kernel

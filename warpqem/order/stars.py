@@ -22,27 +22,42 @@ class Stars:
         self.start = wp.zeros(vertex_count + 1, dtype=wp.int32, device=device)
         self.corner = wp.empty(3 * face_count, dtype=wp.int32, device=device)
         self._cursor = wp.zeros(vertex_count + 1, dtype=wp.int32, device=device)
+        # Launches for one corner array and length, recorded: a replay costs a fifth of a launch.
+        self._recorded: dict[tuple[int, int], tuple[wp.Launch, wp.Launch]] = {}
 
     def build(self, corner_vertex: wp.array, half_edge_count: int) -> None:
         """Fill the lists from the first ``half_edge_count`` corners; corners with vertex -1 are left out."""
         device = self.device
+        key = (corner_vertex.ptr, half_edge_count)
+        if key not in self._recorded:
+            self._recorded[key] = self._record(corner_vertex, half_edge_count)
+        count, fill = self._recorded[key]
         self._cursor.zero_()
-        wp.launch(
-            kernels.count_corners, dim=half_edge_count, inputs=[corner_vertex], outputs=[self._cursor], device=device
-        )
+        count.launch()
         wp.utils.array_scan(self._cursor, self.start, inclusive=False)
         wp.copy(self._cursor, self.start)
-        wp.launch(
-            kernels.fill_stars,
-            dim=half_edge_count,
-            inputs=[corner_vertex],
-            outputs=[self._cursor, self.corner],
-            device=device,
-        )
+        fill.launch()
         # One CPU thread fills the lists in ascending order; on a GPU threads arrive in any order.
         if not wp.get_device(device).is_cpu:
             vertex_count = len(self.start) - 1
             wp.launch(kernels.sort_stars, dim=vertex_count, inputs=[self.start], outputs=[self.corner], device=device)
+
+    def _record(self, corner_vertex: wp.array, half_edge_count: int) -> tuple[wp.Launch, wp.Launch]:
+        count, fill = (
+            wp.launch(
+                kernel,
+                dim=half_edge_count,
+                inputs=[corner_vertex],
+                outputs=outputs,
+                device=self.device,
+                record_cmd=True,
+            )
+            for kernel, outputs in (
+                (kernels.count_corners, [self._cursor]),
+                (kernels.fill_stars, [self._cursor, self.corner]),
+            )
+        )
+        return count, fill
 
 
 def build_stars(corner_vertex: wp.array, vertex_count: int) -> Stars:
