@@ -8,3 +8,9 @@ import warp as wp
 def device(request):
     """Every Warp device to test on: the CPU, and the first GPU where there is one."""
     return request.param
+
+
+@pytest.fixture(params=[False, True], ids=["layer", "flat"])
+def flatten(request):
+    """Both output forms: a layer over the input, and one flattened file."""
+    return request.param

@@ -16,11 +16,6 @@ BODY = "/Char/Body"
 SHAPE = f"{BODY}/bulge"
 
 
-@pytest.fixture(params=[False, True], ids=["layer", "flat"])
-def flatten(request):
-    return request.param
-
-
 def simplified(folder: Path, **options: object) -> tuple[Usd.Stage, list[str]]:
     report = simplify_stage(
         folder / "in.usda", folder / "out.usda", SimplifyOptions(**{"ratio": 0.4, "device": "cpu", **options})

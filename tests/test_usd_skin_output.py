@@ -20,11 +20,6 @@ from warpqem.usd.skin_output import blend_influences
 BODY = "/Char/Body"
 
 
-@pytest.fixture(params=[False, True], ids=["layer", "flat"])
-def flatten(request):
-    return request.param
-
-
 def simplified(folder: Path, **options: object) -> tuple[Usd.Stage, list[str]]:
     report = simplify_stage(
         folder / "in.usda", folder / "out.usda", SimplifyOptions(**{"ratio": 0.4, "device": "cpu", **options})

@@ -5,18 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pytest
 from pxr import Usd, UsdGeom, UsdShade
 from test_usd_stages import cloth_stage
 
 from warpqem.usd import SimplifyOptions, simplify_stage
 
 CLOTH = "/Root/Cloth"
-
-
-@pytest.fixture(params=[False, True], ids=["layer", "flat"])
-def flatten(request):
-    return request.param
 
 
 def halved(tmp_path: Path, flatten: bool = False, family_type: str = "partition") -> tuple[Usd.Stage, list[str]]:

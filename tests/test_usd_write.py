@@ -76,11 +76,6 @@ def written(tmp_path: Path, source: Usd.Stage, flatten: bool, path: str = CLOTH)
     return Usd.Stage.Open(str(output))
 
 
-@pytest.fixture(params=[False, True], ids=["layer", "flat"])
-def flatten(request):
-    return request.param
-
-
 def test_points_and_faces_are_the_new_ones(tmp_path, flatten):
     source = dressed_cloth(tmp_path / "in.usda")
     expected = simplified(source)
