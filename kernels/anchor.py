@@ -6,11 +6,14 @@ relative to it, ``sum_t Q_t(sum_i w_i p_i) = w^T G w`` for weights that sum to o
 ``w`` proportional to ``(G + r I)^-1 1``: one Cholesky solve per cluster, ``r = regularisation tr(G) / n``.
 """
 
+from typing import Any
+
 import warp as wp
 
-from warpqem.kernels.quadric import Quadric, apply_matrix, linear_part, trace
+from warpqem.kernels.lanes import LANE_OPTIONS, POINTS_ARRAY, QUADRIC_ARRAY, lane_dot, lane_sum, overload_widths
+from warpqem.kernels.quadric import apply_matrix, linear_part, trace
 
-wp.set_module_options({"enable_backward": False})  # no gradients are taken
+wp.set_module_options(LANE_OPTIONS)
 
 # Entries of G are sums of products of the size of tr(A) |p|^2 that cancel where a cluster is flat; float32 leaves about
 # 1e-7 of that size. A pull of 1e-5 of it keeps such a matrix positive definite: a flat cluster gets equal weights.
@@ -22,8 +25,8 @@ LEAST_DIAGONAL = wp.constant(wp.float32(1.0e-20))
 @wp.kernel
 def measure_cluster_distances(
     root_in: wp.array[wp.int32],
-    key_position_in: wp.array2d[wp.vec3],
-    ordered_position_in: wp.array2d[wp.vec3],
+    key_position_in: Any,
+    ordered_position_in: Any,
     # outputs
     distance_out: wp.array[wp.float32],
 ):
@@ -33,8 +36,12 @@ def measure_cluster_distances(
     total = wp.float32(0.0)
     if u >= 0:
         for t in range(key_position_in.shape[1]):
-            total += wp.length_sq(key_position_in[v, t] - ordered_position_in[u, t])
+            d = key_position_in[v, t] - ordered_position_in[u, t]
+            total += lane_sum(lane_dot(d, d))
     distance_out[v] = total
+
+
+overload_widths(measure_cluster_distances, key_position_in=POINTS_ARRAY, ordered_position_in=POINTS_ARRAY)
 
 
 @wp.func
@@ -63,9 +70,9 @@ def fit_anchor_weights(
     member_start_in: wp.array[wp.int32],
     member_in: wp.array[wp.int32],
     matrix_start_in: wp.array[wp.int32],
-    key_position_in: wp.array2d[wp.vec3],
-    ordered_position_in: wp.array2d[wp.vec3],
-    quadric_in: wp.array2d[Quadric],
+    key_position_in: Any,
+    ordered_position_in: Any,
+    quadric_in: Any,
     regularisation: wp.float32,
     # outputs
     matrix: wp.array[wp.float32],
@@ -86,11 +93,11 @@ def fit_anchor_weights(
         for i in range(n):
             p = key_position_in[member_in[first + i], t] - origin
             y = apply_matrix(q, p) + b
-            s = wp.dot(b, p) + q[9]
-            size += area * wp.dot(p, p)
+            s = lane_sum(lane_dot(b, p) + q[9])
+            size += wp.dot(area, lane_dot(p, p))
             for j in range(i + 1):
                 r = key_position_in[member_in[first + j], t] - origin
-                matrix[o + packed(i, j)] = matrix[o + packed(i, j)] + wp.dot(y, r) + s
+                matrix[o + packed(i, j)] = matrix[o + packed(i, j)] + lane_sum(lane_dot(y, r)) + s
     total = wp.float32(0.0)
     for i in range(n):
         total += matrix[o + packed(i, i)]
@@ -114,3 +121,8 @@ def fit_anchor_weights(
         sum += s
     for i in range(n):
         weight_out[first + i] = weight_out[first + i] / sum
+
+
+overload_widths(
+    fit_anchor_weights, key_position_in=POINTS_ARRAY, ordered_position_in=POINTS_ARRAY, quadric_in=QUADRIC_ARRAY
+)

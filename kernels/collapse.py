@@ -1,27 +1,33 @@
 """Commit the collapses of one round, and compact the faces that are left."""
 
+from typing import Any
+
 import warp as wp
 
 from warpqem.kernels.edge_cost import INFINITE_COST, merged_quadric
-from warpqem.kernels.independent_set import EdgeList
-from warpqem.kernels.mesh_state import CollapseLog, MeshState
+from warpqem.kernels.lanes import LANE_OPTIONS, POINTS_ARRAY, lane_max, lane_sum, overload_widths
+from warpqem.kernels.mesh_state import KEY_FRAMES, AnyKeyFrames, CollapseLog, MeshState
 from warpqem.kernels.quadric import NO_PLANE, shift_origin, trace
 from warpqem.kernels.topology import LOCKED, find_half_edge, half_edge_target, next_corner, previous_corner
+from warpqem.kernels.work import EdgeList, Work, count_before
 
-wp.set_module_options({"enable_backward": False})  # no gradients are taken
+wp.set_module_options(LANE_OPTIONS)
 
 
 @wp.func
-def merge_vertex(state: MeshState, u: wp.int32, v: wp.int32, target: wp.array2d[wp.vec3], slot: wp.int32) -> wp.float32:
+def merge_vertex(
+    state: MeshState, frames: AnyKeyFrames, u: wp.int32, v: wp.int32, target: Any, slot: wp.int32
+) -> wp.float32:
     """Move ``u`` to the target in every frame, with the quadrics of both; the mean squared error is returned."""
     total = wp.float32(0.0)
     area = wp.float32(0.0)
-    for t in range(state.position.shape[1]):
-        q = shift_origin(merged_quadric(state, u, v, t, 0.0), target[slot, t] - state.position[u, t])
-        total += wp.max(q[9], 0.0)
-        area += trace(q)
-        state.quadric[u, t] = q
-        state.position[u, t] = target[slot, t]
+    for t in range(frames.position.shape[1]):
+        x = target[slot, t]
+        q = shift_origin(merged_quadric(frames, u, v, t, 0.0), x - frames.position[u, t])
+        total += lane_sum(lane_max(q[9], 0.0))
+        area += lane_sum(trace(q))
+        frames.quadric[u, t] = q
+        frames.position[u, t] = x
     state.vertex_flags[u] = state.vertex_flags[u] | state.vertex_flags[v]
     state.cost_weight[u] = 0.5 * (state.cost_weight[u] + state.cost_weight[v])
     return total / wp.max(area, NO_PLANE)
@@ -67,22 +73,42 @@ def mask_star(state: MeshState, mask: wp.array[wp.int32], pass_index: wp.int32, 
 
 
 @wp.kernel
+def open_log(
+    # outputs
+    legal_count: wp.array[wp.int32],
+    log: CollapseLog,
+    log_slot: wp.array[wp.int32],
+):
+    """Reserve the slots of the log for the legal winners of each part; their counts are cleared for the next round."""
+    slot = log.count[0]
+    for part in range(legal_count.shape[0]):
+        log_slot[part] = slot
+        slot += legal_count[part]
+        legal_count[part] = 0
+    log.count[0] = slot
+
+
+@wp.kernel
 def commit_winners(
     state: MeshState,
+    frames: AnyKeyFrames,
     winners: EdgeList,
     faces_removed_in: wp.array[wp.int32],
-    target_in: wp.array2d[wp.vec3],
+    target_in: Any,
     anchor_in: wp.array[wp.float32],
     pass_number_in: wp.array[wp.int32],
-    stride: wp.int32,
+    work: Work,
     # outputs
     mask: wp.array[wp.int32],
     log: CollapseLog,
+    log_slot: wp.array[wp.int32],
 ):
     """Collapse and log the legal winners, those that remove faces. The lower vertex is kept, or the locked one."""
-    for i in range(wp.tid(), winners.count[0], stride):
+    first_slot = count_before(winners, work.part)
+    for w in range(wp.tid(), winners.count[work.part], work.lanes):
+        i = first_slot + w
         if faces_removed_in[i] > 0:
-            h = winners.half_edge[i]
+            h = winners.half_edge[work.part * winners.capacity + w]
             a = state.corner_vertex[h]
             b = half_edge_target(state.corner_vertex, h)
             opposite = find_half_edge(state.corner_vertex, state.star_start, state.star_corner, b, a)
@@ -92,7 +118,7 @@ def commit_winners(
             if (state.vertex_flags[b] & LOCKED) != 0 or ((state.vertex_flags[a] & LOCKED) == 0 and b < a):
                 u = b
                 v = a
-            slot = wp.atomic_add(log.count, 0, 1)
+            slot = wp.atomic_add(log_slot, work.part, 1)
             log.kept[slot] = u
             log.removed[slot] = v
             log.left_wing[slot] = state.corner_vertex[previous_corner(h)]
@@ -106,7 +132,7 @@ def commit_winners(
             mask_star(state, mask, pass_number_in[0], v)
             if state.trajectory.shape[0] > 0:
                 carry_trajectory(state, u, v, wp.where(u == a, anchor_in[i], 1.0 - anchor_in[i]))
-            log.error[slot] = merge_vertex(state, u, v, target_in, i)
+            log.error[slot] = merge_vertex(state, frames, u, v, target_in, i)
             join_seams(state, u, v, h)
             if opposite >= 0:
                 join_seams(state, u, v, opposite)
@@ -119,6 +145,9 @@ def commit_winners(
                         state.edge_cost[3 * f + k] = INFINITE_COST
                 else:
                     state.corner_vertex[g] = u
+
+
+overload_widths(commit_winners, frames=KEY_FRAMES, target_in=POINTS_ARRAY)
 
 
 @wp.kernel

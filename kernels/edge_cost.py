@@ -7,10 +7,10 @@ ours: one constant ``lambda`` for all frames, so that soft directions follow the
 import warp as wp
 
 from warpqem.kernels.deformation import length_deformation
-from warpqem.kernels.mesh_state import CollapseLog, CostModel, MeshState
+from warpqem.kernels.lanes import LANE_OPTIONS, lane_dot, lane_max, lane_sum, overload_widths
+from warpqem.kernels.mesh_state import KEY_FRAMES, AnyKeyFrames, CollapseLog, CostModel, MeshState
 from warpqem.kernels.quadric import (
     NO_PLANE,
-    Quadric,
     anchored_minimiser,
     apply_matrix,
     linear_part,
@@ -27,8 +27,9 @@ from warpqem.kernels.topology import (
     is_canonical,
     previous_corner,
 )
+from warpqem.kernels.work import Work, first_item, last_item
 
-wp.set_module_options({"enable_backward": False})  # no gradients are taken
+wp.set_module_options(LANE_OPTIONS)
 
 INFINITE_COST = wp.constant(wp.float32(wp.inf))
 # Costs stay above zero, so that the sign is free to say "asleep" and the float's bits order the edges.
@@ -50,14 +51,14 @@ class EdgePrice:
 
 
 @wp.func
-def merged_quadric(state: MeshState, u: wp.int32, v: wp.int32, t: wp.int32, anchor: wp.float32) -> Quadric:
-    """``Q_u + Q_v`` about the material point ``p_u + anchor (p_v - p_u)``."""
-    d = state.position[v, t] - state.position[u, t]
-    return shift_origin(state.quadric[u, t], anchor * d) + shift_origin(state.quadric[v, t], (anchor - 1.0) * d)
+def merged_quadric(frames: AnyKeyFrames, u: wp.int32, v: wp.int32, t: wp.int32, anchor: wp.float32):
+    """``Q_u + Q_v`` about the material point ``p_u + anchor (p_v - p_u)``, in block ``t``."""
+    d = frames.position[v, t] - frames.position[u, t]
+    return shift_origin(frames.quadric[u, t], anchor * d) + shift_origin(frames.quadric[v, t], (anchor - 1.0) * d)
 
 
 @wp.func
-def edge_anchor(state: MeshState, model: CostModel, u: wp.int32, v: wp.int32) -> wp.float32:
+def edge_anchor(state: MeshState, frames: AnyKeyFrames, model: CostModel, u: wp.int32, v: wp.int32) -> wp.float32:
     """``lambda`` of the material anchor ``(1 - lambda) p_u + lambda p_v``: minimises the quadrics' sum over all frames.
 
     A vertex on the border or a seam, or locked, is the anchor itself when the other end is free.
@@ -73,16 +74,16 @@ def edge_anchor(state: MeshState, model: CostModel, u: wp.int32, v: wp.int32) ->
     slope = wp.float32(0.0)
     stiffness = wp.float32(0.0)
     pull = wp.float32(0.0)
-    for t in range(state.position.shape[1]):
+    for t in range(frames.position.shape[1]):
         # d.b and d^T A d of the merged quadric, without building it: this loop is half the price of an edge.
-        d = state.position[v, t] - state.position[u, t]
-        qu = state.quadric[u, t]
-        qv = state.quadric[v, t]
-        bend_u = wp.dot(d, apply_matrix(qu, d))
-        bend_v = wp.dot(d, apply_matrix(qv, d))
-        slope += wp.dot(d, linear_part(qu) + linear_part(qv)) - bend_v
-        stiffness += bend_u + bend_v
-        pull += (trace(qu) + trace(qv)) * wp.dot(d, d)
+        d = frames.position[v, t] - frames.position[u, t]
+        qu = frames.quadric[u, t]
+        qv = frames.quadric[v, t]
+        bend_u = lane_dot(d, apply_matrix(qu, d))
+        bend_v = lane_dot(d, apply_matrix(qv, d))
+        slope += lane_sum(lane_dot(d, linear_part(qu) + linear_part(qv)) - bend_v)
+        stiffness += lane_sum(bend_u + bend_v)
+        pull += wp.dot(trace(qu) + trace(qv), lane_dot(d, d))
     if model.endpoint == 1:
         # Q(1) - Q(0) = 2 b.d + d^T A d
         return wp.where(2.0 * slope + stiffness < 0.0, wp.float32(1.0), wp.float32(0.0))
@@ -99,7 +100,7 @@ def keeps_anchor(state: MeshState, model: CostModel, u: wp.int32, v: wp.int32) -
 
 
 @wp.func
-def price_edge(state: MeshState, model: CostModel, h: wp.int32) -> EdgePrice:
+def price_edge(state: MeshState, frames: AnyKeyFrames, model: CostModel, h: wp.int32) -> EdgePrice:
     """Cost over key frames of the collapse of half-edge ``h``; an infinite cost where no collapse is allowed."""
     u = state.corner_vertex[h]
     v = half_edge_target(state.corner_vertex, h)
@@ -110,20 +111,20 @@ def price_edge(state: MeshState, model: CostModel, h: wp.int32) -> EdgePrice:
         return price
     if (state.vertex_flags[u] & state.vertex_flags[v] & SEAM) != 0 and state.seam[h] == 0:
         return price
-    anchor = edge_anchor(state, model, u, v)
+    anchor = edge_anchor(state, frames, model, u, v)
     at_anchor = keeps_anchor(state, model, u, v)
     total = wp.float32(0.0)
     area = wp.float32(0.0)
     spread = wp.float32(0.0)
-    for t in range(state.position.shape[1]):
-        q = merged_quadric(state, u, v, t, anchor)
-        d = state.position[v, t] - state.position[u, t]
+    for t in range(frames.position.shape[1]):
+        q = merged_quadric(frames, u, v, t, anchor)
+        d = frames.position[v, t] - frames.position[u, t]
         if at_anchor:
-            total += wp.max(q[9], 0.0)
+            total += lane_sum(lane_max(q[9], 0.0))
         else:
-            total += value_at_minimiser(q, anchored_minimiser(q, model.epsilon), model.epsilon)
-        area += trace(q)
-        spread += trace(q) * wp.dot(d, d)
+            total += lane_sum(value_at_minimiser(q, anchored_minimiser(q, model.epsilon), model.epsilon))
+        area += lane_sum(trace(q))
+        spread += wp.dot(trace(q), lane_dot(d, d))
     price.error = total / wp.max(area, NO_PLANE)
     if price.error > model.error_limit:
         return price
@@ -139,37 +140,41 @@ def price_edge(state: MeshState, model: CostModel, h: wp.int32) -> EdgePrice:
 @wp.kernel
 def price_all_edges(
     state: MeshState,
+    frames: AnyKeyFrames,
     model: CostModel,
-    half_edge_count: wp.int32,
-    first_lane: wp.int32,
-    stride: wp.int32,
+    work: Work,
 ):
     """Price every edge of the mesh into ``state.edge_cost``."""
-    for h in range(first_lane + wp.tid(), half_edge_count, stride):
+    half_edge_count = 3 * state.face_count[0]
+    for h in range(first_item(half_edge_count, work) + wp.tid(), last_item(half_edge_count, work), work.lanes):
         cost = INFINITE_COST
         if state.corner_vertex[h] >= 0 and is_canonical(
             state.corner_vertex, state.star_start, state.star_corner, state.vertex_flags, h
         ):
-            price = price_edge(state, model, h)
+            price = price_edge(state, frames, model, h)
             cost = price.cost
         state.edge_cost[h] = cost
+
+
+overload_widths(price_all_edges, frames=KEY_FRAMES)
 
 
 @wp.kernel
 def reprice_moved_stars(
     state: MeshState,
+    frames: AnyKeyFrames,
     model: CostModel,
     log: CollapseLog,
     pass_begin: wp.array[wp.int32],
-    first_lane: wp.int32,
-    stride: wp.int32,
+    work: Work,
 ):
     """Price again the edges at each vertex that the last pass moved.
 
     Winners of one pass are never neighbours, so each such edge has exactly one moved end.
     """
-    for i in range(pass_begin[0] + first_lane + wp.tid(), log.count[0], stride):
-        u = log.kept[i]
+    moved_count = log.count[0] - pass_begin[0]
+    for i in range(first_item(moved_count, work) + wp.tid(), last_item(moved_count, work), work.lanes):
+        u = log.kept[pass_begin[0] + i]
         for j in range(state.star_start[u], state.star_start[u + 1]):
             out = state.star_corner[j]
             into = previous_corner(out)
@@ -177,25 +182,33 @@ def reprice_moved_stars(
                 h = wp.where(side == 0, out, into)
                 cost = INFINITE_COST
                 if is_canonical(state.corner_vertex, state.star_start, state.star_corner, state.vertex_flags, h):
-                    price = price_edge(state, model, h)
+                    price = price_edge(state, frames, model, h)
                     cost = price.cost
                 state.edge_cost[h] = cost
+
+
+overload_widths(reprice_moved_stars, frames=KEY_FRAMES)
 
 
 @wp.kernel
 def wake_neighbourhoods(
     state: MeshState,
-    log: CollapseLog,
-    pass_begin: wp.array[wp.int32],
-    stride: wp.int32,
+    mask_in: wp.array[wp.int32],
+    pass_number_in: wp.array[wp.int32],
+    work: Work,
 ):
-    """Wake the refused edges around each vertex that moved: their faces changed, so they may be legal now."""
-    for i in range(pass_begin[0] + wp.tid(), log.count[0], stride):
-        u = log.kept[i]
-        for j in range(state.star_start[u], state.star_start[u + 1]):
-            w = half_edge_target(state.corner_vertex, state.star_corner[j])
-            for k in range(state.star_start[w], state.star_start[w + 1]):
-                h = state.star_corner[k]
-                state.edge_cost[h] = wp.abs(state.edge_cost[h])
-                h = previous_corner(h)
-                state.edge_cost[h] = wp.abs(state.edge_cost[h])
+    """Wake the refused edges around each vertex that moved: their faces changed, so they may be legal now.
+
+    These are the edges with an end that this pass masked: a mask covers the one-rings of both ends of a collapse.
+    """
+    half_edge_count = 3 * state.face_count[0]
+    last = last_item(half_edge_count, work)
+    h = first_item(half_edge_count, work) + wp.tid()
+    while h < last:
+        cost = state.edge_cost[h]
+        if cost < 0.0:
+            u = state.corner_vertex[h]
+            v = half_edge_target(state.corner_vertex, h)
+            if mask_in[u] == pass_number_in[0] or mask_in[v] == pass_number_in[0]:
+                state.edge_cost[h] = -cost
+        h += work.lanes

@@ -10,20 +10,13 @@ import warp as wp
 
 from warpqem.kernels.mesh_state import MeshState
 from warpqem.kernels.topology import half_edge_target
+from warpqem.kernels.work import EdgeList, Work, append, first_item, last_item
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
 # Costs are binned by the upper bits of their float: 8 of exponent and 4 of mantissa, so a bin is 6 % wide at most.
 BIN_SHIFT = wp.constant(wp.int32(19))
 UNCLAIMED = wp.constant(wp.int64(0x7FFFFFFFFFFFFFFF))
-
-
-@wp.struct
-class EdgeList:
-    """Half-edges on the device, their number too."""
-
-    count: wp.array[wp.int32]  # (1,)
-    half_edge: wp.array[wp.int32]
 
 
 @wp.func
@@ -58,28 +51,29 @@ def claim_key(state: MeshState, h: wp.int32) -> wp.int64:
 
 @wp.kernel
 def count_costs(
-    edge_cost_in: wp.array[wp.float32],
-    half_edge_count: wp.int32,
+    state: MeshState,
     sample_step: wp.int32,
-    stride: wp.int32,
+    work: Work,
     # outputs
     histogram_out: wp.array[wp.int32],
 ):
-    """Histogram of the costs of the candidate edges at every ``sample_step``-th half-edge."""
-    for h in range(wp.tid() * sample_step, half_edge_count, stride * sample_step):
-        cost = edge_cost_in[h]
+    """Histogram of the costs of the candidate edges at every ``sample_step``-th half-edge (one part only)."""
+    for h in range(wp.tid() * sample_step, 3 * state.face_count[0], work.lanes * sample_step):
+        cost = state.edge_cost[h]
         if is_candidate_cost(cost):
             wp.atomic_add(histogram_out, cost_bin(cost), 1)
 
 
 @wp.kernel
 def find_cap(
-    wanted: wp.int32,
+    wanted_in: wp.array[wp.int32],
+    sample_step: wp.int32,
     # outputs
     histogram: wp.array[wp.int32],
-    cap_out: wp.array[wp.int32],
+    cap_out: wp.array[wp.float32],
 ):
-    """The bin of the ``wanted``-th cheapest edge; the histogram is cleared for the next pass."""
+    """The upper end of the bin of the ``wanted``-th cheapest edge; the histogram is cleared for the next pass."""
+    wanted = wp.max(1, wanted_in[0] // sample_step)
     seen = wp.int32(0)
     cap = wp.int32(-1)
     for b in range(histogram.shape[0]):
@@ -88,39 +82,50 @@ def find_cap(
         if n > 0 and seen < wanted:
             cap = b
         seen += n
-    cap_out[0] = cap
+    cap_out[0] = wp.cast((cap + 1) << BIN_SHIFT, wp.float32)
 
 
 @wp.kernel
 def collect_candidates(
-    edge_cost_in: wp.array[wp.float32],
-    half_edge_count: wp.int32,
-    cap_in: wp.array[wp.int32],
-    stride: wp.int32,
+    state: MeshState,
+    cap_in: wp.array[wp.float32],
+    work: Work,
     # outputs
     candidates: EdgeList,
 ):
-    """Half-edges with a cost up to the cap (count zeroed before the launch)."""
-    for h in range(wp.tid(), half_edge_count, stride):
-        cost = edge_cost_in[h]
-        if is_candidate_cost(cost) and cost_bin(cost) <= cap_in[0]:
-            candidates.half_edge[wp.atomic_add(candidates.count, 0, 1)] = h
+    """Half-edges with a cost below the cap (counts zeroed before the launch)."""
+    half_edge_count = 3 * state.face_count[0]
+    last = last_item(half_edge_count, work)
+    cap = cap_in[0]
+    h = first_item(half_edge_count, work) + wp.tid()
+    while h < last:
+        cost = state.edge_cost[h]
+        if cost > 0.0 and cost < cap:
+            append(candidates, work.part, h)
+        h += work.lanes
 
 
 @wp.kernel
 def claim_vertices(
     state: MeshState,
     candidates: EdgeList,
-    stride: wp.int32,
+    work: Work,
     # outputs
     claim: wp.array[wp.int64],
 ):
-    """Each candidate claims its two ends; the smallest key stays."""
-    for i in range(wp.tid(), candidates.count[0], stride):
-        h = candidates.half_edge[i]
-        key = claim_key(state, h)
-        wp.atomic_min(claim, state.corner_vertex[h], key)
-        wp.atomic_min(claim, half_edge_target(state.corner_vertex, h), key)
+    """Each candidate claims its two ends; the smallest key stays. A part walks all candidates for its own vertices."""
+    first_vertex = first_item(claim.shape[0], work)
+    last_vertex = last_item(claim.shape[0], work)
+    for part in range(work.part_count):
+        for i in range(wp.tid(), candidates.count[part], work.lanes):
+            h = candidates.half_edge[part * candidates.capacity + i]
+            u = state.corner_vertex[h]
+            v = half_edge_target(state.corner_vertex, h)
+            key = claim_key(state, h)
+            if u >= first_vertex and u < last_vertex:
+                wp.atomic_min(claim, u, key)
+            if v >= first_vertex and v < last_vertex:
+                wp.atomic_min(claim, v, key)
 
 
 @wp.func
@@ -144,31 +149,37 @@ def select_winners(
     state: MeshState,
     candidates: EdgeList,
     claim_in: wp.array[wp.int64],
-    stride: wp.int32,
+    work: Work,
     # outputs
     winners: EdgeList,
 ):
-    """Candidates whose key is the smallest at every vertex of both ends' stars (count zeroed before the launch)."""
-    for i in range(wp.tid(), candidates.count[0], stride):
-        h = candidates.half_edge[i]
+    """Candidates whose key is the smallest at every vertex of both ends' stars (counts zeroed before the launch)."""
+    for i in range(wp.tid(), candidates.count[work.part], work.lanes):
+        h = candidates.half_edge[work.part * candidates.capacity + i]
+        u = state.corner_vertex[h]
+        v = half_edge_target(state.corner_vertex, h)
         key = claim_key(state, h)
-        if holds_star(state, claim_in, state.corner_vertex[h], key) and holds_star(
-            state, claim_in, half_edge_target(state.corner_vertex, h), key
+        # Both ends first: most candidates lose there, without a walk around the stars.
+        if (
+            claim_in[u] == key
+            and claim_in[v] == key
+            and holds_star(state, claim_in, u, key)
+            and holds_star(state, claim_in, v, key)
         ):
-            winners.half_edge[wp.atomic_add(winners.count, 0, 1)] = h
+            append(winners, work.part, h)
 
 
 @wp.kernel
 def withdraw_claims(
     state: MeshState,
     candidates: EdgeList,
-    stride: wp.int32,
+    work: Work,
     # outputs
     claim_out: wp.array[wp.int64],
 ):
     """Leave every vertex unclaimed for the next round."""
-    for i in range(wp.tid(), candidates.count[0], stride):
-        h = candidates.half_edge[i]
+    for i in range(wp.tid(), candidates.count[work.part], work.lanes):
+        h = candidates.half_edge[work.part * candidates.capacity + i]
         claim_out[state.corner_vertex[h]] = UNCLAIMED
         claim_out[half_edge_target(state.corner_vertex, h)] = UNCLAIMED
 
@@ -179,7 +190,7 @@ def shrink_candidates(
     mask_in: wp.array[wp.int32],
     pass_number_in: wp.array[wp.int32],
     candidates_in: EdgeList,
-    stride: wp.int32,
+    work: Work,
     # outputs
     candidates_out: EdgeList,
 ):
@@ -187,10 +198,10 @@ def shrink_candidates(
 
     A winner's one-ring is masked whole, so the stars of what is kept are as they were when the pass began.
     """
-    for i in range(wp.tid(), candidates_in.count[0], stride):
-        h = candidates_in.half_edge[i]
+    for i in range(wp.tid(), candidates_in.count[work.part], work.lanes):
+        h = candidates_in.half_edge[work.part * candidates_in.capacity + i]
         u = state.corner_vertex[h]
         if u >= 0 and is_candidate_cost(state.edge_cost[h]):
             v = half_edge_target(state.corner_vertex, h)
             if mask_in[u] != pass_number_in[0] and mask_in[v] != pass_number_in[0]:
-                candidates_out.half_edge[wp.atomic_add(candidates_out.count, 0, 1)] = h
+                append(candidates_out, work.part, h)

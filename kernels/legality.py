@@ -12,15 +12,26 @@
 | flip, the whole | ``sum over frames of n.n' sqrt(A A' w w')`` must stay positive (seed paper of aqem, equation 7)  |
 """
 
+from typing import Any
+
 import warp as wp
 
 from warpqem.kernels.edge_cost import edge_anchor, keeps_anchor, merged_quadric
-from warpqem.kernels.independent_set import EdgeList
-from warpqem.kernels.mesh_state import CostModel, MeshState
+from warpqem.kernels.lanes import (
+    LANE_OPTIONS,
+    POINTS_ARRAY,
+    lane_cross,
+    lane_dot,
+    lane_inverse_length,
+    lane_max,
+    overload_widths,
+)
+from warpqem.kernels.mesh_state import KEY_FRAMES, AnyKeyFrames, CostModel, MeshState
 from warpqem.kernels.quadric import anchored_minimiser
 from warpqem.kernels.topology import BORDER, find_half_edge, half_edge_target, next_corner, previous_corner
+from warpqem.kernels.work import EdgeList, Work, count_before
 
-wp.set_module_options({"enable_backward": False})  # no gradients are taken
+wp.set_module_options(LANE_OPTIONS)
 
 # A face may not turn by more than 78 degrees in one collapse: beyond that it folds over its neighbour a few later.
 TURN_COSINE = wp.constant(wp.float32(0.2))
@@ -88,21 +99,21 @@ def is_manifold_collapse(state: MeshState, h: wp.int32) -> wp.bool:
 
 
 @wp.func
-def is_flip(old_normal: wp.vec3, new_normal: wp.vec3) -> wp.bool:
-    """Whether a face turns past ``TURN_COSINE``; a face without area in the old state cannot."""
-    old_square = wp.dot(old_normal, old_normal)
-    if old_square <= NO_AREA:
-        return False
-    d = wp.dot(old_normal, new_normal)
-    # cos^2 = d^2 / (old new), divided before it is multiplied: d^2 of a small face would vanish in float32.
-    return d <= 0.0 or d / old_square * d <= TURN_COSINE * TURN_COSINE * wp.dot(new_normal, new_normal)
+def flip_margin(old_normal: Any, new_normal: Any):
+    """Positive (width,) where a face turns less than ``TURN_COSINE`` allows."""
+    d = lane_dot(old_normal, new_normal)
+    # cos |cos| >= c^2 times the squared lengths, divided before it is multiplied: d^2 of a small face would vanish in
+    # float32.
+    share = wp.cw_div(d, lane_max(lane_dot(old_normal, old_normal), NO_AREA))
+    return wp.cw_mul(share, wp.abs(d)) - TURN_COSINE * TURN_COSINE * lane_dot(new_normal, new_normal)
 
 
 @wp.func
 def turns_over(
     state: MeshState,
+    frames: AnyKeyFrames,
     corner: wp.int32,
-    target: wp.array2d[wp.vec3],
+    target: Any,
     slot: wp.int32,
     flip_tolerance: wp.int32,
 ) -> wp.bool:
@@ -110,13 +121,18 @@ def turns_over(
     a = state.corner_vertex[corner]
     b = half_edge_target(state.corner_vertex, corner)
     c = state.corner_vertex[previous_corner(corner)]
-    key_count = state.position.shape[1]
     flips = wp.int32(0)
-    for t in range(key_count):
-        p = state.position[b, t]
-        edge = state.position[c, t] - p
-        if is_flip(wp.cross(edge, state.position[a, t] - p), wp.cross(edge, target[slot, t] - p)):
-            flips += 1
+    for t in range(frames.position.shape[1]):
+        p = frames.position[b, t]
+        edge = frames.position[c, t] - p
+        n = lane_cross(edge, frames.position[a, t] - p)
+        margin = flip_margin(n, lane_cross(edge, target[slot, t] - p))
+        if wp.min(margin) <= 0.0:
+            square = lane_dot(n, n)
+            for k in range(len(margin)):
+                # A face without area in the old state cannot flip.
+                if margin[k] <= 0.0 and square[k] > NO_AREA:
+                    flips += 1
             if flips > flip_tolerance:
                 return True
     if flips == 0:
@@ -124,56 +140,70 @@ def turns_over(
     # All frames together: n.n' sqrt(A A'), with both normals as long as twice the area. The vertex weights of
     # equation 7 are the same factor in every frame, so they do not change the sum's sign.
     agreement = wp.float32(0.0)
-    for t in range(key_count):
-        p = state.position[b, t]
-        edge = state.position[c, t] - p
-        n = wp.cross(edge, state.position[a, t] - p)
-        m = wp.cross(edge, target[slot, t] - p)
-        scale = wp.sqrt(wp.length(n) * wp.length(m))
-        if scale > 0.0:
-            agreement += wp.dot(n, m) / scale
+    for t in range(frames.position.shape[1]):
+        p = frames.position[b, t]
+        edge = frames.position[c, t] - p
+        n = lane_cross(edge, frames.position[a, t] - p)
+        m = lane_cross(edge, target[slot, t] - p)
+        scale = wp.cw_mul(lane_inverse_length(n), lane_inverse_length(m))
+        d = lane_dot(n, m)
+        for k in range(len(d)):
+            agreement += d[k] * wp.sqrt(scale[k])
     return agreement <= 0.0
 
 
 @wp.kernel
 def place_winners(
     state: MeshState,
+    frames: AnyKeyFrames,
     model: CostModel,
     winners: EdgeList,
-    stride: wp.int32,
+    work: Work,
     # outputs
-    target_out: wp.array2d[wp.vec3],
+    target_out: Any,
     anchor_out: wp.array[wp.float32],
 ):
     """The merged vertex of each winner in each key frame, and the anchor along its edge."""
-    for i in range(wp.tid(), winners.count[0], stride):
-        h = winners.half_edge[i]
+    first_slot = count_before(winners, work.part)
+    for k in range(wp.tid(), winners.count[work.part], work.lanes):
+        i = first_slot + k
+        h = winners.half_edge[work.part * winners.capacity + k]
         u = state.corner_vertex[h]
         v = half_edge_target(state.corner_vertex, h)
-        anchor = edge_anchor(state, model, u, v)
+        anchor = edge_anchor(state, frames, model, u, v)
         anchor_out[i] = anchor
         at_anchor = keeps_anchor(state, model, u, v)
-        for t in range(state.position.shape[1]):
-            p = state.position[u, t]
-            target = p + anchor * (state.position[v, t] - p)
+        for t in range(frames.position.shape[1]):
+            p = frames.position[u, t]
+            target = p + anchor * (frames.position[v, t] - p)
             if not at_anchor:
-                target += anchored_minimiser(merged_quadric(state, u, v, t, anchor), model.epsilon)
+                target += anchored_minimiser(merged_quadric(frames, u, v, t, anchor), model.epsilon)
             target_out[i, t] = target
+
+
+overload_widths(place_winners, frames=KEY_FRAMES, target_out=POINTS_ARRAY)
 
 
 @wp.kernel
 def judge_winners(
     state: MeshState,
+    frames: AnyKeyFrames,
     winners: EdgeList,
-    target_in: wp.array2d[wp.vec3],
+    target_in: Any,
     flip_tolerance: wp.int32,
-    stride: wp.int32,
+    work: Work,
     # outputs
     faces_removed_out: wp.array[wp.int32],
+    legal_count: wp.array[wp.int32],
 ):
-    """The faces each legal winner removes; 0 for an illegal one, whose edge sleeps until its neighbourhood changes."""
-    for i in range(wp.tid(), winners.count[0], stride):
-        h = winners.half_edge[i]
+    """The faces each legal winner removes; 0 for an illegal one, whose edge sleeps until its neighbourhood changes.
+
+    Counts the legal ones of each part too (counts zeroed before the launch).
+    """
+    first_slot = count_before(winners, work.part)
+    for k in range(wp.tid(), winners.count[work.part], work.lanes):
+        i = first_slot + k
+        h = winners.half_edge[work.part * winners.capacity + k]
         u = state.corner_vertex[h]
         v = half_edge_target(state.corner_vertex, h)
         legal = is_manifold_collapse(state, h)
@@ -184,11 +214,15 @@ def judge_winners(
             while legal and j < state.star_start[a + 1]:
                 g = state.star_corner[j]
                 if half_edge_target(state.corner_vertex, g) != b and state.corner_vertex[previous_corner(g)] != b:
-                    legal = not turns_over(state, g, target_in, i, flip_tolerance)
+                    legal = not turns_over(state, frames, g, target_in, i, flip_tolerance)
                 j += 1
         if legal:
             opposite = find_half_edge(state.corner_vertex, state.star_start, state.star_corner, v, u)
             faces_removed_out[i] = wp.where(opposite >= 0, 2, 1)
+            wp.atomic_add(legal_count, work.part, 1)
         else:
             faces_removed_out[i] = 0
             state.edge_cost[h] = -state.edge_cost[h]
+
+
+overload_widths(judge_winners, frames=KEY_FRAMES, target_in=POINTS_ARRAY)

@@ -1,26 +1,44 @@
 """The state of a mesh while its edges are collapsed: what the kernels of one pass read and write."""
 
+from typing import Any
+
 import warp as wp
 
-from warpqem.kernels.quadric import Quadric
+from warpqem.kernels.lanes import POINTS_ARRAY, QUADRIC_ARRAY, WIDTHS
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
 
 @wp.struct
 class MeshState:
-    """Faces, stars, and per vertex and key frame position and quadric (V vertices, N faces, K key frames)."""
+    """Faces, stars, flags and prices (V vertices, N faces, F frames)."""
 
+    face_count: wp.array[wp.int32]  # (1,) faces in the arrays, dead ones included
     corner_vertex: wp.array[wp.int32]  # (3N,) vertex of each corner; -1 in a dead face
     star_start: wp.array[wp.int32]  # (V+1,) stars as compressed rows
     star_corner: wp.array[wp.int32]  # (3N,)
-    position: wp.array2d[wp.vec3]  # (V, K) in units of the bounding-box diagonal
-    quadric: wp.array2d[Quadric]  # (V, K) origin at the vertex's position in that frame
     vertex_flags: wp.array[wp.int32]  # (V,) BORDER | LOCKED | FROZEN | SEAM
     cost_weight: wp.array[wp.float32]  # (V,) multiplies the cost; averaged when two vertices merge
     seam: wp.array[wp.int32]  # (3N,) 1 at both half-edges of a seam edge
     edge_cost: wp.array[wp.float32]  # (3N,) at canonical half-edges; inf: no collapse here; negative: asleep
     trajectory: wp.array2d[wp.vec3]  # (V, F) every frame's position, only where a deformation term needs it
+
+
+def _key_frames(width: int) -> type:
+    """The struct for blocks of ``width`` frames."""
+
+    @wp.struct
+    class KeyFrames:
+        """Position and quadric of each vertex in each block of key frames (V vertices, B blocks)."""
+
+        position: POINTS_ARRAY[width]  # (V, B) in units of the bounding-box diagonal
+        quadric: QUADRIC_ARRAY[width]  # (V, B) origin at the vertex's position in that frame
+
+    return KeyFrames
+
+
+KEY_FRAMES = {width: _key_frames(width) for width in WIDTHS}
+AnyKeyFrames = Any  # one of KEY_FRAMES
 
 
 @wp.struct

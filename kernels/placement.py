@@ -1,12 +1,15 @@
 """Place every output vertex in every frame: exact quadric of its cluster, solved against its material anchor."""
 
+from typing import Any
+
 import warp as wp
 
-from warpqem.kernels.plane_quadrics import border_plane
-from warpqem.kernels.quadric import Quadric, anchored_minimiser, plane_quadric
+from warpqem.kernels.lanes import LANE_OPTIONS, POINTS_ARRAY, lane_cross, lane_dot, lane_inverse_length, overload_widths
+from warpqem.kernels.plane_quadrics import add_border_plane
+from warpqem.kernels.quadric import add_plane, anchored_minimiser, zero_quadric
 from warpqem.kernels.topology import half_edge_target, next_corner, previous_corner
 
-wp.set_module_options({"enable_backward": False})  # no gradients are taken
+wp.set_module_options(LANE_OPTIONS)
 
 
 @wp.struct
@@ -27,60 +30,68 @@ class Clusters:
 
 @wp.kernel
 def place_vertices(
-    points_in: wp.array2d[wp.vec3],
+    points_in: Any,
     corner_vertex_in: wp.array[wp.int32],
     clusters: Clusters,
     epsilon: wp.float32,
+    first_cluster: wp.int32,
     # outputs
-    points_out: wp.array2d[wp.vec3],
-    normal_out: wp.array2d[wp.vec3],
+    points_out: Any,
+    normal_out: Any,
 ):
-    """Positions (B, C) of a block of B frames (B, V), in diagonals, and the area-weighted normal of each cluster."""
-    t, c = wp.tid()
-    anchor = wp.vec3()
-    for i in range(clusters.member_start[c], clusters.member_start[c + 1]):
-        anchor += clusters.member_weight[i] * points_in[t, clusters.member[i]]
-    q = Quadric()
-    normal = wp.vec3()
-    for i in range(clusters.face_start[c], clusters.face_start[c + 1]):
-        f = clusters.face[i]
-        p = points_in[t, f[0]]
-        cross = wp.cross(points_in[t, f[1]] - p, points_in[t, f[2]] - p)
-        length = wp.length(cross)
+    """Positions (C, B) of blocks of frames (V, B), in diagonals, and the area-weighted normal of each cluster."""
+    i, t = wp.tid()
+    c = first_cluster + i
+    anchor = points_out.dtype()
+    for j in range(clusters.member_start[c], clusters.member_start[c + 1]):
+        anchor += clusters.member_weight[j] * points_in[clusters.member[j], t]
+    q = zero_quadric(anchor)
+    normal = points_out.dtype()
+    for j in range(clusters.face_start[c], clusters.face_start[c + 1]):
+        f = clusters.face[j]
+        p = points_in[f[0], t]
+        cross = lane_cross(points_in[f[1], t] - p, points_in[f[2], t] - p)
         normal += cross
-        if length > 0.0:
-            # Twice the area is the cross product's length: area n n^T = cross cross^T / (2 length).
-            q += plane_quadric(cross, wp.dot(cross, anchor - p), 0.5 * clusters.face_weight[i] / length)
-    normal_out[t, c] = normal
+        # Twice the area is the cross product's length: area n n^T = cross cross^T / (2 length).
+        weight = lane_inverse_length(cross) * (0.5 * clusters.face_weight[j])
+        q = add_plane(q, cross, lane_dot(cross, anchor - p), weight)
+    normal_out[c, t] = normal
     x = anchor
     if clusters.solved[c] == 1:
-        for i in range(clusters.border_start[c], clusters.border_start[c + 1]):
-            h = clusters.border[i]
-            plane = border_plane(
-                points_in[t, corner_vertex_in[h]],
-                points_in[t, half_edge_target(corner_vertex_in, h)],
-                points_in[t, corner_vertex_in[previous_corner(h)]],
-                anchor,
-            )
-            q += plane * clusters.border_weight[i]
+        for j in range(clusters.border_start[c], clusters.border_start[c + 1]):
+            h = clusters.border[j]
+            a = points_in[corner_vertex_in[h], t]
+            b = points_in[half_edge_target(corner_vertex_in, h), t]
+            opposite = points_in[corner_vertex_in[previous_corner(h)], t]
+            q = add_border_plane(q, a, b, opposite, anchor, clusters.border_weight[j])
         x = anchor + anchored_minimiser(q, epsilon)
-    points_out[t, c] = x
+    points_out[c, t] = x
+
+
+overload_widths(place_vertices, points_in=POINTS_ARRAY, points_out=POINTS_ARRAY, normal_out=POINTS_ARRAY)
 
 
 @wp.kernel
 def count_flips(
-    points_in: wp.array2d[wp.vec3],
-    normal_in: wp.array2d[wp.vec3],
+    points_in: Any,
+    normal_in: Any,
     corner_vertex_in: wp.array[wp.int32],
     # outputs
     flip_count: wp.array[wp.int32],
 ):
     """Output faces per frame that face away from the input faces gathered in their three vertices."""
-    t, f = wp.tid()
+    f, t = wp.tid()
     a = corner_vertex_in[3 * f]
     b = corner_vertex_in[next_corner(3 * f)]
     c = corner_vertex_in[previous_corner(3 * f)]
-    p = points_in[t, a]
-    n = wp.cross(points_in[t, b] - p, points_in[t, c] - p)
-    if wp.dot(n, normal_in[t, a] + normal_in[t, b] + normal_in[t, c]) < 0.0:
-        wp.atomic_add(flip_count, t, 1)
+    p = points_in[a, t]
+    n = lane_cross(points_in[b, t] - p, points_in[c, t] - p)
+    agreement = lane_dot(n, normal_in[a, t] + normal_in[b, t] + normal_in[c, t])
+    if wp.min(agreement) < 0.0:
+        width = len(agreement)
+        for k in range(width):
+            if agreement[k] < 0.0:
+                wp.atomic_add(flip_count, t * width + k, 1)
+
+
+overload_widths(count_flips, points_in=POINTS_ARRAY, normal_in=POINTS_ARRAY)

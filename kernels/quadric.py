@@ -3,97 +3,119 @@
 A quadric ``Q(x) = x^T A x + 2 b.x + c`` is stored as ten floats ``(xx, xy, xz, yy, yz, zz, bx, by, bz, c)``, with ``x``
 relative to an origin that the owner of the quadric keeps. With the origin at the vertex itself ``b`` and ``c`` stay
 small, so float32 is enough at any distance from the world's origin.
+
+Everything here works on a block of frames at once (see :mod:`warpqem.kernels.lanes`): quadrics are (10, width)
+matrices, points (3, width), numbers (width,) vectors.
 """
+
+from typing import Any
 
 import warp as wp
 
+from warpqem.kernels.lanes import lane_dot, lane_max, lane_scale
+
 # No gradients are taken through the simplifier; skipping the adjoint halves compile time.
 wp.set_module_options({"enable_backward": False})
-
-Quadric = wp.types.vector(length=10, dtype=wp.float32)
 
 # A quadric whose trace is below this (areas on a mesh of unit diagonal) holds no plane that float32 can tell from none.
 NO_PLANE = wp.constant(wp.float32(1.0e-30))
 
 
 @wp.func
-def plane_quadric(normal: wp.vec3, offset: wp.float32, weight: wp.float32) -> Quadric:
-    """``weight * (normal.x + offset)^2``."""
-    n = normal * weight
-    d = offset * weight
-    return Quadric(
-        n[0] * normal[0], n[0] * normal[1], n[0] * normal[2],
-        n[1] * normal[1], n[1] * normal[2], n[2] * normal[2],
-        d * normal[0], d * normal[1], d * normal[2], d * offset,
-    )  # fmt: skip
+def zero_quadric(x: Any):
+    """A quadric without planes, for a block as wide as the points ``x``."""
+    return wp.matrix(shape=(10, len(x[0])), dtype=x.dtype)
 
 
 @wp.func
-def apply_matrix(q: Quadric, x: wp.vec3) -> wp.vec3:
+def add_plane(q: Any, normal: Any, offset: Any, weight: Any):
+    """``Q + weight (normal.x + offset)^2``."""
+    n = lane_scale(weight, normal)
+    d = wp.cw_mul(weight, offset)
+    r = type(q)(q)
+    r[0] += wp.cw_mul(n[0], normal[0])
+    r[1] += wp.cw_mul(n[0], normal[1])
+    r[2] += wp.cw_mul(n[0], normal[2])
+    r[3] += wp.cw_mul(n[1], normal[1])
+    r[4] += wp.cw_mul(n[1], normal[2])
+    r[5] += wp.cw_mul(n[2], normal[2])
+    r[6] += wp.cw_mul(d, normal[0])
+    r[7] += wp.cw_mul(d, normal[1])
+    r[8] += wp.cw_mul(d, normal[2])
+    r[9] += wp.cw_mul(d, offset)
+    return r
+
+
+@wp.func
+def apply_matrix(q: Any, x: Any):
     """``A x``."""
-    return wp.vec3(
-        q[0] * x[0] + q[1] * x[1] + q[2] * x[2],
-        q[1] * x[0] + q[3] * x[1] + q[4] * x[2],
-        q[2] * x[0] + q[4] * x[1] + q[5] * x[2],
-    )
+    y = type(x)()
+    y[0] = wp.cw_mul(q[0], x[0]) + wp.cw_mul(q[1], x[1]) + wp.cw_mul(q[2], x[2])
+    y[1] = wp.cw_mul(q[1], x[0]) + wp.cw_mul(q[3], x[1]) + wp.cw_mul(q[4], x[2])
+    y[2] = wp.cw_mul(q[2], x[0]) + wp.cw_mul(q[4], x[1]) + wp.cw_mul(q[5], x[2])
+    return y
 
 
 @wp.func
-def linear_part(q: Quadric) -> wp.vec3:
+def linear_part(q: Any):
     """``b``."""
-    return wp.vec3(q[6], q[7], q[8])
+    return q[6:9]
 
 
 @wp.func
-def trace(q: Quadric) -> wp.float32:
+def trace(q: Any):
     """``tr A``: for planes weighted by area, the area gathered so far."""
     return q[0] + q[3] + q[5]
 
 
 @wp.func
-def shift_origin(q: Quadric, d: wp.vec3) -> Quadric:
+def shift_origin(q: Any, d: Any):
     """The same quadric about an origin moved by ``d``: ``b' = b + A d``, ``c' = c + 2 b.d + d^T A d``."""
     b = linear_part(q)
-    ad = apply_matrix(q, d)
-    moved = b + ad
-    return Quadric(
-        q[0], q[1], q[2], q[3], q[4], q[5],
-        moved[0], moved[1], moved[2], q[9] + wp.dot(d, b + moved),
-    )  # fmt: skip
+    moved = b + apply_matrix(q, d)
+    r = type(q)(q)
+    r[6] = moved[0]
+    r[7] = moved[1]
+    r[8] = moved[2]
+    r[9] = q[9] + lane_dot(d, b + moved)
+    return r
 
 
 @wp.func
-def anchored_minimiser(q: Quadric, epsilon: wp.float32) -> wp.vec3:
+def anchored_minimiser(q: Any, epsilon: wp.float32):
     """``argmin Q(x) + epsilon tr(A) |x|^2``: stiff directions follow the quadric, soft ones stay at the origin.
 
     The system is divided by its trace, so its entries are of order one whatever the areas are, and ``epsilon > 0``
-    bounds its condition number by ``1 + 1 / epsilon``: the closed form by cofactors is safe in float32.
+    bounds its condition number by ``1 + 1 / epsilon``: the closed form by cofactors is safe in float32. Where there is
+    no plane the linear part is zero too, and so is the result.
     """
-    tr = trace(q)
-    if tr <= NO_PLANE:
-        return wp.vec3()
-    s = 1.0 / tr
-    a = q[0] * s + epsilon
-    b = q[1] * s
-    c = q[2] * s
-    d = q[3] * s + epsilon
-    e = q[4] * s
-    f = q[5] * s + epsilon
-    c00 = d * f - e * e
-    c01 = c * e - b * f
-    c02 = b * e - c * d
-    c11 = a * f - c * c
-    c12 = b * c - a * e
-    c22 = a * d - b * b
-    scale = -s / (a * c00 + b * c01 + c * c02)
-    return scale * wp.vec3(
-        c00 * q[6] + c01 * q[7] + c02 * q[8],
-        c01 * q[6] + c11 * q[7] + c12 * q[8],
-        c02 * q[6] + c12 * q[7] + c22 * q[8],
-    )
+    tr = lane_max(trace(q), NO_PLANE)
+    s = wp.cw_div(type(tr)(wp.float32(1.0)), tr)
+    pull = type(tr)(epsilon)
+    a = wp.cw_mul(q[0], s) + pull
+    b = wp.cw_mul(q[1], s)
+    c = wp.cw_mul(q[2], s)
+    d = wp.cw_mul(q[3], s) + pull
+    e = wp.cw_mul(q[4], s)
+    f = wp.cw_mul(q[5], s) + pull
+    c00 = wp.cw_mul(d, f) - wp.cw_mul(e, e)
+    c01 = wp.cw_mul(c, e) - wp.cw_mul(b, f)
+    c02 = wp.cw_mul(b, e) - wp.cw_mul(c, d)
+    c11 = wp.cw_mul(a, f) - wp.cw_mul(c, c)
+    c12 = wp.cw_mul(b, c) - wp.cw_mul(a, e)
+    c22 = wp.cw_mul(a, d) - wp.cw_mul(b, b)
+    determinant = wp.cw_mul(a, c00) + wp.cw_mul(b, c01) + wp.cw_mul(c, c02)
+    scale = wp.cw_div(type(tr)(wp.float32(-1.0)), determinant)
+    g = lane_scale(s, linear_part(q))
+    x = type(g)()
+    x[0] = wp.cw_mul(scale, wp.cw_mul(c00, g[0]) + wp.cw_mul(c01, g[1]) + wp.cw_mul(c02, g[2]))
+    x[1] = wp.cw_mul(scale, wp.cw_mul(c01, g[0]) + wp.cw_mul(c11, g[1]) + wp.cw_mul(c12, g[2]))
+    x[2] = wp.cw_mul(scale, wp.cw_mul(c02, g[0]) + wp.cw_mul(c12, g[1]) + wp.cw_mul(c22, g[2]))
+    return x
 
 
 @wp.func
-def value_at_minimiser(q: Quadric, x: wp.vec3, epsilon: wp.float32) -> wp.float32:
+def value_at_minimiser(q: Any, x: Any, epsilon: wp.float32):
     """``Q(x)`` at the anchored minimiser, where ``A x = -b - epsilon tr(A) x``; never negative."""
-    return wp.max(q[9] + wp.dot(x, linear_part(q)) - epsilon * trace(q) * wp.dot(x, x), 0.0)
+    pull = wp.cw_mul(trace(q) * epsilon, lane_dot(x, x))
+    return lane_max(q[9] + lane_dot(x, linear_part(q)) - pull, 0.0)

@@ -6,6 +6,8 @@ star of a vertex is the list of its corners, in ascending order, as one compress
 
 import warp as wp
 
+from warpqem.kernels.work import Work, first_item, last_item
+
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
 # Vertex flags. BORDER: an edge with one face ends here. LOCKED: asked for by the user, the vertex keeps its position.
@@ -79,27 +81,36 @@ def is_canonical(
 @wp.kernel
 def count_corners(
     corner_vertex_in: wp.array[wp.int32],
+    face_count_in: wp.array[wp.int32],
+    work: Work,
     # outputs
     corner_count_out: wp.array[wp.int32],
 ):
-    """Corners per vertex (zeroed before the launch)."""
-    v = corner_vertex_in[wp.tid()]
-    if v >= 0:
-        wp.atomic_add(corner_count_out, v, 1)
+    """Corners per vertex (zeroed before the launch). A part walks all corners for its own vertices."""
+    first_vertex = first_item(corner_count_out.shape[0], work)
+    last_vertex = last_item(corner_count_out.shape[0], work)
+    for h in range(wp.tid(), 3 * face_count_in[0], work.lanes):
+        v = corner_vertex_in[h]
+        if v >= first_vertex and v < last_vertex:
+            wp.atomic_add(corner_count_out, v, 1)
 
 
 @wp.kernel
 def fill_stars(
     corner_vertex_in: wp.array[wp.int32],
+    face_count_in: wp.array[wp.int32],
+    work: Work,
     # outputs
     star_cursor: wp.array[wp.int32],
     star_corner_out: wp.array[wp.int32],
 ):
     """Put each corner into its vertex's list; ``star_cursor`` starts at the beginning of each list and runs up."""
-    h = wp.tid()
-    v = corner_vertex_in[h]
-    if v >= 0:
-        star_corner_out[wp.atomic_add(star_cursor, v, 1)] = h
+    first_vertex = first_item(star_cursor.shape[0], work)
+    last_vertex = last_item(star_cursor.shape[0], work)
+    for h in range(wp.tid(), 3 * face_count_in[0], work.lanes):
+        v = corner_vertex_in[h]
+        if v >= first_vertex and v < last_vertex:
+            star_corner_out[wp.atomic_add(star_cursor, v, 1)] = h
 
 
 @wp.kernel
@@ -125,6 +136,7 @@ def classify_vertices(
     corner_vertex_in: wp.array[wp.int32],
     star_start_in: wp.array[wp.int32],
     star_corner_in: wp.array[wp.int32],
+    first_vertex: wp.int32,
     # outputs
     vertex_flags: wp.array[wp.int32],
     border_half_edge_out: wp.array[wp.int32],
@@ -134,7 +146,7 @@ def classify_vertices(
     A manifold star is one fan: turning about the vertex from face to face, from the border where there is one, meets
     every face exactly once. Edges with more than two faces or with two half-edges of one direction break the fan.
     """
-    v = wp.tid()
+    v = first_vertex + wp.tid()
     first = star_start_in[v]
     last = star_start_in[v + 1]
     degree = last - first

@@ -3,10 +3,40 @@
 import numpy as np
 import warp as wp
 
-from warpqem.kernels.independent_set import EdgeList
-from warpqem.kernels.mesh_state import CollapseLog, CostModel, MeshState
+from warpqem.frame_blocks import pack_frames
+from warpqem.kernels.lanes import QUADRIC
+from warpqem.kernels.mesh_state import KEY_FRAMES, CollapseLog, CostModel, MeshState
+from warpqem.kernels.work import EdgeList, Work
 from warpqem.order.quadrics import initial_quadrics
 from warpqem.order.stars import build_stars, classify_vertices
+
+
+def one_part(device, part=0, part_count=1) -> Work:
+    """The whole work in one lane, or one part of it."""
+    work = Work()
+    work.part, work.part_count, work.lanes = part, part_count, 1
+    return work
+
+
+def blocks(values, frame_count) -> np.ndarray:
+    """(V, F, C) of blocks (V, B) on the device, C components."""
+    array = values.numpy()
+    return array.transpose(0, 1, 3, 2).reshape(len(array), -1, array.shape[2])[:, :frame_count]
+
+
+class DeviceMesh:
+    """A mesh on the device: its state, its key frames as the kernels see them and as (V, K, C)."""
+
+    def __init__(self, state: MeshState, frames, key_count: int) -> None:
+        self.state, self.frames, self.key_count = state, frames, key_count
+
+    @property
+    def position(self) -> np.ndarray:
+        return blocks(self.frames.position, self.key_count)
+
+    @property
+    def quadric(self) -> np.ndarray:
+        return blocks(self.frames.quadric, self.key_count)
 
 
 def vertex_major(points, device) -> wp.array:
@@ -14,28 +44,46 @@ def vertex_major(points, device) -> wp.array:
     return wp.array(np.ascontiguousarray(points.transpose(1, 0, 2)), dtype=wp.vec3, device=device)
 
 
-def build_state(points, faces, device, locked=(), cost_weight=None, with_trajectory=False) -> MeshState:
-    """State of points (K, V, 3) or (V, 3), taken as they are, and faces; every frame is a key frame."""
+def packed(points, device) -> wp.array:
+    """Blocks of points (F, V, 3)."""
+    return pack_frames(np.ascontiguousarray(points, dtype=np.float32), device)
+
+
+def packed_quadrics(quadrics, like) -> wp.array:
+    """Blocks as wide as those of ``like`` of quadrics (V, F, 10)."""
+    quadrics = np.asarray(quadrics, dtype=np.float32)
+    width = like.dtype._shape_[1]
+    filled = np.zeros((len(quadrics), like.shape[1] * width, 10), dtype=np.float32)
+    filled[:, : quadrics.shape[1]] = quadrics
+    filled = filled.reshape(len(quadrics), -1, width, 10).transpose(0, 1, 3, 2)
+    return wp.array(np.ascontiguousarray(filled), dtype=QUADRIC[width], device=like.device)
+
+
+def build_mesh(points, faces, device, locked=(), cost_weight=None, with_trajectory=False) -> DeviceMesh:
+    """Points (K, V, 3) or (V, 3), taken as they are, and faces; every frame is a key frame."""
     points = points[None] if points.ndim == 2 else points
     vertex_count = points.shape[1]
     state = MeshState()
+    state.face_count = wp.array([len(faces)], dtype=wp.int32, device=device)
     state.corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device)
-    stars = build_stars(state.corner_vertex, vertex_count)
+    stars = build_stars(state.corner_vertex, vertex_count, state.face_count)
     state.star_start, state.star_corner = stars.start, stars.corner
     flags = np.zeros(vertex_count, dtype=np.int32)
     flags[list(locked)] = 2
     state.vertex_flags = wp.array(flags, device=device)
     border = classify_vertices(state.corner_vertex, stars, state.vertex_flags)
-    state.position = vertex_major(points, device)
+    position = packed(points, device)
+    frames = KEY_FRAMES[position.dtype._shape_[1]]()
+    frames.position = position
     ones = wp.ones(vertex_count, dtype=wp.float32, device=device)
-    state.quadric = initial_quadrics(state.corner_vertex, stars, border.numpy(), state.position, ones)
+    frames.quadric = initial_quadrics(state.corner_vertex, stars, border.numpy(), position, ones)
     weight = np.ones(vertex_count) if cost_weight is None else np.asarray(cost_weight)
     state.cost_weight = wp.array(weight, dtype=wp.float32, device=device)
     state.edge_cost = wp.zeros(faces.size, dtype=wp.float32, device=device)
     state.seam = wp.zeros(faces.size, dtype=wp.int32, device=device)
     none = wp.empty((0, 0), dtype=wp.vec3, device=device)
     state.trajectory = vertex_major(points, device) if with_trajectory else none
-    return state
+    return DeviceMesh(state, frames, len(points))
 
 
 def cost_model(epsilon=0.1, endpoint=False, error_limit=np.inf, deformation_weight=0.0) -> CostModel:
@@ -53,6 +101,7 @@ def edge_list(half_edges, device, capacity=None) -> EdgeList:
     edges = EdgeList()
     edges.count = wp.array([len(half_edges)], dtype=wp.int32, device=device)
     edges.half_edge = wp.array(padded, dtype=wp.int32, device=device)
+    edges.capacity = len(padded)
     return edges
 
 

@@ -6,7 +6,7 @@ import meshes
 import numpy as np
 import pytest
 import warp as wp
-from mesh_state import build_state, vertex_major
+from mesh_state import build_mesh, packed, packed_quadrics
 from oracles import quadrics as oracle
 
 from warpqem.kernels.anchor import fit_anchor_weights, measure_cluster_distances
@@ -42,12 +42,12 @@ def fitted(members_of, regularisation, device, points=POINTS):
     """(weights per cluster, Gram matrices) for clusters put at their members' mean."""
     vertex_count, key_count = points.shape[1], len(points)
     ordered = np.zeros((vertex_count, key_count, 3), dtype=np.float32)
-    packed = np.zeros((vertex_count, key_count, 10), dtype=np.float32)
+    quadric = np.zeros((vertex_count, key_count, 10), dtype=np.float32)
     grams = []
     for members in members_of:
         ordered[members[0]] = points[:, members].mean(axis=1)
         quadrics = cluster_quadrics(points, members, ordered[members[0]])
-        packed[members[0]] = [oracle.pack(q) for q in quadrics]
+        quadric[members[0]] = [oracle.pack(q) for q in quadrics]
         grams.append(gram(points, members, ordered[members[0]], quadrics))
     size = np.array([len(m) for m in members_of])
     start = np.concatenate([[0], np.cumsum(size)])
@@ -56,7 +56,7 @@ def fitted(members_of, regularisation, device, points=POINTS):
         wp.array(np.asarray(a), dtype=wp.int32, device=device)
         for a in ([m[0] for m in members_of], np.concatenate(members_of), start, matrix_start)
     )
-    quadric_type = build_state(points, FACES, device).quadric.dtype
+    key_position = packed(points, device)
     matrix = wp.zeros(int(matrix_start[-1]), dtype=wp.float32, device=device)
     weight = wp.zeros(int(start[-1]), dtype=wp.float32, device=device)
     wp.launch(
@@ -67,9 +67,9 @@ def fitted(members_of, regularisation, device, points=POINTS):
             first,
             member,
             first_entry,
-            vertex_major(points, device),
-            wp.array(ordered, dtype=wp.vec3, device=device),
-            wp.array(packed, dtype=quadric_type, device=device),
+            key_position,
+            packed(ordered.transpose(1, 0, 2), device),
+            packed_quadrics(quadric, key_position),
             regularisation,
         ],
         outputs=[matrix, weight],
@@ -121,7 +121,7 @@ def test_cluster_distance_is_the_squared_distance_summed_over_frames(device):
     root[[1, 2]] = 0
     ordered = np.roll(POINTS, 1, axis=0)
     out = wp.empty(len(root), dtype=wp.float32, device=device)
-    inputs = [wp.array(root, device=device), vertex_major(POINTS, device), vertex_major(ordered, device)]
+    inputs = [wp.array(root, device=device), packed(POINTS, device), packed(ordered, device)]
     wp.launch(measure_cluster_distances, dim=len(root), inputs=inputs, outputs=[out], device=device)
     expected = ((POINTS.astype(np.float64) - ordered[:, root]) ** 2).sum(axis=(0, 2))
     np.testing.assert_allclose(out.numpy(), expected, rtol=1e-4, atol=1e-9)
@@ -129,10 +129,10 @@ def test_cluster_distance_is_the_squared_distance_summed_over_frames(device):
 
 def ordered_mesh(device, root, on_line=None) -> SimpleNamespace:
     """What anchors need of an order stage in which vertices went to their roots without moving these."""
-    state = build_state(POINTS, FACES, device)
+    frames = build_mesh(POINTS, FACES, device).frames
     on_line = np.zeros(len(root), dtype=bool) if on_line is None else on_line
     return SimpleNamespace(
-        root=root, key_position=state.position, position=state.position, quadric=state.quadric, on_line=on_line
+        root=root, key_position=frames.position, position=frames.position, quadric=frames.quadric, on_line=on_line
     )
 
 

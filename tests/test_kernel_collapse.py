@@ -4,11 +4,11 @@ import meshes
 import numpy as np
 import pytest
 import warp as wp
-from mesh_state import build_state, collapse_log, cost_model, edge_list, half_edge_between
+from mesh_state import blocks, build_mesh, collapse_log, cost_model, edge_list, half_edge_between, one_part
 from oracles import quadrics as quadric_oracle
 from oracles import topology as oracle
 
-from warpqem.kernels.collapse import commit_winners, mark_live_faces, move_live_faces
+from warpqem.kernels.collapse import commit_winners, mark_live_faces, move_live_faces, open_log
 from warpqem.kernels.legality import place_winners
 from warpqem.order.stars import build_stars
 
@@ -22,19 +22,23 @@ class Commit:
 
     def __init__(self, points, faces, edge, device, faces_removed=2, **options):
         self.faces, self.edge, self.half_edge = faces, edge, half_edge_between(faces, *edge)
-        self.state = build_state(points, faces, device, **options)
-        self.before = self.state.quadric.numpy().astype(np.float64)
+        self.mesh = build_mesh(points, faces, device, **options)
+        self.state, frames = self.mesh.state, self.mesh.frames
+        self.before = self.mesh.quadric.astype(np.float64)
         self.state.edge_cost.fill_(3.0)
         winners = edge_list([self.half_edge], device)
-        self.target = wp.empty((1, len(points)), dtype=wp.vec3, device=device)
+        target = wp.empty((1, frames.position.shape[1]), dtype=frames.position.dtype, device=device)
         self.anchor = wp.empty(1, dtype=wp.float32, device=device)
-        outputs = [self.target, self.anchor]
-        wp.launch(place_winners, dim=1, inputs=[self.state, cost_model(), winners, 1], outputs=outputs, device=device)
+        inputs = [self.state, frames, cost_model(), winners, one_part(device)]
+        wp.launch(place_winners, dim=1, inputs=inputs, outputs=[target, self.anchor], device=device)
+        self.target = blocks(target, len(points))[0]
         self.log = collapse_log(points.shape[1], device)
         self.mask = wp.zeros(points.shape[1], dtype=wp.int32, device=device)
         number, removed = (wp.array([n], dtype=wp.int32, device=device) for n in (PASS, faces_removed))
-        inputs = [self.state, winners, removed, self.target, self.anchor, number, 1]
-        wp.launch(commit_winners, dim=1, inputs=inputs, outputs=[self.mask, self.log], device=device)
+        legal, slot = (wp.array([n], dtype=wp.int32, device=device) for n in (int(faces_removed > 0), 0))
+        wp.launch(open_log, dim=1, inputs=[], outputs=[legal, self.log, slot], device=device)
+        inputs = [self.state, frames, winners, removed, target, self.anchor, number, one_part(device)]
+        wp.launch(commit_winners, dim=1, inputs=inputs, outputs=[self.mask, self.log, slot], device=device)
 
     def live_faces(self):
         faces = self.state.corner_vertex.numpy().reshape(-1, 3)
@@ -72,7 +76,7 @@ def test_dead_faces_have_no_price(device):
 
 def test_kept_vertex_moves_to_the_target(device):
     commit = closed_commit(device)
-    np.testing.assert_array_equal(commit.state.position.numpy()[commit.edge[0]], commit.target.numpy()[0])
+    np.testing.assert_array_equal(commit.mesh.position[commit.edge[0]], commit.target)
 
 
 def test_lower_vertex_is_kept_whichever_way_the_half_edge_runs(device):
@@ -95,16 +99,16 @@ def test_quadric_of_the_kept_vertex_is_the_sum_about_its_new_place(name, device)
     u, v = (0, 1) if name == "open" else sorted(faces[0, :2].tolist())
     edge = RIM_EDGE if name == "open" else (u, v)
     commit = Commit(points, faces, edge, device, faces_removed=1 if name == "open" else 2)
-    after = commit.state.quadric.numpy()[u]
+    after = commit.mesh.quadric[u]
     for t in range(len(points)):
-        x = commit.target.numpy()[0, t].astype(np.float64)
+        x = commit.target[t].astype(np.float64)
         ends = [quadric_oracle.shifted(quadric_oracle.unpack(commit.before[w, t]), x - points[t, w]) for w in (u, v)]
         np.testing.assert_allclose(after[t], quadric_oracle.pack(ends[0] + ends[1]), rtol=1e-3, atol=1e-6)
 
 
 def test_error_is_the_mean_square_over_frames(device):
     commit = closed_commit(device)
-    quadrics = [quadric_oracle.unpack(q) for q in commit.state.quadric.numpy()[commit.edge[0]]]
+    quadrics = [quadric_oracle.unpack(q) for q in commit.mesh.quadric[commit.edge[0]]]
     expected = sum(q.c for q in quadrics) / sum(np.trace(q.A) for q in quadrics)
     assert commit.log.error.numpy()[0] == pytest.approx(expected, rel=1e-3)
     assert expected > 0
@@ -189,3 +193,13 @@ def test_compaction_keeps_live_faces_and_their_prices_and_seams_in_order(device)
     np.testing.assert_array_equal(out[0].numpy()[:kept].reshape(-1, 3), faces[live])
     np.testing.assert_array_equal(out[1].numpy()[:kept].reshape(-1, 3), cost.reshape(-1, 3)[live])
     np.testing.assert_array_equal(out[2].numpy()[:kept].reshape(-1, 3), seam.reshape(-1, 3)[live])
+
+
+def test_log_has_a_run_of_slots_for_each_part(device):
+    log = collapse_log(20, device)
+    log.count.fill_(5)
+    legal, slot = (wp.array(values, dtype=wp.int32, device=device) for values in ([3, 0, 4], [0, 0, 0]))
+    wp.launch(open_log, dim=1, inputs=[], outputs=[legal, log, slot], device=device)
+    assert slot.numpy().tolist() == [5, 8, 8]
+    assert log.count.numpy()[0] == 12
+    assert not legal.numpy().any()

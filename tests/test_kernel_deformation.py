@@ -4,14 +4,14 @@ import meshes
 import numpy as np
 import pytest
 import warp as wp
-from mesh_state import build_state
+from mesh_state import build_mesh
 from oracles import motion as oracle
 
 from warpqem.kernels.deformation import measure_length_deformation
 
 
 def deformation(points, faces, device) -> np.ndarray:
-    state = build_state(points, faces, device, with_trajectory=True)
+    state = build_mesh(points, faces, device, with_trajectory=True).state
     out = wp.zeros(faces.size, dtype=wp.float32, device=device)
     inputs = [state.corner_vertex, state.star_start, state.star_corner, state.trajectory]
     wp.launch(measure_length_deformation, dim=faces.size, inputs=inputs, outputs=[out], device=device)

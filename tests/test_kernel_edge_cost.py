@@ -4,7 +4,16 @@ import meshes
 import numpy as np
 import pytest
 import warp as wp
-from mesh_state import build_state, collapse_log, cost_model, edge_list, half_edge_between
+from mesh_state import (
+    blocks,
+    build_mesh,
+    collapse_log,
+    cost_model,
+    edge_list,
+    half_edge_between,
+    one_part,
+    packed,
+)
 from oracles import edge_cost as oracle
 from oracles import motion as motion_oracle
 from oracles.quadrics import vertex_quadrics
@@ -19,18 +28,20 @@ MESHES = {"closed": meshes.swaying_sphere(1, 3), "open": meshes.bending_bar(6, 5
 EPSILON = 0.1
 
 
-def prices(state, model, device) -> np.ndarray:
-    wp.launch(price_all_edges, dim=1, inputs=[state, model, len(state.corner_vertex), 0, 1], device=device)
-    return state.edge_cost.numpy().copy()
+def prices(mesh, model, device) -> np.ndarray:
+    wp.launch(price_all_edges, dim=1, inputs=[mesh.state, mesh.frames, model, one_part(device)], device=device)
+    return mesh.state.edge_cost.numpy().copy()
 
 
-def placed(state, model, half_edges, device):
+def placed(mesh, model, half_edges, device):
     """(targets (E, K, 3), anchors (E,)) of the half-edges."""
     winners = edge_list(half_edges, device)
-    target = wp.empty((len(half_edges), state.position.shape[1]), dtype=wp.vec3, device=device)
+    shape = (len(half_edges), mesh.frames.position.shape[1])
+    target = wp.empty(shape, dtype=mesh.frames.position.dtype, device=device)
     anchor = wp.empty(len(half_edges), dtype=wp.float32, device=device)
-    wp.launch(place_winners, dim=1, inputs=[state, model, winners, 1], outputs=[target, anchor], device=device)
-    return target.numpy(), anchor.numpy()
+    inputs = [mesh.state, mesh.frames, model, winners, one_part(device)]
+    wp.launch(place_winners, dim=1, inputs=inputs, outputs=[target, anchor], device=device)
+    return blocks(target, mesh.key_count), anchor.numpy()
 
 
 def edge_data(points, faces, u, v):
@@ -50,7 +61,7 @@ def inner_edges(faces):
 @pytest.mark.parametrize("name", MESHES)
 def test_every_edge_is_priced_once(name, device):
     points, faces = MESHES[name]
-    cost = prices(build_state(points, faces, device), cost_model(), device)
+    cost = prices(build_mesh(points, faces, device), cost_model(), device)
     assert np.isfinite(cost).sum() == len(edges(faces))
     assert (cost[np.isfinite(cost)] > 0).all()
 
@@ -59,7 +70,7 @@ def test_every_edge_is_priced_once(name, device):
 def test_anchor_minimises_the_sum_over_frames(name, device):
     points, faces = MESHES[name]
     picked = inner_edges(faces)[::7]
-    _, anchor = placed(build_state(points, faces, device), cost_model(EPSILON), [h for *_, h in picked], device)
+    _, anchor = placed(build_mesh(points, faces, device), cost_model(EPSILON), [h for *_, h in picked], device)
     expected = [oracle.edge_anchor(*edge_data(points, faces, u, v)) for u, v, _ in picked]
     np.testing.assert_allclose(anchor, expected, atol=2e-3)
 
@@ -68,9 +79,9 @@ def test_anchor_minimises_the_sum_over_frames(name, device):
 def test_cost_and_targets_match_the_oracle(name, device):
     points, faces = MESHES[name]
     picked = inner_edges(faces)[::7]
-    state, model = build_state(points, faces, device), cost_model(EPSILON)
-    cost = prices(state, model, device)
-    target, anchor = placed(state, model, [h for *_, h in picked], device)
+    mesh, model = build_mesh(points, faces, device), cost_model(EPSILON)
+    cost = prices(mesh, model, device)
+    target, anchor = placed(mesh, model, [h for *_, h in picked], device)
     for i, (u, v, h) in enumerate(picked):
         expected, _, positions = oracle.edge_cost(*edge_data(points, faces, u, v), float(anchor[i]), EPSILON)
         assert cost[h] == pytest.approx(expected, rel=1e-3, abs=1e-9)
@@ -83,15 +94,15 @@ def test_weight_multiplies_the_cost_as_the_mean_of_both_ends(device):
     weight[faces[0, 0]] = 5
     u, v = sorted(faces[0, :2].tolist())
     h = half_edge_between(faces, u, v)
-    plain = prices(build_state(points, faces, device), cost_model(), device)[h]
-    weighted = prices(build_state(points, faces, device, cost_weight=weight), cost_model(), device)[h]
+    plain = prices(build_mesh(points, faces, device), cost_model(), device)[h]
+    weighted = prices(build_mesh(points, faces, device, cost_weight=weight), cost_model(), device)[h]
     assert weighted == pytest.approx(3 * plain, rel=1e-5)
 
 
 def test_border_vertex_is_the_anchor_of_an_edge_to_the_inside(device):
     points, faces = meshes.waving_grid(4, 3)
     out, back = half_edge_between(faces, 2, 7), half_edge_between(faces, 7, 2)
-    _, anchor = placed(build_state(points, faces, device), cost_model(), [out, back], device)
+    _, anchor = placed(build_mesh(points, faces, device), cost_model(), [out, back], device)
     np.testing.assert_array_equal(anchor, [0, 1])
 
 
@@ -99,7 +110,7 @@ def test_locked_vertex_is_the_target_in_every_frame(device):
     points, faces = MESHES["closed"]
     u, v = faces[0, :2].tolist()
     h = half_edge_between(faces, u, v)
-    target, anchor = placed(build_state(points, faces, device, locked=[v]), cost_model(), [h], device)
+    target, anchor = placed(build_mesh(points, faces, device, locked=[v]), cost_model(), [h], device)
     assert anchor[0] == 1
     np.testing.assert_allclose(target[0], points[:, v], atol=1e-7)
 
@@ -108,7 +119,7 @@ def test_endpoint_placement_takes_the_end_with_the_lower_sum(device):
     points, faces = MESHES["closed"]
     picked = inner_edges(faces)[::5]
     model = cost_model(endpoint=True)
-    _, anchor = placed(build_state(points, faces, device), model, [h for *_, h in picked], device)
+    _, anchor = placed(build_mesh(points, faces, device), model, [h for *_, h in picked], device)
     for (u, v, _), chosen in zip(picked, anchor, strict=True):
         data = edge_data(points, faces, u, v)
         values = [sum(oracle.merged(*frame, end).c for frame in zip(*data, strict=True)) for end in (0.0, 1.0)]
@@ -117,13 +128,13 @@ def test_endpoint_placement_takes_the_end_with_the_lower_sum(device):
 
 def test_anchor_of_a_flat_edge_is_its_middle(device):
     points, faces = meshes.grid(4, 4)
-    _, anchor = placed(build_state(points, faces, device), cost_model(), [half_edge_between(faces, 7, 12)], device)
+    _, anchor = placed(build_mesh(points, faces, device), cost_model(), [half_edge_between(faces, 7, 12)], device)
     assert anchor[0] == pytest.approx(0.5, abs=1e-5)
 
 
 def test_short_edges_of_a_flat_mesh_are_cheaper(device):
     points, faces = meshes.grid(5, 5)
-    cost = prices(build_state(points, faces, device), cost_model(), device)
+    cost = prices(build_mesh(points, faces, device), cost_model(), device)
     side, diagonal = half_edge_between(faces, 14, 15), half_edge_between(faces, 15, 20)
     assert 0 < cost[side] < cost[diagonal]
 
@@ -131,14 +142,14 @@ def test_short_edges_of_a_flat_mesh_are_cheaper(device):
 def test_edge_between_two_locked_vertices_has_no_price(device):
     points, faces = MESHES["closed"]
     u, v = sorted(faces[0, :2].tolist())
-    cost = prices(build_state(points, faces, device, locked=[u, v]), cost_model(), device)
+    cost = prices(build_mesh(points, faces, device, locked=[u, v]), cost_model(), device)
     assert np.isinf(cost[half_edge_between(faces, u, v)])
     assert np.isinf(cost).sum() == faces.size - len(edges(faces)) + 1
 
 
 def test_edges_at_a_frozen_vertex_have_no_price(device):
     points, faces = meshes.double_cone(6)
-    cost = prices(build_state(points, faces, device), cost_model(), device)
+    cost = prices(build_mesh(points, faces, device), cost_model(), device)
     at_tip = (faces.ravel() == 0) | (np.roll(faces, -1, axis=1).ravel() == 0)
     assert np.isinf(cost[at_tip]).all()
     assert np.isfinite(cost[~at_tip]).all()
@@ -146,11 +157,11 @@ def test_edges_at_a_frozen_vertex_have_no_price(device):
 
 def test_edges_above_the_error_limit_have_no_price(device):
     points, faces = MESHES["closed"]
-    state = build_state(points, faces, device)
-    everything = np.isfinite(prices(state, cost_model(EPSILON), device))
+    mesh = build_mesh(points, faces, device)
+    everything = np.isfinite(prices(mesh, cost_model(EPSILON), device))
     limit = 1e-3
-    limited = np.isfinite(prices(state, cost_model(EPSILON, error_limit=limit), device))
-    _, anchor = placed(state, cost_model(EPSILON), np.flatnonzero(everything), device)
+    limited = np.isfinite(prices(mesh, cost_model(EPSILON, error_limit=limit), device))
+    _, anchor = placed(mesh, cost_model(EPSILON), np.flatnonzero(everything), device)
     for h, lam in zip(np.flatnonzero(everything), anchor, strict=True):
         u, v = faces.ravel()[h], np.roll(faces, -1, axis=1).ravel()[h]
         _, error, _ = oracle.edge_cost(*edge_data(points, faces, u, v), float(lam), EPSILON)
@@ -162,64 +173,65 @@ def test_edges_above_the_error_limit_have_no_price(device):
 def test_deformation_is_added_with_its_weight(device):
     points, faces = MESHES["open"]
     u, v, h = inner_edges(faces)[3]
-    state = build_state(points, faces, device, with_trajectory=True)
-    plain = prices(state, cost_model(), device)[h]
-    with_term = prices(state, cost_model(deformation_weight=2.0), device)[h]
+    mesh = build_mesh(points, faces, device, with_trajectory=True)
+    plain = prices(mesh, cost_model(), device)[h]
+    with_term = prices(mesh, cost_model(deformation_weight=2.0), device)[h]
     expected = 2 * motion_oracle.length_deformation(points, faces, u, v)
     assert with_term - plain == pytest.approx(expected, rel=1e-2)
     assert expected > 0
 
 
-def commit_one(state, half_edge, target, device):
-    """Collapse one half-edge; the log of it."""
-    log = collapse_log(state.position.shape[0], device)
+def commit_one(mesh, half_edge, target, device):
+    """Collapse one half-edge; the log of it, the mask, and the pass's number, 1."""
+    vertex_count = len(mesh.state.vertex_flags)
+    log = collapse_log(vertex_count, device)
     winners = edge_list([half_edge], device)
-    mask = wp.zeros(state.position.shape[0], dtype=wp.int32, device=device)
+    mask, slot = (wp.zeros(n, dtype=wp.int32, device=device) for n in (vertex_count, 1))
     one = wp.array([1], dtype=wp.int32, device=device)
     removed = wp.array([2], dtype=wp.int32, device=device)
     anchor = wp.array([0.5], dtype=wp.float32, device=device)
-    inputs = [state, winners, removed, wp.array(target, dtype=wp.vec3, device=device), anchor, one, 1]
-    wp.launch(commit_winners, dim=1, inputs=inputs, outputs=[mask, log], device=device)
-    return log
+    inputs = [mesh.state, mesh.frames, winners, removed, packed(target.transpose(1, 0, 2), device), anchor, one]
+    wp.launch(commit_winners, dim=1, inputs=[*inputs, one_part(device)], outputs=[mask, log, slot], device=device)
+    log.count.fill_(1)
+    return log, mask, one
 
 
-def rebuilt(state, device):
+def rebuilt(mesh, device):
     """New stars after a commit."""
-    stars = build_stars(state.corner_vertex, state.position.shape[0])
-    state.star_start, state.star_corner = stars.start, stars.corner
-    return state
+    stars = build_stars(mesh.state.corner_vertex, len(mesh.state.vertex_flags))
+    mesh.state.star_start, mesh.state.star_corner = stars.start, stars.corner
+    return mesh
 
 
 def test_repricing_the_moved_stars_equals_pricing_everything(device):
     points, faces = MESHES["closed"]
-    state, model = build_state(points, faces, device), cost_model()
-    prices(state, model, device)
+    mesh, model = build_mesh(points, faces, device), cost_model()
+    prices(mesh, model, device)
     h = half_edge_between(faces, *sorted(faces[0, :2].tolist()))
-    log = commit_one(state, h, placed(state, model, [h], device)[0], device)
-    rebuilt(state, device)
+    log, *_ = commit_one(mesh, h, placed(mesh, model, [h], device)[0], device)
+    rebuilt(mesh, device)
     begin = wp.zeros(1, dtype=wp.int32, device=device)
-    wp.launch(reprice_moved_stars, dim=1, inputs=[state, model, log, begin, 0, 1], device=device)
-    repriced = state.edge_cost.numpy().copy()
-    np.testing.assert_array_equal(repriced, prices(state, model, device))
+    inputs = [mesh.state, mesh.frames, model, log, begin, one_part(device)]
+    wp.launch(reprice_moved_stars, dim=1, inputs=inputs, device=device)
+    repriced = mesh.state.edge_cost.numpy().copy()
+    np.testing.assert_array_equal(repriced, prices(mesh, model, device))
 
 
 def test_sleeping_edges_wake_around_a_moved_vertex_only(device):
     points, faces = meshes.swaying_sphere(2, 2)
-    state, model = build_state(points, faces, device), cost_model()
-    asleep = -prices(state, model, device)
-    state.edge_cost.assign(asleep)
+    mesh, model = build_mesh(points, faces, device), cost_model()
+    asleep = -prices(mesh, model, device)
+    mesh.state.edge_cost.assign(asleep)
     u, v = sorted(faces[0, :2].tolist())
     h = half_edge_between(faces, u, v)
-    log = commit_one(state, h, placed(state, model, [h], device)[0], device)
-    rebuilt(state, device)
-    begin = wp.zeros(1, dtype=wp.int32, device=device)
-    wp.launch(wake_neighbourhoods, dim=1, inputs=[state, log, begin, 1], device=device)
-    corner = state.corner_vertex.numpy().reshape(-1, 3)
+    _, mask, number = commit_one(mesh, h, placed(mesh, model, [h], device)[0], device)
+    wp.launch(wake_neighbourhoods, dim=1, inputs=[mesh.state, mask, number, one_part(device)], device=device)
+    corner = mesh.state.corner_vertex.numpy().reshape(-1, 3)
     live = corner[corner[:, 0] >= 0]
     ring = np.unique(live[(live == u).any(axis=1)])
     tail, head = corner.ravel(), np.roll(corner, -1, axis=1).ravel()
     near = np.isin(tail, ring) | np.isin(head, ring)
-    cost = state.edge_cost.numpy()
+    cost = mesh.state.edge_cost.numpy()
     finite = np.isfinite(cost) & (tail >= 0)
     assert (cost[finite & near] > 0).all()
     assert (cost[finite & ~near] < 0).all()

@@ -4,27 +4,29 @@ import meshes
 import numpy as np
 import pytest
 import warp as wp
-from mesh_state import build_state, edge_list, half_edge_between
+from mesh_state import build_mesh, edge_list, half_edge_between, one_part, packed
 from oracles import topology as oracle
 
 from warpqem.kernels.legality import judge_winners
 
 
-def judged(state, half_edges, target, device, flip_tolerance=0) -> np.ndarray:
+def judged(built, half_edges, target, device, flip_tolerance=0) -> np.ndarray:
     """Faces removed by each half-edge, 0 where illegal; ``target`` (E, K, 3)."""
     out = wp.full(len(half_edges), -1, dtype=wp.int32, device=device)
-    target = wp.array(target, dtype=wp.vec3, device=device)
-    inputs = [state, edge_list(half_edges, device), target, flip_tolerance, 1]
-    wp.launch(judge_winners, dim=1, inputs=inputs, outputs=[out], device=device)
+    legal = wp.zeros(1, dtype=wp.int32, device=device)
+    blocks = packed(np.asarray(target).transpose(1, 0, 2), device)
+    inputs = [built.state, built.frames, edge_list(half_edges, device), blocks, flip_tolerance, one_part(device)]
+    wp.launch(judge_winners, dim=1, inputs=inputs, outputs=[out, legal], device=device)
+    assert legal.numpy()[0] == (out.numpy() > 0).sum()
     return out.numpy()
 
 
 def judged_at_middle(mesh, u, v, device, **options) -> int:
     points, faces = mesh
     points = points[None] if points.ndim == 2 else points
-    state = build_state(points, faces, device)
+    built = build_mesh(points, faces, device)
     middle = (points[:, u] + points[:, v]) / 2
-    return int(judged(state, [half_edge_between(faces, u, v)], middle[None], device, **options)[0])
+    return int(judged(built, [half_edge_between(faces, u, v)], middle[None], device, **options)[0])
 
 
 def test_inner_edge_of_a_sphere_removes_two_faces(device):
@@ -79,10 +81,10 @@ def test_vanish_refuses_to_take_the_last_face_of_a_merged_vertex(device):
 def flat_fan_moved(frames, flipped, device, flip_tolerance):
     """Judge a border-free collapse in a grid whose target lies outside its ring in the ``flipped`` frames."""
     points, faces = meshes.grid(5, 5)
-    state = build_state(np.stack([points] * frames), faces, device)
+    built = build_mesh(np.stack([points] * frames), faces, device)
     good, bad = (points[14] + points[15]) / 2, points[14] + np.array([-0.7, 0.1, 0], np.float32)
     target = np.stack([bad if t in flipped else good for t in range(frames)])[None]
-    return int(judged(state, [half_edge_between(faces, 14, 15)], target, device, flip_tolerance)[0])
+    return int(judged(built, [half_edge_between(faces, 14, 15)], target, device, flip_tolerance)[0])
 
 
 def test_flip_in_one_frame_is_refused(device):
@@ -114,23 +116,23 @@ def test_face_may_turn_by_78_degrees_at_most(degrees, faces_removed, device):
     faces = np.array([*faces, [0, 1, 4], [1, 0, 8]], dtype=np.int32)
     inradius = 0.5 * np.cos(np.pi / 8)
     target = np.array([[[0, 0, inradius * np.tan(np.radians(degrees))]]])
-    state = build_state(points, faces, device)
-    assert judged(state, [half_edge_between(faces, 0, 1)], target, device)[0] == faces_removed
+    built = build_mesh(points, faces, device)
+    assert judged(built, [half_edge_between(faces, 0, 1)], target, device)[0] == faces_removed
 
 
 def test_face_without_area_may_turn_anyhow(device):
     points, faces = meshes.icosphere(1)
-    state = build_state(np.zeros_like(points), faces, device)
+    built = build_mesh(np.zeros_like(points), faces, device)
     half_edge = half_edge_between(faces, *faces[0, :2])
-    assert judged(state, [half_edge], np.ones((1, 1, 3)), device)[0] == 2
+    assert judged(built, [half_edge], np.ones((1, 1, 3)), device)[0] == 2
 
 
 def test_collapse_to_a_face_without_area_is_refused(device):
     points, faces = meshes.grid(5, 5)
-    state = build_state(points, faces, device)
+    built = build_mesh(points, faces, device)
     # On the line through the ring's lower side, one face loses its area.
     target = (points[14] + points[15]) / 2 - np.array([0, 0.2, 0], np.float32)
-    assert judged(state, [half_edge_between(faces, 14, 15)], target[None, None], device)[0] == 0
+    assert judged(built, [half_edge_between(faces, 14, 15)], target[None, None], device)[0] == 0
 
 
 @pytest.mark.parametrize("scale", [1.0, 1e-3, 1e-4, 1e-5])
@@ -143,12 +145,12 @@ def test_verdict_does_not_depend_on_the_size_of_faces(scale, device):
 
 def test_refused_edge_falls_asleep_and_a_legal_one_does_not(device):
     points, faces = meshes.grid(4, 1)
-    state = build_state(points, faces, device)
-    state.edge_cost.fill_(3.0)
+    built = build_mesh(points, faces, device)
+    built.state.edge_cost.fill_(3.0)
     pinched, border = half_edge_between(faces, 2, 7), half_edge_between(faces, 1, 2)
     middle = np.array([points[[2, 7]].mean(axis=0), points[[1, 2]].mean(axis=0)])[:, None]
-    assert judged(state, [pinched, border], middle, device).tolist() == [0, 1]
-    assert state.edge_cost.numpy()[[pinched, border]].tolist() == [-3, 3]
+    assert judged(built, [pinched, border], middle, device).tolist() == [0, 1]
+    assert built.state.edge_cost.numpy()[[pinched, border]].tolist() == [-3, 3]
 
 
 TOPOLOGIES = {
@@ -176,6 +178,6 @@ def test_verdict_without_flips_is_that_of_the_result_staying_manifold(name, devi
     directed = set(zip(tail, head, strict=True))
     half_edges = [half_edge_between(faces, *(e if e in directed else e[::-1])) for e in edges]
     # All points in one place: no face has an area, so none can flip.
-    state = build_state(np.zeros_like(points), faces, device)
-    legal = judged(state, half_edges, np.zeros((len(edges), 1, 3)), device) > 0
+    built = build_mesh(np.zeros_like(points), faces, device)
+    legal = judged(built, half_edges, np.zeros((len(edges), 1, 3)), device) > 0
     assert legal.tolist() == [oracle.keeps_manifold(faces, u, v) for u, v in edges]

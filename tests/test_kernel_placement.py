@@ -4,6 +4,7 @@ import meshes
 import numpy as np
 import pytest
 import warp as wp
+from mesh_state import blocks, packed
 from oracles import quadrics as oracle
 
 from warpqem.kernels.placement import Clusters, count_flips, place_vertices
@@ -43,11 +44,12 @@ def gathered(faces, members, device, solved=1) -> Clusters:
 
 def placed(points, faces, clusters, device, epsilon=EPSILON):
     """(positions (F, 3), normals (F, 3)) of the one cluster."""
-    out = [wp.empty((len(points), 1), dtype=wp.vec3, device=device) for _ in range(2)]
+    position = packed(points, device)
+    out = [wp.empty((1, position.shape[1]), dtype=position.dtype, device=device) for _ in range(2)]
     corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device)
-    inputs = [wp.array(points, dtype=wp.vec3, device=device), corner_vertex, clusters, epsilon]
-    wp.launch(place_vertices, dim=(len(points), 1), inputs=inputs, outputs=out, device=device)
-    return out[0].numpy()[:, 0], out[1].numpy()[:, 0]
+    inputs = [position, corner_vertex, clusters, epsilon, 0]
+    wp.launch(place_vertices, dim=out[0].shape, inputs=inputs, outputs=out, device=device)
+    return blocks(out[0], len(points))[0], blocks(out[1], len(points))[0]
 
 
 @pytest.mark.parametrize("name", MESHES)
@@ -86,11 +88,12 @@ def test_normal_is_the_sum_of_the_faces_cross_products(device):
 
 
 def flips_of(points, normals, faces, device) -> np.ndarray:
-    count = wp.zeros(len(points), dtype=wp.int32, device=device)
-    inputs = [wp.array(a, dtype=wp.vec3, device=device) for a in (points, normals)]
+    inputs = [packed(a, device) for a in (points, normals)]
+    block_count = inputs[0].shape[1]
+    count = wp.zeros(block_count * inputs[0].dtype._shape_[1], dtype=wp.int32, device=device)
     inputs.append(wp.array(faces.ravel(), dtype=wp.int32, device=device))
-    wp.launch(count_flips, dim=(len(points), len(faces)), inputs=inputs, outputs=[count], device=device)
-    return count.numpy()
+    wp.launch(count_flips, dim=(len(faces), block_count), inputs=inputs, outputs=[count], device=device)
+    return count.numpy()[: len(points)]
 
 
 def test_faces_that_agree_with_their_normals_are_no_flips(device):

@@ -4,7 +4,7 @@ import meshes
 import numpy as np
 import pytest
 import warp as wp
-from mesh_state import build_state, vertex_major
+from mesh_state import blocks, build_mesh, packed
 from oracles import quadrics as oracle
 
 from warpqem.kernels.plane_quadrics import weigh_face_normals
@@ -22,25 +22,25 @@ MESHES = {
 @pytest.mark.parametrize("name", MESHES)
 def test_vertex_quadrics_match_the_oracle(name, device):
     points, faces = MESHES[name]
-    quadric = build_state(points, faces, device).quadric.numpy()
+    quadric = build_mesh(points, faces, device).quadric
     expected = np.array([[oracle.pack(q) for q in oracle.vertex_quadrics(x, faces)] for x in points])
     np.testing.assert_allclose(quadric, expected.transpose(1, 0, 2), rtol=1e-4, atol=1e-6)
 
 
 def test_weighted_normal_squares_to_the_area(device):
     points, faces = MESHES["open"]
-    out = wp.empty((len(faces), len(points)), dtype=wp.vec3, device=device)
-    corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device)
-    inputs = [corner_vertex, vertex_major(points, device)]
+    position = packed(points, device)
+    out = wp.empty((len(faces), position.shape[1]), dtype=position.dtype, device=device)
+    inputs = [wp.array(faces.ravel(), dtype=wp.int32, device=device), position]
     wp.launch(weigh_face_normals, dim=out.shape, inputs=inputs, outputs=[out], device=device)
     corner = points.astype(np.float64)[:, faces]
     area = np.linalg.norm(np.cross(corner[:, :, 1] - corner[:, :, 0], corner[:, :, 2] - corner[:, :, 0]), axis=2) / 2
-    np.testing.assert_allclose((out.numpy() ** 2).sum(axis=2).T, area, rtol=1e-4)
+    np.testing.assert_allclose((blocks(out, len(points)) ** 2).sum(axis=2).T, area, rtol=1e-4)
 
 
 def test_face_without_area_adds_no_plane(device):
     points = np.array([[0, 0, 0], [0.5, 0, 0], [1, 0, 0]], dtype=np.float32)
-    quadric = build_state(points, np.array([[0, 1, 2]]), device).quadric.numpy()
+    quadric = build_mesh(points, np.array([[0, 1, 2]]), device).quadric
     np.testing.assert_array_equal(quadric, 0)
 
 
@@ -49,7 +49,7 @@ def test_quadric_scale_multiplies_the_vertex_quadric(device):
     corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device)
     stars = build_stars(corner_vertex, points.shape[1])
     border = classify_vertices(corner_vertex, stars, wp.zeros(points.shape[1], dtype=wp.int32, device=device)).numpy()
-    position = vertex_major(points, device)
+    position = packed(points, device)
     scales = [np.ones(points.shape[1]), np.full(points.shape[1], 4.0)]
     once, fourfold = (
         initial_quadrics(corner_vertex, stars, border, position, wp.array(s, dtype=wp.float32, device=device)).numpy()

@@ -1,19 +1,22 @@
 """The quadric algebra against float64."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 import warp as wp
+from mesh_state import blocks, packed, packed_quadrics
 from oracles import quadrics as oracle
 
 from warpqem.kernels.quadric import (
-    Quadric,
+    add_plane,
     anchored_minimiser,
     apply_matrix,
     linear_part,
-    plane_quadric,
     shift_origin,
     trace,
     value_at_minimiser,
+    zero_quadric,
 )
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
@@ -23,40 +26,54 @@ EPSILON = 0.01
 
 @wp.kernel
 def evaluate_quadrics(
-    quadric_in: wp.array[Quadric],
-    x_in: wp.array[wp.vec3],
+    quadric_in: Any,
+    x_in: Any,
     epsilon: wp.float32,
     # outputs
-    product_out: wp.array[wp.vec3],
-    linear_out: wp.array[wp.vec3],
-    trace_out: wp.array[wp.float32],
-    value_out: wp.array[wp.float32],
-    shifted_out: wp.array[Quadric],
-    minimiser_out: wp.array[wp.vec3],
-    minimum_out: wp.array[wp.float32],
+    product_out: Any,
+    linear_out: Any,
+    trace_out: wp.array2d[wp.float32],
+    value_out: wp.array2d[wp.float32],
+    shifted_out: Any,
+    minimiser_out: Any,
+    minimum_out: wp.array2d[wp.float32],
 ):
-    i = wp.tid()
-    q = quadric_in[i]
-    product_out[i] = apply_matrix(q, x_in[i])
-    linear_out[i] = linear_part(q)
-    trace_out[i] = trace(q)
-    value_out[i] = shift_origin(q, x_in[i])[9]  # Q(x) is the constant about x
-    shifted_out[i] = shift_origin(q, x_in[i])
+    i, t = wp.tid()
+    q = quadric_in[i, t]
+    y = x_in[i, t]
+    product_out[i, t] = apply_matrix(q, y)
+    linear_out[i, t] = linear_part(q)
+    shifted = shift_origin(q, y)
+    shifted_out[i, t] = shifted
     x = anchored_minimiser(q, epsilon)
-    minimiser_out[i] = x
-    minimum_out[i] = value_at_minimiser(q, x, epsilon)
+    minimiser_out[i, t] = x
+    traces = trace(q)
+    minimum = value_at_minimiser(q, x, epsilon)
+    width = len(traces)
+    for k in range(width):
+        trace_out[i, t * width + k] = traces[k]
+        value_out[i, t * width + k] = shifted[9, k]  # Q(x) is the constant about x
+        minimum_out[i, t * width + k] = minimum[k]
 
 
 @wp.kernel
 def make_planes(
-    normal_in: wp.array[wp.vec3],
+    normal_in: Any,
     offset_in: wp.array[wp.float32],
     weight_in: wp.array[wp.float32],
     # outputs
-    quadric_out: wp.array[Quadric],
+    quadric_out: Any,
 ):
-    i = wp.tid()
-    quadric_out[i] = plane_quadric(normal_in[i], offset_in[i], weight_in[i])
+    i, t = wp.tid()
+    n = normal_in[i, t]
+    offset = n[0] * 0.0
+    weight = n[0] * 0.0
+    width = len(offset)
+    for k in range(width):
+        if t * width + k < offset_in.shape[0]:
+            offset[k] = offset_in[t * width + k]
+            weight[k] = weight_in[t * width + k]
+    quadric_out[i, t] = add_plane(zero_quadric(n), n, offset, weight)
 
 
 def random_quadrics(count=64, planes=5):
@@ -72,13 +89,17 @@ def random_quadrics(count=64, planes=5):
 
 
 def evaluate(quadrics, x, device, epsilon=EPSILON):
+    """Everything of each quadric and point, the quadrics taken as frames of one vertex."""
     n = len(quadrics)
-    packed = wp.array(np.array([oracle.pack(q) for q in quadrics]), dtype=Quadric, device=device)
-    dtypes = [wp.vec3, wp.vec3, wp.float32, wp.float32, Quadric, wp.vec3, wp.float32]
-    outputs = [wp.empty(n, dtype=dtype, device=device) for dtype in dtypes]
-    inputs = [packed, wp.array(x, dtype=wp.vec3, device=device), epsilon]
-    wp.launch(evaluate_quadrics, dim=n, inputs=inputs, outputs=outputs, device=device)
-    return [a.numpy() for a in outputs]
+    point = packed(np.asarray(x)[:, None], device)
+    quadric = packed_quadrics([[oracle.pack(q) for q in quadrics]], point)
+    numbers = [wp.empty((1, point.shape[1] * point.dtype._shape_[1]), dtype=wp.float32, device=device) for _ in "abc"]
+    product, linear, minimiser = (wp.empty_like(point) for _ in range(3))
+    shifted = wp.empty_like(quadric)
+    outputs = [product, linear, numbers[0], numbers[1], shifted, minimiser, numbers[2]]
+    inputs = [quadric, point, epsilon]
+    wp.launch(evaluate_quadrics, dim=point.shape, inputs=inputs, outputs=outputs, device=device)
+    return [blocks(a, n)[0] if not any(a is b for b in numbers) else a.numpy()[0, :n] for a in outputs]
 
 
 @pytest.fixture(scope="module")
@@ -92,12 +113,13 @@ def test_plane_quadric_is_the_weighted_squared_distance_from_a_plane(device):
     normal = random.normal(size=(32, 3))
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     offset, weight = random.normal(size=32), random.uniform(0.1, 2, 32)
-    out = wp.empty(32, dtype=Quadric, device=device)
-    inputs = [wp.array(normal, dtype=wp.vec3, device=device)]
+    point = packed(normal[:, None], device)
+    out = packed_quadrics(np.zeros((1, 32, 10)), point)
+    inputs = [point]
     inputs += [wp.array(a, dtype=wp.float32, device=device) for a in (offset, weight)]
-    wp.launch(make_planes, dim=32, inputs=inputs, outputs=[out], device=device)
+    wp.launch(make_planes, dim=point.shape, inputs=inputs, outputs=[out], device=device)
     expected = [oracle.pack(oracle.plane(n, -d * n, w)) for n, d, w in zip(normal, offset, weight, strict=True)]
-    np.testing.assert_allclose(out.numpy(), expected, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(blocks(out, 32)[0], expected, rtol=1e-5, atol=1e-6)
 
 
 def test_matrix_product(evaluated):

@@ -3,8 +3,9 @@
 import meshes
 import numpy as np
 import pytest
-from mesh_state import build_state, cost_model
+from mesh_state import build_mesh, cost_model
 
+import warpqem
 from warpqem.order.passes import CAP_FRACTION, Orderer
 from warpqem.order.stars import build_stars
 
@@ -13,9 +14,10 @@ from warpqem.order.stars import build_stars
 def orderer(device):
     """A priced mesh of 61440 half-edges."""
     points, faces = meshes.icosphere(5)
-    state = build_state(points, faces, device)
-    orderer = Orderer(state, build_stars(state.corner_vertex, len(points)), cost_model(), len(faces), device)
-    orderer._price_all()
+    mesh = build_mesh(points, faces, device)
+    stars = build_stars(mesh.state.corner_vertex, len(points), mesh.state.face_count)
+    orderer = Orderer(mesh.state, mesh.frames, stars, cost_model(), 1, device)
+    orderer._price_all.run()
     return orderer
 
 
@@ -27,17 +29,33 @@ def only_awake(orderer, half_edge):
 
 @pytest.mark.parametrize("half_edge", [7 * 100, 7 * 100 + 1, 7 * 100 + 6])
 def test_pass_after_one_without_a_winner_sees_every_edge(half_edge, orderer):
-    for _ in range(2):  # a usual pass with either of the two lists of candidates first
-        assert orderer._collect_candidates(10000, CAP_FRACTION) > 0
-        orderer._candidates.reverse()
+    gear = orderer._gear(1)
+    assert orderer._collect_candidates(gear, 10000, CAP_FRACTION) > 0
     only_awake(orderer, half_edge)
-    assert orderer._collect_candidates(10000, 4 * CAP_FRACTION) == 1
+    assert orderer._collect_candidates(gear, 10000, 4 * CAP_FRACTION) == 1
 
 
 def test_sampled_cap_is_near_the_exact_one(orderer):
     cost = orderer.state.edge_cost.numpy()
     wanted = int(CAP_FRACTION * 1.5 * orderer.live_faces)
-    count = orderer._collect_candidates(10**6, CAP_FRACTION)
+    count = orderer._collect_candidates(orderer._gear(1), 10**6, CAP_FRACTION)
     assert np.isfinite(cost).sum() > 10 * wanted
     # A bin is up to 6 % wide, and costs of a regular mesh lie close together.
     assert wanted // 2 <= count <= 4 * wanted
+
+
+@pytest.fixture
+def shared_from_the_first_face(monkeypatch):
+    monkeypatch.setattr("warpqem.order.passes.SHARED_FACES", 0)
+
+
+@pytest.mark.parametrize("mesh", [meshes.swaying_sphere(3, 4), meshes.waving_grid(24, 5)], ids=["closed", "open"])
+def test_passes_shared_by_three_threads_end_as_those_of_one(mesh, monkeypatch, shared_from_the_first_face):
+    results = []
+    for threads in (1, 3):
+        monkeypatch.setattr("warpqem.order.passes.thread_count", lambda _, threads=threads: threads)
+        results.append(warpqem.simplify(*mesh, ratio=0.2, device="cpu"))
+    one, three = results
+    np.testing.assert_array_equal(one.faces, three.faces)
+    np.testing.assert_array_equal(one.points, three.points)
+    np.testing.assert_array_equal(one.log.removed, three.log.removed)

@@ -1,5 +1,7 @@
 """What must not change the result of ``warpqem.simplify``."""
 
+from dataclasses import replace
+
 import meshes
 import numpy as np
 import pytest
@@ -14,9 +16,11 @@ def test_shape_is_kept_far_from_the_origin(device):
     points = points.astype(np.float64) * 2000
     far = np.array([1e6, -1e6, 1e6])
     near, moved = (warpqem.simplify(p, faces, ratio=0.3, device=device) for p in (points, points + far))
-    # 0.0625 is the step of float32 at a million.
-    assert np.abs(moved.points - far - near.points).max() < 0.2
-    np.testing.assert_array_equal(moved.faces, near.faces)
+    # Rounding may decide between edges of nearly the same cost, so the shape is compared, not the vertices. 0.0625 is
+    # the step of float32 at a million, 0.002 % of the diagonal.
+    back = replace(moved, points=(moved.points - far).astype(np.float32))
+    errors = [rms((points, faces), result, device) for result in (near, back)]
+    assert errors[1] == pytest.approx(errors[0], rel=0.05, abs=0.002)
 
 
 @pytest.mark.parametrize("exponent", [-20, 20])

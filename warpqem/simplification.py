@@ -12,6 +12,7 @@ import numpy as np
 from warpqem.cost_models import CostModelSpec, cost_model, feature_weights
 from warpqem.device import resolve_device
 from warpqem.errors import OptionError, UnreachableTargetError
+from warpqem.frame_blocks import pack_frames
 from warpqem.kernels.topology import LOCKED, SEAM
 from warpqem.key_frames import choose_key_frames
 from warpqem.mesh_input import AnimatedMesh, as_numpy, as_vertex_values, read_mesh
@@ -123,7 +124,7 @@ def simplify(
     weights = _cost_weights(spec, mesh, vertex_weights, device)
     keys = _key_frames(spec, mesh, key_frames)
     endpoint = placement == "endpoint"
-    order_input = _order_input(spec, mesh, keys, weights, seam, pinned)
+    order_input = _order_input(spec, mesh, keys, weights, seam, pinned, device)
     ordered = order_collapses(
         order_input,
         OrderSettings(
@@ -159,12 +160,19 @@ def simplify(
 
 
 def _order_input(
-    spec: CostModelSpec, mesh: AnimatedMesh, keys: np.ndarray, weights: np.ndarray, seam: Seams, pinned: np.ndarray
+    spec: CostModelSpec,
+    mesh: AnimatedMesh,
+    keys: np.ndarray,
+    weights: np.ndarray,
+    seam: Seams,
+    pinned: np.ndarray,
+    device: str,
 ) -> OrderInput:
     flags = np.where(pinned, int(LOCKED), 0) | np.where(seam.on_seam, int(SEAM), 0)
     return OrderInput(
         faces=mesh.faces,
-        key_points=mesh.unit_points(keys),
+        key_position=pack_frames(mesh.points[keys], device, centre=mesh.centre, scale=1 / mesh.diagonal),
+        key_count=len(keys),
         vertex_flags=flags.astype(np.int32),
         quadric_scale=np.ones(mesh.vertex_count, dtype=np.float32),
         cost_weight=weights,

@@ -6,7 +6,8 @@ select, place, judge, commit; at last build the stars anew. Everything but the c
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
@@ -15,9 +16,11 @@ from warpqem.kernels import collapse as collapse_kernels
 from warpqem.kernels import edge_cost as cost_kernels
 from warpqem.kernels import independent_set as set_kernels
 from warpqem.kernels import legality as legality_kernels
-from warpqem.kernels.mesh_state import CollapseLog, CostModel, MeshState
+from warpqem.kernels.mesh_state import AnyKeyFrames, CollapseLog, CostModel, MeshState
+from warpqem.kernels.work import EdgeList, Work
 from warpqem.order.stars import Stars
-from warpqem.parallel import run_parts, thread_count
+from warpqem.order.steps import Phase, Step, new_edge_list, part_work
+from warpqem.parallel import thread_count
 
 __all__ = ["Orderer"]
 
@@ -37,95 +40,195 @@ HISTOGRAM_BINS = 4096
 # where the sample would hold fewer than so many: the cap need not be exact, only the same on every run.
 SAMPLE_STEP = 7
 LEAST_SAMPLE = 2048
-# On a GPU a work list of unknown length is walked by this many lanes: enough to fill any device of today.
-GPU_LANES = 65536
+# Meshes of at least so many faces are worked on by all CPU threads throughout; below it a thread takes longer to start
+# than most kernels of a pass run.
+SHARED_FACES = 60_000
+
+
+@dataclass(frozen=True)
+class _Gear:
+    """The steps of a pass, recorded for a number of parts. Rounds take turns with two lists of candidates."""
+
+    collect_sampled: Step
+    collect_all: Step
+    choose: tuple[Step, Step]
+    commit: tuple[Step, Step]
+    renew: Step
+    candidates: tuple[EdgeList, EdgeList]
+    winners: EdgeList
+    legal: wp.array
 
 
 class Orderer:
     """Collapses the edges of one mesh state, pass by pass."""
 
-    def __init__(self, state: MeshState, stars: Stars, model: CostModel, face_count: int, device: str) -> None:
-        self.state, self.stars, self.model, self.device = state, stars, model, device
+    def __init__(
+        self, state: MeshState, frames: AnyKeyFrames, stars: Stars, model: CostModel, key_count: int, device: str
+    ) -> None:
+        self.state, self.frames, self.stars, self.model, self.device = state, frames, stars, model, device
+        face_count = len(state.corner_vertex) // 3
+        vertex_count = len(state.vertex_flags)
         self.face_slots = face_count  # faces in the arrays, dead ones included
         self.live_faces = face_count
         self.pass_index = 0
-        vertex_count, key_count = state.position.shape
         self.flip_tolerance = int(FLIP_FRACTION * key_count)
-        self.lanes = 1 if wp.get_device(device).is_cpu else GPU_LANES
+        self.threads = thread_count(device)
         self.log = self._new_log(vertex_count)
-        self._recorded: dict[tuple, wp.Launch] = {}
-        self._recorded_parts: dict[tuple, list[wp.Launch]] = {}
-        self._pass_number = wp.zeros(1, dtype=wp.int32, device=device)
-        self._pass_begin = wp.zeros(1, dtype=wp.int32, device=device)
-        self._histogram = wp.zeros(HISTOGRAM_BINS, dtype=wp.int32, device=device)
-        self._cap = wp.zeros(1, dtype=wp.int32, device=device)
+        self._pass_number, self._pass_begin, self._wanted = (self._integers(1) for _ in range(3))
+        self._histogram = self._integers(HISTOGRAM_BINS)
+        self._cap = wp.zeros(1, dtype=wp.float32, device=device)
         self._claim = wp.full(vertex_count, set_kernels.UNCLAIMED, dtype=wp.int64, device=device)
-        self._mask = wp.zeros(vertex_count, dtype=wp.int32, device=device)
+        self._mask = self._integers(vertex_count)
         # Winners share no vertex, so there are V / 2 at most; an edge stands at one of its two half-edges.
         most_winners = vertex_count // 2 + 1
-        self._candidates = [self._new_list(3 * face_count) for _ in range(2)]
-        self._winners = self._new_list(most_winners)
-        self._faces_removed = wp.zeros(most_winners, dtype=wp.int32, device=device)
-        self._target = wp.empty((most_winners, key_count), dtype=wp.vec3, device=device)
+        self._lists = [wp.empty(3 * face_count, dtype=wp.int32, device=device) for _ in range(3)]
+        self._faces_removed = self._integers(most_winners)
+        shape = (most_winners, frames.position.shape[1])
+        self._target = wp.empty(shape, dtype=frames.position.dtype, device=device)
         self._anchor = wp.empty(most_winners, dtype=wp.float32, device=device)
         self._live_rank = wp.empty(face_count, dtype=wp.int32, device=device)
         self._spare_corner_vertex = wp.empty_like(state.corner_vertex)
         self._spare_edge_cost = wp.empty_like(state.edge_cost)
         self._spare_seam = wp.empty_like(state.seam)
+        self._price_all = Step([Phase(self._launch_pricing, self.threads)], device)
+        self._gears: dict[int, _Gear] = {}
 
-    def _new_list(self, capacity: int) -> set_kernels.EdgeList:
-        edges = set_kernels.EdgeList()
-        edges.count = wp.zeros(1, dtype=wp.int32, device=self.device)
-        edges.half_edge = wp.empty(capacity, dtype=wp.int32, device=self.device)
-        return edges
+    def _integers(self, count: int) -> wp.array:
+        return wp.zeros(count, dtype=wp.int32, device=self.device)
 
     def _new_log(self, capacity: int) -> CollapseLog:
         log = CollapseLog()
-        log.count = wp.zeros(1, dtype=wp.int32, device=self.device)
+        log.count = self._integers(1)
         for name in ("kept", "removed", "left_wing", "right_wing", "faces_removed", "pass_index"):
             setattr(log, name, wp.empty(capacity, dtype=wp.int32, device=self.device))
         for name in ("cost", "error"):
             setattr(log, name, wp.empty(capacity, dtype=wp.float32, device=self.device))
         return log
 
-    def _sweep(self, kernel: wp.Kernel, inputs: list, outputs: list | None = None) -> None:
-        """Launch a kernel that walks a list of a length known to the device only.
+    def _launch(self, kernel: wp.Kernel, inputs: list, work: Work, outputs: Sequence = ()) -> None:
+        wp.launch(kernel, dim=work.lanes, inputs=[*inputs, work], outputs=list(outputs), device=self.device)
 
-        The launch is recorded, and a replay costs a fifth of a launch. Its arrays stay the same, but for which of the
-        two candidate lists comes first; whole numbers among its inputs may change.
-        """
-        key = (kernel, self._candidates[0].half_edge.ptr, *(x for x in inputs if isinstance(x, int)))
-        command = self._recorded.get(key)
-        if command is None:
-            command = wp.launch(
-                kernel,
-                dim=self.lanes,
-                inputs=[*inputs, self.lanes],
-                outputs=outputs or [],
-                device=self.device,
-                record_cmd=True,
+    def _launch_pricing(self, part: int) -> None:
+        work = part_work(part, self.threads, self.device)
+        self._launch(cost_kernels.price_all_edges, [self.state, self.frames, self.model], work)
+
+    def _gear(self, part_count: int) -> _Gear:
+        """The steps for so many parts, recorded when they are first asked for."""
+        if part_count not in self._gears:
+            candidates = tuple(new_edge_list(storage, part_count) for storage in self._lists[:2])
+            winners = new_edge_list(self._lists[2], part_count)
+            legal, slot = self._integers(part_count), self._integers(part_count)
+            orders = [(candidates[0], candidates[1]), (candidates[1], candidates[0])]
+            choose = [self._choosing(now, winners, legal, part_count) for now, _ in orders]
+            commit = [self._committing(*order, winners, legal, slot, part_count) for order in orders]
+            self._gears[part_count] = _Gear(
+                collect_sampled=self._step(self._collecting(candidates[0], SAMPLE_STEP, part_count)),
+                collect_all=self._step(self._collecting(candidates[0], 1, part_count)),
+                choose=(self._step(choose[0]), self._step(choose[1])),
+                commit=(self._step(commit[0]), self._step(commit[1])),
+                renew=self._step(self._renewing(part_count)),
+                candidates=candidates,
+                winners=winners,
+                legal=legal,
             )
-            self._recorded[key] = command
-        command.launch()
+        return self._gears[part_count]
 
-    def _split_sweep(self, kernel: wp.Kernel, inputs: list) -> None:
-        """Sweep with a kernel whose lanes write apart from each other, over all CPU threads."""
-        threads = thread_count(self.device)
-        key = (kernel, *(x for x in inputs if isinstance(x, int)))
-        commands = self._recorded_parts.get(key)
-        if commands is None:
-            commands = [
-                wp.launch(
-                    kernel,
-                    dim=self.lanes,
-                    inputs=[*inputs, part, self.lanes * threads],
-                    device=self.device,
-                    record_cmd=True,
-                )
-                for part in range(threads)
-            ]
-            self._recorded_parts[key] = commands
-        run_parts([command.launch for command in commands])
+    def _step(self, phases: Sequence[Phase]) -> Step:
+        return Step(phases, self.device)
+
+    def _collecting(self, candidates: EdgeList, sample_step: int, part_count: int) -> list[Phase]:
+        """Fill the list of candidates with the cheapest edges."""
+        state, device = self.state, self.device
+
+        def find_cap(_: int) -> None:
+            work = part_work(0, 1, device)
+            wp.copy(self._pass_begin, self.log.count)
+            self._launch_counting(sample_step, work)
+            wp.launch(
+                set_kernels.find_cap,
+                dim=1,
+                inputs=[self._wanted, sample_step],
+                outputs=[self._histogram, self._cap],
+                device=device,
+            )
+            candidates.count.zero_()
+
+        def collect(part: int) -> None:
+            work = part_work(part, part_count, device)
+            self._launch(set_kernels.collect_candidates, [state, self._cap], work, [candidates])
+
+        return [Phase(find_cap), Phase(collect, part_count)]
+
+    def _launch_counting(self, sample_step: int, work: Work) -> None:
+        self._launch(set_kernels.count_costs, [self.state, sample_step], work, [self._histogram])
+
+    def _choosing(self, candidates: EdgeList, winners: EdgeList, legal: wp.array, part_count: int) -> list[Phase]:
+        """Claim, select, place and judge."""
+        state, frames = self.state, self.frames
+
+        def claim(part: int) -> None:
+            if part == 0:
+                winners.count.zero_()
+            work = part_work(part, part_count, self.device)
+            self._launch(set_kernels.claim_vertices, [state, candidates], work, [self._claim])
+
+        def select(part: int) -> None:
+            work = part_work(part, part_count, self.device)
+            self._launch(set_kernels.select_winners, [state, candidates, self._claim], work, [winners])
+
+        def judge(part: int) -> None:
+            work = part_work(part, part_count, self.device)
+            self._launch(set_kernels.withdraw_claims, [state, candidates], work, [self._claim])
+            targets = [self._target, self._anchor]
+            self._launch(legality_kernels.place_winners, [state, frames, self.model, winners], work, targets)
+            judged = [state, frames, winners, self._target, self.flip_tolerance]
+            self._launch(legality_kernels.judge_winners, judged, work, [self._faces_removed, legal])
+
+        return [Phase(claim, part_count), Phase(select, part_count), Phase(judge, part_count)]
+
+    def _committing(
+        self,
+        candidates: EdgeList,
+        candidates_left: EdgeList,
+        winners: EdgeList,
+        legal: wp.array,
+        slot: wp.array,
+        part_count: int,
+    ) -> list[Phase]:
+        """Collapse the legal winners, and keep the candidates that they leave free."""
+        state, frames = self.state, self.frames
+
+        def open_log(_: int) -> None:
+            outputs = [legal, self.log, slot]
+            wp.launch(collapse_kernels.open_log, dim=1, inputs=[], outputs=outputs, device=self.device)
+            candidates_left.count.zero_()
+
+        def commit(part: int) -> None:
+            work = part_work(part, part_count, self.device)
+            inputs = [state, frames, winners, self._faces_removed, self._target, self._anchor, self._pass_number]
+            self._launch(collapse_kernels.commit_winners, inputs, work, [self._mask, self.log, slot])
+
+        def shrink(part: int) -> None:
+            work = part_work(part, part_count, self.device)
+            inputs = [state, self._mask, self._pass_number, candidates]
+            self._launch(set_kernels.shrink_candidates, inputs, work, [candidates_left])
+
+        return [Phase(open_log), Phase(commit, part_count), Phase(shrink, part_count)]
+
+    def _renewing(self, part_count: int) -> list[Phase]:
+        """Build the stars, price what moved, wake what lies around it. Prices are worth all threads on any mesh."""
+        state = self.state
+
+        def reprice(part: int) -> None:
+            work = part_work(part, self.threads, self.device)
+            inputs = [state, self.frames, self.model, self.log, self._pass_begin]
+            self._launch(cost_kernels.reprice_moved_stars, inputs, work)
+
+        def wake(part: int) -> None:
+            work = part_work(part, part_count, self.device)
+            self._launch(cost_kernels.wake_neighbourhoods, [state, self._mask, self._pass_number], work)
+
+        return [*self.stars.phases(part_count), Phase(reprice, self.threads), Phase(wake, part_count)]
 
     def run(self, target_faces: int, progress: Callable[[int], None] | None = None) -> str:
         """Collapse until the target is met; ``progress`` is called with the live face count after each pass.
@@ -134,7 +237,7 @@ class Orderer:
             "target"; "max_error" when every edge left would exceed the model's error limit or is illegal, and at least
             one is held back by the limit alone; "no legal collapse" otherwise.
         """
-        self._price_all()
+        self._price_all.run()
         cap_fraction = CAP_FRACTION
         while self.live_faces > target_faces:
             candidate_count, collapsed = self._run_pass(target_faces, cap_fraction)
@@ -154,93 +257,71 @@ class Orderer:
         half_edge_count = 3 * self.face_slots
         asleep = np.isfinite(self.state.edge_cost.numpy()[:half_edge_count]).sum()
         self.model.error_limit = np.inf
-        self._recorded_parts.clear()
-        self._price_all()
+        self._step([Phase(self._launch_pricing, self.threads)]).run()
         return bool(np.isfinite(self.state.edge_cost.numpy()[:half_edge_count]).sum() > asleep)
-
-    def _price_all(self) -> None:
-        self._split_sweep(cost_kernels.price_all_edges, [self.state, self.model, 3 * self.face_slots])
 
     def _run_pass(self, target_faces: int, cap_fraction: float) -> tuple[int, int]:
         """One pass; the numbers of candidates and of collapses made."""
         self.pass_index += 1
         self._pass_number.fill_(self.pass_index)
         remaining = self.live_faces - target_faces
-        candidate_count = self._collect_candidates(remaining, cap_fraction)
         begin = int(self.log.count.numpy()[0])
-        wp.copy(self._pass_begin, self.log.count)
+        gear = self._gear(self.threads if self._is_shared(remaining, cap_fraction) else 1)
+        candidate_count = self._collect_candidates(gear, remaining, cap_fraction)
         # A candidate removes two faces at most: only a pass that could overshoot has to count its winners.
-        trim = 2 * candidate_count > remaining
-        for _ in range(ROUNDS):
-            removed = self._run_round(remaining, trim)
-            remaining -= removed
-            if remaining <= 0:
-                break
+        if 2 * candidate_count <= remaining:
+            for i in range(ROUNDS):
+                gear.choose[i % 2].run()
+                gear.commit[i % 2].run()
+        else:
+            gear = self._gear(1)
+            candidate_count = self._collect_candidates(gear, remaining, cap_fraction)
+            self._run_counted_rounds(gear, remaining)
         end = int(self.log.count.numpy()[0])
         if end > begin:
             self.live_faces -= int(self.log.faces_removed.numpy()[begin:end].sum())
             self._compact()
-            self.stars.build(self.state.corner_vertex, 3 * self.face_slots)
-            self._split_sweep(cost_kernels.reprice_moved_stars, [self.state, self.model, self.log, self._pass_begin])
-            self._sweep(cost_kernels.wake_neighbourhoods, [self.state, self.log, self._pass_begin])
+            gear.renew.run()
         return candidate_count, end - begin
 
-    def _collect_candidates(self, remaining: int, cap_fraction: float) -> int:
-        """Fill the list of candidates with the cheapest edges; their number."""
-        half_edge_count = 3 * self.face_slots
+    def _is_shared(self, remaining: int, cap_fraction: float) -> bool:
+        """Whether all threads work on the pass: on large meshes, but where it may end at the target."""
+        return self.live_faces >= SHARED_FACES and remaining > 2 * self._wanted_count(remaining, cap_fraction)
+
+    def _wanted_count(self, remaining: int, cap_fraction: float) -> int:
         wanted = int(cap_fraction * 1.5 * self.live_faces)
         if cap_fraction < 1.0:
             wanted = max(LEAST_CANDIDATES, min(wanted, remaining // 2))
-        candidates = self._candidates[0]
-        candidates.count.zero_()
+        return wanted
+
+    def _collect_candidates(self, gear: _Gear, remaining: int, cap_fraction: float) -> int:
+        """Fill the list of candidates with the cheapest edges; their number."""
+        self._wanted.fill_(self._wanted_count(remaining, cap_fraction))
         # After a pass without a winner every edge counts: the few that are awake may be missing from a sample.
-        sampled = cap_fraction == CAP_FRACTION and half_edge_count >= SAMPLE_STEP * LEAST_SAMPLE
-        step = SAMPLE_STEP if sampled else 1
-        self._sweep(set_kernels.count_costs, [self.state.edge_cost, half_edge_count, step], [self._histogram])
-        wp.launch(
-            set_kernels.find_cap,
-            dim=1,
-            inputs=[max(1, wanted // step)],
-            outputs=[self._histogram, self._cap],
-            device=self.device,
-        )
-        self._sweep(set_kernels.collect_candidates, [self.state.edge_cost, half_edge_count, self._cap], [candidates])
-        return int(candidates.count.numpy()[0])
+        sampled = cap_fraction == CAP_FRACTION and 3 * self.face_slots >= SAMPLE_STEP * LEAST_SAMPLE
+        (gear.collect_sampled if sampled else gear.collect_all).run()
+        return int(gear.candidates[0].count.numpy().sum())
 
-    def _run_round(self, remaining: int, trim: bool) -> int:
-        """Claim, select, place, judge and commit once; the faces removed when ``trim`` is set, else 0."""
-        state, candidates, winners = self.state, self._candidates[0], self._winners
-        winners.count.zero_()
-        self._sweep(set_kernels.claim_vertices, [state, candidates], [self._claim])
-        self._sweep(set_kernels.select_winners, [state, candidates, self._claim], [winners])
-        self._sweep(set_kernels.withdraw_claims, [state, candidates], [self._claim])
-        self._sweep(legality_kernels.place_winners, [state, self.model, winners], [self._target, self._anchor])
-        self._sweep(
-            legality_kernels.judge_winners, [state, winners, self._target, self.flip_tolerance], [self._faces_removed]
-        )
-        removed = self._trim_winners(remaining) if trim else 0
-        self._sweep(
-            collapse_kernels.commit_winners,
-            [state, winners, self._faces_removed, self._target, self._anchor, self._pass_number],
-            [self._mask, self.log],
-        )
-        self._candidates.reverse()
-        self._candidates[0].count.zero_()
-        self._sweep(
-            set_kernels.shrink_candidates, [state, self._mask, self._pass_number, candidates], [self._candidates[0]]
-        )
-        return removed
+    def _run_counted_rounds(self, gear: _Gear, remaining: int) -> None:
+        """Rounds of one part that stop when ``remaining`` faces are gone."""
+        for i in range(ROUNDS):
+            gear.choose[i % 2].run()
+            remaining -= self._trim_winners(gear, remaining)
+            gear.commit[i % 2].run()
+            if remaining <= 0:
+                return
 
-    def _trim_winners(self, remaining: int) -> int:
+    def _trim_winners(self, gear: _Gear, remaining: int) -> int:
         """Drop the dearest winners beyond the ``remaining`` faces to remove; the faces that the others remove."""
-        count = int(self._winners.count.numpy()[0])
+        count = int(gear.winners.count.numpy()[0])
         faces = self._faces_removed.numpy()[:count]
-        half_edge = self._winners.half_edge.numpy()[:count]
+        half_edge = gear.winners.half_edge.numpy()[:count]
         order = np.lexsort((half_edge, self.state.edge_cost.numpy()[half_edge]))
         removed_before = np.cumsum(faces[order]) - faces[order]
         faces[order[removed_before >= remaining]] = 0
         if not self._faces_removed.device.is_cpu:
             self._faces_removed[:count].assign(faces)
+        gear.legal.fill_(int(np.count_nonzero(faces)))
         return int(faces.sum())
 
     def _compact(self) -> None:
@@ -265,6 +346,7 @@ class Orderer:
             device=self.device,
         )
         self.face_slots = self.live_faces
+        state.face_count.fill_(self.face_slots)
         # Copied back, not swapped: the recorded launches hold these arrays.
         half_edge_count = 3 * self.face_slots
         wp.copy(state.corner_vertex, self._spare_corner_vertex, count=half_edge_count)

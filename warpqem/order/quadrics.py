@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 
 from warpqem.kernels import plane_quadrics as kernels
-from warpqem.kernels.quadric import Quadric
+from warpqem.kernels.lanes import POINTS, QUADRIC
 from warpqem.order.stars import Stars
 from warpqem.parallel import run_parts, split_range, thread_count
 
@@ -48,23 +48,24 @@ def initial_quadrics(
         corner_vertex: (3N,) int32.
         stars: stars of all vertices.
         constrained: (3N,) int32, 1 at border and seam half-edges.
-        position: (V, K) vec3, in diagonals.
+        position: (V, B) blocks of points, in diagonals.
         quadric_scale: (V,) float32, multiplies a vertex's own quadric.
 
     Returns:
-        (V, K) ``Quadric``.
+        (V, B) blocks of quadrics.
     """
     device = corner_vertex.device
-    vertex_count, key_count = position.shape
+    vertex_count, block_count = position.shape
+    width = position.dtype._shape_[1]
     face_count = len(corner_vertex) // 3
-    normal = wp.empty((face_count, key_count), dtype=wp.vec3, device=device)
-    quadric = wp.empty((vertex_count, key_count), dtype=Quadric, device=device)
+    normal = wp.empty((face_count, block_count), dtype=POINTS[width], device=device)
+    quadric = wp.empty((vertex_count, block_count), dtype=QUADRIC[width], device=device)
     threads = thread_count(device)
 
     def weigh(part: slice) -> None:
         wp.launch(
             kernels.weigh_face_normals,
-            dim=(part.stop - part.start, key_count),
+            dim=(part.stop - part.start, block_count),
             inputs=[corner_vertex[3 * part.start : 3 * part.stop], position],
             outputs=[normal[part]],
             device=device,
@@ -73,7 +74,7 @@ def initial_quadrics(
     def gather(part: slice) -> None:
         wp.launch(
             kernels.gather_vertex_quadrics,
-            dim=(part.stop - part.start, key_count),
+            dim=(part.stop - part.start, block_count),
             inputs=[stars.start[part.start : part.stop + 1], stars.corner, normal, quadric_scale[part]],
             outputs=[quadric[part]],
             device=device,
@@ -85,7 +86,7 @@ def initial_quadrics(
     if len(vertex):
         wp.launch(
             kernels.add_border_planes,
-            dim=(len(vertex), key_count),
+            dim=(len(vertex), block_count),
             inputs=[
                 wp.array(half_edge, device=device),
                 wp.array(start, device=device),

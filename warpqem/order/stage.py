@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from warpqem.kernels.mesh_state import CostModel, MeshState
+from warpqem.kernels.mesh_state import KEY_FRAMES, CostModel, MeshState
 from warpqem.order.log import CollapseRecord, read_log
 from warpqem.order.passes import Orderer
 from warpqem.order.quadrics import initial_quadrics
@@ -38,15 +38,15 @@ class OrderSettings:
 
 @dataclass(frozen=True)
 class OrderedMesh:
-    """The topology that ordering left, and what placement needs of it (V input vertices, K key frames).
+    """The topology that ordering left, and what placement needs of it (V input vertices, B blocks of key frames).
 
     Attributes:
         faces: (N', 3) int32 over input vertices: each cluster goes by the vertex that was kept.
         face_map: (N',) int32, the input face that each of them was.
         root: (V,) int32, the kept vertex that each input vertex collapsed into.
-        key_position: (V, K) vec3, the input on the key frames, in diagonals.
-        position: (V, K) vec3, where ordering put the kept vertices.
-        quadric: (V, K) Quadric of each kept vertex's cluster, about ``position``.
+        key_position: (V, B) points, the input on the key frames, in diagonals.
+        position: (V, B) points, where ordering put the kept vertices.
+        quadric: (V, B) quadric of each kept vertex's cluster, about ``position``.
         constrained: (3N,) int32, 1 at the input's border and seam half-edges.
         on_line: (V,) bool, input vertices on a border or seam.
         stopped: "target", "max_error" or "no legal collapse".
@@ -70,7 +70,8 @@ class OrderInput:
     """A mesh on the device's scale: positions in diagonals, per-vertex values as in :class:`MeshState`."""
 
     faces: np.ndarray  # (N, 3) int32
-    key_points: np.ndarray  # (K, V, 3) float32, in diagonals
+    key_position: wp.array  # (V, B) blocks of points, in diagonals
+    key_count: int
     vertex_flags: np.ndarray  # (V,) int32
     quadric_scale: np.ndarray  # (V,) float32
     cost_weight: np.ndarray  # (V,) float32
@@ -89,17 +90,18 @@ def order_collapses(
     """Collapse edges down to the target; ``progress`` is called with the live face count after each pass."""
     vertex_count = len(mesh.vertex_flags)
     corner_vertex = wp.array(mesh.faces.ravel(), dtype=wp.int32, device=device)
-    stars = build_stars(corner_vertex, vertex_count)
     state = MeshState()
+    state.face_count = wp.array([len(mesh.faces)], dtype=wp.int32, device=device)
+    stars = build_stars(corner_vertex, vertex_count, state.face_count)
     state.corner_vertex = corner_vertex
     state.star_start, state.star_corner = stars.start, stars.corner
     state.vertex_flags = wp.array(mesh.vertex_flags, dtype=wp.int32, device=device)
     constrained = classify_vertices(corner_vertex, stars, state.vertex_flags).numpy() | mesh.seam
     state.seam = wp.array(mesh.seam, dtype=wp.int32, device=device)
-    key_position = _vertex_major(mesh.key_points, device)
-    state.position = wp.clone(key_position)
+    frames = KEY_FRAMES[mesh.key_position.dtype._shape_[1]]()
+    frames.position = wp.clone(mesh.key_position)
     quadric_scale = wp.array(mesh.quadric_scale, dtype=wp.float32, device=device)
-    state.quadric = initial_quadrics(corner_vertex, stars, constrained, key_position, quadric_scale)
+    frames.quadric = initial_quadrics(corner_vertex, stars, constrained, mesh.key_position, quadric_scale)
     state.cost_weight = wp.array(mesh.cost_weight, dtype=wp.float32, device=device)
     state.edge_cost = wp.empty(len(corner_vertex), dtype=wp.float32, device=device)
     no_trajectory = wp.empty((0, 0), dtype=wp.vec3, device=device)
@@ -110,10 +112,10 @@ def order_collapses(
     model.endpoint = int(settings.endpoint)
     model.error_limit = settings.error_limit**2
     # The term sums over all frames, the quadrics over the key frames: brought to the same number of frames.
-    key_count, frame_count = len(mesh.key_points), 1 if mesh.trajectories is None else len(mesh.trajectories)
-    model.deformation_weight = settings.deformation_weight * key_count / frame_count
+    frame_count = 1 if mesh.trajectories is None else len(mesh.trajectories)
+    model.deformation_weight = settings.deformation_weight * mesh.key_count / frame_count
 
-    orderer = Orderer(state, stars, model, len(mesh.faces), device)
+    orderer = Orderer(state, frames, stars, model, mesh.key_count, device)
     stopped = orderer.run(settings.target_faces, progress)
     log = read_log(orderer.log)
     root = log.roots(vertex_count)
@@ -126,9 +128,9 @@ def order_collapses(
         faces=faces[face_map],
         face_map=face_map,
         root=root,
-        key_position=key_position,
-        position=state.position,
-        quadric=state.quadric,
+        key_position=mesh.key_position,
+        position=frames.position,
+        quadric=frames.quadric,
         constrained=constrained,
         on_line=_ends(mesh.faces, constrained, vertex_count),
         stopped=stopped,

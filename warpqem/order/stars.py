@@ -2,80 +2,91 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import warp as wp
 
 from warpqem.kernels import topology as kernels
+from warpqem.order.steps import Phase, Step, part_work
+from warpqem.parallel import run_parts, split_range, thread_count
 
 __all__ = ["Stars", "build_stars", "classify_vertices"]
 
 
 class Stars:
-    """Buffers for the stars of ``vertex_count`` vertices and up to ``face_count`` faces, reused from pass to pass.
+    """Buffers for the stars of ``vertex_count`` vertices and as many faces as there are, reused from pass to pass.
+
+    Args:
+        corner_vertex: (3N,) int32, vertex of each corner; -1 in a dead face, which is left out.
+        face_count: (1,) int32, how many of the N faces there are now.
+        vertex_count: vertices V.
 
     Attributes:
         start: (V+1,) int32, the first entry of each vertex's list; the last entry is the number of corners.
         corner: (3N,) int32, corners by vertex, ascending within a vertex.
     """
 
-    def __init__(self, vertex_count: int, face_count: int, device: str) -> None:
-        self.device = device
-        self.start = wp.zeros(vertex_count + 1, dtype=wp.int32, device=device)
-        self.corner = wp.empty(3 * face_count, dtype=wp.int32, device=device)
-        self._cursor = wp.zeros(vertex_count + 1, dtype=wp.int32, device=device)
-        # Launches for one corner array and length, recorded: a replay costs a fifth of a launch.
-        self._recorded: dict[tuple[int, int], tuple[wp.Launch, wp.Launch]] = {}
+    def __init__(self, corner_vertex: wp.array, face_count: wp.array, vertex_count: int) -> None:
+        self._corner_vertex, self._face_count, self._device = corner_vertex, face_count, corner_vertex.device
+        self.start = wp.zeros(vertex_count + 1, dtype=wp.int32, device=self._device)
+        self.corner = wp.empty_like(corner_vertex)
+        self._cursor = wp.zeros(vertex_count + 1, dtype=wp.int32, device=self._device)
 
-    def build(self, corner_vertex: wp.array, half_edge_count: int) -> None:
-        """Fill the lists from the first ``half_edge_count`` corners; corners with vertex -1 are left out."""
-        device = self.device
-        key = (corner_vertex.ptr, half_edge_count)
-        if key not in self._recorded:
-            self._recorded[key] = self._record(corner_vertex, half_edge_count)
-        count, fill = self._recorded[key]
-        self._cursor.zero_()
-        count.launch()
+    def phases(self, part_count: int) -> list[Phase]:
+        """What builds the lists, in ``part_count`` parts."""
+
+        def count(part: int) -> None:
+            self._launch(kernels.count_corners, [self._cursor], part, part_count)
+
+        def fill(part: int) -> None:
+            self._launch(kernels.fill_stars, [self._cursor, self.corner], part, part_count)
+
+        phases = [
+            Phase(lambda _: self._cursor.zero_()),
+            Phase(count, part_count),
+            Phase(self._scan),
+            Phase(fill, part_count),
+        ]
+        # One CPU thread fills a list in ascending order; on a GPU threads arrive in any order.
+        return phases if wp.get_device(self._device).is_cpu else [*phases, Phase(self._sort)]
+
+    def _launch(self, kernel: wp.Kernel, outputs: list, part: int, part_count: int) -> None:
+        work = part_work(part, part_count, self._device)
+        inputs = [self._corner_vertex, self._face_count, work]
+        wp.launch(kernel, dim=work.lanes, inputs=inputs, outputs=outputs, device=self._device)
+
+    def _scan(self, _: int) -> None:
         wp.utils.array_scan(self._cursor, self.start, inclusive=False)
         wp.copy(self._cursor, self.start)
-        fill.launch()
-        # One CPU thread fills the lists in ascending order; on a GPU threads arrive in any order.
-        if not wp.get_device(device).is_cpu:
-            vertex_count = len(self.start) - 1
-            wp.launch(kernels.sort_stars, dim=vertex_count, inputs=[self.start], outputs=[self.corner], device=device)
 
-    def _record(self, corner_vertex: wp.array, half_edge_count: int) -> tuple[wp.Launch, wp.Launch]:
-        count, fill = (
-            wp.launch(
-                kernel,
-                dim=half_edge_count,
-                inputs=[corner_vertex],
-                outputs=outputs,
-                device=self.device,
-                record_cmd=True,
-            )
-            for kernel, outputs in (
-                (kernels.count_corners, [self._cursor]),
-                (kernels.fill_stars, [self._cursor, self.corner]),
-            )
-        )
-        return count, fill
+    def _sort(self, _: int) -> None:
+        vertex_count = len(self.start) - 1
+        wp.launch(kernels.sort_stars, dim=vertex_count, inputs=[self.start], outputs=[self.corner], device=self._device)
 
 
-def build_stars(corner_vertex: wp.array, vertex_count: int) -> Stars:
-    """Stars of a mesh given as ``corner_vertex`` (3N,) int32."""
-    half_edge_count = len(corner_vertex)
-    stars = Stars(vertex_count, half_edge_count // 3, corner_vertex.device)
-    stars.build(corner_vertex, half_edge_count)
+def build_stars(corner_vertex: wp.array, vertex_count: int, face_count: wp.array | None = None) -> Stars:
+    """Stars of a mesh given as ``corner_vertex`` (3N,) int32, of all its faces unless ``face_count`` (1,) is given."""
+    device = corner_vertex.device
+    if face_count is None:
+        face_count = wp.array([len(corner_vertex) // 3], dtype=wp.int32, device=device)
+    stars = Stars(corner_vertex, face_count, vertex_count)
+    Step(stars.phases(thread_count(device)), device).run()
     return stars
 
 
 def classify_vertices(corner_vertex: wp.array, stars: Stars, vertex_flags: wp.array) -> wp.array:
     """Add BORDER and FROZEN to ``vertex_flags`` (V,) int32; return (3N,) int32, 1 at each border half-edge."""
-    border = wp.zeros(len(corner_vertex), dtype=wp.int32, device=corner_vertex.device)
-    wp.launch(
-        kernels.classify_vertices,
-        dim=len(vertex_flags),
-        inputs=[corner_vertex, stars.start, stars.corner],
-        outputs=[vertex_flags, border],
-        device=corner_vertex.device,
-    )
+    device = corner_vertex.device
+    border = wp.zeros(len(corner_vertex), dtype=wp.int32, device=device)
+
+    def classify(part: slice) -> None:
+        wp.launch(
+            kernels.classify_vertices,
+            dim=part.stop - part.start,
+            inputs=[corner_vertex, stars.start, stars.corner, part.start],
+            outputs=[vertex_flags, border],
+            device=device,
+        )
+
+    run_parts([partial(classify, part) for part in split_range(len(vertex_flags), thread_count(device))])
     return border

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.sparse import coo_array
 
 __all__ = ["group_rows", "sum_repeated"]
 
@@ -29,15 +30,7 @@ def sum_repeated(
     Returns:
         ``start`` (R+1,) int32, ``item`` int32 ascending within a row, ``weight`` float32.
     """
-    start = np.zeros(row_count + 1, dtype=np.int32)
-    if len(row) == 0:
-        return start, np.zeros(0, dtype=np.int32), np.zeros(0, dtype=np.float32)
-    item_count = int(item.max()) + 1
-    key = row.astype(np.int64) * item_count + item
-    order = np.argsort(key)
-    key = key[order]
-    first = np.flatnonzero(np.append(True, key[1:] != key[:-1]))
-    key = key[first]
-    total = np.add.reduceat(weight[order].astype(np.float64), first)
-    np.cumsum(np.bincount(key // item_count, minlength=row_count), out=start[1:])
-    return start, (key % item_count).astype(np.int32), total.astype(np.float32)
+    item_count = int(item.max(initial=-1)) + 1
+    summed = coo_array((weight.astype(np.float64), (row, item)), shape=(row_count, item_count)).tocsr()
+    summed.sum_duplicates()
+    return summed.indptr.astype(np.int32), summed.indices.astype(np.int32), summed.data.astype(np.float32)

@@ -12,6 +12,7 @@ from functools import partial
 import numpy as np
 import warp as wp
 
+from warpqem.frame_blocks import pack_frames, unpack_frames
 from warpqem.kernels import placement as kernels
 from warpqem.mesh_input import AnimatedMesh
 from warpqem.order.quadrics import BORDER_WEIGHT
@@ -141,40 +142,39 @@ class Placer:
         clusters.solved = wp.array(solved, device=device)
         return clusters
 
-    def _place_block(self, unit_points: np.ndarray) -> PlacedBlock:
-        """Place a block of frames (B, V, 3) float32, in diagonals."""
-        device, frame_count = self._device, len(unit_points)
-        shape = (frame_count, self._vertex_count)
-        out = wp.empty(shape, dtype=wp.vec3, device=device)
-        normal = wp.empty(shape, dtype=wp.vec3, device=device)
-        points = wp.array(unit_points, dtype=wp.vec3, device=device, copy=False)
+    def _place_block(self, points: wp.array, frame_count: int) -> PlacedBlock:
+        """Place blocks (V, B) of ``frame_count`` frames, in diagonals."""
+        device, block_count = self._device, points.shape[1]
+        out = wp.empty((self._vertex_count, block_count), dtype=points.dtype, device=device)
+        normal = wp.empty_like(out)
 
         def place(part: slice) -> None:
             wp.launch(
                 kernels.place_vertices,
-                dim=(part.stop - part.start, self._vertex_count),
-                inputs=[points[part], self._corner_vertex, self._clusters, self._settings.epsilon],
-                outputs=[out[part], normal[part]],
+                dim=(part.stop - part.start, block_count),
+                inputs=[points, self._corner_vertex, self._clusters, self._settings.epsilon, part.start],
+                outputs=[out, normal],
                 device=device,
             )
 
-        run_parts([partial(place, part) for part in split_range(frame_count, thread_count(device))])
-        flips = wp.zeros(frame_count, dtype=wp.int32, device=device)
+        run_parts([partial(place, part) for part in split_range(self._vertex_count, thread_count(device))])
+        flips = wp.zeros(block_count * points.dtype._shape_[1], dtype=wp.int32, device=device)
         wp.launch(
             kernels.count_flips,
-            dim=(frame_count, len(self.faces)),
+            dim=(len(self.faces), block_count),
             inputs=[out, normal, self._out_corner_vertex],
             outputs=[flips],
             device=device,
         )
-        return PlacedBlock(out.numpy(), flips.numpy())
+        return PlacedBlock(unpack_frames(out, frame_count), flips.numpy()[:frame_count])
 
     def place_all(self, mesh: AnimatedMesh, progress: Callable[[int], None] | None = None) -> PlacedBlock:
         """Place all frames of the mesh, block by block; ``progress`` is called with the number of frames done."""
         placed = np.empty((mesh.frame_count, self._vertex_count, 3), dtype=np.float32)
         flips = np.empty(mesh.frame_count, dtype=np.int32)
         for block in frame_blocks(mesh.frame_count, mesh.vertex_count):
-            result = self._place_block(mesh.unit_points(block))
+            points = pack_frames(mesh.points[block], self._device, centre=mesh.centre, scale=1 / mesh.diagonal)
+            result = self._place_block(points, block.stop - block.start)
             placed[block], flips[block] = mesh.original_points(result.points), result.flips
             placed[block, self._copied] = mesh.points[block, self._copied_from] + mesh.origin
             if progress:
@@ -185,8 +185,8 @@ class Placer:
 def _heaviest(anchors: Anchors) -> np.ndarray:
     """Index into ``anchors.vertex`` of the member with the largest weight, per anchor (C,)."""
     cluster = np.repeat(np.arange(len(anchors.start) - 1), np.diff(anchors.start))
-    order = np.lexsort((-anchors.weight, cluster))
-    return order[anchors.start[:-1]]
+    largest = np.flatnonzero(anchors.weight == np.maximum.reduceat(anchors.weight, anchors.start[:-1])[cluster])
+    return largest[np.unique(cluster[largest], return_index=True)[1]]
 
 
 def _pin(anchors: Anchors, kept: np.ndarray, pinned: np.ndarray) -> Anchors:

@@ -1,0 +1,135 @@
+"""Frames in lanes: how positions and quadrics of many frames lie in memory.
+
+A block holds ``width`` frames side by side, component by component: points as a (3, width) matrix, a quadric as (10,
+width). On a CPU, eight frames fill a vector register, and the compiler turns each row operation into one instruction;
+on a GPU a lane is a thread of its own, so there the width is one. Frames that fill up the last block are all zeros:
+without area and without planes they add nothing anywhere.
+
+Arrays are ``(V, B)`` of blocks, ``B = ceil(F / width)``, so a vertex's trajectory is contiguous.
+"""
+
+from typing import Any
+
+import warp as wp
+
+# Rows become vector instructions only while their loops over the lanes are still loops: once unrolled, early, they are
+# scalars that the compiler does not put together again (an edge's price takes three times as long). The inline
+# threshold is Warp's own, which these flags replace. For modules with arithmetic on lanes.
+LANE_OPTIONS = {
+    "enable_backward": False,  # no gradients are taken
+    "cpu_compiler_flags": "-march=native -mllvm=-inline-threshold=9000 -mllvm=-unroll-full-max-count=4",
+}
+wp.set_module_options({"enable_backward": False})  # no gradients are taken
+
+WIDE = 8  # floats in a 256-bit register
+WIDTHS = (1, WIDE)
+
+POINTS = {width: wp.types.matrix(shape=(3, width), dtype=wp.float32) for width in WIDTHS}
+QUADRIC = {width: wp.types.matrix(shape=(10, width), dtype=wp.float32) for width in WIDTHS}
+
+
+def overload_widths(kernel: wp.Kernel, **arguments: dict[int, Any]) -> None:
+    """Compile a generic kernel for every width; ``arguments`` gives the type of each generic argument by width."""
+    for width in WIDTHS:
+        wp.overload(kernel, {name: types[width] for name, types in arguments.items()})
+
+
+POINTS_ARRAY = {width: wp.array2d(dtype=POINTS[width]) for width in WIDTHS}
+QUADRIC_ARRAY = {width: wp.array2d(dtype=QUADRIC[width]) for width in WIDTHS}
+
+
+@wp.func
+def lane_dot(a: Any, b: Any):
+    """Dot products (width,) of points (3, width)."""
+    return wp.cw_mul(a[0], b[0]) + wp.cw_mul(a[1], b[1]) + wp.cw_mul(a[2], b[2])
+
+
+@wp.func
+def lane_cross(a: Any, b: Any):
+    """Cross products (3, width)."""
+    c = type(a)()
+    c[0] = wp.cw_mul(a[1], b[2]) - wp.cw_mul(a[2], b[1])
+    c[1] = wp.cw_mul(a[2], b[0]) - wp.cw_mul(a[0], b[2])
+    c[2] = wp.cw_mul(a[0], b[1]) - wp.cw_mul(a[1], b[0])
+    return c
+
+
+@wp.func
+def lane_scale(s: Any, a: Any):
+    """Points (3, width), each times its factor (width,)."""
+    c = type(a)()
+    c[0] = wp.cw_mul(s, a[0])
+    c[1] = wp.cw_mul(s, a[1])
+    c[2] = wp.cw_mul(s, a[2])
+    return c
+
+
+@wp.func
+def lane_sum(x: Any) -> wp.float32:
+    """Sum over the lanes, first to last."""
+    total = wp.float32(0.0)
+    for k in range(len(x)):
+        total += x[k]
+    return total
+
+
+@wp.func
+def lane_inverse_length(a: Any):
+    """``1 / |a|`` (width,), 0 where the length is 0."""
+    s = lane_dot(a, a)
+    for k in range(len(s)):
+        s[k] = wp.where(s[k] > 0.0, 1.0 / wp.sqrt(s[k]), 0.0)
+    return s
+
+
+@wp.func
+def lane_max(x: Any, least: wp.float32):
+    """The larger of each lane and ``least``."""
+    y = type(x)()
+    for k in range(len(x)):
+        y[k] = wp.max(x[k], least)
+    return y
+
+
+@wp.kernel
+def pack_frames(
+    points_in: wp.array2d[wp.vec3],
+    origin: wp.vec3,
+    scale: wp.float32,
+    # outputs
+    blocks_out: Any,
+):
+    """Blocks (V, B) of ``(p - origin) scale`` of points (F, V)."""
+    v, b = wp.tid()
+    block = blocks_out.dtype()
+    width = len(block[0])
+    for k in range(width):
+        t = b * width + k
+        if t < points_in.shape[0]:
+            p = (points_in[t, v] - origin) * scale
+            block[0, k] = p[0]
+            block[1, k] = p[1]
+            block[2, k] = p[2]
+    blocks_out[v, b] = block
+
+
+overload_widths(pack_frames, blocks_out=POINTS_ARRAY)
+
+
+@wp.kernel
+def unpack_frames(
+    blocks_in: Any,
+    # outputs
+    points_out: wp.array2d[wp.vec3],
+):
+    """(F, V) points of blocks (V, B)."""
+    v, b = wp.tid()
+    block = blocks_in[v, b]
+    width = len(block[0])
+    for k in range(width):
+        t = b * width + k
+        if t < points_out.shape[0]:
+            points_out[t, v] = wp.vec3(block[0, k], block[1, k], block[2, k])
+
+
+overload_widths(unpack_frames, blocks_in=POINTS_ARRAY)
