@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -196,6 +197,35 @@ def test_help_loads_neither_warp_nor_usd():
         "from warpqem.cli.main import app\n"
         "try:\n    app()\nexcept SystemExit as stop:\n    assert stop.code == 0\n"
         "assert not {'warp', 'pxr', 'numpy', 'trimesh'} & set(sys.modules), sorted(sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def run_with_cache(cache, *arguments):
+    """Run a command in its own process, with Warp's kernel cache in a directory."""
+    command = [sys.executable, "-m", "warpqem", *map(str, arguments)]
+    environment = {**os.environ, "WARP_CACHE_PATH": str(cache)}
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+    assert done.returncode == 0, done.stderr
+    return done
+
+
+def test_only_the_run_that_compiles_says_so(cloth, tmp_path):
+    # The features need two small kernel modules only.
+    arguments = ("features", cloth, "-o", tmp_path / "out.usda", "--device", "cpu", "--json", "-")
+    first, second = (run_with_cache(tmp_path / "cache", *arguments) for _ in range(2))
+    assert (first.stderr.count("note: compiling"), second.stderr.count("note: compiling")) == (1, 0)
+    assert json.loads(first.stdout) == json.loads(second.stdout)
+
+
+def test_reading_a_file_does_not_load_trimesh(cloth, tmp_path):
+    code = (
+        f"import sys; sys.argv = ['warpqem', 'simplify', {str(cloth)!r}, '-o', {str(tmp_path / 'out.usda')!r}, "
+        "'--ratio', '0.5', '--device', 'cpu']\n"
+        "from warpqem.cli.main import app\n"
+        "try:\n    app()\nexcept SystemExit as stop:\n    assert stop.code == 0\n"
+        "assert not {'trimesh', 'scipy'} & set(sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

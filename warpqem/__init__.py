@@ -6,13 +6,7 @@ The core takes and gives arrays; :mod:`warpqem.usd` reads and writes stages; ``w
 from __future__ import annotations
 
 import importlib
-from importlib.metadata import PackageNotFoundError, version
 from typing import Any
-
-try:
-    __version__ = version("warpqem")
-except PackageNotFoundError:  # a checkout on the path, not installed
-    __version__ = "0+unknown"
 
 # Loaded when first used: importing Warp takes most of a second, which `warpqem --help` need not wait for.
 _HOMES = {
@@ -25,7 +19,19 @@ _HOMES = {
 __all__ = ["MotionFeatures", "SimplifiedMesh", "__version__", "motion_features", "simplify"]
 
 
+def _version() -> str:
+    # The package metadata reader takes as long to load as NumPy.
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("warpqem")
+    except PackageNotFoundError:  # a checkout on the path, not installed
+        return "0+unknown"
+
+
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        return _version()
     if name in _HOMES:
         return getattr(importlib.import_module(_HOMES[name]), name)
     raise AttributeError(f"module 'warpqem' has no attribute {name!r}")

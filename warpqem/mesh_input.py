@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import trimesh
 import warp as wp
 
 from warpqem.errors import DegenerateMeshError, FaceIndexError, MeshShapeError, NonFinitePointError, OptionError
@@ -73,6 +73,15 @@ def as_numpy(array: Any) -> np.ndarray:
     return np.asarray(array)
 
 
+def _is_trimesh(value: Any) -> bool:
+    """Whether it is a ``trimesh.Trimesh``, which nobody can hold without having imported trimesh.
+
+    Importing it here would take longer than simplifying a small mesh.
+    """
+    trimesh = sys.modules.get("trimesh")
+    return trimesh is not None and isinstance(value, trimesh.Trimesh)
+
+
 def read_mesh(points: Any, faces: Any = None) -> AnimatedMesh:
     """Check points (F, V, 3) or (V, 3) and faces (N, 3), or a ``trimesh.Trimesh`` as the only argument.
 
@@ -82,7 +91,7 @@ def read_mesh(points: Any, faces: Any = None) -> AnimatedMesh:
         FaceIndexError: index below 0 or not below V.
         DegenerateMeshError: no point, no face with three different vertices, or no extent.
     """
-    if isinstance(points, trimesh.Trimesh):
+    if _is_trimesh(points):
         if faces is not None:
             raise OptionError("faces must not be given with a trimesh.Trimesh, which has its own")
         points, faces = points.vertices, points.faces

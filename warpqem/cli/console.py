@@ -83,11 +83,34 @@ def tell(kind: str, message: str) -> None:
     print(f"{kind}: {' '.join(message.split())}", file=sys.stderr)
 
 
+class _WarpMessages:
+    """Warp's messages as lines on stderr; of those about modules and devices only that kernels are being compiled."""
+
+    def __init__(self) -> None:
+        self._told = False
+
+    def debug(self, message: str) -> None:
+        pass
+
+    def info(self, message: str) -> None:
+        # Warp says so for each module when it has been compiled, so this comes after the first of about ten.
+        if "(compiled)" in message and not self._told:
+            self._told = True
+            tell("note", "compiling the kernels, which takes some seconds the first time on a device")
+
+    def warning(self, message: str, category: type[Warning] | None = None, stacklevel: int = 1) -> None:
+        tell("warning", message)
+
+    def error(self, message: str) -> None:
+        tell("error", message)
+
+
 def quiet_warp() -> None:
-    """Keep Warp's device list and compile messages off stdout, which belongs to the command's result."""
+    """Keep Warp's messages off stdout, which belongs to the command's result; say when it compiles."""
     import warp
 
-    warp.config.log_level = warp.LOG_WARNING
+    warp.config.log_level = warp.LOG_INFO
+    warp.set_logger(_WarpMessages())
 
 
 @contextmanager

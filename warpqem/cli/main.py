@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from warpqem import __version__
+import warpqem
 from warpqem.cli.compare import compare
 from warpqem.cli.console import OneLineErrors
 from warpqem.cli.features import features
@@ -32,7 +32,7 @@ app.command()(features)
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        print(f"warpqem {__version__}")
+        print(f"warpqem {warpqem.__version__}")
         raise typer.Exit
 
 

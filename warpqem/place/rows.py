@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import coo_array
 
 __all__ = ["group_rows", "sum_repeated"]
 
@@ -30,6 +29,8 @@ def sum_repeated(
     Returns:
         ``start`` (R+1,) int32, ``item`` int32 ascending within a row, ``weight`` float32.
     """
+    from scipy.sparse import coo_array  # here: commands that place nothing start without it
+
     item_count = int(item.max(initial=-1)) + 1
     summed = coo_array((weight.astype(np.float64), (row, item)), shape=(row_count, item_count)).tocsr()
     summed.sum_duplicates()
