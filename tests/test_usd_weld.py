@@ -59,6 +59,33 @@ def test_face_is_not_flattened():
     assert weld(faces, [points]).tolist() == [0, 1, 2]
 
 
+def cracked() -> tuple[np.ndarray, np.ndarray]:
+    """Two quads with points of their own on x = 1, and between them two faces without area that fill the crack."""
+    faces = np.concatenate([QUADS, QUADS + 4, [[1, 4, 2], [4, 7, 2]]]).astype(np.int32)
+    return strip(0, 1, 2), faces
+
+
+def test_crack_filled_with_slivers_is_sewn_and_the_slivers_close():
+    points, faces = cracked()
+    joined = weld(faces, [points])
+    assert joined.tolist() == [0, 1, 2, 3, 1, 5, 6, 2]
+    assert [len(set(face)) for face in joined[faces].tolist()] == [3, 3, 3, 3, 2, 2]
+
+
+def test_slivers_that_open_in_one_frame_stay_faces():
+    points, faces = cracked()
+    opened = points + np.repeat([[0, 0, 0], [0.5, 0, 0]], 4, axis=0).astype(np.float32)
+    assert weld(faces, [points, opened]).tolist() == list(range(8))
+
+
+def test_slivers_on_an_edge_of_three_sheets_stay_faces():
+    points, faces = cracked()
+    faces = np.concatenate([faces, QUADS + 8]).astype(np.int32)
+    third = strip(1, 2) + np.array([0, 0, 1], dtype=np.float32)
+    third[[0, 3], 2] = 0
+    assert weld(faces, [np.concatenate([points, third])]).tolist() == list(range(12))
+
+
 def test_closed_surface_is_left_alone():
     faces = np.array([[0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]], dtype=np.int32)
     assert weld(faces, [np.zeros((4, 3), dtype=np.float32)]).tolist() == [0, 1, 2, 3]
@@ -141,6 +168,40 @@ def test_point_normals_across_a_hard_edge_become_corner_normals(tmp_path):
     assert result.GetNormalsInterpolation() == "faceVarying"
     assert len(normals) == len(result.GetFaceVertexIndicesAttr().Get())
     assert set(map(tuple, normals.tolist())) == {(1, 0, 0), (0, 0, 1)}
+
+
+def crack_filled(folder: Path) -> None:
+    """Fill the crack of `split_cloth` with quads that have no area."""
+    stage = split_cloth(folder)
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath(CLOTH))
+    quads = np.array(mesh.GetFaceVertexIndicesAttr().Get()).reshape(-1, 4)
+    points = np.array(mesh.GetPointsAttr().Get(1.0))
+    left, right = (side[np.argsort(points[side, 1])] for side in _sides_of_crack(quads, points))
+    filling = np.stack([left[:-1], right[:-1], right[1:], left[1:]], axis=1)
+    corners = np.concatenate([quads, filling]).astype(np.int32)
+    mesh.GetFaceVertexIndicesAttr().Set(Vt.IntArray.FromNumpy(corners.ravel()))
+    mesh.GetFaceVertexCountsAttr().Set([4] * len(corners))
+    stage.Save()
+
+
+def _sides_of_crack(quads: np.ndarray, points: np.ndarray) -> list[np.ndarray]:
+    """The points on x = 4 of the quads on its left and on its right."""
+    left = points[quads][:, :, 0].mean(axis=1) < 4
+    return [np.unique(side[points[side][:, 0] == 4]) for side in (quads[left].ravel(), quads[~left].ravel())]
+
+
+def test_faces_without_area_do_not_keep_split_points_apart(tmp_path):
+    crack_filled(tmp_path)
+    assert part_count(simplified(tmp_path)) == 1
+
+
+def test_point_values_stay_apart_across_faces_without_area(tmp_path):
+    crack_filled(tmp_path)
+    mesh = simplified(tmp_path)
+    faces = np.array(mesh.GetFaceVertexIndicesAttr().Get()).reshape(-1, 3)
+    x = np.array(mesh.GetPointsAttr().Get(1.0))[faces][:, :, 0].mean(axis=1)
+    island = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("island").ComputeFlattened()
+    np.testing.assert_array_equal(island, np.repeat(100.0 * (x > 4), 3))
 
 
 def test_points_of_different_joints_stay_apart(tmp_path):

@@ -54,7 +54,7 @@ class MeshJob:
     Attributes:
         source: The mesh on the stage.
         mesh: Its triangles and poses.
-        faces: int32, shape (N, 3), its triangles on welded vertices.
+        faces: int32, shape (N, 3), its triangles on welded vertices; those that welding closed name a vertex twice.
         seams: Its seams.
         skin: What goes on deforming it; None for poses as point samples.
         unskinned_because: Why a skin is there but cannot be taken over; None if it can, or there is none.

@@ -97,10 +97,13 @@ class _InnerEdges:
 
     @classmethod
     def of(cls, faces: npt.NDArray[np.int32]) -> _InnerEdges:
+        """The edges of all faces but those that welding closed."""
         vertex_count = int(faces.max()) + 1
         tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
         key = edge_key(tail, head, vertex_count)
+        proper = np.repeat((faces != np.roll(faces, -1, axis=1)).all(axis=1), 3)
         order = np.argsort(key, kind="stable")
+        order = order[proper[order]]
         pair = np.flatnonzero(key[order[1:]] == key[order[:-1]])
         half_edges = np.stack([order[pair], order[pair + 1]], axis=1)
         following = half_edges - half_edges % 3 + (half_edges + 1) % 3
