@@ -56,6 +56,13 @@ def simplify(
             "LOD2, ... in the variant set LOD of its default prim.",
         ),
     ] = None,
+    usd_lod: Annotated[
+        bool,
+        typer.Option(
+            "--usd-lod",
+            help="With --lods: write the levels with the UsdLod schemas, for renderers to choose by size or distance.",
+        ),
+    ] = False,
     metric: Annotated[
         Metric,
         typer.Option(
@@ -109,6 +116,7 @@ def simplify(
         faces=faces,
         max_error=max_error,
         lods=() if lods is None else parse_lods(lods),
+        usd_lod=usd_lod,
         metric=metric.value,
         coherence=coherence,
         placement=placement.value,

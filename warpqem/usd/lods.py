@@ -1,8 +1,9 @@
-"""Levels of detail of one file as the variants of its default prim."""
+"""Levels of detail of one file: what every form of them shares, and levels as the variants of the default prim."""
 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,10 +15,13 @@ from warpqem.usd.report import PrimReport
 from warpqem.usd.stage import find_meshes
 from warpqem.usd.write import OverLayer, copy_stage_metadata, export_layer, relative_path
 
-__all__ = ["LevelLayer", "LevelReport", "check_lods", "parse_lods"]
+__all__ = ["LevelLayer", "LevelReport", "VariantLevels", "check_lods", "define_root", "parse_lods"]
 
-# The name that usdview, Omniverse and others show for levels of detail; its variants count up from the original.
+# The variant set that usdview, Omniverse and others show for levels of detail.
 VARIANT_SET = "LOD"
+
+# Levels count up from the original.
+LEVEL_NAME = "LOD"
 
 
 def parse_lods(text: str) -> tuple[float, ...]:
@@ -61,12 +65,12 @@ class LevelReport(PrimReport):
     level: str = ""
 
 
-class LevelLayer:
+class LevelLayer(ABC):
     """A layer that shows an input file with a choice of levels, kept in memory until saved.
 
-    The root prim that holds the default prim of the input gets the variant set `LOD`. Every variant references the
-    input, and all but LOD0 hold edits over it. The input is no sublayer, as its opinions would then be local ones,
-    which are stronger than those of a variant. Other root prims are references to those of the input.
+    One root prim of the input, the one that holds its default prim, gets the levels; they reference the input and hold
+    edits over it. The input is no sublayer, as its opinions would then be local ones, which are stronger than those of
+    variants and references. Other root prims are references to those of the input.
     """
 
     def __init__(self, source: Usd.Stage, prim_paths: Sequence[str] = ()) -> None:
@@ -81,42 +85,41 @@ class LevelLayer:
             StageError: one of `prim_paths` does not exist or has no mesh.
         """
         self._source = source.GetRootLayer()
-        wrapper = _find_wrapper(source)
-        self._path = wrapper.GetPath()
+        self._root = _find_root(source)
+        self._path = self._root.GetPath()
         self._check_meshes(source, prim_paths)
         _check_targets(source)
         self._layer = Sdf.Layer.CreateAnonymous("levels.usda")
         copy_stage_metadata(self._source, self._layer)
-        self._layer.defaultPrim = wrapper.GetName()
-        prim = _define(self._layer, wrapper)
-        for other in source.GetPseudoRoot().GetAllChildren():
-            if other != wrapper and other.HasDefiningSpecifier():
-                self._reference(_define(self._layer, other), other.GetPath())
-        prim.variantSetNameList.Prepend(VARIANT_SET)
-        self._set = Sdf.VariantSetSpec(prim, VARIANT_SET)
+        self._layer.defaultPrim = self._root.GetName()
         self._names: list[str] = []
-        self._reference(self._add_variant().primSpec, self._path)
-        prim.variantSelections[VARIANT_SET] = self._names[0]
+        self._start()
+        for other in source.GetPseudoRoot().GetAllChildren():
+            if other != self._root and other.HasDefiningSpecifier():
+                self._reference(define_root(self._layer, other), other.GetPath())
 
-    def add(self, edits: OverLayer) -> str:
+    @abstractmethod
+    def _start(self) -> None:
+        """Define the prim that holds the levels, and LOD0."""
+
+    @abstractmethod
+    def _place(self, name: str) -> Sdf.Path:
+        """Make room for a level; returns the path of the spec that is to hold its edits and its reference."""
+
+    def add(self, edits: OverLayer, share: float) -> str:
         """Add the next level.
 
         Args:
             edits: Edits over the input, all below the prim that holds the levels.
+            share: Faces of the level per face of the input.
 
         Returns:
-            The name of its variant.
+            The name of the level.
 
         Raises:
             StageError: USD cannot copy the edits.
         """
-        variant = self._add_variant()
-        if edits.layer.GetPrimAtPath(self._path) and not Sdf.CopySpec(
-            edits.layer, self._path, self._layer, variant.path
-        ):
-            raise StageError(f"{self._path}: USD cannot copy the edits of {variant.name} into a variant")
-        self._reference(variant.primSpec, self._path)
-        return variant.name
+        return self._add(edits)
 
     def save(self, output: Path) -> None:
         """Write the layer under a temporary name and rename it.
@@ -135,9 +138,15 @@ class LevelLayer:
         )
         export_layer(layer, output)
 
-    def _add_variant(self) -> Sdf.VariantSpec:
-        self._names.append(f"{VARIANT_SET}{len(self._names)}")
-        return Sdf.VariantSpec(self._set, self._names[-1])
+    def _add(self, edits: OverLayer | None) -> str:
+        name = f"{LEVEL_NAME}{len(self._names)}"
+        self._names.append(name)
+        path = self._place(name)
+        if edits is not None and edits.layer.GetPrimAtPath(self._path):
+            if not Sdf.CopySpec(edits.layer, self._path, self._layer, path):
+                raise StageError(f"{self._path}: USD cannot copy the edits of {name} to {path}")
+        self._reference(self._layer.GetPrimAtPath(path), self._path)
+        return name
 
     def _reference(self, prim: Sdf.PrimSpec, path: Sdf.Path) -> None:
         prim.referenceList.Prepend(Sdf.Reference(self._source.realPath, path))
@@ -153,25 +162,36 @@ class LevelLayer:
                 )
 
 
+class VariantLevels(LevelLayer):
+    """Levels as the variants LOD0, LOD1, ... of a variant set `LOD` on the root prim; LOD0 is selected."""
+
+    def _start(self) -> None:
+        if self._root.GetVariantSets().HasVariantSet(VARIANT_SET):
+            raise OptionError(f"lods: {self._path} has a variant set {VARIANT_SET} already")
+        prim = define_root(self._layer, self._root)
+        prim.variantSetNameList.Prepend(VARIANT_SET)
+        self._set = Sdf.VariantSetSpec(prim, VARIANT_SET)
+        prim.variantSelections[VARIANT_SET] = self._add(None)
+
+    def _place(self, name: str) -> Sdf.Path:
+        return Sdf.VariantSpec(self._set, name).path
+
+
 def _root_prims(stage: Usd.Stage) -> list[Usd.Prim]:
     """Root prims that may hold the levels: no overs, no classes."""
     prims: list[Usd.Prim] = stage.GetPseudoRoot().GetAllChildren()
     return [prim for prim in prims if prim.IsDefined() and not prim.IsAbstract()]
 
 
-def _find_wrapper(stage: Usd.Stage) -> Usd.Prim:
+def _find_root(stage: Usd.Stage) -> Usd.Prim:
     """The root prim that is to hold the levels: the default prim, or the root prim above it, or the only root prim."""
     default, roots = stage.GetDefaultPrim(), _root_prims(stage)
     if default:
-        prim = stage.GetPrimAtPath(default.GetPath().GetPrefixes()[0])
-    elif len(roots) == 1:
-        prim = roots[0]
-    else:
-        names = ", ".join(str(root.GetPath()) for root in roots) or "none"
-        raise OptionError(f"lods: the input has no default prim, and not one root prim to hold the levels but: {names}")
-    if prim.GetVariantSets().HasVariantSet(VARIANT_SET):
-        raise OptionError(f"lods: {prim.GetPath()} has a variant set {VARIANT_SET} already")
-    return prim
+        return stage.GetPrimAtPath(default.GetPath().GetPrefixes()[0])
+    if len(roots) == 1:
+        return roots[0]
+    names = ", ".join(str(root.GetPath()) for root in roots) or "none"
+    raise OptionError(f"lods: the input has no default prim, and not one root prim to hold the levels but: {names}")
 
 
 def _check_targets(stage: Usd.Stage) -> None:
@@ -188,5 +208,6 @@ def _check_targets(stage: Usd.Stage) -> None:
                     )
 
 
-def _define(layer: Sdf.Layer, prim: Usd.Prim) -> Sdf.PrimSpec:
+def define_root(layer: Sdf.Layer, prim: Usd.Prim) -> Sdf.PrimSpec:
+    """A root prim on a layer with the specifier and type it has on a stage."""
     return Sdf.PrimSpec(layer, prim.GetName(), prim.GetSpecifier(), prim.GetTypeName())

@@ -68,6 +68,12 @@ class StageReport:
         """The meshes that could not be done."""
         return [prim for prim in self.prims if prim.status == "failed"]
 
+    @property
+    def face_share(self) -> float:
+        """Triangles after per triangle before, of all meshes that could be read; 1 if there are none."""
+        before = sum(prim.faces_before for prim in self.prims)
+        return sum(prim.faces_after for prim in self.prims) / before if before else 1.0
+
     def to_dict(self) -> dict[str, Any]:
         """Plain dictionaries, lists, numbers and None, ready for JSON."""
         return asdict(self)

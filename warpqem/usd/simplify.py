@@ -19,11 +19,12 @@ from warpqem.usd.blend_shapes import count_shape_users
 from warpqem.usd.budget import CostCurve, split_budget
 from warpqem.usd.frames import FrameRange
 from warpqem.usd.job import MeshJob
-from warpqem.usd.lods import LevelLayer, LevelReport, check_lods
+from warpqem.usd.lods import LevelReport, VariantLevels, check_lods
 from warpqem.usd.mesh import MeshSource
 from warpqem.usd.report import PrimReport, StageReport, name_prim
 from warpqem.usd.skel import StagePoses
 from warpqem.usd.stage import find_meshes, open_stage
+from warpqem.usd.usd_lod import UsdLodLevels
 from warpqem.usd.write import OverLayer, check_output_path
 
 __all__ = ["SimplifyOptions", "simplify_stage"]
@@ -46,6 +47,7 @@ class SimplifyOptions:
         max_error: Largest error of each mesh, in % of its bounding-box diagonal.
         lods: Ratios of levels of detail, each smaller than the one before, between 0 and 1. The output offers the input
             and one level for each ratio as variants LOD0, LOD1, ... of the root prim that holds the default prim.
+        usd_lod: With `lods`, write the levels as prims below that root prim, with the schemas of UsdLod, instead.
         metric: Cost model, see `warpqem.simplify`.
         coherence: 0 to 1, see `warpqem.simplify`.
         placement: Vertex placement, see `warpqem.simplify`.
@@ -64,6 +66,7 @@ class SimplifyOptions:
     faces: int | None = None
     max_error: float | None = None
     lods: tuple[float, ...] = ()
+    usd_lod: bool = False
     metric: str = "dsd"
     coherence: float = 0.5
     placement: str = "optimal"
@@ -92,6 +95,8 @@ class SimplifyOptions:
         check_lods(self.lods)
         if self.lods and self.flatten:
             raise OptionError("lods and flatten exclude each other: every level is a layer over the input")
+        if self.usd_lod and not self.lods:
+            raise OptionError("usd_lod needs lods: the ratios of the levels")
 
 
 def simplify_stage(
@@ -141,16 +146,16 @@ def _simplify_once(stage: Usd.Stage, options: SimplifyOptions, progress: Progres
 
 def _simplify_levels(stage: Usd.Stage, options: SimplifyOptions, progress: Progress) -> tuple[StageReport, Save]:
     """Every level is a run from the input of its own, so that it equals what its ratio alone would give."""
-    levels = LevelLayer(stage, options.prims)
+    levels = (UsdLodLevels if options.usd_lod else VariantLevels)(stage, options.prims)
     reports: list[PrimReport] = []
     for index, ratio in enumerate(options.lods):
 
         def part(fraction: float, text: str, index: int = index) -> None:
             progress((index + fraction) / len(options.lods), f"LOD{index + 1}: {text}")
 
-        run = _Run(stage, replace(options, ratio=ratio, lods=()), part)
+        run = _Run(stage, replace(options, ratio=ratio, lods=(), usd_lod=False), part)
         report = run.simplify()
-        name = levels.add(run.layer)
+        name = levels.add(run.layer, report.face_share)
         reports += [LevelReport(**vars(prim), level=name) for prim in report.prims]
     return StageReport("", None, reports), levels.save
 
