@@ -142,11 +142,15 @@ class LevelLayer(ABC):
         name = f"{LEVEL_NAME}{len(self._names)}"
         self._names.append(name)
         path = self._place(name)
-        if edits is not None and edits.layer.GetPrimAtPath(self._path):
-            if not Sdf.CopySpec(edits.layer, self._path, self._layer, path):
-                raise StageError(f"{self._path}: USD cannot copy the edits of {name} to {path}")
+        if edits is not None:
+            self._copy(edits.layer, path)
         self._reference(self._layer.GetPrimAtPath(path), self._path)
         return name
+
+    def _copy(self, edits: Sdf.Layer, path: Sdf.Path) -> None:
+        """Copy the edits of one level, if it has any."""
+        if edits.GetPrimAtPath(self._path) and not Sdf.CopySpec(edits, self._path, self._layer, path):
+            raise StageError(f"{self._path}: USD cannot copy edits to {path}")
 
     def _reference(self, prim: Sdf.PrimSpec, path: Sdf.Path) -> None:
         prim.referenceList.Prepend(Sdf.Reference(self._source.realPath, path))
