@@ -1,5 +1,7 @@
 """Closest point on a triangle mesh: bounding-volume search in single precision, result in double precision."""
 
+from typing import Any
+
 import warp as wp
 
 # No gradients are taken, and leaving out the adjoint code halves the compile time.
@@ -18,44 +20,45 @@ BOX_MARGIN = wp.constant(1.0e-6)
 
 
 @wp.func
-def segment_parameter(p: wp.vec3d, a: wp.vec3d, b: wp.vec3d):
+def segment_parameter(p: Any, a: Any, b: Any):
     """Parameter in [0, 1] of the point of segment ab closest to p; 0 for a segment without length."""
     ab = b - a
     length_squared = wp.dot(ab, ab)
-    if length_squared == wp.float64(0.0):
-        return wp.float64(0.0)
-    return wp.clamp(wp.dot(p - a, ab) / length_squared, wp.float64(0.0), wp.float64(1.0))
+    zero = type(length_squared)(0.0)
+    if length_squared == zero:
+        return zero
+    return wp.clamp(wp.dot(p - a, ab) / length_squared, zero, type(length_squared)(1.0))
 
 
 @wp.func
-def offset_squared(p: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, barycentric: wp.vec3d):
+def offset_squared(p: Any, a: Any, b: Any, c: Any, barycentric: Any):
     """Squared distance from p to the point of triangle abc with the given barycentric coordinates."""
     r = (p - a) - barycentric[1] * (b - a) - barycentric[2] * (c - a)
     return wp.dot(r, r)
 
 
 @wp.func
-def closest_barycentric(p: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
+def closest_barycentric(p: Any, a: Any, b: Any, c: Any):
     """Barycentric coordinates of the point of triangle abc closest to p; right for degenerate triangles too.
 
     The best of the three edges is compared with the foot of the perpendicular, where that lies inside: no case
-    distinction depends on the sign of a rounded determinant.
+    distinction depends on the sign of a rounded determinant. Any precision.
     """
-    zero = wp.float64(0.0)
-    one = wp.float64(1.0)
+    zero = type(p[0])(0.0)
+    one = type(p[0])(1.0)
     t = segment_parameter(p, a, b)
-    best = wp.vec3d(one - t, t, zero)
+    best = wp.vector(one - t, t, zero)
     best_squared = offset_squared(p, a, b, c, best)
 
     t = segment_parameter(p, b, c)
-    candidate = wp.vec3d(zero, one - t, t)
+    candidate = wp.vector(zero, one - t, t)
     candidate_squared = offset_squared(p, a, b, c, candidate)
     if candidate_squared < best_squared:
         best = candidate
         best_squared = candidate_squared
 
     t = segment_parameter(p, c, a)
-    candidate = wp.vec3d(t, zero, one - t)
+    candidate = wp.vector(t, zero, one - t)
     candidate_squared = offset_squared(p, a, b, c, candidate)
     if candidate_squared < best_squared:
         best = candidate
@@ -69,7 +72,7 @@ def closest_barycentric(p: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
     if normal_squared > zero:
         v = wp.dot(wp.cross(ap, ac), normal) / normal_squared
         w = wp.dot(wp.cross(ab, ap), normal) / normal_squared
-        candidate = wp.vec3d(one - v - w, v, w)
+        candidate = wp.vector(one - v - w, v, w)
         if v >= zero and w >= zero and v + w <= one and offset_squared(p, a, b, c, candidate) < best_squared:
             best = candidate
     return best

@@ -19,6 +19,7 @@ from warpqem.mesh_input import AnimatedMesh, as_numpy, as_vertex_values, read_me
 from warpqem.order.log import CollapseRecord
 from warpqem.order.stage import OrderInput, OrderSettings, order_collapses
 from warpqem.place.stage import Placer, PlaceSettings
+from warpqem.refit.stage import refit_frames
 from warpqem.seams import Seams, read_seams
 
 __all__ = ["SimplifiedMesh", "simplify"]
@@ -78,6 +79,7 @@ def simplify(
     coherence: float = 0.5,
     key_frames: int | None = 16,
     placement: str = "optimal",
+    refit: bool = True,
     vertex_weights: Any = None,
     locked: Any = None,
     seams: Any = None,
@@ -100,6 +102,8 @@ def simplify(
         coherence: 0 (every frame its own best fit) to 1 (vertices stay on the material).
         key_frames: how many frames decide the order, chosen by their pose; None for all.
         placement: "optimal", or "endpoint" to use vertices of the input only.
+        refit: fit the surface as a whole to the input after placing its vertices, see :mod:`warpqem.refit.stage`. No
+            effect with "endpoint".
         vertex_weights: (V,) factors from 0 to 1e12 on the cost at each vertex.
         locked: (V,) bool, or indices, of vertices that keep their position in every frame.
         seams: (S, 2) vertex pairs: edges that values on the surface do not cross, such as UV seams. They stay closed
@@ -140,14 +144,16 @@ def simplify(
     settings = PlaceSettings(_epsilon(coherence), _regularisation(coherence), endpoint)
     placer = Placer(mesh.faces, ordered, order_input.quadric_scale, pinned, settings, device)
     placed = placer.place_all(mesh, _place_progress(progress, mesh.frame_count))
+    if refit and not endpoint and placer.free.any():
+        placed = refit_frames(mesh, placer, placed, keys, device)
     result = SimplifiedMesh(
-        points=placed.points,
+        points=placer.original_points(mesh, placed),
         faces=placer.faces,
         vertex_map=placer.vertex_map,
         face_map=mesh.face_index[ordered.face_map],
         stopped=ordered.stopped,
         error=100.0 * float(ordered.log.error.max(initial=0.0)),
-        flips=placed.flips,
+        flips=placer.count_flips(placed),
         log=ordered.log,
         key_frames=keys,
     )

@@ -21,7 +21,7 @@ from warpqem.parallel import run_parts, split_range, thread_count
 from warpqem.place.anchors import Anchors, fit_anchors, nearest_anchors
 from warpqem.place.rows import sum_repeated
 
-__all__ = ["PlaceSettings", "PlacedBlock", "Placer", "frame_blocks"]
+__all__ = ["PlaceSettings", "PlacedFrames", "Placer", "frame_blocks"]
 
 # Frames are placed in blocks of so many bytes of input: large enough to keep any device busy, small beside its memory.
 BLOCK_BYTES = 64 * 2**20
@@ -43,11 +43,14 @@ class PlaceSettings:
 
 
 @dataclass(frozen=True)
-class PlacedBlock:
-    """Placed frames: ``points`` (B, C, 3) float32 and the number of turned-over faces per frame (B,)."""
+class PlacedFrames:
+    """Placed frames: ``points`` (F, C, 3) float32, in diagonals, and area-weighted normals of the input's faces there.
+
+    A normal (F, C, 3) is the sum over the faces of the vertex's cluster, twice their area long.
+    """
 
     points: np.ndarray
-    flips: np.ndarray
+    normals: np.ndarray
 
 
 def frame_blocks(frame_count: int, vertex_count: int) -> Iterator[slice]:
@@ -69,6 +72,9 @@ class Placer:
         device: Warp device.
 
     Attributes:
+        free: (C,) bool, output vertices that may leave the place that their quadrics give them: those that stand for
+            several input vertices, on no border or seam, and not pinned.
+        nearest: (C,) int32, an input vertex of each cluster near to its anchor.
         vertex_map: (V,) int32, input vertex to output vertex, -1 for a vertex without a face.
         faces: (N', 3) int32 over output vertices.
     """
@@ -99,10 +105,14 @@ class Placer:
             # A vertex alone in its cluster lies on all its planes: it is its own optimum.
             alone = np.bincount(self.vertex_map[self.vertex_map >= 0], minlength=len(kept)) == 1
             solved = (~alone & ~pinned[kept]).astype(np.int32)
+        on_line = np.zeros(len(kept), dtype=bool)
+        on_line[self.vertex_map[ordered.on_line & (self.vertex_map >= 0)]] = True
+        self.free = (solved == 1) & ~on_line
+        self.nearest = anchors.vertex[_heaviest(anchors)]
         # An anchor that is one input vertex, not solved for, is copied, so that it keeps its bits.
         single = np.flatnonzero((solved == 0) & (np.maximum.reduceat(anchors.weight, anchors.start[:-1]) == 1.0))
         self._copied = single
-        self._copied_from = anchors.vertex[_heaviest(anchors)[single]]
+        self._copied_from = self.nearest[single]
         self._clusters = self._gather_clusters(faces, ordered.constrained, quadric_scale, anchors, solved)
         self._corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device)
         self._out_corner_vertex = wp.array(self.faces.ravel(), dtype=wp.int32, device=device)
@@ -142,7 +152,7 @@ class Placer:
         clusters.solved = wp.array(solved, device=device)
         return clusters
 
-    def _place_block(self, points: wp.array, frame_count: int) -> PlacedBlock:
+    def _place_block(self, points: wp.array, frame_count: int) -> PlacedFrames:
         """Place blocks (V, B) of ``frame_count`` frames, in diagonals."""
         device, block_count = self._device, points.shape[1]
         out = wp.empty((self._vertex_count, block_count), dtype=points.dtype, device=device)
@@ -158,28 +168,41 @@ class Placer:
             )
 
         run_parts([partial(place, part) for part in split_range(self._vertex_count, thread_count(device))])
-        flips = wp.zeros(block_count * points.dtype._shape_[1], dtype=wp.int32, device=device)
-        wp.launch(
-            kernels.count_flips,
-            dim=(len(self.faces), block_count),
-            inputs=[out, normal, self._out_corner_vertex],
-            outputs=[flips],
-            device=device,
-        )
-        return PlacedBlock(unpack_frames(out, frame_count), flips.numpy()[:frame_count])
+        return PlacedFrames(unpack_frames(out, frame_count), unpack_frames(normal, frame_count))
 
-    def place_all(self, mesh: AnimatedMesh, progress: Callable[[int], None] | None = None) -> PlacedBlock:
+    def place_all(self, mesh: AnimatedMesh, progress: Callable[[int], None] | None = None) -> PlacedFrames:
         """Place all frames of the mesh, block by block; ``progress`` is called with the number of frames done."""
-        placed = np.empty((mesh.frame_count, self._vertex_count, 3), dtype=np.float32)
-        flips = np.empty(mesh.frame_count, dtype=np.int32)
+        shape = (mesh.frame_count, self._vertex_count, 3)
+        placed = PlacedFrames(np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.float32))
         for block in frame_blocks(mesh.frame_count, mesh.vertex_count):
             points = pack_frames(mesh.points[block], self._device, centre=mesh.centre, scale=1 / mesh.diagonal)
             result = self._place_block(points, block.stop - block.start)
-            placed[block], flips[block] = mesh.original_points(result.points), result.flips
-            placed[block, self._copied] = mesh.points[block, self._copied_from] + mesh.origin
+            placed.points[block], placed.normals[block] = result.points, result.normals
             if progress:
                 progress(block.stop)
-        return PlacedBlock(placed, flips)
+        return placed
+
+    def count_flips(self, placed: PlacedFrames) -> np.ndarray:
+        """Faces of each frame that face away from the input, (F,) int32."""
+        flips = np.empty(len(placed.points), dtype=np.int32)
+        for block in frame_blocks(len(flips), self._vertex_count):
+            points, normals = (pack_frames(a[block], self._device) for a in (placed.points, placed.normals))
+            count = wp.zeros(points.shape[1] * points.dtype._shape_[1], dtype=wp.int32, device=self._device)
+            wp.launch(
+                kernels.count_flips,
+                dim=(len(self.faces), points.shape[1]),
+                inputs=[points, normals, self._out_corner_vertex],
+                outputs=[count],
+                device=self._device,
+            )
+            flips[block] = count.numpy()[: block.stop - block.start]
+        return flips
+
+    def original_points(self, mesh: AnimatedMesh, placed: PlacedFrames) -> np.ndarray:
+        """The placed points in the caller's coordinates, (F, C, 3) float32."""
+        points = mesh.original_points(placed.points)
+        points[:, self._copied] = mesh.points[:, self._copied_from] + mesh.origin
+        return points
 
 
 def _heaviest(anchors: Anchors) -> np.ndarray:

@@ -1,0 +1,142 @@
+"""The frame that the material carries along at an output vertex: its normal and two tangents that deform with it.
+
+A correction that is constant in this frame moves with the surface: it bends, turns and stretches as the surface does,
+and adds no motion of its own.
+"""
+
+import warp as wp
+
+from warpqem.kernels.topology import half_edge_target
+
+wp.set_module_options({"enable_backward": False})  # no gradients are taken
+
+# Pull of the tangents towards a plain rotation, relative to the spread of the ring's edges. A ring that is nearly a
+# line in the reference frame says nothing about stretch across it.
+ROTATION_PULL = wp.constant(wp.float32(0.05))
+
+# A normal or a ring smaller than this (areas and squared lengths on a mesh of unit diagonal) has no direction.
+NO_EXTENT = wp.constant(wp.float32(1.0e-30))
+
+
+@wp.struct
+class OneRings:
+    """The faces about each of C output vertices, and the pose that material frames start from."""
+
+    corner_vertex: wp.array[wp.int32]  # (3N',)
+    star_start: wp.array[wp.int32]  # (C+1,)
+    star_corner: wp.array[wp.int32]  # (3N',)
+    reference: wp.array[wp.vec3]  # (C,) positions in the reference frame
+    reference_normal: wp.array[wp.vec3]  # (C,) of any length
+
+
+@wp.func
+def first_tangent(n: wp.vec3) -> wp.vec3:
+    """A unit vector across the unit vector ``n``."""
+    axis = wp.vec3(1.0, 0.0, 0.0)
+    if wp.abs(n[0]) > 0.7:
+        axis = wp.vec3(0.0, 1.0, 0.0)
+    return wp.normalize(wp.cross(axis, n))
+
+
+@wp.func
+def material_frame(
+    rings: OneRings, points: wp.array2d[wp.vec3], normals: wp.array2d[wp.vec3], t: wp.int32, c: wp.int32
+) -> wp.mat33:
+    """Columns: the two reference tangents, carried along, and the unit normal; all zero where there is no normal.
+
+    The tangents follow the map of the tangent plane that fits the ring's edges best, from the reference frame to frame
+    ``t``: ``B = (M + r R) (G + r I)^-1``, with ``M = sum u u0^T``, ``G = sum u0 u0^T`` over edges ``u0`` that become
+    ``u``, ``R`` the best rotation alone and ``r`` a small part of ``tr G``.
+    """
+    if wp.length(normals[t, c]) < NO_EXTENT or wp.length(rings.reference_normal[c]) < NO_EXTENT:
+        return wp.mat33()
+    n = wp.normalize(normals[t, c])
+    x = first_tangent(n)
+    y = wp.cross(n, x)
+    n0 = wp.normalize(rings.reference_normal[c])
+    x0 = first_tangent(n0)
+    y0 = wp.cross(n0, x0)
+    m = wp.mat22()
+    g = wp.mat22()
+    for i in range(rings.star_start[c], rings.star_start[c + 1]):
+        v = half_edge_target(rings.corner_vertex, rings.star_corner[i])
+        d = points[t, v] - points[t, c]
+        d0 = rings.reference[v] - rings.reference[c]
+        u = wp.vec2(wp.dot(d, x), wp.dot(d, y))
+        u0 = wp.vec2(wp.dot(d0, x0), wp.dot(d0, y0))
+        m += wp.outer(u, u0)
+        g += wp.outer(u0, u0)
+    cosine = m[0, 0] + m[1, 1]
+    sine = m[1, 0] - m[0, 1]
+    length = wp.sqrt(cosine * cosine + sine * sine)
+    spread = wp.trace(g)
+    b = wp.identity(n=2, dtype=wp.float32)
+    if length > NO_EXTENT and spread > NO_EXTENT:
+        # Divided by the spread, so that the determinant stays far from the smallest floats.
+        rotation = wp.mat22(cosine, -sine, sine, cosine) / length
+        b = (m / spread + ROTATION_PULL * rotation) * wp.inverse(
+            g / spread + ROTATION_PULL * wp.identity(n=2, dtype=wp.float32)
+        )
+    e = b[0, 0] * x + b[1, 0] * y
+    f = b[0, 1] * x + b[1, 1] * y
+    return wp.mat33(e[0], f[0], n[0], e[1], f[1], n[1], e[2], f[2], n[2])
+
+
+@wp.kernel
+def measure_material_frames(
+    rings: OneRings,
+    points_in: wp.array2d[wp.vec3],
+    normal_in: wp.array2d[wp.vec3],
+    free_in: wp.array[wp.int32],
+    # outputs
+    frame_out: wp.array2d[wp.mat33],
+):
+    """Material frames (B, C) of a block of frames with points and normals (B, C); zero for vertices that must stay."""
+    t, c = wp.tid()
+    frame = wp.mat33()
+    if free_in[c] == 1:
+        frame = material_frame(rings, points_in, normal_in, t, c)
+    frame_out[t, c] = frame
+
+
+@wp.kernel
+def move_in_material_frame(
+    rings: OneRings,
+    points_in: wp.array2d[wp.vec3],
+    normal_in: wp.array2d[wp.vec3],
+    correction_in: wp.array[wp.vec3],
+    # outputs
+    points_out: wp.array2d[wp.vec3],
+):
+    """Each vertex moved by its correction (C,), the same in all frames (B, C) as the material sees it."""
+    t, c = wp.tid()
+    x = points_in[t, c]
+    d = correction_in[c]
+    if wp.dot(d, d) > 0.0:
+        x += material_frame(rings, points_in, normal_in, t, c) * d
+    points_out[t, c] = x
+
+
+@wp.kernel
+def mark_new_flips(
+    points_in: wp.array2d[wp.vec3],
+    moved_in: wp.array2d[wp.vec3],
+    normal_in: wp.array2d[wp.vec3],
+    correction_in: wp.array[wp.vec3],
+    corner_vertex_in: wp.array[wp.int32],
+    # outputs
+    marked_out: wp.array[wp.int32],
+):
+    """Mark the moved vertices of faces that turn over by the move (every thread writes the same value)."""
+    t, f = wp.tid()
+    a = corner_vertex_in[3 * f]
+    b = corner_vertex_in[3 * f + 1]
+    c = corner_vertex_in[3 * f + 2]
+    outside = normal_in[t, a] + normal_in[t, b] + normal_in[t, c]
+    before = wp.cross(points_in[t, b] - points_in[t, a], points_in[t, c] - points_in[t, a])
+    after = wp.cross(moved_in[t, b] - moved_in[t, a], moved_in[t, c] - moved_in[t, a])
+    if wp.dot(after, outside) < 0.0 and wp.dot(before, outside) >= 0.0:
+        for k in range(3):
+            v = corner_vertex_in[3 * f + k]
+            if wp.dot(correction_in[v], correction_in[v]) > 0.0:
+                marked_out[v] = 1

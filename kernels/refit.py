@@ -1,0 +1,250 @@
+"""Least squares of the output surface against the input surface: pairs of points, and one element matrix per face.
+
+Unknown is one correction ``c_v`` per output vertex, constant over all frames in the material frame ``R_v^t``. A pair
+of a point of the output, with barycentric weights ``b`` in one face, and a point of the input asks that
+
+    n . sum_k b_k R_k c_k = r
+
+with ``n`` a normal at the pair and ``r`` how far the input lies ahead along it (point-to-plane residual). Every face
+sums its pairs into one 9 x 9 matrix, in the order of the pairs, so that the sum does not depend on threads.
+"""
+
+import warp as wp
+
+from warpqem.kernels.surface_walk import Surface, face_cross, surface_point, walk_to_closest
+
+wp.set_module_options({"enable_backward": False})  # no gradients are taken
+
+# Points whose normals differ by more than 78 degrees belong to different sides of a fold.
+SAME_SIDE = wp.constant(wp.float32(0.2))
+
+# Share of the input's area that its vertices stand for; the middles of its faces stand for the rest. Three quarters
+# for the middles: a triangle's quadrature that is exact for quadratic functions weighs them like this.
+VERTEX_SHARE = wp.constant(wp.float32(0.25))
+
+# The edge term weighs 1 / length^4; edges shorter than 3 % of the mean count as that long.
+SHORTEST_SQUARED = wp.constant(wp.float32(1.0e-3))
+
+# Keeps the matrix of a vertex without pairs from being singular (weights are of order one).
+LEAST_PULL = wp.constant(wp.float32(1.0e-6))
+
+
+@wp.struct
+class Pairs:
+    """Pairs of points: the output face and frame, weights in the face, normal, residual, weight, where to walk from."""
+
+    face: wp.array[wp.int32]  # -1: no pair
+    key: wp.array[wp.int32]
+    barycentric: wp.array[wp.vec3]
+    normal: wp.array[wp.vec3]
+    residual: wp.array[wp.float32]
+    weight: wp.array[wp.float32]
+    start: wp.array[wp.int32]  # vertex that the walk starts from; updated to where it ended
+
+
+@wp.struct
+class Pull:
+    """What holds corrections back, relative to the area a vertex stands for."""
+
+    tangent: wp.float32
+    normal: wp.float32
+    edge: wp.float32
+
+
+@wp.func
+def sample_key(sample: wp.int32, turn: wp.int32, turns: wp.int32, key_count: wp.int32) -> wp.int32:
+    """Key frame of a sample's pair number ``turn`` of ``turns``: samples take turns, so that all frames are met."""
+    return (sample + turn * (key_count / turns)) % key_count
+
+
+@wp.kernel
+def match_input_samples(
+    first: wp.int32,
+    turns: wp.int32,
+    source: Surface,
+    target: Surface,
+    # outputs
+    pairs: Pairs,
+):
+    """Pair the input's face middles and vertices with the nearest points of the output."""
+    pair = first + wp.tid()
+    sample = pair / turns
+    t = sample_key(sample, pair % turns, turns, source.points.shape[0])
+    face_count = source.corner_vertex.shape[0] / 3
+    pairs.face[pair] = -1
+    normal = wp.vec3()
+    x = wp.vec3()
+    area = wp.float32(0.0)
+    if sample < face_count:
+        x = surface_point(source, t, sample, wp.vec3(1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0))
+        normal = face_cross(source, t, sample)
+        area = 0.5 * (1.0 - VERTEX_SHARE) * wp.length(normal)
+    else:
+        v = sample - face_count
+        x = source.points[t, v]
+        for i in range(source.star_start[v], source.star_start[v + 1]):
+            cross = face_cross(source, t, source.star_corner[i] / 3)
+            normal += cross
+            area += VERTEX_SHARE / 6.0 * wp.length(cross)
+    start = pairs.start[pair]
+    if start >= 0 and area > 0.0:
+        hit = walk_to_closest(target, t, start, x)
+        n = wp.normalize(face_cross(target, t, hit.face))
+        pairs.start[pair] = hit.vertex
+        if wp.dot(n, wp.normalize(normal)) > SAME_SIDE:
+            pairs.face[pair] = hit.face
+            pairs.key[pair] = t
+            pairs.barycentric[pair] = hit.barycentric
+            pairs.normal[pair] = n
+            pairs.residual[pair] = wp.dot(n, x - surface_point(target, t, hit.face, hit.barycentric))
+            pairs.weight[pair] = area
+
+
+@wp.kernel
+def match_output_samples(
+    first: wp.int32,
+    turns: wp.int32,
+    source: Surface,
+    target: Surface,
+    barycentric_in: wp.array[wp.vec3],
+    # outputs
+    pairs: Pairs,
+):
+    """Pair points of every output face, at the given barycentric weights, with the nearest points of the input."""
+    pair = first + wp.tid()
+    sample = pair / turns
+    t = sample_key(sample, pair % turns, turns, source.points.shape[0])
+    per_face = barycentric_in.shape[0]
+    face = sample / per_face
+    barycentric = barycentric_in[sample % per_face]
+    x = surface_point(target, t, face, barycentric)
+    hit = walk_to_closest(source, t, pairs.start[pair], x)
+    cross = face_cross(target, t, face)
+    n = wp.normalize(face_cross(source, t, hit.face))
+    pairs.start[pair] = hit.vertex
+    pairs.face[pair] = -1
+    if wp.dot(n, wp.normalize(cross)) > SAME_SIDE:
+        pairs.face[pair] = face
+        pairs.key[pair] = t
+        pairs.barycentric[pair] = barycentric
+        pairs.normal[pair] = n
+        pairs.residual[pair] = wp.dot(n, surface_point(source, t, hit.face, hit.barycentric) - x)
+        pairs.weight[pair] = 0.5 * wp.length(cross) / wp.float32(per_face)
+
+
+@wp.struct
+class Element:
+    """Normal equations of one face: the blocks on and above the diagonal, and the right side."""
+
+    m00: wp.mat33
+    m01: wp.mat33
+    m02: wp.mat33
+    m11: wp.mat33
+    m12: wp.mat33
+    m22: wp.mat33
+    r0: wp.vec3
+    r1: wp.vec3
+    r2: wp.vec3
+    mass: wp.vec3
+
+
+@wp.func
+def include_row(e: Element, j0: wp.vec3, j1: wp.vec3, j2: wp.vec3, target: wp.float32, weight: wp.float32) -> Element:
+    """Add the equation ``j . c = target``."""
+    a = weight * j0
+    b = weight * j1
+    c = weight * j2
+    e.m00 += wp.outer(a, j0)
+    e.m01 += wp.outer(a, j1)
+    e.m02 += wp.outer(a, j2)
+    e.m11 += wp.outer(b, j1)
+    e.m12 += wp.outer(b, j2)
+    e.m22 += wp.outer(c, j2)
+    e.r0 += target * a
+    e.r1 += target * b
+    e.r2 += target * c
+    return e
+
+
+@wp.func
+def include_pair(
+    e: Element,
+    pairs: Pairs,
+    i: wp.int32,
+    scale: wp.float32,
+    v: wp.vec3i,
+    frame: wp.array2d[wp.mat33],
+    correction: wp.array[wp.vec3],
+) -> Element:
+    """Add the equation of a pair, for the whole correction rather than what is still missing of it."""
+    t = pairs.key[i]
+    b = pairs.barycentric[i]
+    n = pairs.normal[i]
+    weight = scale * pairs.weight[i]
+    # n^T R, times the weight of the corner.
+    j0 = b[0] * (wp.transpose(frame[t, v[0]]) * n)
+    j1 = b[1] * (wp.transpose(frame[t, v[1]]) * n)
+    j2 = b[2] * (wp.transpose(frame[t, v[2]]) * n)
+    done = wp.dot(j0, correction[v[0]]) + wp.dot(j1, correction[v[1]]) + wp.dot(j2, correction[v[2]])
+    e.mass += weight * b
+    return include_row(e, j0, j1, j2, pairs.residual[i] + done, weight)
+
+
+@wp.kernel
+def assemble_elements(
+    corner_vertex_in: wp.array[wp.int32],
+    input_pairs: Pairs,
+    input_start_in: wp.array[wp.int32],
+    input_order_in: wp.array[wp.int32],
+    output_pairs: Pairs,
+    weights: wp.vec3,
+    mean_edge_squared: wp.float32,
+    pull: Pull,
+    points_in: wp.array2d[wp.vec3],
+    frame_in: wp.array2d[wp.mat33],
+    correction_in: wp.array[wp.vec3],
+    # outputs
+    block_out: wp.array2d[wp.mat33],
+    right_out: wp.array[wp.vec3],
+):
+    """The nine blocks and three right sides of each face; ``weights`` scale input pairs, output pairs and edges."""
+    f = wp.tid()
+    v = wp.vec3i(corner_vertex_in[3 * f], corner_vertex_in[3 * f + 1], corner_vertex_in[3 * f + 2])
+    e = Element()
+    for k in range(input_start_in[f], input_start_in[f + 1]):
+        e = include_pair(e, input_pairs, input_order_in[k], weights[0], v, frame_in, correction_in)
+    per_face = output_pairs.face.shape[0] / (corner_vertex_in.shape[0] / 3)
+    for i in range(f * per_face, (f + 1) * per_face):
+        if output_pairs.face[i] >= 0:
+            e = include_pair(e, output_pairs, i, weights[1], v, frame_in, correction_in)
+    none = wp.vec3()
+    for t in range(points_in.shape[0]):
+        for k in range(3):
+            a = v[k]
+            b = v[(k + 1) % 3]
+            d = points_in[t, a] - points_in[t, b]
+            squared = wp.max(wp.dot(d, d), SHORTEST_SQUARED * mean_edge_squared)
+            weight = weights[2] * mean_edge_squared / (squared * squared)
+            # d . (R_a c_a - R_b c_b): how much longer the edge gets, times its length.
+            ja = wp.transpose(frame_in[t, a]) * d
+            jb = -(wp.transpose(frame_in[t, b]) * d)
+            if k == 0:
+                e = include_row(e, ja, jb, none, 0.0, weight)
+            elif k == 1:
+                e = include_row(e, none, ja, jb, 0.0, weight)
+            else:
+                e = include_row(e, jb, none, ja, 0.0, weight)
+    along = wp.vec3(pull.tangent, pull.tangent, pull.normal)
+    nothing = LEAST_PULL * wp.vec3(1.0, 1.0, 1.0)
+    block_out[f, 0] = e.m00 + wp.diag(e.mass[0] * along + nothing)
+    block_out[f, 1] = e.m01
+    block_out[f, 2] = e.m02
+    block_out[f, 3] = wp.transpose(e.m01)
+    block_out[f, 4] = e.m11 + wp.diag(e.mass[1] * along + nothing)
+    block_out[f, 5] = e.m12
+    block_out[f, 6] = wp.transpose(e.m02)
+    block_out[f, 7] = wp.transpose(e.m12)
+    block_out[f, 8] = e.m22 + wp.diag(e.mass[2] * along + nothing)
+    right_out[3 * f] = e.r0
+    right_out[3 * f + 1] = e.r1
+    right_out[3 * f + 2] = e.r2

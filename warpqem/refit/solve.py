@@ -1,0 +1,51 @@
+"""Solve the normal equations of all corrections together, by preconditioned conjugate gradients on the device."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from warpqem.kernels import element_solve as kernels
+
+__all__ = ["solve_elements"]
+
+# The iteration stops where the preconditioned residual has fallen to this part of its start: corrections are a small
+# part of an edge, so three digits are plenty. About ten steps do.
+TOLERANCE = 1e-4
+MOST_STEPS = 200
+
+
+def solve_elements(elements: kernels.Elements, corner_right: wp.array) -> wp.array:
+    """The solution (C,) vec3.
+
+    Args:
+        elements: symmetric positive definite.
+        corner_right: (3N',) vec3, the right side in parts, one for each corner of each face.
+    """
+    device = corner_right.device
+    vertex_count = len(elements.star_start) - 1
+    state = kernels.Solve()
+    state.x, state.residual, state.direction, state.image = (
+        wp.empty(vertex_count, dtype=wp.vec3, device=device) for _ in range(4)
+    )
+    state.inverse = wp.empty(vertex_count, dtype=wp.mat33, device=device)
+    state.slice_sum = wp.empty(kernels.SLICES, dtype=wp.float64, device=device)
+    state.scalar = wp.zeros(3, dtype=wp.float64, device=device)
+
+    def run(kernel: wp.Kernel, count: int, *inputs: object) -> None:
+        wp.launch(kernel, dim=count, inputs=[*inputs, state], device=device)
+
+    run(kernels.start_solve, vertex_count, elements, corner_right)
+    run(kernels.sum_residual, kernels.SLICES)
+    run(kernels.close_residual, 1)
+    goal = TOLERANCE**2 * float(state.scalar.numpy()[0])
+    for _ in range(MOST_STEPS):
+        run(kernels.turn_direction, vertex_count)
+        run(kernels.multiply_direction, vertex_count, elements)
+        run(kernels.sum_curvature, kernels.SLICES)
+        run(kernels.close_curvature, 1)
+        run(kernels.step_forward, vertex_count)
+        run(kernels.sum_residual, kernels.SLICES)
+        run(kernels.close_residual, 1)
+        if float(state.scalar.numpy()[0]) <= goal:
+            break
+    return state.x
