@@ -79,7 +79,7 @@ def simplify(
     coherence: float = 0.5,
     key_frames: int | None = 16,
     placement: str = "optimal",
-    refit: bool = True,
+    refit: bool = False,
     vertex_weights: Any = None,
     locked: Any = None,
     seams: Any = None,
@@ -102,8 +102,8 @@ def simplify(
         coherence: 0 (every frame its own best fit) to 1 (vertices stay on the material).
         key_frames: how many frames decide the order, chosen by their pose; None for all.
         placement: "optimal", or "endpoint" to use vertices of the input only.
-        refit: fit the surface as a whole to the input after placing its vertices, see :mod:`warpqem.refit.stage`. No
-            effect with "endpoint".
+        refit: fit the surface as a whole to the input after placing its vertices, see :mod:`warpqem.refit.stage`: a
+            better shape for about the time of the rest. No effect with "endpoint".
         vertex_weights: (V,) factors from 0 to 1e12 on the cost at each vertex.
         locked: (V,) bool, or indices, of vertices that keep their position in every frame.
         seams: (S, 2) vertex pairs: edges that values on the surface do not cross, such as UV seams. They stay closed

@@ -74,6 +74,10 @@ def simplify(
         float,
         typer.Option(help="0 to 1: 0 fits every frame on its own, 1 lets vertices stick to the surface over time."),
     ] = 0.5,
+    refit: Annotated[
+        bool,
+        typer.Option("--refit/--no-refit", help="Fit the whole surface once more at the end: better shape, slower."),
+    ] = False,
     placement: Annotated[
         Placement, typer.Option(help="Merged vertices at the optimal point, or at an endpoint of the edge.")
     ] = Placement.optimal,
@@ -119,6 +123,7 @@ def simplify(
         usd_lod=usd_lod,
         metric=metric.value,
         coherence=coherence,
+        refit=refit,
         placement=placement.value,
         key_frames=key_frames,
         frames=FrameRange.parse(frames) if frames else None,

@@ -21,7 +21,11 @@ __all__ = ["Matching", "make_surface"]
 _NEAR_CORNER, _INSIDE, _SIDE, _EDGE = 0.063089014491502, 0.249286745170910, 0.310352451033785, 0.053145049844816
 OUTPUT_SAMPLES = np.array(
     [np.roll([1 - 2 * a, a, a], k) for a in (_INSIDE, _NEAR_CORNER) for k in range(3)]
-    + [np.roll(row, k) for row in ([_SIDE, _EDGE, 1 - _SIDE - _EDGE], [_EDGE, _SIDE, 1 - _SIDE - _EDGE]) for k in range(3)]
+    + [
+        np.roll(row, k)
+        for row in ([_SIDE, _EDGE, 1 - _SIDE - _EDGE], [_EDGE, _SIDE, 1 - _SIDE - _EDGE])
+        for k in range(3)
+    ]
 )
 
 

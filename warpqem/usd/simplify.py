@@ -50,6 +50,7 @@ class SimplifyOptions:
         usd_lod: With `lods`, write the levels as prims below that root prim, with the schemas of UsdLod, instead.
         metric: Cost model, see `warpqem.simplify`.
         coherence: 0 to 1, see `warpqem.simplify`.
+        refit: Fit the surface as a whole after placing its vertices, see `warpqem.simplify`.
         placement: Vertex placement, see `warpqem.simplify`.
         key_frames: Frames that decide the topology.
         frames: Time codes to read; None for all authored ones.
@@ -69,6 +70,7 @@ class SimplifyOptions:
     usd_lod: bool = False
     metric: str = "dsd"
     coherence: float = 0.5
+    refit: bool = False
     placement: str = "optimal"
     key_frames: int = 16
     frames: FrameRange | None = None
@@ -249,6 +251,7 @@ class _Run:
             job.faces,
             metric=self.options.metric,
             coherence=self.options.coherence,
+            refit=self.options.refit,
             placement=self.options.placement,
             key_frames=self.options.key_frames,
             seams=seams,

@@ -1,0 +1,117 @@
+"""The refit: a better fit of the whole surface that adds neither flips nor motion over the surface."""
+
+import meshes
+import numpy as np
+import pytest
+import warp as wp
+from moving_meshes import BAR, SPHERE, rms
+
+import warpqem
+from warpqem.kernels.element_solve import Elements
+from warpqem.measure import compare
+from warpqem.order.stars import build_stars
+from warpqem.refit.matching import OUTPUT_SAMPLES
+from warpqem.refit.solve import solve_elements
+
+RATIO = 0.12
+
+
+@pytest.fixture(scope="module", params=["sphere", "bar"])
+def both(request, device):
+    """(input, result as placed, result refitted)."""
+    mesh = {"sphere": SPHERE, "bar": BAR}[request.param]
+    return mesh, *(warpqem.simplify(*mesh, ratio=RATIO, refit=refit, device=device) for refit in (False, True))
+
+
+def test_refit_lowers_the_error(both, device):
+    mesh, placed, refitted = both
+    assert rms(mesh, refitted, device) < 0.95 * rms(mesh, placed, device)
+
+
+def test_refit_keeps_the_topology(both):
+    _, placed, refitted = both
+    np.testing.assert_array_equal(refitted.faces, placed.faces)
+    np.testing.assert_array_equal(refitted.vertex_map, placed.vertex_map)
+
+
+def test_refit_adds_no_flip(both):
+    _, placed, refitted = both
+    assert (refitted.flips <= placed.flips).all()
+
+
+def test_refit_slides_little_more_than_placement(both, device):
+    (points, faces), placed, refitted = both
+    before, after = (compare(points, faces, r.points, r.faces, samples=500, device=device) for r in (placed, refitted))
+    assert after.slide < 1.5 * before.slide + 0.01
+
+
+def test_refit_leaves_border_vertices_where_they_are(device):
+    points, faces = meshes.waving_grid(20, 4)
+    placed, refitted = (warpqem.simplify(points, faces, ratio=0.2, refit=r, device=device) for r in (False, True))
+    tail, head = placed.faces.ravel(), np.roll(placed.faces, -1, axis=1).ravel()
+    directed = set(zip(tail.tolist(), head.tolist(), strict=True))
+    border = sorted({v for e in directed if e[::-1] not in directed for v in e})
+    np.testing.assert_array_equal(refitted.points[:, border], placed.points[:, border])
+    assert not np.array_equal(refitted.points, placed.points)
+
+
+def test_refit_leaves_locked_vertices_where_they_are(device):
+    points, faces = SPHERE
+    locked = [0, 7, 30]
+    result = warpqem.simplify(points, faces, ratio=RATIO, refit=True, locked=locked, device=device)
+    np.testing.assert_array_equal(result.points[:, result.vertex_map[locked]], points[:, locked])
+
+
+def test_refit_is_the_same_on_every_run(both, device):
+    mesh, _, refitted = both
+    again = warpqem.simplify(*mesh, ratio=RATIO, refit=True, device=device)
+    np.testing.assert_array_equal(again.points, refitted.points)
+
+
+def test_refit_has_no_effect_on_endpoint_placement(device):
+    plain, refitted = (
+        warpqem.simplify(*SPHERE, ratio=RATIO, placement="endpoint", refit=r, device=device) for r in (False, True)
+    )
+    np.testing.assert_array_equal(plain.points, refitted.points)
+
+
+def test_refit_does_not_depend_on_the_scale(device):
+    points, faces = SPHERE
+    plain, large = (
+        warpqem.simplify(points * np.float32(s), faces, ratio=RATIO, refit=True, device=device) for s in (1, 1024)
+    )
+    np.testing.assert_allclose(large.points, 1024 * plain.points, rtol=1e-5, atol=0.02)
+
+
+def test_refit_of_a_still_mesh_lowers_the_error(device):
+    points, faces = meshes.icosphere(4)
+    placed, refitted = (warpqem.simplify(points, faces, ratio=0.1, refit=r, device=device) for r in (False, True))
+    assert rms((points, faces), refitted, device) < rms((points, faces), placed, device)
+
+
+def test_sample_weights_of_a_face_sum_to_one():
+    np.testing.assert_allclose(OUTPUT_SAMPLES.sum(axis=1), 1, atol=1e-12)
+    assert len(np.unique(OUTPUT_SAMPLES.round(9), axis=0)) == 12
+
+
+def test_conjugate_gradients_solve_the_assembled_system(device):
+    faces = meshes.icosphere(1)[1]
+    vertex_count = int(faces.max()) + 1
+    random = np.random.default_rng(0)
+    factor = random.normal(size=(len(faces), 9, 9))
+    local = factor @ factor.transpose(0, 2, 1) + 0.5 * np.eye(9)
+    right = random.normal(size=(len(faces), 3, 3))
+    matrix, vector = np.zeros((3 * vertex_count, 3 * vertex_count)), np.zeros(3 * vertex_count)
+    for face, block, part in zip(faces, local, right, strict=True):
+        index = (3 * face[:, None] + np.arange(3)).ravel()
+        matrix[np.ix_(index, index)] += block
+        vector[index] += part.ravel()
+    elements = Elements()
+    elements.corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device)
+    stars = build_stars(elements.corner_vertex, vertex_count)
+    elements.star_start, elements.star_corner = stars.start, stars.corner
+    blocks = local.reshape(-1, 3, 3, 3, 3).transpose(0, 1, 3, 2, 4).reshape(-1, 9, 3, 3)
+    elements.block = wp.array(np.ascontiguousarray(blocks), dtype=wp.mat33, device=device)
+    solution = solve_elements(elements, wp.array(right.reshape(-1, 3), dtype=wp.vec3, device=device)).numpy()
+    expected = np.linalg.solve(matrix, vector).reshape(-1, 3)
+    assert np.abs(solution - expected).max() <= 2e-3 * np.abs(expected).max()
