@@ -1,0 +1,167 @@
+"""Who takes part: warpqem and what a user would pick instead. Each takes all frames and gives all frames.
+
+Two ways are open to a tool that knows one frame only: simplify each frame alone, which gives every frame its own
+topology; or simplify the first frame and let the other frames follow. In the second, every output vertex becomes the
+vertex of the input nearest to it in the first frame (meshoptimizer already answers in vertices of the input).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.simplified import Simplified
+from benchmarks.work import Work
+
+__all__ = ["BASE", "CONTENDERS", "STATIC", "Contender"]
+
+# The one whose time the others' are divided by.
+BASE = "warpqem"
+# Above any error a mesh can have, in its own units: the face count alone shall stop meshoptimizer.
+NO_ERROR_LIMIT = 1.0e9
+# Principal components of the motion that become vertex attributes: the most that meshoptimizer takes.
+ATTRIBUTES = 32
+# Weight of those attributes beside the position, both relative to the mesh's extent: the best of those tried
+# (0.5 to 10) on a gallop.
+ATTRIBUTE_WEIGHT = 5.0
+
+Frame = tuple[NDArray[Any], NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class Contender:
+    """One way to do the work.
+
+    Attributes:
+        package: distribution whose version is reported.
+        way: what it does with the frames.
+        run: does it; called with the work and the Warp device.
+    """
+
+    package: str
+    way: str
+    run: Callable[[Work, str | None], Simplified]
+
+
+def _warpqem(work: Work, device: str | None) -> Simplified:
+    import warpqem
+
+    result = warpqem.simplify(work.points, work.faces, target_faces=work.target_faces, device=device)
+    return Simplified(list(result.points), [result.faces])
+
+
+def _subset(points: NDArray[np.float32], faces: NDArray[Any]) -> Simplified:
+    """All frames of the input vertices that the faces refer to."""
+    used, corners = np.unique(faces, return_inverse=True)
+    return Simplified(list(points[:, used]), [corners.reshape(-1, 3).astype(np.int32)])
+
+
+def _meshoptimizer_frame(points: NDArray[np.float32], faces: NDArray[np.int32], target: int) -> NDArray[np.uint32]:
+    import meshoptimizer
+
+    indices = faces.astype(np.uint32).ravel()
+    kept = np.empty_like(indices)
+    count = meshoptimizer.simplify(kept, indices, points, target_index_count=3 * target, target_error=NO_ERROR_LIMIT)
+    return kept[:count].reshape(-1, 3)
+
+
+def _meshoptimizer_carried(work: Work, _: str | None) -> Simplified:
+    return _subset(work.points, _meshoptimizer_frame(work.points[0], work.faces, work.target_faces))
+
+
+def _meshoptimizer_per_frame(work: Work, _: str | None) -> Simplified:
+    frames = [_subset(p[None], _meshoptimizer_frame(p, work.faces, work.target_faces)) for p in work.points]
+    return Simplified([f.points[0] for f in frames], [f.faces[0] for f in frames])
+
+
+def _motion_components(points: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(V, A) coordinates of each vertex's displacements from the first frame in their leading principal components."""
+    motion = (points[1:] - points[0]).transpose(1, 0, 2).reshape(points.shape[1], -1).astype(np.float64)
+    motion -= motion.mean(axis=0)
+    _, directions = np.linalg.eigh(motion.T @ motion)
+    return (motion @ directions[:, ::-1][:, :ATTRIBUTES]).astype(np.float32)
+
+
+def _meshoptimizer_attributes(work: Work, device: str | None) -> Simplified:
+    import meshoptimizer
+
+    if len(work.points) == 1:
+        return _meshoptimizer_carried(work, device)
+    indices = work.faces.astype(np.uint32).ravel()
+    kept = np.empty_like(indices)
+    # Errors are sums over attributes: divided by the frames they stand for, one frame's displacement counts as one.
+    extent = np.ptp(work.points[0], axis=0).max() * np.sqrt(len(work.points) - 1)
+    attributes = np.ascontiguousarray(_motion_components(work.points) / extent)
+    count = meshoptimizer.simplify_with_attributes(
+        kept,
+        indices,
+        np.ascontiguousarray(work.points[0]),
+        attributes,
+        np.full(attributes.shape[1], ATTRIBUTE_WEIGHT, dtype=np.float32),
+        target_index_count=3 * work.target_faces,
+        target_error=NO_ERROR_LIMIT,
+    )
+    return _subset(work.points, kept[:count].reshape(-1, 3))
+
+
+def _fast_simplification_frame(points: NDArray[np.float32], faces: NDArray[np.int32], target: int) -> Frame:
+    import fast_simplification
+
+    return fast_simplification.simplify(points, faces, target_count=target)
+
+
+def _pyfqmr_frame(points: NDArray[np.float32], faces: NDArray[np.int32], target: int) -> Frame:
+    import pyfqmr
+
+    tool = pyfqmr.Simplify()
+    tool.setMesh(points, faces)
+    tool.simplify_mesh(target_count=target, verbose=False)
+    simplified, kept, _ = tool.getMesh()
+    return simplified, kept
+
+
+def _per_frame(simplify: Callable[..., Frame]) -> Callable[[Work, str | None], Simplified]:
+    def run(work: Work, _: str | None) -> Simplified:
+        frames = [simplify(p, work.faces, work.target_faces) for p in work.points]
+        return Simplified([p for p, _ in frames], [f for _, f in frames])
+
+    return run
+
+
+def _carried(simplify: Callable[..., Frame]) -> Callable[[Work, str | None], Simplified]:
+    def run(work: Work, _: str | None) -> Simplified:
+        from scipy.spatial import cKDTree
+
+        points, faces = simplify(work.points[0], work.faces, work.target_faces)
+        nearest = cKDTree(work.points[0]).query(points)[1].astype(np.int32)
+        corners = nearest[faces]
+        # Two output vertices may be nearest to the same input vertex; faces between them vanish.
+        whole = (corners != np.roll(corners, 1, axis=1)).all(axis=1)
+        return _subset(work.points, corners[whole])
+
+    return run
+
+
+CONTENDERS = {
+    BASE: Contender("warpqem", "all frames, one topology", _warpqem),
+    "meshoptimizer, per frame": Contender("meshoptimizer", "each frame alone", _meshoptimizer_per_frame),
+    "meshoptimizer, carried": Contender("meshoptimizer", "first frame, others follow", _meshoptimizer_carried),
+    "meshoptimizer, attributes": Contender(
+        "meshoptimizer", "first frame, motion as attributes", _meshoptimizer_attributes
+    ),
+    "fast-simplification, per frame": Contender(
+        "fast-simplification", "each frame alone", _per_frame(_fast_simplification_frame)
+    ),
+    "fast-simplification, carried": Contender(
+        "fast-simplification", "first frame, others follow", _carried(_fast_simplification_frame)
+    ),
+    "pyfqmr, per frame": Contender("pyfqmr", "each frame alone", _per_frame(_pyfqmr_frame)),
+    "pyfqmr, carried": Contender("pyfqmr", "first frame, others follow", _carried(_pyfqmr_frame)),
+}
+
+# With one frame there is nothing to carry.
+STATIC = [name for name in CONTENDERS if name == BASE or name.endswith("per frame")]

@@ -1,0 +1,94 @@
+"""``kernels``: time and launches of each kernel beside the least that its work can take."""
+
+from __future__ import annotations
+
+import time
+
+import warp as wp
+
+import warpqem
+from benchmarks.floor import Demand, floor_seconds
+from benchmarks.launches import LaunchProfile, profile_launches
+from benchmarks.machine import describe_machine
+from benchmarks.report import Column, Report, Row, Table
+from benchmarks.settings import Settings
+from benchmarks.work import Work, torus_work
+from warpqem.device import resolve_device
+
+__all__ = ["kernel_rows", "run"]
+
+FACES, FRAMES = 1_000_000, 16
+QUICK_FACES = 10_000
+
+COLUMNS = (
+    Column("kernel", "kernel"),
+    Column("launches", "launches", "d"),
+    Column("milliseconds", "ms", ".2f"),
+    Column("share", "share %", ".1f"),
+    Column("megabytes", "MB", ".1f"),
+    Column("megaflops", "Mflop", ".1f"),
+    Column("floor_ms", "floor ms (H200)", ".3f"),
+    Column("over_floor", "time / floor", ".1f"),
+    Column("effective_gbs", "GB/s", ".0f"),
+)
+
+
+def kernel_rows(profile: LaunchProfile) -> list[Row]:
+    """A row for each kernel, the longest first, and one for their sum."""
+    rows = [_row(kernel, launches) for kernel, launches in profile.by_kernel().items()]
+    rows.sort(key=lambda row: -row["milliseconds"])
+    total = sum(row["milliseconds"] for row in rows)
+    for row in rows:
+        row["share"] = 100 * row["milliseconds"] / total if total else 0.0
+    counted = [row for row in rows if row["floor_ms"] is not None]
+    sums = {key: sum(row[key] for row in counted) for key in ("megabytes", "megaflops", "floor_ms")}
+    return [
+        *rows,
+        {"kernel": "all", "launches": sum(row["launches"] for row in rows), "milliseconds": total, "share": 100.0}
+        | sums,
+    ]
+
+
+def _row(kernel: str, launches: list[tuple[float, Demand | None]]) -> dict:
+    milliseconds = 1e3 * sum(seconds for seconds, _ in launches)
+    row = {"kernel": kernel, "launches": len(launches), "milliseconds": milliseconds, "floor_ms": None}
+    demands = [demand for _, demand in launches]
+    if any(demand is None for demand in demands):
+        return row
+    demand = sum(demands, start=Demand(0.0))
+    # Each launch has its own floor: one may wait for memory, another for arithmetic.
+    floor_ms = 1e3 * sum(floor_seconds(d) for d in demands)
+    row |= {"megabytes": demand.bytes / 1e6, "megaflops": demand.flops / 1e6, "floor_ms": floor_ms}
+    if floor_ms > 0 and milliseconds > 0:
+        row |= {"over_floor": milliseconds / floor_ms, "effective_gbs": demand.bytes / milliseconds / 1e6}
+    return row
+
+
+def _simplify(work: Work, device: str) -> float:
+    wp.synchronize_device(device)
+    start = time.perf_counter()
+    warpqem.simplify(work.points, work.faces, target_faces=work.target_faces, device=device)
+    wp.synchronize_device(device)
+    return time.perf_counter() - start
+
+
+def run(settings: Settings) -> Report:
+    """Profile one simplification of a generated mesh, compiled and warmed by one before it."""
+    device = resolve_device(settings.device)
+    report = Report("kernels", "Kernels", describe_machine(["warpqem"]))
+    work = torus_work(QUICK_FACES if settings.quick else FACES, FRAMES, settings.ratio)
+    _simplify(torus_work(QUICK_FACES, FRAMES, settings.ratio), device)
+    plain = _simplify(work, device)
+    with profile_launches() as profile:
+        profiled = _simplify(work, device)
+    rows = kernel_rows(profile)
+    report.tables.append(Table(f"{work.name}: {work.size}, on {device}", COLUMNS, rows))
+    report.notes += [
+        f"the whole call took {plain:.3f} s without the profile and {profiled:.3f} s with it, which reads lists back",
+        "ms: between two events on a GPU; on a CPU the launch with its host side, summed over threads",
+        "floor: bytes at 4.3 TB/s or operations at 67 Tflop/s, whichever takes longer; each needed element once",
+    ]
+    uncounted = [row["kernel"] for row in rows if row["floor_ms"] is None]
+    if uncounted:
+        report.notes.append(f"without a floor: {', '.join(uncounted)}")
+    return report

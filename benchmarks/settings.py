@@ -1,0 +1,31 @@
+"""What all commands are told."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+__all__ = ["Settings"]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Options of the command line.
+
+    Attributes:
+        out: folder for the reports.
+        quick: small meshes and few turns: whether it works, not how fast.
+        device: Warp device; None for the default.
+        turns: how often each contender runs.
+        ratio: part of the faces to keep.
+        usd: file to work on instead of the generated mesh (command ``peers``).
+        prim: mesh in that file; None for the largest.
+    """
+
+    out: Path
+    quick: bool = False
+    device: str | None = None
+    turns: int = 5
+    ratio: float = 0.1
+    usd: Path | None = None
+    prim: str | None = None
