@@ -147,7 +147,7 @@ def test_first_level_is_the_input_and_the_default(tmp_path):
 
 
 def test_instances_of_a_root_class_stay_on_every_level(tmp_path):
-    instanced_stage(tmp_path / "in.usda")
+    instanced_stage(tmp_path / "in.usda", local=True)
     build_levels(tmp_path / "in.usda", tmp_path / "lods.usda")
     for level in range(3):
         stage = open_level(tmp_path / "lods.usda", level)

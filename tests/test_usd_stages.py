@@ -121,14 +121,19 @@ def skinned_stage(path: Path | None = None, **options: bool) -> Usd.Stage:
     return stage
 
 
-def instanced_stage(path: Path) -> Usd.Stage:
-    """Two instances of a cloth, and a cloth that is none."""
+def instanced_stage(path: Path, local: bool = False) -> Usd.Stage:
+    """Two instances of a cloth, of a class of the same file or of another file, and a cloth that is none."""
     stage = cloth_stage(path)
-    define_cloth(stage, "/Asset/Cloth")
-    stage.GetPrimAtPath("/Asset").SetSpecifier(Sdf.SpecifierClass)
+    if local:
+        define_cloth(stage, "/Asset/Cloth")
+        stage.GetPrimAtPath("/Asset").SetSpecifier(Sdf.SpecifierClass)
+    else:
+        asset = Usd.Stage.CreateNew(str(path.with_name("asset.usda")))
+        define_cloth(asset, "/Asset/Cloth")
+        asset.Save()
     for name in ("First", "Second"):
         prim = UsdGeom.Xform.Define(stage, f"/Root/{name}").GetPrim()
-        prim.GetReferences().AddInternalReference("/Asset")
+        prim.GetReferences().AddReference("" if local else "./asset.usda", "/Asset")
         prim.SetInstanceable(True)
     stage.GetRootLayer().Save()
     return stage
@@ -174,6 +179,18 @@ def test_instance_proxies_are_refused_once_for_each_prototype_mesh(tmp_path):
     assert path == "/Root/First/Cloth"
     assert "shared by 2 instances" in str(error)
     assert "/Root/First " in str(error)
+
+
+def test_class_is_edited_in_place_of_its_instances(tmp_path):
+    selection = find_meshes(instanced_stage(tmp_path / "instances.usda", local=True))
+    assert [str(prim.GetPath()) for prim in selection.prims] == ["/Root/Cloth", "/Asset/Cloth"]
+    assert selection.refused == []
+
+
+def test_class_outside_the_chosen_prims_is_left_alone(tmp_path):
+    selection = find_meshes(instanced_stage(tmp_path / "instances.usda", local=True), ["/Root"])
+    assert [str(prim.GetPath()) for prim in selection.prims] == ["/Root/Cloth"]
+    assert [path for path, _error in selection.refused] == ["/Root/First/Cloth"]
 
 
 def test_world_scale_is_the_cube_root_of_the_volume_ratio():

@@ -9,6 +9,8 @@ import numpy.typing as npt
 from pxr import Sdf, Usd, UsdGeom, Vt
 
 __all__ = [
+    "anchored",
+    "blocked_codes",
     "from_numpy",
     "is_continuous",
     "is_normal",
@@ -22,12 +24,32 @@ _QUATERNIONS = (Vt.QuathArray, Vt.QuatfArray, Vt.QuatdArray)
 
 
 def sample_codes(*attributes: Usd.Attribute) -> list[Usd.TimeCode]:
-    """Where attributes have values: the default time if one has a default value, then every time sample of any."""
+    """Where attributes have values: the default time if one has a default value, then every time sample of any.
+
+    Times at which one of them is blocked are left out.
+    """
+    present = [attribute for attribute in attributes if attribute and attribute.HasAuthoredValue()]
     codes = []
-    if any(attribute and attribute.Get(Usd.TimeCode.Default()) is not None for attribute in attributes):
+    if any(attribute.Get(Usd.TimeCode.Default()) is not None for attribute in present):
         codes.append(Usd.TimeCode.Default())
-    times = {time for attribute in attributes if attribute for time in attribute.GetTimeSamples()}
-    return codes + [Usd.TimeCode(time) for time in sorted(times)]
+    times = {time for attribute in present for time in attribute.GetTimeSamples()}
+    return codes + [
+        Usd.TimeCode(time) for time in sorted(times) if all(attribute.Get(time) is not None for attribute in present)
+    ]
+
+
+def blocked_codes(attribute: Usd.Attribute) -> list[Usd.TimeCode]:
+    """The time samples of an attribute that say it has no value."""
+    return [Usd.TimeCode(time) for time in attribute.GetTimeSamples() if attribute.Get(time) is None]
+
+
+def anchored(value: Sdf.AssetPath, layer: Sdf.Layer) -> Sdf.AssetPath:
+    """An asset path that means the same in any layer: absolute, unless it is looked up on the search path."""
+    if value.resolvedPath:
+        return Sdf.AssetPath(value.resolvedPath)
+    if value.path.startswith(("./", "../")):
+        return Sdf.AssetPath(layer.ComputeAbsolutePath(value.path))
+    return value
 
 
 def to_numpy(value: Any, element_size: int = 1) -> npt.NDArray[Any] | None:
@@ -75,10 +97,18 @@ def is_normal(type_name: Sdf.ValueTypeName) -> bool:
 
 
 def primvar_samples(primvar: UsdGeom.Primvar) -> dict[Usd.TimeCode, npt.NDArray[Any]] | None:
-    """The values of a primvar without its indices, (elements, ...) at each sample; None if an index has no value."""
+    """The values of a primvar without its indices, (elements, ...) at each sample.
+
+    Samples at which only the values or only the indices are there are left out.
+
+    Returns:
+        The samples; None if there are none, or an index has no value.
+    """
     indices = primvar.GetIndicesAttr()
     samples = {}
     for code in sample_codes(primvar.GetAttr(), indices):
+        if primvar.IsIndexed() and indices.Get(code) is None:
+            continue
         values = to_numpy(primvar.GetAttr().Get(code), primvar.GetElementSize())
         if values is None:
             return None
@@ -88,4 +118,4 @@ def primvar_samples(primvar: UsdGeom.Primvar) -> dict[Usd.TimeCode, npt.NDArray[
                 return None
             values = values[index]
         samples[code] = values
-    return samples
+    return samples or None

@@ -56,7 +56,8 @@ def drop_subdivision(mesh: UsdGeom.Mesh, dropped: Dropped) -> None:
     for name in SHARPNESS_ATTRIBUTES:
         if block(mesh.GetPrim().GetAttribute(name), dropped):
             dropped.names.append(name)
-    block(mesh.GetHoleIndicesAttr(), dropped)
+    if block(mesh.GetHoleIndicesAttr(), dropped):
+        dropped.names.append("holeIndices (the holes stay, without faces)")
     scheme = mesh.GetSubdivisionSchemeAttr().Get()
     if scheme != UsdGeom.Tokens.none:
         dropped.names.append(f"subdivision ({scheme})")

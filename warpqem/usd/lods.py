@@ -13,7 +13,7 @@ from pxr import Sdf, Usd
 from warpqem.errors import OptionError, StageError
 from warpqem.usd.report import PrimReport
 from warpqem.usd.stage import find_meshes
-from warpqem.usd.write import OverLayer, copy_stage_metadata, export_layer, relative_path
+from warpqem.usd.write import OverLayer, copy_stage_metadata, export_layer, move_asset_paths, relative_path
 
 __all__ = ["LevelLayer", "LevelReport", "VariantLevels", "check_lods", "define_root", "parse_lods"]
 
@@ -71,6 +71,9 @@ class LevelLayer(ABC):
     One root prim of the input, the one that holds its default prim, gets the levels; they reference the input and hold
     edits over it. The input is no sublayer, as its opinions would then be local ones, which are stronger than those of
     variants and references. Other root prims are references to those of the input.
+
+    Attributes:
+        path: That root prim.
     """
 
     def __init__(self, source: Usd.Stage, prim_paths: Sequence[str] = ()) -> None:
@@ -86,7 +89,7 @@ class LevelLayer(ABC):
         """
         self._source = source.GetRootLayer()
         self._root = _find_root(source)
-        self._path = self._root.GetPath()
+        self.path: Sdf.Path = self._root.GetPath()
         self._check_meshes(source, prim_paths)
         _check_targets(source)
         self._layer = Sdf.Layer.CreateAnonymous("levels.usda")
@@ -136,6 +139,7 @@ class LevelLayer(ABC):
         layer.UpdateCompositionAssetDependency(
             self._source.realPath, relative_path(self._source.realPath, output.parent)
         )
+        move_asset_paths(layer, self._source, output.parent)
         export_layer(layer, output)
 
     def _add(self, edits: OverLayer | None) -> str:
@@ -144,24 +148,24 @@ class LevelLayer(ABC):
         path = self._place(name)
         if edits is not None:
             self._copy(edits.layer, path)
-        self._reference(self._layer.GetPrimAtPath(path), self._path)
+        self._reference(self._layer.GetPrimAtPath(path), self.path)
         return name
 
     def _copy(self, edits: Sdf.Layer, path: Sdf.Path) -> None:
         """Copy the edits of one level, if it has any."""
-        if edits.GetPrimAtPath(self._path) and not Sdf.CopySpec(edits, self._path, self._layer, path):
-            raise StageError(f"{self._path}: USD cannot copy edits to {path}")
+        if edits.GetPrimAtPath(self.path) and not Sdf.CopySpec(edits, self.path, self._layer, path):
+            raise StageError(f"{self.path}: USD cannot copy edits to {path}")
 
     def _reference(self, prim: Sdf.PrimSpec, path: Sdf.Path) -> None:
         prim.referenceList.Prepend(Sdf.Reference(self._source.realPath, path))
 
     def _check_meshes(self, source: Usd.Stage, prim_paths: Sequence[str]) -> None:
-        selection = find_meshes(source, prim_paths)
+        selection = find_meshes(source, prim_paths, self.path)
         paths = [prim.GetPath() for prim in selection.prims] + [Sdf.Path(path) for path, _error in selection.refused]
         for path in paths:
-            if not path.HasPrefix(self._path):
+            if not path.HasPrefix(self.path):
                 raise OptionError(
-                    f"lods: the mesh {path} is outside {self._path}, the root prim that holds the levels; "
+                    f"lods: the mesh {path} is outside {self.path}, the root prim that holds the levels; "
                     f"move it there, or take other meshes only with --prim"
                 )
 
@@ -171,7 +175,7 @@ class VariantLevels(LevelLayer):
 
     def _start(self) -> None:
         if self._root.GetVariantSets().HasVariantSet(VARIANT_SET):
-            raise OptionError(f"lods: {self._path} has a variant set {VARIANT_SET} already")
+            raise OptionError(f"lods: {self.path} has a variant set {VARIANT_SET} already")
         prim = define_root(self._layer, self._root)
         prim.variantSetNameList.Prepend(VARIANT_SET)
         self._set = Sdf.VariantSetSpec(prim, VARIANT_SET)

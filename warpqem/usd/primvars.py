@@ -6,9 +6,11 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from pxr import Usd, UsdGeom, Vt
+from pxr import Sdf, Usd, UsdGeom, Vt
 
 from warpqem.usd.arrays import (
+    anchored,
+    blocked_codes,
     from_numpy,
     is_continuous,
     is_normal,
@@ -44,6 +46,10 @@ def carry_primvars(prim: Usd.Prim, carrier: Carrier, dropped: Dropped) -> None:
             block(primvar.GetAttr(), dropped)
             dropped.names.append(f"primvars:{name} ({interpolation})")
             continue
+        if primvar.GetUnauthoredValuesIndex() >= 0:
+            # It is an entry of the old values.
+            primvar.SetUnauthoredValuesIndex(-1)
+            dropped.names.append(f"unauthoredValuesIndex of primvars:{name}")
         rows, corner_row = _rows(carrier, primvar.GetAttr().GetName(), interpolation)
         _write_values(primvar.GetAttr(), samples, rows, primvar.GetElementSize(), name == "normals")
         if corner_row is not None:
@@ -89,8 +95,11 @@ def carry_motion(prim: Usd.Prim, carrier: Carrier, point_times: list[float], dro
         _write_values(attribute, samples, carrier.vertices(), 1, False)
 
 
-def carry_arrays(prim: Usd.Prim, carrier: Carrier) -> None:
-    """Bring arrays that no schema of the mesh knows to the new points or faces, if they have as many entries."""
+def carry_arrays(prim: Usd.Prim, carrier: Carrier, dropped: Dropped) -> None:
+    """Bring arrays that no schema of the mesh knows to the new points or faces, if they have as many entries.
+
+    Those with an entry for each corner stay as they are, and are named: nothing says where they are continuous.
+    """
     known = set(prim.GetPrimDefinition().GetPropertyNames())
     for attribute in prim.GetAuthoredAttributes():
         name = attribute.GetName()
@@ -104,6 +113,9 @@ def carry_arrays(prim: Usd.Prim, carrier: Carrier) -> None:
             if samples:
                 _write_values(attribute, samples, _rows(carrier, name, interpolation)[0], 1, False)
                 break
+        else:
+            if _samples_of_length(attribute, carrier.input_count(UsdGeom.Tokens.faceVarying)):
+                dropped.names.append(f"the order of {name} (an entry for each old corner; make it a primvar)")
 
 
 def _rows(carrier: Carrier, name: str, interpolation: str) -> tuple[Rows, npt.NDArray[np.int32] | None]:
@@ -136,7 +148,9 @@ def _write_values(
 ) -> None:
     """Author the carried values of every sample."""
     # Read before anything is written: the first sample written hides those of weaker layers.
-    likes = {code: attribute.Get(code) for code in samples}
+    likes, blocked = {code: attribute.Get(code) for code in samples}, blocked_codes(attribute)
+    samples = {code: _anchored(attribute, code, values) for code, values in samples.items()}
+    default = attribute.Get()
     for code, values in samples.items():
         like = likes[code]
         if not is_continuous(like):
@@ -147,4 +161,19 @@ def _write_values(
             carried = rows.blend_directions(values)
         else:
             carried = rows.blend(values)
-        attribute.Set(from_numpy(carried.astype(values.dtype), like, element_size), code)
+        written = from_numpy(carried.astype(values.dtype), like, element_size)
+        attribute.Set(written, code)
+        if default is not None and Usd.TimeCode.Default() not in samples:
+            # Else the old one would show through at the default time.
+            attribute.Set(written)
+            default = None
+    for code in blocked:
+        attribute.Set(Sdf.ValueBlock(), code)
+
+
+def _anchored(attribute: Usd.Attribute, code: Usd.TimeCode, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Asset paths made independent of the layer they come from; other values as they are."""
+    if str(attribute.GetTypeName()) != "asset[]":
+        return values
+    layer = attribute.GetPropertyStack(code)[0].layer
+    return np.frompyfunc(lambda value: anchored(value, layer), 1, 1)(values)

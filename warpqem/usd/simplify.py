@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-from pxr import Usd
+from pxr import Sdf, Usd
 
 import warpqem
 from warpqem.errors import DeviceError, OptionError, StageError, UnreachableTargetError, WarpqemError
@@ -155,7 +155,7 @@ def _simplify_levels(stage: Usd.Stage, options: SimplifyOptions, progress: Progr
         def part(fraction: float, text: str, index: int = index) -> None:
             progress((index + fraction) / len(options.lods), f"LOD{index + 1}: {text}")
 
-        run = _Run(stage, replace(options, ratio=ratio, lods=(), usd_lod=False), part)
+        run = _Run(stage, replace(options, ratio=ratio, lods=(), usd_lod=False), part, levels.path)
         report = run.simplify()
         name = levels.add(run.layer, report.face_share)
         reports += [LevelReport(**vars(prim), level=name) for prim in report.prims]
@@ -165,10 +165,17 @@ def _simplify_levels(stage: Usd.Stage, options: SimplifyOptions, progress: Progr
 class _Run:
     """One pass over the meshes of a stage."""
 
-    def __init__(self, stage: Usd.Stage, options: SimplifyOptions, progress: Progress) -> None:
+    def __init__(
+        self,
+        stage: Usd.Stage,
+        options: SimplifyOptions,
+        progress: Progress,
+        within: Sdf.Path = Sdf.Path.absoluteRootPath,
+    ) -> None:
         self.stage = stage
         self.options = options
         self.progress = progress
+        self.within = within
         self.poses = StagePoses(stage)
         self.shape_users = count_shape_users(stage)
         self.layer = OverLayer(stage)
@@ -176,7 +183,7 @@ class _Run:
 
     def simplify(self) -> StageReport:
         """Simplify all meshes into the layer."""
-        selection = find_meshes(self.stage, self.options.prims)
+        selection = find_meshes(self.stage, self.options.prims, self.within)
         if not selection.prims and not selection.refused:
             raise StageError("there is no mesh on the stage")
         for prim in selection.prims:

@@ -20,7 +20,8 @@ class MeshSelection:
     """The meshes of a stage that can be edited, and why others cannot.
 
     Attributes:
-        prims: `UsdGeom.Mesh` prims in stage order.
+        prims: `UsdGeom.Mesh` prims in stage order. For instances of a prim of the same file, such as a class, the
+            meshes below that prim.
         refused: (prim path, error) of meshes that exist only as instance proxies, one for each mesh of a prototype.
     """
 
@@ -55,8 +56,15 @@ def open_stage(path: str | os.PathLike[str]) -> Usd.Stage:
     return stage
 
 
-def find_meshes(stage: Usd.Stage, prim_paths: Sequence[str] = ()) -> MeshSelection:
+def find_meshes(
+    stage: Usd.Stage, prim_paths: Sequence[str] = (), within: Sdf.Path = Sdf.Path.absoluteRootPath
+) -> MeshSelection:
     """Every active mesh of the stage, or those at and below `prim_paths`.
+
+    Args:
+        stage: The stage.
+        prim_paths: Prim paths; empty for all.
+        within: Prim that the source of an instance must be below, as well as below one of `prim_paths`, to be edited.
 
     Raises:
         StageError: one of `prim_paths` is no path, does not exist, or has no mesh at or below it.
@@ -80,8 +88,31 @@ def find_meshes(stage: Usd.Stage, prim_paths: Sequence[str] = ()) -> MeshSelecti
                 selection.prims.append(prim)
         if not found and prim_paths:
             raise StageError(f"{root.GetPath()}: no mesh at or below this prim")
-    selection.refused = [_refusal(proxies) for proxies in instanced.values()]
+    for proxies in instanced.values():
+        source = _instance_source(proxies[0], [root.GetPath() for root in roots], within)
+        if source is None:
+            selection.refused.append(_refusal(proxies))
+        elif source not in selection.prims:
+            selection.prims.append(source)
     return selection
+
+
+def _instance_source(proxy: Usd.Prim, roots: Sequence[Sdf.Path], within: Sdf.Path) -> Usd.Prim | None:
+    """The mesh of the same file that an instance proxy gets its opinions from, which all its instances share.
+
+    Opinions below an instance are ignored, but not those below the prim that it refers to or inherits from.
+    """
+    stage = proxy.GetStage()
+    layers = stage.GetLayerStack(includeSessionLayers=False)
+    ancestor = proxy
+    while ancestor.IsInstanceProxy() or ancestor.IsInstance():
+        for spec in ancestor.GetPrimStack():
+            path = proxy.GetPath().ReplacePrefix(ancestor.GetPath(), spec.path.StripAllVariantSelections())
+            prim = stage.GetPrimAtPath(path) if spec.layer in layers and path.HasPrefix(within) else None
+            if prim and prim.IsA(UsdGeom.Mesh) and not prim.IsInstanceProxy():
+                return prim if any(path.HasPrefix(root) for root in roots) else None
+        ancestor = ancestor.GetParent()
+    return None
 
 
 def world_scale(prim: Usd.Prim, time: Usd.TimeCode) -> float:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from pxr import UsdGeom, Vt
+from pxr import Sdf, UsdGeom, Vt
 
-from warpqem.usd.arrays import sample_codes
+from warpqem.usd.arrays import blocked_codes, sample_codes
 from warpqem.usd.carrier import Carrier
 from warpqem.usd.drop import Dropped
 
@@ -26,8 +26,11 @@ def carry_subsets(mesh: UsdGeom.Mesh, carrier: Carrier, dropped: Dropped) -> Non
             continue
         attribute = subset.GetIndicesAttr()
         members = {code: np.asarray(attribute.Get(code), dtype=np.int64) for code in sample_codes(attribute)}
+        blocked = blocked_codes(attribute)
         for code, polygons in members.items():
             faces = np.flatnonzero(np.isin(carrier.face_polygon, polygons)).astype(np.int32)
             attribute.Set(Vt.IntArray.FromNumpy(faces), code)
+        for code in blocked:
+            attribute.Set(Sdf.ValueBlock(), code)
     if lost:
         dropped.names.append(f"{lost} GeomSubset{'s' if lost > 1 else ''} of points or edges")

@@ -69,13 +69,13 @@ class UsdLodLevels(LevelLayer):
     def _start(self) -> None:
         # Schema objects do not keep their stage alive.
         self._stage = stage = Usd.Stage.Open(self._layer, Usd.Stage.LoadNone)
-        model = UsdGeom.Xform.Define(stage, self._path).GetPrim()
-        levels = UsdGeom.Xform.Define(stage, self._path.AppendChild(LEVELS)).GetPrim()
+        model = UsdGeom.Xform.Define(stage, self.path).GetPrim()
+        levels = UsdGeom.Xform.Define(stage, self.path.AppendChild(LEVELS)).GetPrim()
         self._levels_path = levels.GetPath()
         self._item_kind = _set_kinds(Usd.ModelAPI(self._root).GetKind(), model, levels)
         self._add(None)
-        self._screen_size = self._schemas.ScreenSizeHeuristic.Define(stage, self._path.AppendChild(SCREEN_SIZE))
-        self._distance = self._schemas.DistanceHeuristic.Define(stage, self._path.AppendChild(DISTANCE))
+        self._screen_size = self._schemas.ScreenSizeHeuristic.Define(stage, self.path.AppendChild(SCREEN_SIZE))
+        self._distance = self._schemas.DistanceHeuristic.Define(stage, self.path.AppendChild(DISTANCE))
         root = self._schemas.RootAPI.Apply(levels)
         root.CreateLodDefaultIndexAttr(0)
         root.CreateLodHeuristicsRel().SetTargets([self._screen_size.GetPath(), self._distance.GetPath()])

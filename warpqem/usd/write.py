@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import uuid
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +13,7 @@ import numpy.typing as npt
 from pxr import Sdf, Tf, Usd, UsdGeom, UsdUtils, Vt
 
 from warpqem.errors import OptionError, StageError
+from warpqem.usd.arrays import anchored
 from warpqem.usd.carrier import Carrier
 from warpqem.usd.drop import Dropped, drop_skin, drop_subdivision
 from warpqem.usd.primvars import carry_arrays, carry_motion, carry_normals, carry_primvars
@@ -21,7 +22,7 @@ from warpqem.usd.skin_output import write_skin
 from warpqem.usd.stage import first_line
 from warpqem.usd.subsets import carry_subsets
 
-__all__ = ["OverLayer", "check_output_path", "copy_stage_metadata", "export_layer", "relative_path"]
+__all__ = ["OverLayer", "check_output_path", "copy_stage_metadata", "export_layer", "move_asset_paths", "relative_path"]
 
 OUTPUT_SUFFIXES = (".usd", ".usda", ".usdc")
 
@@ -60,7 +61,8 @@ def copy_stage_metadata(source: Sdf.Layer, target: Sdf.Layer) -> None:
     """Give a layer the stage metadata of another, but for what that layer composes by itself."""
     for key in source.pseudoRoot.ListInfoKeys():
         if key not in LAYER_ONLY_METADATA:
-            target.pseudoRoot.SetInfo(key, source.pseudoRoot.GetInfo(key))
+            value = source.pseudoRoot.GetInfo(key)
+            target.pseudoRoot.SetInfo(key, anchored(value, source) if isinstance(value, Sdf.AssetPath) else value)
 
 
 @dataclass(frozen=True)
@@ -144,7 +146,7 @@ class OverLayer:
         carry_primvars(prim, carrier, dropped)
         carry_normals(mesh, carrier, dropped)
         carry_motion(prim, carrier, times or [], dropped)
-        carry_arrays(prim, carrier)
+        carry_arrays(prim, carrier, dropped)
         carry_subsets(mesh, carrier, dropped)
         drop_subdivision(mesh, dropped)
         return dropped
@@ -177,15 +179,16 @@ class OverLayer:
             StageError: the file cannot be written; nothing is left behind.
         """
         if flatten:
-            layer = self._flattened(output.parent)
+            layer = self._flattened()
         else:
             # A copy, because an anonymous layer that a stage is open on cannot resolve a relative path.
             layer = Sdf.Layer.CreateAnonymous("save.usda")
             layer.TransferContent(self._layer)
             layer.subLayerPaths[0] = relative_path(self._source.realPath, output.parent)
+        move_asset_paths(layer, self._source, output.parent)
         export_layer(layer, output)
 
-    def _flattened(self, folder: Path) -> Sdf.Layer:
+    def _flattened(self) -> Sdf.Layer:
         layer = self.stage.Flatten(addSourceFileComment=False)
         for dropped in self._dropped:
             for path in dropped.blocked:
@@ -199,8 +202,6 @@ class OverLayer:
                 _author_empty_relationship(layer, path)
             for path in dropped.unskinned:
                 _remove_api(layer, path, "SkelBindingAPI")
-        source_folder = Path(self._source.realPath).parent
-        UsdUtils.ModifyAssetPaths(layer, _asset_path_mover(source_folder, folder))
         return layer
 
 
@@ -262,8 +263,17 @@ def relative_path(target: str, folder: Path) -> str:
     return relative if relative.startswith("../") else f"./{relative}"
 
 
-def _asset_path_mover(source_folder: Path, folder: Path) -> Callable[[str], str]:
-    """Flattening makes asset paths absolute; bring those of files that exist or lie with the input back to relative."""
+def move_asset_paths(layer: Sdf.Layer, source: Sdf.Layer, folder: Path) -> None:
+    """Make absolute asset paths relative to a folder, if the files exist or lie with the input.
+
+    Flattening makes them absolute, and so does carrying them from a layer in one folder to one in another.
+
+    Args:
+        layer: The layer to change.
+        source: The root layer of the input.
+        folder: The folder the layer is going to be in.
+    """
+    source_folder = Path(source.realPath).parent
 
     def move(path: str) -> str:
         package = path.split("[", 1)[0]
@@ -271,7 +281,7 @@ def _asset_path_mover(source_folder: Path, folder: Path) -> Callable[[str], str]
             return path
         return relative_path(package, folder) + path[len(package) :]
 
-    return move
+    UsdUtils.ModifyAssetPaths(layer, move)
 
 
 def export_layer(layer: Sdf.Layer, output: Path) -> None:
