@@ -190,6 +190,10 @@ class OverLayer:
 
     def _flattened(self) -> Sdf.Layer:
         layer = self.stage.Flatten(addSourceFileComment=False)
+        for spec in layer.rootPrims:
+            # Flattening leaves what instances share as overs, which nothing defines.
+            if spec.name.startswith("Flattened_Prototype_") and spec.specifier == Sdf.SpecifierOver:
+                spec.specifier = Sdf.SpecifierClass
         for dropped in self._dropped:
             for path in dropped.blocked:
                 _remove_property(layer, path)

@@ -1,0 +1,75 @@
+"""Validators of USD and of NVIDIA find in an output nothing that they do not find in its input."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from pxr import Sdf, Usd
+from rich_stage import rich_stage
+from test_usd_composition import clip_stage
+from test_usd_stages import cloth_stage, instanced_stage, skinned_stage
+from usd_findings import Finding, nvidia_findings, usd_findings
+
+from warpqem.usd import FrameRange, SimplifyOptions, simplify_stage
+
+SCENES = Path(__file__).parent.parent / "scenes"
+FORMS = {
+    "layer": {"ratio": 0.4},
+    "flat": {"ratio": 0.4, "flatten": True},
+    "lods": {"lods": (0.5, 0.2)},
+} | ({} if importlib.util.find_spec("pxr.UsdLod") is None else {"usd_lod": {"lods": (0.5, 0.2), "usd_lod": True}})
+STAGES: dict[str, Callable[[Path], object]] = {
+    "cloth": cloth_stage,
+    "skin": skinned_stage,
+    "rich": rich_stage,
+    "instances": lambda path: instanced_stage(path, local=True),
+    "clips": lambda path: clip_stage(path.parent),
+}
+
+
+def new_findings(source: Path, output: Path, find: Callable[[Path], dict[Finding, str]]) -> dict[Finding, str]:
+    """What is found in an output, on each of its levels, and at the same place of the input is not."""
+    known, found = find(source), find(output)
+    layer = Sdf.Layer.FindOrOpen(str(output))
+    root = Sdf.Path.absoluteRootPath.AppendChild(layer.defaultPrim) if layer.defaultPrim else None
+    if root and layer.GetPrimAtPath(root) and "LOD" in layer.GetPrimAtPath(root).variantSets:
+        wrapper = Usd.Stage.Open(layer)
+        wrapper.SetEditTarget(wrapper.GetSessionLayer())
+        for name in layer.GetPrimAtPath(root).variantSets["LOD"].variants.keys():  # noqa: SIM118
+            chosen = Sdf.Layer.CreateNew(str(output.with_name(f"{name}.usda")))
+            chosen.subLayerPaths.append(f"./{output.name}")
+            Sdf.CreatePrimInLayer(chosen, root).variantSelections["LOD"] = name
+            for key in ("defaultPrim", "upAxis", "metersPerUnit", "timeCodesPerSecond"):
+                if layer.pseudoRoot.HasInfo(key):
+                    chosen.pseudoRoot.SetInfo(key, layer.pseudoRoot.GetInfo(key))
+            chosen.Save()
+            found |= find(Path(chosen.realPath))
+    levels = [f"{root}/LOD/LOD{level}" for level in range(3)]
+    places = {place: next((place.replace(at, str(root), 1) for at in levels if place.startswith(at)), place)
+              for _rule, place in found}  # fmt: skip
+    return {(rule, place): text for (rule, place), text in found.items() if (rule, places[place]) not in known}
+
+
+@pytest.mark.parametrize("find", [usd_findings, nvidia_findings])
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("name", STAGES)
+def test_validators_find_nothing_new_on_stages(name, form, find, tmp_path):
+    STAGES[name](tmp_path / "in.usda")
+    report = simplify_stage(tmp_path / "in.usda", tmp_path / "out.usda", SimplifyOptions(device="cpu", **FORMS[form]))
+    assert report.output
+    assert new_findings(tmp_path / "in.usda", tmp_path / "out.usda", find) == {}
+
+
+@pytest.mark.parametrize("find", [usd_findings, nvidia_findings])
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("name", ["quadruped_gallop", "cape_wind", "talking_head"])
+def test_validators_find_nothing_new_on_scenes(name, form, find, tmp_path):
+    source = SCENES / f"{name}.usdc"
+    start = Usd.Stage.Open(str(source)).GetStartTimeCode()
+    # A few frames, to be quick.
+    options = SimplifyOptions(key_frames=2, frames=FrameRange(start, start + 2), device="cpu", **FORMS[form])
+    simplify_stage(source, tmp_path / "out.usdc", options)
+    assert new_findings(source, tmp_path / "out.usdc", find) == {}
