@@ -31,6 +31,8 @@ INDICES = {
     **dict.fromkeys(["primvars:gaps:indices", "primvars:normals:indices"], "changed"),
     "primvars:st:indices": "added",
 }  # fmt: skip
+# Equal values are one entry of those indices, so that as few as there were stay as they were.
+STILL_THE_SAME = ["primvars:indexed_faceVarying", "primvars:normals"]
 SUBSETS = ["materialBind0", "materialBind1", "rooms0", "rooms1", "loose0", "loose1", "loose2", "moving"]
 # What is taken off the mesh, and the line of the report that says so.
 DROPPED = {
@@ -71,7 +73,7 @@ def rich(request, tmp_path_factory):
 def test_every_property_becomes_what_the_table_says(rich):
     before, after, _report = rich
     expected = {
-        **{f"{CLOTH}.{name}": "changed" for name in (*RECOMPUTED, *REMAPPED)},
+        **{f"{CLOTH}.{name}": "changed" for name in (*RECOMPUTED, *REMAPPED) if name not in STILL_THE_SAME},
         **{f"{CLOTH}.{name}": verdict for name, verdict in INDICES.items()},
         **{f"{CLOTH}/{name}.indices": "changed" for name in SUBSETS},
         **dict.fromkeys((CLOTH + name for name in DROPPED), "gone"),

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from pxr import Sdf, Usd, UsdGeom
 from test_usd_stages import cloth_stage
 
@@ -99,3 +101,33 @@ def test_blocked_sample_of_the_topology_names_the_time():
     indices.Set(Sdf.ValueBlock(), 2.0)
     with pytest.raises(StageError, match="time 2"):
         read_topology(mesh, 81)
+
+
+def test_cuts_of_quads_do_not_fall_on_edges_of_others():
+    # The edge 2-3 of both, 3-0 of both, and cut from their first corners, 0-2 of both.
+    _stage, mesh = make_mesh([4, 4], [0, 1, 2, 3, 0, 3, 2, 4])
+    topology = read_topology(mesh, 5)
+    ends = np.sort(
+        np.stack([topology.triangles, np.roll(topology.triangles, -1, axis=1)], axis=2).reshape(-1, 2), axis=1
+    )
+    _, counts = np.unique(ends, axis=0, return_counts=True)
+    assert counts.max() == 2
+    assert sorted(topology.triangle_polygons) == [0, 0, 1, 1]
+
+
+@given(st.lists(st.integers(3, 7), min_size=1, max_size=6), st.data())
+def test_triangles_cover_every_polygon_from_any_corner(sizes, data):
+    counts = np.array(sizes, dtype=np.int32)
+    apexes = np.array([data.draw(st.integers(0, size - 1)) for size in sizes])
+    corners, polygons = fan_triangulate(counts, apexes)
+    assert np.bincount(polygons).tolist() == (counts - 2).tolist()
+    first = np.cumsum(counts) - counts
+    for polygon, size in enumerate(sizes):
+        local = corners[polygons == polygon] - first[polygon]
+        assert set(local.ravel()) == set(range(size))
+        # Signed areas on a convex polygon add up to its own, so that nothing is covered twice or turned over.
+        angle = 2 * np.pi * np.arange(size) / size
+        x, y = np.cos(angle)[local], np.sin(angle)[local]
+        areas = (x[:, 1] - x[:, 0]) * (y[:, 2] - y[:, 0]) - (x[:, 2] - x[:, 0]) * (y[:, 1] - y[:, 0])
+        assert (areas > 0).all()
+        assert areas.sum() / 2 == pytest.approx(size * np.sin(2 * np.pi / size) / 2)

@@ -27,6 +27,8 @@ __all__ = ["carry_arrays", "carry_motion", "carry_normals", "carry_primvars"]
 POINT_INTERPOLATIONS = (UsdGeom.Tokens.vertex, UsdGeom.Tokens.varying)
 MOTION_ATTRIBUTES = ("velocities", "accelerations")
 
+Samples = dict[Usd.TimeCode, npt.NDArray[Any]]
+
 
 def carry_primvars(prim: Usd.Prim, carrier: Carrier, dropped: Dropped) -> None:
     """Bring all primvars that are authored on a mesh to its new topology, at all their samples.
@@ -51,7 +53,11 @@ def carry_primvars(prim: Usd.Prim, carrier: Carrier, dropped: Dropped) -> None:
             primvar.SetUnauthoredValuesIndex(-1)
             dropped.names.append(f"unauthoredValuesIndex of primvars:{name}")
         rows, corner_row = _rows(carrier, primvar.GetAttr().GetName(), interpolation)
-        _write_values(primvar.GetAttr(), samples, rows, primvar.GetElementSize(), name == "normals")
+        size, unit_length = primvar.GetElementSize(), name == "normals"
+        carried = _carry(primvar.GetAttr(), samples, rows, unit_length)
+        if corner_row is not None:
+            carried, corner_row = _merge_equal(carried, corner_row)
+        _write_values(primvar.GetAttr(), carried, size)
         if corner_row is not None:
             indices = primvar.CreateIndicesAttr()
             indices.Set(Vt.IntArray.FromNumpy(np.ascontiguousarray(corner_row.ravel())))
@@ -78,7 +84,7 @@ def carry_normals(mesh: UsdGeom.Mesh, carrier: Carrier, dropped: Dropped) -> Non
         # The attribute has no indices, so that each corner has its own entry.
         rows = Rows(rows.index[corner_row.ravel()], rows.weight[corner_row.ravel()])
         mesh.SetNormalsInterpolation(UsdGeom.Tokens.faceVarying)
-    _write_values(attribute, samples, rows, 1, True)
+    _write_values(attribute, _carry(attribute, samples, rows, True))
 
 
 def carry_motion(prim: Usd.Prim, carrier: Carrier, point_times: list[float], dropped: Dropped) -> None:
@@ -92,7 +98,7 @@ def carry_motion(prim: Usd.Prim, carrier: Carrier, point_times: list[float], dro
             block(attribute, dropped)
             dropped.names.append(name)
             continue
-        _write_values(attribute, samples, carrier.vertices(), 1, False)
+        _write_values(attribute, _carry(attribute, samples, carrier.vertices()))
 
 
 def carry_arrays(prim: Usd.Prim, carrier: Carrier, dropped: Dropped) -> None:
@@ -111,7 +117,7 @@ def carry_arrays(prim: Usd.Prim, carrier: Carrier, dropped: Dropped) -> None:
         for interpolation in (UsdGeom.Tokens.vertex, UsdGeom.Tokens.uniform):
             samples = _samples_of_length(attribute, carrier.input_count(interpolation))
             if samples:
-                _write_values(attribute, samples, _rows(carrier, name, interpolation)[0], 1, False)
+                _write_values(attribute, _carry(attribute, samples, _rows(carrier, name, interpolation)[0]))
                 break
         else:
             if _samples_of_length(attribute, carrier.input_count(UsdGeom.Tokens.faceVarying)):
@@ -139,29 +145,47 @@ def _samples_of_length(attribute: Usd.Attribute, count: int | None) -> dict[Usd.
     return samples
 
 
-def _write_values(
-    attribute: Usd.Attribute,
-    samples: dict[Usd.TimeCode, npt.NDArray[Any]],
-    rows: Rows,
-    element_size: int,
-    unit_length: bool,
-) -> None:
-    """Author the carried values of every sample."""
+def _carry(attribute: Usd.Attribute, samples: Samples, rows: Rows, unit_length: bool = False) -> Samples:
+    """The values of every sample on the new mesh."""
+    carried = {}
+    for code, values in samples.items():
+        like = attribute.Get(code)
+        if not is_continuous(like):
+            carried[code] = rows.pick(_anchored(attribute, code, values))
+        elif is_quaternion(like):
+            carried[code] = rows.blend_directions(values, signed=False).astype(values.dtype)
+        elif unit_length or is_normal(attribute.GetTypeName()):
+            carried[code] = rows.blend_directions(values).astype(values.dtype)
+        else:
+            carried[code] = rows.blend(values).astype(values.dtype)
+    return carried
+
+
+def _merge_equal(samples: Samples, corner_row: npt.NDArray[np.int32]) -> tuple[Samples, npt.NDArray[np.int32]]:
+    """Make rows that are equal in all samples one."""
+    label = np.zeros(int(corner_row.max(initial=-1)) + 1, dtype=np.int64)
+    for values in samples.values():
+        # Names of strings and the like are as different as they are.
+        flat = values.astype(str) if values.dtype == object else values
+        _, rank = np.unique(flat.reshape(len(flat), -1), axis=0, return_inverse=True)
+        _, label = np.unique(label * (len(flat) + 1) + rank.ravel(), return_inverse=True)
+        label = label.ravel()
+    _, kept, row = np.unique(label, return_index=True, return_inverse=True)
+    # In the order of first use, as before.
+    order = np.argsort(kept)
+    place = np.empty_like(order)
+    place[order] = np.arange(len(order))
+    merged = place[row.ravel()].astype(np.int32)[corner_row]
+    return {code: values[kept[order]] for code, values in samples.items()}, merged
+
+
+def _write_values(attribute: Usd.Attribute, samples: Samples, element_size: int = 1) -> None:
+    """Author every sample."""
     # Read before anything is written: the first sample written hides those of weaker layers.
     likes, blocked = {code: attribute.Get(code) for code in samples}, blocked_codes(attribute)
-    samples = {code: _anchored(attribute, code, values) for code, values in samples.items()}
     default = attribute.Get()
     for code, values in samples.items():
-        like = likes[code]
-        if not is_continuous(like):
-            carried = rows.pick(values)
-        elif is_quaternion(like):
-            carried = rows.blend_directions(values, signed=False)
-        elif unit_length or is_normal(attribute.GetTypeName()):
-            carried = rows.blend_directions(values)
-        else:
-            carried = rows.blend(values)
-        written = from_numpy(carried.astype(values.dtype), like, element_size)
+        written = from_numpy(values, likes[code], element_size)
         attribute.Set(written, code)
         if default is not None and Usd.TimeCode.Default() not in samples:
             # Else the old one would show through at the default time.

@@ -8,9 +8,15 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Usd, UsdGeom
 
+from warpqem.edges import edge_key
 from warpqem.errors import StageError
 
 __all__ = ["Topology", "fan_triangulate", "read_topology"]
+
+
+# Rounds in which polygons are turned to be cut from another corner. A quadrilateral has two cuts; larger polygons have
+# more, and a few rounds are enough for what meets in practice.
+MOST_TURNS = 8
 
 
 @dataclass(frozen=True)
@@ -38,14 +44,17 @@ class Topology:
     max_corners: int
 
 
-def fan_triangulate(counts: npt.NDArray[np.int32]) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
-    """Cut polygons into triangles that share the polygon's first corner.
+def fan_triangulate(
+    counts: npt.NDArray[np.int32], apexes: npt.NDArray[np.int64] | None = None
+) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
+    """Cut polygons into triangles that share one corner of the polygon.
 
     A polygon `p0 p1 ... pk` becomes `(p0 p1 p2) (p0 p2 p3) ...`, so the winding stays. Polygons with fewer than three
     corners cover nothing and give no triangle.
 
     Args:
         counts: int32, shape (P,), corners of each polygon, not negative.
+        apexes: int64, shape (P,), the corner of each polygon that its triangles share; None for the first.
 
     Returns:
         The corners of each triangle, counted over all polygons (int32, shape (N, 3)), and its polygon (int32,
@@ -56,9 +65,38 @@ def fan_triangulate(counts: npt.NDArray[np.int32]) -> tuple[npt.NDArray[np.int32
     first_corner = np.cumsum(counts, dtype=np.int64) - counts
     first_triangle = np.cumsum(triangles_per_polygon) - triangles_per_polygon
     step = np.arange(len(polygons)) - first_triangle[polygons]
-    apex = first_corner[polygons]
-    corners = np.stack([apex, apex + step + 1, apex + step + 2], axis=1)
+    local = np.stack([np.zeros_like(step), step + 1, step + 2], axis=1)
+    if apexes is not None:
+        local = (local + apexes[polygons][:, None]) % counts[polygons][:, None]
+    corners = first_corner[polygons][:, None] + local
     return corners.astype(np.int32).reshape(-1, 3), polygons.astype(np.int32)
+
+
+def _choose_apexes(counts: npt.NDArray[np.int32], indices: npt.NDArray[np.int32]) -> npt.NDArray[np.int64]:
+    """Corners to cut polygons from, so that a cut does not fall on an edge or a cut of other polygons where avoidable.
+
+    Two quadrilaterals that fold over the same diagonal, or a pocket of polygons around one, would give an edge with
+    more than two triangles, which the polygons do not have.
+    """
+    apexes = np.zeros(len(counts), dtype=np.int64)
+    # A round turns one polygon at each such edge by one corner.
+    for _ in range(min(int(counts.max(initial=0)), MOST_TURNS)):
+        corners, polygons = fan_triangulate(counts, apexes)
+        triangles = indices[corners]
+        key = edge_key(triangles.ravel(), np.roll(triangles, -1, axis=1).ravel(), int(indices.max(initial=0)) + 1)
+        _, entry, count = np.unique(key, return_inverse=True, return_counts=True)
+        # Of the three edges of a triangle in a fan only the first and the last can be cuts.
+        half_polygon = np.repeat(polygons, 3)
+        same = np.zeros(len(polygons) * 3, dtype=bool)
+        first = np.r_[False, polygons[1:] == polygons[:-1]]
+        same[0::3], same[2::3] = first, np.r_[first[1:], False]
+        crowded = same & (count[entry.ravel()] > 2)
+        if not crowded.any():
+            break
+        _, chosen = np.unique(entry.ravel()[crowded][::-1], return_index=True)
+        turned = np.unique(half_polygon[crowded][::-1][chosen])
+        apexes[turned] = (apexes[turned] + 1) % counts[turned]
+    return apexes
 
 
 def read_topology(mesh: UsdGeom.Mesh, point_count: int) -> Topology:
@@ -91,7 +129,7 @@ def read_topology(mesh: UsdGeom.Mesh, point_count: int) -> Topology:
             f"{path}.faceVertexIndices: face {face} refers to point {indices[corner]}, "
             f"but there are {point_count} points ({outside.size} such corners)"
         )
-    corners, polygons = fan_triangulate(counts)
+    corners, polygons = fan_triangulate(counts, _choose_apexes(counts, indices) if (counts > 3).any() else None)
     holes = _hole_faces(mesh, len(counts))
     if holes.size:
         kept = ~np.isin(polygons, holes)

@@ -19,6 +19,7 @@ from warpqem.usd.drop import Dropped, drop_skin, drop_subdivision
 from warpqem.usd.primvars import carry_arrays, carry_motion, carry_normals, carry_primvars
 from warpqem.usd.skin import Skin
 from warpqem.usd.skin_output import write_skin
+from warpqem.usd.smooth_normals import is_shaded_by_subdivision, write_vertex_normals
 from warpqem.usd.stage import first_line
 from warpqem.usd.subsets import carry_subsets
 
@@ -123,7 +124,10 @@ class OverLayer:
         prim = self.stage.OverridePrim(path)
         mesh = UsdGeom.Mesh(prim)
         weaker = _Weaker(mesh.GetPointsAttr().Get() is not None, mesh.GetExtentAttr().Get() is not None)
+        smooth = is_shaded_by_subdivision(mesh)
         dropped = self._carry_values(mesh, carrier, times, skin)
+        if smooth:
+            write_vertex_normals(mesh, times, points, faces)
         counts = np.full(len(faces), 3, dtype=np.int32)
         mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(counts))
         mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(np.ascontiguousarray(faces.reshape(-1))))
