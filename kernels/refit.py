@@ -11,7 +11,7 @@ sums its pairs into one 9 x 9 matrix, in the order of the pairs, so that the sum
 
 import warp as wp
 
-from warpqem.kernels.surface_walk import Surface, face_cross, surface_point, walk_to_closest
+from warpqem.kernels.surface_walk import Surface, closest_hit, face_cross, surface_point
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
@@ -51,25 +51,46 @@ class Pull:
     edge: wp.float32
 
 
+@wp.struct
+class Turns:
+    """Which pairs a launch finds: those of one key frame. Samples take turns, so that all frames are met."""
+
+    first: wp.int32  # of the launch's part of the frame's pairs
+    count: wp.int32  # pairs of each sample
+    key: wp.int32
+    key_count: wp.int32
+
+
 @wp.func
-def sample_key(sample: wp.int32, turn: wp.int32, turns: wp.int32, key_count: wp.int32) -> wp.int32:
-    """Key frame of a sample's pair number ``turn`` of ``turns``: samples take turns, so that all frames are met."""
-    return (sample + turn * (key_count / turns)) % key_count
+def own_pair(turns: Turns, i: wp.int32) -> wp.int32:
+    """Pair number ``i`` of the frame: turn ``k`` of sample ``s`` is in frame ``s + k (key_count / count)``, cyclic."""
+    turn = i % turns.count
+    first_sample = (turns.key + turns.key_count - turn * (turns.key_count / turns.count)) % turns.key_count
+    return (first_sample + (i / turns.count) * turns.key_count) * turns.count + turn
+
+
+@wp.func
+def are_partners(offset: wp.vec3, reach: wp.float32, normal: wp.vec3, other_normal: wp.vec3) -> wp.bool:
+    """Whether two points are near enough and face the same way."""
+    return wp.length_sq(offset) <= reach * reach and wp.dot(normal, other_normal) > SAME_SIDE
 
 
 @wp.kernel
 def match_input_samples(
-    first: wp.int32,
-    turns: wp.int32,
+    turns: Turns,
+    reach: wp.float32,
     source: Surface,
     target: Surface,
+    target_mesh: wp.uint64,
     # outputs
     pairs: Pairs,
 ):
     """Pair the input's face middles and vertices with the nearest points of the output."""
-    pair = first + wp.tid()
-    sample = pair / turns
-    t = sample_key(sample, pair % turns, turns, source.points.shape[0])
+    pair = own_pair(turns, turns.first + wp.tid())
+    if pair >= pairs.face.shape[0]:
+        return
+    sample = pair / turns.count
+    t = turns.key
     face_count = source.corner_vertex.shape[0] / 3
     pairs.face[pair] = -1
     normal = wp.vec3()
@@ -87,48 +108,58 @@ def match_input_samples(
             normal += cross
             area += VERTEX_SHARE / 6.0 * wp.length(cross)
     start = pairs.start[pair]
-    if start >= 0 and area > 0.0:
-        hit = walk_to_closest(target, t, start, x)
-        n = wp.normalize(face_cross(target, t, hit.face))
-        pairs.start[pair] = hit.vertex
-        if wp.dot(n, wp.normalize(normal)) > SAME_SIDE:
-            pairs.face[pair] = hit.face
-            pairs.key[pair] = t
-            pairs.barycentric[pair] = hit.barycentric
-            pairs.normal[pair] = n
-            pairs.residual[pair] = wp.dot(n, x - surface_point(target, t, hit.face, hit.barycentric))
-            pairs.weight[pair] = area
+    if start < 0 or area == 0.0:
+        return
+    hit = closest_hit(target, target_mesh, t, start, x)
+    pairs.start[pair] = hit.vertex
+    if hit.face < 0:
+        return
+    n = wp.normalize(face_cross(target, t, hit.face))
+    offset = x - surface_point(target, t, hit.face, hit.barycentric)
+    if are_partners(offset, reach, n, wp.normalize(normal)):
+        pairs.face[pair] = hit.face
+        pairs.key[pair] = t
+        pairs.barycentric[pair] = hit.barycentric
+        pairs.normal[pair] = n
+        pairs.residual[pair] = wp.dot(n, offset)
+        pairs.weight[pair] = area
 
 
 @wp.kernel
 def match_output_samples(
-    first: wp.int32,
-    turns: wp.int32,
+    turns: Turns,
+    reach: wp.float32,
     source: Surface,
     target: Surface,
+    source_mesh: wp.uint64,
     barycentric_in: wp.array[wp.vec3],
     # outputs
     pairs: Pairs,
 ):
     """Pair points of every output face, at the given barycentric weights, with the nearest points of the input."""
-    pair = first + wp.tid()
-    sample = pair / turns
-    t = sample_key(sample, pair % turns, turns, source.points.shape[0])
+    pair = own_pair(turns, turns.first + wp.tid())
+    if pair >= pairs.face.shape[0]:
+        return
+    sample = pair / turns.count
+    t = turns.key
     per_face = barycentric_in.shape[0]
     face = sample / per_face
     barycentric = barycentric_in[sample % per_face]
     x = surface_point(target, t, face, barycentric)
-    hit = walk_to_closest(source, t, pairs.start[pair], x)
-    cross = face_cross(target, t, face)
-    n = wp.normalize(face_cross(source, t, hit.face))
+    hit = closest_hit(source, source_mesh, t, pairs.start[pair], x)
     pairs.start[pair] = hit.vertex
     pairs.face[pair] = -1
-    if wp.dot(n, wp.normalize(cross)) > SAME_SIDE:
+    if hit.face < 0:
+        return
+    cross = face_cross(target, t, face)
+    n = wp.normalize(face_cross(source, t, hit.face))
+    offset = surface_point(source, t, hit.face, hit.barycentric) - x
+    if are_partners(offset, reach, n, wp.normalize(cross)):
         pairs.face[pair] = face
         pairs.key[pair] = t
         pairs.barycentric[pair] = barycentric
         pairs.normal[pair] = n
-        pairs.residual[pair] = wp.dot(n, surface_point(source, t, hit.face, hit.barycentric) - x)
+        pairs.residual[pair] = wp.dot(n, offset)
         pairs.weight[pair] = 0.5 * wp.length(cross) / wp.float32(per_face)
 
 

@@ -1,18 +1,17 @@
-"""Closest point of a surface by walking over it: from vertex star to vertex star, as long as that leads nearer.
-
-The walk starts at a vertex known to lie near (the two surfaces are versions of one), so it takes two or three stars,
-needs no search structure per frame, and cannot end on another sheet that happens to pass close by.
-"""
+"""Closest points of a surface that was near a moment ago: a walk over its vertices, then a bounded search."""
 
 import warp as wp
 
-from warpqem.kernels.closest_point import closest_barycentric, offset_squared
 from warpqem.kernels.topology import half_edge_target
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
-# Steps from star to star that a walk takes at most. Within a cluster two or three do; a walk this long got lost.
+# Steps from star to star that a walk takes at most. Within a cluster two or three do, and it only gives a bound.
 MOST_STEPS = wp.constant(32)
+
+# The search goes a little further than the bound, so that rounding does not put the vertex that gave it out of reach.
+BOUND_MARGIN = wp.constant(wp.float32(1.001))
+LEAST_BOUND = wp.constant(wp.float32(1.0e-6))
 
 
 @wp.struct
@@ -27,7 +26,7 @@ class Surface:
 
 @wp.struct
 class Hit:
-    """A point of a surface: face, barycentric weights, and the corner vertex it is nearest to."""
+    """A point of a surface: face and barycentric weights, and a vertex near to it."""
 
     face: wp.int32
     barycentric: wp.vec3
@@ -73,37 +72,17 @@ def walk_to_vertex(s: Surface, t: wp.int32, start: wp.int32, query: wp.vec3) -> 
 
 
 @wp.func
-def walk_to_closest(s: Surface, t: wp.int32, start: wp.int32, query: wp.vec3) -> Hit:
-    """The point nearest to the query in the last star of the walk from vertex ``start``; face -1 without any face.
+def closest_hit(s: Surface, mesh: wp.uint64, t: wp.int32, start: wp.int32, query: wp.vec3) -> Hit:
+    """The nearest point of the surface in frame ``t``, whose hierarchy is ``mesh``; face -1 where there is none.
 
-    Vertices are cheaper to compare than faces, so the walk goes over vertices first.
+    A walk from a vertex that lies near bounds the distance, so that the hierarchy opens few boxes.
     """
     hit = Hit()
+    hit.vertex = walk_to_vertex(s, t, start, query)
+    bound = wp.length(s.points[t, hit.vertex] - query)
+    found = wp.mesh_query_point_no_sign(mesh, query, BOUND_MARGIN * bound + LEAST_BOUND)
     hit.face = wp.int32(-1)
-    vertex = walk_to_vertex(s, t, start, query)
-    hit.vertex = vertex
-    best = wp.float32(wp.inf)
-    for _ in range(MOST_STEPS):
-        for i in range(s.star_start[vertex], s.star_start[vertex + 1]):
-            face = s.star_corner[i] / 3
-            a = s.points[t, s.corner_vertex[3 * face]]
-            b = s.points[t, s.corner_vertex[3 * face + 1]]
-            c = s.points[t, s.corner_vertex[3 * face + 2]]
-            barycentric = closest_barycentric(query, a, b, c)
-            distance = offset_squared(query, a, b, c, barycentric)
-            if distance < best:
-                best = distance
-                hit.face = face
-                hit.barycentric = barycentric
-        if hit.face < 0:
-            break
-        corner = wp.int32(0)
-        if hit.barycentric[1] > hit.barycentric[0]:
-            corner = 1
-        if hit.barycentric[2] > hit.barycentric[corner]:
-            corner = 2
-        hit.vertex = s.corner_vertex[3 * hit.face + corner]
-        if hit.vertex == vertex:
-            break
-        vertex = hit.vertex
+    if found.result:
+        hit.face = found.face
+        hit.barycentric = wp.vec3(found.u, found.v, 1.0 - found.u - found.v)
     return hit

@@ -145,7 +145,7 @@ def simplify(
     placer = Placer(mesh.faces, ordered, order_input.quadric_scale, pinned, settings, device)
     placed = placer.place_all(mesh, _place_progress(progress, mesh.frame_count))
     if refit and not endpoint and placer.free.any():
-        placed = refit_frames(mesh, placer, placed, keys, device)
+        placed = refit_frames(mesh, placer, placed, keys, float(ordered.log.error.max(initial=0.0)), device)
     result = SimplifiedMesh(
         points=placer.original_points(mesh, placed),
         faces=placer.faces,

@@ -43,6 +43,7 @@ class Matching:
 
     Args:
         source: the input on K key frames.
+        target: the output on the same frames, as placed.
         vertex_map: (V,) int32, input vertex to output vertex, -1 for a vertex without a face.
         faces: (N, 3) int32, the input's.
         out_faces: (N', 3) int32.
@@ -60,6 +61,7 @@ class Matching:
     def __init__(
         self,
         source: Surface,
+        target: Surface,
         vertex_map: np.ndarray,
         faces: np.ndarray,
         out_faces: np.ndarray,
@@ -68,6 +70,7 @@ class Matching:
         device: str,
     ) -> None:
         self._source, self._turns, self._device = source, turns, device
+        self._source_mesh, self._target_mesh = _Hierarchy(source), _Hierarchy(target)
         self._face_count = len(out_faces)
         # A walk starts at the corner that a point lies nearest to.
         start = np.concatenate([vertex_map[faces[:, 0]], vertex_map])
@@ -77,30 +80,55 @@ class Matching:
         self.output_pairs = _empty_pairs(np.repeat(start, turns), device)
         self._barycentric = wp.array(OUTPUT_SAMPLES, dtype=wp.vec3, device=device)
 
-    def find(self, target: Surface) -> None:
-        """Pair the output as it lies now."""
-        self._launch(kernels.match_input_samples, target, [], self.input_pairs)
-        self._launch(kernels.match_output_samples, target, [self._barycentric], self.output_pairs)
+    def find(self, target: Surface, reach: float) -> None:
+        """Pair the output as it lies now; points further apart than ``reach`` are no pair."""
+        for key in range(len(target.points)):
+            self._source_mesh.show(self._source, key)
+            self._target_mesh.show(target, key)
+            inputs = [reach, self._source, target]
+            self._launch(kernels.match_input_samples, key, [*inputs, self._target_mesh.id], self.input_pairs)
+            inputs += [self._source_mesh.id, self._barycentric]
+            self._launch(kernels.match_output_samples, key, inputs, self.output_pairs)
         face = self.input_pairs.face.numpy()
         hit = np.flatnonzero(face >= 0)
         order, start = group_rows(face[hit], self._face_count)
         self.input_start = wp.array(start, dtype=wp.int32, device=self._device)
         self.input_order = wp.array(hit[order], dtype=wp.int32, device=self._device)
 
-    def _launch(self, kernel: wp.Kernel, target: Surface, more: list[wp.array], pairs: kernels.Pairs) -> None:
+    def _launch(self, kernel: wp.Kernel, key: int, inputs: list[object], pairs: kernels.Pairs) -> None:
+        key_count = len(self._source.points)
+        # As many as the first frame has; the kernel leaves out those past the end.
+        count = -(-len(pairs.face) // (key_count * self._turns)) * self._turns
+
         def match(part: slice) -> None:
+            turns = kernels.Turns()
+            turns.first, turns.count, turns.key, turns.key_count = part.start, self._turns, key, key_count
             wp.launch(
-                kernel,
-                dim=part.stop - part.start,
-                inputs=[part.start, self._turns, self._source, target, *more],
-                outputs=[pairs],
-                device=self._device,
+                kernel, dim=part.stop - part.start, inputs=[turns, *inputs], outputs=[pairs], device=self._device
             )
 
         parts: list[Callable[[], object]] = [
-            partial(match, part) for part in split_range(len(pairs.face), thread_count(self._device))
+            partial(match, part) for part in split_range(count, thread_count(self._device))
         ]
         run_parts(parts)
+
+
+class _Hierarchy:
+    """The search hierarchy of a moving mesh: built once, then fitted to one frame after the other."""
+
+    def __init__(self, surface: Surface) -> None:
+        # A mesh keeps its points, and they change from frame to frame.
+        self._mesh = wp.Mesh(points=wp.clone(surface.points[0]), indices=surface.corner_vertex)
+
+    @property
+    def id(self) -> int:
+        """What kernels know it by."""
+        return int(self._mesh.id)
+
+    def show(self, surface: Surface, key: int) -> None:
+        """Fit it to a frame of a surface of the same faces."""
+        wp.copy(self._mesh.points, surface.points[key])
+        self._mesh.refit()
 
 
 def _empty_pairs(start: np.ndarray, device: str) -> kernels.Pairs:

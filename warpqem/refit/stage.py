@@ -39,20 +39,24 @@ FRAMES_PER_TURN = 48
 # Pull back on corrections, relative to the area they stand for: along the surface, across it; and on the relative
 # change of edge lengths. A fifth of these fits 2 % better and changes edges by half as much again; five times as much
 # fits 5 % worse.
-TANGENT_PULL = 0.01
-NORMAL_PULL = 0.002
+TANGENT_PULL = 0.005
+NORMAL_PULL = 0.001
 EDGE_PULL = 0.01
 
 # Distances from the output to the input count twice: without that the input's many samples in sharp places draw the
 # output inwards there.
 OUTPUT_SHARE = 2.0
 
+# Pairs further apart than so many times the largest error of a collapse are left out: there the search for the nearest
+# point got lost. The surfaces themselves are nowhere further apart than about three times that.
+REACH = 4.0
+
 # A correction that turns a face over is halved so often before it is dropped.
 HALVINGS = 2
 
 
 def refit_frames(
-    mesh: AnimatedMesh, placer: Placer, placed: PlacedFrames, key_frames: np.ndarray, device: str
+    mesh: AnimatedMesh, placer: Placer, placed: PlacedFrames, key_frames: np.ndarray, error: float, device: str
 ) -> PlacedFrames:
     """The placed frames with their vertices refitted to the input.
 
@@ -64,11 +68,12 @@ def refit_frames(
         placer: what placed its output vertices.
         placed: all frames.
         key_frames: (K,) int, the frames to fit.
+        error: the largest error of a collapse, in diagonals.
         device: Warp device.
     """
     fit = _Refit(mesh, placer, placed, key_frames, device)
     for _ in range(ROUNDS):
-        fit.improve()
+        fit.improve(REACH * error)
     return fit.apply_without_flips()
 
 
@@ -103,8 +108,9 @@ class _Refit:
             corner_vertex,
             build_stars(corner_vertex, mesh.vertex_count),
         )
+        target = make_surface(self._points, self._corner_vertex, self._stars)
         self._matching = Matching(
-            source, placer.vertex_map, mesh.faces, placer.faces, placer.nearest, self._turns, device
+            source, target, placer.vertex_map, mesh.faces, placer.faces, placer.nearest, self._turns, device
         )
         self._correction = wp.zeros(self._vertex_count, dtype=wp.vec3, device=device)
 
@@ -132,11 +138,11 @@ class _Refit:
         )
         return frames
 
-    def improve(self) -> None:
+    def improve(self, reach: float) -> None:
         """One round: pair the surfaces as they lie now, and solve for the corrections."""
         moved = wp.empty_like(self._points)
         self._move(self._points, self._normals, moved)
-        self._matching.find(make_surface(moved, self._corner_vertex, self._stars))
+        self._matching.find(make_surface(moved, self._corner_vertex, self._stars), reach)
         self._correction = solve_elements(*self._assemble())
 
     def _assemble(self) -> tuple[Elements, wp.array]:
