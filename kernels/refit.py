@@ -234,6 +234,7 @@ def assemble_elements(
     points_in: wp.array2d[wp.vec3],
     frame_in: wp.array2d[wp.mat33],
     correction_in: wp.array[wp.vec3],
+    hold_in: wp.array[wp.float32],
     # outputs
     block_out: wp.array2d[wp.mat33],
     right_out: wp.array[wp.vec3],
@@ -267,6 +268,7 @@ def assemble_elements(
                 e = include_row(e, jb, none, ja, 0.0, weight)
     along = wp.vec3(pull.tangent, pull.tangent, pull.normal)
     nothing = LEAST_PULL * wp.vec3(1.0, 1.0, 1.0)
+    e.mass = wp.cw_mul(e.mass, wp.vec3(hold_in[v[0]], hold_in[v[1]], hold_in[v[2]]))
     block_out[f, 0] = e.m00 + wp.diag(e.mass[0] * along + nothing)
     block_out[f, 1] = e.m01
     block_out[f, 2] = e.m02

@@ -51,8 +51,11 @@ OUTPUT_SHARE = 2.0
 # point got lost. The surfaces themselves are nowhere further apart than about three times that.
 REACH = 4.0
 
-# A correction that turns a face over is halved so often before it is dropped.
-HALVINGS = 2
+# A vertex that turns a face over is pulled back so much more, so many times, and then it does not move.
+HOLD = 10.0
+HOLDINGS = 3
+# The pull on a vertex that does not move, for its neighbours to be solved with.
+MOST_HOLD = 1e6
 
 
 def refit_frames(
@@ -112,6 +115,7 @@ class _Refit:
         self._matching = Matching(
             source, target, placer.vertex_map, mesh.faces, placer.faces, placer.nearest, self._turns, device
         )
+        self._hold = wp.full(self._vertex_count, 1.0, dtype=wp.float32, device=device)
         self._correction = wp.zeros(self._vertex_count, dtype=wp.vec3, device=device)
 
     def _make_rings(self, placed: PlacedFrames) -> frame_kernels.OneRings:
@@ -143,10 +147,13 @@ class _Refit:
         moved = wp.empty_like(self._points)
         self._move(self._points, self._normals, moved)
         self._matching.find(make_surface(moved, self._corner_vertex, self._stars), reach)
-        self._correction = solve_elements(*self._assemble())
+        self._correction = solve_elements(*self._assemble(self._correction))
 
-    def _assemble(self) -> tuple[Elements, wp.array]:
-        """The normal equations, and their right side at each corner (3N',) vec3."""
+    def _assemble(self, matched_at: wp.array) -> tuple[Elements, wp.array]:
+        """The normal equations, and their right side at each corner (3N',) vec3.
+
+        ``matched_at`` (C,) vec3 is the correction that the surface had when it was paired.
+        """
         device, face_count = self._device, len(self._faces)
         pull = kernels.Pull()
         pull.tangent, pull.normal, pull.edge = TANGENT_PULL, NORMAL_PULL, EDGE_PULL
@@ -172,7 +179,8 @@ class _Refit:
                 pull,
                 self._points,
                 self._frames,
-                self._correction,
+                matched_at,
+                self._hold,
             ],
             outputs=[elements.block, right],
             device=device,
@@ -195,15 +203,22 @@ class _Refit:
         run_parts(parts)
 
     def apply_without_flips(self) -> PlacedFrames:
-        """All frames moved; corrections that turn a face over in some frame are halved, at last dropped."""
-        scale = np.ones(self._vertex_count, dtype=np.float32)
-        correction = self._correction.numpy()
+        """All frames moved; vertices that turn a face over in some frame are held back more, and at last not moved.
+
+        The others are solved for anew each time: a vertex that stays where its neighbours do not expect it would cost
+        more than its own share of the fit.
+        """
+        matched_at = self._correction
+        hold = np.ones(self._vertex_count, dtype=np.float32)
         while True:
             points, marked = self._apply()
             if not marked.any():
                 return PlacedFrames(points, self._placed.normals)
-            scale[marked] = np.where(scale[marked] > 0.5**HALVINGS, 0.5 * scale[marked], 0.0)
-            self._correction.assign(correction * scale[:, None])
+            hold[marked] = np.where(hold[marked] < HOLD**HOLDINGS, HOLD * hold[marked], np.inf)
+            self._hold.assign(np.minimum(hold, MOST_HOLD))
+            solution = solve_elements(*self._assemble(matched_at)).numpy()
+            solution[np.isinf(hold)] = 0.0
+            self._correction = wp.array(solution, dtype=wp.vec3, device=self._device)
 
     def _apply(self) -> tuple[np.ndarray, np.ndarray]:
         """All frames moved, (F, C, 3), and which vertices (C,) have a part in a face that turned over."""
