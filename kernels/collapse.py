@@ -4,6 +4,7 @@ from typing import Any
 
 import warp as wp
 
+from warpqem.kernels.attribute import first_frame, merge_wedges
 from warpqem.kernels.edge_cost import INFINITE_COST, merged_quadric
 from warpqem.kernels.lanes import LANE_OPTIONS, POINTS_ARRAY, lane_max, lane_sum, overload_widths
 from warpqem.kernels.mesh_state import KEY_FRAMES, AnyKeyFrames, CollapseLog, MeshState
@@ -132,6 +133,8 @@ def commit_winners(
             mask_star(state, mask, pass_number_in[0], v)
             if state.trajectory.shape[0] > 0:
                 carry_trajectory(state, u, v, wp.where(u == a, anchor_in[i], 1.0 - anchor_in[i]))
+            if state.wedges.channel_count > 0:
+                merge_wedges(state, u, v, first_frame(target_in[i, 0]))
             log.error[slot] = merge_vertex(state, frames, u, v, target_in, i)
             join_seams(state, u, v, h)
             if opposite >= 0:

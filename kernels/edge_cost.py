@@ -6,6 +6,7 @@ ours: one constant ``lambda`` for all frames, so that soft directions follow the
 
 import warp as wp
 
+from warpqem.kernels.attribute import attribute_error, attribute_parabola, first_frame
 from warpqem.kernels.deformation import length_deformation
 from warpqem.kernels.lanes import LANE_OPTIONS, lane_dot, lane_max, lane_sum, overload_widths
 from warpqem.kernels.mesh_state import KEY_FRAMES, AnyKeyFrames, CollapseLog, CostModel, MeshState
@@ -84,6 +85,10 @@ def edge_anchor(state: MeshState, frames: AnyKeyFrames, model: CostModel, u: wp.
         slope += lane_sum(lane_dot(d, linear_part(qu) + linear_part(qv)) - bend_v)
         stiffness += lane_sum(bend_u + bend_v)
         pull += wp.dot(trace(qu) + trace(qv), lane_dot(d, d))
+    if state.wedges.channel_count > 0:
+        bend = attribute_parabola(state, u, v)
+        slope += bend[0]
+        stiffness += bend[1]
     if model.endpoint == 1:
         # Q(1) - Q(0) = 2 b.d + d^T A d
         return wp.where(2.0 * slope + stiffness < 0.0, wp.float32(1.0), wp.float32(0.0))
@@ -97,6 +102,24 @@ def edge_anchor(state: MeshState, frames: AnyKeyFrames, model: CostModel, u: wp.
 def keeps_anchor(state: MeshState, model: CostModel, u: wp.int32, v: wp.int32) -> wp.bool:
     """Whether the merged vertex goes to the anchor itself: always to an end, or to a locked vertex."""
     return model.endpoint == 1 or ((state.vertex_flags[u] | state.vertex_flags[v]) & LOCKED) != 0
+
+
+@wp.func
+def merged_position(
+    state: MeshState,
+    frames: AnyKeyFrames,
+    model: CostModel,
+    u: wp.int32,
+    v: wp.int32,
+    t: wp.int32,
+    anchor: wp.float32,
+):
+    """Where a collapse puts its vertex in block ``t``, given the anchor of its edge."""
+    p = frames.position[u, t]
+    x = p + anchor * (frames.position[v, t] - p)
+    if not keeps_anchor(state, model, u, v):
+        x += anchored_minimiser(merged_quadric(frames, u, v, t, anchor), model.epsilon)
+    return x
 
 
 @wp.func
@@ -129,6 +152,9 @@ def price_edge(state: MeshState, frames: AnyKeyFrames, model: CostModel, h: wp.i
     if price.error > model.error_limit:
         return price
     weight = 0.5 * (state.cost_weight[u] + state.cost_weight[v])
+    if state.wedges.channel_count > 0:
+        x = merged_position(state, frames, model, u, v, 0, anchor)
+        total += attribute_error(state, u, v, first_frame(x))
     price.cost = weight * (total + LENGTH_COST * spread) + LEAST_COST
     if model.deformation_weight > 0.0:
         price.cost += model.deformation_weight * length_deformation(

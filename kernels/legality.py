@@ -16,7 +16,7 @@ from typing import Any
 
 import warp as wp
 
-from warpqem.kernels.edge_cost import edge_anchor, keeps_anchor, merged_quadric
+from warpqem.kernels.edge_cost import edge_anchor, merged_position
 from warpqem.kernels.lanes import (
     LANE_OPTIONS,
     POINTS_ARRAY,
@@ -27,7 +27,6 @@ from warpqem.kernels.lanes import (
     overload_widths,
 )
 from warpqem.kernels.mesh_state import KEY_FRAMES, AnyKeyFrames, CostModel, MeshState
-from warpqem.kernels.quadric import anchored_minimiser
 from warpqem.kernels.topology import BORDER, find_half_edge, half_edge_target, next_corner, previous_corner
 from warpqem.kernels.work import EdgeList, Work, count_before
 
@@ -172,13 +171,8 @@ def place_winners(
         v = half_edge_target(state.corner_vertex, h)
         anchor = edge_anchor(state, frames, model, u, v)
         anchor_out[i] = anchor
-        at_anchor = keeps_anchor(state, model, u, v)
         for t in range(frames.position.shape[1]):
-            p = frames.position[u, t]
-            target = p + anchor * (frames.position[v, t] - p)
-            if not at_anchor:
-                target += anchored_minimiser(merged_quadric(frames, u, v, t, anchor), model.epsilon)
-            target_out[i, t] = target
+            target_out[i, t] = merged_position(state, frames, model, u, v, t, anchor)
 
 
 overload_widths(place_winners, frames=KEY_FRAMES, target_out=POINTS_ARRAY)

@@ -4,9 +4,30 @@ from typing import Any
 
 import warp as wp
 
-from warpqem.kernels.lanes import POINTS_ARRAY, QUADRIC_ARRAY, WIDTHS
+from warpqem.kernels.lanes import POINTS, POINTS_ARRAY, QUADRIC, QUADRIC_ARRAY, WIDTHS
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
+
+# Attributes live in one frame: blocks of one.
+Point = POINTS[1]
+Quadric = QUADRIC[1]
+
+
+@wp.struct
+class Wedges:
+    """Attributes as linear functions ``value + gradient.(x - origin)`` in the first key frame (W wedges, C channels).
+
+    A wedge is the corners of one vertex that share their values. See :mod:`warpqem.kernels.attribute`.
+    """
+
+    channel_count: wp.int32  # C; 0: the order does not look at attributes, and the arrays are empty
+    corner_wedge: wp.array[wp.int32]  # (3N,)
+    area: wp.array[wp.float32]  # (W,) in diagonals squared, of all faces gathered so far
+    origin: wp.array[Point]  # (W,) in diagonals
+    value: wp.array2d[wp.float32]  # (W, C) times the weight
+    gradient: wp.array2d[Point]  # (W, C) times the weight, per diagonal
+    position: wp.array[Point]  # (V,) the vertex in the first key frame
+    quadric: wp.array[Quadric]  # (V,) variance of the attributes at a vertex, origin at ``position``
 
 
 @wp.struct
@@ -22,6 +43,7 @@ class MeshState:
     seam: wp.array[wp.int32]  # (3N,) 1 at both half-edges of a seam edge
     edge_cost: wp.array[wp.float32]  # (3N,) at canonical half-edges; inf: no collapse here; negative: asleep
     trajectory: wp.array2d[wp.vec3]  # (V, F) every frame's position, only where a deformation term needs it
+    wedges: Wedges  # attributes, only where they have a weight
 
 
 def _key_frames(width: int) -> type:

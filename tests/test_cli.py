@@ -45,7 +45,9 @@ def test_simplify_writes_the_output_and_a_table(cloth, tmp_path):
 
 
 def test_simplify_passes_all_options_on(cloth, tmp_path):
-    options = "--max-error 2 --metric dod --coherence 0.2 --placement endpoint --key-frames 2 --frames 1:2"
+    options = (
+        "--max-error 2 --metric dod --coherence 0.2 --placement endpoint --key-frames 2 --frames 1:2 --uv-weight 1"
+    )
     switches = "--flatten --bake --no-weld"
     report = tmp_path / "report.json"
     result = run(
@@ -96,6 +98,9 @@ def test_strict_writes_nothing(half_broken, tmp_path):
         (["--ratio", "half"], "--ratio"),
         (["--rotio", "0.5"], "--rotio"),
         (["--ratio", "0.5", "--coherence", "7"], "coherence"),
+        (["--ratio", "0.5", "--uv-weight", "-1"], "uv_weight"),
+        (["--ratio", "0.5", "--attribute-weight", "st"], "NAME=WEIGHT"),
+        (["--ratio", "0.5", "--attribute-weight", "st=1"], "primvar st"),
     ],
 )
 def test_wrong_usage_is_one_line_and_exit_code_2(cloth, tmp_path, options, message):

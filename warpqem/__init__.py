@@ -10,13 +10,14 @@ from typing import Any
 
 # Loaded when first used: importing Warp takes most of a second, which `warpqem --help` need not wait for.
 _HOMES = {
+    "AttributeField": "warpqem.attributes",
     "MotionFeatures": "warpqem.motion",
     "SimplifiedMesh": "warpqem.simplification",
     "motion_features": "warpqem.motion",
     "simplify": "warpqem.simplification",
 }
 
-__all__ = ["MotionFeatures", "SimplifiedMesh", "__version__", "motion_features", "simplify"]
+__all__ = ["AttributeField", "MotionFeatures", "SimplifiedMesh", "__version__", "motion_features", "simplify"]
 
 
 def _version() -> str:

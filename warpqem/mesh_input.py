@@ -22,6 +22,7 @@ class AnimatedMesh:
         points: (F, V, 3) float32, the caller's coordinates minus ``origin``.
         faces: (N, 3) int32 without faces that use a vertex twice.
         face_index: (N,) int32, the caller's index of each face.
+        input_face_count: faces the caller gave.
         used: (V,) bool, vertices with a face.
         origin: (3,) float64, taken off before the points were rounded to float32.
         centre: (3,) float32, middle of the bounding box of all frames, about ``origin``.
@@ -31,6 +32,7 @@ class AnimatedMesh:
     points: np.ndarray
     faces: np.ndarray
     face_index: np.ndarray
+    input_face_count: int
     used: np.ndarray
     origin: np.ndarray
     centre: np.ndarray
@@ -98,7 +100,8 @@ def read_mesh(points: Any, faces: Any = None) -> AnimatedMesh:
     elif faces is None:
         raise OptionError("faces (N, 3) are missing")
     p = _checked_points(as_numpy(points))
-    f, face_index = _checked_faces(as_numpy(faces), p.shape[1])
+    given_faces = as_numpy(faces)
+    f, face_index = _checked_faces(given_faces, p.shape[1])
     used = np.zeros(p.shape[1], dtype=bool)
     used[f] = True
     low, high = _frame_bounds(p)
@@ -115,7 +118,7 @@ def read_mesh(points: Any, faces: Any = None) -> AnimatedMesh:
     if not 0.0 < diagonal < np.inf:
         raise DegenerateMeshError(f"the mesh has no extent: its bounding-box diagonal is {diagonal:g} in every frame")
     centre = ((low.min(axis=0).astype(np.float64) + high.max(axis=0)) / 2).astype(np.float32)
-    return AnimatedMesh(np.ascontiguousarray(p), f, face_index, used, origin, centre, diagonal)
+    return AnimatedMesh(np.ascontiguousarray(p), f, face_index, len(given_faces), used, origin, centre, diagonal)
 
 
 def _checked_points(points: np.ndarray) -> np.ndarray:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from warpqem.attributes import AttributeField, weighted_corner_values
 from warpqem.cost_models import CostModelSpec, cost_model, feature_weights
 from warpqem.device import resolve_device
 from warpqem.errors import OptionError, UnreachableTargetError
@@ -83,6 +84,7 @@ def simplify(
     vertex_weights: Any = None,
     locked: Any = None,
     seams: Any = None,
+    attributes: Sequence[AttributeField] = (),
     device: str | None = None,
     progress: Progress | None = None,
 ) -> SimplifiedMesh:
@@ -108,6 +110,8 @@ def simplify(
         locked: (V,) bool, or indices, of vertices that keep their position in every frame.
         seams: (S, 2) vertex pairs: edges that values on the surface do not cross, such as UV seams. They stay closed
             polylines of edges near where they were; vertices where they end, fork or meet a border keep their position.
+        attributes: UVs and other values on the surface, each with the weight of its error in the order of collapses;
+            see :class:`warpqem.AttributeField`. ``max_error`` and ``SimplifiedMesh.error`` stay errors of the shape.
         device: Warp device; None takes cuda:0 if present, else cpu.
         progress: called with the part done, 0 to 1, and the stage, "order" or "place".
 
@@ -128,7 +132,8 @@ def simplify(
     weights = _cost_weights(spec, mesh, vertex_weights, device)
     keys = _key_frames(spec, mesh, key_frames)
     endpoint = placement == "endpoint"
-    order_input = _order_input(spec, mesh, keys, weights, seam, pinned, device)
+    values = weighted_corner_values(attributes, mesh)
+    order_input = _order_input(spec, mesh, keys, weights, seam, pinned, values, device)
     ordered = order_collapses(
         order_input,
         OrderSettings(
@@ -172,6 +177,7 @@ def _order_input(
     weights: np.ndarray,
     seam: Seams,
     pinned: np.ndarray,
+    attributes: np.ndarray | None,
     device: str,
 ) -> OrderInput:
     flags = np.where(pinned, int(LOCKED), 0) | np.where(seam.on_seam, int(SEAM), 0)
@@ -184,6 +190,7 @@ def _order_input(
         cost_weight=weights,
         seam=seam.half_edge,
         trajectories=mesh.unit_points(slice(None)) if spec.deformation_weight > 0 else None,
+        attributes=attributes,
     )
 
 

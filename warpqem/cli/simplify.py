@@ -84,6 +84,18 @@ def simplify(
     key_frames: Annotated[
         int, typer.Option(help="Number of frames, different in pose, that decide the topology.")
     ] = 16,
+    uv_weight: Annotated[
+        float,
+        typer.Option(
+            metavar="FLOAT",
+            help="Weight of texture-coordinate error in the choice of collapses: at 1 the whole UV square counts as "
+            "much as the bounding-box diagonal; 0 does not look at UVs.",
+        ),
+    ] = 0.0,
+    attribute_weight: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=FLOAT", help="The same for the primvar NAME; may be given several times."),
+    ] = None,
     frames: Frames = None,
     prim: Prims = None,
     device: Device = None,
@@ -113,6 +125,7 @@ def simplify(
     """
     quiet_warp()
     from warpqem.usd import FrameRange, SimplifyOptions, simplify_stage
+    from warpqem.usd.attributes import parse_attribute_weight
     from warpqem.usd.lods import parse_lods
 
     options = SimplifyOptions(
@@ -126,6 +139,8 @@ def simplify(
         refit=refit,
         placement=placement.value,
         key_frames=key_frames,
+        uv_weight=uv_weight,
+        attribute_weights=tuple(parse_attribute_weight(text) for text in attribute_weight or ()),
         frames=FrameRange.parse(frames) if frames else None,
         prims=tuple(prim or ()),
         device=device,

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from warpqem.kernels import attribute as attribute_kernels
 from warpqem.kernels import collapse as collapse_kernels
 from warpqem.kernels import edge_cost as cost_kernels
 from warpqem.kernels import independent_set as set_kernels
@@ -90,6 +91,7 @@ class Orderer:
         self._spare_corner_vertex = wp.empty_like(state.corner_vertex)
         self._spare_edge_cost = wp.empty_like(state.edge_cost)
         self._spare_seam = wp.empty_like(state.seam)
+        self._spare_wedge = wp.empty_like(state.wedges.corner_wedge)
         self._price_all = Step([Phase(self._launch_pricing, self.threads)], device)
         self._gears: dict[int, _Gear] = {}
 
@@ -345,6 +347,15 @@ class Orderer:
             outputs=[self._spare_corner_vertex, self._spare_edge_cost, self._spare_seam],
             device=self.device,
         )
+        if state.wedges.channel_count > 0:
+            wp.launch(
+                attribute_kernels.move_corner_wedges,
+                dim=self.face_slots,
+                inputs=[state.corner_vertex, state.wedges.corner_wedge, rank],
+                outputs=[self._spare_wedge],
+                device=self.device,
+            )
+            wp.copy(state.wedges.corner_wedge, self._spare_wedge, count=3 * self.live_faces)
         self.face_slots = self.live_faces
         state.face_count.fill_(self.face_slots)
         # Copied back, not swapped: the recorded launches hold these arrays.

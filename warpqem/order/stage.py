@@ -8,7 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from warpqem.kernels import attribute as attribute_kernels
 from warpqem.kernels.mesh_state import KEY_FRAMES, CostModel, MeshState
+from warpqem.order.attributes import build_wedges
 from warpqem.order.log import CollapseRecord, read_log
 from warpqem.order.passes import Orderer
 from warpqem.order.quadrics import initial_quadrics
@@ -46,7 +48,8 @@ class OrderedMesh:
         root: (V,) int32, the kept vertex that each input vertex collapsed into.
         key_position: (V, B) points, the input on the key frames, in diagonals.
         position: (V, B) points, where ordering put the kept vertices.
-        quadric: (V, B) quadric of each kept vertex's cluster, about ``position``.
+        quadric: (V, B) quadric of each kept vertex's cluster, about ``position``; that of the first key frame holds the
+            attribute error too.
         constrained: (3N,) int32, 1 at the input's border and seam half-edges.
         on_line: (V,) bool, input vertices on a border or seam.
         stopped: "target", "max_error" or "no legal collapse".
@@ -77,6 +80,7 @@ class OrderInput:
     cost_weight: np.ndarray  # (V,) float32
     seam: np.ndarray  # (3N,) int32, 1 at both half-edges of a seam edge
     trajectories: np.ndarray | None  # (F, V, 3) float32, only with a deformation term
+    attributes: np.ndarray | None  # (N, 3, C) float64 at the corners, times their weights; None for none
 
 
 def _vertex_major(points: np.ndarray, device: str) -> wp.array:
@@ -106,6 +110,7 @@ def order_collapses(
     state.edge_cost = wp.empty(len(corner_vertex), dtype=wp.float32, device=device)
     no_trajectory = wp.empty((0, 0), dtype=wp.vec3, device=device)
     state.trajectory = no_trajectory if mesh.trajectories is None else _vertex_major(mesh.trajectories, device)
+    state.wedges = build_wedges(mesh.faces, mesh.key_position, mesh.attributes, mesh.key_count)
 
     model = CostModel()
     model.epsilon = settings.epsilon
@@ -117,6 +122,14 @@ def order_collapses(
 
     orderer = Orderer(state, frames, stars, model, mesh.key_count, device)
     stopped = orderer.run(settings.target_faces, progress)
+    if mesh.attributes is not None:
+        wp.launch(
+            attribute_kernels.add_attribute_quadrics,
+            dim=vertex_count,
+            inputs=[state.wedges.quadric],
+            outputs=[frames.quadric],
+            device=device,
+        )
     log = read_log(orderer.log)
     root = log.roots(vertex_count)
     faces = root[mesh.faces]

@@ -14,7 +14,7 @@ from warpqem.edges import edge_key
 from warpqem.usd.arrays import is_normal, primvar_samples, sample_codes, to_numpy
 from warpqem.usd.mesh import MeshSource
 
-__all__ = ["MeshSeams", "find_seams"]
+__all__ = ["MeshSeams", "corner_values", "find_seams"]
 
 # Normals on two sides of an edge that differ by less than this angle are one smooth shading (cosine of 15 degrees, half
 # the angle at which modelling tools harden edges by default).
@@ -146,7 +146,7 @@ def find_seams(
     if not len(faces):
         return seams
     edges = _InnerEdges.of(faces)
-    for name, samples, normals in _values_at_corners(source, welded):
+    for name, samples, normals in corner_values(source, welded):
         if name in NORMALS and not with_normals:
             continue
         differ = np.zeros(len(edges.ends), dtype=bool)
@@ -158,7 +158,7 @@ def find_seams(
     return seams
 
 
-def _values_at_corners(source: MeshSource, points_too: bool) -> list[tuple[str, list[npt.NDArray[Any]], bool]]:
+def corner_values(source: MeshSource, points_too: bool) -> list[tuple[str, list[npt.NDArray[Any]], bool]]:
     """Attributes with a value per corner, or also per point: name, samples at the triangles' corners, if normals."""
     topology = source.topology
     places = {UsdGeom.Tokens.faceVarying: (topology.corner_count, topology.triangle_corners.ravel())}

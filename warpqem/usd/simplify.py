@@ -15,6 +15,7 @@ from pxr import Sdf, Usd
 
 import warpqem
 from warpqem.errors import DeviceError, OptionError, StageError, UnreachableTargetError, WarpqemError
+from warpqem.usd.attributes import AttributeWeights, check_names, check_weights, weighted_fields
 from warpqem.usd.blend_shapes import count_shape_users
 from warpqem.usd.budget import CostCurve, split_budget
 from warpqem.usd.frames import FrameRange
@@ -53,6 +54,10 @@ class SimplifyOptions:
         refit: Fit the surface as a whole after placing its vertices, see `warpqem.simplify`.
         placement: Vertex placement, see `warpqem.simplify`.
         key_frames: Frames that decide the topology.
+        uv_weight: Weight of the error of texture coordinates in the order of collapses: at 1 an error of the whole UV
+            square counts as much as one bounding-box diagonal, see `warpqem.AttributeField`; 0 does not look at them.
+        attribute_weights: Names of primvars and the weights of their error; for a texture coordinate it takes the place
+            of `uv_weight`.
         frames: Time codes to read; None for all authored ones.
         prims: Prim paths; meshes at and below them are simplified. Empty for all.
         device: Warp device; None for the default.
@@ -73,6 +78,8 @@ class SimplifyOptions:
     refit: bool = False
     placement: str = "optimal"
     key_frames: int = 16
+    uv_weight: float = 0.0
+    attribute_weights: AttributeWeights = ()
     frames: FrameRange | None = None
     prims: tuple[str, ...] = ()
     device: str | None = None
@@ -95,6 +102,7 @@ class SimplifyOptions:
         if self.max_error is not None and not self.max_error > 0:
             raise OptionError(f"max_error {self.max_error:g}: expected a percentage above 0")
         check_lods(self.lods)
+        check_weights(self.uv_weight, self.attribute_weights)
         if self.lods and self.flatten:
             raise OptionError("lods and flatten exclude each other: every level is a layer over the input")
         if self.usd_lod and not self.lods:
@@ -186,6 +194,7 @@ class _Run:
         selection = find_meshes(self.stage, self.options.prims, self.within)
         if not selection.prims and not selection.refused:
             raise StageError("there is no mesh on the stage")
+        check_names(selection.prims, self.options.attribute_weights)
         for prim in selection.prims:
             self.reports[str(prim.GetPath())] = PrimReport(str(prim.GetPath()), "simplified")
         for path, error in selection.refused:
@@ -262,6 +271,7 @@ class _Run:
             placement=self.options.placement,
             key_frames=self.options.key_frames,
             seams=seams,
+            attributes=weighted_fields(job.source, self.options.uv_weight, self.options.attribute_weights),
             device=self.options.device,
             progress=progress,
             **goal,
