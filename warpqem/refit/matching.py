@@ -103,9 +103,7 @@ class Matching:
         def match(part: slice) -> None:
             turns = kernels.Turns()
             turns.first, turns.count, turns.key, turns.key_count = part.start, self._turns, key, key_count
-            wp.launch(
-                kernel, dim=part.stop - part.start, inputs=[turns, *inputs], outputs=[pairs], device=self._device
-            )
+            wp.launch(kernel, dim=part.stop - part.start, inputs=[turns, *inputs], outputs=[pairs], device=self._device)
 
         parts: list[Callable[[], object]] = [
             partial(match, part) for part in split_range(count, thread_count(self._device))
