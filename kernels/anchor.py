@@ -64,6 +64,39 @@ def factorise(g: wp.array[wp.float32], o: wp.int32, n: wp.int32):
                 g[o + packed(i, j)] = s / g[o + packed(j, j)]
 
 
+@wp.func
+def share_within_reach(
+    member: wp.array[wp.int32],
+    key_position: Any,
+    weight: wp.array[wp.float32],
+    first: wp.int32,
+    n: wp.int32,
+) -> wp.float32:
+    """The part of the way from the members' mean to their weighted sum that goes no further than the farthest member.
+
+    Negative weights take an anchor outside its cluster, where a convex surface wants it. Planes that hardly meet, as
+    those of a thin part that bends, would take it away along them. One factor for all frames keeps it on the material.
+    """
+    reach = wp.float32(0.0)
+    moved = wp.float32(0.0)
+    for t in range(key_position.shape[1]):
+        total = key_position.dtype()
+        for i in range(n):
+            total += key_position[member[first + i], t]
+        mean = total / wp.float32(n)
+        offset = key_position.dtype()
+        farthest = lane_dot(offset, offset)
+        for i in range(n):
+            p = key_position[member[first + i], t] - mean
+            farthest = wp.max(farthest, lane_dot(p, p))
+            offset += weight[first + i] * p
+        reach += lane_sum(farthest)
+        moved += lane_sum(lane_dot(offset, offset))
+    if moved <= reach:
+        return 1.0
+    return wp.sqrt(reach / moved)
+
+
 @wp.kernel
 def fit_anchor_weights(
     cluster_vertex_in: wp.array[wp.int32],
@@ -121,6 +154,9 @@ def fit_anchor_weights(
         sum += s
     for i in range(n):
         weight_out[first + i] = weight_out[first + i] / sum
+    share = share_within_reach(member_in, key_position_in, weight_out, first, n)
+    for i in range(n):
+        weight_out[first + i] = share * weight_out[first + i] + (1.0 - share) / wp.float32(n)
 
 
 overload_widths(

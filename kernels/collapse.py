@@ -9,7 +9,16 @@ from warpqem.kernels.edge_cost import INFINITE_COST, merged_quadric
 from warpqem.kernels.lanes import LANE_OPTIONS, POINTS_ARRAY, lane_max, lane_sum, overload_widths
 from warpqem.kernels.mesh_state import KEY_FRAMES, AnyKeyFrames, CollapseLog, MeshState
 from warpqem.kernels.quadric import NO_PLANE, shift_origin, trace
-from warpqem.kernels.topology import LOCKED, find_half_edge, half_edge_target, next_corner, previous_corner
+from warpqem.kernels.topology import (
+    BORDER,
+    CORNER,
+    LOCKED,
+    SEAM,
+    find_half_edge,
+    half_edge_target,
+    next_corner,
+    previous_corner,
+)
 from warpqem.kernels.work import EdgeList, Work, count_before
 
 wp.set_module_options(LANE_OPTIONS)
@@ -62,6 +71,33 @@ def join_seams(state: MeshState, u: wp.int32, v: wp.int32, h: wp.int32):
                 state.seam[out] = 1
             if state.corner_vertex[into] == wing and half_edge_target(state.corner_vertex, out) != b:
                 state.seam[into] = 1
+
+
+@wp.func
+def seam_degree(state: MeshState, u: wp.int32, v: wp.int32) -> wp.int32:
+    """Seam edges at ``u`` after ``v`` has become ``u``: a seam edge lies inside, so one of its half-edges leaves it."""
+    count = wp.int32(0)
+    for side in range(2):
+        a = wp.where(side == 0, u, v)
+        for i in range(state.star_start[a], state.star_start[a + 1]):
+            h = state.star_corner[i]
+            if state.corner_vertex[h] == u:
+                count += state.seam[h]
+    return count
+
+
+@wp.func
+def classify_seams(state: MeshState, u: wp.int32, v: wp.int32):
+    """Set the seam flags of ``u`` anew after ``v`` has become ``u``."""
+    flags = state.vertex_flags[u]
+    if (flags & SEAM) != 0:
+        count = seam_degree(state, u, v)
+        flags = flags & ~(SEAM | CORNER)
+        if count > 0:
+            flags = flags | SEAM
+        if count > 0 and (count != 2 or (flags & BORDER) != 0):
+            flags = flags | CORNER
+        state.vertex_flags[u] = flags
 
 
 @wp.func
@@ -148,6 +184,7 @@ def commit_winners(
                         state.edge_cost[3 * f + k] = INFINITE_COST
                 else:
                     state.corner_vertex[g] = u
+            classify_seams(state, u, v)
 
 
 overload_widths(commit_winners, frames=KEY_FRAMES, target_in=POINTS_ARRAY)

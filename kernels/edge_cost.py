@@ -21,11 +21,14 @@ from warpqem.kernels.quadric import (
 )
 from warpqem.kernels.topology import (
     BORDER,
+    CORNER,
     FROZEN,
     LOCKED,
     SEAM,
+    find_half_edge,
     half_edge_target,
     is_canonical,
+    next_corner,
     previous_corner,
 )
 from warpqem.kernels.work import Work, first_item, last_item
@@ -41,6 +44,9 @@ MIDDLE_PULL = wp.constant(wp.float32(1.0e-3))
 # On flat ground every edge costs nothing. This part of area x length^2 makes short edges go first, far below the cost
 # of any visible bend, so that triangles stay compact.
 LENGTH_COST = wp.constant(wp.float32(1.0e-6))
+# A collapse that changes how seams run counts as an error of this part of the edge's length, squared: dear enough that
+# seams hold as long as the shape has something to spare, and that the smallest go first.
+SEAM_COST = wp.constant(wp.float32(0.01))
 
 
 @wp.struct
@@ -62,7 +68,8 @@ def merged_quadric(frames: AnyKeyFrames, u: wp.int32, v: wp.int32, t: wp.int32, 
 def edge_anchor(state: MeshState, frames: AnyKeyFrames, model: CostModel, u: wp.int32, v: wp.int32) -> wp.float32:
     """``lambda`` of the material anchor ``(1 - lambda) p_u + lambda p_v``: minimises the quadrics' sum over all frames.
 
-    A vertex on the border or a seam, or locked, is the anchor itself when the other end is free.
+    A vertex on the border or a seam, or locked, is the anchor itself when the other end is free; so is the corner of a
+    seam against the rest of it.
     """
     fu = state.vertex_flags[u]
     fv = state.vertex_flags[v]
@@ -72,6 +79,8 @@ def edge_anchor(state: MeshState, frames: AnyKeyFrames, model: CostModel, u: wp.
         return wp.where((fv & BORDER) != 0, wp.float32(1.0), wp.float32(0.0))
     if (fu & SEAM) != (fv & SEAM):
         return wp.where((fv & SEAM) != 0, wp.float32(1.0), wp.float32(0.0))
+    if (fu & CORNER) != (fv & CORNER):
+        return wp.where((fv & CORNER) != 0, wp.float32(1.0), wp.float32(0.0))
     slope = wp.float32(0.0)
     stiffness = wp.float32(0.0)
     pull = wp.float32(0.0)
@@ -123,6 +132,28 @@ def merged_position(
 
 
 @wp.func
+def closes_island(state: MeshState, h: wp.int32) -> wp.bool:
+    """Whether both other edges of the face of half-edge ``h`` are seams: with the face its island would vanish."""
+    return state.seam[next_corner(h)] == 1 and state.seam[previous_corner(h)] == 1
+
+
+@wp.func
+def breaks_seams(state: MeshState, h: wp.int32) -> wp.bool:
+    """Whether the collapse of half-edge ``h`` changes how seams run.
+
+    It joins two seams across the surface between them, or two corners of seams, or takes an island's last face.
+    """
+    u = state.corner_vertex[h]
+    v = half_edge_target(state.corner_vertex, h)
+    common = state.vertex_flags[u] & state.vertex_flags[v]
+    if (common & SEAM) == 0:
+        return False
+    if (common & CORNER) != 0 or state.seam[h] == 0 or closes_island(state, h):
+        return True
+    return closes_island(state, find_half_edge(state.corner_vertex, state.star_start, state.star_corner, v, u))
+
+
+@wp.func
 def price_edge(state: MeshState, frames: AnyKeyFrames, model: CostModel, h: wp.int32) -> EdgePrice:
     """Cost over key frames of the collapse of half-edge ``h``; an infinite cost where no collapse is allowed."""
     u = state.corner_vertex[h]
@@ -131,8 +162,6 @@ def price_edge(state: MeshState, frames: AnyKeyFrames, model: CostModel, h: wp.i
     price.cost = INFINITE_COST
     flags = state.vertex_flags[u] | state.vertex_flags[v]
     if (flags & FROZEN) != 0 or (state.vertex_flags[u] & state.vertex_flags[v] & LOCKED) != 0:
-        return price
-    if (state.vertex_flags[u] & state.vertex_flags[v] & SEAM) != 0 and state.seam[h] == 0:
         return price
     anchor = edge_anchor(state, frames, model, u, v)
     at_anchor = keeps_anchor(state, model, u, v)
@@ -148,6 +177,8 @@ def price_edge(state: MeshState, frames: AnyKeyFrames, model: CostModel, h: wp.i
             total += lane_sum(value_at_minimiser(q, anchored_minimiser(q, model.epsilon), model.epsilon))
         area += lane_sum(trace(q))
         spread += wp.dot(trace(q), lane_dot(d, d))
+    if breaks_seams(state, h):
+        total += SEAM_COST * spread
     price.error = total / wp.max(area, NO_PLANE)
     if price.error > model.error_limit:
         return price

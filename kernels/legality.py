@@ -4,8 +4,6 @@
 |-----------------|--------------------------------------------------------------------------------------------------|
 | link condition  | a common neighbour that is not a wing would leave two faces on three edges (a non-manifold edge) |
 | pinch           | an inner edge between two border vertices would join the borders at one vertex                   |
-| seam            | an edge between two seam vertices that is no seam would join the seams (it has no price at all)  |
-| island          | a wing joined to both ends by seams: the face between them would vanish with its island          |
 | wing            | a wing needs a face fan after it lost one face: 3 faces inside, 1 at a border                    |
 | vanish          | the merged vertex keeps a face, also where the wing is a bow tie that says nothing of this fan   |
 | flip, any frame | a face may turn past ``TURN_COSINE`` in a few frames only (crumpling motion does so by itself)   |
@@ -16,7 +14,7 @@ from typing import Any
 
 import warp as wp
 
-from warpqem.kernels.edge_cost import edge_anchor, merged_position
+from warpqem.kernels.edge_cost import breaks_seams, edge_anchor, merged_position, price_edge
 from warpqem.kernels.lanes import (
     LANE_OPTIONS,
     POINTS_ARRAY,
@@ -27,13 +25,15 @@ from warpqem.kernels.lanes import (
     overload_widths,
 )
 from warpqem.kernels.mesh_state import KEY_FRAMES, AnyKeyFrames, CostModel, MeshState
-from warpqem.kernels.topology import BORDER, find_half_edge, half_edge_target, next_corner, previous_corner
+from warpqem.kernels.topology import BORDER, find_half_edge, half_edge_target, previous_corner
 from warpqem.kernels.work import EdgeList, Work, count_before
 
 wp.set_module_options(LANE_OPTIONS)
 
 # A face may not turn by more than 78 degrees in one collapse: beyond that it folds over its neighbour a few later.
 TURN_COSINE = wp.constant(wp.float32(0.2))
+# A price that rose by more than this factor since it was set puts a winner back among the edges.
+DEARER = wp.constant(wp.float32(1.5))
 # Squared normals (4 area^2 squared, in diagonals^4) below this belong to faces without an orientation: nothing to flip.
 NO_AREA = wp.constant(wp.float32(1.0e-28))
 
@@ -64,14 +64,8 @@ def keeps_fan(state: MeshState, wing: wp.int32) -> wp.bool:
 
 
 @wp.func
-def closes_island(state: MeshState, h: wp.int32) -> wp.bool:
-    """Whether both other edges of the face of half-edge ``h`` are seams."""
-    return state.seam[next_corner(h)] == 1 and state.seam[previous_corner(h)] == 1
-
-
-@wp.func
 def is_manifold_collapse(state: MeshState, h: wp.int32) -> wp.bool:
-    """Link condition, pinch, island, wing and vanish rules for half-edge ``h``."""
+    """Link condition, pinch, wing and vanish rules for half-edge ``h``."""
     u = state.corner_vertex[h]
     v = half_edge_target(state.corner_vertex, h)
     left = state.corner_vertex[previous_corner(h)]
@@ -81,9 +75,7 @@ def is_manifold_collapse(state: MeshState, h: wp.int32) -> wp.bool:
         right = state.corner_vertex[previous_corner(opposite)]
         if (state.vertex_flags[u] & state.vertex_flags[v] & BORDER) != 0 or not keeps_fan(state, right):
             return False
-        if closes_island(state, opposite):
-            return False
-    if not keeps_fan(state, left) or closes_island(state, h):
+    if not keeps_fan(state, left):
         return False
     removed = wp.where(opposite >= 0, 2, 1)
     if degree(state, u) + degree(state, v) <= 2 * removed:
@@ -182,6 +174,7 @@ overload_widths(place_winners, frames=KEY_FRAMES, target_out=POINTS_ARRAY)
 def judge_winners(
     state: MeshState,
     frames: AnyKeyFrames,
+    model: CostModel,
     winners: EdgeList,
     target_in: Any,
     flip_tolerance: wp.int32,
@@ -192,6 +185,7 @@ def judge_winners(
 ):
     """The faces each legal winner removes; 0 for an illegal one, whose edge sleeps until its neighbourhood changes.
 
+    Also 0 for one that has become dear: seams come to an edge from across its faces, where nothing prices it again.
     Counts the legal ones of each part too (counts zeroed before the launch).
     """
     first_slot = count_before(winners, work.part)
@@ -210,7 +204,14 @@ def judge_winners(
                 if half_edge_target(state.corner_vertex, g) != b and state.corner_vertex[previous_corner(g)] != b:
                     legal = not turns_over(state, frames, g, target_in, i, flip_tolerance)
                 j += 1
-        if legal:
+        price = state.edge_cost[h]
+        if legal and breaks_seams(state, h):
+            fresh = price_edge(state, frames, model, h)
+            price = fresh.cost
+        if price > DEARER * state.edge_cost[h]:
+            faces_removed_out[i] = 0
+            state.edge_cost[h] = price
+        elif legal:
             opposite = find_half_edge(state.corner_vertex, state.star_start, state.star_corner, v, u)
             faces_removed_out[i] = wp.where(opposite >= 0, 2, 1)
             wp.atomic_add(legal_count, work.part, 1)

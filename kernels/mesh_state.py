@@ -38,7 +38,7 @@ class MeshState:
     corner_vertex: wp.array[wp.int32]  # (3N,) vertex of each corner; -1 in a dead face
     star_start: wp.array[wp.int32]  # (V+1,) stars as compressed rows
     star_corner: wp.array[wp.int32]  # (3N,)
-    vertex_flags: wp.array[wp.int32]  # (V,) BORDER | LOCKED | FROZEN | SEAM
+    vertex_flags: wp.array[wp.int32]  # (V,) BORDER | LOCKED | FROZEN | SEAM | CORNER
     cost_weight: wp.array[wp.float32]  # (V,) multiplies the cost; averaged when two vertices merge
     seam: wp.array[wp.int32]  # (3N,) 1 at both half-edges of a seam edge
     edge_cost: wp.array[wp.float32]  # (3N,) at canonical half-edges; inf: no collapse here; negative: asleep

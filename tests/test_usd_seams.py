@@ -97,14 +97,16 @@ def test_crease_is_a_seam(stage):
 
 def test_values_of_single_faces_are_not_held_closed(stage):
     corner_primvar(stage, "id", Sdf.ValueTypeNames.IntArray).Set(np.repeat(np.arange(SIZE * SIZE), 4).tolist())
-    pairs, let_go = seams_of(stage).hold(None)
-    assert (len(pairs), let_go) == (0, ["primvars:id"])
+    seams, faces = seams_of(stage), np.zeros((0, 3), dtype=np.int32)
+    assert len(seams.hold()) == 0
+    assert seams.let_go(faces, np.zeros(0, dtype=np.int32)) == ["closed seams of primvars:id (too many)"]
 
 
-def test_seams_with_more_corners_than_the_result_has_room_for_are_let_go(stage):
+def test_islands_without_a_face_left_are_named(stage):
     corner_primvar(stage, "st", Sdf.ValueTypeNames.FloatArray).Set(in_right_half().astype(float).tolist())
-    seams = seams_of(stage)
-    # The line ends at 2 corners: half of 4 vertices, with which a closed surface has 8 faces, to leading order.
-    assert seams.hold(8)[0].tolist() == MIDDLE_LINE
-    pairs, let_go = seams.hold(7)
-    assert (len(pairs), let_go) == (0, ["primvars:st"])
+    source = MeshSource(cloth(stage).GetPrim(), StagePoses(stage))
+    faces = source.topology.triangles
+    left = np.flatnonzero(source.topology.triangle_polygons % SIZE < SIZE // 2).astype(np.int32)
+    seams = find_seams(source, faces)
+    assert seams.let_go(faces, left) == ["1 of 2 islands of primvars:st"]
+    assert seams.let_go(faces, np.arange(len(faces), dtype=np.int32)) == []

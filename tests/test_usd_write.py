@@ -40,7 +40,7 @@ def simplified(source: Usd.Stage, path: str = CLOTH) -> Replacement:
     """A mesh simplified to 40 faces, baked where it has a skin."""
     mesh_source = MeshSource(source.GetPrimAtPath(path), StagePoses(source))
     job = MeshJob.prepare(mesh_source, bake=True)
-    result = warpqem.simplify(job.frames, job.faces, target_faces=40, seams=job.seams.hold(40)[0], device="cpu")
+    result = warpqem.simplify(job.frames, job.faces, target_faces=40, seams=job.seams.hold(), device="cpu")
     return Replacement(*job.output_points(result), result.faces, job.carrier(result, "cpu"))
 
 

@@ -21,7 +21,7 @@ class Seams:
     Attributes:
         half_edge: (3N,) int32, 1 at each half-edge of a seam edge.
         on_seam: (V,) bool, vertices with a seam edge.
-        corner: (V,) bool, where a seam ends, forks or meets a border: these keep their position.
+        corner: (V,) bool, where a seam ends, forks or meets a border.
     """
 
     half_edge: np.ndarray

@@ -14,7 +14,7 @@ from warpqem.cost_models import CostModelSpec, cost_model, feature_weights
 from warpqem.device import resolve_device
 from warpqem.errors import OptionError, UnreachableTargetError
 from warpqem.frame_blocks import pack_frames
-from warpqem.kernels.topology import LOCKED, SEAM
+from warpqem.kernels.topology import CORNER, LOCKED, SEAM
 from warpqem.key_frames import choose_key_frames
 from warpqem.mesh_input import AnimatedMesh, as_numpy, as_vertex_values, read_mesh
 from warpqem.order.log import CollapseRecord
@@ -109,7 +109,8 @@ def simplify(
         vertex_weights: (V,) factors from 0 to 1e12 on the cost at each vertex.
         locked: (V,) bool, or indices, of vertices that keep their position in every frame.
         seams: (S, 2) vertex pairs: edges that values on the surface do not cross, such as UV seams. They stay closed
-            polylines of edges near where they were; vertices where they end, fork or meet a border keep their position.
+            polylines of edges near where they were, with the same ends and forks, as long as the shape has something
+            to spare: beyond that the islands between them that cost the shape least are given up.
         attributes: UVs and other values on the surface, each with the weight of its error in the order of collapses;
             see :class:`warpqem.AttributeField`. ``max_error`` and ``SimplifiedMesh.error`` stay errors of the shape.
         device: Warp device; None takes cuda:0 if present, else cpu.
@@ -128,7 +129,7 @@ def simplify(
     mesh = read_mesh(points, faces)
     goal = _goal(len(mesh.faces), *goal_options)
     seam = read_seams(seams, mesh.faces, mesh.vertex_count)
-    pinned = _lock_mask(locked, mesh.vertex_count) | seam.corner
+    pinned = _lock_mask(locked, mesh.vertex_count)
     weights = _cost_weights(spec, mesh, vertex_weights, device)
     keys = _key_frames(spec, mesh, key_frames)
     endpoint = placement == "endpoint"
@@ -181,6 +182,7 @@ def _order_input(
     device: str,
 ) -> OrderInput:
     flags = np.where(pinned, int(LOCKED), 0) | np.where(seam.on_seam, int(SEAM), 0)
+    flags |= np.where(seam.corner, int(CORNER), 0)
     return OrderInput(
         faces=mesh.faces,
         key_position=pack_frames(mesh.points[keys], device, centre=mesh.centre, scale=1 / mesh.diagonal),

@@ -20,7 +20,7 @@ from warpqem.mesh_input import as_numpy
 from warpqem.place.rows import group_rows, sum_repeated
 from warpqem.simplification import SimplifiedMesh
 
-__all__ = ["SurfaceTransfer", "surface_transfer"]
+__all__ = ["SurfaceTransfer", "is_proper", "joined_faces", "surface_transfer"]
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ def surface_transfer(
     device = resolve_device(device)
     pose, faces = as_numpy(points).astype(np.float64), np.ascontiguousarray(as_numpy(faces), dtype=np.int32)
     cluster = result.vertex_map[faces]
-    usable = np.flatnonzero((cluster >= 0).all(axis=1) & _is_proper(faces))
+    usable = np.flatnonzero((cluster >= 0).all(axis=1) & is_proper(faces))
     vertex_count = result.points.shape[1]
     start, face, _ = sum_repeated(cluster[usable].ravel(), np.repeat(usable, 3), np.ones(3 * len(usable)), vertex_count)
     owner = np.repeat(np.arange(vertex_count), np.diff(start))
@@ -124,7 +124,7 @@ def surface_transfer(
     )
 
 
-def _is_proper(faces: np.ndarray) -> np.ndarray:
+def is_proper(faces: np.ndarray) -> np.ndarray:
     """(N,) bool, faces with three different vertices: others cover nothing."""
     proper: np.ndarray = (faces != np.roll(faces, -1, axis=1)).all(axis=1)
     return proper
@@ -132,7 +132,7 @@ def _is_proper(faces: np.ndarray) -> np.ndarray:
 
 def _sides(faces: np.ndarray, cluster: np.ndarray, entry_key: np.ndarray, seams: np.ndarray) -> np.ndarray:
     """Per entry, the lowest entry that it is joined to through edges that are no seams."""
-    first, second = _joined_faces(faces, seams)
+    first, second = joined_faces(faces, seams)
     links = []
     for k in range(3):
         owner = cluster[first, k]
@@ -150,12 +150,12 @@ def _sides(faces: np.ndarray, cluster: np.ndarray, entry_key: np.ndarray, seams:
     return lowest_members(len(entry_key), np.concatenate(links))
 
 
-def _joined_faces(faces: np.ndarray, seams: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def joined_faces(faces: np.ndarray, seams: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Pairs of faces that share an edge which is no seam."""
     vertex_count = int(faces.max()) + 1
     key = edge_key(faces.ravel(), np.roll(faces, -1, axis=1).ravel(), vertex_count)
     order = np.argsort(key, kind="stable")
-    order = order[np.repeat(_is_proper(faces), 3)[order]]
+    order = order[np.repeat(is_proper(faces), 3)[order]]
     key = key[order]
     pair = np.flatnonzero((key[1:] == key[:-1]) & ~np.isin(key[1:], edge_key(seams[:, 0], seams[:, 1], vertex_count)))
     return order[pair] // 3, order[pair + 1] // 3

@@ -183,7 +183,7 @@ class Orderer:
             self._launch(set_kernels.withdraw_claims, [state, candidates], work, [self._claim])
             targets = [self._target, self._anchor]
             self._launch(legality_kernels.place_winners, [state, frames, self.model, winners], work, targets)
-            judged = [state, frames, winners, self._target, self.flip_tolerance]
+            judged = [state, frames, self.model, winners, self._target, self.flip_tolerance]
             self._launch(legality_kernels.judge_winners, judged, work, [self._faces_removed, legal])
 
         return [Phase(claim, part_count), Phase(select, part_count), Phase(judge, part_count)]

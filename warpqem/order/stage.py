@@ -10,6 +10,7 @@ import warp as wp
 
 from warpqem.kernels import attribute as attribute_kernels
 from warpqem.kernels.mesh_state import KEY_FRAMES, CostModel, MeshState
+from warpqem.kernels.topology import CORNER
 from warpqem.order.attributes import build_wedges
 from warpqem.order.log import CollapseRecord, read_log
 from warpqem.order.passes import Orderer
@@ -50,8 +51,8 @@ class OrderedMesh:
         position: (V, B) points, where ordering put the kept vertices.
         quadric: (V, B) quadric of each kept vertex's cluster, about ``position``; that of the first key frame holds the
             attribute error too.
-        constrained: (3N,) int32, 1 at the input's border and seam half-edges.
-        on_line: (V,) bool, input vertices on a border or seam.
+        constrained: (3N,) int32, 1 at the input's border half-edges, 2 at its seams'.
+        line_rank: (V,) int, of input vertices: 2 at corners of seams, 1 elsewhere on a seam or border, 0 inside.
         stopped: "target", "max_error" or "no legal collapse".
         log: the collapses.
     """
@@ -63,7 +64,7 @@ class OrderedMesh:
     position: wp.array
     quadric: wp.array
     constrained: np.ndarray
-    on_line: np.ndarray
+    line_rank: np.ndarray
     stopped: str
     log: CollapseRecord
 
@@ -100,7 +101,7 @@ def order_collapses(
     state.corner_vertex = corner_vertex
     state.star_start, state.star_corner = stars.start, stars.corner
     state.vertex_flags = wp.array(mesh.vertex_flags, dtype=wp.int32, device=device)
-    constrained = classify_vertices(corner_vertex, stars, state.vertex_flags).numpy() | mesh.seam
+    constrained = classify_vertices(corner_vertex, stars, state.vertex_flags).numpy() | 2 * mesh.seam
     state.seam = wp.array(mesh.seam, dtype=wp.int32, device=device)
     frames = KEY_FRAMES[mesh.key_position.dtype._shape_[1]]()
     frames.position = wp.clone(mesh.key_position)
@@ -145,7 +146,9 @@ def order_collapses(
         position=frames.position,
         quadric=frames.quadric,
         constrained=constrained,
-        on_line=_ends(mesh.faces, constrained, vertex_count),
+        line_rank=np.where(
+            mesh.vertex_flags & int(CORNER), 2, _ends(mesh.faces, constrained, vertex_count).astype(np.int32)
+        ),
         stopped=stopped,
         log=log,
     )

@@ -58,11 +58,14 @@ def nearest_members(ordered: OrderedMesh, cluster: np.ndarray, cluster_count: in
 
 
 def _may_anchor(ordered: OrderedMesh, cluster: np.ndarray, cluster_count: int) -> np.ndarray:
-    """(V,) bool: in a cluster with vertices on a border or seam these alone hold the anchor, so that it stays there."""
-    on_line = ordered.on_line & (cluster >= 0)
-    has_line = np.zeros(cluster_count, dtype=bool)
-    has_line[cluster[on_line]] = True
-    return (cluster >= 0) & (on_line | ~has_line[cluster])
+    """(V,) bool: in a cluster with vertices on a border or seam these alone hold the anchor, so that it stays there.
+
+    Where there are corners of seams among them, these alone do.
+    """
+    inside = cluster >= 0
+    highest = np.zeros(cluster_count, dtype=np.int32)
+    np.maximum.at(highest, cluster[inside], ordered.line_rank[inside])
+    return inside & (ordered.line_rank == highest[cluster])
 
 
 def nearest_anchors(ordered: OrderedMesh, cluster: np.ndarray, cluster_count: int) -> Anchors:

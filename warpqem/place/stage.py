@@ -15,7 +15,7 @@ import warp as wp
 from warpqem.frame_blocks import pack_frames, unpack_frames
 from warpqem.kernels import placement as kernels
 from warpqem.mesh_input import AnimatedMesh
-from warpqem.order.quadrics import BORDER_WEIGHT
+from warpqem.order.quadrics import CONSTRAINT_WEIGHT
 from warpqem.order.stage import OrderedMesh
 from warpqem.parallel import run_parts, split_range, thread_count
 from warpqem.place.anchors import Anchors, fit_anchors, nearest_anchors
@@ -106,7 +106,7 @@ class Placer:
             alone = np.bincount(self.vertex_map[self.vertex_map >= 0], minlength=len(kept)) == 1
             solved = (~alone & ~pinned[kept]).astype(np.int32)
         on_line = np.zeros(len(kept), dtype=bool)
-        on_line[self.vertex_map[ordered.on_line & (self.vertex_map >= 0)]] = True
+        on_line[self.vertex_map[(ordered.line_rank > 0) & (self.vertex_map >= 0)]] = True
         self.free = (solved == 1) & ~on_line
         self.nearest = anchors.vertex[_heaviest(anchors)]
         # An anchor that is one input vertex, not solved for, is copied, so that it keeps its bits.
@@ -132,11 +132,12 @@ class Placer:
             self.vertex_map[corner_vertex], corner // 3, quadric_scale[corner_vertex], self._vertex_count
         )
         half_edge = np.flatnonzero(constrained)
+        weight = np.where(constrained[half_edge] == 1, CONSTRAINT_WEIGHT[1], CONSTRAINT_WEIGHT[2])
         ends = np.concatenate([half_edge, half_edge - half_edge % 3 + (half_edge + 1) % 3])
         border_start, border_half_edge, border_weight = sum_repeated(
             self.vertex_map[corner_vertex[ends]],
             np.concatenate([half_edge, half_edge]),
-            BORDER_WEIGHT * quadric_scale[corner_vertex[ends]],
+            np.concatenate([weight, weight]) * quadric_scale[corner_vertex[ends]],
             self._vertex_count,
         )
         clusters, device = kernels.Clusters(), self._device

@@ -10,7 +10,9 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Usd, UsdGeom
 
+from warpqem.components import lowest_members
 from warpqem.edges import edge_key
+from warpqem.transfer import is_proper, joined_faces
 from warpqem.usd.arrays import is_normal, primvar_samples, sample_codes, to_numpy
 from warpqem.usd.mesh import MeshSource
 
@@ -23,10 +25,6 @@ SMOOTH_COSINE = float(np.cos(np.radians(15.0)))
 # Values whose seams end or fork at more than this share of the vertices are no islands with borders but values of
 # single faces, as on a flat-shaded mesh. Held closed, such seams would leave next to nothing to simplify.
 DENSE_SHARE = 0.25
-
-# Corners of seams keep their place. Where they would be more than this share of the vertices left, the shape breaks up
-# for the seams: a game character with many small UV islands came out 1.5 times as far off at 40 %, 4 times at 56 %.
-CORNER_SHARE = 0.5
 
 # The attributes that shade a mesh.
 NORMALS = ("normals", "primvars:normals")
@@ -54,29 +52,32 @@ class MeshSeams:
         if _corner_count(pairs) > DENSE_SHARE * vertex_count:
             self.dense.append(name)
 
-    def hold(self, target_faces: int | None) -> tuple[Pairs, list[str]]:
-        """The edges that are to stay closed polylines during simplification.
+    def hold(self) -> Pairs:
+        """The edges that are to stay closed polylines during simplification, int32, shape (S, 2)."""
+        named = [pairs for name, pairs in self.by_name.items() if name not in self.dense]
+        return np.unique(np.concatenate([*named, self.borders]), axis=0)
+
+    def let_go(self, faces: npt.NDArray[np.int32], face_map: npt.NDArray[np.int32]) -> list[str]:
+        """What a simplified mesh no longer has of the seams, in words.
 
         Args:
-            target_faces: Faces that are to be left; None where an error limit decides.
-
-        Returns:
-            int32, shape (S, 2), and the names of the attributes whose seams are let go.
+            faces: int32, shape (N, 3), the triangles that the seams were found on.
+            face_map: int32, shape (N',), the triangle that each face left goes on from.
         """
-        named = {name: pairs for name, pairs in self.by_name.items() if name not in self.dense}
-        together = np.unique(np.concatenate([*named.values(), self.borders]), axis=0)
-        # A closed surface has half as many vertices as faces (Euler).
-        limit = np.inf if target_faces is None else CORNER_SHARE * target_faces / 2
-        if _corner_count(together) <= limit:
-            return together, self.dense
-        let_go = [name for name, pairs in self.by_name.items() if len(pairs)]
-        if _corner_count(self.borders) <= limit:
-            return self.borders, let_go
-        return np.zeros((0, 2), dtype=np.int32), [*let_go, "subset borders"]
+        gone = [f"closed seams of {name} (too many)" for name in self.dense]
+        kinds = {f"islands of {name}": pairs for name, pairs in self.by_name.items() if name not in self.dense}
+        for kind, pairs in {**kinds, "parts between subset borders and creases": self.borders}.items():
+            if not len(pairs):
+                continue
+            island = lowest_members(len(faces), np.stack(joined_faces(faces, pairs), axis=1))
+            before, after = len(np.unique(island[is_proper(faces)])), len(np.unique(island[face_map]))
+            if after < before:
+                gone.append(f"{before - after} of {before} {kind}")
+        return gone
 
 
 def _corner_count(pairs: Pairs) -> int:
-    """Vertices where seams end or fork, which keep their place."""
+    """Vertices where seams end or fork."""
     _, degree = np.unique(pairs, return_counts=True)
     return int((degree != 2).sum())
 

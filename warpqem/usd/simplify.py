@@ -294,7 +294,7 @@ class _Run:
         face_count = len(job.mesh.faces)
         if face_count <= TRIAL_FACES:
             return CostCurve(face_count, np.zeros(0), np.zeros(0, dtype=np.int64))
-        result = self._as_far_as_it_goes(job, progress, job.seams.hold(None)[0], TRIAL_FACES)
+        result = self._as_far_as_it_goes(job, progress, job.seams.hold(), TRIAL_FACES)
         diagonal = float(np.linalg.norm(np.ptp(job.frames.astype(np.float64), axis=1), axis=1).max())
         return CostCurve.from_log(
             face_count=face_count,
@@ -316,7 +316,7 @@ class _Run:
         if target_faces is not None and target_faces >= face_count:
             report.status, report.message = "kept", "the mesh has no more faces than asked for"
             return
-        seams, let_go = job.seams.hold(target_faces)
+        seams = job.seams.hold()
         if target_faces is None:
             result = self._call_core(job, progress, seams, max_error=self.options.max_error)
         elif self.options.strict:
@@ -328,7 +328,7 @@ class _Run:
             report.status, report.message = "kept", f"nothing could be removed ({report.stopped})"
             return
         self._write(job, result, report)
-        report.dropped += [f"closed seams of {name} (too many)" for name in let_go]
+        report.dropped += job.seams.let_go(job.faces, result.face_map)
 
     def _write(self, job: MeshJob, result: warpqem.SimplifiedMesh, report: PrimReport) -> None:
         times, points = job.output_points(result)
