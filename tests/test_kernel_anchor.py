@@ -127,12 +127,12 @@ def test_cluster_distance_is_the_squared_distance_summed_over_frames(device):
     np.testing.assert_allclose(out.numpy(), expected, rtol=1e-4, atol=1e-9)
 
 
-def ordered_mesh(device, root, on_line=None) -> SimpleNamespace:
+def ordered_mesh(device, root, line_rank=None) -> SimpleNamespace:
     """What anchors need of an order stage in which vertices went to their roots without moving these."""
     frames = build_mesh(POINTS, FACES, device).frames
-    on_line = np.zeros(len(root), dtype=bool) if on_line is None else on_line
+    line_rank = np.zeros(len(root), dtype=np.int32) if line_rank is None else line_rank
     return SimpleNamespace(
-        root=root, key_position=frames.position, position=frames.position, quadric=frames.quadric, on_line=on_line
+        root=root, key_position=frames.position, position=frames.position, quadric=frames.quadric, line_rank=line_rank
     )
 
 
@@ -160,12 +160,39 @@ def test_vertices_without_a_cluster_are_in_no_anchor(device):
     np.testing.assert_array_equal(anchors.vertex, np.delete(root, 6))
 
 
-def test_vertices_on_a_line_alone_anchor_their_cluster(device):
+@pytest.mark.parametrize(("corners", "expected"), [([], {12, 15}), ([15], {15})])
+def test_vertices_on_a_line_or_corners_of_it_alone_anchor_their_cluster(corners, expected, device):
     root = np.arange(POINTS.shape[1], dtype=np.int32)
     root[10:20] = 4
-    on_line = np.zeros(len(root), dtype=bool)
-    on_line[[12, 15]] = True
+    line_rank = np.zeros(len(root), dtype=np.int32)
+    line_rank[[12, 15]] = 1
+    line_rank[corners] = 2
     kept, cluster = np.unique(root, return_inverse=True)
-    anchors = fit_anchors(ordered_mesh(device, root, on_line), kept, cluster.astype(np.int32), 0.1)
+    anchors = fit_anchors(ordered_mesh(device, root, line_rank), kept, cluster.astype(np.int32), 0.1)
     at = int(np.searchsorted(kept, 4))
-    assert set(anchors.vertex[anchors.start[at] : anchors.start[at + 1]].tolist()) == {12, 15}
+    assert set(anchors.vertex[anchors.start[at] : anchors.start[at + 1]].tolist()) == expected
+
+
+def test_anchor_stays_within_its_cluster_where_planes_hardly_meet(device):
+    # An arc of a thin band: its planes meet in the arc's axis, far from the band.
+    angle = np.linspace(0, 0.1, 6)
+    arc = np.stack([np.cos(angle), np.sin(angle), np.zeros(6)], axis=1)
+    points = 10 * np.concatenate([arc, arc + np.array([0, 0, 0.01])]).astype(np.float32)[None]
+    position = packed(points, device)
+    quadric = oracle.zero()
+    for direction in ([0.0, 1.0, 0.0], [0.0, 0.0, 1.0]):
+        quadric += oracle.plane(np.array(direction), np.array([0.0, -8.0, 0.0]))
+    quadrics = np.zeros((12, 1, 10))
+    quadrics[0] = oracle.pack(quadric)
+    mesh = SimpleNamespace(
+        root=np.zeros(12, dtype=np.int32),
+        key_position=position,
+        position=packed(np.zeros_like(points), device),
+        quadric=packed_quadrics(quadrics, position),
+        line_rank=np.zeros(12, dtype=np.int32),
+    )
+    anchors = fit_anchors(mesh, np.array([0]), np.zeros(12, dtype=np.int32), 0.005)
+    offset = points[0] - points[0].mean(axis=0)
+    place = anchors.weight.astype(np.float64) @ offset[anchors.vertex]
+    assert anchors.weight.sum() == pytest.approx(1, abs=1e-4)
+    assert np.linalg.norm(place) <= np.linalg.norm(offset, axis=1).max() * (1 + 1e-3)

@@ -10,6 +10,7 @@ from oracles import topology as oracle
 
 from warpqem.kernels.collapse import commit_winners, mark_live_faces, move_live_faces, open_log
 from warpqem.kernels.legality import place_winners
+from warpqem.kernels.topology import CORNER, SEAM
 from warpqem.order.stars import build_stars
 
 MESHES = {"closed": meshes.swaying_sphere(1, 3), "open": meshes.bending_bar(6, 5, 4)}
@@ -20,10 +21,13 @@ RIM_EDGE = (1, 0)  # the border half-edge of the open mesh between its vertices 
 class Commit:
     """One committed edge of a mesh: state, log, mask, target (K, 3) and anchor."""
 
-    def __init__(self, points, faces, edge, device, faces_removed=2, **options):
+    def __init__(self, points, faces, edge, device, faces_removed=2, seam=None, flags=None, **options):
         self.faces, self.edge, self.half_edge = faces, edge, half_edge_between(faces, *edge)
         self.mesh = build_mesh(points, faces, device, **options)
         self.state, frames = self.mesh.state, self.mesh.frames
+        if seam is not None:
+            self.state.seam = wp.array(seam, device=device)
+            self.state.vertex_flags = wp.array(self.state.vertex_flags.numpy() | flags, device=device)
         self.before = self.mesh.quadric.astype(np.float64)
         self.state.edge_cost.fill_(3.0)
         winners = edge_list([self.half_edge], device)
@@ -43,6 +47,31 @@ class Commit:
     def live_faces(self):
         faces = self.state.corner_vertex.numpy().reshape(-1, 3)
         return faces[faces[:, 0] >= 0]
+
+
+def seam_flags_after(pairs, corners, device) -> int:
+    """SEAM and CORNER of the vertex that the edge 6 7 of a 4 x 4 grid with seams along vertex pairs becomes."""
+    points, faces = meshes.grid(4, 4)
+    seam = np.zeros(faces.size, dtype=np.int32)
+    seam[[half_edge_between(faces, *ends) for u, v in pairs for ends in ((u, v), (v, u))]] = 1
+    flags = np.zeros(len(points), dtype=np.int32)
+    flags[np.unique(pairs)] |= int(SEAM)
+    flags[corners] |= int(CORNER)
+    commit = Commit(points[None], faces, (6, 7), device, seam=seam, flags=flags)
+    return int(commit.state.vertex_flags.numpy()[6]) & (int(SEAM) | int(CORNER))
+
+
+@pytest.mark.parametrize(
+    ("pairs", "corners", "expected"),
+    [
+        ([(5, 6), (6, 7), (7, 8)], [], int(SEAM)),  # goes on both ways
+        ([(6, 7), (7, 8)], [6], int(SEAM) | int(CORNER)),  # ends here
+        ([(6, 7)], [6, 7], 0),  # was no longer than the edge
+        ([(1, 6), (6, 11), (2, 7), (7, 12)], [], int(SEAM) | int(CORNER)),  # two cross
+    ],
+)
+def test_merged_vertex_has_the_seam_flags_of_its_seams(pairs, corners, expected, device):
+    assert seam_flags_after(pairs, corners, device) == expected
 
 
 def closed_commit(device, **options):

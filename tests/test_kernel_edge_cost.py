@@ -22,6 +22,7 @@ from oracles.topology import edges
 from warpqem.kernels.collapse import commit_winners
 from warpqem.kernels.edge_cost import price_all_edges, reprice_moved_stars, wake_neighbourhoods
 from warpqem.kernels.legality import place_winners
+from warpqem.kernels.topology import CORNER, SEAM
 from warpqem.order.stars import build_stars
 
 MESHES = {"closed": meshes.swaying_sphere(1, 3), "open": meshes.bending_bar(6, 5, 4)}
@@ -236,3 +237,43 @@ def test_sleeping_edges_wake_around_a_moved_vertex_only(device):
     assert (cost[finite & near] > 0).all()
     assert (cost[finite & ~near] < 0).all()
     assert (finite & ~near).any()
+
+
+def with_seams(faces, pairs, corners, device):
+    """A still 4 x 4 grid with seams along vertex pairs and the given corners."""
+    built = build_mesh(meshes.grid(4, 4)[0], faces, device)
+    half_edges = [half_edge_between(faces, *ends) for u, v in pairs for ends in ((u, v), (v, u))]
+    seam = np.zeros(faces.size, dtype=np.int32)
+    seam[half_edges] = 1
+    flags = built.state.vertex_flags.numpy()
+    flags[np.unique(pairs)] |= int(SEAM)
+    flags[list(corners)] |= int(CORNER)
+    built.state.seam = wp.array(seam, device=device)
+    built.state.vertex_flags = wp.array(flags, device=device)
+    return built
+
+
+@pytest.mark.parametrize(
+    ("pairs", "corners", "dear"),
+    [
+        ([(6, 7), (7, 8)], (), False),  # along a seam
+        ([(6, 7), (7, 8)], (6,), False),  # along a seam to its corner
+        ([(6, 7), (7, 8)], (6, 7), True),  # from corner to corner
+        ([(1, 6), (2, 7)], (), True),  # from seam to seam across the surface
+        ([(6, 7), (7, 11), (11, 6)], (), True),  # the whole of an island
+    ],
+)
+def test_collapse_that_changes_how_seams_run_is_dear(pairs, corners, dear, device):
+    _, faces = meshes.grid(4, 4)
+    built = with_seams(faces, pairs, corners, device)
+    edge = half_edge_between(faces, 6, 7)
+    # The grid is flat: all that a collapse costs is length.
+    free = prices(build_mesh(meshes.grid(4, 4)[0], faces, device), cost_model(), device)[edge]
+    assert (prices(built, cost_model(), device)[edge] > 100 * free) == dear
+
+
+def test_corner_of_a_seam_is_the_anchor_against_the_rest_of_it(device):
+    _, faces = meshes.grid(4, 4)
+    built = with_seams(faces, [(6, 7), (7, 8)], (6,), device)
+    _, anchor = placed(built, cost_model(), [half_edge_between(faces, 6, 7), half_edge_between(faces, 7, 6)], device)
+    assert anchor.tolist() == [0.0, 1.0]

@@ -4,10 +4,11 @@ import meshes
 import numpy as np
 import pytest
 import warp as wp
-from mesh_state import build_mesh, edge_list, half_edge_between, one_part, packed
+from mesh_state import build_mesh, cost_model, edge_list, half_edge_between, one_part, packed
 from oracles import topology as oracle
 
 from warpqem.kernels.legality import judge_winners
+from warpqem.kernels.topology import SEAM
 
 
 def judged(built, half_edges, target, device, flip_tolerance=0) -> np.ndarray:
@@ -15,7 +16,8 @@ def judged(built, half_edges, target, device, flip_tolerance=0) -> np.ndarray:
     out = wp.full(len(half_edges), -1, dtype=wp.int32, device=device)
     legal = wp.zeros(1, dtype=wp.int32, device=device)
     blocks = packed(np.asarray(target).transpose(1, 0, 2), device)
-    inputs = [built.state, built.frames, edge_list(half_edges, device), blocks, flip_tolerance, one_part(device)]
+    winners, work = edge_list(half_edges, device), one_part(device)
+    inputs = [built.state, built.frames, cost_model(), winners, blocks, flip_tolerance, work]
     wp.launch(judge_winners, dim=1, inputs=inputs, outputs=[out, legal], device=device)
     assert legal.numpy()[0] == (out.numpy() > 0).sum()
     return out.numpy()
@@ -168,6 +170,21 @@ TOPOLOGIES = {
     "back_to_back": meshes.back_to_back(),
     "square": meshes.grid(1, 1),
 }
+
+
+def test_edge_that_seams_made_dear_is_put_back_at_its_new_price(device):
+    points, faces = meshes.grid(4, 4)
+    built = build_mesh(points, faces, device)
+    u, v = 6, 7
+    h = half_edge_between(faces, u, v)
+    middle = (points[None, u] + points[None, v]) / 2
+    built.state.edge_cost = wp.full(faces.size, 1e-30, dtype=wp.float32, device=device)
+    assert judged(built, [h], middle[None], device)[0] == 2
+    flags = built.state.vertex_flags.numpy()
+    flags[[u, v]] |= int(SEAM)
+    built.state.vertex_flags = wp.array(flags, dtype=wp.int32, device=device)
+    assert judged(built, [h], middle[None], device)[0] == 0
+    assert 1e-30 < built.state.edge_cost.numpy()[h] < np.inf
 
 
 @pytest.mark.parametrize("name", TOPOLOGIES)

@@ -5,8 +5,10 @@ import numpy as np
 import pytest
 
 import warpqem
+from warpqem.components import lowest_members
 from warpqem.errors import MeshShapeError, OptionError
 from warpqem.seams import read_seams
+from warpqem.transfer import joined_faces
 
 POINTS, FACES = meshes.waving_grid(16, 4)
 COLUMN = np.array([[17 * row + 8, 17 * (row + 1) + 8] for row in range(16)])
@@ -36,10 +38,44 @@ def test_seam_stays_a_chain_of_output_edges(metric, device):
     assert mapped_seam(result, COLUMN) <= edges_of(result.faces)
 
 
-def test_ends_of_a_seam_at_the_border_keep_their_position(device):
+def test_ends_of_a_seam_at_the_border_stay_there(device):
     result = warpqem.simplify(POINTS, FACES, ratio=0.15, seams=COLUMN, device=device)
     ends = COLUMN[[0, -1], [0, 1]]
-    np.testing.assert_array_equal(result.points[:, result.vertex_map[ends]], POINTS[:, ends])
+    # A quarter of the distance between two vertices of the input.
+    np.testing.assert_allclose(result.points[:, result.vertex_map[ends]], POINTS[:, ends], atol=1 / 64)
+
+
+def test_cut_that_ends_inside_keeps_its_length(device):
+    cut = COLUMN[4:12]
+    result = warpqem.simplify(POINTS, FACES, ratio=0.15, seams=cut, device=device)
+    ends = cut[[0, -1], [0, 1]]
+    np.testing.assert_allclose(result.points[:, result.vertex_map[ends]], POINTS[:, ends], atol=1 / 64)
+
+
+def quad_borders(size):
+    """All edges of a grid of 16 x 16 quads on lines a multiple of ``size`` quads from the first."""
+    index = np.arange(17 * 17).reshape(17, 17)
+    rows = [np.stack([row[:-1], row[1:]], axis=1) for row in index[::size]]
+    columns = [np.stack([column[:-1], column[1:]], axis=1) for column in index.T[::size]]
+    return np.concatenate(rows + columns)
+
+
+def island_count(seams, face_map):
+    return len(np.unique(lowest_members(len(FACES), np.stack(joined_faces(FACES, seams), axis=1))[face_map]))
+
+
+def test_islands_hold_while_there_are_faces_for_them(device):
+    seams = quad_borders(4)
+    result = warpqem.simplify(POINTS, FACES, target_faces=100, seams=seams, device=device)
+    assert result.stopped == "target"
+    assert island_count(seams, result.face_map) == 16
+
+
+def test_islands_give_way_to_the_target(device):
+    seams = quad_borders(2)
+    result = warpqem.simplify(POINTS, FACES, target_faces=40, seams=seams, device=device)
+    assert 39 <= len(result.faces) <= 40
+    assert 20 <= island_count(seams, result.face_map) < 64
 
 
 def test_seam_keeps_its_place(device):
