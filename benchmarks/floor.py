@@ -1,4 +1,4 @@
-"""The least that a launch must do: bytes it reads and writes, and floating-point operations, counted from its arguments.
+"""The least that a launch must do: bytes it reads and writes, and floating-point operations, from its arguments.
 
 Every array element that the launch needs counts once, as if it stayed in the cache until all threads had used it, and
 operations count without index arithmetic: no program can do less with this algorithm, so time over floor is how far a
