@@ -7,6 +7,7 @@ from warpqem.frame_blocks import pack_frames
 from warpqem.kernels.lanes import QUADRIC
 from warpqem.kernels.mesh_state import KEY_FRAMES, CollapseLog, CostModel, MeshState
 from warpqem.kernels.work import EdgeList, Work
+from warpqem.order.attributes import build_wedges
 from warpqem.order.quadrics import initial_quadrics
 from warpqem.order.stars import build_stars, classify_vertices
 
@@ -81,6 +82,7 @@ def build_mesh(points, faces, device, locked=(), cost_weight=None, with_trajecto
     state.cost_weight = wp.array(weight, dtype=wp.float32, device=device)
     state.edge_cost = wp.zeros(faces.size, dtype=wp.float32, device=device)
     state.seam = wp.zeros(faces.size, dtype=wp.int32, device=device)
+    state.wedges = build_wedges(faces, position, None, len(points))
     none = wp.empty((0, 0), dtype=wp.vec3, device=device)
     state.trajectory = vertex_major(points, device) if with_trajectory else none
     return DeviceMesh(state, frames, len(points))
