@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from benchmarks.contenders import BASE, CONTENDERS
 from benchmarks.figures import median, ratio_in_turn
@@ -17,6 +18,7 @@ __all__ = ["add_duel", "outcome_row"]
 COLUMNS = (
     Column("contender", "contender"),
     Column("ratio", "time / warpqem's", ".2f"),
+    Column("cpu_ratio", "CPU time / warpqem's", ".2f"),
     Column("seconds", "s", ".3f"),
     Column("cpu_seconds", "CPU s", ".3f"),
     Column("ns", "ns / face / frame", ".0f"),
@@ -32,7 +34,7 @@ COLUMNS = (
 
 def outcome_row(name: str, work: Work, outcome: Outcome, base: Outcome | None, device: str | None) -> Row:
     """One contender's figures; its quality only where there is a result, its ratio where both ran every turn."""
-    row = {"contender": name, "way": CONTENDERS[name].way, "failure": outcome.failure}
+    row: dict[str, Any] = {"contender": name, "way": CONTENDERS[name].way, "failure": outcome.failure}
     if outcome.seconds:
         seconds = median(outcome.seconds)
         row |= {
@@ -44,6 +46,8 @@ def outcome_row(name: str, work: Work, outcome: Outcome, base: Outcome | None, d
         }
     if base is not None and outcome.seconds and len(outcome.seconds) == len(base.seconds):
         row["ratio"] = ratio_in_turn(outcome.seconds, base.seconds)
+        # On a machine that others use too, CPU time says more than the clock.
+        row["cpu_ratio"] = ratio_in_turn(outcome.cpu_seconds, base.cpu_seconds)
     if outcome.result is not None:
         row |= measure_quality(work, outcome.result, device)
     return row

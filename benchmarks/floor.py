@@ -1,4 +1,4 @@
-"""The least that a launch must do: bytes it reads and writes, and floating-point operations, from its arguments.
+"""The least that a launch must do: bytes read and written, and floating-point operations, counted from its arguments.
 
 Every array element that the launch needs counts once, as if it stayed in the cache until all threads had used it, and
 operations count without index arithmetic: no program can do less with this algorithm, so time over floor is how far a
@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import warp as wp
 
 __all__ = ["BYTES_PER_SECOND", "COUNTED", "FLOPS_PER_SECOND", "Demand", "count_demand", "floor_seconds"]
 
@@ -58,8 +59,26 @@ def floor_seconds(demand: Demand) -> float:
 
 
 def _length(edges: Any) -> int:
-    """Length of a list that the device counts."""
-    return int(edges.count.numpy()[0])
+    """Length of a list that the device counts, all parts of it."""
+    return int(edges.count.numpy().sum())
+
+
+def _size(array: Any) -> int:
+    """Bytes of an array."""
+    return int(array.size) * int(wp.types.type_size_in_bytes(array.dtype))
+
+
+def _frames(blocks: Any) -> int:
+    """Frames in an array (V, B) of blocks of points (3, width), those that fill up the last block included."""
+    return int(blocks.shape[1]) * int(blocks.dtype._shape_[1])
+
+
+def _keys(a: Arguments) -> int:
+    return _frames(a["frames"].position)
+
+
+def _half_edges(a: Arguments) -> int:
+    return 3 * int(a["state"].face_count.numpy()[0])
 
 
 def _moved(a: Arguments) -> int:
@@ -67,13 +86,8 @@ def _moved(a: Arguments) -> int:
     return max(0, _length(a["log"]) - int(a["pass_begin"].numpy()[0]))
 
 
-def _keys(a: Arguments) -> int:
-    return int(a["state"].position.shape[1])
-
-
 def _price_all_edges(a: Arguments) -> Demand:
-    vertices, keys = a["state"].position.shape
-    half_edges = a["half_edge_count"]
+    vertices, keys, half_edges = len(a["state"].vertex_flags), _keys(a), _half_edges(a)
     # Corners, stars and costs of each half-edge; the row starts and flags of each vertex.
     topology = half_edges * 3 * INT + vertices * 3 * INT
     return Demand(vertices * keys * ROW + topology, half_edges / 2 * keys * PRICE_FLOPS)
@@ -89,8 +103,8 @@ def _reprice_moved_stars(a: Arguments) -> Demand:
 
 
 def _wake_neighbourhoods(a: Arguments) -> Demand:
-    # The costs around each neighbour, read and written; a cost in two neighbourhoods counts in both.
-    return Demand(_moved(a) * VALENCE * VALENCE * (1 + 2 * 2) * INT)
+    # All costs; what the few sleeping edges need besides is not counted.
+    return Demand(_half_edges(a) * INT)
 
 
 def _place_winners(a: Arguments) -> Demand:
@@ -100,11 +114,15 @@ def _place_winners(a: Arguments) -> Demand:
 
 def _judge_winners(a: Arguments) -> Demand:
     winners, keys = _length(a["winners"]), _keys(a)
-    # Both stars: ten faces stay, over the two ends and a ring of eight, against one target.
-    faces, vertices = 2 * (VALENCE - 1), 2 + 2 * (VALENCE - 2)
+    # Both stars: eight faces stay, over the two ends and a ring of eight, against one target.
+    faces, vertices = 2 * (VALENCE - 2), 2 + 2 * (VALENCE - 2)
     return Demand(
         winners * (keys * (vertices + 1) * POINT + 2 * VALENCE * 4 * INT), winners * keys * faces * FLIP_FLOPS
     )
+
+
+def _open_log(a: Arguments) -> Demand:
+    return Demand(_size(a["legal_count"]) * 2 + _size(a["log_slot"]))
 
 
 def _commit_winners(a: Arguments) -> Demand:
@@ -116,15 +134,15 @@ def _commit_winners(a: Arguments) -> Demand:
 
 
 def _count_costs(a: Arguments) -> Demand:
-    return Demand(a["half_edge_count"] / a["sample_step"] * INT)
+    return Demand(_half_edges(a) / a["sample_step"] * INT)
 
 
 def _find_cap(a: Arguments) -> Demand:
-    return Demand(2 * INT * a["histogram"].size)
+    return Demand(2 * _size(a["histogram"]))
 
 
 def _collect_candidates(a: Arguments) -> Demand:
-    return Demand(a["half_edge_count"] * INT)
+    return Demand(_half_edges(a) * INT)
 
 
 def _claim_vertices(a: Arguments) -> Demand:
@@ -133,9 +151,8 @@ def _claim_vertices(a: Arguments) -> Demand:
 
 
 def _select_winners(a: Arguments) -> Demand:
-    # Two stars: their lists, the corners of ten faces, the claims of ten vertices.
-    faces = 2 * (VALENCE - 1)
-    return Demand(_length(a["candidates"]) * (5 * INT + faces * (1 + 3) * INT + faces * 8))
+    # The half-edge, its cost, corners and the claims at both ends; most candidates need no more.
+    return Demand(_length(a["candidates"]) * (4 * INT + 2 * 8))
 
 
 def _withdraw_claims(a: Arguments) -> Demand:
@@ -147,55 +164,63 @@ def _shrink_candidates(a: Arguments) -> Demand:
 
 
 def _count_corners(a: Arguments) -> Demand:
-    return Demand(a["corner_vertex_in"].size * INT + a["corner_count_out"].size * 2 * INT)
+    return Demand(3 * int(a["face_count_in"].numpy()[0]) * INT + 2 * _size(a["corner_count_out"]))
 
 
 def _fill_stars(a: Arguments) -> Demand:
-    return Demand(2 * a["corner_vertex_in"].size * INT + a["star_cursor"].size * 2 * INT)
+    return Demand(2 * 3 * int(a["face_count_in"].numpy()[0]) * INT + 2 * _size(a["star_cursor"]))
 
 
 def _sort_stars(a: Arguments) -> Demand:
-    return Demand((2 * a["star_corner"].size + a["star_start_in"].size) * INT)
+    return Demand(2 * int(a["star_start_in"].numpy()[-1]) * INT + _size(a["star_start_in"]))
 
 
 def _classify_vertices(a: Arguments) -> Demand:
-    return Demand((3 * a["corner_vertex_in"].size + 3 * a["vertex_flags"].size) * INT)
+    return Demand(3 * _size(a["corner_vertex_in"]) + 3 * _size(a["vertex_flags"]))
 
 
 def _mark_live_faces(a: Arguments) -> Demand:
-    return Demand(2 * a["live_out"].size * INT)
+    return Demand(2 * _size(a["live_out"]))
 
 
 def _move_live_faces(a: Arguments) -> Demand:
     # Rank and corner of every face; three corners, costs and seams of the live ones, read and written.
-    faces = a["live_rank_in"].size
     live = int(a["live_rank_in"].numpy()[-1])
-    return Demand((2 * faces + 2 * 9 * live) * INT)
+    return Demand(2 * _size(a["live_rank_in"]) + 2 * 9 * live * INT)
+
+
+def _pack_frames(a: Arguments) -> Demand:
+    return Demand(_size(a["points_in"]) + _size(a["blocks_out"]), 6 * a["points_in"].size)
+
+
+def _unpack_frames(a: Arguments) -> Demand:
+    return Demand(_size(a["blocks_in"]) + _size(a["points_out"]))
 
 
 def _weigh_face_normals(a: Arguments) -> Demand:
-    faces, keys = a["weighted_normal_out"].shape
-    vertices = a["position_in"].shape[0]
-    return Demand(faces * (3 * INT + keys * POINT) + vertices * keys * POINT, faces * keys * 27)
+    normals = a["weighted_normal_out"]
+    faces = normals.shape[0]
+    # A part of the faces needs the vertices of that part.
+    positions = min(_size(a["position_in"]), faces / 2 * POINT * _frames(normals))
+    return Demand(_size(normals) + faces * 3 * INT + positions, faces * _frames(normals) * 27)
 
 
 def _gather_vertex_quadrics(a: Arguments) -> Demand:
-    faces = a["weighted_normal_in"].shape[0]
-    vertices, keys = a["quadric_out"].shape
-    return Demand(
-        keys * (faces * POINT + vertices * QUADRIC) + (3 * faces + 2 * vertices) * INT,
-        vertices * keys * (VALENCE * 12 + 6),
-    )
+    quadrics = a["quadric_out"]
+    vertices, frames = quadrics.shape[0], _frames(a["weighted_normal_in"])
+    normals = min(_size(a["weighted_normal_in"]), 2 * vertices * POINT * frames)
+    return Demand(_size(quadrics) + normals + (VALENCE + 2) * vertices * INT, vertices * frames * (VALENCE * 12 + 6))
 
 
 def _measure_cluster_distances(a: Arguments) -> Demand:
-    vertices, keys = a["key_position_in"].shape
+    positions = a["key_position_in"]
+    vertices, frames = positions.shape[0], _frames(positions)
     kept = len(np.unique(a["root_in"].numpy()))
-    return Demand((vertices + kept) * keys * POINT + 2 * vertices * INT, vertices * keys * 9)
+    return Demand(_size(positions) + kept * frames * POINT + 2 * vertices * INT, vertices * frames * 9)
 
 
 def _fit_anchor_weights(a: Arguments) -> Demand:
-    keys = a["key_position_in"].shape[1]
+    keys = _frames(a["key_position_in"])
     size = np.diff(a["member_start_in"].numpy()).astype(np.float64)
     members, entries = size.sum(), (size * (size + 1) / 2).sum()
     # The Gram matrices count as never leaving the chip.
@@ -205,18 +230,17 @@ def _fit_anchor_weights(a: Arguments) -> Demand:
 
 
 def _place_vertices(a: Arguments) -> Demand:
-    frames, vertices = a["points_in"].shape
-    clusters, outputs = a["clusters"], a["points_out"].shape[1]
+    frames, clusters, outputs = _frames(a["points_in"]), a["clusters"], a["points_out"].shape[0]
     faces, members = clusters.face.size, clusters.member.size
     once = faces * 4 * INT + members * 2 * INT + clusters.border.size * 2 * INT + outputs * 4 * INT
     flops = faces * PLANE_FLOPS + members * 6 + outputs * SOLVE_FLOPS
-    return Demand(once + frames * (vertices + 2 * outputs) * POINT, frames * flops)
+    return Demand(once + _size(a["points_in"]) + _size(a["points_out"]) + _size(a["normal_out"]), frames * flops)
 
 
 def _count_flips(a: Arguments) -> Demand:
-    frames, outputs = a["points_in"].shape
     faces = a["corner_vertex_in"].size / 3
-    return Demand(faces * 3 * INT + frames * 2 * outputs * POINT, frames * faces * 26)
+    moved = _size(a["points_in"]) + _size(a["normal_in"])
+    return Demand(_size(a["corner_vertex_in"]) + moved, faces * _frames(a["points_in"]) * 26)
 
 
 _MODELS: dict[str, Callable[[Arguments], Demand]] = {
@@ -227,6 +251,7 @@ _MODELS: dict[str, Callable[[Arguments], Demand]] = {
         _wake_neighbourhoods,
         _place_winners,
         _judge_winners,
+        _open_log,
         _commit_winners,
         _count_costs,
         _find_cap,
@@ -241,6 +266,8 @@ _MODELS: dict[str, Callable[[Arguments], Demand]] = {
         _classify_vertices,
         _mark_live_faces,
         _move_live_faces,
+        _pack_frames,
+        _unpack_frames,
         _weigh_face_normals,
         _gather_vertex_quadrics,
         _measure_cluster_distances,
@@ -254,16 +281,27 @@ _MODELS: dict[str, Callable[[Arguments], Demand]] = {
 COUNTED = frozenset(_MODELS)
 
 
-def count_demand(kernel: str, arguments: Arguments, lanes: int) -> Demand | None:
+def count_demand(kernel: str, arguments: Arguments, threads: int) -> Demand | None:
     """What a launch needs; None for a kernel without an entry.
 
     Args:
         kernel: its name.
         arguments: its arguments by name, as they are before the launch.
-        lanes: threads of the launch; a sweep with a larger stride does that part of the work only.
+        threads: threads of the launch.
     """
     if kernel not in _MODELS:
         return None
     whole = _MODELS[kernel](arguments)
-    share = min(1.0, lanes / arguments["stride"]) if "stride" in arguments else 1.0
+    share = _share(arguments, threads)
     return Demand(share * whole.bytes, share * whole.flops)
+
+
+def _share(a: Arguments, threads: int) -> float:
+    """The part of the whole that a launch does, where CPU threads have a launch each."""
+    if "work" in a:
+        return 1.0 / int(a["work"].part_count)
+    if "first_cluster" in a:
+        return threads / a["points_out"].size
+    if "first_vertex" in a:
+        return threads / a["vertex_flags"].size
+    return 1.0

@@ -35,7 +35,8 @@ COLUMNS = (
 
 def kernel_rows(profile: LaunchProfile) -> list[Row]:
     """A row for each kernel, the longest first, and one for their sum."""
-    rows = [_row(kernel, launches) for kernel, launches in profile.by_kernel().items()]
+    on_gpu = any(entry.events is not None for entry in profile.entries)
+    rows = [_row(kernel, launches, on_gpu) for kernel, launches in profile.by_kernel().items()]
     rows.sort(key=lambda row: -row["milliseconds"])
     total = sum(row["milliseconds"] for row in rows)
     for row in rows:
@@ -49,18 +50,21 @@ def kernel_rows(profile: LaunchProfile) -> list[Row]:
     ]
 
 
-def _row(kernel: str, launches: list[tuple[float, Demand | None]]) -> dict:
+def _row(kernel: str, launches: list[tuple[float, Demand | None]], on_gpu: bool) -> dict:
     milliseconds = 1e3 * sum(seconds for seconds, _ in launches)
     row = {"kernel": kernel, "launches": len(launches), "milliseconds": milliseconds, "floor_ms": None}
-    demands = [demand for _, demand in launches]
-    if any(demand is None for demand in demands):
+    demands = [demand for _, demand in launches if demand is not None]
+    if len(demands) < len(launches):
         return row
     demand = sum(demands, start=Demand(0.0))
     # Each launch has its own floor: one may wait for memory, another for arithmetic.
     floor_ms = 1e3 * sum(floor_seconds(d) for d in demands)
     row |= {"megabytes": demand.bytes / 1e6, "megaflops": demand.flops / 1e6, "floor_ms": floor_ms}
-    if floor_ms > 0 and milliseconds > 0:
-        row |= {"over_floor": milliseconds / floor_ms, "effective_gbs": demand.bytes / milliseconds / 1e6}
+    if milliseconds > 0:
+        row["effective_gbs"] = demand.bytes / milliseconds / 1e6
+    # The floor is that of a GPU: another device's time has nothing to do with it.
+    if on_gpu and floor_ms > 0:
+        row["over_floor"] = milliseconds / floor_ms
     return row
 
 
@@ -84,8 +88,9 @@ def run(settings: Settings) -> Report:
     rows = kernel_rows(profile)
     report.tables.append(Table(f"{work.name}: {work.size}, on {device}", COLUMNS, rows))
     report.notes += [
-        f"the whole call took {plain:.3f} s without the profile and {profiled:.3f} s with it, which reads lists back",
-        "ms: between two events on a GPU; on a CPU the launch with its host side, summed over threads",
+        f"the whole call took {plain:.3f} s without the profile, {profiled:.3f} s with it: launches are made one by "
+        "one and not replayed as graphs, lists are read back before them, CPU threads take no turns",
+        "ms: between two events on a GPU; CPU time of the one thread on a CPU",
         "floor: bytes at 4.3 TB/s or operations at 67 Tflop/s, whichever takes longer; each needed element once",
     ]
     uncounted = [row["kernel"] for row in rows if row["floor_ms"] is None]

@@ -1,17 +1,23 @@
-"""Times of kernel launches, by standing in for ``warp.launch`` and ``Launch.launch`` while a profile is taken."""
+"""Times of kernel launches, by standing in for ``warp.launch`` while a profile is taken.
+
+A replayed graph does not tell its kernels apart, so the steps of the ordering make their launches one by one meanwhile,
+part after part on one thread.
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from math import prod
 from typing import Any
+from unittest.mock import patch
 
 import warp as wp
 
 from benchmarks.floor import Demand, count_demand
+from warpqem.order.steps import Phase, Step
 
 __all__ = ["LaunchProfile", "profile_launches"]
 
@@ -42,60 +48,55 @@ class LaunchProfile:
             table.setdefault(entry.kernel, []).append((seconds, entry.demand))
         return table
 
-    def time(self, kernel: Any, arguments: Sequence[Any], lanes: int, device: wp.Device, go: Callable[[], Any]) -> Any:
-        """Do a launch and note its time and demand.
-
-        While a graph is captured nothing runs, so there is nothing to time: the launch is noted without a time.
-        """
-        if device.is_cuda and device.is_capturing:
-            self.entries.append(_Entry(f"{kernel.key} (captured)", None))
-            return go()
+    def time(self, command: wp.Launch, threads: int) -> None:
+        """Do a recorded launch and note its time and demand."""
+        kernel, device = command.kernel, command.device
         names = [argument.label for argument in kernel.adj.args]
-        entry = _Entry(kernel.key, count_demand(kernel.key, dict(zip(names, arguments, strict=True)), lanes))
-        if device.is_cpu:
-            start = time.perf_counter()
-            result = go()
-            entry.seconds = time.perf_counter() - start
-        else:
-            before = wp.Event(device, enable_timing=True)
-            after = wp.Event(device, enable_timing=True)
-            device.stream.record_event(before)
-            result = go()
-            device.stream.record_event(after)
-            entry.events = (before, after)
-        # Threads append each on their own; a list takes that.
+        arguments = dict(zip(names, command.fwd_args or [], strict=True))
+        entry = _Entry(kernel.key, count_demand(kernel.key, arguments, threads))
         self.entries.append(entry)
-        return result
+        if device.is_cpu:
+            # The kernel runs on this thread: its CPU time leaves out what else the machine does.
+            start = time.thread_time()
+            command.launch()
+            entry.seconds = time.thread_time() - start
+            return
+        before, after = (wp.Event(device, enable_timing=True) for _ in range(2))
+        device.stream.record_event(before)
+        command.launch()
+        device.stream.record_event(after)
+        entry.events = (before, after)
 
 
-def _lanes(dim: int | Sequence[int]) -> int:
+def _thread_count(dim: int | Sequence[int]) -> int:
     return dim if isinstance(dim, int) else prod(dim)
 
 
 @contextmanager
 def profile_launches() -> Iterator[LaunchProfile]:
-    """Time every launch made through ``warp.launch`` or a recorded ``Launch`` until the block ends.
+    """Time every launch made through ``warp.launch`` until the block ends.
 
-    Launches split over CPU threads run at once: their times are those of the threads, and add up to core time.
+    On a CPU the parts of a launch that threads would share come one after another: their times add up to core time.
     """
     profile = LaunchProfile()
-    plain_launch, recorded_launch = wp.launch, wp.Launch.launch
+    plain_launch = wp.launch
 
-    def launch(kernel: Any, dim: Any, inputs: Sequence = (), outputs: Sequence = (), **options: Any) -> Any:
-        def go() -> Any:
-            return plain_launch(kernel, dim, inputs, outputs, **options)
+    def launch(kernel: Any, dim: Any, inputs: Sequence = (), outputs: Sequence = (), **options: Any) -> None:
+        # Recorded first: most of what a launch takes on the host stays out of its time.
+        profile.time(plain_launch(kernel, dim, inputs, outputs, record_cmd=True, **options), _thread_count(dim))
 
-        if options.get("record_cmd"):
-            return go()
-        device = wp.get_device(options.get("device"))
-        return profile.time(kernel, [*inputs, *outputs], _lanes(dim), device, go)
+    def keep_phases(self: Any, phases: Sequence[Phase], device: str) -> None:
+        self.phases = list(phases)
 
-    def launch_recorded(self: wp.Launch, stream: wp.Stream | None = None) -> None:
-        size = int(self.bounds.size)
-        profile.time(self.kernel, self.fwd_args or [], size, self.device, lambda: recorded_launch(self, stream))
+    def run_phases(self: Any) -> None:
+        for phase in self.phases:
+            for part in range(phase.part_count):
+                phase.launch(part)
 
-    wp.launch, wp.Launch.launch = launch, launch_recorded
-    try:
+    stand_ins = (
+        patch.object(wp, "launch", launch),
+        patch.object(Step, "__init__", keep_phases),
+        patch.object(Step, "run", run_phases),
+    )
+    with stand_ins[0], stand_ins[1], stand_ins[2]:
         yield profile
-    finally:
-        wp.launch, wp.Launch.launch = plain_launch, recorded_launch

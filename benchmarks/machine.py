@@ -73,4 +73,5 @@ def _version(package: str) -> str:
     try:
         return metadata.version(package)
     except metadata.PackageNotFoundError:
+        # warpqem itself may run from the checkout; the commit says which.
         return "not installed"

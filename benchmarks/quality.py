@@ -67,15 +67,17 @@ def _jitter(work: Work, result: Simplified, device: str) -> float | None:
     """Jitter as warpqem.measure defines it, in %, against meshes that have their own faces in each frame."""
     reference = check_sequence(work.points, work.faces, "reference")
     centre, diagonal = frame_scale(reference)
-    samples = draw_material_samples(reference, JITTER_SAMPLES, 0, "reference")
+    # The same samples as warpqem.measure draws.
+    samples = draw_material_samples(reference, SAMPLES, 0, "reference")
+    face, barycentric = samples.face[:JITTER_SAMPLES], samples.barycentric[:JITTER_SAMPLES]
     first = max(0, (len(reference.points) - JITTER_WINDOW) // 2)
     jitter = SecondDifference()
     for t in range(first, min(len(reference.points), first + JITTER_WINDOW)):
         scaled, simplified = ((x - centre[t]) / diagonal[t] for x in (reference.points[t], result.points[t]))
         faces = result.faces[t].astype(np.int64)
-        source = place(scaled, reference.faces, samples.face, samples.barycentric)
+        source = place(scaled, reference.faces, face, barycentric)
         closest = ClosestPointSearch(faces, device, "test").closest(simplified, source, t)
         offset = place(simplified, faces, closest.face, closest.barycentric) - source
-        jitter.add(diagonal[t] * in_face_frame(offset, scaled, reference.faces, samples.face))
+        jitter.add(diagonal[t] * in_face_frame(offset, scaled, reference.faces, face))
     value = jitter.root_mean_square()
     return None if value is None else 100 * value / float(diagonal.mean())

@@ -27,7 +27,7 @@ class Outcome:
     Attributes:
         seconds: wall time of each turn.
         cpu_seconds: CPU time of each turn, all threads.
-        peak_bytes: host memory taken beyond what the libraries and the input hold.
+        peak_bytes: host memory taken beyond what the process held before, the most of all turns.
         result: its last result; None where it failed.
         failure: why it failed, None where it did not.
     """
@@ -86,7 +86,7 @@ class _Worker:
         if answer is not None:
             self.outcome.seconds.append(answer["seconds"])
             self.outcome.cpu_seconds.append(answer["cpu_seconds"])
-            self.outcome.peak_bytes = int(answer["peak_bytes"])
+            self.outcome.peak_bytes = max(self.outcome.peak_bytes, int(answer["peak_bytes"]))
 
     def fetch(self) -> None:
         if self._ask("save") is not None:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import gc
 import json
 import os
-import resource
 import sys
 import time
 from pathlib import Path
@@ -22,12 +21,20 @@ __all__ = ["main"]
 
 # Faces and frames of the run before the first that counts: it loads libraries and compiles kernels.
 WARM_UP = (2000, 4)
-# ru_maxrss counts in KiB on Linux, in bytes on macOS.
-RSS_UNIT = 1 if sys.platform == "darwin" else 1024
+STATUS, RESET = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 
 
-def _peak_memory() -> int:
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * RSS_UNIT
+def _memory(field: str) -> int:
+    """``VmRSS``, what the process holds, or ``VmHWM``, the most since the last reset, in bytes; 0 outside Linux."""
+    lines = STATUS.read_text(encoding="utf-8").splitlines() if STATUS.exists() else []
+    return next((int(line.split()[1]) * 1024 for line in lines if line.startswith(f"{field}:")), 0)
+
+
+def _reset_peak() -> int:
+    """Start the high-water mark anew; bytes held now."""
+    if RESET.exists():
+        RESET.write_text("5", encoding="utf-8")
+    return _memory("VmRSS")
 
 
 def main() -> None:
@@ -44,20 +51,21 @@ def main() -> None:
     run = CONTENDERS[name].run
     run(torus_work(*WARM_UP, ratio=0.5), chosen_device)
     work = load_work(Path(work_path))
-    before = _peak_memory()
     answer(ready=1)
+    result = None
     for command in sys.stdin:
         if command.strip() == "run":
             result = None
             gc.collect()
+            held = _reset_peak()
             cpu, wall = time.process_time(), time.perf_counter()
             result = run(work, chosen_device)
             answer(
                 seconds=time.perf_counter() - wall,
                 cpu_seconds=time.process_time() - cpu,
-                peak_bytes=_peak_memory() - before,
+                peak_bytes=_memory("VmHWM") - held,
             )
-        else:
+        elif result is not None:
             save_simplified(result, Path(result_path))
             answer(saved=1)
 
