@@ -20,7 +20,7 @@ from warpqem.mesh_input import as_numpy
 from warpqem.place.rows import group_rows, sum_repeated
 from warpqem.simplification import SimplifiedMesh
 
-__all__ = ["SurfaceTransfer", "is_proper", "joined_faces", "surface_transfer"]
+__all__ = ["SurfaceTransfer", "blend", "is_proper", "joined_faces", "surface_transfer"]
 
 
 @dataclass(frozen=True)
@@ -49,15 +49,22 @@ class SurfaceTransfer:
 
     def wedges_from_vertices(self, values: np.ndarray) -> np.ndarray:
         """Values at wedges, (W, ...) float64, from values at input vertices (V, ...)."""
-        return _blend(values[self.wedge_vertex], self.wedge_weight)
+        return blend(values[self.wedge_vertex], self.wedge_weight)
 
     def wedges_from_corners(self, values: np.ndarray) -> np.ndarray:
         """Values at wedges, (W, ...) float64, from values at input corners (N, 3, ...)."""
-        return _blend(values[self.wedge_face], self.wedge_weight)
+        return blend(values[self.wedge_face], self.wedge_weight)
 
 
-def _blend(corner_values: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    return np.einsum("wk,wk...->w...", weight.astype(np.float64), corner_values.astype(np.float64))
+def blend(values: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Weighted means, (R, ...) float64, of values (R, K, ...) with weights (R, K) that sum to one.
+
+    They are taken from the first value on, so that K equal values give just that value, however the weights round.
+    """
+    values = values.astype(np.float64)
+    first = values[:, :1]
+    mean: np.ndarray = first[:, 0] + np.einsum("rk,rk...->r...", weight.astype(np.float64), values - first)
+    return mean
 
 
 def surface_transfer(

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from pxr import UsdGeom
 
 from warpqem.simplification import SimplifiedMesh
-from warpqem.transfer import SurfaceTransfer, surface_transfer
+from warpqem.transfer import SurfaceTransfer, blend, surface_transfer
 from warpqem.usd.mesh import MeshSource
 from warpqem.usd.seams import MeshSeams
 
@@ -43,9 +43,7 @@ class Rows:
 
     def blend(self, values: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
         """The weighted mean: (R, ...) float64 of (elements, ...)."""
-        weight = self.weight.astype(np.float64)
-        mean: npt.NDArray[np.float64] = np.einsum("rk,rk...->r...", weight, values[self.index].astype(np.float64))
-        return mean
+        return blend(values[self.index], self.weight)
 
     def blend_directions(self, values: npt.NDArray[Any], signed: bool = True) -> npt.NDArray[np.float64]:
         """The weighted mean of vectors (elements, ..., D), scaled to length one; where it vanishes, the heaviest.
