@@ -10,7 +10,16 @@ from typing import Any
 
 import warp as wp
 
-from warpqem.kernels.lanes import LANE_OPTIONS, POINTS_ARRAY, QUADRIC_ARRAY, lane_dot, lane_sum, overload_widths
+from warpqem.kernels.lanes import (
+    LANE_OPTIONS,
+    POINTS_ARRAY,
+    QUADRIC_ARRAY,
+    lane_dot,
+    lane_inverse_length,
+    lane_max,
+    lane_sum,
+    overload_widths,
+)
 from warpqem.kernels.quadric import apply_matrix, linear_part, trace
 
 wp.set_module_options(LANE_OPTIONS)
@@ -18,6 +27,9 @@ wp.set_module_options(LANE_OPTIONS)
 # Entries of G are sums of products of the size of tr(A) |p|^2 that cancel where a cluster is flat; float32 leaves about
 # 1e-7 of that size. A pull of 1e-5 of it keeps such a matrix positive definite: a flat cluster gets equal weights.
 ROUNDING_PULL = wp.constant(wp.float32(1.0e-5))
+# An anchor may lie so far beyond its members, in radii of the cluster: the middle of a cap of half an angle of 30
+# degrees does.
+OVERHANG = wp.constant(wp.float32(0.25))
 # Added to the diagonal for clusters without any extent.
 LEAST_DIAGONAL = wp.constant(wp.float32(1.0e-20))
 
@@ -72,10 +84,11 @@ def share_within_reach(
     first: wp.int32,
     n: wp.int32,
 ) -> wp.float32:
-    """The part of the way from the members' mean to their weighted sum that goes no further than the farthest member.
+    """The part of the way from the members' mean to their weighted sum that goes hardly further than the members do.
 
-    Negative weights take an anchor outside its cluster, where a convex surface wants it. Planes that hardly meet, as
-    those of a thin part that bends, would take it away along them. One factor for all frames keeps it on the material.
+    Negative weights take an anchor outside its cluster, where a convex surface wants it: a little way beyond the
+    members that lie furthest in that direction, and no further than any of them. Planes that hardly meet, as those of a ridge or of a thin part that
+    bends, would take it away along them, as a spike. One factor for all frames keeps it on the material.
     """
     reach = wp.float32(0.0)
     moved = wp.float32(0.0)
@@ -85,13 +98,21 @@ def share_within_reach(
             total += key_position[member[first + i], t]
         mean = total / wp.float32(n)
         offset = key_position.dtype()
-        farthest = lane_dot(offset, offset)
+        for i in range(n):
+            offset += weight[first + i] * (key_position[member[first + i], t] - mean)
+        inverse = lane_inverse_length(offset)
+        along = lane_max(lane_dot(offset, offset), 0.0)
+        farthest = along - along
+        extent = along - along
         for i in range(n):
             p = key_position[member[first + i], t] - mean
             farthest = wp.max(farthest, lane_dot(p, p))
-            offset += weight[first + i] * p
-        reach += lane_sum(farthest)
-        moved += lane_sum(lane_dot(offset, offset))
+            extent = wp.max(extent, wp.cw_mul(lane_dot(p, offset), inverse))
+        for k in range(len(extent)):
+            radius = wp.sqrt(farthest[k])
+            limit = wp.min(extent[k] + OVERHANG * radius, radius)
+            reach += limit * limit
+        moved += lane_sum(along)
     if moved <= reach:
         return 1.0
     return wp.sqrt(reach / moved)

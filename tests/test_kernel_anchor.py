@@ -196,3 +196,23 @@ def test_anchor_stays_within_its_cluster_where_planes_hardly_meet(device):
     place = anchors.weight.astype(np.float64) @ offset[anchors.vertex]
     assert anchors.weight.sum() == pytest.approx(1, abs=1e-4)
     assert np.linalg.norm(place) <= np.linalg.norm(offset, axis=1).max() * (1 + 1e-3)
+
+
+def test_anchor_stays_near_the_end_of_a_ridge_that_its_planes_share(device):
+    # The members lie along x from -1 to 5; the planes' optimum is anywhere on the ridge y = z = 0 at x = -6.
+    points = np.array([[-1.0, 0.1, 0], [0, -0.1, 0], [1, 0.1, 0], [5, -0.1, 0]], dtype=np.float32)[None]
+    position = packed(points, device)
+    quadric = oracle.zero() + oracle.plane(np.array([1.0, 0.0, 0.0]), np.array([-6.0, 0.0, 0.0]))
+    quadrics = np.zeros((4, 1, 10))
+    quadrics[0] = oracle.pack(quadric)
+    mesh = SimpleNamespace(
+        root=np.zeros(4, dtype=np.int32),
+        key_position=position,
+        position=packed(np.zeros_like(points), device),
+        quadric=packed_quadrics(quadrics, position),
+        line_rank=np.zeros(4, dtype=np.int32),
+    )
+    anchors = fit_anchors(mesh, np.array([0]), np.zeros(4, dtype=np.int32), 1e-4)
+    place = anchors.weight.astype(np.float64) @ points[0][anchors.vertex]
+    # A quarter of the radius, 3.75 about the mean at 1.25, beyond the member at -1.
+    assert place[0] == pytest.approx(-1 - 0.25 * 3.75, abs=0.01)
