@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from warpqem.kernels.lanes import width_of
+
 __all__ = ["BYTES_PER_SECOND", "COUNTED", "FLOPS_PER_SECOND", "Demand", "count_demand", "floor_seconds"]
 
 # What a copy moved on an H200, bytes read and written (its datasheet says 4.8e12), and the float32 rate without tensor
@@ -70,7 +72,7 @@ def _size(array: Any) -> int:
 
 def _frames(blocks: Any) -> int:
     """Frames in an array (V, B) of blocks of points (3, width), those that fill up the last block included."""
-    return int(blocks.shape[1]) * int(blocks.dtype._shape_[1])
+    return int(blocks.shape[1]) * width_of(blocks)
 
 
 def _keys(a: Arguments) -> int:

@@ -11,18 +11,15 @@ from typing import Any
 import warp as wp
 
 from warpqem.kernels.lanes import (
-    LANE_OPTIONS,
     POINTS_ARRAY,
     QUADRIC_ARRAY,
     lane_dot,
     lane_inverse_length,
+    lane_kernel,
     lane_max,
     lane_sum,
-    overload_widths,
 )
 from warpqem.kernels.quadric import apply_matrix, linear_part, trace
-
-wp.set_module_options(LANE_OPTIONS)
 
 # Entries of G are sums of products of the size of tr(A) |p|^2 that cancel where a cluster is flat; float32 leaves about
 # 1e-7 of that size. A pull of 1e-5 of it keeps such a matrix positive definite: a flat cluster gets equal weights.
@@ -34,7 +31,7 @@ OVERHANG = wp.constant(wp.float32(0.25))
 LEAST_DIAGONAL = wp.constant(wp.float32(1.0e-20))
 
 
-@wp.kernel
+@lane_kernel(key_position_in=POINTS_ARRAY, ordered_position_in=POINTS_ARRAY)
 def measure_cluster_distances(
     root_in: wp.array[wp.int32],
     key_position_in: Any,
@@ -51,9 +48,6 @@ def measure_cluster_distances(
             d = key_position_in[v, t] - ordered_position_in[u, t]
             total += lane_sum(lane_dot(d, d))
     distance_out[v] = total
-
-
-overload_widths(measure_cluster_distances, key_position_in=POINTS_ARRAY, ordered_position_in=POINTS_ARRAY)
 
 
 @wp.func
@@ -118,7 +112,7 @@ def share_within_reach(
     return wp.sqrt(reach / moved)
 
 
-@wp.kernel
+@lane_kernel(key_position_in=POINTS_ARRAY, ordered_position_in=POINTS_ARRAY, quadric_in=QUADRIC_ARRAY)
 def fit_anchor_weights(
     cluster_vertex_in: wp.array[wp.int32],
     member_start_in: wp.array[wp.int32],
@@ -178,8 +172,3 @@ def fit_anchor_weights(
     share = share_within_reach(member_in, key_position_in, weight_out, first, n)
     for i in range(n):
         weight_out[first + i] = share * weight_out[first + i] + (1.0 - share) / wp.float32(n)
-
-
-overload_widths(
-    fit_anchor_weights, key_position_in=POINTS_ARRAY, ordered_position_in=POINTS_ARRAY, quadric_in=QUADRIC_ARRAY
-)

@@ -19,12 +19,12 @@ from typing import Any
 
 import warp as wp
 
-from warpqem.kernels.lanes import LANE_OPTIONS, QUADRIC_ARRAY, overload_widths
+from warpqem.kernels.lanes import QUADRIC_ARRAY, lane_kernel
 from warpqem.kernels.mesh_state import MeshState, Point, Quadric, Wedges
 from warpqem.kernels.quadric import add_plane, apply_matrix, linear_part, shift_origin
 from warpqem.kernels.topology import find_half_edge, next_corner
 
-wp.set_module_options(LANE_OPTIONS)
+wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
 
 @wp.func
@@ -193,7 +193,7 @@ def move_corner_wedges(
             corner_wedge_out[3 * g + k] = corner_wedge_in[3 * f + k]
 
 
-@wp.kernel
+@lane_kernel(quadric=QUADRIC_ARRAY)
 def add_attribute_quadrics(
     attribute_quadric_in: wp.array[Quadric],
     # outputs
@@ -205,9 +205,6 @@ def add_attribute_quadrics(
     for i in range(10):
         block[i, 0] = block[i, 0] + attribute_quadric_in[v][i, 0]
     quadric[v, 0] = block
-
-
-overload_widths(add_attribute_quadrics, quadric=QUADRIC_ARRAY)
 
 
 @wp.kernel

@@ -6,7 +6,7 @@ import warp as wp
 
 from warpqem.kernels.attribute import first_frame, merge_wedges
 from warpqem.kernels.edge_cost import INFINITE_COST, merged_quadric
-from warpqem.kernels.lanes import LANE_OPTIONS, POINTS_ARRAY, lane_max, lane_sum, overload_widths
+from warpqem.kernels.lanes import POINTS_ARRAY, lane_kernel, lane_max, lane_sum
 from warpqem.kernels.mesh_state import KEY_FRAMES, AnyKeyFrames, CollapseLog, MeshState
 from warpqem.kernels.quadric import NO_PLANE, shift_origin, trace
 from warpqem.kernels.topology import (
@@ -21,7 +21,7 @@ from warpqem.kernels.topology import (
 )
 from warpqem.kernels.work import EdgeList, Work, count_before
 
-wp.set_module_options(LANE_OPTIONS)
+wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
 
 @wp.func
@@ -125,7 +125,7 @@ def open_log(
     log.count[0] = slot
 
 
-@wp.kernel
+@lane_kernel(frames=KEY_FRAMES, target_in=POINTS_ARRAY)
 def commit_winners(
     state: MeshState,
     frames: AnyKeyFrames,
@@ -185,9 +185,6 @@ def commit_winners(
                 else:
                     state.corner_vertex[g] = u
             classify_seams(state, u, v)
-
-
-overload_widths(commit_winners, frames=KEY_FRAMES, target_in=POINTS_ARRAY)
 
 
 @wp.kernel

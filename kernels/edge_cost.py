@@ -8,7 +8,7 @@ import warp as wp
 
 from warpqem.kernels.attribute import attribute_error, attribute_parabola, first_frame
 from warpqem.kernels.deformation import length_deformation
-from warpqem.kernels.lanes import LANE_OPTIONS, lane_dot, lane_max, lane_sum, overload_widths
+from warpqem.kernels.lanes import lane_dot, lane_kernel, lane_max, lane_sum
 from warpqem.kernels.mesh_state import KEY_FRAMES, AnyKeyFrames, CollapseLog, CostModel, MeshState
 from warpqem.kernels.quadric import (
     NO_PLANE,
@@ -33,7 +33,7 @@ from warpqem.kernels.topology import (
 )
 from warpqem.kernels.work import Work, first_item, last_item
 
-wp.set_module_options(LANE_OPTIONS)
+wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
 INFINITE_COST = wp.constant(wp.float32(wp.inf))
 # Costs stay above zero, so that the sign is free to say "asleep" and the float's bits order the edges.
@@ -194,7 +194,7 @@ def price_edge(state: MeshState, frames: AnyKeyFrames, model: CostModel, h: wp.i
     return price
 
 
-@wp.kernel
+@lane_kernel(frames=KEY_FRAMES)
 def price_all_edges(
     state: MeshState,
     frames: AnyKeyFrames,
@@ -213,10 +213,7 @@ def price_all_edges(
         state.edge_cost[h] = cost
 
 
-overload_widths(price_all_edges, frames=KEY_FRAMES)
-
-
-@wp.kernel
+@lane_kernel(frames=KEY_FRAMES)
 def reprice_moved_stars(
     state: MeshState,
     frames: AnyKeyFrames,
@@ -242,9 +239,6 @@ def reprice_moved_stars(
                     price = price_edge(state, frames, model, h)
                     cost = price.cost
                 state.edge_cost[h] = cost
-
-
-overload_widths(reprice_moved_stars, frames=KEY_FRAMES)
 
 
 @wp.kernel

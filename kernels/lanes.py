@@ -8,6 +8,7 @@ without area and without planes they add nothing anywhere.
 Arrays are ``(V, B)`` of blocks, ``B = ceil(F / width)``, so a vertex's trajectory is contiguous.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import warp as wp
@@ -28,10 +29,28 @@ POINTS = {width: wp.types.matrix(shape=(3, width), dtype=wp.float32) for width i
 QUADRIC = {width: wp.types.matrix(shape=(10, width), dtype=wp.float32) for width in WIDTHS}
 
 
-def overload_widths(kernel: wp.Kernel, **arguments: dict[int, Any]) -> None:
-    """Compile a generic kernel for every width; ``arguments`` gives the type of each generic argument by width."""
-    for width in WIDTHS:
-        wp.overload(kernel, {name: types[width] for name, types in arguments.items()})
+def lane_kernel(**arguments: dict[int, Any]) -> Callable[[Callable], dict[int, wp.Kernel]]:
+    """Make a generic function a kernel for blocks of each width; ``arguments`` gives the types that differ by width.
+
+    The name of the function then stands for its kernels by width. Each width has a Warp module of its own: a device
+    compiles the width it works with and no other, which on a GPU saves minutes.
+    """
+
+    def specialise(function: Callable) -> dict[int, wp.Kernel]:
+        kernels = {}
+        for width in WIDTHS:
+            module = wp.get_module(f"{function.__module__}.width_{width}")
+            wp.set_module_options(LANE_OPTIONS, module)
+            generic = wp.kernel(function, module=module)
+            kernels[width] = wp.overload(generic, {name: types[width] for name, types in arguments.items()})
+        return kernels
+
+    return specialise
+
+
+def width_of(blocks: Any) -> int:
+    """Frames in each block of an array of points or quadrics."""
+    return blocks.dtype._shape_[1]
 
 
 POINTS_ARRAY = {width: wp.array2d(dtype=POINTS[width]) for width in WIDTHS}
@@ -91,7 +110,7 @@ def lane_max(x: Any, least: wp.float32):
     return y
 
 
-@wp.kernel
+@lane_kernel(blocks_out=POINTS_ARRAY)
 def pack_frames(
     points_in: wp.array2d[wp.vec3],
     origin: wp.vec3,
@@ -113,10 +132,7 @@ def pack_frames(
     blocks_out[v, b] = block
 
 
-overload_widths(pack_frames, blocks_out=POINTS_ARRAY)
-
-
-@wp.kernel
+@lane_kernel(blocks_in=POINTS_ARRAY)
 def unpack_frames(
     blocks_in: Any,
     # outputs
@@ -130,6 +146,3 @@ def unpack_frames(
         t = b * width + k
         if t < points_out.shape[0]:
             points_out[t, v] = wp.vec3(block[0, k], block[1, k], block[2, k])
-
-
-overload_widths(unpack_frames, blocks_in=POINTS_ARRAY)

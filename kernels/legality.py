@@ -16,19 +16,16 @@ import warp as wp
 
 from warpqem.kernels.edge_cost import breaks_seams, edge_anchor, merged_position, price_edge
 from warpqem.kernels.lanes import (
-    LANE_OPTIONS,
     POINTS_ARRAY,
     lane_cross,
     lane_dot,
     lane_inverse_length,
+    lane_kernel,
     lane_max,
-    overload_widths,
 )
 from warpqem.kernels.mesh_state import KEY_FRAMES, AnyKeyFrames, CostModel, MeshState
 from warpqem.kernels.topology import BORDER, find_half_edge, half_edge_target, previous_corner
 from warpqem.kernels.work import EdgeList, Work, count_before
-
-wp.set_module_options(LANE_OPTIONS)
 
 # A face may not turn by more than 78 degrees in one collapse: beyond that it folds over its neighbour a few later.
 TURN_COSINE = wp.constant(wp.float32(0.2))
@@ -143,7 +140,7 @@ def turns_over(
     return agreement <= 0.0
 
 
-@wp.kernel
+@lane_kernel(frames=KEY_FRAMES, target_out=POINTS_ARRAY)
 def place_winners(
     state: MeshState,
     frames: AnyKeyFrames,
@@ -167,10 +164,7 @@ def place_winners(
             target_out[i, t] = merged_position(state, frames, model, u, v, t, anchor)
 
 
-overload_widths(place_winners, frames=KEY_FRAMES, target_out=POINTS_ARRAY)
-
-
-@wp.kernel
+@lane_kernel(frames=KEY_FRAMES, target_in=POINTS_ARRAY)
 def judge_winners(
     state: MeshState,
     frames: AnyKeyFrames,
@@ -218,6 +212,3 @@ def judge_winners(
         else:
             faces_removed_out[i] = 0
             state.edge_cost[h] = -state.edge_cost[h]
-
-
-overload_widths(judge_winners, frames=KEY_FRAMES, target_in=POINTS_ARRAY)

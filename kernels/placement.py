@@ -4,12 +4,10 @@ from typing import Any
 
 import warp as wp
 
-from warpqem.kernels.lanes import LANE_OPTIONS, POINTS_ARRAY, lane_cross, lane_dot, lane_inverse_length, overload_widths
+from warpqem.kernels.lanes import POINTS_ARRAY, lane_cross, lane_dot, lane_inverse_length, lane_kernel
 from warpqem.kernels.plane_quadrics import add_border_plane
 from warpqem.kernels.quadric import add_plane, anchored_minimiser, zero_quadric
 from warpqem.kernels.topology import half_edge_target, next_corner, previous_corner
-
-wp.set_module_options(LANE_OPTIONS)
 
 
 @wp.struct
@@ -28,7 +26,7 @@ class Clusters:
     solved: wp.array[wp.int32]  # (C,) 0: the vertex is the anchor itself
 
 
-@wp.kernel
+@lane_kernel(points_in=POINTS_ARRAY, points_out=POINTS_ARRAY, normal_out=POINTS_ARRAY)
 def place_vertices(
     points_in: Any,
     corner_vertex_in: wp.array[wp.int32],
@@ -68,10 +66,7 @@ def place_vertices(
     points_out[c, t] = x
 
 
-overload_widths(place_vertices, points_in=POINTS_ARRAY, points_out=POINTS_ARRAY, normal_out=POINTS_ARRAY)
-
-
-@wp.kernel
+@lane_kernel(points_in=POINTS_ARRAY, normal_in=POINTS_ARRAY)
 def count_flips(
     points_in: Any,
     normal_in: Any,
@@ -92,6 +87,3 @@ def count_flips(
         for k in range(width):
             if agreement[k] < 0.0:
                 wp.atomic_add(flip_count, t * width + k, 1)
-
-
-overload_widths(count_flips, points_in=POINTS_ARRAY, normal_in=POINTS_ARRAY)

@@ -5,19 +5,16 @@ from typing import Any
 import warp as wp
 
 from warpqem.kernels.lanes import (
-    LANE_OPTIONS,
     POINTS_ARRAY,
     QUADRIC_ARRAY,
     lane_cross,
     lane_dot,
     lane_inverse_length,
+    lane_kernel,
     lane_scale,
-    overload_widths,
 )
 from warpqem.kernels.quadric import add_plane
 from warpqem.kernels.topology import half_edge_target
-
-wp.set_module_options(LANE_OPTIONS)
 
 
 @wp.func
@@ -40,7 +37,7 @@ def add_border_plane(q: Any, a: Any, b: Any, c: Any, origin: Any, weight: wp.flo
     return add_plane(q, n, lane_dot(n, origin - a), lane_dot(edge, edge) * weight)
 
 
-@wp.kernel
+@lane_kernel(position_in=POINTS_ARRAY, weighted_normal_out=POINTS_ARRAY)
 def weigh_face_normals(
     corner_vertex_in: wp.array[wp.int32],
     position_in: Any,
@@ -56,10 +53,7 @@ def weigh_face_normals(
     )
 
 
-overload_widths(weigh_face_normals, position_in=POINTS_ARRAY, weighted_normal_out=POINTS_ARRAY)
-
-
-@wp.kernel
+@lane_kernel(weighted_normal_in=POINTS_ARRAY, quadric_out=QUADRIC_ARRAY)
 def gather_vertex_quadrics(
     star_start_in: wp.array[wp.int32],
     star_corner_in: wp.array[wp.int32],
@@ -82,10 +76,7 @@ def gather_vertex_quadrics(
     quadric_out[v, t] = q * quadric_scale_in[v]
 
 
-overload_widths(gather_vertex_quadrics, weighted_normal_in=POINTS_ARRAY, quadric_out=QUADRIC_ARRAY)
-
-
-@wp.kernel
+@lane_kernel(position_in=POINTS_ARRAY, quadric=QUADRIC_ARRAY)
 def add_border_planes(
     border_corner_in: wp.array[wp.int32],
     border_start_in: wp.array[wp.int32],
@@ -110,6 +101,3 @@ def add_border_planes(
         c = position_in[corner_vertex_in[3 * (h // 3) + (h + 2) % 3], t]
         q = add_border_plane(q, a, b, c, origin, weight)
     quadric[v, t] = q
-
-
-overload_widths(add_border_planes, position_in=POINTS_ARRAY, quadric=QUADRIC_ARRAY)

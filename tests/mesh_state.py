@@ -4,7 +4,7 @@ import numpy as np
 import warp as wp
 
 from warpqem.frame_blocks import pack_frames
-from warpqem.kernels.lanes import QUADRIC
+from warpqem.kernels.lanes import QUADRIC, width_of
 from warpqem.kernels.mesh_state import KEY_FRAMES, CollapseLog, CostModel, MeshState
 from warpqem.kernels.work import EdgeList, Work
 from warpqem.order.attributes import build_wedges
@@ -53,7 +53,7 @@ def packed(points, device) -> wp.array:
 def packed_quadrics(quadrics, like) -> wp.array:
     """Blocks as wide as those of ``like`` of quadrics (V, F, 10)."""
     quadrics = np.asarray(quadrics, dtype=np.float32)
-    width = like.dtype._shape_[1]
+    width = width_of(like)
     filled = np.zeros((len(quadrics), like.shape[1] * width, 10), dtype=np.float32)
     filled[:, : quadrics.shape[1]] = quadrics
     filled = filled.reshape(len(quadrics), -1, width, 10).transpose(0, 1, 3, 2)
@@ -74,7 +74,7 @@ def build_mesh(points, faces, device, locked=(), cost_weight=None, with_trajecto
     state.vertex_flags = wp.array(flags, device=device)
     border = classify_vertices(state.corner_vertex, stars, state.vertex_flags)
     position = packed(points, device)
-    frames = KEY_FRAMES[position.dtype._shape_[1]]()
+    frames = KEY_FRAMES[width_of(position)]()
     frames.position = position
     ones = wp.ones(vertex_count, dtype=wp.float32, device=device)
     frames.quadric = initial_quadrics(state.corner_vertex, stars, border.numpy(), position, ones)

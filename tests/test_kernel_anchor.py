@@ -10,6 +10,7 @@ from mesh_state import build_mesh, packed, packed_quadrics
 from oracles import quadrics as oracle
 
 from warpqem.kernels.anchor import fit_anchor_weights, measure_cluster_distances
+from warpqem.kernels.lanes import width_of
 from warpqem.place.anchors import fit_anchors, nearest_anchors
 
 POINTS, FACES = meshes.swaying_sphere(1, 3)
@@ -60,7 +61,7 @@ def fitted(members_of, regularisation, device, points=POINTS):
     matrix = wp.zeros(int(matrix_start[-1]), dtype=wp.float32, device=device)
     weight = wp.zeros(int(start[-1]), dtype=wp.float32, device=device)
     wp.launch(
-        fit_anchor_weights,
+        fit_anchor_weights[width_of(key_position)],
         dim=len(members_of),
         inputs=[
             heads,
@@ -122,7 +123,9 @@ def test_cluster_distance_is_the_squared_distance_summed_over_frames(device):
     ordered = np.roll(POINTS, 1, axis=0)
     out = wp.empty(len(root), dtype=wp.float32, device=device)
     inputs = [wp.array(root, device=device), packed(POINTS, device), packed(ordered, device)]
-    wp.launch(measure_cluster_distances, dim=len(root), inputs=inputs, outputs=[out], device=device)
+    wp.launch(
+        measure_cluster_distances[width_of(inputs[1])], dim=len(root), inputs=inputs, outputs=[out], device=device
+    )
     expected = ((POINTS.astype(np.float64) - ordered[:, root]) ** 2).sum(axis=(0, 2))
     np.testing.assert_allclose(out.numpy(), expected, rtol=1e-4, atol=1e-9)
 

@@ -9,6 +9,7 @@ from oracles import quadrics as quadric_oracle
 from oracles import topology as oracle
 
 from warpqem.kernels.collapse import commit_winners, mark_live_faces, move_live_faces, open_log
+from warpqem.kernels.lanes import width_of
 from warpqem.kernels.legality import place_winners
 from warpqem.kernels.topology import CORNER, SEAM
 from warpqem.order.stars import build_stars
@@ -34,7 +35,7 @@ class Commit:
         target = wp.empty((1, frames.position.shape[1]), dtype=frames.position.dtype, device=device)
         self.anchor = wp.empty(1, dtype=wp.float32, device=device)
         inputs = [self.state, frames, cost_model(), winners, one_part(device)]
-        wp.launch(place_winners, dim=1, inputs=inputs, outputs=[target, self.anchor], device=device)
+        wp.launch(place_winners[width_of(target)], dim=1, inputs=inputs, outputs=[target, self.anchor], device=device)
         self.target = blocks(target, len(points))[0]
         self.log = collapse_log(points.shape[1], device)
         self.mask = wp.zeros(points.shape[1], dtype=wp.int32, device=device)
@@ -42,7 +43,9 @@ class Commit:
         legal, slot = (wp.array([n], dtype=wp.int32, device=device) for n in (int(faces_removed > 0), 0))
         wp.launch(open_log, dim=1, inputs=[], outputs=[legal, self.log, slot], device=device)
         inputs = [self.state, frames, winners, removed, target, self.anchor, number, one_part(device)]
-        wp.launch(commit_winners, dim=1, inputs=inputs, outputs=[self.mask, self.log, slot], device=device)
+        wp.launch(
+            commit_winners[width_of(target)], dim=1, inputs=inputs, outputs=[self.mask, self.log, slot], device=device
+        )
 
     def live_faces(self):
         faces = self.state.corner_vertex.numpy().reshape(-1, 3)

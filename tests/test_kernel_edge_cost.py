@@ -21,6 +21,7 @@ from oracles.topology import edges
 
 from warpqem.kernels.collapse import commit_winners
 from warpqem.kernels.edge_cost import price_all_edges, reprice_moved_stars, wake_neighbourhoods
+from warpqem.kernels.lanes import width_of
 from warpqem.kernels.legality import place_winners
 from warpqem.kernels.topology import CORNER, SEAM
 from warpqem.order.stars import build_stars
@@ -30,7 +31,8 @@ EPSILON = 0.1
 
 
 def prices(mesh, model, device) -> np.ndarray:
-    wp.launch(price_all_edges, dim=1, inputs=[mesh.state, mesh.frames, model, one_part(device)], device=device)
+    inputs = [mesh.state, mesh.frames, model, one_part(device)]
+    wp.launch(price_all_edges[width_of(mesh.frames.position)], dim=1, inputs=inputs, device=device)
     return mesh.state.edge_cost.numpy().copy()
 
 
@@ -41,7 +43,7 @@ def placed(mesh, model, half_edges, device):
     target = wp.empty(shape, dtype=mesh.frames.position.dtype, device=device)
     anchor = wp.empty(len(half_edges), dtype=wp.float32, device=device)
     inputs = [mesh.state, mesh.frames, model, winners, one_part(device)]
-    wp.launch(place_winners, dim=1, inputs=inputs, outputs=[target, anchor], device=device)
+    wp.launch(place_winners[width_of(target)], dim=1, inputs=inputs, outputs=[target, anchor], device=device)
     return blocks(target, mesh.key_count), anchor.numpy()
 
 
@@ -191,8 +193,9 @@ def commit_one(mesh, half_edge, target, device):
     one = wp.array([1], dtype=wp.int32, device=device)
     removed = wp.array([2], dtype=wp.int32, device=device)
     anchor = wp.array([0.5], dtype=wp.float32, device=device)
-    inputs = [mesh.state, mesh.frames, winners, removed, packed(target.transpose(1, 0, 2), device), anchor, one]
-    wp.launch(commit_winners, dim=1, inputs=[*inputs, one_part(device)], outputs=[mask, log, slot], device=device)
+    blocks_in = packed(target.transpose(1, 0, 2), device)
+    inputs = [mesh.state, mesh.frames, winners, removed, blocks_in, anchor, one, one_part(device)]
+    wp.launch(commit_winners[width_of(blocks_in)], dim=1, inputs=inputs, outputs=[mask, log, slot], device=device)
     log.count.fill_(1)
     return log, mask, one
 
@@ -213,7 +216,7 @@ def test_repricing_the_moved_stars_equals_pricing_everything(device):
     rebuilt(mesh, device)
     begin = wp.zeros(1, dtype=wp.int32, device=device)
     inputs = [mesh.state, mesh.frames, model, log, begin, one_part(device)]
-    wp.launch(reprice_moved_stars, dim=1, inputs=inputs, device=device)
+    wp.launch(reprice_moved_stars[width_of(mesh.frames.position)], dim=1, inputs=inputs, device=device)
     repriced = mesh.state.edge_cost.numpy().copy()
     np.testing.assert_array_equal(repriced, prices(mesh, model, device))
 

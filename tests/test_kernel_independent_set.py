@@ -9,6 +9,7 @@ from oracles import topology as oracle
 
 from warpqem.kernels import independent_set as kernels
 from warpqem.kernels.edge_cost import price_all_edges
+from warpqem.kernels.lanes import width_of
 from warpqem.kernels.mesh_state import MeshState
 from warpqem.order.steps import new_edge_list
 
@@ -176,7 +177,8 @@ def priced(request, device):
     points, faces = MESHES[request.param]
     mesh = build_mesh(points, faces, device)
     state = mesh.state
-    wp.launch(price_all_edges, dim=1, inputs=[state, mesh.frames, cost_model(), one_part(device)], device=device)
+    price = price_all_edges[width_of(mesh.frames.position)]
+    wp.launch(price, dim=1, inputs=[state, mesh.frames, cost_model(), one_part(device)], device=device)
     candidates = np.flatnonzero(np.isfinite(state.edge_cost.numpy()))
     claim = wp.full(points.shape[1], kernels.UNCLAIMED, dtype=wp.int64, device=device)
     return state, faces, candidates, claim

@@ -7,6 +7,7 @@ import warp as wp
 from mesh_state import build_mesh, cost_model, edge_list, half_edge_between, one_part, packed
 from oracles import topology as oracle
 
+from warpqem.kernels.lanes import width_of
 from warpqem.kernels.legality import judge_winners
 from warpqem.kernels.topology import SEAM
 
@@ -18,7 +19,7 @@ def judged(built, half_edges, target, device, flip_tolerance=0) -> np.ndarray:
     blocks = packed(np.asarray(target).transpose(1, 0, 2), device)
     winners, work = edge_list(half_edges, device), one_part(device)
     inputs = [built.state, built.frames, cost_model(), winners, blocks, flip_tolerance, work]
-    wp.launch(judge_winners, dim=1, inputs=inputs, outputs=[out, legal], device=device)
+    wp.launch(judge_winners[width_of(blocks)], dim=1, inputs=inputs, outputs=[out, legal], device=device)
     assert legal.numpy()[0] == (out.numpy() > 0).sum()
     return out.numpy()
 

@@ -7,6 +7,7 @@ import warp as wp
 from mesh_state import blocks, packed
 from oracles import quadrics as oracle
 
+from warpqem.kernels.lanes import width_of
 from warpqem.kernels.placement import Clusters, count_flips, place_vertices
 from warpqem.order.quadrics import constraint_lists
 from warpqem.place.rows import sum_repeated
@@ -48,7 +49,7 @@ def placed(points, faces, clusters, device, epsilon=EPSILON):
     out = [wp.empty((1, position.shape[1]), dtype=position.dtype, device=device) for _ in range(2)]
     corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device)
     inputs = [position, corner_vertex, clusters, epsilon, 0]
-    wp.launch(place_vertices, dim=out[0].shape, inputs=inputs, outputs=out, device=device)
+    wp.launch(place_vertices[width_of(position)], dim=out[0].shape, inputs=inputs, outputs=out, device=device)
     return blocks(out[0], len(points))[0], blocks(out[1], len(points))[0]
 
 
@@ -90,9 +91,11 @@ def test_normal_is_the_sum_of_the_faces_cross_products(device):
 def flips_of(points, normals, faces, device) -> np.ndarray:
     inputs = [packed(a, device) for a in (points, normals)]
     block_count = inputs[0].shape[1]
-    count = wp.zeros(block_count * inputs[0].dtype._shape_[1], dtype=wp.int32, device=device)
+    count = wp.zeros(block_count * width_of(inputs[0]), dtype=wp.int32, device=device)
     inputs.append(wp.array(faces.ravel(), dtype=wp.int32, device=device))
-    wp.launch(count_flips, dim=(len(faces), block_count), inputs=inputs, outputs=[count], device=device)
+    wp.launch(
+        count_flips[width_of(inputs[0])], dim=(len(faces), block_count), inputs=inputs, outputs=[count], device=device
+    )
     return count.numpy()[: len(points)]
 
 

@@ -7,6 +7,7 @@ import warp as wp
 from mesh_state import blocks, build_mesh, packed
 from oracles import quadrics as oracle
 
+from warpqem.kernels.lanes import width_of
 from warpqem.kernels.plane_quadrics import weigh_face_normals
 from warpqem.order.quadrics import constraint_lists, initial_quadrics
 from warpqem.order.stars import build_stars, classify_vertices
@@ -32,7 +33,7 @@ def test_weighted_normal_squares_to_the_area(device):
     position = packed(points, device)
     out = wp.empty((len(faces), position.shape[1]), dtype=position.dtype, device=device)
     inputs = [wp.array(faces.ravel(), dtype=wp.int32, device=device), position]
-    wp.launch(weigh_face_normals, dim=out.shape, inputs=inputs, outputs=[out], device=device)
+    wp.launch(weigh_face_normals[width_of(position)], dim=out.shape, inputs=inputs, outputs=[out], device=device)
     corner = points.astype(np.float64)[:, faces]
     area = np.linalg.norm(np.cross(corner[:, :, 1] - corner[:, :, 0], corner[:, :, 2] - corner[:, :, 0]), axis=2) / 2
     np.testing.assert_allclose((blocks(out, len(points)) ** 2).sum(axis=2).T, area, rtol=1e-4)

@@ -8,6 +8,7 @@ import warp as wp
 from mesh_state import blocks, packed, packed_quadrics
 from oracles import quadrics as oracle
 
+from warpqem.kernels.lanes import width_of
 from warpqem.kernels.quadric import (
     add_plane,
     anchored_minimiser,
@@ -93,7 +94,7 @@ def evaluate(quadrics, x, device, epsilon=EPSILON):
     n = len(quadrics)
     point = packed(np.asarray(x)[:, None], device)
     quadric = packed_quadrics([[oracle.pack(q) for q in quadrics]], point)
-    numbers = [wp.empty((1, point.shape[1] * point.dtype._shape_[1]), dtype=wp.float32, device=device) for _ in "abc"]
+    numbers = [wp.empty((1, point.shape[1] * width_of(point)), dtype=wp.float32, device=device) for _ in "abc"]
     product, linear, minimiser = (wp.empty_like(point) for _ in range(3))
     shifted = wp.empty_like(quadric)
     outputs = [product, linear, numbers[0], numbers[1], shifted, minimiser, numbers[2]]

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 import warp as wp
 
 from warpqem.kernels import lanes as kernels
-from warpqem.parallel import run_parts, split_range, thread_count
+from warpqem.parallel import launch_parts
 
 __all__ = ["block_width", "pack_frames", "unpack_frames"]
 
@@ -31,24 +29,26 @@ def pack_frames(
     """
     frame_count, vertex_count = points.shape[:2]
     width = block_width(frame_count, device)
+    kernel = kernels.pack_frames[width]
     source = wp.array(points, dtype=wp.vec3, device=device, copy=False)
     blocks = wp.empty((vertex_count, -(-frame_count // width)), dtype=kernels.POINTS[width], device=device)
 
     def pack(part: slice) -> None:
         wp.launch(
-            kernels.pack_frames,
+            kernel,
             dim=(part.stop - part.start, blocks.shape[1]),
             inputs=[source[:, part], wp.vec3(*map(float, centre)), float(scale)],
             outputs=[blocks[part]],
             device=device,
         )
 
-    run_parts([partial(pack, part) for part in split_range(vertex_count, thread_count(device))])
+    launch_parts(kernel, pack, vertex_count, device)
     return blocks
 
 
 def unpack_frames(blocks: wp.array, frame_count: int) -> np.ndarray:
     """(F, V, 3) float32 of blocks (V, B) of points."""
     points = wp.empty((frame_count, len(blocks)), dtype=wp.vec3, device=blocks.device)
-    wp.launch(kernels.unpack_frames, dim=blocks.shape, inputs=[blocks], outputs=[points], device=blocks.device)
+    unpack = kernels.unpack_frames[kernels.width_of(blocks)]
+    wp.launch(unpack, dim=blocks.shape, inputs=[blocks], outputs=[points], device=blocks.device)
     return points.numpy()

@@ -10,12 +10,13 @@ import itertools
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import warp as wp
 
 from warpqem.errors import OptionError
 
-__all__ = ["run_parts", "split_range", "thread_count"]
+__all__ = ["launch_parts", "run_parts", "split_range", "thread_count"]
 
 
 @functools.cache
@@ -59,3 +60,12 @@ def run_parts(parts: Sequence[Callable[[], object]]) -> None:
     for error in errors:
         if error is not None:
             raise error
+
+
+def launch_parts(kernel: wp.Kernel, launch: Callable[[slice], object], count: int, device: str) -> None:
+    """Call ``launch`` for slices of ``count`` items, one for each thread of the device.
+
+    The kernel's module is loaded before: threads that came to it at the same time would each compile it.
+    """
+    wp.load_module(kernel.module, device, max_workers=0)
+    run_parts([partial(launch, part) for part in split_range(count, thread_count(device))])

@@ -17,6 +17,7 @@ from warpqem.kernels import collapse as collapse_kernels
 from warpqem.kernels import edge_cost as cost_kernels
 from warpqem.kernels import independent_set as set_kernels
 from warpqem.kernels import legality as legality_kernels
+from warpqem.kernels.lanes import width_of
 from warpqem.kernels.mesh_state import AnyKeyFrames, CollapseLog, CostModel, MeshState
 from warpqem.kernels.work import EdgeList, Work
 from warpqem.order.stars import Stars
@@ -67,6 +68,7 @@ class Orderer:
         self, state: MeshState, frames: AnyKeyFrames, stars: Stars, model: CostModel, key_count: int, device: str
     ) -> None:
         self.state, self.frames, self.stars, self.model, self.device = state, frames, stars, model, device
+        self._width = width_of(frames.position)
         face_count = len(state.corner_vertex) // 3
         vertex_count = len(state.vertex_flags)
         self.face_slots = face_count  # faces in the arrays, dead ones included
@@ -112,7 +114,7 @@ class Orderer:
 
     def _launch_pricing(self, part: int) -> None:
         work = part_work(part, self.threads, self.device)
-        self._launch(cost_kernels.price_all_edges, [self.state, self.frames, self.model], work)
+        self._launch(cost_kernels.price_all_edges[self._width], [self.state, self.frames, self.model], work)
 
     def _gear(self, part_count: int) -> _Gear:
         """The steps for so many parts, recorded when they are first asked for."""
@@ -182,9 +184,11 @@ class Orderer:
             work = part_work(part, part_count, self.device)
             self._launch(set_kernels.withdraw_claims, [state, candidates], work, [self._claim])
             targets = [self._target, self._anchor]
-            self._launch(legality_kernels.place_winners, [state, frames, self.model, winners], work, targets)
+            self._launch(
+                legality_kernels.place_winners[self._width], [state, frames, self.model, winners], work, targets
+            )
             judged = [state, frames, self.model, winners, self._target, self.flip_tolerance]
-            self._launch(legality_kernels.judge_winners, judged, work, [self._faces_removed, legal])
+            self._launch(legality_kernels.judge_winners[self._width], judged, work, [self._faces_removed, legal])
 
         return [Phase(claim, part_count), Phase(select, part_count), Phase(judge, part_count)]
 
@@ -208,7 +212,7 @@ class Orderer:
         def commit(part: int) -> None:
             work = part_work(part, part_count, self.device)
             inputs = [state, frames, winners, self._faces_removed, self._target, self._anchor, self._pass_number]
-            self._launch(collapse_kernels.commit_winners, inputs, work, [self._mask, self.log, slot])
+            self._launch(collapse_kernels.commit_winners[self._width], inputs, work, [self._mask, self.log, slot])
 
         def shrink(part: int) -> None:
             work = part_work(part, part_count, self.device)
@@ -224,7 +228,7 @@ class Orderer:
         def reprice(part: int) -> None:
             work = part_work(part, self.threads, self.device)
             inputs = [state, self.frames, self.model, self.log, self._pass_begin]
-            self._launch(cost_kernels.reprice_moved_stars, inputs, work)
+            self._launch(cost_kernels.reprice_moved_stars[self._width], inputs, work)
 
         def wake(part: int) -> None:
             work = part_work(part, part_count, self.device)

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 import warp as wp
 
 from warpqem.kernels import plane_quadrics as kernels
-from warpqem.kernels.lanes import POINTS, QUADRIC
+from warpqem.kernels.lanes import POINTS, QUADRIC, width_of
 from warpqem.order.stars import Stars
-from warpqem.parallel import run_parts, split_range, thread_count
+from warpqem.parallel import launch_parts
 
 __all__ = ["CONSTRAINT_WEIGHT", "constraint_lists", "initial_quadrics"]
 
@@ -58,15 +56,15 @@ def initial_quadrics(
     """
     device = corner_vertex.device
     vertex_count, block_count = position.shape
-    width = position.dtype._shape_[1]
+    width = width_of(position)
     face_count = len(corner_vertex) // 3
     normal = wp.empty((face_count, block_count), dtype=POINTS[width], device=device)
     quadric = wp.empty((vertex_count, block_count), dtype=QUADRIC[width], device=device)
-    threads = thread_count(device)
+    weigh_kernel, gather_kernel = kernels.weigh_face_normals[width], kernels.gather_vertex_quadrics[width]
 
     def weigh(part: slice) -> None:
         wp.launch(
-            kernels.weigh_face_normals,
+            weigh_kernel,
             dim=(part.stop - part.start, block_count),
             inputs=[corner_vertex[3 * part.start : 3 * part.stop], position],
             outputs=[normal[part]],
@@ -75,21 +73,21 @@ def initial_quadrics(
 
     def gather(part: slice) -> None:
         wp.launch(
-            kernels.gather_vertex_quadrics,
+            gather_kernel,
             dim=(part.stop - part.start, block_count),
             inputs=[stars.start[part.start : part.stop + 1], stars.corner, normal, quadric_scale[part]],
             outputs=[quadric[part]],
             device=device,
         )
 
-    run_parts([partial(weigh, part) for part in split_range(face_count, threads)])
-    run_parts([partial(gather, part) for part in split_range(vertex_count, threads)])
+    launch_parts(weigh_kernel, weigh, face_count, device)
+    launch_parts(gather_kernel, gather, vertex_count, device)
     for kind, weight in CONSTRAINT_WEIGHT.items():
         vertex, start, half_edge = constraint_lists(corner_vertex.numpy(), constrained == kind)
         if not len(vertex):
             continue
         wp.launch(
-            kernels.add_border_planes,
+            kernels.add_border_planes[width],
             dim=(len(vertex), block_count),
             inputs=[
                 wp.array(half_edge, device=device),

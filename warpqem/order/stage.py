@@ -9,6 +9,7 @@ import numpy as np
 import warp as wp
 
 from warpqem.kernels import attribute as attribute_kernels
+from warpqem.kernels.lanes import width_of
 from warpqem.kernels.mesh_state import KEY_FRAMES, CostModel, MeshState
 from warpqem.kernels.topology import CORNER
 from warpqem.order.attributes import build_wedges
@@ -103,7 +104,8 @@ def order_collapses(
     state.vertex_flags = wp.array(mesh.vertex_flags, dtype=wp.int32, device=device)
     constrained = classify_vertices(corner_vertex, stars, state.vertex_flags).numpy() | 2 * mesh.seam
     state.seam = wp.array(mesh.seam, dtype=wp.int32, device=device)
-    frames = KEY_FRAMES[mesh.key_position.dtype._shape_[1]]()
+    width = width_of(mesh.key_position)
+    frames = KEY_FRAMES[width]()
     frames.position = wp.clone(mesh.key_position)
     quadric_scale = wp.array(mesh.quadric_scale, dtype=wp.float32, device=device)
     frames.quadric = initial_quadrics(corner_vertex, stars, constrained, mesh.key_position, quadric_scale)
@@ -125,7 +127,7 @@ def order_collapses(
     stopped = orderer.run(settings.target_faces, progress)
     if mesh.attributes is not None:
         wp.launch(
-            attribute_kernels.add_attribute_quadrics,
+            attribute_kernels.add_attribute_quadrics[width],
             dim=vertex_count,
             inputs=[state.wedges.quadric],
             outputs=[frames.quadric],

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import warp as wp
 
 from warpqem.kernels import topology as kernels
 from warpqem.order.steps import Phase, Step, part_work
-from warpqem.parallel import run_parts, split_range, thread_count
+from warpqem.parallel import launch_parts, thread_count
 
 __all__ = ["Stars", "build_stars", "classify_vertices"]
 
@@ -88,5 +86,5 @@ def classify_vertices(corner_vertex: wp.array, stars: Stars, vertex_flags: wp.ar
             device=device,
         )
 
-    run_parts([partial(classify, part) for part in split_range(len(vertex_flags), thread_count(device))])
+    launch_parts(kernels.classify_vertices, classify, len(vertex_flags), device)
     return border

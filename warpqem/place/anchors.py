@@ -8,6 +8,7 @@ import numpy as np
 import warp as wp
 
 from warpqem.kernels import anchor as kernels
+from warpqem.kernels.lanes import width_of
 from warpqem.order.stage import OrderedMesh
 
 __all__ = ["Anchors", "fit_anchors", "nearest_anchors"]
@@ -40,7 +41,7 @@ def nearest_members(ordered: OrderedMesh, cluster: np.ndarray, cluster_count: in
     device = ordered.position.device
     distance = wp.empty(len(cluster), dtype=wp.float32, device=device)
     wp.launch(
-        kernels.measure_cluster_distances,
+        kernels.measure_cluster_distances[width_of(ordered.position)],
         dim=len(cluster),
         inputs=[wp.array(ordered.root, device=device), ordered.key_position, ordered.position],
         outputs=[distance],
@@ -93,7 +94,7 @@ def fit_anchors(
     matrix_start = np.concatenate([[0], np.cumsum(size * (size + 1) // 2)])
     weight = wp.zeros(len(members.vertex), dtype=wp.float32, device=device)
     wp.launch(
-        kernels.fit_anchor_weights,
+        kernels.fit_anchor_weights[width_of(ordered.position)],
         dim=len(kept),
         inputs=[
             wp.array(kept, dtype=wp.int32, device=device),

@@ -7,17 +7,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 import warp as wp
 
 from warpqem.frame_blocks import pack_frames, unpack_frames
 from warpqem.kernels import placement as kernels
+from warpqem.kernels.lanes import width_of
 from warpqem.mesh_input import AnimatedMesh
 from warpqem.order.quadrics import CONSTRAINT_WEIGHT
 from warpqem.order.stage import OrderedMesh
-from warpqem.parallel import run_parts, split_range, thread_count
+from warpqem.parallel import launch_parts
 from warpqem.place.anchors import Anchors, fit_anchors, nearest_anchors
 from warpqem.place.rows import sum_repeated
 
@@ -156,19 +156,20 @@ class Placer:
     def _place_block(self, points: wp.array, frame_count: int) -> PlacedFrames:
         """Place blocks (V, B) of ``frame_count`` frames, in diagonals."""
         device, block_count = self._device, points.shape[1]
+        kernel = kernels.place_vertices[width_of(points)]
         out = wp.empty((self._vertex_count, block_count), dtype=points.dtype, device=device)
         normal = wp.empty_like(out)
 
         def place(part: slice) -> None:
             wp.launch(
-                kernels.place_vertices,
+                kernel,
                 dim=(part.stop - part.start, block_count),
                 inputs=[points, self._corner_vertex, self._clusters, self._settings.epsilon, part.start],
                 outputs=[out, normal],
                 device=device,
             )
 
-        run_parts([partial(place, part) for part in split_range(self._vertex_count, thread_count(device))])
+        launch_parts(kernel, place, self._vertex_count, device)
         return PlacedFrames(unpack_frames(out, frame_count), unpack_frames(normal, frame_count))
 
     def place_all(self, mesh: AnimatedMesh, progress: Callable[[int], None] | None = None) -> PlacedFrames:
@@ -188,9 +189,9 @@ class Placer:
         flips = np.empty(len(placed.points), dtype=np.int32)
         for block in frame_blocks(len(flips), self._vertex_count):
             points, normals = (pack_frames(a[block], self._device) for a in (placed.points, placed.normals))
-            count = wp.zeros(points.shape[1] * points.dtype._shape_[1], dtype=wp.int32, device=self._device)
+            count = wp.zeros(points.shape[1] * width_of(points), dtype=wp.int32, device=self._device)
             wp.launch(
-                kernels.count_flips,
+                kernels.count_flips[width_of(points)],
                 dim=(len(self.faces), points.shape[1]),
                 inputs=[points, normals, self._out_corner_vertex],
                 outputs=[count],

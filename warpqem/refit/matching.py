@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
-
 import numpy as np
 import warp as wp
 
 from warpqem.kernels import refit as kernels
 from warpqem.kernels.surface_walk import Surface
 from warpqem.order.stars import Stars
-from warpqem.parallel import run_parts, split_range, thread_count
+from warpqem.parallel import launch_parts
 from warpqem.place.rows import group_rows
 
 __all__ = ["Matching", "make_surface"]
@@ -105,10 +102,7 @@ class Matching:
             turns.first, turns.count, turns.key, turns.key_count = part.start, self._turns, key, key_count
             wp.launch(kernel, dim=part.stop - part.start, inputs=[turns, *inputs], outputs=[pairs], device=self._device)
 
-        parts: list[Callable[[], object]] = [
-            partial(match, part) for part in split_range(count, thread_count(self._device))
-        ]
-        run_parts(parts)
+        launch_parts(kernel, match, count, self._device)
 
 
 class _Hierarchy:

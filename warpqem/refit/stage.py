@@ -10,9 +10,7 @@ slide.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 import warp as wp
@@ -22,7 +20,7 @@ from warpqem.kernels import refit as kernels
 from warpqem.kernels.element_solve import Elements
 from warpqem.mesh_input import AnimatedMesh
 from warpqem.order.stars import build_stars
-from warpqem.parallel import run_parts, split_range, thread_count
+from warpqem.parallel import launch_parts
 from warpqem.place.stage import PlacedFrames, Placer, frame_blocks
 from warpqem.refit.matching import Matching, make_surface
 from warpqem.refit.solve import solve_elements
@@ -197,10 +195,7 @@ class _Refit:
                 device=self._device,
             )
 
-        parts: list[Callable[[], object]] = [
-            partial(move, part) for part in split_range(len(points), thread_count(self._device))
-        ]
-        run_parts(parts)
+        launch_parts(frame_kernels.move_in_material_frame, move, len(points), self._device)
 
     def apply_without_flips(self) -> PlacedFrames:
         """All frames moved; vertices that turn a face over in some frame are held back more, and at last not moved.

@@ -1,0 +1,63 @@
+"""Work shared between CPU threads."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+import warp as wp
+
+from warpqem import parallel
+from warpqem.parallel import launch_parts, run_parts, split_range
+
+
+@wp.kernel(enable_backward=False)
+def square(
+    x_in: wp.array[wp.float32],
+    # outputs
+    square_out: wp.array[wp.float32],
+):
+    i = wp.tid()
+    square_out[i] = x_in[i] * x_in[i]
+
+
+@pytest.fixture
+def three_threads(monkeypatch):
+    monkeypatch.setattr(parallel, "_core_count", lambda: 3)
+    with ThreadPoolExecutor(3) as pool:
+        monkeypatch.setattr(parallel, "_pool", lambda: pool)
+        yield
+
+
+@pytest.mark.parametrize(("count", "parts"), [(0, 2), (1, 3), (7, 3), (8, 2)])
+def test_slices_cover_the_range_once(count, parts):
+    covered = [i for part in split_range(count, parts) for i in range(part.start, part.stop)]
+    assert covered == list(range(count))
+
+
+def test_parts_of_a_launch_cover_all_items(three_threads):
+    x = wp.array(np.arange(10), dtype=wp.float32, device="cpu")
+    out = wp.zeros_like(x)
+
+    def launch(part):
+        wp.launch(square, dim=part.stop - part.start, inputs=[x[part]], outputs=[out[part]], device="cpu")
+
+    launch_parts(square, launch, len(x), "cpu")
+    np.testing.assert_array_equal(out.numpy(), np.arange(10.0) ** 2)
+
+
+def test_module_is_loaded_before_the_threads_start(three_threads):
+    square.module.unload()
+    loaded = []
+    launch_parts(square, lambda part: loaded.append(bool(square.module.execs)), 9, "cpu")
+    assert loaded == [True, True, True]
+
+
+def test_error_of_a_part_is_raised_when_all_have_ended(three_threads):
+    done = []
+
+    def fail():
+        raise ValueError("part")
+
+    with pytest.raises(ValueError, match="part"):
+        run_parts([lambda: done.append(1), fail, lambda: done.append(3)])
+    assert sorted(done) == [1, 3]
