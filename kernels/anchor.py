@@ -81,8 +81,9 @@ def share_within_reach(
     """The part of the way from the members' mean to their weighted sum that goes hardly further than the members do.
 
     Negative weights take an anchor outside its cluster, where a convex surface wants it: a little way beyond the
-    members that lie furthest in that direction, and no further than any of them. Planes that hardly meet, as those of a ridge or of a thin part that
-    bends, would take it away along them, as a spike. One factor for all frames keeps it on the material.
+    members that lie furthest in that direction, and no further than any of them. Planes that hardly meet, as those of a
+    ridge or of a thin part that bends, would take it away along them, as a spike. One factor for all frames keeps it on
+    the material.
     """
     reach = wp.float32(0.0)
     moved = wp.float32(0.0)

@@ -14,7 +14,7 @@ from test_usd_stages import FRAMES, cloth_stage, skinned_stage
 import warpqem
 from warpqem.errors import OptionError, StageError
 from warpqem.usd.carrier import Carrier
-from warpqem.usd.job import MeshJob
+from warpqem.usd.job import MeshJob, ReadOptions
 from warpqem.usd.mesh import MeshSource
 from warpqem.usd.skel import StagePoses
 from warpqem.usd.write import OverLayer, check_output_path
@@ -39,7 +39,7 @@ class Replacement:
 def simplified(source: Usd.Stage, path: str = CLOTH) -> Replacement:
     """A mesh simplified to 40 faces, baked where it has a skin."""
     mesh_source = MeshSource(source.GetPrimAtPath(path), StagePoses(source))
-    job = MeshJob.prepare(mesh_source, bake=True)
+    job = MeshJob.prepare(mesh_source, ReadOptions(bake=True))
     result = warpqem.simplify(job.frames, job.faces, target_faces=40, seams=job.seams.hold(), device="cpu")
     return Replacement(*job.output_points(result), result.faces, job.carrier(result, "cpu"))
 

@@ -97,6 +97,18 @@ def simplify(
         typer.Option(metavar="NAME=FLOAT", help="The same for the primvar NAME; may be given several times."),
     ] = None,
     frames: Frames = None,
+    poses: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE",
+            help="USD file with example poses at the same prim paths, such as another clip: they decide how skinned "
+            "meshes are simplified, instead of the animation in IN.",
+        ),
+    ] = None,
+    influences: Annotated[
+        int | None,
+        typer.Option(help="Joints that move a point of a skinned mesh at most; by default as many as in IN."),
+    ] = None,
     prim: Prims = None,
     device: Device = None,
     bake: Annotated[
@@ -142,6 +154,8 @@ def simplify(
         uv_weight=uv_weight,
         attribute_weights=tuple(parse_attribute_weight(text) for text in attribute_weight or ()),
         frames=FrameRange.parse(frames) if frames else None,
+        poses=poses,
+        influences=influences,
         prims=tuple(prim or ()),
         device=device,
         bake=bake,

@@ -19,7 +19,7 @@ from warpqem.usd.seams import MeshSeams, find_seams
 from warpqem.usd.skin import Skin, read_skin
 from warpqem.usd.weld import weld
 
-__all__ = ["MeshJob"]
+__all__ = ["MeshJob", "ReadOptions"]
 
 
 @dataclass(frozen=True)
@@ -48,6 +48,23 @@ class _Fit:
 
 
 @dataclass(frozen=True)
+class ReadOptions:
+    """How meshes are read.
+
+    Attributes:
+        frames: Time codes to read; None for all authored ones.
+        bake: Leave the skin aside.
+        weld: Join points that differ in nothing that moves them.
+        influences: Joints that move a new point at most; None for as many as move an old one.
+    """
+
+    frames: FrameRange | None = None
+    bake: bool = False
+    weld: bool = True
+    influences: int | None = None
+
+
+@dataclass(frozen=True)
 class MeshJob:
     """One mesh made ready.
 
@@ -58,8 +75,10 @@ class MeshJob:
         seams: Its seams.
         skin: What goes on deforming it; None for poses as point samples.
         unskinned_because: Why a skin is there but cannot be taken over; None if it can, or there is none.
-        frames: float32, shape (E + F, V, 3), welded vertices in use: for a mesh with a skin its rest shape and its
-            blend shapes at full weight, then the poses.
+        frames: float32, shape (E + F, V, 3), welded vertices in use: first E that only say how the mesh is shaped, then
+            the poses. These E are the rest shape of a mesh with a skin and its blend shapes at full weight, or
+            example poses of one without.
+        pose_start: E.
     """
 
     source: MeshSource
@@ -69,39 +88,43 @@ class MeshJob:
     skin: Skin | None
     unskinned_because: str | None
     frames: npt.NDArray[np.float32]
+    pose_start: int
     _fit: _Fit | None
 
     @classmethod
     def prepare(
         cls,
         source: MeshSource,
-        frames: FrameRange | None = None,
+        options: ReadOptions | None = None,
         *,
-        bake: bool = False,
-        welding: bool = True,
         shape_users: Counter[Sdf.Path] | None = None,
+        examples: MeshSource | None = None,
     ) -> MeshJob:
         """Read a mesh.
 
         Args:
             source: The mesh.
-            frames: Time codes to read; None for all authored ones.
-            bake: Leave the skin aside.
-            welding: Join points that differ in nothing that moves them.
+            options: How to read it; None for the defaults.
             shape_users: How many meshes use each BlendShape prim of the stage; None if each has one.
+            examples: The same mesh in example poses. They take the place of the poses of a mesh with a skin, and come
+                before those of one without.
 
         Raises:
             StageError: a pose cannot be read.
         """
-        mesh = source.read(source.frame_times(frames))
+        options = options or ReadOptions()
+        mesh = source.read(source.frame_times(options.frames))
         if not len(mesh.faces):
-            return cls(source, mesh, mesh.faces, MeshSeams(), None, None, mesh.points, None)
-        skin, reason = (None, None) if bake else read_skin(source, shape_users or Counter())
-        poses, vertex_point, faces = mesh.points, mesh.used_points, mesh.faces
-        if welding:
-            joined = weld(faces, _what_moves(mesh, skin))
+            return cls(source, mesh, mesh.faces, MeshSeams(), None, None, mesh.points, 0, None)
+        skin, reason = None, None
+        if not options.bake:
+            skin, reason = read_skin(source, shape_users or Counter(), options.influences)
+        shown = mesh.points[:0] if examples is None else examples.read(examples.frame_times()).points
+        vertex_point, faces, kept = mesh.used_points, mesh.faces, np.arange(len(mesh.used_points))
+        if options.weld:
+            joined = weld(faces, [*shown, *_what_moves(mesh, skin)])
             kept, vertex = np.unique(joined, return_inverse=True)
-            poses, vertex_point, faces = poses[:, kept], vertex_point[kept], vertex.ravel().astype(np.int32)[faces]
+            vertex_point, faces = vertex_point[kept], vertex.ravel().astype(np.int32)[faces]
         seams = find_seams(
             source,
             faces,
@@ -109,23 +132,21 @@ class MeshJob:
             # Normals of a rest shape fit no pose, so that they are dropped where poses are written.
             with_normals=skin is not None or not source.has_skin_binding,
         )
+        poses, shown = mesh.points[:, kept], shown[:, kept]
         if skin is None:
-            return cls(source, mesh, faces, seams, None, reason, poses, None)
+            frames = np.concatenate([shown, poses])
+            return cls(source, mesh, faces, seams, None, reason, frames, len(shown), None)
+        poses = shown if len(shown) else poses
         rest = skin.rest_points[vertex_point]
         targets = [rest + offsets[vertex_point] for offsets in choose_targets(skin.shapes)]
         fit = _Fit.of(rest, poses)
         extra = fit.apply(np.stack([rest, *targets]))
-        return cls(source, mesh, faces, seams, skin, None, np.concatenate([extra, poses]), fit)
-
-    @property
-    def pose_start(self) -> int:
-        """The first of `frames` that is a pose."""
-        return len(self.frames) - len(self.mesh.points)
+        return cls(source, mesh, faces, seams, skin, None, np.concatenate([extra, poses]), len(extra), fit)
 
     def output_points(self, result: SimplifiedMesh) -> tuple[list[float] | None, npt.NDArray[np.float32]]:
         """Times and points to write: the rest shape of a mesh with a skin, else its poses."""
         if self._fit is None:
-            return self.mesh.times, result.points
+            return self.mesh.times, result.points[self.pose_start :]
         return None, self._fit.undo(result.points[:1])
 
     def carrier(self, result: SimplifiedMesh, device: str | None) -> Carrier:

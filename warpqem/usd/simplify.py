@@ -18,8 +18,9 @@ from warpqem.errors import DeviceError, OptionError, StageError, UnreachableTarg
 from warpqem.usd.attributes import AttributeWeights, check_names, check_weights, weighted_fields
 from warpqem.usd.blend_shapes import count_shape_users
 from warpqem.usd.budget import CostCurve, split_budget
+from warpqem.usd.example_poses import ExamplePoses
 from warpqem.usd.frames import FrameRange
-from warpqem.usd.job import MeshJob
+from warpqem.usd.job import MeshJob, ReadOptions
 from warpqem.usd.lods import LevelReport, VariantLevels, check_lods
 from warpqem.usd.mesh import MeshSource
 from warpqem.usd.report import PrimReport, StageReport, name_prim
@@ -59,6 +60,9 @@ class SimplifyOptions:
         attribute_weights: Names of primvars and the weights of their error; for a texture coordinate it takes the place
             of `uv_weight`.
         frames: Time codes to read; None for all authored ones.
+        poses: USD file with example poses, see `warpqem.usd.example_poses`: they decide how a mesh with a skin is
+            simplified instead of its own animation, and how one without is beside it. None for none.
+        influences: Joints that move a new point of a skinned mesh at most; None for as many as in the input.
         prims: Prim paths; meshes at and below them are simplified. Empty for all.
         device: Warp device; None for the default.
         bake: Write skinned and blend-shaped meshes as point samples without their skin.
@@ -81,6 +85,8 @@ class SimplifyOptions:
     uv_weight: float = 0.0
     attribute_weights: AttributeWeights = ()
     frames: FrameRange | None = None
+    poses: str | os.PathLike[str] | None = None
+    influences: int | None = None
     prims: tuple[str, ...] = ()
     device: str | None = None
     bake: bool = False
@@ -101,6 +107,8 @@ class SimplifyOptions:
             raise OptionError(f"faces {self.faces}: expected at least 1")
         if self.max_error is not None and not self.max_error > 0:
             raise OptionError(f"max_error {self.max_error:g}: expected a percentage above 0")
+        if self.influences is not None and self.influences < 1:
+            raise OptionError(f"influences {self.influences}: expected at least 1")
         check_lods(self.lods)
         check_weights(self.uv_weight, self.attribute_weights)
         if self.lods and self.flatten:
@@ -185,6 +193,7 @@ class _Run:
         self.progress = progress
         self.within = within
         self.poses = StagePoses(stage)
+        self.examples = None if options.poses is None else ExamplePoses(stage, options.poses)
         self.shape_users = count_shape_users(stage)
         self.layer = OverLayer(stage)
         self.reports: dict[str, PrimReport] = {}
@@ -246,15 +255,15 @@ class _Run:
             report.seconds += time.perf_counter() - start
 
     def _prepare(self, prim: Usd.Prim) -> MeshJob:
+        source = MeshSource(prim, self.poses)
         job = MeshJob.prepare(
-            MeshSource(prim, self.poses),
-            self.options.frames,
-            bake=self.options.bake,
-            welding=self.options.weld,
+            source,
+            ReadOptions(self.options.frames, self.options.bake, self.options.weld, self.options.influences),
             shape_users=self.shape_users,
+            examples=None if self.examples is None else self.examples.source(source),
         )
         report = self.reports[job.mesh.path]
-        report.frames = len(job.mesh.points)
+        report.frames = len(job.frames) - job.pose_start
         report.faces_before = report.faces_after = len(job.mesh.faces)
         report.vertices_before = report.vertices_after = job.mesh.points.shape[1]
         return job

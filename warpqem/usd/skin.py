@@ -37,11 +37,13 @@ class Skin:
         rest_points: float32, shape (P, 3).
         influences: At each sample, point by point; empty where one set of joints moves the whole mesh, or none.
         shapes: Its blend shapes.
+        influence_limit: Joints that move a new point at most; None for as many as move an old one.
     """
 
     rest_points: npt.NDArray[np.float32]
     influences: dict[Usd.TimeCode, Influences]
     shapes: list[ShapeData]
+    influence_limit: int | None = None
 
     @property
     def diagonal(self) -> float:
@@ -49,12 +51,15 @@ class Skin:
         return float(np.linalg.norm(np.ptp(self.rest_points.astype(np.float64), axis=0)))
 
 
-def read_skin(source: MeshSource, shape_users: Counter[Sdf.Path]) -> tuple[Skin | None, str | None]:
+def read_skin(
+    source: MeshSource, shape_users: Counter[Sdf.Path], influence_limit: int | None = None
+) -> tuple[Skin | None, str | None]:
     """The skin of a mesh, if new points can take it over.
 
     Args:
         source: The mesh.
         shape_users: How many meshes use each BlendShape prim of the stage.
+        influence_limit: Joints that move a new point at most; None for as many as move an old one.
 
     Returns:
         The skin, or None for a mesh without one or with one that cannot be taken over, and in that case why not.
@@ -80,7 +85,7 @@ def read_skin(source: MeshSource, shape_users: Counter[Sdf.Path]) -> tuple[Skin 
     if influences is None:
         return None, "its joint influences do not fit its points"
     rest = np.array(points.Get(Usd.TimeCode.EarliestTime()), dtype=np.float32).reshape(-1, 3)
-    return Skin(rest, influences, shapes), None
+    return Skin(rest, influences, shapes, influence_limit), None
 
 
 def _influence_primvars(source: MeshSource) -> tuple[UsdGeom.Primvar | None, UsdGeom.Primvar | None]:

@@ -27,7 +27,8 @@ def write_skin(stage: Usd.Stage, prim: Usd.Prim, skin: Skin, carrier: Carrier) -
     """
     rows = carrier.vertices()
     if skin.influences:
-        _write_influences(prim, {code: blend_influences(item, rows) for code, item in skin.influences.items()})
+        blended = {code: blend_influences(item, rows, skin.influence_limit) for code, item in skin.influences.items()}
+        _write_influences(prim, blended)
     for shape in skin.shapes:
         write_shape(stage, shape, rows, skin.diagonal)
 
