@@ -117,6 +117,7 @@ def open_log(
     log_slot: wp.array[wp.int32],
 ):
     """Reserve the slots of the log for the legal winners of each part; their counts are cleared for the next round."""
+    log.round_count[0] = log.round_count[0] + 1
     slot = log.count[0]
     for part in range(legal_count.shape[0]):
         log_slot[part] = slot
@@ -164,7 +165,7 @@ def commit_winners(
                 log.right_wing[slot] = state.corner_vertex[previous_corner(opposite)]
             log.faces_removed[slot] = faces_removed_in[i]
             log.cost[slot] = state.edge_cost[h]
-            log.pass_index[slot] = pass_number_in[0]
+            log.round_index[slot] = log.round_count[0]
             mask_star(state, mask, pass_number_in[0], u)
             mask_star(state, mask, pass_number_in[0], v)
             if state.trajectory.shape[0] > 0:

@@ -78,6 +78,7 @@ class CollapseLog:
     """Collapses in the order of application; a pass owns the range from its first slot to the count."""
 
     count: wp.array[wp.int32]  # (1,)
+    round_count: wp.array[wp.int32]  # (1,) rounds of claims so far
     kept: wp.array[wp.int32]  # (V,)
     removed: wp.array[wp.int32]  # (V,)
     left_wing: wp.array[wp.int32]  # (V,) the vertex opposite the edge in its canonical face
@@ -85,4 +86,4 @@ class CollapseLog:
     cost: wp.array[wp.float32]  # (V,)
     error: wp.array[wp.float32]  # (V,) squared, in diagonals squared
     faces_removed: wp.array[wp.int32]  # (V,)
-    pass_index: wp.array[wp.int32]  # (V,)
+    round_index: wp.array[wp.int32]  # (V,) from 1

@@ -114,7 +114,8 @@ def listed(edges: EdgeList) -> np.ndarray:
 def collapse_log(capacity, device) -> CollapseLog:
     log = CollapseLog()
     log.count = wp.zeros(1, dtype=wp.int32, device=device)
-    for name in ("kept", "removed", "left_wing", "right_wing", "faces_removed", "pass_index"):
+    log.round_count = wp.zeros(1, dtype=wp.int32, device=device)
+    for name in ("kept", "removed", "left_wing", "right_wing", "faces_removed", "round_index"):
         setattr(log, name, wp.zeros(capacity, dtype=wp.int32, device=device))
     for name in ("cost", "error"):
         setattr(log, name, wp.zeros(capacity, dtype=wp.float32, device=device))

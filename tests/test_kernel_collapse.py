@@ -164,7 +164,7 @@ def test_log_names_ends_wings_cost_and_pass(device):
     assert commit.log.count.numpy()[0] == 1
     assert commit.log.cost.numpy()[0] == 3
     assert commit.log.faces_removed.numpy()[0] == 2
-    assert commit.log.pass_index.numpy()[0] == PASS
+    assert commit.log.round_index.numpy()[0] == 1
 
 
 def test_log_of_a_border_edge_has_no_right_wing(device):

@@ -30,15 +30,15 @@ def only_awake(orderer, half_edge):
 @pytest.mark.parametrize("half_edge", [7 * 100, 7 * 100 + 1, 7 * 100 + 6])
 def test_pass_after_one_without_a_winner_sees_every_edge(half_edge, orderer):
     gear = orderer._gear(1)
-    assert orderer._collect_candidates(gear, 10000, CAP_FRACTION) > 0
+    assert orderer._collect_candidates(gear, CAP_FRACTION) > 0
     only_awake(orderer, half_edge)
-    assert orderer._collect_candidates(gear, 10000, 4 * CAP_FRACTION) == 1
+    assert orderer._collect_candidates(gear, 4 * CAP_FRACTION) == 1
 
 
 def test_sampled_cap_is_near_the_exact_one(orderer):
     cost = orderer.state.edge_cost.numpy()
     wanted = int(CAP_FRACTION * 1.5 * orderer.live_faces)
-    count = orderer._collect_candidates(orderer._gear(1), 10**6, CAP_FRACTION)
+    count = orderer._collect_candidates(orderer._gear(1), CAP_FRACTION)
     assert np.isfinite(cost).sum() > 10 * wanted
     # A bin is up to 6 % wide, and costs of a regular mesh lie close together.
     assert wanted // 2 <= count <= 4 * wanted

@@ -45,10 +45,10 @@ def test_log_holds_finite_costs_and_errors(device):
 
 def test_log_is_ordered_by_pass_then_cost(device):
     log = warpqem.simplify(*BAR, ratio=0.3, device=device).log
-    assert log.pass_index[0] == 1
-    order = np.lexsort((log.cost, log.pass_index))
+    assert log.round_index[0] == 1
+    order = np.lexsort((log.cost, log.round_index))
     np.testing.assert_array_equal(log.cost[order], log.cost)
-    np.testing.assert_array_equal(np.sort(log.pass_index), log.pass_index)
+    np.testing.assert_array_equal(np.sort(log.round_index), log.round_index)
 
 
 def test_replayed_log_gives_the_result(device):
@@ -111,3 +111,13 @@ def test_every_free_vertex_of_a_large_mesh_is_found(count, device):
     locked = np.arange(len(points)) >= count
     result = warpqem.simplify(points, faces, target_faces=len(faces) - 2 * count, locked=locked, device=device)
     assert len(result.faces) == len(faces) - 2 * count
+
+
+@pytest.mark.parametrize("name", ["bar", "torus"])
+def test_log_of_more_faces_is_a_beginning_of_the_log_of_fewer(name, device):
+    points, faces = MESHES[name]
+    full = warpqem.simplify(points, faces, ratio=0.05, device=device).log
+    for ratio in (0.8, 0.31, 0.3, 0.1):
+        part = warpqem.simplify(points, faces, ratio=ratio, device=device).log
+        for field in ("kept", "removed", "wings", "cost", "error", "round_index"):
+            np.testing.assert_array_equal(getattr(part, field), getattr(full, field)[: len(part)], err_msg=field)

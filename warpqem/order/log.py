@@ -13,9 +13,10 @@ __all__ = ["CollapseRecord", "read_log"]
 
 @dataclass(frozen=True)
 class CollapseRecord:
-    """Edge collapses in the order of application (C of them): by pass, then by cost.
+    """Edge collapses in the order of application (C of them): by round, then by cost.
 
-    Collapses of one pass are independent, so the mesh after any prefix is valid.
+    Collapses of one round are independent, so the mesh after any prefix is valid. A higher face count gives a prefix of
+    the log of a lower one, with the same settings.
 
     Attributes:
         kept: (C,) int32 input vertex that goes on, at a new position.
@@ -24,7 +25,7 @@ class CollapseRecord:
         faces_removed: (C,) int32, 1 at a border, else 2.
         cost: (C,) float32, sum over key frames of area x squared distance on a mesh of unit diagonal, weighted.
         error: (C,) float32, RMS distance over key frames, in diagonals, of the vertex from its cluster's planes.
-        pass_index: (C,) int32, from 1.
+        round_index: (C,) int32, the round of claims, from 1.
     """
 
     kept: np.ndarray
@@ -33,7 +34,7 @@ class CollapseRecord:
     faces_removed: np.ndarray
     cost: np.ndarray
     error: np.ndarray
-    pass_index: np.ndarray
+    round_index: np.ndarray
 
     def __len__(self) -> int:
         return len(self.kept)
@@ -50,10 +51,10 @@ class CollapseRecord:
 
 
 def read_log(log: CollapseLog) -> CollapseRecord:
-    """Fetch the log; within a pass, where threads log in any order, collapses are put in the order of their cost."""
+    """Fetch the log; within a round, where threads log in any order, collapses are put in the order of their cost."""
     count = int(log.count.numpy()[0])
-    pass_index, cost, removed = (a.numpy()[:count] for a in (log.pass_index, log.cost, log.removed))
-    order = np.lexsort((removed, cost, pass_index))
+    round_index, cost, removed = (a.numpy()[:count] for a in (log.round_index, log.cost, log.removed))
+    order = np.lexsort((removed, cost, round_index))
     return CollapseRecord(
         kept=log.kept.numpy()[:count][order],
         removed=removed[order],
@@ -61,5 +62,5 @@ def read_log(log: CollapseLog) -> CollapseRecord:
         faces_removed=log.faces_removed.numpy()[:count][order],
         cost=cost[order],
         error=np.sqrt(log.error.numpy()[:count])[order],
-        pass_index=pass_index[order],
+        round_index=round_index[order],
     )

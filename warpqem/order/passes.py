@@ -19,6 +19,7 @@ from warpqem.kernels import independent_set as set_kernels
 from warpqem.kernels import legality as legality_kernels
 from warpqem.kernels.lanes import width_of
 from warpqem.kernels.mesh_state import AnyKeyFrames, CollapseLog, CostModel, MeshState
+from warpqem.kernels.topology import LOCKED
 from warpqem.kernels.work import EdgeList, Work
 from warpqem.order.stars import Stars
 from warpqem.order.steps import Phase, Step, new_edge_list, part_work
@@ -28,8 +29,7 @@ __all__ = ["Orderer"]
 
 # Part of the edges that one pass may touch. More is faster and further from the serial greedy order.
 CAP_FRACTION = 0.05
-# Near the target a pass looks at no more edges than collapses are still to do, but at this many at least,
-# or the last passes would each do one collapse.
+# A pass looks at this many edges at least, or on small meshes each would do one collapse.
 LEAST_CANDIDATES = 32
 # Rounds of claims a pass; each finds winners among the candidates that the earlier ones left free.
 ROUNDS = 3
@@ -102,8 +102,8 @@ class Orderer:
 
     def _new_log(self, capacity: int) -> CollapseLog:
         log = CollapseLog()
-        log.count = self._integers(1)
-        for name in ("kept", "removed", "left_wing", "right_wing", "faces_removed", "pass_index"):
+        log.count, log.round_count = self._integers(1), self._integers(1)
+        for name in ("kept", "removed", "left_wing", "right_wing", "faces_removed", "round_index"):
             setattr(log, name, wp.empty(capacity, dtype=wp.int32, device=self.device))
         for name in ("cost", "error"):
             setattr(log, name, wp.empty(capacity, dtype=wp.float32, device=self.device))
@@ -273,7 +273,7 @@ class Orderer:
         remaining = self.live_faces - target_faces
         begin = int(self.log.count.numpy()[0])
         gear = self._gear(self.threads if self._is_shared(remaining, cap_fraction) else 1)
-        candidate_count = self._collect_candidates(gear, remaining, cap_fraction)
+        candidate_count = self._collect_candidates(gear, cap_fraction)
         # A candidate removes two faces at most: only a pass that could overshoot has to count its winners.
         if 2 * candidate_count <= remaining:
             for i in range(ROUNDS):
@@ -281,7 +281,7 @@ class Orderer:
                 gear.commit[i % 2].run()
         else:
             gear = self._gear(1)
-            candidate_count = self._collect_candidates(gear, remaining, cap_fraction)
+            candidate_count = self._collect_candidates(gear, cap_fraction)
             self._run_counted_rounds(gear, remaining)
         end = int(self.log.count.numpy()[0])
         if end > begin:
@@ -292,17 +292,15 @@ class Orderer:
 
     def _is_shared(self, remaining: int, cap_fraction: float) -> bool:
         """Whether all threads work on the pass: on large meshes, but where it may end at the target."""
-        return self.live_faces >= SHARED_FACES and remaining > 2 * self._wanted_count(remaining, cap_fraction)
+        return self.live_faces >= SHARED_FACES and remaining > 2 * self._wanted_count(cap_fraction)
 
-    def _wanted_count(self, remaining: int, cap_fraction: float) -> int:
-        wanted = int(cap_fraction * 1.5 * self.live_faces)
-        if cap_fraction < 1.0:
-            wanted = max(LEAST_CANDIDATES, min(wanted, remaining // 2))
-        return wanted
+    def _wanted_count(self, cap_fraction: float) -> int:
+        """Edges that a pass looks at. The target has no part in it, so that all targets share one order."""
+        return max(LEAST_CANDIDATES, int(cap_fraction * 1.5 * self.live_faces))
 
-    def _collect_candidates(self, gear: _Gear, remaining: int, cap_fraction: float) -> int:
+    def _collect_candidates(self, gear: _Gear, cap_fraction: float) -> int:
         """Fill the list of candidates with the cheapest edges; their number."""
-        self._wanted.fill_(self._wanted_count(remaining, cap_fraction))
+        self._wanted.fill_(self._wanted_count(cap_fraction))
         # After a pass without a winner every edge counts: the few that are awake may be missing from a sample.
         sampled = cap_fraction == CAP_FRACTION and 3 * self.face_slots >= SAMPLE_STEP * LEAST_SAMPLE
         (gear.collect_sampled if sampled else gear.collect_all).run()
@@ -322,13 +320,23 @@ class Orderer:
         count = int(gear.winners.count.numpy()[0])
         faces = self._faces_removed.numpy()[:count]
         half_edge = gear.winners.half_edge.numpy()[:count]
-        order = np.lexsort((half_edge, self.state.edge_cost.numpy()[half_edge]))
+        # The order of the log, so that what is left is a beginning of it.
+        order = np.lexsort((self._removed_vertices(half_edge), self.state.edge_cost.numpy()[half_edge]))
         removed_before = np.cumsum(faces[order]) - faces[order]
         faces[order[removed_before >= remaining]] = 0
         if not self._faces_removed.device.is_cpu:
             self._faces_removed[:count].assign(faces)
         gear.legal.fill_(int(np.count_nonzero(faces)))
         return int(faces.sum())
+
+    def _removed_vertices(self, half_edge: np.ndarray) -> np.ndarray:
+        """The end that each collapse removes, as the commit chooses it."""
+        corner_vertex, flags = self.state.corner_vertex.numpy(), self.state.vertex_flags.numpy()
+        ends = corner_vertex[np.stack([half_edge, half_edge - half_edge % 3 + (half_edge + 1) % 3])]
+        locked = (flags[ends] & int(LOCKED)) != 0
+        keeps_second = locked[1] | (~locked[0] & (ends[1] < ends[0]))
+        removed: np.ndarray = np.where(keeps_second, ends[0], ends[1])
+        return removed
 
     def _compact(self) -> None:
         """Close the gaps that dead faces leave, once they are many."""
