@@ -11,7 +11,6 @@ from warpqem.kernels.lanes import width_of
 from warpqem.kernels.placement import Clusters, count_flips, place_vertices
 from warpqem.order.quadrics import constraint_lists
 from warpqem.place.rows import sum_repeated
-from warpqem.place.stage import BLOCK_BYTES, frame_blocks
 
 EPSILON = 0.3
 MESHES = {"closed": meshes.swaying_sphere(1, 3), "open": meshes.waving_grid(5, 3)}
@@ -124,17 +123,3 @@ def test_constraint_lists_of_a_closed_mesh_are_empty():
     vertex, start, half_edge = constraint_lists(meshes.octahedron()[1].ravel(), np.zeros(24, dtype=int))
     assert len(vertex) == len(half_edge) == 0
     assert start.tolist() == [0]
-
-
-def test_frame_blocks_cover_every_frame_once():
-    blocks = list(frame_blocks(1000, 100000))
-    assert [i for b in blocks for i in range(1000)[b]] == list(range(1000))
-    assert len(blocks) > 1
-
-
-def test_frame_blocks_have_a_bounded_size():
-    assert max(b.stop - b.start for b in frame_blocks(1000, 100000)) * 100000 * 12 <= BLOCK_BYTES
-
-
-def test_frame_block_holds_one_frame_at_least():
-    assert len(list(frame_blocks(3, 10**9))) == 3

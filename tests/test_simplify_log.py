@@ -20,7 +20,7 @@ def test_progress_rises_to_one(target, device):
     assert parts[0] >= 0
     assert parts[-1] == pytest.approx(1)
     assert max(parts) <= 1
-    assert list(dict.fromkeys(stage for _, stage in seen)) == ["order", "place"]
+    assert list(dict.fromkeys(stage for _, stage in seen)) == ["read", "order", "place"]
 
 
 def test_log_sums_up_to_the_faces_removed(device):

@@ -11,13 +11,28 @@ from typing import Any
 # Loaded when first used: importing Warp takes most of a second, which `warpqem --help` need not wait for.
 _HOMES = {
     "AttributeField": "warpqem.attributes",
+    "FrameSink": "warpqem.frame_stream",
+    "FrameSource": "warpqem.frame_stream",
+    "MemoryPlan": "warpqem.memory",
     "MotionFeatures": "warpqem.motion",
     "SimplifiedMesh": "warpqem.simplification",
     "motion_features": "warpqem.motion",
+    "plan": "warpqem.simplification",
     "simplify": "warpqem.simplification",
 }
 
-__all__ = ["AttributeField", "MotionFeatures", "SimplifiedMesh", "__version__", "motion_features", "simplify"]
+__all__ = [
+    "AttributeField",
+    "FrameSink",
+    "FrameSource",
+    "MemoryPlan",
+    "MotionFeatures",
+    "SimplifiedMesh",
+    "__version__",
+    "motion_features",
+    "plan",
+    "simplify",
+]
 
 
 def _version() -> str:

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from warpqem.errors import MeshShapeError, OptionError
-from warpqem.mesh_input import AnimatedMesh, as_numpy
+from warpqem.mesh_input import MeshInput, as_numpy
 
-__all__ = ["AttributeField", "weighted_corner_values"]
+__all__ = ["AttributeField", "channel_count", "weighted_corner_values"]
 
 # Squares of weighted values go into float32 costs, which end at 1e38.
 MOST_WEIGHT = 1e6
@@ -32,7 +32,7 @@ class AttributeField:
     weight: float = 1.0
 
 
-def weighted_corner_values(fields: Sequence[AttributeField], mesh: AnimatedMesh) -> np.ndarray | None:
+def weighted_corner_values(fields: Sequence[AttributeField], mesh: MeshInput) -> np.ndarray | None:
     """All channels at the corners of ``mesh.faces``, times their weights: (N, 3, C) float64; None for none.
 
     Fields of weight 0 are checked and left out.
@@ -52,6 +52,12 @@ def weighted_corner_values(fields: Sequence[AttributeField], mesh: AnimatedMesh)
             at_corners = values[mesh.face_index] if values.ndim == 3 else values[mesh.faces]
             channels.append(at_corners.astype(np.float64) * field.weight)
     return np.concatenate(channels, axis=2) if channels else None
+
+
+def channel_count(fields: Sequence[AttributeField]) -> int:
+    """Channels of :func:`weighted_corner_values`, 0 for none."""
+    arrays = [as_numpy(field.values) for field in fields if field.weight > 0.0]
+    return sum(1 if array.ndim == 1 else array.shape[-1] for array in arrays)
 
 
 def _checked(values: np.ndarray, name: str, vertex_count: int, face_count: int) -> np.ndarray:

@@ -12,13 +12,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from warpqem.errors import OptionError
-from warpqem.mesh_input import AnimatedMesh
-from warpqem.motion import motion_features
 
-__all__ = ["COST_MODELS", "CostModelSpec", "cost_model", "feature_weights"]
+__all__ = ["COST_MODELS", "CostModelSpec", "cost_model"]
 
 
 @dataclass(frozen=True)
@@ -58,10 +54,3 @@ def cost_model(name: str) -> CostModelSpec:
     if name not in COST_MODELS:
         raise OptionError(f"unknown metric {name!r}; there are {', '.join(COST_MODELS)}")
     return COST_MODELS[name]
-
-
-def feature_weights(spec: CostModelSpec, mesh: AnimatedMesh, device: str) -> np.ndarray:
-    """Cost weights (V,) float32 that the model itself asks for: 1 where it asks for none."""
-    if spec.uses_motion_features:
-        return motion_features(mesh.points, mesh.faces, device=device).weight
-    return np.ones(mesh.vertex_count, dtype=np.float32)

@@ -8,6 +8,7 @@ __all__ = [
     "DegenerateMeshError",
     "DeviceError",
     "FaceIndexError",
+    "MemoryLimitError",
     "MeshShapeError",
     "NonFinitePointError",
     "OptionError",
@@ -55,6 +56,10 @@ class UnreachableTargetError(WarpqemError, RuntimeError):
     def __init__(self, message: str, result: Any = None) -> None:
         super().__init__(message)
         self.result = result
+
+
+class MemoryLimitError(WarpqemError, MemoryError):
+    """The work cannot be done in the memory it may take; the message says what is needed and what would help."""
 
 
 class StageError(WarpqemError):

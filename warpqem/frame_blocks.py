@@ -8,7 +8,18 @@ import warp as wp
 from warpqem.kernels import lanes as kernels
 from warpqem.parallel import launch_parts
 
-__all__ = ["block_width", "pack_frames", "unpack_frames"]
+__all__ = ["block_width", "frame_blocks", "pack_frames", "unpack_frames"]
+
+# Frames are worked on in blocks of so many bytes of input: ten milliseconds of work on a CPU core, so that starting it
+# costs nothing to speak of, and small beside what a program takes anyway. Larger blocks are no faster.
+BLOCK_BYTES = 8 * 2**20
+
+
+def frame_blocks(frame_count: int, vertex_count: int, block_frames: int | None = None) -> list[slice]:
+    """Consecutive blocks of frames, of ``block_frames`` each or of bounded size, in whole vector registers."""
+    size = max(1, BLOCK_BYTES // (12 * vertex_count)) if block_frames is None else block_frames
+    size = max(kernels.WIDE, size - size % kernels.WIDE)
+    return [slice(first, min(first + size, frame_count)) for first in range(0, frame_count, size)]
 
 
 def block_width(frame_count: int, device: str) -> int:
@@ -17,7 +28,12 @@ def block_width(frame_count: int, device: str) -> int:
 
 
 def pack_frames(
-    points: np.ndarray, device: str, *, centre: np.ndarray | tuple[float, float, float] = (0, 0, 0), scale: float = 1
+    points: np.ndarray,
+    device: str,
+    *,
+    centre: np.ndarray | tuple[float, float, float] = (0, 0, 0),
+    scale: float = 1,
+    width: int | None = None,
 ) -> wp.array:
     """Blocks (V, B) of ``(points - centre) scale``; the frames that fill up the last block are zero.
 
@@ -26,9 +42,10 @@ def pack_frames(
         device: Warp device.
         centre: taken off every point.
         scale: multiplies what is left.
+        width: frames in a block; None for what suits so many frames.
     """
     frame_count, vertex_count = points.shape[:2]
-    width = block_width(frame_count, device)
+    width = block_width(frame_count, device) if width is None else width
     kernel = kernels.pack_frames[width]
     source = wp.array(points, dtype=wp.vec3, device=device, copy=False)
     blocks = wp.empty((vertex_count, -(-frame_count // width)), dtype=kernels.POINTS[width], device=device)

@@ -3,60 +3,101 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import warp as wp
 
 from warpqem.errors import DegenerateMeshError, FaceIndexError, MeshShapeError, NonFinitePointError, OptionError
+from warpqem.frame_blocks import frame_blocks
+from warpqem.frame_stream import ArrayFrames, FrameSource, read_ahead
 
-__all__ = ["AnimatedMesh", "as_numpy", "as_vertex_values", "read_mesh"]
+__all__ = [
+    "AnimatedMesh",
+    "FrameObserver",
+    "MeshInput",
+    "as_numpy",
+    "as_vertex_values",
+    "measure_mesh",
+    "read_mesh",
+]
+
+FLOAT32_MAX = np.finfo(np.float32).max
 
 
 @dataclass(frozen=True)
-class AnimatedMesh:
-    """A checked mesh in motion.
+class MeshInput:
+    """A mesh in motion as the caller gave it: faces checked, frames not read yet.
 
     Attributes:
-        points: (F, V, 3) float32, the caller's coordinates minus ``origin``.
+        source: the frames, in the caller's coordinates.
         faces: (N, 3) int32 without faces that use a vertex twice.
         face_index: (N,) int32, the caller's index of each face.
         input_face_count: faces the caller gave.
         used: (V,) bool, vertices with a face.
-        origin: (3,) float64, taken off before the points were rounded to float32.
-        centre: (3,) float32, middle of the bounding box of all frames, about ``origin``.
-        diagonal: largest bounding-box diagonal of a frame, in the caller's units.
     """
 
-    points: np.ndarray
+    source: FrameSource
     faces: np.ndarray
     face_index: np.ndarray
     input_face_count: int
     used: np.ndarray
-    origin: np.ndarray
-    centre: np.ndarray
-    diagonal: float
 
     @property
     def frame_count(self) -> int:
         """Frames F."""
-        return len(self.points)
+        return self.source.frame_count
 
     @property
     def vertex_count(self) -> int:
         """Input vertices V, unreferenced ones included."""
-        return self.points.shape[1]
+        return self.source.vertex_count
 
-    def unit_points(self, frames: slice | np.ndarray) -> np.ndarray:
-        """The chosen frames on a mesh of unit diagonal about ``centre``: (B, V, 3) float32."""
-        unit = self.points[frames] - self.centre
+
+@dataclass(frozen=True)
+class AnimatedMesh(MeshInput):
+    """A mesh in motion whose frames have all been seen once.
+
+    Attributes:
+        origin: (3,) float64, taken off before the points are rounded to float32.
+        centre: (3,) float32, middle of the bounding box of all frames, about ``origin``.
+        diagonal: largest bounding-box diagonal of a frame, in the caller's units.
+    """
+
+    origin: np.ndarray
+    centre: np.ndarray
+    diagonal: float
+
+    def points(self, frames: slice) -> np.ndarray:
+        """Consecutive frames in the caller's coordinates minus ``origin``: (n, V, 3) float32, C-contiguous."""
+        return _about(self.source.read(frames), self.origin)
+
+    def chosen_points(self, frames: np.ndarray) -> np.ndarray:
+        """The same of any frames, ascending."""
+        chosen = np.empty((len(frames), self.vertex_count, 3), dtype=np.float32)
+        for index, frame in enumerate(frames.tolist()):
+            chosen[index] = self.points(slice(frame, frame + 1))[0]
+        return chosen
+
+    def to_unit(self, points: np.ndarray) -> np.ndarray:
+        """Points about ``origin`` on a mesh of unit diagonal about ``centre``, float32."""
+        unit = points - self.centre
         unit *= np.float32(1.0 / self.diagonal)
         return unit
 
     def original_points(self, unit: np.ndarray) -> np.ndarray:
         """Unit positions (..., 3) float32 back in the caller's coordinates, float32."""
         return (unit * self.diagonal + (self.centre + self.origin)).astype(np.float32)
+
+
+class FrameObserver(Protocol):
+    """Learns something from the frames while they are read for the first time."""
+
+    def observe(self, frames: slice, points: np.ndarray) -> None:
+        """See consecutive frames (n, V, 3) float32, about the mesh's origin; called in the order of the frames."""
+        ...
 
 
 def as_numpy(array: Any) -> np.ndarray:
@@ -84,14 +125,15 @@ def _is_trimesh(value: Any) -> bool:
     return trimesh is not None and isinstance(value, trimesh.Trimesh)
 
 
-def read_mesh(points: Any, faces: Any = None) -> AnimatedMesh:
-    """Check points (F, V, 3) or (V, 3) and faces (N, 3), or a ``trimesh.Trimesh`` as the only argument.
+def read_mesh(points: Any, faces: Any = None) -> MeshInput:
+    """Check the shape of points (F, V, 3) or (V, 3), or a :class:`FrameSource`, and faces (N, 3).
+
+    A ``trimesh.Trimesh`` as the only argument serves for both.
 
     Raises:
         MeshShapeError: wrong shape or dtype.
-        NonFinitePointError: NaN or infinite coordinate.
         FaceIndexError: index below 0 or not below V.
-        DegenerateMeshError: no point, no face with three different vertices, or no extent.
+        DegenerateMeshError: no point, or no face with three different vertices.
     """
     if _is_trimesh(points):
         if faces is not None:
@@ -99,26 +141,80 @@ def read_mesh(points: Any, faces: Any = None) -> AnimatedMesh:
         points, faces = points.vertices, points.faces
     elif faces is None:
         raise OptionError("faces (N, 3) are missing")
-    p = _checked_points(as_numpy(points))
+    source = _checked_source(points)
     given_faces = as_numpy(faces)
-    f, face_index = _checked_faces(given_faces, p.shape[1])
-    used = np.zeros(p.shape[1], dtype=bool)
+    f, face_index = _checked_faces(given_faces, source.vertex_count)
+    used = np.zeros(source.vertex_count, dtype=bool)
     used[f] = True
-    low, high = _frame_bounds(p)
-    if not max(np.abs(low).max(), np.abs(high).max()) <= np.finfo(np.float32).max:
-        raise _non_finite(p)
+    return MeshInput(source, f, face_index, len(given_faces), used)
+
+
+def measure_mesh(
+    mesh: MeshInput,
+    observers: Sequence[FrameObserver] = (),
+    block_frames: int | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> AnimatedMesh:
+    """Read all frames once: check them, find the mesh's size, and let observers see them.
+
+    Args:
+        mesh: the mesh.
+        observers: see every block after it was checked.
+        block_frames: frames read at a time; None for as many as keep a device busy.
+        progress: called with the number of frames seen.
+
+    Raises:
+        NonFinitePointError: NaN or infinite coordinate.
+        DegenerateMeshError: no extent.
+    """
+    lows, highs, everywhere = [], [], bool(mesh.used.all())
     origin = np.zeros(3)
-    if p.dtype != np.float32:
-        # float64 coordinates far from the origin keep their precision when the offset goes first.
-        origin = p[0, used].mean(axis=0)
-        p = (p - origin).astype(np.float32)
-    # A vertex without a face has no say in the mesh's size.
-    low, high = _frame_bounds(p if used.all() else p[:, used])
+    broken: _Broken | None = None
+    for frames, raw in read_ahead(mesh.source.read, frame_blocks(mesh.frame_count, mesh.vertex_count, block_frames)):
+        low, high = _frame_bounds(raw)
+        if not max(np.abs(low).max(), np.abs(high).max()) <= FLOAT32_MAX:
+            broken = _Broken.add(broken, raw, frames.start)
+        if broken is not None:
+            # All frames are looked through, for the message to say how many points there are.
+            continue
+        if frames.start == 0 and raw.dtype != np.float32:
+            # float64 coordinates far from the origin keep their precision when the offset goes first.
+            origin = raw[0, mesh.used].mean(axis=0)
+        points = _about(raw, origin)
+        if raw.dtype != np.float32 or not everywhere:
+            # A vertex without a face has no say in the mesh's size.
+            low, high = _frame_bounds(points if everywhere else points[:, mesh.used])
+        lows.append(low)
+        highs.append(high)
+        for observer in observers:
+            observer.observe(frames, points)
+        if progress:
+            progress(frames.stop)
+    if broken is not None:
+        raise broken.error()
+    low, high = np.concatenate(lows), np.concatenate(highs)
     diagonal = float(np.linalg.norm(high.astype(np.float64) - low, axis=1).max())
     if not 0.0 < diagonal < np.inf:
         raise DegenerateMeshError(f"the mesh has no extent: its bounding-box diagonal is {diagonal:g} in every frame")
     centre = ((low.min(axis=0).astype(np.float64) + high.max(axis=0)) / 2).astype(np.float32)
-    return AnimatedMesh(np.ascontiguousarray(p), f, face_index, len(given_faces), used, origin, centre, diagonal)
+    return AnimatedMesh(
+        mesh.source, mesh.faces, mesh.face_index, mesh.input_face_count, mesh.used, origin, centre, diagonal
+    )
+
+
+def _about(points: np.ndarray, origin: np.ndarray) -> np.ndarray:
+    """Points minus ``origin`` as float32; float32 points have none."""
+    return np.ascontiguousarray(points if points.dtype == np.float32 else points - origin, dtype=np.float32)
+
+
+def _checked_source(points: Any) -> FrameSource:
+    if not isinstance(points, FrameSource):
+        return ArrayFrames(_checked_points(as_numpy(points)))
+    if points.frame_count < 1 or points.vertex_count < 1:
+        raise DegenerateMeshError(f"points are empty: {points.frame_count} frames of {points.vertex_count} vertices")
+    if points.dtype not in (np.float32, np.float64):
+        raise MeshShapeError(f"points must be float32 or float64, got a source of {points.dtype}")
+    return points
 
 
 def _checked_points(points: np.ndarray) -> np.ndarray:
@@ -171,13 +267,25 @@ def _frame_bounds(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return bounds[0], bounds[1]
 
 
-def _non_finite(points: np.ndarray) -> NonFinitePointError:
-    bad = ~(np.abs(points) <= np.finfo(np.float32).max)
-    frame, vertex, axis = np.argwhere(bad)[0]
-    return NonFinitePointError(
-        f"point of vertex {vertex} in frame {frame} has {'xyz'[axis]} = {points[frame, vertex, axis]} "
-        f"({int(bad.any(axis=2).sum())} such points in all)"
-    )
+@dataclass(frozen=True)
+class _Broken:
+    """The first point that is no point, and how many there are."""
+
+    text: str
+    count: int
+
+    @classmethod
+    def add(cls, before: _Broken | None, points: np.ndarray, first_frame: int) -> _Broken:
+        bad = ~(np.abs(points) <= FLOAT32_MAX)
+        count = int(bad.any(axis=2).sum())
+        if before is not None:
+            return cls(before.text, before.count + count)
+        frame, vertex, axis = np.argwhere(bad)[0]
+        where = f"vertex {vertex} in frame {first_frame + frame}"
+        return cls(f"{where} has {'xyz'[axis]} = {points[frame, vertex, axis]}", count)
+
+    def error(self) -> NonFinitePointError:
+        return NonFinitePointError(f"point of {self.text} ({self.count} such points in all)")
 
 
 def as_vertex_values(values: Any, name: str, vertex_count: int) -> np.ndarray:

@@ -17,9 +17,9 @@ from warpqem.components import lowest_members
 from warpqem.device import resolve_device
 from warpqem.edges import edge_table
 from warpqem.kernels import motion as kernels
-from warpqem.mesh_input import read_mesh
+from warpqem.mesh_input import MeshInput, measure_mesh, read_mesh
 
-__all__ = ["MotionFeatures", "motion_features"]
+__all__ = ["MotionFeatures", "MotionWatch", "motion_features"]
 
 # Below one degree between two frames a change of angle is rounding, not motion (the paper's limit).
 LEAST_CHANGE_DEGREES = 1.0
@@ -53,7 +53,7 @@ def motion_features(points: Any, faces: Any = None, *, device: str | None = None
     """Find the motion features over all frames.
 
     Args:
-        points: (F, V, 3), any unit.
+        points: (F, V, 3), any unit, or a :class:`warpqem.FrameSource`.
         faces: (N, 3) int.
         device: Warp device; None takes cuda:0 if present, else cpu.
 
@@ -61,29 +61,53 @@ def motion_features(points: Any, faces: Any = None, *, device: str | None = None
         WarpqemError: as for :func:`warpqem.simplify`.
     """
     mesh = read_mesh(points, faces)
-    device = resolve_device(device)
-    table = edge_table(mesh.faces)
-    inner = table.face_count == 2
-    factor = np.zeros(len(table.ends), dtype=np.float32)
-    factor[inner] = _dihedral_changes(mesh.points, table.ends[inner], table.wings[inner], device)
-    threshold = max(float(factor.mean(dtype=np.float64)), LEAST_CHANGE_DEGREES)
-    connected = (factor > threshold) | (table.face_count == 1)
-    label, weight = _components(mesh.vertex_count, table.ends[connected])
-    return MotionFeatures(label, weight, table.ends, factor, threshold)
+    watch = MotionWatch(mesh, resolve_device(device))
+    measure_mesh(mesh, [watch])
+    return watch.features()
 
 
-def _dihedral_changes(points: np.ndarray, ends: np.ndarray, wings: np.ndarray, device: str) -> np.ndarray:
-    """Largest change in degrees between consecutive frames, (E,)."""
-    change = wp.zeros(len(ends), dtype=wp.float32, device=device)
-    edge = wp.array(np.concatenate([ends, wings], axis=1), dtype=wp.int32, device=device)
-    wp.launch(
-        kernels.measure_dihedral_changes,
-        dim=len(ends),
-        inputs=[edge, wp.array(points, dtype=wp.vec3, device=device)],
-        outputs=[change],
-        device=device,
-    )
-    return np.degrees(change.numpy())
+class MotionWatch:
+    """Measures the dihedral angles of all edges while the frames are read.
+
+    Args:
+        mesh: the mesh.
+        device: Warp device.
+    """
+
+    def __init__(self, mesh: MeshInput, device: str) -> None:
+        self._device, self._vertex_count = device, mesh.vertex_count
+        self._table = edge_table(mesh.faces)
+        self._inner = self._table.face_count == 2
+        edges = np.concatenate([self._table.ends[self._inner], self._table.wings[self._inner]], axis=1)
+        self._edge = wp.array(edges, dtype=wp.int32, device=device)
+        self._change = wp.zeros(len(edges), dtype=wp.float32, device=device)
+        self._last = np.empty((0, mesh.vertex_count, 3), dtype=np.float32)
+
+    def observe(self, frames: slice, points: np.ndarray) -> None:
+        """Take on the largest change of each angle over these frames (n, V, 3) and the one before them."""
+        if len(self._last):
+            self._measure(np.concatenate([self._last, points[:1]]))
+        self._measure(points)
+        self._last = points[-1:].copy()
+
+    def _measure(self, points: np.ndarray) -> None:
+        wp.launch(
+            kernels.measure_dihedral_changes,
+            dim=len(self._edge),
+            inputs=[self._edge, wp.array(points, dtype=wp.vec3, device=self._device, copy=False)],
+            outputs=[self._change],
+            device=self._device,
+        )
+
+    def features(self) -> MotionFeatures:
+        """The features, once all frames have been seen."""
+        table = self._table
+        factor = np.zeros(len(table.ends), dtype=np.float32)
+        factor[self._inner] = np.degrees(self._change.numpy())
+        threshold = max(float(factor.mean(dtype=np.float64)), LEAST_CHANGE_DEGREES)
+        connected = (factor > threshold) | (table.face_count == 1)
+        label, weight = _components(self._vertex_count, table.ends[connected])
+        return MotionFeatures(label, weight, table.ends, factor, threshold)
 
 
 def _components(vertex_count: int, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -2,37 +2,39 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from warpqem.attributes import AttributeField, weighted_corner_values
-from warpqem.cost_models import CostModelSpec, cost_model, feature_weights
+from warpqem.arguments import Goal, check_options, lock_mask, own_weights, read_goal
+from warpqem.attributes import AttributeField, channel_count, weighted_corner_values
+from warpqem.cost_models import CostModelSpec, cost_model
 from warpqem.device import resolve_device
-from warpqem.errors import OptionError, UnreachableTargetError
-from warpqem.frame_blocks import pack_frames
+from warpqem.errors import UnreachableTargetError
+from warpqem.finishing import place_frames, place_refitted
+from warpqem.frame_blocks import frame_blocks, pack_frames
+from warpqem.frame_stream import ArraySink, FrameSink, read_ahead
 from warpqem.kernels.topology import CORNER, LOCKED, SEAM
-from warpqem.key_frames import choose_key_frames
-from warpqem.mesh_input import AnimatedMesh, as_numpy, as_vertex_values, read_mesh
+from warpqem.key_frames import KeyFrameChoice
+from warpqem.memory import MemoryNeeds, MemoryPlan, plan_memory
+from warpqem.mesh_input import AnimatedMesh, MeshInput, measure_mesh, read_mesh
+from warpqem.motion import MotionWatch
 from warpqem.order.log import CollapseRecord
 from warpqem.order.stage import OrderInput, OrderSettings, order_collapses
 from warpqem.place.stage import Placer, PlaceSettings
-from warpqem.refit.stage import refit_frames
 from warpqem.seams import Seams, read_seams
 
-__all__ = ["SimplifiedMesh", "simplify"]
+__all__ = ["SimplifiedMesh", "plan", "simplify"]
 
 Progress = Callable[[float, str], None]
 
-# Part of the progress that ordering takes; placing takes the rest.
-ORDER_SHARE = 0.7
+# Where reading for the first time and ordering end in the progress; placing takes the rest.
+READ_END = 0.05
+ORDER_END = 0.7
 # Ordering follows the material no more stiffly than this: beyond it the order loses shape and gains no steadiness.
 ORDER_EPSILON = 0.05
-# Weights above this would leave float32 no room for costs, which then count as forbidden.
-MOST_WEIGHT = 1e12
 
 
 @dataclass(frozen=True)
@@ -40,7 +42,7 @@ class SimplifiedMesh:
     """What :func:`simplify` returns.
 
     Attributes:
-        points: (F, V', 3) float32, in the input's coordinates.
+        points: (F, V', 3) float32, in the input's coordinates; where a sink took the frames, the first one, (1, V', 3).
         faces: (N', 3) int32.
         vertex_map: (V,) int32, input vertex to the output vertex it collapsed into; -1 for a vertex without a face.
         face_map: (N',) int32, the input face that each output face goes on from.
@@ -50,6 +52,8 @@ class SimplifiedMesh:
         flips: (F,) int32, output faces that face away from the input there.
         log: the collapses, for levels of detail.
         key_frames: (K,) int, the frames that decided the order.
+        diagonal: largest bounding-box diagonal of a frame of the input, in its units.
+        plan: the blocks of frames it was done in, and the memory for it.
     """
 
     points: np.ndarray
@@ -61,12 +65,8 @@ class SimplifiedMesh:
     flips: np.ndarray
     log: CollapseRecord
     key_frames: np.ndarray
-
-
-@dataclass(frozen=True)
-class _Goal:
-    target_faces: int
-    max_error: float  # % of the diagonal
+    diagonal: float
+    plan: MemoryPlan
 
 
 def simplify(
@@ -85,6 +85,8 @@ def simplify(
     locked: Any = None,
     seams: Any = None,
     attributes: Sequence[AttributeField] = (),
+    memory: int | str | None = None,
+    sink: FrameSink | None = None,
     device: str | None = None,
     progress: Progress | None = None,
 ) -> SimplifiedMesh:
@@ -94,7 +96,8 @@ def simplify(
 
     Args:
         points: (F, V, 3) or (V, 3) coordinates in any unit: NumPy, Warp, or anything with the array interface or
-            DLPack; or a ``trimesh.Trimesh``, then without ``faces``.
+            DLPack; or a :class:`warpqem.FrameSource`, which is read block by block, twice, and once more for the key
+            frames; or a ``trimesh.Trimesh``, then without ``faces``.
         faces: (N, 3) vertex indices.
         ratio: part of the faces to keep, in (0, 1].
         target_faces: faces to keep, at least 1. The result has as many, or one fewer.
@@ -113,27 +116,32 @@ def simplify(
             to spare: beyond that the islands between them that cost the shape least are given up.
         attributes: UVs and other values on the surface, each with the weight of its error in the order of collapses;
             see :class:`warpqem.AttributeField`. ``max_error`` and ``SimplifiedMesh.error`` stay errors of the shape.
+        memory: bytes that the work may take, beside what the process holds already, or text such as "8G"; None for
+            most of what is free. It decides how many frames are in memory at once, and no bit of the result.
+        sink: takes the frames of the result, block by block, in place of an array.
         device: Warp device; None takes cuda:0 if present, else cpu.
-        progress: called with the part done, 0 to 1, and the stage, "order" or "place".
+        progress: called with the part done, 0 to 1, and the stage, "read", "order" or "place".
 
     Raises:
         OptionError: an option outside its range, or options that exclude each other.
         MeshShapeError, NonFinitePointError, FaceIndexError, DegenerateMeshError: see :mod:`warpqem.errors`.
         DeviceError: there is no such device.
+        MemoryLimitError: it cannot be done in that memory; raised before the work starts.
         UnreachableTargetError: no legal collapse leads to the face count asked for; its ``result`` is what there is.
     """
     spec = cost_model(metric)
     goal_options = (ratio, target_faces, max_error)
-    _check_options(goal_options, coherence, key_frames, placement)
+    check_options(goal_options, coherence, key_frames, placement)
     device = resolve_device(device)
-    mesh = read_mesh(points, faces)
-    goal = _goal(len(mesh.faces), *goal_options)
-    seam = read_seams(seams, mesh.faces, mesh.vertex_count)
-    pinned = _lock_mask(locked, mesh.vertex_count)
-    weights = _cost_weights(spec, mesh, vertex_weights, device)
-    keys = _key_frames(spec, mesh, key_frames)
-    endpoint = placement == "endpoint"
-    values = weighted_corner_values(attributes, mesh)
+    given = read_mesh(points, faces)
+    goal = read_goal(len(given.faces), *goal_options)
+    refit = refit and placement != "endpoint"
+    planned = _plan(given, spec, goal, key_frames, attributes, refit, sink is None, memory, device)
+    seam = read_seams(seams, given.faces, given.vertex_count)
+    pinned = lock_mask(locked, given.vertex_count)
+    values = weighted_corner_values(attributes, given)
+    factors = own_weights(vertex_weights, given.vertex_count)
+    mesh, keys, weights = _look_through(given, spec, planned, factors, progress, device)
     order_input = _order_input(spec, mesh, keys, weights, seam, pinned, values, device)
     ordered = order_collapses(
         order_input,
@@ -141,27 +149,38 @@ def simplify(
             target_faces=goal.target_faces,
             error_limit=goal.max_error / 100.0,
             epsilon=min(_epsilon(coherence), ORDER_EPSILON),
-            endpoint=endpoint,
+            endpoint=placement == "endpoint",
             deformation_weight=spec.deformation_weight,
         ),
         device,
         _order_progress(progress, len(mesh.faces), goal.target_faces),
     )
-    settings = PlaceSettings(_epsilon(coherence), _regularisation(coherence), endpoint)
+    settings = PlaceSettings(_epsilon(coherence), _regularisation(coherence), placement == "endpoint")
     placer = Placer(mesh.faces, ordered, order_input.quadric_scale, pinned, settings, device)
-    placed = placer.place_all(mesh, _place_progress(progress, mesh.frame_count))
-    if refit and not endpoint and placer.free.any():
-        placed = refit_frames(mesh, placer, placed, keys, float(ordered.log.error.max(initial=0.0)), device)
+    log, face_map, stopped = ordered.log, ordered.face_map, ordered.stopped
+    # Placing has its own use for this memory.
+    del order_input, ordered
+    error = float(log.error.max(initial=0.0))
+    array = ArraySink()
+    blocks = frame_blocks(mesh.frame_count, mesh.vertex_count, planned.block_frames)
+    common = (mesh, placer, array if sink is None else sink, blocks, _place_progress(progress, mesh.frame_count))
+    if refit and placer.free.any():
+        on_disk = planned.scratch_bytes > 0
+        finished = place_refitted(*common, key_frames=keys, error=error, on_disk=on_disk, device=device)
+    else:
+        finished = place_frames(*common)
     result = SimplifiedMesh(
-        points=placer.original_points(mesh, placed),
+        points=array.points if sink is None else finished.first,
         faces=placer.faces,
         vertex_map=placer.vertex_map,
-        face_map=mesh.face_index[ordered.face_map],
-        stopped=ordered.stopped,
-        error=100.0 * float(ordered.log.error.max(initial=0.0)),
-        flips=placer.count_flips(placed),
-        log=ordered.log,
+        face_map=mesh.face_index[face_map],
+        stopped=stopped,
+        error=100.0 * error,
+        flips=finished.flips,
+        log=log,
         key_frames=keys,
+        diagonal=mesh.diagonal,
+        plan=planned,
     )
     if goal.target_faces > 0 and result.stopped == "no legal collapse":
         raise UnreachableTargetError(
@@ -169,6 +188,90 @@ def simplify(
             result,
         )
     return result
+
+
+def plan(
+    points: Any,
+    faces: Any = None,
+    *,
+    ratio: float | None = None,
+    target_faces: int | None = None,
+    max_error: float | None = None,
+    metric: str = "dsd",
+    key_frames: int | None = 16,
+    placement: str = "optimal",
+    refit: bool = False,
+    attributes: Sequence[AttributeField] = (),
+    memory: int | str | None = None,
+    sink: FrameSink | None = None,
+    device: str | None = None,
+) -> MemoryPlan:
+    """What :func:`simplify` would do with these arguments, and the memory for it; no frame is read.
+
+    Raises:
+        MemoryLimitError: it cannot be done in that memory.
+        OptionError, MeshShapeError, FaceIndexError, DegenerateMeshError, DeviceError: as for :func:`simplify`.
+    """
+    spec = cost_model(metric)
+    check_options((ratio, target_faces, max_error), 0.0, key_frames, placement)
+    device = resolve_device(device)
+    given = read_mesh(points, faces)
+    goal = read_goal(len(given.faces), ratio, target_faces, max_error)
+    refit = refit and placement != "endpoint"
+    return _plan(given, spec, goal, key_frames, attributes, refit, sink is None, memory, device)
+
+
+def _plan(
+    mesh: MeshInput,
+    spec: CostModelSpec,
+    goal: Goal,
+    key_frames: int | None,
+    attributes: Sequence[AttributeField],
+    refit: bool,
+    keep_frames: bool,
+    memory: int | str | None,
+    device: str,
+) -> MemoryPlan:
+    frame_count, face_count = mesh.frame_count, len(mesh.faces)
+    used_count = int(mesh.used.sum())
+    most_keys = 1 if spec.single_frame else key_frames
+    key_count = frame_count if most_keys is None else min(frame_count, int(most_keys))
+    # A surface has about half as many vertices as faces; where borders are, or many small pieces, more. With an error
+    # limit alone, nothing need go.
+    output = min(used_count, goal.target_faces + 2) if goal.target_faces else used_count
+    return plan_memory(
+        MemoryNeeds(
+            frame_count=frame_count,
+            vertex_count=mesh.vertex_count,
+            face_count=face_count,
+            used_count=used_count,
+            key_frames=key_count,
+            output_vertices=output,
+            value_bytes=mesh.source.dtype.itemsize,
+            channels=channel_count(attributes),
+            trajectories=spec.deformation_weight > 0,
+            refit=refit,
+            keep_frames=keep_frames,
+        ),
+        memory,
+        device,
+    )
+
+
+def _look_through(
+    given: MeshInput,
+    spec: CostModelSpec,
+    planned: MemoryPlan,
+    factors: np.ndarray,
+    progress: Progress | None,
+    device: str,
+) -> tuple[AnimatedMesh, np.ndarray, np.ndarray]:
+    """Read all frames once: the mesh's size, its key frames (K,), and the weight of the cost at each vertex (V,)."""
+    choice = KeyFrameChoice(given, planned.key_frames)
+    motion = MotionWatch(given, device) if spec.uses_motion_features else None
+    observers = [choice] if motion is None else [choice, motion]
+    mesh = measure_mesh(given, observers, planned.block_frames, _read_progress(progress, given.frame_count))
+    return mesh, choice.choose(), factors if motion is None else motion.features().weight * factors
 
 
 def _order_input(
@@ -185,15 +288,23 @@ def _order_input(
     flags |= np.where(seam.corner, int(CORNER), 0)
     return OrderInput(
         faces=mesh.faces,
-        key_position=pack_frames(mesh.points[keys], device, centre=mesh.centre, scale=1 / mesh.diagonal),
+        key_position=pack_frames(mesh.chosen_points(keys), device, centre=mesh.centre, scale=1 / mesh.diagonal),
         key_count=len(keys),
         vertex_flags=flags.astype(np.int32),
         quadric_scale=np.ones(mesh.vertex_count, dtype=np.float32),
         cost_weight=weights,
         seam=seam.half_edge,
-        trajectories=mesh.unit_points(slice(None)) if spec.deformation_weight > 0 else None,
+        trajectories=_trajectories(mesh) if spec.deformation_weight > 0 else None,
         attributes=attributes,
     )
+
+
+def _trajectories(mesh: AnimatedMesh) -> np.ndarray:
+    """Every frame of every vertex, in diagonals: (V, F, 3) float32, so that a vertex's trajectory is contiguous."""
+    trajectories = np.empty((mesh.vertex_count, mesh.frame_count, 3), dtype=np.float32)
+    for frames, points in read_ahead(mesh.points, frame_blocks(mesh.frame_count, mesh.vertex_count)):
+        trajectories[:, frames] = mesh.to_unit(points).transpose(1, 0, 2)
+    return trajectories
 
 
 def _epsilon(coherence: float) -> float:
@@ -206,89 +317,23 @@ def _regularisation(coherence: float) -> float:
     return 0.005 * 100.0**coherence
 
 
-def _check_options(
-    goal: tuple[float | None, int | None, float | None], coherence: float, key_frames: int | None, placement: str
-) -> None:
-    ratio, target_faces, max_error = goal
-    if ratio is None and target_faces is None and max_error is None:
-        raise OptionError("one of ratio, target_faces and max_error is needed")
-    if ratio is not None and target_faces is not None:
-        raise OptionError(f"ratio {ratio} and target_faces {target_faces} exclude each other")
-    if ratio is not None and not 0.0 < ratio <= 1.0:
-        raise OptionError(f"ratio must be in (0, 1], got {ratio}")
-    if target_faces is not None and not _is_count(target_faces):
-        raise OptionError(f"target_faces must be a whole number of at least 1, got {target_faces}")
-    if max_error is not None and not 0.0 < max_error < math.inf:
-        raise OptionError(f"max_error must be a positive number of % of the diagonal, got {max_error}")
-    if not 0.0 <= coherence <= 1.0:
-        raise OptionError(f"coherence must be in [0, 1], got {coherence}")
-    if key_frames is not None and not _is_count(key_frames):
-        raise OptionError(f"key_frames must be a whole number of at least 1, got {key_frames}")
-    if placement not in ("optimal", "endpoint"):
-        raise OptionError(f"placement must be 'optimal' or 'endpoint', got {placement!r}")
-
-
-def _is_count(value: float) -> bool:
-    return math.isfinite(value) and value == int(value) and value >= 1
-
-
-def _goal(face_count: int, ratio: float | None, target_faces: int | None, max_error: float | None) -> _Goal:
-    """With an error limit alone, ordering goes on until the limit stops it."""
-    if ratio is not None:
-        target = max(1, round(ratio * face_count))
-    else:
-        target = 0 if target_faces is None else int(target_faces)
-    return _Goal(target, math.inf if max_error is None else max_error)
-
-
-def _lock_mask(locked: Any, vertex_count: int) -> np.ndarray:
-    mask = np.zeros(vertex_count, dtype=bool)
-    if locked is None:
-        return mask
-    array = as_numpy(locked)
-    if array.dtype == bool:
-        if array.shape != (vertex_count,):
-            raise OptionError(f"locked must have one entry for each of {vertex_count} vertices, got {array.shape}")
-        return array.copy()
-    if array.ndim != 1 or (array.size and array.dtype.kind not in "iu"):
-        raise OptionError(f"locked must be (V,) bool or vertex indices, got shape {array.shape} dtype {array.dtype}")
-    outside = (array < 0) | (array >= vertex_count)
-    if outside.any():
-        raise OptionError(f"locked names vertex {array[outside][0]}, but there are {vertex_count} vertices")
-    mask[array.astype(np.int64)] = True
-    return mask
-
-
-def _cost_weights(spec: CostModelSpec, mesh: AnimatedMesh, vertex_weights: Any, device: str) -> np.ndarray:
-    weights = feature_weights(spec, mesh, device)
-    if vertex_weights is None:
-        return weights
-    own = as_vertex_values(vertex_weights, "vertex_weights", mesh.vertex_count)
-    outside = np.flatnonzero((own < 0) | (own > MOST_WEIGHT))
-    if len(outside):
-        vertex = int(outside[0])
-        raise OptionError(
-            f"vertex_weights must be in [0, {MOST_WEIGHT:g}], got {own[vertex]} at vertex {vertex}; "
-            "use locked for vertices that must not move"
-        )
-    return weights * own
-
-
-def _key_frames(spec: CostModelSpec, mesh: AnimatedMesh, key_frames: int | None) -> np.ndarray:
-    if spec.single_frame:
-        return np.zeros(1, dtype=np.int64)
-    points = mesh.points if mesh.used.all() else mesh.points[:, mesh.used]
-    return choose_key_frames(points, mesh.frame_count if key_frames is None else int(key_frames))
+def _read_progress(progress: Progress | None, frame_count: int) -> Callable[[int], None] | None:
+    if progress is None:
+        return None
+    return lambda done: progress(READ_END * done / frame_count, "read")
 
 
 def _order_progress(progress: Progress | None, face_count: int, target: int) -> Callable[[int], None] | None:
     if progress is None:
         return None
+    share = ORDER_END - READ_END
     # The last collapse may take one face more than asked for.
-    return lambda live: progress(ORDER_SHARE * min(1.0, (face_count - live) / max(1, face_count - target)), "order")
+    return lambda live: progress(
+        READ_END + share * min(1.0, (face_count - live) / max(1, face_count - target)), "order"
+    )
 
 
 def _place_progress(progress: Progress | None, frame_count: int) -> Callable[[int], None] | None:
     if progress is None:
         return None
-    return lambda done: progress(ORDER_SHARE + (1.0 - ORDER_SHARE) * done / frame_count, "place")
+    return lambda done: progress(ORDER_END + (1.0 - ORDER_END) * done / frame_count, "place")

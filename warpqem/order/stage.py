@@ -81,13 +81,8 @@ class OrderInput:
     quadric_scale: np.ndarray  # (V,) float32
     cost_weight: np.ndarray  # (V,) float32
     seam: np.ndarray  # (3N,) int32, 1 at both half-edges of a seam edge
-    trajectories: np.ndarray | None  # (F, V, 3) float32, only with a deformation term
+    trajectories: np.ndarray | None  # (V, F, 3) float32, in diagonals, only with a deformation term
     attributes: np.ndarray | None  # (N, 3, C) float64 at the corners, times their weights; None for none
-
-
-def _vertex_major(points: np.ndarray, device: str) -> wp.array:
-    """(V, F) vec3 from (F, V, 3): a vertex's trajectory is contiguous."""
-    return wp.array(np.ascontiguousarray(points.transpose(1, 0, 2)), dtype=wp.vec3, device=device)
 
 
 def order_collapses(
@@ -112,7 +107,10 @@ def order_collapses(
     state.cost_weight = wp.array(mesh.cost_weight, dtype=wp.float32, device=device)
     state.edge_cost = wp.empty(len(corner_vertex), dtype=wp.float32, device=device)
     no_trajectory = wp.empty((0, 0), dtype=wp.vec3, device=device)
-    state.trajectory = no_trajectory if mesh.trajectories is None else _vertex_major(mesh.trajectories, device)
+    if mesh.trajectories is None:
+        state.trajectory = no_trajectory
+    else:
+        state.trajectory = wp.array(mesh.trajectories, dtype=wp.vec3, device=device, copy=False)
     state.wedges = build_wedges(mesh.faces, mesh.key_position, mesh.attributes, mesh.key_count)
 
     model = CostModel()
@@ -120,7 +118,7 @@ def order_collapses(
     model.endpoint = int(settings.endpoint)
     model.error_limit = settings.error_limit**2
     # The term sums over all frames, the quadrics over the key frames: brought to the same number of frames.
-    frame_count = 1 if mesh.trajectories is None else len(mesh.trajectories)
+    frame_count = 1 if mesh.trajectories is None else mesh.trajectories.shape[1]
     model.deformation_weight = settings.deformation_weight * mesh.key_count / frame_count
 
     orderer = Orderer(state, frames, stars, model, mesh.key_count, device)

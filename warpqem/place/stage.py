@@ -1,19 +1,18 @@
-"""The place stage: one pass over all frames, a block of frames at a time.
+"""The place stage: what puts the output vertices where they belong, in a block of frames at a time.
 
-Memory is that of the block and of the clusters; the number of frames does not matter.
+Memory is that of the block and of the clusters; the number of frames does not matter. Frames do not know of each other,
+so how they are cut into blocks makes no difference to a single bit.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
 
-from warpqem.frame_blocks import pack_frames, unpack_frames
+from warpqem.frame_blocks import block_width, pack_frames, unpack_frames
 from warpqem.kernels import placement as kernels
-from warpqem.kernels.lanes import width_of
 from warpqem.mesh_input import AnimatedMesh
 from warpqem.order.quadrics import CONSTRAINT_WEIGHT
 from warpqem.order.stage import OrderedMesh
@@ -21,10 +20,7 @@ from warpqem.parallel import launch_parts
 from warpqem.place.anchors import Anchors, fit_anchors, nearest_anchors
 from warpqem.place.rows import sum_repeated
 
-__all__ = ["PlaceSettings", "PlacedFrames", "Placer", "frame_blocks"]
-
-# Frames are placed in blocks of so many bytes of input: large enough to keep any device busy, small beside its memory.
-BLOCK_BYTES = 64 * 2**20
+__all__ = ["PlaceSettings", "PlacedFrames", "Placer"]
 
 
 @dataclass(frozen=True)
@@ -44,20 +40,15 @@ class PlaceSettings:
 
 @dataclass(frozen=True)
 class PlacedFrames:
-    """Placed frames: ``points`` (F, C, 3) float32, in diagonals, and area-weighted normals of the input's faces there.
+    """Some placed frames: ``points`` (n, C, 3) float32, in diagonals, and area-weighted normals of the input there.
 
-    A normal (F, C, 3) is the sum over the faces of the vertex's cluster, twice their area long.
+    A normal (n, C, 3) is the sum over the faces of the vertex's cluster, twice their area long. ``copied`` (n, M, 3)
+    float32 are the input's points, about its origin, at the vertices that are copied from it.
     """
 
     points: np.ndarray
     normals: np.ndarray
-
-
-def frame_blocks(frame_count: int, vertex_count: int) -> Iterator[slice]:
-    """Consecutive blocks of frames of bounded size."""
-    size = max(1, BLOCK_BYTES // (12 * vertex_count))
-    for first in range(0, frame_count, size):
-        yield slice(first, min(first + size, frame_count))
+    copied: np.ndarray
 
 
 class Placer:
@@ -76,6 +67,8 @@ class Placer:
             several input vertices, on no border or seam, and not pinned.
         nearest: (C,) int32, an input vertex of each cluster near to its anchor.
         vertex_map: (V,) int32, input vertex to output vertex, -1 for a vertex without a face.
+        vertex_count: output vertices C.
+        copied_count: output vertices M that are copies of an input vertex.
         faces: (N', 3) int32 over output vertices.
     """
 
@@ -95,7 +88,7 @@ class Placer:
         index[kept] = np.arange(len(kept), dtype=np.int32)
         self.vertex_map = index[ordered.root]
         self.faces = out_faces.reshape(-1, 3).astype(np.int32)
-        self._vertex_count = len(kept)
+        self.vertex_count = len(kept)
         if settings.endpoint:
             anchors = nearest_anchors(ordered, self.vertex_map, len(kept))
             solved = np.zeros(len(kept), dtype=np.int32)
@@ -112,6 +105,7 @@ class Placer:
         # An anchor that is one input vertex, not solved for, is copied, so that it keeps its bits.
         single = np.flatnonzero((solved == 0) & (np.maximum.reduceat(anchors.weight, anchors.start[:-1]) == 1.0))
         self._copied = single
+        self.copied_count = len(single)
         self._copied_from = self.nearest[single]
         self._clusters = self._gather_clusters(faces, ordered.constrained, quadric_scale, anchors, solved)
         self._corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device)
@@ -129,7 +123,7 @@ class Placer:
         corner_vertex = faces.ravel()
         corner = np.arange(len(corner_vertex))
         face_start, face, face_weight = sum_repeated(
-            self.vertex_map[corner_vertex], corner // 3, quadric_scale[corner_vertex], self._vertex_count
+            self.vertex_map[corner_vertex], corner // 3, quadric_scale[corner_vertex], self.vertex_count
         )
         half_edge = np.flatnonzero(constrained)
         weight = np.where(constrained[half_edge] == 1, CONSTRAINT_WEIGHT[1], CONSTRAINT_WEIGHT[2])
@@ -138,7 +132,7 @@ class Placer:
             self.vertex_map[corner_vertex[ends]],
             np.concatenate([half_edge, half_edge]),
             np.concatenate([weight, weight]) * quadric_scale[corner_vertex[ends]],
-            self._vertex_count,
+            self.vertex_count,
         )
         clusters, device = kernels.Clusters(), self._device
         clusters.member_start = wp.array(anchors.start, device=device)
@@ -153,57 +147,47 @@ class Placer:
         clusters.solved = wp.array(solved, device=device)
         return clusters
 
-    def _place_block(self, points: wp.array, frame_count: int) -> PlacedFrames:
-        """Place blocks (V, B) of ``frame_count`` frames, in diagonals."""
-        device, block_count = self._device, points.shape[1]
-        kernel = kernels.place_vertices[width_of(points)]
-        out = wp.empty((self._vertex_count, block_count), dtype=points.dtype, device=device)
+    def place(self, mesh: AnimatedMesh, points: np.ndarray) -> PlacedFrames:
+        """Place some frames of the mesh, given about its origin: (n, V, 3) float32."""
+        device, width = self._device, block_width(mesh.frame_count, self._device)
+        kernel = kernels.place_vertices[width]
+        packed = pack_frames(points, device, centre=mesh.centre, scale=1 / mesh.diagonal, width=width)
+        block_count = packed.shape[1]
+        out = wp.empty((self.vertex_count, block_count), dtype=packed.dtype, device=device)
         normal = wp.empty_like(out)
 
         def place(part: slice) -> None:
             wp.launch(
                 kernel,
                 dim=(part.stop - part.start, block_count),
-                inputs=[points, self._corner_vertex, self._clusters, self._settings.epsilon, part.start],
+                inputs=[packed, self._corner_vertex, self._clusters, self._settings.epsilon, part.start],
                 outputs=[out, normal],
                 device=device,
             )
 
-        launch_parts(kernel, place, self._vertex_count, device)
-        return PlacedFrames(unpack_frames(out, frame_count), unpack_frames(normal, frame_count))
+        launch_parts(kernel, place, self.vertex_count, device)
+        return PlacedFrames(
+            unpack_frames(out, len(points)), unpack_frames(normal, len(points)), points[:, self._copied_from]
+        )
 
-    def place_all(self, mesh: AnimatedMesh, progress: Callable[[int], None] | None = None) -> PlacedFrames:
-        """Place all frames of the mesh, block by block; ``progress`` is called with the number of frames done."""
-        shape = (mesh.frame_count, self._vertex_count, 3)
-        placed = PlacedFrames(np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.float32))
-        for block in frame_blocks(mesh.frame_count, mesh.vertex_count):
-            points = pack_frames(mesh.points[block], self._device, centre=mesh.centre, scale=1 / mesh.diagonal)
-            result = self._place_block(points, block.stop - block.start)
-            placed.points[block], placed.normals[block] = result.points, result.normals
-            if progress:
-                progress(block.stop)
-        return placed
-
-    def count_flips(self, placed: PlacedFrames) -> np.ndarray:
-        """Faces of each frame that face away from the input, (F,) int32."""
-        flips = np.empty(len(placed.points), dtype=np.int32)
-        for block in frame_blocks(len(flips), self._vertex_count):
-            points, normals = (pack_frames(a[block], self._device) for a in (placed.points, placed.normals))
-            count = wp.zeros(points.shape[1] * width_of(points), dtype=wp.int32, device=self._device)
-            wp.launch(
-                kernels.count_flips[width_of(points)],
-                dim=(len(self.faces), points.shape[1]),
-                inputs=[points, normals, self._out_corner_vertex],
-                outputs=[count],
-                device=self._device,
-            )
-            flips[block] = count.numpy()[: block.stop - block.start]
-        return flips
+    def count_flips(self, mesh: AnimatedMesh, placed: PlacedFrames) -> np.ndarray:
+        """Faces of each frame that face away from the input, (n,) int32."""
+        width = block_width(mesh.frame_count, self._device)
+        points, normals = (pack_frames(a, self._device, width=width) for a in (placed.points, placed.normals))
+        count = wp.zeros(points.shape[1] * width, dtype=wp.int32, device=self._device)
+        wp.launch(
+            kernels.count_flips[width],
+            dim=(len(self.faces), points.shape[1]),
+            inputs=[points, normals, self._out_corner_vertex],
+            outputs=[count],
+            device=self._device,
+        )
+        return count.numpy()[: len(placed.points)]
 
     def original_points(self, mesh: AnimatedMesh, placed: PlacedFrames) -> np.ndarray:
-        """The placed points in the caller's coordinates, (F, C, 3) float32."""
+        """The placed points in the caller's coordinates, (n, C, 3) float32."""
         points = mesh.original_points(placed.points)
-        points[:, self._copied] = mesh.points[:, self._copied_from] + mesh.origin
+        points[:, self._copied] = placed.copied + mesh.origin
         return points
 
 

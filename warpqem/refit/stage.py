@@ -10,22 +10,25 @@ slide.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import warp as wp
 
+from warpqem.frame_stream import read_ahead
 from warpqem.kernels import material_frame as frame_kernels
 from warpqem.kernels import refit as kernels
 from warpqem.kernels.element_solve import Elements
 from warpqem.mesh_input import AnimatedMesh
 from warpqem.order.stars import build_stars
 from warpqem.parallel import launch_parts
-from warpqem.place.stage import PlacedFrames, Placer, frame_blocks
+from warpqem.place.stage import PlacedFrames, Placer
+from warpqem.place.store import FrameStore
 from warpqem.refit.matching import Matching, make_surface
 from warpqem.refit.solve import solve_elements
 
-__all__ = ["refit_frames"]
+__all__ = ["fit_corrections"]
 
 # Pairs are found and the system is solved so often: a third round gains less than 0.5 %.
 ROUNDS = 2
@@ -56,10 +59,16 @@ HOLDINGS = 3
 MOST_HOLD = 1e6
 
 
-def refit_frames(
-    mesh: AnimatedMesh, placer: Placer, placed: PlacedFrames, key_frames: np.ndarray, error: float, device: str
-) -> PlacedFrames:
-    """The placed frames with their vertices refitted to the input.
+def fit_corrections(
+    mesh: AnimatedMesh,
+    placer: Placer,
+    placed: FrameStore,
+    key_frames: np.ndarray,
+    error: float,
+    blocks: Sequence[slice],
+    device: str,
+) -> Callable[[PlacedFrames], PlacedFrames]:
+    """What moves placed frames, so that the surface as a whole is nearest to the input.
 
     Vertices on borders and seams, pinned ones and those that stand for one input vertex stay where they are. A face
     that does not face away from the input in some frame does not after the refit.
@@ -70,12 +79,14 @@ def refit_frames(
         placed: all frames.
         key_frames: (K,) int, the frames to fit.
         error: the largest error of a collapse, in diagonals.
+        blocks: frames to look at at once, when all are looked through for faces that turn over.
         device: Warp device.
     """
     fit = _Refit(mesh, placer, placed, key_frames, device)
     for _ in range(ROUNDS):
         fit.improve(REACH * error)
-    return fit.apply_without_flips()
+    fit.hold_back_flips(placed, blocks)
+    return fit.apply
 
 
 @dataclass(frozen=True)
@@ -90,22 +101,23 @@ class _Refit:
     """The corrections of one mesh, on the device."""
 
     def __init__(
-        self, mesh: AnimatedMesh, placer: Placer, placed: PlacedFrames, key_frames: np.ndarray, device: str
+        self, mesh: AnimatedMesh, placer: Placer, placed: FrameStore, key_frames: np.ndarray, device: str
     ) -> None:
-        self._device, self._placed = device, placed
+        self._device = device
         self._faces = placer.faces
-        self._vertex_count = placed.points.shape[1]
+        self._vertex_count = placed.vertex_count
         self._corner_vertex = wp.array(placer.faces.ravel(), dtype=wp.int32, device=device)
         self._stars = build_stars(self._corner_vertex, self._vertex_count)
-        self._rings = self._make_rings(placed)
-        self._points = wp.array(placed.points[key_frames], dtype=wp.vec3, device=device)
-        self._normals = wp.array(placed.normals[key_frames], dtype=wp.vec3, device=device)
+        self._rings = self._make_rings(placed.read(slice(0, 1)))
+        keys = placed.chosen(key_frames)
+        self._points = wp.array(keys.points, dtype=wp.vec3, device=device)
+        self._normals = wp.array(keys.normals, dtype=wp.vec3, device=device)
         self._frames = self._measure_frames(placer.free)
-        self._scales = _measure_scales(placed.points[key_frames], placer.faces)
+        self._scales = _measure_scales(keys.points, placer.faces)
         self._turns = max(1, min(len(key_frames), mesh.frame_count // FRAMES_PER_TURN))
         corner_vertex = wp.array(mesh.faces.ravel(), dtype=wp.int32, device=device)
         source = make_surface(
-            wp.array(mesh.unit_points(key_frames), dtype=wp.vec3, device=device),
+            wp.array(mesh.to_unit(mesh.chosen_points(key_frames)), dtype=wp.vec3, device=device),
             corner_vertex,
             build_stars(corner_vertex, mesh.vertex_count),
         )
@@ -116,12 +128,12 @@ class _Refit:
         self._hold = wp.full(self._vertex_count, 1.0, dtype=wp.float32, device=device)
         self._correction = wp.zeros(self._vertex_count, dtype=wp.vec3, device=device)
 
-    def _make_rings(self, placed: PlacedFrames) -> frame_kernels.OneRings:
+    def _make_rings(self, first: PlacedFrames) -> frame_kernels.OneRings:
         rings = frame_kernels.OneRings()
         rings.corner_vertex = self._corner_vertex
         rings.star_start, rings.star_corner = self._stars.start, self._stars.corner
-        rings.reference = wp.array(placed.points[0], dtype=wp.vec3, device=self._device)
-        rings.reference_normal = wp.array(placed.normals[0], dtype=wp.vec3, device=self._device)
+        rings.reference = wp.array(first.points[0], dtype=wp.vec3, device=self._device)
+        rings.reference_normal = wp.array(first.normals[0], dtype=wp.vec3, device=self._device)
         return rings
 
     def _measure_frames(self, free: np.ndarray) -> wp.array:
@@ -197,8 +209,8 @@ class _Refit:
 
         launch_parts(frame_kernels.move_in_material_frame, move, len(points), self._device)
 
-    def apply_without_flips(self) -> PlacedFrames:
-        """All frames moved; vertices that turn a face over in some frame are held back more, and at last not moved.
+    def hold_back_flips(self, placed: FrameStore, blocks: Sequence[slice]) -> None:
+        """Hold vertices that turn a face over in some frame back more, and at last do not move them.
 
         The others are solved for anew each time: a vertex that stays where its neighbours do not expect it would cost
         more than its own share of the fit.
@@ -206,34 +218,38 @@ class _Refit:
         matched_at = self._correction
         hold = np.ones(self._vertex_count, dtype=np.float32)
         while True:
-            points, marked = self._apply()
+            marked = np.zeros(self._vertex_count, dtype=bool)
+            for _, block in read_ahead(placed.read, blocks):
+                marked |= self._turned_over(block)
             if not marked.any():
-                return PlacedFrames(points, self._placed.normals)
+                return
             hold[marked] = np.where(hold[marked] < HOLD**HOLDINGS, HOLD * hold[marked], np.inf)
             self._hold.assign(np.minimum(hold, MOST_HOLD))
             solution = solve_elements(*self._assemble(matched_at)).numpy()
             solution[np.isinf(hold)] = 0.0
             self._correction = wp.array(solution, dtype=wp.vec3, device=self._device)
 
-    def _apply(self) -> tuple[np.ndarray, np.ndarray]:
-        """All frames moved, (F, C, 3), and which vertices (C,) have a part in a face that turned over."""
-        device, placed = self._device, self._placed
-        marked = wp.zeros(self._vertex_count, dtype=wp.int32, device=device)
-        result = np.empty_like(placed.points)
-        for block in frame_blocks(len(result), self._vertex_count):
-            points = wp.array(placed.points[block], dtype=wp.vec3, device=device, copy=False)
-            normals = wp.array(placed.normals[block], dtype=wp.vec3, device=device, copy=False)
-            moved = wp.empty_like(points)
-            self._move(points, normals, moved)
-            wp.launch(
-                frame_kernels.mark_new_flips,
-                dim=(block.stop - block.start, len(self._faces)),
-                inputs=[points, moved, normals, self._correction, self._corner_vertex],
-                outputs=[marked],
-                device=device,
-            )
-            result[block] = moved.numpy()
-        return result, marked.numpy() != 0
+    def apply(self, placed: PlacedFrames) -> PlacedFrames:
+        """Some frames, moved."""
+        points, normals = (wp.array(a, dtype=wp.vec3, device=self._device) for a in (placed.points, placed.normals))
+        moved = wp.empty_like(points)
+        self._move(points, normals, moved)
+        return replace(placed, points=moved.numpy())
+
+    def _turned_over(self, placed: PlacedFrames) -> np.ndarray:
+        """Which vertices (C,) have a part in a face that turns over in some of these frames."""
+        points, normals = (wp.array(a, dtype=wp.vec3, device=self._device) for a in (placed.points, placed.normals))
+        moved = wp.empty_like(points)
+        self._move(points, normals, moved)
+        marked = wp.zeros(self._vertex_count, dtype=wp.int32, device=self._device)
+        wp.launch(
+            frame_kernels.mark_new_flips,
+            dim=(len(points), len(self._faces)),
+            inputs=[points, moved, normals, self._correction, self._corner_vertex],
+            outputs=[marked],
+            device=self._device,
+        )
+        return marked.numpy() != 0
 
 
 def _measure_scales(points: np.ndarray, faces: np.ndarray) -> _Scales:

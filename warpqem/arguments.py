@@ -1,0 +1,100 @@
+"""Check the arguments of ``warpqem.simplify`` that are neither points nor faces."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from warpqem.errors import OptionError
+from warpqem.mesh_input import as_numpy, as_vertex_values
+
+__all__ = ["Goal", "check_options", "lock_mask", "own_weights", "read_goal"]
+
+# Weights above this would leave float32 no room for costs, which then count as forbidden.
+MOST_WEIGHT = 1e12
+
+
+@dataclass(frozen=True)
+class Goal:
+    """Where simplifying ends.
+
+    Attributes:
+        target_faces: faces to keep; 0 to go on until the error limit.
+        max_error: % of the diagonal; inf for none.
+    """
+
+    target_faces: int
+    max_error: float
+
+
+def check_options(
+    goal: tuple[float | None, int | None, float | None], coherence: float, key_frames: int | None, placement: str
+) -> None:
+    """Raise an OptionError for an option outside its range; ``goal`` is ratio, target_faces and max_error."""
+    ratio, target_faces, max_error = goal
+    if ratio is None and target_faces is None and max_error is None:
+        raise OptionError("one of ratio, target_faces and max_error is needed")
+    if ratio is not None and target_faces is not None:
+        raise OptionError(f"ratio {ratio} and target_faces {target_faces} exclude each other")
+    if ratio is not None and not 0.0 < ratio <= 1.0:
+        raise OptionError(f"ratio must be in (0, 1], got {ratio}")
+    if target_faces is not None and not _is_count(target_faces):
+        raise OptionError(f"target_faces must be a whole number of at least 1, got {target_faces}")
+    if max_error is not None and not 0.0 < max_error < math.inf:
+        raise OptionError(f"max_error must be a positive number of % of the diagonal, got {max_error}")
+    if not 0.0 <= coherence <= 1.0:
+        raise OptionError(f"coherence must be in [0, 1], got {coherence}")
+    if key_frames is not None and not _is_count(key_frames):
+        raise OptionError(f"key_frames must be a whole number of at least 1, got {key_frames}")
+    if placement not in ("optimal", "endpoint"):
+        raise OptionError(f"placement must be 'optimal' or 'endpoint', got {placement!r}")
+
+
+def _is_count(value: float) -> bool:
+    return math.isfinite(value) and value == int(value) and value >= 1
+
+
+def read_goal(face_count: int, ratio: float | None, target_faces: int | None, max_error: float | None) -> Goal:
+    """With an error limit alone, ordering goes on until the limit stops it."""
+    if ratio is not None:
+        target = max(1, round(ratio * face_count))
+    else:
+        target = 0 if target_faces is None else int(target_faces)
+    return Goal(target, math.inf if max_error is None else max_error)
+
+
+def lock_mask(locked: Any, vertex_count: int) -> np.ndarray:
+    """The locked vertices, (V,) bool, of a mask or indices."""
+    mask = np.zeros(vertex_count, dtype=bool)
+    if locked is None:
+        return mask
+    array = as_numpy(locked)
+    if array.dtype == bool:
+        if array.shape != (vertex_count,):
+            raise OptionError(f"locked must have one entry for each of {vertex_count} vertices, got {array.shape}")
+        return array.copy()
+    if array.ndim != 1 or (array.size and array.dtype.kind not in "iu"):
+        raise OptionError(f"locked must be (V,) bool or vertex indices, got shape {array.shape} dtype {array.dtype}")
+    outside = (array < 0) | (array >= vertex_count)
+    if outside.any():
+        raise OptionError(f"locked names vertex {array[outside][0]}, but there are {vertex_count} vertices")
+    mask[array.astype(np.int64)] = True
+    return mask
+
+
+def own_weights(vertex_weights: Any, vertex_count: int) -> np.ndarray:
+    """The caller's weights, (V,) float32, one where there are none."""
+    if vertex_weights is None:
+        return np.ones(vertex_count, dtype=np.float32)
+    own = as_vertex_values(vertex_weights, "vertex_weights", vertex_count)
+    outside = np.flatnonzero((own < 0) | (own > MOST_WEIGHT))
+    if len(outside):
+        vertex = int(outside[0])
+        raise OptionError(
+            f"vertex_weights must be in [0, {MOST_WEIGHT:g}], got {own[vertex]} at vertex {vertex}; "
+            "use locked for vertices that must not move"
+        )
+    return own

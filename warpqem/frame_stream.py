@@ -1,0 +1,188 @@
+"""Frames as a stream: where they come from, where they go, and blocks of them on the way.
+
+A mesh in motion may have more frames than fit in memory. So they are read from a :class:`FrameSource` and written to a
+:class:`FrameSink`, a block at a time; arrays are one kind of both. While one block is at work, the next one is read and
+the one before is written, each on a thread of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from types import TracebackType
+from typing import Protocol, TypeVar, runtime_checkable
+
+import numpy as np
+
+__all__ = [
+    "ArrayFrames",
+    "ArraySink",
+    "FrameSink",
+    "FrameSource",
+    "FrameWriter",
+    "NoFrames",
+    "read_ahead",
+]
+
+Block = TypeVar("Block")
+
+
+@runtime_checkable
+class FrameSource(Protocol):
+    """Frames of one mesh, to be read as often as they are needed.
+
+    Attributes:
+        frame_count: frames F, at least 1.
+        vertex_count: vertices V.
+        dtype: float32 or float64, of the points.
+    """
+
+    @property
+    def frame_count(self) -> int:
+        """Frames F."""
+        ...
+
+    @property
+    def dtype(self) -> np.dtype:
+        """Type of the points."""
+        ...
+
+    @property
+    def vertex_count(self) -> int:
+        """Vertices V."""
+        ...
+
+    def read(self, frames: slice) -> np.ndarray:
+        """Points (n, V, 3) of consecutive frames, the same on every call.
+
+        It is called from one thread at a time, not always the same one. The array is not written to.
+        """
+        ...
+
+
+class FrameSink(Protocol):
+    """Takes the frames of the simplified mesh."""
+
+    def begin(self, frame_count: int, vertex_count: int, faces: np.ndarray) -> None:
+        """Called once, before the first block: F frames of V' vertices and the faces (N', 3) int32."""
+        ...
+
+    def write(self, frames: slice, points: np.ndarray) -> None:
+        """Take points (n, V', 3) float32 of consecutive frames; called in the order of the frames, on one thread."""
+        ...
+
+
+class ArrayFrames:
+    """The frames of an array.
+
+    Args:
+        points: (F, V, 3) float32 or float64.
+    """
+
+    def __init__(self, points: np.ndarray) -> None:
+        self._points = points
+
+    @property
+    def frame_count(self) -> int:
+        """Frames F."""
+        return len(self._points)
+
+    @property
+    def vertex_count(self) -> int:
+        """Vertices V."""
+        return self._points.shape[1]
+
+    @property
+    def dtype(self) -> np.dtype:
+        """Type of the points."""
+        return self._points.dtype
+
+    def read(self, frames: slice) -> np.ndarray:
+        """A view of the frames."""
+        return self._points[frames]
+
+
+class ArraySink:
+    """Keeps the frames in an array.
+
+    Attributes:
+        points: (F, V', 3) float32.
+    """
+
+    points: np.ndarray
+
+    def begin(self, frame_count: int, vertex_count: int, faces: np.ndarray) -> None:
+        """Make room for all frames."""
+        self.points = np.empty((frame_count, vertex_count, 3), dtype=np.float32)
+
+    def write(self, frames: slice, points: np.ndarray) -> None:
+        """Copy the frames."""
+        self.points[frames] = points
+
+
+class NoFrames:
+    """Takes frames that nobody needs."""
+
+    def begin(self, frame_count: int, vertex_count: int, faces: np.ndarray) -> None:
+        """Nothing to do."""
+
+    def write(self, frames: slice, points: np.ndarray) -> None:
+        """Nothing to do."""
+
+
+def read_ahead(read: Callable[[slice], Block], blocks: Sequence[slice]) -> Iterator[tuple[slice, Block]]:
+    """Every block with what ``read`` gives for it; the next one is read on a thread while the caller is at work."""
+    if len(blocks) < 2:
+        for frames in blocks:
+            yield frames, read(frames)
+        return
+    with ThreadPoolExecutor(1, thread_name_prefix="warpqem-read") as pool:
+        pending = pool.submit(read, blocks[0])
+        for frames, following in zip(blocks, [*blocks[1:], None], strict=True):
+            block = pending.result()
+            if following is not None:
+                pending = pool.submit(read, following)
+            yield frames, block
+            # The caller is done with it: two blocks are enough in memory.
+            del block
+
+
+class FrameWriter:
+    """Writes blocks on a thread, in order; used with ``with``, whose end waits for the last one.
+
+    Args:
+        write: takes the frames of a block and the block. Its error is raised at the next call, or at the end.
+        block_count: blocks there are going to be; a single one is written without a thread.
+    """
+
+    def __init__(self, write: Callable[[slice, Block], None], block_count: int) -> None:
+        self._write = write
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix="warpqem-write") if block_count > 1 else None
+        self._pending: Future[None] | None = None
+
+    def __call__(self, frames: slice, block: Block) -> None:
+        """Write a block as soon as the one before is written; until then this call waits."""
+        if self._pool is None:
+            self._write(frames, block)
+            return
+        self._wait()
+        self._pending = self._pool.submit(self._write, frames, block)
+
+    def _wait(self) -> None:
+        pending, self._pending = self._pending, None
+        if pending is not None:
+            pending.result()
+
+    def __enter__(self) -> FrameWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            # Where the caller has failed, that error counts, and the block under way is only waited for.
+            if error is None:
+                self._wait()
+        finally:
+            if self._pool is not None:
+                self._pool.shutdown(wait=True)
