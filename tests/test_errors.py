@@ -150,7 +150,7 @@ def test_negative_vertex_weight_is_named():
     refused(errors.OptionError, expected, vertex_weights=weights)
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf])
+@pytest.mark.parametrize("value", [np.nan, -np.inf])
 def test_vertex_weight_that_is_not_finite_is_named(value):
     refused(
         errors.MeshShapeError, f"vertex_weights of vertex 9 is {value}", vertex_weights=changed(np.ones(42), 9, value)

@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
-
-import numpy as np
 
 from warpqem.errors import OptionError
-from warpqem.mesh_input import as_numpy, as_vertex_values
 
-__all__ = ["Goal", "check_options", "lock_mask", "own_weights", "read_goal"]
+__all__ = ["Goal", "check_options", "read_goal"]
 
 # Weights above this would leave float32 no room for costs, which then count as forbidden.
 MOST_WEIGHT = 1e12
@@ -64,37 +60,3 @@ def read_goal(face_count: int, ratio: float | None, target_faces: int | None, ma
     else:
         target = 0 if target_faces is None else int(target_faces)
     return Goal(target, math.inf if max_error is None else max_error)
-
-
-def lock_mask(locked: Any, vertex_count: int) -> np.ndarray:
-    """The locked vertices, (V,) bool, of a mask or indices."""
-    mask = np.zeros(vertex_count, dtype=bool)
-    if locked is None:
-        return mask
-    array = as_numpy(locked)
-    if array.dtype == bool:
-        if array.shape != (vertex_count,):
-            raise OptionError(f"locked must have one entry for each of {vertex_count} vertices, got {array.shape}")
-        return array.copy()
-    if array.ndim != 1 or (array.size and array.dtype.kind not in "iu"):
-        raise OptionError(f"locked must be (V,) bool or vertex indices, got shape {array.shape} dtype {array.dtype}")
-    outside = (array < 0) | (array >= vertex_count)
-    if outside.any():
-        raise OptionError(f"locked names vertex {array[outside][0]}, but there are {vertex_count} vertices")
-    mask[array.astype(np.int64)] = True
-    return mask
-
-
-def own_weights(vertex_weights: Any, vertex_count: int) -> np.ndarray:
-    """The caller's weights, (V,) float32, one where there are none."""
-    if vertex_weights is None:
-        return np.ones(vertex_count, dtype=np.float32)
-    own = as_vertex_values(vertex_weights, "vertex_weights", vertex_count)
-    outside = np.flatnonzero((own < 0) | (own > MOST_WEIGHT))
-    if len(outside):
-        vertex = int(outside[0])
-        raise OptionError(
-            f"vertex_weights must be in [0, {MOST_WEIGHT:g}], got {own[vertex]} at vertex {vertex}; "
-            "use locked for vertices that must not move"
-        )
-    return own

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from warpqem.arguments import Goal, check_options, lock_mask, own_weights, read_goal
+from warpqem.arguments import Goal, check_options, read_goal
 from warpqem.attributes import AttributeField, channel_count, weighted_corner_values
 from warpqem.cost_models import CostModelSpec, cost_model
 from warpqem.device import resolve_device
@@ -16,6 +16,7 @@ from warpqem.errors import UnreachableTargetError
 from warpqem.finishing import place_frames, place_refitted
 from warpqem.frame_blocks import frame_blocks, pack_frames
 from warpqem.frame_stream import ArraySink, FrameSink, read_ahead
+from warpqem.importance import border_vertices, lock_mask, read_quadric_scale, read_weights
 from warpqem.kernels.topology import CORNER, LOCKED, SEAM
 from warpqem.key_frames import KeyFrameChoice
 from warpqem.memory import MemoryNeeds, MemoryPlan, plan_memory
@@ -82,7 +83,9 @@ def simplify(
     placement: str = "optimal",
     refit: bool = False,
     vertex_weights: Any = None,
+    quadric_scale: Any = None,
     locked: Any = None,
+    lock_borders: bool = False,
     seams: Any = None,
     attributes: Sequence[AttributeField] = (),
     memory: int | str | None = None,
@@ -109,8 +112,12 @@ def simplify(
         placement: "optimal", or "endpoint" to use vertices of the input only.
         refit: fit the surface as a whole to the input after placing its vertices, see :mod:`warpqem.refit.stage`: a
             better shape for about the time of the rest. No effect with "endpoint".
-        vertex_weights: (V,) factors from 0 to 1e12 on the cost at each vertex.
+        vertex_weights: (V,) factors from 0 to 1e12 on the cost at each vertex; infinity locks it. A merged vertex gets
+            the mean of its ends'.
+        quadric_scale: (V,) factors from 0 to 1e12 on each vertex's own quadric (Kho & Garland 2003), which stay with
+            its planes as they add up; see :func:`warpqem.morph_weights`. Vertices are placed by the scaled quadrics.
         locked: (V,) bool, or indices, of vertices that keep their position in every frame.
+        lock_borders: lock the vertices at edges with one face too.
         seams: (S, 2) vertex pairs: edges that values on the surface do not cross, such as UV seams. They stay closed
             polylines of edges near where they were, with the same ends and forks, as long as the shape has something
             to spare: beyond that the islands between them that cost the shape least are given up.
@@ -138,11 +145,14 @@ def simplify(
     refit = refit and placement != "endpoint"
     planned = _plan(given, spec, goal, key_frames, attributes, refit, sink is None, memory, device)
     seam = read_seams(seams, given.faces, given.vertex_count)
-    pinned = lock_mask(locked, given.vertex_count)
+    factors, pinned = read_weights(vertex_weights, given)
+    pinned |= lock_mask(locked, given.vertex_count)
+    if lock_borders:
+        pinned |= border_vertices(given)
+    scale = read_quadric_scale(quadric_scale, given)
     values = weighted_corner_values(attributes, given)
-    factors = own_weights(vertex_weights, given.vertex_count)
     mesh, keys, weights = _look_through(given, spec, planned, factors, progress, device)
-    order_input = _order_input(spec, mesh, keys, weights, seam, pinned, values, device)
+    order_input = _order_input(spec, mesh, keys, weights, scale, seam, pinned, values, device)
     ordered = order_collapses(
         order_input,
         OrderSettings(
@@ -279,6 +289,7 @@ def _order_input(
     mesh: AnimatedMesh,
     keys: np.ndarray,
     weights: np.ndarray,
+    scale: np.ndarray,
     seam: Seams,
     pinned: np.ndarray,
     attributes: np.ndarray | None,
@@ -291,7 +302,7 @@ def _order_input(
         key_position=pack_frames(mesh.chosen_points(keys), device, centre=mesh.centre, scale=1 / mesh.diagonal),
         key_count=len(keys),
         vertex_flags=flags.astype(np.int32),
-        quadric_scale=np.ones(mesh.vertex_count, dtype=np.float32),
+        quadric_scale=scale,
         cost_weight=weights,
         seam=seam.half_edge,
         trajectories=_trajectories(mesh) if spec.deformation_weight > 0 else None,

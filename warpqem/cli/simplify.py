@@ -96,6 +96,15 @@ def simplify(
         list[str] | None,
         typer.Option(metavar="NAME=FLOAT", help="The same for the primvar NAME; may be given several times."),
     ] = None,
+    weight_primvar: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Primvar of numbers, painted on the meshes, that scale the cost: 10 is ten times as important as 1, "
+            "infinity locks.",
+        ),
+    ] = None,
+    lock_borders: Annotated[bool, typer.Option("--lock-borders", help="Keep the points of open borders.")] = False,
     frames: Frames = None,
     poses: Annotated[
         str | None,
@@ -153,6 +162,8 @@ def simplify(
         key_frames=key_frames,
         uv_weight=uv_weight,
         attribute_weights=tuple(parse_attribute_weight(text) for text in attribute_weight or ()),
+        weight_primvar=weight_primvar,
+        lock_borders=lock_borders,
         frames=FrameRange.parse(frames) if frames else None,
         poses=poses,
         influences=influences,

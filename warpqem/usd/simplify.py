@@ -27,6 +27,7 @@ from warpqem.usd.report import PrimReport, StageReport, name_prim
 from warpqem.usd.skel import StagePoses
 from warpqem.usd.stage import find_meshes, open_stage
 from warpqem.usd.usd_lod import UsdLodLevels
+from warpqem.usd.weights import check_weight_primvar, painted_weights
 from warpqem.usd.write import OverLayer, check_output_path
 
 __all__ = ["SimplifyOptions", "simplify_stage"]
@@ -59,6 +60,9 @@ class SimplifyOptions:
             square counts as much as one bounding-box diagonal, see `warpqem.AttributeField`; 0 does not look at them.
         attribute_weights: Names of primvars and the weights of their error; for a texture coordinate it takes the place
             of `uv_weight`.
+        weight_primvar: Name of a primvar of numbers that scale the cost of collapses where it is painted; infinity
+            locks. None for none.
+        lock_borders: Points at edges with one face keep their position.
         frames: Time codes to read; None for all authored ones.
         poses: USD file with example poses, see `warpqem.usd.example_poses`: they decide how a mesh with a skin is
             simplified instead of its own animation, and how one without is beside it. None for none.
@@ -84,6 +88,8 @@ class SimplifyOptions:
     key_frames: int = 16
     uv_weight: float = 0.0
     attribute_weights: AttributeWeights = ()
+    weight_primvar: str | None = None
+    lock_borders: bool = False
     frames: FrameRange | None = None
     poses: str | os.PathLike[str] | None = None
     influences: int | None = None
@@ -204,6 +210,7 @@ class _Run:
         if not selection.prims and not selection.refused:
             raise StageError("there is no mesh on the stage")
         check_names(selection.prims, self.options.attribute_weights)
+        check_weight_primvar(selection.prims, self.options.weight_primvar)
         for prim in selection.prims:
             self.reports[str(prim.GetPath())] = PrimReport(str(prim.GetPath()), "simplified")
         for path, error in selection.refused:
@@ -279,6 +286,8 @@ class _Run:
             refit=self.options.refit,
             placement=self.options.placement,
             key_frames=self.options.key_frames,
+            vertex_weights=painted_weights(job, self.options.weight_primvar),
+            lock_borders=self.options.lock_borders,
             seams=seams,
             attributes=weighted_fields(job.source, self.options.uv_weight, self.options.attribute_weights),
             device=self.options.device,
