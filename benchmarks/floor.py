@@ -199,6 +199,10 @@ def _unpack_frames(a: Arguments) -> Demand:
     return Demand(_size(a["blocks_in"]) + _size(a["points_out"]))
 
 
+def _gather_rows(a: Arguments) -> Demand:
+    return Demand(2 * _size(a["rows_out"]) + _size(a["vertex_in"]))
+
+
 def _weigh_face_normals(a: Arguments) -> Demand:
     normals = a["weighted_normal_out"]
     faces = normals.shape[0]
@@ -270,6 +274,7 @@ _MODELS: dict[str, Callable[[Arguments], Demand]] = {
         _move_live_faces,
         _pack_frames,
         _unpack_frames,
+        _gather_rows,
         _weigh_face_normals,
         _gather_vertex_quadrics,
         _measure_cluster_distances,

@@ -135,7 +135,12 @@ def ordered_mesh(device, root, line_rank=None) -> SimpleNamespace:
     frames = build_mesh(POINTS, FACES, device).frames
     line_rank = np.zeros(len(root), dtype=np.int32) if line_rank is None else line_rank
     return SimpleNamespace(
-        root=root, key_position=frames.position, position=frames.position, quadric=frames.quadric, line_rank=line_rank
+        root=root,
+        row=np.arange(len(root), dtype=np.int32),
+        key_position=frames.position,
+        position=frames.position,
+        quadric=frames.quadric,
+        line_rank=line_rank,
     )
 
 
@@ -189,6 +194,7 @@ def test_anchor_stays_within_its_cluster_where_planes_hardly_meet(device):
     quadrics[0] = oracle.pack(quadric)
     mesh = SimpleNamespace(
         root=np.zeros(12, dtype=np.int32),
+        row=np.arange(12, dtype=np.int32),
         key_position=position,
         position=packed(np.zeros_like(points), device),
         quadric=packed_quadrics(quadrics, position),
@@ -210,6 +216,7 @@ def test_anchor_stays_near_the_end_of_a_ridge_that_its_planes_share(device):
     quadrics[0] = oracle.pack(quadric)
     mesh = SimpleNamespace(
         root=np.zeros(4, dtype=np.int32),
+        row=np.arange(4, dtype=np.int32),
         key_position=position,
         position=packed(np.zeros_like(points), device),
         quadric=packed_quadrics(quadrics, position),

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import warp as wp
 
+from warpqem.kernels import arrangement as arrangement_kernels
 from warpqem.kernels import attribute as attribute_kernels
 from warpqem.kernels.lanes import width_of
 from warpqem.kernels.mesh_state import KEY_FRAMES, CostModel, MeshState
 from warpqem.kernels.topology import CORNER
+from warpqem.order.arrangement import ARRANGED_FACES, Arrangement, arrange
 from warpqem.order.attributes import build_wedges
 from warpqem.order.log import CollapseRecord, read_log
 from warpqem.order.passes import Orderer
 from warpqem.order.quadrics import initial_quadrics
 from warpqem.order.stars import build_stars, classify_vertices
+from warpqem.parallel import launch_parts
 
 __all__ = ["OrderInput", "OrderSettings", "OrderedMesh", "order_collapses"]
 
@@ -49,6 +52,7 @@ class OrderedMesh:
         face_map: (N',) int32, the input face that each of them was.
         root: (V,) int32, the kept vertex that each input vertex collapsed into.
         key_position: (V, B) points, the input on the key frames, in diagonals.
+        row: (V,) int32, the row that each input vertex has in ``position`` and ``quadric``.
         position: (V, B) points, where ordering put the kept vertices.
         quadric: (V, B) quadric of each kept vertex's cluster, about ``position``; that of the first key frame holds the
             attribute error too.
@@ -62,6 +66,7 @@ class OrderedMesh:
     face_map: np.ndarray
     root: np.ndarray
     key_position: wp.array
+    row: np.ndarray
     position: wp.array
     quadric: wp.array
     constrained: np.ndarray
@@ -85,10 +90,87 @@ class OrderInput:
     attributes: np.ndarray | None  # (N, 3, C) float64 at the corners, times their weights; None for none
 
 
+@dataclass(frozen=True)
+class _Collapsed:
+    """What the collapses left: rows of each vertex (V, B), flags of each half-edge (3N,), the log."""
+
+    position: wp.array
+    quadric: wp.array
+    constrained: np.ndarray
+    stopped: str
+    log: CollapseRecord
+
+
 def order_collapses(
     mesh: OrderInput, settings: OrderSettings, device: str, progress: Callable[[int], None] | None = None
 ) -> OrderedMesh:
     """Collapse edges down to the target; ``progress`` is called with the live face count after each pass."""
+    vertex_count = len(mesh.vertex_flags)
+    if len(mesh.faces) >= ARRANGED_FACES:
+        arrangement = arrange(mesh.faces, mesh.key_position[:, :1].numpy()[:, 0, :, 0])
+        collapsed = _collapse(_rearranged(mesh, arrangement), settings, device, progress)
+        row, log = arrangement.place, arrangement.restore_log(collapsed.log)
+        constrained = arrangement.restore_corners(collapsed.constrained)
+    else:
+        moving = replace(mesh, key_position=wp.clone(mesh.key_position))
+        collapsed = _collapse(moving, settings, device, progress)
+        row, log, constrained = np.arange(vertex_count, dtype=np.int32), collapsed.log, collapsed.constrained
+    root = log.roots(vertex_count)
+    faces = root[mesh.faces]
+    # A collapse takes the faces that hold both its ends: the faces left are those whose corners stayed apart.
+    face_map = np.flatnonzero(
+        (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    ).astype(np.int32)
+    return OrderedMesh(
+        faces=faces[face_map],
+        face_map=face_map,
+        root=root,
+        key_position=mesh.key_position,
+        row=row,
+        position=collapsed.position,
+        quadric=collapsed.quadric,
+        constrained=constrained,
+        line_rank=np.where(
+            mesh.vertex_flags & int(CORNER), 2, _ends(mesh.faces, constrained, vertex_count).astype(np.int32)
+        ),
+        stopped=collapsed.stopped,
+        log=log,
+    )
+
+
+def _rearranged(mesh: OrderInput, arrangement: Arrangement) -> OrderInput:
+    device, vertex = mesh.key_position.device, arrangement.vertex
+    position = wp.empty_like(mesh.key_position)
+    kernel = arrangement_kernels.gather_rows[width_of(position)]
+    index = wp.array(vertex, device=device)
+
+    def gather(part: slice) -> None:
+        wp.launch(
+            kernel,
+            dim=(part.stop - part.start, position.shape[1]),
+            inputs=[mesh.key_position, index[part]],
+            outputs=[position[part]],
+            device=device,
+        )
+
+    launch_parts(kernel, gather, len(vertex), device)
+    return replace(
+        mesh,
+        faces=arrangement.rearrange_faces(mesh.faces),
+        key_position=position,
+        vertex_flags=mesh.vertex_flags[vertex],
+        quadric_scale=mesh.quadric_scale[vertex],
+        cost_weight=mesh.cost_weight[vertex],
+        seam=arrangement.rearrange_corners(mesh.seam),
+        trajectories=None if mesh.trajectories is None else mesh.trajectories[vertex],
+        attributes=None if mesh.attributes is None else mesh.attributes[arrangement.face],
+    )
+
+
+def _collapse(
+    mesh: OrderInput, settings: OrderSettings, device: str, progress: Callable[[int], None] | None
+) -> _Collapsed:
+    """Collapse edges; the rows of ``mesh.key_position`` move along."""
     vertex_count = len(mesh.vertex_flags)
     corner_vertex = wp.array(mesh.faces.ravel(), dtype=wp.int32, device=device)
     state = MeshState()
@@ -101,7 +183,7 @@ def order_collapses(
     state.seam = wp.array(mesh.seam, dtype=wp.int32, device=device)
     width = width_of(mesh.key_position)
     frames = KEY_FRAMES[width]()
-    frames.position = wp.clone(mesh.key_position)
+    frames.position = mesh.key_position
     quadric_scale = wp.array(mesh.quadric_scale, dtype=wp.float32, device=device)
     frames.quadric = initial_quadrics(corner_vertex, stars, constrained, mesh.key_position, quadric_scale)
     state.cost_weight = wp.array(mesh.cost_weight, dtype=wp.float32, device=device)
@@ -131,27 +213,7 @@ def order_collapses(
             outputs=[frames.quadric],
             device=device,
         )
-    log = read_log(orderer.log)
-    root = log.roots(vertex_count)
-    faces = root[mesh.faces]
-    # A collapse takes the faces that hold both its ends: the faces left are those whose corners stayed apart.
-    face_map = np.flatnonzero(
-        (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
-    ).astype(np.int32)
-    return OrderedMesh(
-        faces=faces[face_map],
-        face_map=face_map,
-        root=root,
-        key_position=mesh.key_position,
-        position=frames.position,
-        quadric=frames.quadric,
-        constrained=constrained,
-        line_rank=np.where(
-            mesh.vertex_flags & int(CORNER), 2, _ends(mesh.faces, constrained, vertex_count).astype(np.int32)
-        ),
-        stopped=stopped,
-        log=log,
-    )
+    return _Collapsed(frames.position, frames.quadric, constrained, stopped, read_log(orderer.log))
 
 
 def _ends(faces: np.ndarray, half_edge_flags: np.ndarray, vertex_count: int) -> np.ndarray:

@@ -43,7 +43,7 @@ def nearest_members(ordered: OrderedMesh, cluster: np.ndarray, cluster_count: in
     wp.launch(
         kernels.measure_cluster_distances[width_of(ordered.position)],
         dim=len(cluster),
-        inputs=[wp.array(ordered.root, device=device), ordered.key_position, ordered.position],
+        inputs=[wp.array(ordered.row[ordered.root], device=device), ordered.key_position, ordered.position],
         outputs=[distance],
         device=device,
     )
@@ -97,7 +97,7 @@ def fit_anchors(
         kernels.fit_anchor_weights[width_of(ordered.position)],
         dim=len(kept),
         inputs=[
-            wp.array(kept, dtype=wp.int32, device=device),
+            wp.array(ordered.row[kept], dtype=wp.int32, device=device),
             wp.array(members.start, device=device),
             wp.array(members.vertex, device=device),
             wp.array(matrix_start.astype(np.int32), device=device),
