@@ -9,7 +9,8 @@ import numpy as np
 
 from warpqem.frame_stream import FrameSink, FrameWriter, read_ahead
 from warpqem.mesh_input import AnimatedMesh
-from warpqem.place.stage import PlacedFrames, Placer
+from warpqem.place.clusters import PlacedFrames
+from warpqem.place.stage import Placer
 from warpqem.place.store import FrameStore
 from warpqem.refit.stage import fit_corrections
 

@@ -8,34 +8,20 @@ from typing import Any
 
 import numpy as np
 
-from warpqem.arguments import Goal, check_options, read_goal
-from warpqem.attributes import AttributeField, channel_count, weighted_corner_values
-from warpqem.cost_models import CostModelSpec, cost_model
+from warpqem.arguments import check_options, read_goal
+from warpqem.attributes import AttributeField
+from warpqem.cost_models import cost_model
 from warpqem.device import resolve_device
 from warpqem.errors import UnreachableTargetError
 from warpqem.finishing import place_frames, place_refitted
-from warpqem.frame_blocks import frame_blocks, pack_frames
-from warpqem.frame_stream import ArraySink, FrameSink, read_ahead
-from warpqem.importance import border_vertices, lock_mask, read_quadric_scale, read_weights
-from warpqem.kernels.topology import CORNER, LOCKED, SEAM
-from warpqem.key_frames import KeyFrameChoice
-from warpqem.memory import MemoryNeeds, MemoryPlan, plan_memory
-from warpqem.mesh_input import AnimatedMesh, MeshInput, measure_mesh, read_mesh
-from warpqem.motion import MotionWatch
+from warpqem.frame_stream import ArraySink, FrameSink
+from warpqem.memory import MemoryPlan
+from warpqem.mesh_input import read_mesh
 from warpqem.order.log import CollapseRecord
-from warpqem.order.stage import OrderInput, OrderSettings, order_collapses
-from warpqem.place.stage import Placer, PlaceSettings
-from warpqem.seams import Seams, read_seams
+from warpqem.place.stage import Placer
+from warpqem.preparation import ORDER_END, Progress, plan_work, prepare
 
 __all__ = ["SimplifiedMesh", "plan", "simplify"]
-
-Progress = Callable[[float, str], None]
-
-# Where reading for the first time and ordering end in the progress; placing takes the rest.
-READ_END = 0.05
-ORDER_END = 0.7
-# Ordering follows the material no more stiffly than this: beyond it the order loses shape and gains no steadiness.
-ORDER_EPSILON = 0.05
 
 
 @dataclass(frozen=True)
@@ -136,45 +122,39 @@ def simplify(
         MemoryLimitError: it cannot be done in that memory; raised before the work starts.
         UnreachableTargetError: no legal collapse leads to the face count asked for; its ``result`` is what there is.
     """
-    spec = cost_model(metric)
-    goal_options = (ratio, target_faces, max_error)
-    check_options(goal_options, coherence, key_frames, placement)
-    device = resolve_device(device)
-    given = read_mesh(points, faces)
-    goal = read_goal(len(given.faces), *goal_options)
-    refit = refit and placement != "endpoint"
-    planned = _plan(given, spec, goal, key_frames, attributes, refit, sink is None, memory, device)
-    seam = read_seams(seams, given.faces, given.vertex_count)
-    factors, pinned = read_weights(vertex_weights, given)
-    pinned |= lock_mask(locked, given.vertex_count)
-    if lock_borders:
-        pinned |= border_vertices(given)
-    scale = read_quadric_scale(quadric_scale, given)
-    values = weighted_corner_values(attributes, given)
-    mesh, keys, weights = _look_through(given, spec, planned, factors, progress, device)
-    order_input = _order_input(spec, mesh, keys, weights, scale, seam, pinned, values, device)
-    ordered = order_collapses(
-        order_input,
-        OrderSettings(
-            target_faces=goal.target_faces,
-            error_limit=goal.max_error / 100.0,
-            epsilon=min(_epsilon(coherence), ORDER_EPSILON),
-            endpoint=placement == "endpoint",
-            deformation_weight=spec.deformation_weight,
-        ),
-        device,
-        _order_progress(progress, len(mesh.faces), goal.target_faces),
+    work = prepare(
+        points,
+        faces,
+        ratio=ratio,
+        target_faces=target_faces,
+        max_error=max_error,
+        metric=metric,
+        coherence=coherence,
+        key_frames=key_frames,
+        placement=placement,
+        refit=refit,
+        vertex_weights=vertex_weights,
+        quadric_scale=quadric_scale,
+        locked=locked,
+        lock_borders=lock_borders,
+        seams=seams,
+        attributes=attributes,
+        memory=memory,
+        keep_frames=sink is None,
+        device=device,
+        progress=progress,
     )
-    settings = PlaceSettings(_epsilon(coherence), _regularisation(coherence), placement == "endpoint")
-    placer = Placer(mesh.faces, ordered, order_input.quadric_scale, pinned, settings, device)
+    mesh, planned, blocks = work.mesh, work.plan, work.blocks
+    ordered = work.order(progress)
+    placer = Placer(mesh.faces, ordered, work.order_input.quadric_scale, work.pinned, work.place_settings, work.device)
     log, face_map, stopped = ordered.log, ordered.face_map, ordered.stopped
+    keys, goal, device = work.key_frames, work.goal, work.device
     # Placing has its own use for this memory.
-    del order_input, ordered
+    del work, ordered
     error = float(log.error.max(initial=0.0))
     array = ArraySink()
-    blocks = frame_blocks(mesh.frame_count, mesh.vertex_count, planned.block_frames)
     common = (mesh, placer, array if sink is None else sink, blocks, _place_progress(progress, mesh.frame_count))
-    if refit and placer.free.any():
+    if refit and placement != "endpoint" and placer.free.any():
         on_disk = planned.scratch_bytes > 0
         finished = place_refitted(*common, key_frames=keys, error=error, on_disk=on_disk, device=device)
     else:
@@ -228,120 +208,7 @@ def plan(
     given = read_mesh(points, faces)
     goal = read_goal(len(given.faces), ratio, target_faces, max_error)
     refit = refit and placement != "endpoint"
-    return _plan(given, spec, goal, key_frames, attributes, refit, sink is None, memory, device)
-
-
-def _plan(
-    mesh: MeshInput,
-    spec: CostModelSpec,
-    goal: Goal,
-    key_frames: int | None,
-    attributes: Sequence[AttributeField],
-    refit: bool,
-    keep_frames: bool,
-    memory: int | str | None,
-    device: str,
-) -> MemoryPlan:
-    frame_count, face_count = mesh.frame_count, len(mesh.faces)
-    used_count = int(mesh.used.sum())
-    most_keys = 1 if spec.single_frame else key_frames
-    key_count = frame_count if most_keys is None else min(frame_count, int(most_keys))
-    # A surface has about half as many vertices as faces; where borders are, or many small pieces, more. With an error
-    # limit alone, nothing need go.
-    output = min(used_count, goal.target_faces + 2) if goal.target_faces else used_count
-    return plan_memory(
-        MemoryNeeds(
-            frame_count=frame_count,
-            vertex_count=mesh.vertex_count,
-            face_count=face_count,
-            used_count=used_count,
-            key_frames=key_count,
-            output_vertices=output,
-            value_bytes=mesh.source.dtype.itemsize,
-            channels=channel_count(attributes),
-            trajectories=spec.deformation_weight > 0,
-            refit=refit,
-            keep_frames=keep_frames,
-        ),
-        memory,
-        device,
-    )
-
-
-def _look_through(
-    given: MeshInput,
-    spec: CostModelSpec,
-    planned: MemoryPlan,
-    factors: np.ndarray,
-    progress: Progress | None,
-    device: str,
-) -> tuple[AnimatedMesh, np.ndarray, np.ndarray]:
-    """Read all frames once: the mesh's size, its key frames (K,), and the weight of the cost at each vertex (V,)."""
-    choice = KeyFrameChoice(given, planned.key_frames)
-    motion = MotionWatch(given, device) if spec.uses_motion_features else None
-    observers = [choice] if motion is None else [choice, motion]
-    mesh = measure_mesh(given, observers, planned.block_frames, _read_progress(progress, given.frame_count))
-    return mesh, choice.choose(), factors if motion is None else motion.features().weight * factors
-
-
-def _order_input(
-    spec: CostModelSpec,
-    mesh: AnimatedMesh,
-    keys: np.ndarray,
-    weights: np.ndarray,
-    scale: np.ndarray,
-    seam: Seams,
-    pinned: np.ndarray,
-    attributes: np.ndarray | None,
-    device: str,
-) -> OrderInput:
-    flags = np.where(pinned, int(LOCKED), 0) | np.where(seam.on_seam, int(SEAM), 0)
-    flags |= np.where(seam.corner, int(CORNER), 0)
-    return OrderInput(
-        faces=mesh.faces,
-        key_position=pack_frames(mesh.chosen_points(keys), device, centre=mesh.centre, scale=1 / mesh.diagonal),
-        key_count=len(keys),
-        vertex_flags=flags.astype(np.int32),
-        quadric_scale=scale,
-        cost_weight=weights,
-        seam=seam.half_edge,
-        trajectories=_trajectories(mesh) if spec.deformation_weight > 0 else None,
-        attributes=attributes,
-    )
-
-
-def _trajectories(mesh: AnimatedMesh) -> np.ndarray:
-    """Every frame of every vertex, in diagonals: (V, F, 3) float32, so that a vertex's trajectory is contiguous."""
-    trajectories = np.empty((mesh.vertex_count, mesh.frame_count, 3), dtype=np.float32)
-    for frames, points in read_ahead(mesh.points, frame_blocks(mesh.frame_count, mesh.vertex_count)):
-        trajectories[:, frames] = mesh.to_unit(points).transpose(1, 0, 2)
-    return trajectories
-
-
-def _epsilon(coherence: float) -> float:
-    """Pull towards the anchor: 1e-3, the least that float32 solves safely, at 0; 0.3 at one half; 100 at 1."""
-    return 10.0 ** (5.0 * coherence - 3.0)
-
-
-def _regularisation(coherence: float) -> float:
-    """Pull of anchor weights towards equal ones: 0.005 at coherence 0, 0.05 at one half, 0.5 at 1."""
-    return 0.005 * 100.0**coherence
-
-
-def _read_progress(progress: Progress | None, frame_count: int) -> Callable[[int], None] | None:
-    if progress is None:
-        return None
-    return lambda done: progress(READ_END * done / frame_count, "read")
-
-
-def _order_progress(progress: Progress | None, face_count: int, target: int) -> Callable[[int], None] | None:
-    if progress is None:
-        return None
-    share = ORDER_END - READ_END
-    # The last collapse may take one face more than asked for.
-    return lambda live: progress(
-        READ_END + share * min(1.0, (face_count - live) / max(1, face_count - target)), "order"
-    )
+    return plan_work(given, spec, goal, key_frames, attributes, refit, sink is None, memory, device)
 
 
 def _place_progress(progress: Progress | None, frame_count: int) -> Callable[[int], None] | None:

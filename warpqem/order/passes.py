@@ -21,6 +21,7 @@ from warpqem.kernels.lanes import width_of
 from warpqem.kernels.mesh_state import AnyKeyFrames, CollapseLog, CostModel, MeshState
 from warpqem.kernels.topology import LOCKED
 from warpqem.kernels.work import EdgeList, Work
+from warpqem.order.nodes import NodeRecorder
 from warpqem.order.stars import Stars
 from warpqem.order.steps import Phase, Step, new_edge_list, part_work
 from warpqem.parallel import thread_count
@@ -236,8 +237,15 @@ class Orderer:
 
         return [*self.stars.phases(part_count), Phase(reprice, self.threads), Phase(wake, part_count)]
 
-    def run(self, target_faces: int, progress: Callable[[int], None] | None = None) -> str:
-        """Collapse until the target is met; ``progress`` is called with the live face count after each pass.
+    def run(
+        self,
+        target_faces: int,
+        progress: Callable[[int], None] | None = None,
+        recorder: NodeRecorder | None = None,
+    ) -> str:
+        """Collapse until the target is met.
+
+        ``progress`` is called with the live face count after each pass, ``recorder`` is shown what each pass merged.
 
         Returns:
             "target"; "max_error" when every edge left would exceed the model's error limit or is illegal, and at least
@@ -247,6 +255,9 @@ class Orderer:
         cap_fraction = CAP_FRACTION
         while self.live_faces > target_faces:
             candidate_count, collapsed = self._run_pass(target_faces, cap_fraction)
+            if recorder and collapsed:
+                end = int(self.log.count.numpy()[0])
+                recorder.record(self.state, self.frames, self.log, end - collapsed, end)
             if candidate_count == 0 and cap_fraction >= 1.0:
                 return "max_error" if self._is_limited() else "no legal collapse"
             # No legal winner under the cap: look further, at all edges, until every one has been refused.

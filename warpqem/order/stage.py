@@ -16,6 +16,7 @@ from warpqem.kernels.topology import CORNER
 from warpqem.order.arrangement import ARRANGED_FACES, Arrangement, arrange
 from warpqem.order.attributes import build_wedges
 from warpqem.order.log import CollapseRecord, read_log
+from warpqem.order.nodes import NodeRecorder
 from warpqem.order.passes import Orderer
 from warpqem.order.quadrics import initial_quadrics
 from warpqem.order.stars import build_stars, classify_vertices
@@ -102,9 +103,16 @@ class _Collapsed:
 
 
 def order_collapses(
-    mesh: OrderInput, settings: OrderSettings, device: str, progress: Callable[[int], None] | None = None
+    mesh: OrderInput,
+    settings: OrderSettings,
+    device: str,
+    progress: Callable[[int], None] | None = None,
+    recorder: NodeRecorder | None = None,
 ) -> OrderedMesh:
-    """Collapse edges down to the target; ``progress`` is called with the live face count after each pass."""
+    """Collapse edges down to the target.
+
+    ``progress`` is called with the live face count after each pass; ``recorder`` keeps every vertex on the way.
+    """
     vertex_count = len(mesh.vertex_flags)
     if len(mesh.faces) >= ARRANGED_FACES:
         arrangement = arrange(mesh.faces, mesh.key_position[:, :1].numpy()[:, 0, :, 0])
@@ -204,7 +212,7 @@ def _collapse(
     model.deformation_weight = settings.deformation_weight * mesh.key_count / frame_count
 
     orderer = Orderer(state, frames, stars, model, mesh.key_count, device)
-    stopped = orderer.run(settings.target_faces, progress)
+    stopped = orderer.run(settings.target_faces, progress, recorder)
     if mesh.attributes is not None:
         wp.launch(
             attribute_kernels.add_attribute_quadrics[width],

@@ -1,57 +1,20 @@
-"""The place stage: what puts the output vertices where they belong, in a block of frames at a time.
-
-Memory is that of the block and of the clusters; the number of frames does not matter. Frames do not know of each other,
-so how they are cut into blocks makes no difference to a single bit.
-"""
+"""The place stage: the output vertices of an ordered mesh, and its faces."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
 
-from warpqem.frame_blocks import block_width, pack_frames, unpack_frames
+from warpqem.frame_blocks import block_width, pack_frames
 from warpqem.kernels import placement as kernels
 from warpqem.mesh_input import AnimatedMesh
-from warpqem.order.quadrics import CONSTRAINT_WEIGHT
 from warpqem.order.stage import OrderedMesh
-from warpqem.parallel import launch_parts
-from warpqem.place.anchors import Anchors, fit_anchors, nearest_anchors
-from warpqem.place.rows import sum_repeated
+from warpqem.place.clusters import ClusterPlacer, PlacedFrames, PlaceSettings
 
-__all__ = ["PlaceSettings", "PlacedFrames", "Placer"]
+__all__ = ["Placer"]
 
 
-@dataclass(frozen=True)
-class PlaceSettings:
-    """How vertices are placed.
-
-    Attributes:
-        epsilon: pull towards the material anchor, relative to the quadric; higher is steadier.
-        regularisation: pull of the anchor's weights towards equal ones.
-        endpoint: every output vertex is an input vertex.
-    """
-
-    epsilon: float
-    regularisation: float
-    endpoint: bool
-
-
-@dataclass(frozen=True)
-class PlacedFrames:
-    """Some placed frames: ``points`` (n, C, 3) float32, in diagonals, and area-weighted normals of the input there.
-
-    A normal (n, C, 3) is the sum over the faces of the vertex's cluster, twice their area long. ``copied`` (n, M, 3)
-    float32 are the input's points, about its origin, at the vertices that are copied from it.
-    """
-
-    points: np.ndarray
-    normals: np.ndarray
-    copied: np.ndarray
-
-
-class Placer:
+class Placer(ClusterPlacer):
     """Places the output vertices of one ordered mesh in any block of frames.
 
     Args:
@@ -63,12 +26,7 @@ class Placer:
         device: Warp device.
 
     Attributes:
-        free: (C,) bool, output vertices that may leave the place that their quadrics give them: those that stand for
-            several input vertices, on no border or seam, and not pinned.
-        nearest: (C,) int32, an input vertex of each cluster near to its anchor.
         vertex_map: (V,) int32, input vertex to output vertex, -1 for a vertex without a face.
-        vertex_count: output vertices C.
-        copied_count: output vertices M that are copies of an input vertex.
         faces: (N', 3) int32 over output vertices.
     """
 
@@ -81,94 +39,14 @@ class Placer:
         settings: PlaceSettings,
         device: str,
     ) -> None:
-        self._settings, self._device = settings, device
         # Output vertices keep the order of the input vertices they go by.
         kept, out_faces = np.unique(ordered.faces, return_inverse=True)
         index = np.full(len(ordered.root), -1, dtype=np.int32)
         index[kept] = np.arange(len(kept), dtype=np.int32)
         self.vertex_map = index[ordered.root]
         self.faces = out_faces.reshape(-1, 3).astype(np.int32)
-        self.vertex_count = len(kept)
-        if settings.endpoint:
-            anchors = nearest_anchors(ordered, self.vertex_map, len(kept))
-            solved = np.zeros(len(kept), dtype=np.int32)
-        else:
-            anchors = fit_anchors(ordered, kept, self.vertex_map, settings.regularisation)
-            anchors = _pin(anchors, kept, pinned)
-            # A vertex alone in its cluster lies on all its planes: it is its own optimum.
-            alone = np.bincount(self.vertex_map[self.vertex_map >= 0], minlength=len(kept)) == 1
-            solved = (~alone & ~pinned[kept]).astype(np.int32)
-        on_line = np.zeros(len(kept), dtype=bool)
-        on_line[self.vertex_map[(ordered.line_rank > 0) & (self.vertex_map >= 0)]] = True
-        self.free = (solved == 1) & ~on_line
-        self.nearest = anchors.vertex[_heaviest(anchors)]
-        # An anchor that is one input vertex, not solved for, is copied, so that it keeps its bits.
-        single = np.flatnonzero((solved == 0) & (np.maximum.reduceat(anchors.weight, anchors.start[:-1]) == 1.0))
-        self._copied = single
-        self.copied_count = len(single)
-        self._copied_from = self.nearest[single]
-        self._clusters = self._gather_clusters(faces, ordered.constrained, quadric_scale, anchors, solved)
-        self._corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device)
+        super().__init__(faces, ordered, kept, self.vertex_map, quadric_scale, pinned, settings, device)
         self._out_corner_vertex = wp.array(self.faces.ravel(), dtype=wp.int32, device=device)
-
-    def _gather_clusters(
-        self,
-        faces: np.ndarray,
-        constrained: np.ndarray,
-        quadric_scale: np.ndarray,
-        anchors: Anchors,
-        solved: np.ndarray,
-    ) -> kernels.Clusters:
-        """Faces, border and seam edges of each cluster, each once, weighted by its corners there."""
-        corner_vertex = faces.ravel()
-        corner = np.arange(len(corner_vertex))
-        face_start, face, face_weight = sum_repeated(
-            self.vertex_map[corner_vertex], corner // 3, quadric_scale[corner_vertex], self.vertex_count
-        )
-        half_edge = np.flatnonzero(constrained)
-        weight = np.where(constrained[half_edge] == 1, CONSTRAINT_WEIGHT[1], CONSTRAINT_WEIGHT[2])
-        ends = np.concatenate([half_edge, half_edge - half_edge % 3 + (half_edge + 1) % 3])
-        border_start, border_half_edge, border_weight = sum_repeated(
-            self.vertex_map[corner_vertex[ends]],
-            np.concatenate([half_edge, half_edge]),
-            np.concatenate([weight, weight]) * quadric_scale[corner_vertex[ends]],
-            self.vertex_count,
-        )
-        clusters, device = kernels.Clusters(), self._device
-        clusters.member_start = wp.array(anchors.start, device=device)
-        clusters.member = wp.array(anchors.vertex, device=device)
-        clusters.member_weight = wp.array(anchors.weight, device=device)
-        clusters.face_start = wp.array(face_start, device=device)
-        clusters.face = wp.array(faces[face], dtype=wp.vec3i, device=device)
-        clusters.face_weight = wp.array(face_weight, device=device)
-        clusters.border_start = wp.array(border_start, device=device)
-        clusters.border = wp.array(border_half_edge, device=device)
-        clusters.border_weight = wp.array(border_weight, device=device)
-        clusters.solved = wp.array(solved, device=device)
-        return clusters
-
-    def place(self, mesh: AnimatedMesh, points: np.ndarray) -> PlacedFrames:
-        """Place some frames of the mesh, given about its origin: (n, V, 3) float32."""
-        device, width = self._device, block_width(mesh.frame_count, self._device)
-        kernel = kernels.place_vertices[width]
-        packed = pack_frames(points, device, centre=mesh.centre, scale=1 / mesh.diagonal, width=width)
-        block_count = packed.shape[1]
-        out = wp.empty((self.vertex_count, block_count), dtype=packed.dtype, device=device)
-        normal = wp.empty_like(out)
-
-        def place(part: slice) -> None:
-            wp.launch(
-                kernel,
-                dim=(part.stop - part.start, block_count),
-                inputs=[packed, self._corner_vertex, self._clusters, self._settings.epsilon, part.start],
-                outputs=[out, normal],
-                device=device,
-            )
-
-        launch_parts(kernel, place, self.vertex_count, device)
-        return PlacedFrames(
-            unpack_frames(out, len(points)), unpack_frames(normal, len(points)), points[:, self._copied_from]
-        )
 
     def count_flips(self, mesh: AnimatedMesh, placed: PlacedFrames) -> np.ndarray:
         """Faces of each frame that face away from the input, (n,) int32."""
@@ -183,27 +61,3 @@ class Placer:
             device=self._device,
         )
         return count.numpy()[: len(placed.points)]
-
-    def original_points(self, mesh: AnimatedMesh, placed: PlacedFrames) -> np.ndarray:
-        """The placed points in the caller's coordinates, (n, C, 3) float32."""
-        points = mesh.original_points(placed.points)
-        points[:, self._copied] = placed.copied + mesh.origin
-        return points
-
-
-def _heaviest(anchors: Anchors) -> np.ndarray:
-    """Index into ``anchors.vertex`` of the member with the largest weight, per anchor (C,)."""
-    cluster = np.repeat(np.arange(len(anchors.start) - 1), np.diff(anchors.start))
-    largest = np.flatnonzero(anchors.weight == np.maximum.reduceat(anchors.weight, anchors.start[:-1])[cluster])
-    return largest[np.unique(cluster[largest], return_index=True)[1]]
-
-
-def _pin(anchors: Anchors, kept: np.ndarray, pinned: np.ndarray) -> Anchors:
-    """Anchor each pinned vertex to itself alone, also where it is not among the nearest members of its cluster."""
-    vertex, weight = anchors.vertex.copy(), anchors.weight.copy()
-    cluster = np.repeat(np.arange(len(kept)), np.diff(anchors.start))
-    weight[pinned[kept][cluster]] = 0.0
-    first = anchors.start[:-1][pinned[kept]]
-    vertex[first] = kept[pinned[kept]]
-    weight[first] = 1.0
-    return Anchors(anchors.start, vertex, weight)

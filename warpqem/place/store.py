@@ -6,7 +6,7 @@ import tempfile
 
 import numpy as np
 
-from warpqem.place.stage import PlacedFrames
+from warpqem.place.clusters import PlacedFrames
 
 __all__ = ["FrameStore", "store_bytes"]
 

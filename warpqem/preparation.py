@@ -1,0 +1,250 @@
+"""Before ordering: check what the caller gave, plan the memory, look through the frames, and put it on the device."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from warpqem.arguments import Goal, check_options, read_goal
+from warpqem.attributes import AttributeField, channel_count, weighted_corner_values
+from warpqem.cost_models import CostModelSpec, cost_model
+from warpqem.device import resolve_device
+from warpqem.frame_blocks import frame_blocks, pack_frames
+from warpqem.frame_stream import read_ahead
+from warpqem.importance import border_vertices, lock_mask, read_quadric_scale, read_weights
+from warpqem.kernels.topology import CORNER, LOCKED, SEAM
+from warpqem.key_frames import KeyFrameChoice
+from warpqem.memory import MemoryNeeds, MemoryPlan, plan_memory
+from warpqem.mesh_input import AnimatedMesh, MeshInput, measure_mesh, read_mesh
+from warpqem.motion import MotionWatch
+from warpqem.order.nodes import NodeRecorder
+from warpqem.order.stage import OrderedMesh, OrderInput, OrderSettings, order_collapses
+from warpqem.place.clusters import PlaceSettings
+from warpqem.seams import Seams, read_seams
+
+__all__ = ["ORDER_END", "Prepared", "Progress", "plan_work", "prepare"]
+
+Progress = Callable[[float, str], None]
+
+# Where reading for the first time and ordering end in the progress; placing takes the rest.
+READ_END = 0.05
+ORDER_END = 0.7
+# Ordering follows the material no more stiffly than this: beyond it the order loses shape and gains no steadiness.
+ORDER_EPSILON = 0.05
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A mesh ready to be ordered and placed.
+
+    Attributes:
+        mesh: its faces and frames.
+        key_frames: (K,) int, the frames that decide the order.
+        goal: where to stop.
+        plan: blocks of frames, and the memory for them.
+        pinned: (V,) bool, input vertices that keep their position.
+        order_input: the mesh on the device.
+        order_settings: how to order.
+        place_settings: how to place.
+        device: Warp device.
+    """
+
+    mesh: AnimatedMesh
+    key_frames: np.ndarray
+    goal: Goal
+    plan: MemoryPlan
+    pinned: np.ndarray
+    order_input: OrderInput
+    order_settings: OrderSettings
+    place_settings: PlaceSettings
+    device: str
+
+    def order(self, progress: Progress | None = None, recorder: NodeRecorder | None = None) -> OrderedMesh:
+        """Collapse edges down to the goal; ``recorder`` keeps every vertex on the way."""
+        listener = _order_progress(progress, len(self.mesh.faces), self.goal.target_faces)
+        return order_collapses(self.order_input, self.order_settings, self.device, listener, recorder)
+
+    @property
+    def blocks(self) -> list[slice]:
+        """The frames to place at once."""
+        return frame_blocks(self.mesh.frame_count, self.mesh.vertex_count, self.plan.block_frames)
+
+
+def prepare(
+    points: Any,
+    faces: Any = None,
+    *,
+    ratio: float | None = None,
+    target_faces: int | None = None,
+    max_error: float | None = None,
+    metric: str = "dsd",
+    coherence: float = 0.5,
+    key_frames: int | None = 16,
+    placement: str = "optimal",
+    refit: bool = False,
+    vertex_weights: Any = None,
+    quadric_scale: Any = None,
+    locked: Any = None,
+    lock_borders: bool = False,
+    seams: Any = None,
+    attributes: Sequence[AttributeField] = (),
+    memory: int | str | None = None,
+    keep_frames: bool = True,
+    device: str | None = None,
+    progress: Progress | None = None,
+) -> Prepared:
+    """Make a mesh ready, with the arguments and errors of :func:`warpqem.simplify`.
+
+    ``keep_frames`` says whether the result stays in memory.
+    """
+    spec = cost_model(metric)
+    goal_options = (ratio, target_faces, max_error)
+    check_options(goal_options, coherence, key_frames, placement)
+    device = resolve_device(device)
+    given = read_mesh(points, faces)
+    goal = read_goal(len(given.faces), *goal_options)
+    refit = refit and placement != "endpoint"
+    planned = plan_work(given, spec, goal, key_frames, attributes, refit, keep_frames, memory, device)
+    seam = read_seams(seams, given.faces, given.vertex_count)
+    factors, pinned = read_weights(vertex_weights, given)
+    pinned |= lock_mask(locked, given.vertex_count)
+    if lock_borders:
+        pinned |= border_vertices(given)
+    scale = read_quadric_scale(quadric_scale, given)
+    values = weighted_corner_values(attributes, given)
+    mesh, keys, weights = _look_through(given, spec, planned, factors, progress, device)
+    endpoint = placement == "endpoint"
+    return Prepared(
+        mesh=mesh,
+        key_frames=keys,
+        goal=goal,
+        plan=planned,
+        pinned=pinned,
+        order_input=_order_input(spec, mesh, keys, weights, scale, seam, pinned, values, device),
+        order_settings=OrderSettings(
+            target_faces=goal.target_faces,
+            error_limit=goal.max_error / 100.0,
+            epsilon=min(_epsilon(coherence), ORDER_EPSILON),
+            endpoint=endpoint,
+            deformation_weight=spec.deformation_weight,
+        ),
+        place_settings=PlaceSettings(_epsilon(coherence), _regularisation(coherence), endpoint),
+        device=device,
+    )
+
+
+def plan_work(
+    mesh: MeshInput,
+    spec: CostModelSpec,
+    goal: Goal,
+    key_frames: int | None,
+    attributes: Sequence[AttributeField],
+    refit: bool,
+    keep_frames: bool,
+    memory: int | str | None,
+    device: str,
+) -> MemoryPlan:
+    """The memory plan for arguments of :func:`prepare`."""
+    frame_count, face_count = mesh.frame_count, len(mesh.faces)
+    used_count = int(mesh.used.sum())
+    most_keys = 1 if spec.single_frame else key_frames
+    key_count = frame_count if most_keys is None else min(frame_count, int(most_keys))
+    # A surface has about half as many vertices as faces; where borders are, or many small pieces, more. With an error
+    # limit alone, nothing need go.
+    output = min(used_count, goal.target_faces + 2) if goal.target_faces else used_count
+    return plan_memory(
+        MemoryNeeds(
+            frame_count=frame_count,
+            vertex_count=mesh.vertex_count,
+            face_count=face_count,
+            used_count=used_count,
+            key_frames=key_count,
+            output_vertices=output,
+            value_bytes=mesh.source.dtype.itemsize,
+            channels=channel_count(attributes),
+            trajectories=spec.deformation_weight > 0,
+            refit=refit,
+            keep_frames=keep_frames,
+        ),
+        memory,
+        device,
+    )
+
+
+def _look_through(
+    given: MeshInput,
+    spec: CostModelSpec,
+    planned: MemoryPlan,
+    factors: np.ndarray,
+    progress: Progress | None,
+    device: str,
+) -> tuple[AnimatedMesh, np.ndarray, np.ndarray]:
+    """Read all frames once: the mesh's size, its key frames (K,), and the weight of the cost at each vertex (V,)."""
+    choice = KeyFrameChoice(given, planned.key_frames)
+    motion = MotionWatch(given, device) if spec.uses_motion_features else None
+    observers = [choice] if motion is None else [choice, motion]
+    mesh = measure_mesh(given, observers, planned.block_frames, _read_progress(progress, given.frame_count))
+    return mesh, choice.choose(), factors if motion is None else motion.features().weight * factors
+
+
+def _order_input(
+    spec: CostModelSpec,
+    mesh: AnimatedMesh,
+    keys: np.ndarray,
+    weights: np.ndarray,
+    scale: np.ndarray,
+    seam: Seams,
+    pinned: np.ndarray,
+    attributes: np.ndarray | None,
+    device: str,
+) -> OrderInput:
+    flags = np.where(pinned, int(LOCKED), 0) | np.where(seam.on_seam, int(SEAM), 0)
+    flags |= np.where(seam.corner, int(CORNER), 0)
+    return OrderInput(
+        faces=mesh.faces,
+        key_position=pack_frames(mesh.chosen_points(keys), device, centre=mesh.centre, scale=1 / mesh.diagonal),
+        key_count=len(keys),
+        vertex_flags=flags.astype(np.int32),
+        quadric_scale=scale,
+        cost_weight=weights,
+        seam=seam.half_edge,
+        trajectories=_trajectories(mesh) if spec.deformation_weight > 0 else None,
+        attributes=attributes,
+    )
+
+
+def _trajectories(mesh: AnimatedMesh) -> np.ndarray:
+    """Every frame of every vertex, in diagonals: (V, F, 3) float32, so that a vertex's trajectory is contiguous."""
+    trajectories = np.empty((mesh.vertex_count, mesh.frame_count, 3), dtype=np.float32)
+    for frames, points in read_ahead(mesh.points, frame_blocks(mesh.frame_count, mesh.vertex_count)):
+        trajectories[:, frames] = mesh.to_unit(points).transpose(1, 0, 2)
+    return trajectories
+
+
+def _epsilon(coherence: float) -> float:
+    """Pull towards the anchor: 1e-3, the least that float32 solves safely, at 0; 0.3 at one half; 100 at 1."""
+    return 10.0 ** (5.0 * coherence - 3.0)
+
+
+def _regularisation(coherence: float) -> float:
+    """Pull of anchor weights towards equal ones: 0.005 at coherence 0, 0.05 at one half, 0.5 at 1."""
+    return 0.005 * 100.0**coherence
+
+
+def _read_progress(progress: Progress | None, frame_count: int) -> Callable[[int], None] | None:
+    if progress is None:
+        return None
+    return lambda done: progress(READ_END * done / frame_count, "read")
+
+
+def _order_progress(progress: Progress | None, face_count: int, target: int) -> Callable[[int], None] | None:
+    if progress is None:
+        return None
+    share = ORDER_END - READ_END
+    # The last collapse may take one face more than asked for.
+    return lambda live: progress(
+        READ_END + share * min(1.0, (face_count - live) / max(1, face_count - target)), "order"
+    )
