@@ -9,9 +9,6 @@ from warpqem.errors import OptionError
 
 __all__ = ["Goal", "check_options", "read_goal"]
 
-# Weights above this would leave float32 no room for costs, which then count as forbidden.
-MOST_WEIGHT = 1e12
-
 
 @dataclass(frozen=True)
 class Goal:

@@ -27,6 +27,15 @@ class Metric(str, Enum):
     aqem = "aqem"
 
 
+class MorphWeights(str, Enum):
+    """Ways from the distances of morph targets to weights."""
+
+    thirds = "thirds"
+    rank = "rank"
+    distance = "distance"
+    usage = "usage"
+
+
 class Placement(str, Enum):
     """Vertex placements."""
 
@@ -104,6 +113,13 @@ def simplify(
             "infinity locks.",
         ),
     ] = None,
+    morph_weights: Annotated[
+        MorphWeights | None,
+        typer.Option(
+            help="Keep more detail where blend shapes or poses move the surface more: weights by thirds of the points, "
+            "by rank, by distance, or by distance as an animation uses the shapes."
+        ),
+    ] = None,
     lock_borders: Annotated[bool, typer.Option("--lock-borders", help="Keep the points of open borders.")] = False,
     frames: Frames = None,
     poses: Annotated[
@@ -163,6 +179,7 @@ def simplify(
         uv_weight=uv_weight,
         attribute_weights=tuple(parse_attribute_weight(text) for text in attribute_weight or ()),
         weight_primvar=weight_primvar,
+        morph_weights=None if morph_weights is None else morph_weights.value,
         lock_borders=lock_borders,
         frames=FrameRange.parse(frames) if frames else None,
         poses=poses,

@@ -23,6 +23,7 @@ from warpqem.usd.frames import FrameRange
 from warpqem.usd.job import MeshJob, ReadOptions
 from warpqem.usd.lods import LevelReport, VariantLevels, check_lods
 from warpqem.usd.mesh import MeshSource
+from warpqem.usd.morph import check_morph, morph_scale
 from warpqem.usd.report import PrimReport, StageReport, name_prim
 from warpqem.usd.skel import StagePoses
 from warpqem.usd.stage import find_meshes, open_stage
@@ -62,6 +63,8 @@ class SimplifyOptions:
             of `uv_weight`.
         weight_primvar: Name of a primvar of numbers that scale the cost of collapses where it is painted; infinity
             locks. None for none.
+        morph_weights: Scale the error of what moves more between the shapes of a mesh, see `warpqem.morph_weights`:
+            "thirds", "rank", "distance" or "usage"; None for no weights.
         lock_borders: Points at edges with one face keep their position.
         frames: Time codes to read; None for all authored ones.
         poses: USD file with example poses, see `warpqem.usd.example_poses`: they decide how a mesh with a skin is
@@ -89,6 +92,7 @@ class SimplifyOptions:
     uv_weight: float = 0.0
     attribute_weights: AttributeWeights = ()
     weight_primvar: str | None = None
+    morph_weights: str | None = None
     lock_borders: bool = False
     frames: FrameRange | None = None
     poses: str | os.PathLike[str] | None = None
@@ -211,6 +215,7 @@ class _Run:
             raise StageError("there is no mesh on the stage")
         check_names(selection.prims, self.options.attribute_weights)
         check_weight_primvar(selection.prims, self.options.weight_primvar)
+        check_morph(selection.prims, self.options.morph_weights, self.examples is not None)
         for prim in selection.prims:
             self.reports[str(prim.GetPath())] = PrimReport(str(prim.GetPath()), "simplified")
         for path, error in selection.refused:
@@ -267,13 +272,16 @@ class _Run:
             source,
             ReadOptions(self.options.frames, self.options.bake, self.options.weld, self.options.influences),
             shape_users=self.shape_users,
-            examples=None if self.examples is None else self.examples.source(source),
+            examples=self._examples_of(source),
         )
         report = self.reports[job.mesh.path]
         report.frames = len(job.frames) - job.pose_start
         report.faces_before = report.faces_after = len(job.mesh.faces)
         report.vertices_before = report.vertices_after = job.mesh.points.shape[1]
         return job
+
+    def _examples_of(self, source: MeshSource) -> MeshSource | None:
+        return None if self.examples is None else self.examples.source(source)
 
     def _call_core(
         self, job: MeshJob, progress: Progress, seams: npt.NDArray[np.int32], **goal: float | int | None
@@ -287,6 +295,7 @@ class _Run:
             placement=self.options.placement,
             key_frames=self.options.key_frames,
             vertex_weights=painted_weights(job, self.options.weight_primvar),
+            quadric_scale=morph_scale(job, self.options.morph_weights, self._examples_of(job.source)),
             lock_borders=self.options.lock_borders,
             seams=seams,
             attributes=weighted_fields(job.source, self.options.uv_weight, self.options.attribute_weights),
