@@ -17,12 +17,12 @@ class PassNodes:
     """The vertices that one pass merged (n of them): disjoint clusters.
 
     Attributes:
-        kept: (n,) int32, the input vertex that each goes by.
+        row: (n,) int32, ascending: where the vertex that each goes by stands in the arrays of ordering.
         position: (n, B, 3, width) float32, where the pass put it in each block of key frames, in diagonals.
         quadric: (n, B, 10, width) float32, its quadric about that, with the attribute error in the first key frame.
     """
 
-    kept: np.ndarray
+    row: np.ndarray
     position: np.ndarray
     quadric: np.ndarray
 
@@ -39,14 +39,14 @@ class NodeRecorder:
 
     def record(self, state: MeshState, frames: AnyKeyFrames, log: CollapseLog, begin: int, end: int) -> None:
         """Keep the vertices of the collapses that stand in the log from ``begin`` to ``end``."""
-        kept = np.sort(log.kept.numpy()[begin:end])
-        chosen = wp.array(kept, dtype=wp.int32, device=frames.position.device)
+        row = np.sort(log.kept.numpy()[begin:end])
+        chosen = wp.array(row, dtype=wp.int32, device=frames.position.device)
         position, quadric = (_rows(array, chosen) for array in (frames.position, frames.quadric))
         if state.wedges.channel_count > 0:
             # As order_collapses adds it for the vertices that are left at the end.
             attribute = _rows(state.wedges.quadric, chosen)
             quadric[:, 0, :, 0] += attribute[:, :, 0]
-        self.passes.append(PassNodes(kept, position, quadric))
+        self.passes.append(PassNodes(row, position, quadric))
 
 
 def _rows(array: wp.array, chosen: wp.array) -> np.ndarray:

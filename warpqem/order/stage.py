@@ -116,12 +116,12 @@ def order_collapses(
     vertex_count = len(mesh.vertex_flags)
     if len(mesh.faces) >= ARRANGED_FACES:
         arrangement = arrange(mesh.faces, mesh.key_position[:, :1].numpy()[:, 0, :, 0])
-        collapsed = _collapse(_rearranged(mesh, arrangement), settings, device, progress)
+        collapsed = _collapse(_rearranged(mesh, arrangement), settings, device, progress, recorder)
         row, log = arrangement.place, arrangement.restore_log(collapsed.log)
         constrained = arrangement.restore_corners(collapsed.constrained)
     else:
         moving = replace(mesh, key_position=wp.clone(mesh.key_position))
-        collapsed = _collapse(moving, settings, device, progress)
+        collapsed = _collapse(moving, settings, device, progress, recorder)
         row, log, constrained = np.arange(vertex_count, dtype=np.int32), collapsed.log, collapsed.constrained
     root = log.roots(vertex_count)
     faces = root[mesh.faces]
@@ -176,7 +176,11 @@ def _rearranged(mesh: OrderInput, arrangement: Arrangement) -> OrderInput:
 
 
 def _collapse(
-    mesh: OrderInput, settings: OrderSettings, device: str, progress: Callable[[int], None] | None
+    mesh: OrderInput,
+    settings: OrderSettings,
+    device: str,
+    progress: Callable[[int], None] | None,
+    recorder: NodeRecorder | None,
 ) -> _Collapsed:
     """Collapse edges; the rows of ``mesh.key_position`` move along."""
     vertex_count = len(mesh.vertex_flags)
