@@ -124,7 +124,12 @@ def _judge_winners(a: Arguments) -> Demand:
 
 
 def _open_log(a: Arguments) -> Demand:
-    return Demand(_size(a["legal_count"]) * 2 + _size(a["log_slot"]))
+    return Demand(_size(a["legal_count"]) * 4 + _size(a["log_slot"]) * 2)
+
+
+def _drop_dead_corners(a: Arguments) -> Demand:
+    # Two wings: each a star read and written, its faces looked at.
+    return Demand(_moved(a) * 2 * (VALENCE * 3 + 4) * INT)
 
 
 def _commit_winners(a: Arguments) -> Demand:
@@ -258,6 +263,7 @@ _MODELS: dict[str, Callable[[Arguments], Demand]] = {
         _place_winners,
         _judge_winners,
         _open_log,
+        _drop_dead_corners,
         _commit_winners,
         _count_costs,
         _find_cap,

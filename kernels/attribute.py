@@ -67,7 +67,7 @@ def joined_corners(state: MeshState, u: wp.int32, v: wp.int32, side: wp.int32) -
     """The corners at ``u`` and at ``v`` of the face left (side 0) or right (1) of the edge; -1 where there is none."""
     a = wp.where(side == 0, u, v)
     b = wp.where(side == 0, v, u)
-    h = find_half_edge(state.corner_vertex, state.star_start, state.star_corner, a, b)
+    h = find_half_edge(state.corner_vertex, state.stars, a, b)
     if h < 0:
         return wp.vec2i(-1, -1)
     if side == 0:
@@ -145,9 +145,9 @@ def attribute_error(state: MeshState, u: wp.int32, v: wp.int32, x: Point) -> wp.
 @wp.func
 def relabel_star(state: MeshState, v: wp.int32, w: wp.int32, new: wp.int32):
     """Corners of wedge ``w`` in the star of ``v`` become corners of wedge ``new``."""
-    for i in range(state.star_start[v], state.star_start[v + 1]):
-        if state.wedges.corner_wedge[state.star_corner[i]] == w:
-            state.wedges.corner_wedge[state.star_corner[i]] = new
+    for i in range(state.stars.start[v], state.stars.end[v]):
+        if state.wedges.corner_wedge[state.stars.corner[i]] == w:
+            state.wedges.corner_wedge[state.stars.corner[i]] = new
 
 
 @wp.func

@@ -19,7 +19,7 @@ from warpqem.kernels.topology import (
     next_corner,
     previous_corner,
 )
-from warpqem.kernels.work import EdgeList, Work, count_before
+from warpqem.kernels.work import EdgeList, Work, count_before, first_item, last_item
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
@@ -64,8 +64,8 @@ def join_seams(state: MeshState, u: wp.int32, v: wp.int32, h: wp.int32):
     for side in range(2):
         a = wp.where(side == 0, u, v)
         b = wp.where(side == 0, v, u)
-        for i in range(state.star_start[a], state.star_start[a + 1]):
-            out = state.star_corner[i]
+        for i in range(state.stars.start[a], state.stars.end[a]):
+            out = state.stars.corner[i]
             into = previous_corner(out)
             if half_edge_target(state.corner_vertex, out) == wing and state.corner_vertex[into] != b:
                 state.seam[out] = 1
@@ -79,8 +79,8 @@ def seam_degree(state: MeshState, u: wp.int32, v: wp.int32) -> wp.int32:
     count = wp.int32(0)
     for side in range(2):
         a = wp.where(side == 0, u, v)
-        for i in range(state.star_start[a], state.star_start[a + 1]):
-            h = state.star_corner[i]
+        for i in range(state.stars.start[a], state.stars.end[a]):
+            h = state.stars.corner[i]
             if state.corner_vertex[h] == u:
                 count += state.seam[h]
     return count
@@ -103,20 +103,83 @@ def classify_seams(state: MeshState, u: wp.int32, v: wp.int32):
 @wp.func
 def mask_star(state: MeshState, mask: wp.array[wp.int32], pass_index: wp.int32, v: wp.int32):
     """Mask a vertex and its one-ring for the rest of the pass."""
-    for i in range(state.star_start[v], state.star_start[v + 1]):
-        f = state.star_corner[i] // 3
+    for i in range(state.stars.start[v], state.stars.end[v]):
+        f = state.stars.corner[i] // 3
         for k in range(3):
             mask[state.corner_vertex[3 * f + k]] = pass_index
+
+
+@wp.func
+def merge_stars(state: MeshState, u: wp.int32, v: wp.int32, first: wp.int32):
+    """The star of ``u``, of what the stars of both ends have left, from ``first`` on in the pool; none for ``v``."""
+    i = state.stars.start[u]
+    j = state.stars.start[v]
+    last_i = state.stars.end[u]
+    last_j = state.stars.end[v]
+    last = wp.int32(first)
+    h = wp.int32(-1)
+    while i < last_i or j < last_j:
+        from_u = j >= last_j
+        if i < last_i and j < last_j:
+            from_u = state.stars.corner[i] < state.stars.corner[j]
+        if from_u:
+            h = state.stars.corner[i]
+            i += 1
+        else:
+            h = state.stars.corner[j]
+            j += 1
+        if state.corner_vertex[h] >= 0:
+            state.stars.corner[last] = h
+            last += 1
+    state.stars.start[u] = first
+    state.stars.end[u] = last
+    state.stars.end[v] = state.stars.start[v]
+
+
+@wp.kernel
+def drop_dead_corners(
+    state: MeshState,
+    log: CollapseLog,
+    pass_begin: wp.array[wp.int32],
+    pass_number_in: wp.array[wp.int32],
+    work: Work,
+    # outputs
+    dropped: wp.array[wp.int32],
+):
+    """Take the dead corners out of the stars of the last pass's wings. A part does so for its own vertices.
+
+    A vertex may be the wing of two collapses; ``dropped`` (the number of the pass that last did it) lets one thread in.
+    """
+    first_vertex = first_item(dropped.shape[0], work)
+    last_vertex = last_item(dropped.shape[0], work)
+    for i in range(pass_begin[0] + wp.tid(), log.count[0], work.lanes):
+        for side in range(2):
+            w = wp.where(side == 0, log.left_wing[i], log.right_wing[i])
+            mine = w >= first_vertex and w < last_vertex
+            if mine and wp.atomic_max(dropped, w, pass_number_in[0]) < pass_number_in[0]:
+                last = state.stars.start[w]
+                for j in range(last, state.stars.end[w]):
+                    h = state.stars.corner[j]
+                    if state.corner_vertex[h] >= 0:
+                        state.stars.corner[last] = h
+                        last += 1
+                state.stars.end[w] = last
 
 
 @wp.kernel
 def open_log(
     # outputs
     legal_count: wp.array[wp.int32],
+    space: wp.array[wp.int32],
     log: CollapseLog,
     log_slot: wp.array[wp.int32],
+    pool_used: wp.array[wp.int32],
+    pool_slot: wp.array[wp.int32],
 ):
-    """Reserve the slots of the log for the legal winners of each part; their counts are cleared for the next round."""
+    """Reserve room for the legal winners of each part, in the log and in the pool of stars.
+
+    Their counts are cleared for the next round.
+    """
     log.round_count[0] = log.round_count[0] + 1
     slot = log.count[0]
     for part in range(legal_count.shape[0]):
@@ -124,6 +187,12 @@ def open_log(
         slot += legal_count[part]
         legal_count[part] = 0
     log.count[0] = slot
+    entry = pool_used[0]
+    for part in range(space.shape[0]):
+        pool_slot[part] = entry
+        entry += space[part]
+        space[part] = 0
+    pool_used[0] = entry
 
 
 @lane_kernel(frames=KEY_FRAMES, target_in=POINTS_ARRAY)
@@ -140,8 +209,13 @@ def commit_winners(
     mask: wp.array[wp.int32],
     log: CollapseLog,
     log_slot: wp.array[wp.int32],
+    pool_slot: wp.array[wp.int32],
 ):
-    """Collapse and log the legal winners, those that remove faces. The lower vertex is kept, or the locked one."""
+    """Collapse and log the legal winners, those that remove faces. The lower vertex is kept, or the locked one.
+
+    Its star is put together at once: no other collapse of the pass looks at it. Those of the wings stay as they are
+    until the pass is over.
+    """
     first_slot = count_before(winners, work.part)
     for w in range(wp.tid(), winners.count[work.part], work.lanes):
         i = first_slot + w
@@ -149,7 +223,7 @@ def commit_winners(
             h = winners.half_edge[work.part * winners.capacity + w]
             a = state.corner_vertex[h]
             b = half_edge_target(state.corner_vertex, h)
-            opposite = find_half_edge(state.corner_vertex, state.star_start, state.star_corner, b, a)
+            opposite = find_half_edge(state.corner_vertex, state.stars, b, a)
             u = a
             v = b
             # A locked vertex is the one kept, so that it keeps its index; else the lower index is.
@@ -176,8 +250,8 @@ def commit_winners(
             join_seams(state, u, v, h)
             if opposite >= 0:
                 join_seams(state, u, v, opposite)
-            for j in range(state.star_start[v], state.star_start[v + 1]):
-                g = state.star_corner[j]
+            for j in range(state.stars.start[v], state.stars.end[v]):
+                g = state.stars.corner[j]
                 f = g // 3
                 if half_edge_target(state.corner_vertex, g) == u or state.corner_vertex[previous_corner(g)] == u:
                     for k in range(3):
@@ -186,6 +260,11 @@ def commit_winners(
                 else:
                     state.corner_vertex[g] = u
             classify_seams(state, u, v)
+            star_size = state.stars.end[u] - state.stars.start[u] + state.stars.end[v] - state.stars.start[v]
+            entry = wp.atomic_add(pool_slot, work.part, star_size)
+            # A pool without room for it is known by its count: then all stars are built anew after the pass.
+            if entry + star_size <= state.stars.corner.shape[0]:
+                merge_stars(state, u, v, entry)
 
 
 @wp.kernel

@@ -6,7 +6,7 @@ the edge's faces and ``w = (max dl - mean dl) / std dl`` (0/0 counts as 1).
 
 import warp as wp
 
-from warpqem.kernels.topology import find_half_edge, half_edge_target, previous_corner
+from warpqem.kernels.topology import VertexStars, find_half_edge, half_edge_target, previous_corner
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
@@ -23,8 +23,7 @@ def triangle_area(p: wp.vec3, q: wp.vec3, r: wp.vec3) -> wp.float32:
 @wp.func
 def length_deformation(
     corner_vertex: wp.array[wp.int32],
-    star_start: wp.array[wp.int32],
-    star_corner: wp.array[wp.int32],
+    stars: VertexStars,
     trajectory: wp.array2d[wp.vec3],
     h: wp.int32,
 ) -> wp.float32:
@@ -33,7 +32,7 @@ def length_deformation(
     v = half_edge_target(corner_vertex, h)
     left = corner_vertex[previous_corner(h)]
     right = wp.int32(-1)
-    opposite = find_half_edge(corner_vertex, star_start, star_corner, v, u)
+    opposite = find_half_edge(corner_vertex, stars, v, u)
     if opposite >= 0:
         right = corner_vertex[previous_corner(opposite)]
     frame_count = trajectory.shape[1]
@@ -79,8 +78,7 @@ def length_deformation(
 @wp.kernel
 def measure_length_deformation(
     corner_vertex_in: wp.array[wp.int32],
-    star_start_in: wp.array[wp.int32],
-    star_corner_in: wp.array[wp.int32],
+    stars_in: VertexStars,
     trajectory_in: wp.array2d[wp.vec3],
     # outputs
     deformation_out: wp.array[wp.float32],
@@ -88,4 +86,4 @@ def measure_length_deformation(
     """``xi`` of the edge at each half-edge."""
     h = wp.tid()
     if corner_vertex_in[h] >= 0:
-        deformation_out[h] = length_deformation(corner_vertex_in, star_start_in, star_corner_in, trajectory_in, h)
+        deformation_out[h] = length_deformation(corner_vertex_in, stars_in, trajectory_in, h)

@@ -150,7 +150,7 @@ def breaks_seams(state: MeshState, h: wp.int32) -> wp.bool:
         return False
     if (common & CORNER) != 0 or state.seam[h] == 0 or closes_island(state, h):
         return True
-    return closes_island(state, find_half_edge(state.corner_vertex, state.star_start, state.star_corner, v, u))
+    return closes_island(state, find_half_edge(state.corner_vertex, state.stars, v, u))
 
 
 @wp.func
@@ -189,7 +189,7 @@ def price_edge(state: MeshState, frames: AnyKeyFrames, model: CostModel, h: wp.i
     price.cost = weight * (total + LENGTH_COST * spread) + LEAST_COST
     if model.deformation_weight > 0.0:
         price.cost += model.deformation_weight * length_deformation(
-            state.corner_vertex, state.star_start, state.star_corner, state.trajectory, h
+            state.corner_vertex, state.stars, state.trajectory, h
         )
     return price
 
@@ -205,9 +205,7 @@ def price_all_edges(
     half_edge_count = 3 * state.face_count[0]
     for h in range(first_item(half_edge_count, work) + wp.tid(), last_item(half_edge_count, work), work.lanes):
         cost = INFINITE_COST
-        if state.corner_vertex[h] >= 0 and is_canonical(
-            state.corner_vertex, state.star_start, state.star_corner, state.vertex_flags, h
-        ):
+        if state.corner_vertex[h] >= 0 and is_canonical(state.corner_vertex, state.stars, state.vertex_flags, h):
             price = price_edge(state, frames, model, h)
             cost = price.cost
         state.edge_cost[h] = cost
@@ -229,13 +227,13 @@ def reprice_moved_stars(
     moved_count = log.count[0] - pass_begin[0]
     for i in range(first_item(moved_count, work) + wp.tid(), last_item(moved_count, work), work.lanes):
         u = log.kept[pass_begin[0] + i]
-        for j in range(state.star_start[u], state.star_start[u + 1]):
-            out = state.star_corner[j]
+        for j in range(state.stars.start[u], state.stars.end[u]):
+            out = state.stars.corner[j]
             into = previous_corner(out)
             for side in range(2):
                 h = wp.where(side == 0, out, into)
                 cost = INFINITE_COST
-                if is_canonical(state.corner_vertex, state.star_start, state.star_corner, state.vertex_flags, h):
+                if is_canonical(state.corner_vertex, state.stars, state.vertex_flags, h):
                     price = price_edge(state, frames, model, h)
                     cost = price.cost
                 state.edge_cost[h] = cost

@@ -131,11 +131,11 @@ def claim_vertices(
 @wp.func
 def holds_star(state: MeshState, claim: wp.array[wp.int64], v: wp.int32, key: wp.int64) -> wp.bool:
     """Whether no vertex of the star of ``v`` is claimed by a smaller key."""
-    i = state.star_start[v]
-    last = state.star_start[v + 1]
+    i = state.stars.start[v]
+    last = state.stars.end[v]
     holds = claim[v] == key
     while holds and i < last:
-        f = state.star_corner[i] // 3
+        f = state.stars.corner[i] // 3
         for k in range(3):
             w = state.corner_vertex[3 * f + k]
             if claim[w] < key:

@@ -39,8 +39,8 @@ NO_AREA = wp.constant(wp.float32(1.0e-28))
 def is_ring_vertex(state: MeshState, u: wp.int32, w: wp.int32) -> wp.bool:
     """Whether ``w`` shares a face with ``u``."""
     found = wp.bool(False)
-    for i in range(state.star_start[u], state.star_start[u + 1]):
-        h = state.star_corner[i]
+    for i in range(state.stars.start[u], state.stars.end[u]):
+        h = state.stars.corner[i]
         if half_edge_target(state.corner_vertex, h) == w or state.corner_vertex[previous_corner(h)] == w:
             found = True
     return found
@@ -49,7 +49,7 @@ def is_ring_vertex(state: MeshState, u: wp.int32, w: wp.int32) -> wp.bool:
 @wp.func
 def degree(state: MeshState, v: wp.int32) -> wp.int32:
     """Faces at a vertex."""
-    return state.star_start[v + 1] - state.star_start[v]
+    return state.stars.end[v] - state.stars.start[v]
 
 
 @wp.func
@@ -67,7 +67,7 @@ def is_manifold_collapse(state: MeshState, h: wp.int32) -> wp.bool:
     v = half_edge_target(state.corner_vertex, h)
     left = state.corner_vertex[previous_corner(h)]
     right = wp.int32(-1)
-    opposite = find_half_edge(state.corner_vertex, state.star_start, state.star_corner, v, u)
+    opposite = find_half_edge(state.corner_vertex, state.stars, v, u)
     if opposite >= 0:
         right = state.corner_vertex[previous_corner(opposite)]
         if (state.vertex_flags[u] & state.vertex_flags[v] & BORDER) != 0 or not keeps_fan(state, right):
@@ -77,8 +77,8 @@ def is_manifold_collapse(state: MeshState, h: wp.int32) -> wp.bool:
     removed = wp.where(opposite >= 0, 2, 1)
     if degree(state, u) + degree(state, v) <= 2 * removed:
         return False
-    for i in range(state.star_start[v], state.star_start[v + 1]):
-        g = state.star_corner[i]
+    for i in range(state.stars.start[v], state.stars.end[v]):
+        g = state.stars.corner[i]
         for side in range(2):
             w = wp.where(side == 0, half_edge_target(state.corner_vertex, g), state.corner_vertex[previous_corner(g)])
             if w != u and w != left and w != right and is_ring_vertex(state, u, w):
@@ -176,11 +176,12 @@ def judge_winners(
     # outputs
     faces_removed_out: wp.array[wp.int32],
     legal_count: wp.array[wp.int32],
+    space: wp.array[wp.int32],
 ):
     """The faces each legal winner removes; 0 for an illegal one, whose edge sleeps until its neighbourhood changes.
 
     Also 0 for one that has become dear: seams come to an edge from across its faces, where nothing prices it again.
-    Counts the legal ones of each part too (counts zeroed before the launch).
+    Counts the legal ones of each part too, and what their stars take together (both zeroed before the launch).
     """
     first_slot = count_before(winners, work.part)
     for k in range(wp.tid(), winners.count[work.part], work.lanes):
@@ -192,9 +193,9 @@ def judge_winners(
         for side in range(2):
             a = wp.where(side == 0, u, v)
             b = wp.where(side == 0, v, u)
-            j = state.star_start[a]
-            while legal and j < state.star_start[a + 1]:
-                g = state.star_corner[j]
+            j = state.stars.start[a]
+            while legal and j < state.stars.end[a]:
+                g = state.stars.corner[j]
                 if half_edge_target(state.corner_vertex, g) != b and state.corner_vertex[previous_corner(g)] != b:
                     legal = not turns_over(state, frames, g, target_in, i, flip_tolerance)
                 j += 1
@@ -206,9 +207,10 @@ def judge_winners(
             faces_removed_out[i] = 0
             state.edge_cost[h] = price
         elif legal:
-            opposite = find_half_edge(state.corner_vertex, state.star_start, state.star_corner, v, u)
+            opposite = find_half_edge(state.corner_vertex, state.stars, v, u)
             faces_removed_out[i] = wp.where(opposite >= 0, 2, 1)
             wp.atomic_add(legal_count, work.part, 1)
+            wp.atomic_add(space, work.part, degree(state, u) + degree(state, v))
         else:
             faces_removed_out[i] = 0
             state.edge_cost[h] = -state.edge_cost[h]

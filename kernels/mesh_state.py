@@ -5,6 +5,7 @@ from typing import Any
 import warp as wp
 
 from warpqem.kernels.lanes import POINTS, POINTS_ARRAY, QUADRIC, QUADRIC_ARRAY, WIDTHS
+from warpqem.kernels.topology import VertexStars
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
@@ -36,8 +37,7 @@ class MeshState:
 
     face_count: wp.array[wp.int32]  # (1,) faces in the arrays, dead ones included
     corner_vertex: wp.array[wp.int32]  # (3N,) vertex of each corner; -1 in a dead face
-    star_start: wp.array[wp.int32]  # (V+1,) stars as compressed rows
-    star_corner: wp.array[wp.int32]  # (3N,)
+    stars: VertexStars
     vertex_flags: wp.array[wp.int32]  # (V,) BORDER | LOCKED | FROZEN | SEAM | CORNER
     cost_weight: wp.array[wp.float32]  # (V,) multiplies the cost; averaged when two vertices merge
     seam: wp.array[wp.int32]  # (3N,) 1 at both half-edges of a seam edge

@@ -21,6 +21,19 @@ SEAM = wp.constant(wp.int32(8))
 CORNER = wp.constant(wp.int32(16))
 
 
+@wp.struct
+class VertexStars:
+    """The star of each vertex: corners in a pool, ascending within a vertex.
+
+    Built from the faces the stars follow one another; a vertex that moved then gets a new one behind them.
+    """
+
+    start: wp.array[wp.int32]  # (V,) where the star begins
+    end: wp.array[wp.int32]  # (V,) and ends
+    corner: wp.array[wp.int32]  # the pool
+    used: wp.array[wp.int32]  # (1,) entries of the pool given out; more than it has: build the stars anew
+
+
 @wp.func
 def next_corner(h: wp.int32) -> wp.int32:
     """The next corner of the same face."""
@@ -48,15 +61,14 @@ def half_edge_target(corner_vertex: wp.array[wp.int32], h: wp.int32) -> wp.int32
 @wp.func
 def find_half_edge(
     corner_vertex: wp.array[wp.int32],
-    star_start: wp.array[wp.int32],
-    star_corner: wp.array[wp.int32],
+    stars: VertexStars,
     u: wp.int32,
     v: wp.int32,
 ) -> wp.int32:
     """The half-edge from ``u`` to ``v``, or -1."""
     found = wp.int32(-1)
-    for i in range(star_start[u], star_start[u + 1]):
-        h = star_corner[i]
+    for i in range(stars.start[u], stars.end[u]):
+        h = stars.corner[i]
         if half_edge_target(corner_vertex, h) == v:
             found = h
     return found
@@ -65,8 +77,7 @@ def find_half_edge(
 @wp.func
 def is_canonical(
     corner_vertex: wp.array[wp.int32],
-    star_start: wp.array[wp.int32],
-    star_corner: wp.array[wp.int32],
+    stars: VertexStars,
     vertex_flags: wp.array[wp.int32],
     h: wp.int32,
 ) -> wp.bool:
@@ -77,7 +88,7 @@ def is_canonical(
         return True
     if (vertex_flags[u] & vertex_flags[v] & BORDER) == 0:
         return False
-    return find_half_edge(corner_vertex, star_start, star_corner, v, u) < 0
+    return find_half_edge(corner_vertex, stars, v, u) < 0
 
 
 @wp.kernel
@@ -136,8 +147,7 @@ def sort_stars(
 @wp.kernel
 def classify_vertices(
     corner_vertex_in: wp.array[wp.int32],
-    star_start_in: wp.array[wp.int32],
-    star_corner_in: wp.array[wp.int32],
+    stars_in: VertexStars,
     first_vertex: wp.int32,
     # outputs
     vertex_flags: wp.array[wp.int32],
@@ -149,19 +159,19 @@ def classify_vertices(
     every face exactly once. Edges with more than two faces or with two half-edges of one direction break the fan.
     """
     v = first_vertex + wp.tid()
-    first = star_start_in[v]
-    last = star_start_in[v + 1]
+    first = stars_in.start[v]
+    last = stars_in.end[v]
     degree = last - first
     open_out = wp.int32(0)
     repeated = wp.int32(0)
     start = wp.int32(-1)
     for i in range(first, last):
-        h = star_corner_in[i]
+        h = stars_in.corner[i]
         w = half_edge_target(corner_vertex_in, h)
         before = wp.int32(0)
         same = wp.int32(0)
         for j in range(first, last):
-            g = star_corner_in[j]
+            g = stars_in.corner[j]
             if half_edge_target(corner_vertex_in, g) == w:
                 same += 1
             if corner_vertex_in[previous_corner(g)] == w:
@@ -174,10 +184,10 @@ def classify_vertices(
             start = h
     open_in = wp.int32(0)
     for i in range(first, last):
-        w = corner_vertex_in[previous_corner(star_corner_in[i])]
+        w = corner_vertex_in[previous_corner(stars_in.corner[i])]
         after = wp.int32(0)
         for j in range(first, last):
-            if half_edge_target(corner_vertex_in, star_corner_in[j]) == w:
+            if half_edge_target(corner_vertex_in, stars_in.corner[j]) == w:
                 after += 1
         if after == 0:
             open_in += 1
@@ -187,13 +197,13 @@ def classify_vertices(
     fan = wp.int32(0)
     if repeated == 0 and open_out <= 1 and open_in == open_out and degree > 0:
         if start < 0:
-            start = star_corner_in[first]
+            start = stars_in.corner[first]
         h = start
         # Turn from the face on the left of v -> w to the one whose half-edge leaves v along the other side.
         while h >= 0 and fan < degree:
             fan += 1
             w = corner_vertex_in[previous_corner(h)]
-            h = find_half_edge(corner_vertex_in, star_start_in, star_corner_in, v, w)
+            h = find_half_edge(corner_vertex_in, stars_in, v, w)
             if h == start:
                 h = -1
     if degree > 0 and fan != degree:

@@ -60,15 +60,20 @@ def packed_quadrics(quadrics, like) -> wp.array:
     return wp.array(np.ascontiguousarray(filled), dtype=QUADRIC[width], device=like.device)
 
 
-def build_mesh(points, faces, device, locked=(), cost_weight=None, with_trajectory=False) -> DeviceMesh:
-    """Points (K, V, 3) or (V, 3), taken as they are, and faces; every frame is a key frame."""
+def build_mesh(points, faces, device, locked=(), cost_weight=None, with_trajectory=False, spare=None) -> DeviceMesh:
+    """Points (K, V, 3) or (V, 3), taken as they are, and faces; every frame is a key frame.
+
+    The pool of stars has room for ``spare`` corners more than the mesh has, by default as many again.
+    """
     points = points[None] if points.ndim == 2 else points
     vertex_count = points.shape[1]
     state = MeshState()
     state.face_count = wp.array([len(faces)], dtype=wp.int32, device=device)
     state.corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device)
-    stars = build_stars(state.corner_vertex, vertex_count, state.face_count)
-    state.star_start, state.star_corner = stars.start, stars.corner
+    stars = build_stars(
+        state.corner_vertex, vertex_count, state.face_count, spare=faces.size if spare is None else spare
+    )
+    state.stars = stars.lists
     flags = np.zeros(vertex_count, dtype=np.int32)
     flags[list(locked)] = 2
     state.vertex_flags = wp.array(flags, device=device)

@@ -114,10 +114,11 @@ class Mesh:
         ]
         vertex_count = len(self.state.vertex_flags)
         mask = wp.zeros(vertex_count, dtype=wp.int32, device=self.device)
-        outputs = [mask, collapse_log(4, self.device), slot]
+        pool_slot = wp.clone(self.state.stars.used)
+        outputs = [mask, collapse_log(4, self.device), slot, pool_slot]
         wp.launch(commit_winners[1], dim=1, inputs=inputs, outputs=outputs, device=self.device)
         stars = build_stars(self.state.corner_vertex, vertex_count, self.state.face_count)
-        self.state.star_start, self.state.star_corner = stars.start, stars.corner
+        self.state.stars = stars.lists
         self.clusters.merge(u, v)
         self.faces = collapsed(self.faces, u, v)
 

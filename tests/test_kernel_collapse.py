@@ -8,7 +8,7 @@ from mesh_state import blocks, build_mesh, collapse_log, cost_model, edge_list, 
 from oracles import quadrics as quadric_oracle
 from oracles import topology as oracle
 
-from warpqem.kernels.collapse import commit_winners, mark_live_faces, move_live_faces, open_log
+from warpqem.kernels.collapse import commit_winners, drop_dead_corners, mark_live_faces, move_live_faces, open_log
 from warpqem.kernels.lanes import width_of
 from warpqem.kernels.legality import place_winners
 from warpqem.kernels.topology import CORNER, SEAM
@@ -40,12 +40,16 @@ class Commit:
         self.log = collapse_log(points.shape[1], device)
         self.mask = wp.zeros(points.shape[1], dtype=wp.int32, device=device)
         number, removed = (wp.array([n], dtype=wp.int32, device=device) for n in (PASS, faces_removed))
-        legal, slot = (wp.array([n], dtype=wp.int32, device=device) for n in (int(faces_removed > 0), 0))
-        wp.launch(open_log, dim=1, inputs=[], outputs=[legal, self.log, slot], device=device)
-        inputs = [self.state, frames, winners, removed, target, self.anchor, number, one_part(device)]
-        wp.launch(
-            commit_winners[width_of(target)], dim=1, inputs=inputs, outputs=[self.mask, self.log, slot], device=device
+        legal, slot, pool_slot, space = (
+            wp.array([n], dtype=wp.int32, device=device) for n in (int(faces_removed > 0), 0, 0, 20)
         )
+        outputs = [legal, space, self.log, slot, self.state.stars.used, pool_slot]
+        wp.launch(open_log, dim=1, inputs=[], outputs=outputs, device=device)
+        self.pool_used = self.state.stars.used.numpy()[0]
+        inputs = [self.state, frames, winners, removed, target, self.anchor, number, one_part(device)]
+        outputs = [self.mask, self.log, slot, pool_slot]
+        wp.launch(commit_winners[width_of(target)], dim=1, inputs=inputs, outputs=outputs, device=device)
+        self.number = number
 
     def live_faces(self):
         faces = self.state.corner_vertex.numpy().reshape(-1, 3)
@@ -95,6 +99,55 @@ def test_stars_built_after_a_commit_hold_each_live_corner_once(device):
     count = stars.start.numpy()[-1]
     np.testing.assert_array_equal(np.sort(stars.corner.numpy()[:count]), corners)
     assert stars.start.numpy()[commit.edge[1]] == stars.start.numpy()[commit.edge[1] + 1]
+
+
+def star(lists, v):
+    return lists.corner.numpy()[lists.start.numpy()[v] : lists.end.numpy()[v]].tolist()
+
+
+def check_stars(commit, device):
+    """Every star is the one that the faces give, in the same order."""
+    stars = commit.state.stars
+    fresh = build_stars(commit.state.corner_vertex, len(commit.mask)).lists
+    assert [star(stars, v) for v in range(len(commit.mask))] == [star(fresh, v) for v in range(len(commit.mask))]
+
+
+def drop(commit, device, part=0, part_count=1, dropped=None):
+    dropped = wp.zeros(len(commit.mask), dtype=wp.int32, device=device) if dropped is None else dropped
+    begin = wp.zeros(1, dtype=wp.int32, device=device)
+    inputs = [commit.state, commit.log, begin, commit.number, one_part(device, part, part_count)]
+    wp.launch(drop_dead_corners, dim=1, inputs=inputs, outputs=[dropped], device=device)
+
+
+@pytest.mark.parametrize("name", MESHES)
+def test_stars_kept_up_equal_those_built_anew(name, device):
+    points, faces = MESHES[name]
+    commit = Commit(points, faces, faces[0, :2].tolist(), device)
+    drop(commit, device)
+    check_stars(commit, device)
+
+
+def test_two_parts_bring_the_stars_of_all_wings_up_to_date(device):
+    commit = closed_commit(device)
+    dropped = wp.zeros(len(commit.mask), dtype=wp.int32, device=device)
+    for part in range(2):
+        drop(commit, device, part, 2, dropped)
+    check_stars(commit, device)
+
+
+def test_new_star_lies_behind_those_in_the_pool(device):
+    commit = closed_commit(device)
+    first = commit.faces.size
+    assert commit.state.stars.start.numpy()[commit.edge[0]] == first
+    assert commit.pool_used == first + 20
+
+
+def test_star_without_room_in_the_pool_is_left_as_it_was(device):
+    points, faces = MESHES["closed"]
+    u, v = sorted(faces[0, :2].tolist())
+    before = build_mesh(points, faces, device).state.stars
+    after = Commit(points, faces, (u, v), device, spare=0).state.stars
+    assert star(after, u) == star(before, u)
 
 
 def test_dead_faces_have_no_price(device):
@@ -227,11 +280,17 @@ def test_compaction_keeps_live_faces_and_their_prices_and_seams_in_order(device)
     np.testing.assert_array_equal(out[2].numpy()[:kept].reshape(-1, 3), seam.reshape(-1, 3)[live])
 
 
-def test_log_has_a_run_of_slots_for_each_part(device):
+def test_log_and_pool_have_a_run_for_each_part(device):
     log = collapse_log(20, device)
     log.count.fill_(5)
-    legal, slot = (wp.array(values, dtype=wp.int32, device=device) for values in ([3, 0, 4], [0, 0, 0]))
-    wp.launch(open_log, dim=1, inputs=[], outputs=[legal, log, slot], device=device)
+    legal, space, slot, pool_slot, used = (
+        wp.array(values, dtype=wp.int32, device=device)
+        for values in ([3, 0, 4], [20, 0, 30], [0, 0, 0], [0, 0, 0], [100])
+    )
+    wp.launch(open_log, dim=1, inputs=[], outputs=[legal, space, log, slot, used, pool_slot], device=device)
     assert slot.numpy().tolist() == [5, 8, 8]
     assert log.count.numpy()[0] == 12
+    assert pool_slot.numpy().tolist() == [100, 120, 120]
+    assert used.numpy()[0] == 150
+    assert not space.numpy().any()
     assert not legal.numpy().any()

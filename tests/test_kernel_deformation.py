@@ -13,7 +13,7 @@ from warpqem.kernels.deformation import measure_length_deformation
 def deformation(points, faces, device) -> np.ndarray:
     state = build_mesh(points, faces, device, with_trajectory=True).state
     out = wp.zeros(faces.size, dtype=wp.float32, device=device)
-    inputs = [state.corner_vertex, state.star_start, state.star_corner, state.trajectory]
+    inputs = [state.corner_vertex, state.stars, state.trajectory]
     wp.launch(measure_length_deformation, dim=faces.size, inputs=inputs, outputs=[out], device=device)
     return out.numpy()
 

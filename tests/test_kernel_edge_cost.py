@@ -195,7 +195,13 @@ def commit_one(mesh, half_edge, target, device):
     anchor = wp.array([0.5], dtype=wp.float32, device=device)
     blocks_in = packed(target.transpose(1, 0, 2), device)
     inputs = [mesh.state, mesh.frames, winners, removed, blocks_in, anchor, one, one_part(device)]
-    wp.launch(commit_winners[width_of(blocks_in)], dim=1, inputs=inputs, outputs=[mask, log, slot], device=device)
+    wp.launch(
+        commit_winners[width_of(blocks_in)],
+        dim=1,
+        inputs=inputs,
+        outputs=[mask, log, slot, wp.clone(mesh.state.stars.used)],
+        device=device,
+    )
     log.count.fill_(1)
     return log, mask, one
 
@@ -203,7 +209,7 @@ def commit_one(mesh, half_edge, target, device):
 def rebuilt(mesh, device):
     """New stars after a commit."""
     stars = build_stars(mesh.state.corner_vertex, len(mesh.state.vertex_flags))
-    mesh.state.star_start, mesh.state.star_corner = stars.start, stars.corner
+    mesh.state.stars = stars.lists
     return mesh
 
 

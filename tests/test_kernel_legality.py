@@ -15,11 +15,11 @@ from warpqem.kernels.topology import SEAM
 def judged(built, half_edges, target, device, flip_tolerance=0) -> np.ndarray:
     """Faces removed by each half-edge, 0 where illegal; ``target`` (E, K, 3)."""
     out = wp.full(len(half_edges), -1, dtype=wp.int32, device=device)
-    legal = wp.zeros(1, dtype=wp.int32, device=device)
+    legal, space = (wp.zeros(1, dtype=wp.int32, device=device) for _ in range(2))
     blocks = packed(np.asarray(target).transpose(1, 0, 2), device)
     winners, work = edge_list(half_edges, device), one_part(device)
     inputs = [built.state, built.frames, cost_model(), winners, blocks, flip_tolerance, work]
-    wp.launch(judge_winners[width_of(blocks)], dim=1, inputs=inputs, outputs=[out, legal], device=device)
+    wp.launch(judge_winners[width_of(blocks)], dim=1, inputs=inputs, outputs=[out, legal, space], device=device)
     assert legal.numpy()[0] == (out.numpy() > 0).sum()
     return out.numpy()
 

@@ -12,6 +12,7 @@ from warpqem.kernels.topology import (
     BORDER,
     FROZEN,
     LOCKED,
+    VertexStars,
     find_half_edge,
     half_edge_target,
     is_canonical,
@@ -51,8 +52,7 @@ ALL = WELL_FORMED | BROKEN
 @wp.kernel
 def query_half_edges(
     corner_vertex_in: wp.array[wp.int32],
-    star_start_in: wp.array[wp.int32],
-    star_corner_in: wp.array[wp.int32],
+    stars_in: VertexStars,
     vertex_flags_in: wp.array[wp.int32],
     # outputs
     next_out: wp.array[wp.int32],
@@ -65,10 +65,8 @@ def query_half_edges(
     next_out[h] = next_corner(h)
     previous_out[h] = previous_corner(h)
     target_out[h] = half_edge_target(corner_vertex_in, h)
-    opposite_out[h] = find_half_edge(
-        corner_vertex_in, star_start_in, star_corner_in, target_out[h], corner_vertex_in[h]
-    )
-    if is_canonical(corner_vertex_in, star_start_in, star_corner_in, vertex_flags_in, h):
+    opposite_out[h] = find_half_edge(corner_vertex_in, stars_in, target_out[h], corner_vertex_in[h])
+    if is_canonical(corner_vertex_in, stars_in, vertex_flags_in, h):
         canonical_out[h] = 1
 
 
@@ -90,7 +88,7 @@ def queried(mesh, device):
     wp.launch(
         query_half_edges,
         dim=faces.size,
-        inputs=[corner_vertex, stars.start, stars.corner, flags],
+        inputs=[corner_vertex, stars.lists, flags],
         outputs=outputs,
         device=device,
     )

@@ -3,6 +3,7 @@
 import meshes
 import numpy as np
 import pytest
+import warp as wp
 from mesh_state import build_mesh, cost_model
 
 import warpqem
@@ -59,3 +60,26 @@ def test_passes_shared_by_three_threads_end_as_those_of_one(mesh, monkeypatch, s
     np.testing.assert_array_equal(one.faces, three.faces)
     np.testing.assert_array_equal(one.points, three.points)
     np.testing.assert_array_equal(one.log.removed, three.log.removed)
+
+
+def lists_of(stars, vertex_count):
+    start, end, corner = (a.numpy() for a in (stars.start, stars.end, stars.corner))
+    return [corner[start[v] : end[v]].tolist() for v in range(vertex_count)]
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+@pytest.mark.parametrize("spare", [0, 300, 10**5], ids=["no room", "some room", "room"])
+def test_stars_are_those_of_the_faces_after_every_pass(spare, threads, device, monkeypatch, shared_from_the_first_face):
+    if wp.get_device(device).is_cpu:
+        monkeypatch.setattr("warpqem.order.passes.thread_count", lambda _: threads)
+    points, faces = meshes.waving_grid(24, 3)
+    mesh = build_mesh(points, faces, device)
+    vertex_count = points.shape[1]
+    stars = build_stars(mesh.state.corner_vertex, vertex_count, mesh.state.face_count, spare)
+    mesh.state.stars = stars.lists
+    orderer = Orderer(mesh.state, mesh.frames, stars, cost_model(), 3, device)
+    orderer._price_all.run()
+    for _ in range(12):
+        orderer._run_pass(200, CAP_FRACTION)
+        fresh = build_stars(mesh.state.corner_vertex, vertex_count, mesh.state.face_count)
+        assert lists_of(mesh.state.stars, vertex_count) == lists_of(fresh.lists, vertex_count)

@@ -113,9 +113,9 @@ class MemoryNeeds:
 # Bytes per face and per vertex for the topology: the caller's faces checked, edges, flags, vertex map, log.
 HELD_FACE, HELD_VERTEX = 60, 80
 # Ordering, for each face: corners, stars, costs and candidate lists, most of them twice; for each vertex: claims,
-# masks, flags, weights and the log; for each vertex and key frame: position 12, the same as it was 12, quadric 40, and
+# masks, flags, stars and the log; for each vertex and key frame: position 12, the same as it was 12, quadric 40, and
 # at first the normals of its two faces 24; for each corner and attribute channel: value, gradient, their fit.
-ORDER_FACE, ORDER_VERTEX, ORDER_KEY, ORDER_CHANNEL = 300, 120, 88, 120
+ORDER_FACE, ORDER_VERTEX, ORDER_KEY, ORDER_CHANNEL = 350, 150, 88, 120
 # Placing, for each face: the rows of the clusters it has a part in, and what sorts them; for each output vertex: its
 # anchor's Gram matrix of 32 x 33 / 2 numbers, and members.
 PLACE_FACE, PLACE_OUTPUT = 300, 2500

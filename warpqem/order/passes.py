@@ -1,7 +1,7 @@
 """The parallel pass: cap, candidates, rounds of claim and commit, until the target is met.
 
 A pass reads aloud as: price what moved, find the cap, collect the candidates under it, then for a few rounds: claim,
-select, place, judge, commit; at last build the stars anew. Everything but the counts stays on the device.
+select, place, judge, commit; at last bring the stars up to date. Everything but the counts stays on the device.
 """
 
 from __future__ import annotations
@@ -56,6 +56,8 @@ class _Gear:
     collect_all: Step
     choose: tuple[Step, Step]
     commit: tuple[Step, Step]
+    build_stars: Step
+    keep_stars: Step
     renew: Step
     candidates: tuple[EdgeList, EdgeList]
     winners: EdgeList
@@ -82,7 +84,7 @@ class Orderer:
         self._histogram = self._integers(HISTOGRAM_BINS)
         self._cap = wp.zeros(1, dtype=wp.float32, device=device)
         self._claim = wp.full(vertex_count, set_kernels.UNCLAIMED, dtype=wp.int64, device=device)
-        self._mask = self._integers(vertex_count)
+        self._mask, self._dropped = self._integers(vertex_count), self._integers(vertex_count)
         # Winners share no vertex, so there are V / 2 at most; an edge stands at one of its two half-edges.
         most_winners = vertex_count // 2 + 1
         self._lists = [wp.empty(3 * face_count, dtype=wp.int32, device=device) for _ in range(3)]
@@ -122,15 +124,19 @@ class Orderer:
         if part_count not in self._gears:
             candidates = tuple(new_edge_list(storage, part_count) for storage in self._lists[:2])
             winners = new_edge_list(self._lists[2], part_count)
-            legal, slot = self._integers(part_count), self._integers(part_count)
+            legal, space, slot, pool_slot = (self._integers(part_count) for _ in range(4))
             orders = [(candidates[0], candidates[1]), (candidates[1], candidates[0])]
-            choose = [self._choosing(now, winners, legal, part_count) for now, _ in orders]
-            commit = [self._committing(*order, winners, legal, slot, part_count) for order in orders]
+            choose = [self._choosing(now, winners, legal, space, part_count) for now, _ in orders]
+            commit = [
+                self._committing(*order, winners, (legal, space, slot, pool_slot), part_count) for order in orders
+            ]
             self._gears[part_count] = _Gear(
                 collect_sampled=self._step(self._collecting(candidates[0], SAMPLE_STEP, part_count)),
                 collect_all=self._step(self._collecting(candidates[0], 1, part_count)),
                 choose=(self._step(choose[0]), self._step(choose[1])),
                 commit=(self._step(commit[0]), self._step(commit[1])),
+                build_stars=self._step(self.stars.phases(part_count)),
+                keep_stars=self._step(self._keeping_stars(part_count)),
                 renew=self._step(self._renewing(part_count)),
                 candidates=candidates,
                 winners=winners,
@@ -167,7 +173,9 @@ class Orderer:
     def _launch_counting(self, sample_step: int, work: Work) -> None:
         self._launch(set_kernels.count_costs, [self.state, sample_step], work, [self._histogram])
 
-    def _choosing(self, candidates: EdgeList, winners: EdgeList, legal: wp.array, part_count: int) -> list[Phase]:
+    def _choosing(
+        self, candidates: EdgeList, winners: EdgeList, legal: wp.array, space: wp.array, part_count: int
+    ) -> list[Phase]:
         """Claim, select, place and judge."""
         state, frames = self.state, self.frames
 
@@ -189,7 +197,7 @@ class Orderer:
                 legality_kernels.place_winners[self._width], [state, frames, self.model, winners], work, targets
             )
             judged = [state, frames, self.model, winners, self._target, self.flip_tolerance]
-            self._launch(legality_kernels.judge_winners[self._width], judged, work, [self._faces_removed, legal])
+            self._launch(legality_kernels.judge_winners[self._width], judged, work, [self._faces_removed, legal, space])
 
         return [Phase(claim, part_count), Phase(select, part_count), Phase(judge, part_count)]
 
@@ -198,22 +206,27 @@ class Orderer:
         candidates: EdgeList,
         candidates_left: EdgeList,
         winners: EdgeList,
-        legal: wp.array,
-        slot: wp.array,
+        reserve: Sequence[wp.array],
         part_count: int,
     ) -> list[Phase]:
-        """Collapse the legal winners, and keep the candidates that they leave free."""
+        """Collapse the legal winners, and keep the candidates that they leave free.
+
+        ``reserve`` holds, for each part: legal winners, entries of the pool for their stars, the first slots of both.
+        """
         state, frames = self.state, self.frames
+        legal, space, slot, pool_slot = reserve
 
         def open_log(_: int) -> None:
-            outputs = [legal, self.log, slot]
+            outputs = [legal, space, self.log, slot, state.stars.used, pool_slot]
             wp.launch(collapse_kernels.open_log, dim=1, inputs=[], outputs=outputs, device=self.device)
             candidates_left.count.zero_()
 
         def commit(part: int) -> None:
             work = part_work(part, part_count, self.device)
             inputs = [state, frames, winners, self._faces_removed, self._target, self._anchor, self._pass_number]
-            self._launch(collapse_kernels.commit_winners[self._width], inputs, work, [self._mask, self.log, slot])
+            self._launch(
+                collapse_kernels.commit_winners[self._width], inputs, work, [self._mask, self.log, slot, pool_slot]
+            )
 
         def shrink(part: int) -> None:
             work = part_work(part, part_count, self.device)
@@ -222,8 +235,18 @@ class Orderer:
 
         return [Phase(open_log), Phase(commit, part_count), Phase(shrink, part_count)]
 
+    def _keeping_stars(self, part_count: int) -> list[Phase]:
+        """Bring the stars of the wings up to date; those of the vertices that moved are since the commit."""
+
+        def drop(part: int) -> None:
+            work = part_work(part, part_count, self.device)
+            inputs = [self.state, self.log, self._pass_begin, self._pass_number]
+            self._launch(collapse_kernels.drop_dead_corners, inputs, work, [self._dropped])
+
+        return [Phase(drop, part_count)]
+
     def _renewing(self, part_count: int) -> list[Phase]:
-        """Build the stars, price what moved, wake what lies around it. Prices are worth all threads on any mesh."""
+        """Price what moved, wake what lies around it. Prices are worth all threads on any mesh."""
         state = self.state
 
         def reprice(part: int) -> None:
@@ -235,7 +258,7 @@ class Orderer:
             work = part_work(part, part_count, self.device)
             self._launch(cost_kernels.wake_neighbourhoods, [state, self._mask, self._pass_number], work)
 
-        return [*self.stars.phases(part_count), Phase(reprice, self.threads), Phase(wake, part_count)]
+        return [Phase(reprice, self.threads), Phase(wake, part_count)]
 
     def run(
         self,
@@ -297,7 +320,9 @@ class Orderer:
         end = int(self.log.count.numpy()[0])
         if end > begin:
             self.live_faces -= int(self.log.faces_removed.numpy()[begin:end].sum())
-            self._compact()
+            compacted = self._compact()
+            overfull = int(self.state.stars.used.numpy()[0]) > len(self.state.stars.corner)
+            (gear.build_stars if compacted or overfull else gear.keep_stars).run()
             gear.renew.run()
         return candidate_count, end - begin
 
@@ -349,10 +374,10 @@ class Orderer:
         removed: np.ndarray = np.where(keeps_second, ends[0], ends[1])
         return removed
 
-    def _compact(self) -> None:
-        """Close the gaps that dead faces leave, once they are many."""
+    def _compact(self) -> bool:
+        """Close the gaps that dead faces leave, once they are many; whether that was so. It renumbers the corners."""
         if self.live_faces >= LIVE_FRACTION * self.face_slots:
-            return
+            return False
         state = self.state
         rank = self._live_rank[: self.face_slots]
         wp.launch(
@@ -386,3 +411,4 @@ class Orderer:
         wp.copy(state.corner_vertex, self._spare_corner_vertex, count=half_edge_count)
         wp.copy(state.edge_cost, self._spare_edge_cost, count=half_edge_count)
         wp.copy(state.seam, self._spare_seam, count=half_edge_count)
+        return True

@@ -187,9 +187,9 @@ def _collapse(
     corner_vertex = wp.array(mesh.faces.ravel(), dtype=wp.int32, device=device)
     state = MeshState()
     state.face_count = wp.array([len(mesh.faces)], dtype=wp.int32, device=device)
-    stars = build_stars(corner_vertex, vertex_count, state.face_count)
+    stars = build_stars(corner_vertex, vertex_count, state.face_count, spare=len(corner_vertex))
     state.corner_vertex = corner_vertex
-    state.star_start, state.star_corner = stars.start, stars.corner
+    state.stars = stars.lists
     state.vertex_flags = wp.array(mesh.vertex_flags, dtype=wp.int32, device=device)
     constrained = classify_vertices(corner_vertex, stars, state.vertex_flags).numpy() | 2 * mesh.seam
     state.seam = wp.array(mesh.seam, dtype=wp.int32, device=device)

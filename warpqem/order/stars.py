@@ -1,10 +1,11 @@
-"""Vertex stars on the device: built anew from the faces once a pass."""
+"""Vertex stars on the device: built from the faces, then kept up by the kernels of a pass."""
 
 from __future__ import annotations
 
 import warp as wp
 
 from warpqem.kernels import topology as kernels
+from warpqem.kernels.topology import VertexStars
 from warpqem.order.steps import Phase, Step, part_work
 from warpqem.parallel import launch_parts, thread_count
 
@@ -19,15 +20,23 @@ class Stars:
         face_count: (1,) int32, how many of the N faces there are now.
         vertex_count: vertices V.
 
+        spare: entries of the pool besides the 3N that stars built from the faces take, for stars of vertices that move.
+
     Attributes:
-        start: (V+1,) int32, the first entry of each vertex's list; the last entry is the number of corners.
-        corner: (3N,) int32, corners by vertex, ascending within a vertex.
+        start: (V+1,) int32, the first entry of each vertex's list as built; the last entry is the number of corners.
+        corner: (3N + spare,) int32, corners by vertex, ascending within a vertex.
+        lists: the same as the kernels of a pass see and change it.
     """
 
-    def __init__(self, corner_vertex: wp.array, face_count: wp.array, vertex_count: int) -> None:
+    def __init__(self, corner_vertex: wp.array, face_count: wp.array, vertex_count: int, spare: int = 0) -> None:
         self._corner_vertex, self._face_count, self._device = corner_vertex, face_count, corner_vertex.device
         self.start = wp.zeros(vertex_count + 1, dtype=wp.int32, device=self._device)
-        self.corner = wp.empty_like(corner_vertex)
+        self.corner = wp.empty(len(corner_vertex) + spare, dtype=wp.int32, device=self._device)
+        self.lists = VertexStars()
+        self.lists.start, self.lists.end = (
+            wp.empty(vertex_count, dtype=wp.int32, device=self._device) for _ in range(2)
+        )
+        self.lists.corner, self.lists.used = self.corner, wp.zeros(1, dtype=wp.int32, device=self._device)
         self._cursor = wp.zeros(vertex_count + 1, dtype=wp.int32, device=self._device)
 
     def phases(self, part_count: int) -> list[Phase]:
@@ -45,6 +54,7 @@ class Stars:
             Phase(self._scan),
             Phase(fill, part_count),
         ]
+        phases.append(Phase(self._hand_out))
         # One CPU thread fills a list in ascending order; on a GPU threads arrive in any order.
         return phases if wp.get_device(self._device).is_cpu else [*phases, Phase(self._sort)]
 
@@ -57,17 +67,25 @@ class Stars:
         wp.utils.array_scan(self._cursor, self.start, inclusive=False)
         wp.copy(self._cursor, self.start)
 
+    def _hand_out(self, _: int) -> None:
+        vertex_count = len(self.start) - 1
+        wp.copy(self.lists.start, self.start, count=vertex_count)
+        wp.copy(self.lists.end, self.start, src_offset=1, count=vertex_count)
+        wp.copy(self.lists.used, self.start, src_offset=vertex_count, count=1)
+
     def _sort(self, _: int) -> None:
         vertex_count = len(self.start) - 1
         wp.launch(kernels.sort_stars, dim=vertex_count, inputs=[self.start], outputs=[self.corner], device=self._device)
 
 
-def build_stars(corner_vertex: wp.array, vertex_count: int, face_count: wp.array | None = None) -> Stars:
+def build_stars(
+    corner_vertex: wp.array, vertex_count: int, face_count: wp.array | None = None, spare: int = 0
+) -> Stars:
     """Stars of a mesh given as ``corner_vertex`` (3N,) int32, of all its faces unless ``face_count`` (1,) is given."""
     device = corner_vertex.device
     if face_count is None:
         face_count = wp.array([len(corner_vertex) // 3], dtype=wp.int32, device=device)
-    stars = Stars(corner_vertex, face_count, vertex_count)
+    stars = Stars(corner_vertex, face_count, vertex_count, spare)
     Step(stars.phases(thread_count(device)), device).run()
     return stars
 
@@ -81,7 +99,7 @@ def classify_vertices(corner_vertex: wp.array, stars: Stars, vertex_flags: wp.ar
         wp.launch(
             kernels.classify_vertices,
             dim=part.stop - part.start,
-            inputs=[corner_vertex, stars.start, stars.corner, part.start],
+            inputs=[corner_vertex, stars.lists, part.start],
             outputs=[vertex_flags, border],
             device=device,
         )
