@@ -12,6 +12,7 @@ __all__ = [
     "MeshShapeError",
     "NonFinitePointError",
     "OptionError",
+    "ProgressiveFileError",
     "StageError",
     "UnreachableTargetError",
     "WarpqemError",
@@ -60,6 +61,10 @@ class UnreachableTargetError(WarpqemError, RuntimeError):
 
 class MemoryLimitError(WarpqemError, MemoryError):
     """The work cannot be done in the memory it may take; the message says what is needed and what would help."""
+
+
+class ProgressiveFileError(WarpqemError, ValueError):
+    """A file holds no progressive mesh, or a damaged one; the message names the file and the chunk."""
 
 
 class StageError(WarpqemError):

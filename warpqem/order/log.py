@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -38,6 +38,10 @@ class CollapseRecord:
 
     def __len__(self) -> int:
         return len(self.kept)
+
+    def head(self, count: int) -> CollapseRecord:
+        """The first ``count`` collapses."""
+        return CollapseRecord(**{field.name: getattr(self, field.name)[:count] for field in fields(self)})
 
     def roots(self, vertex_count: int) -> np.ndarray:
         """(V,) int32, the vertex that each vertex has collapsed into after all collapses."""

@@ -21,7 +21,7 @@ def sum_repeated(
     """Items by row with the weights of repeated ones added.
 
     Args:
-        row: (M,) int, the row of each entry.
+        row: (M,) int, the row of each entry; -1 for an entry to leave out.
         item: (M,) int.
         weight: (M,) float.
         row_count: rows R.
@@ -31,6 +31,9 @@ def sum_repeated(
     """
     from scipy.sparse import coo_array  # here: commands that place nothing start without it
 
+    if row.min(initial=0) < 0:
+        inside = row >= 0
+        row, item, weight = row[inside], item[inside], weight[inside]
     item_count = int(item.max(initial=-1)) + 1
     summed = coo_array((weight.astype(np.float64), (row, item)), shape=(row_count, item_count)).tocsr()
     summed.sum_duplicates()

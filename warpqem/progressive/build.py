@@ -1,0 +1,87 @@
+"""Build a progressive mesh: order once down to the base mesh, then place every vertex that ever was, in all frames."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from warpqem.errors import OptionError
+from warpqem.frame_stream import read_ahead
+from warpqem.order.levels import OrderedLevels
+from warpqem.order.nodes import NodeRecorder
+from warpqem.place.clusters import ClusterPlacer
+from warpqem.preparation import ORDER_END, Prepared, Progress, prepare
+from warpqem.progressive.mesh import ProgressiveMesh
+from warpqem.progressive.splits import SplitTopology
+
+__all__ = ["build_progressive"]
+
+
+def build_progressive(
+    points: Any,
+    faces: Any = None,
+    *,
+    base_faces: int | None = None,
+    progress: Progress | None = None,
+    **options: Any,
+) -> ProgressiveMesh:
+    """Every level of an animated mesh from one run (progressive deforming meshes, Huang et al. 2006).
+
+    A vertex of any level is placed over all frames from its own cluster of input vertices, as :func:`warpqem.simplify`
+    does, so a level does not depend on how it was reached: it has the same bits as the result for its face count.
+
+    Args:
+        points: as for :func:`warpqem.simplify`.
+        faces: likewise.
+        base_faces: where to stop; None for as few faces as legal collapses lead to.
+        progress: called with the part done, 0 to 1, and the stage, "read", "order" or "place".
+        options: keyword arguments of :func:`warpqem.simplify`, but for its goals, ``refit`` and ``sink``.
+
+    Raises:
+        OptionError: also for an option that does not apply.
+        WarpqemError: the other errors of :func:`warpqem.simplify`, but for an unreachable target: the base mesh then
+            has more faces than asked for.
+    """
+    refused = {"ratio", "target_faces", "max_error", "refit", "sink"} & set(options)
+    if refused:
+        raise OptionError(f"{', '.join(sorted(refused))}: not with a progressive mesh, which has all levels")
+    # A mesh of one face is the least there is.
+    work = prepare(points, faces, target_faces=base_faces or 1, progress=progress, **options)
+    recorder = NodeRecorder()
+    ordered = work.order(progress, recorder)
+    levels = OrderedLevels(work.mesh.faces, ordered, recorder)
+    topology = SplitTopology.from_log(work.mesh.faces, work.mesh.face_index, work.mesh.vertex_count, levels.log)
+    return ProgressiveMesh(topology, _place_all(work, levels, topology, progress))
+
+
+def _place_all(work: Prepared, levels: OrderedLevels, topology: SplitTopology, progress: Progress | None) -> np.ndarray:
+    """Positions (F, B + 2 C, 3) float32 of all rows in the caller's coordinates."""
+    mesh = work.mesh
+    placed = np.empty((mesh.frame_count, len(topology.row_vertex), 3), dtype=np.float32)
+    # The row of the vertex that a collapse merged is the one that its split ends.
+    row_of_collapse = topology.parent_row[::-1]
+    single = np.flatnonzero(topology.row_end == topology.split_count)
+    placers = [
+        (
+            row_of_collapse[merged.collapse],
+            ClusterPlacer(
+                mesh.faces,
+                merged.ordered,
+                merged.kept,
+                merged.cluster,
+                work.order_input.quadric_scale,
+                work.pinned,
+                work.place_settings,
+                work.device,
+            ),
+        )
+        for merged in levels.merged_clusters()
+    ]
+    for frames, points in read_ahead(mesh.points, work.blocks):
+        placed[frames, single] = points[:, topology.row_vertex[single]] + mesh.origin
+        for row, placer in placers:
+            placed[frames, row] = placer.original_points(mesh, placer.place(mesh, points))
+        if progress:
+            progress(ORDER_END + (1.0 - ORDER_END) * frames.stop / mesh.frame_count, "place")
+    return placed
