@@ -11,6 +11,7 @@ from warpqem.cli.compare import compare
 from warpqem.cli.console import OneLineErrors
 from warpqem.cli.features import features
 from warpqem.cli.info import info
+from warpqem.cli.progressive import progressive
 from warpqem.cli.simplify import simplify
 
 __all__ = ["app"]
@@ -28,6 +29,7 @@ app.command()(simplify)
 app.command()(info)
 app.command()(compare)
 app.command()(features)
+app.add_typer(progressive)
 
 
 def _print_version(wanted: bool) -> None:

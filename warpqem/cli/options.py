@@ -2,11 +2,43 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from enum import Enum
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-__all__ = ["Device", "Frames", "Input", "JsonReport", "Output", "Prims"]
+from warpqem.errors import OptionError
+
+if TYPE_CHECKING:
+    from warpqem.screen import ScreenView
+
+__all__ = [
+    "Coherence",
+    "Device",
+    "Distance",
+    "FieldOfView",
+    "Frames",
+    "ImageHeight",
+    "Input",
+    "JsonReport",
+    "KeyFrames",
+    "Metric",
+    "MetricOption",
+    "Output",
+    "Prims",
+    "ScreenError",
+    "screen_view",
+]
+
+
+class Metric(str, Enum):
+    """Cost models."""
+
+    dsd = "dsd"
+    qem = "qem"
+    dod = "dod"
+    aqem = "aqem"
+
 
 Input = Annotated[str, typer.Argument(metavar="IN", help="USD file to read (.usd, .usda, .usdc, .usdz).")]
 
@@ -46,3 +78,61 @@ JsonReport = Annotated[
     str | None,
     typer.Option("--json", metavar="FILE", help="Write the report as JSON to FILE, or to stdout for -."),
 ]
+
+MetricOption = Annotated[
+    Metric,
+    typer.Option(
+        "--metric",
+        help="Cost model: dsd sums the error over frames, qem takes the first pose only, dod adds stretching "
+        "edges, aqem keeps joints.",
+    ),
+]
+
+Coherence = Annotated[
+    float,
+    typer.Option(
+        "--coherence",
+        help="0 to 1: 0 fits every frame on its own, 1 lets vertices stick to the surface over time.",
+    ),
+]
+
+KeyFrames = Annotated[
+    int, typer.Option("--key-frames", help="Number of frames, different in pose, that decide the topology.")
+]
+
+ScreenError = Annotated[
+    float | None,
+    typer.Option("--screen-error", metavar="PX", help="Largest error in pixels, seen from --distance."),
+]
+
+Distance = Annotated[
+    float | None,
+    typer.Option("--distance", help="With --screen-error: from the camera to the mesh, in units of the stage."),
+]
+
+FieldOfView = Annotated[
+    float, typer.Option("--fov", metavar="DEG", help="With --screen-error: vertical field of view, in degrees.")
+]
+
+ImageHeight = Annotated[
+    int, typer.Option("--image-height", metavar="PX", help="With --screen-error: height of the picture, in pixels.")
+]
+
+
+def screen_view(
+    error: float | None, distance: float | None, field_of_view: float, image_height: int
+) -> ScreenView | None:
+    """The options of a view as one; None where no error is asked for.
+
+    Raises:
+        OptionError: the distance is missing, or asks for an error that is.
+    """
+    from warpqem.screen import ScreenView
+
+    if error is None:
+        if distance is not None:
+            raise OptionError("--distance needs --screen-error")
+        return None
+    if distance is None:
+        raise OptionError("--screen-error needs --distance")
+    return ScreenView(error, distance, field_of_view, image_height)

@@ -10,21 +10,28 @@ from rich.markup import escape
 from rich.table import Table
 
 from warpqem.cli.console import EXIT_FAILED, print_table, progress_bar, quiet_warp, tell, write_json
-from warpqem.cli.options import Device, Frames, Input, JsonReport, Output, Prims
+from warpqem.cli.options import (
+    Coherence,
+    Device,
+    Distance,
+    FieldOfView,
+    Frames,
+    ImageHeight,
+    Input,
+    JsonReport,
+    KeyFrames,
+    Metric,
+    MetricOption,
+    Output,
+    Prims,
+    ScreenError,
+    screen_view,
+)
 
 if TYPE_CHECKING:
     from warpqem.usd.report import PrimReport, StageReport
 
 __all__ = ["simplify"]
-
-
-class Metric(str, Enum):
-    """Cost models."""
-
-    dsd = "dsd"
-    qem = "qem"
-    dod = "dod"
-    aqem = "aqem"
 
 
 class MorphWeights(str, Enum):
@@ -57,6 +64,10 @@ def simplify(
         float | None,
         typer.Option(metavar="PCT", help="Largest error of each mesh, in % of its bounding-box diagonal."),
     ] = None,
+    screen_error: ScreenError = None,
+    distance: Distance = None,
+    field_of_view: FieldOfView = 45.0,
+    image_height: ImageHeight = 1080,
     lods: Annotated[
         str | None,
         typer.Option(
@@ -72,17 +83,8 @@ def simplify(
             help="With --lods: write the levels with the UsdLod schemas, for renderers to choose by size or distance.",
         ),
     ] = False,
-    metric: Annotated[
-        Metric,
-        typer.Option(
-            help="Cost model: dsd sums the error over frames, qem takes the first pose only, dod adds stretching "
-            "edges, aqem keeps joints."
-        ),
-    ] = Metric.dsd,
-    coherence: Annotated[
-        float,
-        typer.Option(help="0 to 1: 0 fits every frame on its own, 1 lets vertices stick to the surface over time."),
-    ] = 0.5,
+    metric: MetricOption = Metric.dsd,
+    coherence: Coherence = 0.5,
     refit: Annotated[
         bool,
         typer.Option("--refit/--no-refit", help="Fit the whole surface once more at the end: better shape, slower."),
@@ -90,9 +92,7 @@ def simplify(
     placement: Annotated[
         Placement, typer.Option(help="Merged vertices at the optimal point, or at an endpoint of the edge.")
     ] = Placement.optimal,
-    key_frames: Annotated[
-        int, typer.Option(help="Number of frames, different in pose, that decide the topology.")
-    ] = 16,
+    key_frames: KeyFrames = 16,
     uv_weight: Annotated[
         float,
         typer.Option(
@@ -153,7 +153,8 @@ def simplify(
     ] = False,
     json: JsonReport = None,
 ) -> None:
-    """Simplify every mesh over all its frames. Give one of --ratio, --faces, --max-error and --lods.
+    """Simplify every mesh over all its frames. Give one of --ratio, --faces, --max-error,
+    --screen-error and --lods.
 
     OUT is a small layer over IN that holds the new meshes; keep the two files together, or use --flatten. Primvars,
     normals, subsets, skins and blend shapes come along. What does not fit the new meshes is dropped, with a warning.
@@ -169,6 +170,7 @@ def simplify(
         ratio=ratio,
         faces=faces,
         max_error=max_error,
+        screen=screen_view(screen_error, distance, field_of_view, image_height),
         lods=() if lods is None else parse_lods(lods),
         usd_lod=usd_lod,
         metric=metric.value,

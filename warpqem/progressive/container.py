@@ -17,7 +17,7 @@ import json
 import mmap
 import os
 import struct
-import tempfile
+import uuid
 import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -82,16 +82,16 @@ def write_chunks(path: str | os.PathLike[str], info: FileInfo, chunks: list[list
         offset += len(payload)
     header = json.dumps(vars(info), separators=(",", ":")).encode()
     path = Path(path)
-    with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
-        try:
+    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
+    try:
+        with open(temporary, "xb") as file:
             file.write(MAGIC + HEADER.pack(len(header), zlib.crc32(header)) + header)
             file.writelines(payloads)
             file.flush()
             os.fsync(file.fileno())
-            os.replace(file.name, path)
-        except BaseException:
-            Path(file.name).unlink(missing_ok=True)
-            raise
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 class ChunkFile:

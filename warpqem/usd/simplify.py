@@ -15,6 +15,7 @@ from pxr import Sdf, Usd
 
 import warpqem
 from warpqem.errors import DeviceError, OptionError, StageError, UnreachableTargetError, WarpqemError
+from warpqem.screen import ScreenView
 from warpqem.usd.attributes import AttributeWeights, check_names, check_weights, weighted_fields
 from warpqem.usd.blend_shapes import count_shape_users
 from warpqem.usd.budget import CostCurve, split_budget
@@ -43,12 +44,13 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class SimplifyOptions:
-    """How to simplify. Exactly one of `ratio`, `faces`, `max_error` and `lods` is given.
+    """How to simplify. Exactly one of `ratio`, `faces`, `max_error`, `screen` and `lods` is given.
 
     Attributes:
         ratio: Share of its triangles that each mesh keeps, above 0 and at most 1.
         faces: Triangles of all meshes together, split so that a face saves the same error on each.
         max_error: Largest error of each mesh, in % of its bounding-box diagonal.
+        screen: Largest error of each mesh on a screen, at a distance in world units.
         lods: Ratios of levels of detail, each smaller than the one before, between 0 and 1. The output offers the input
             and one level for each ratio as variants LOD0, LOD1, ... of the root prim that holds the default prim.
         usd_lod: With `lods`, write the levels as prims below that root prim, with the schemas of UsdLod, instead.
@@ -82,6 +84,7 @@ class SimplifyOptions:
     ratio: float | None = None
     faces: int | None = None
     max_error: float | None = None
+    screen: ScreenView | None = None
     lods: tuple[float, ...] = ()
     usd_lod: bool = False
     metric: str = "dsd"
@@ -106,10 +109,12 @@ class SimplifyOptions:
 
     def __post_init__(self) -> None:
         """Check the targets; the core checks the other options."""
-        given = [name for name in ("ratio", "faces", "max_error") if getattr(self, name) is not None]
+        given = [name for name in ("ratio", "faces", "max_error", "screen") if getattr(self, name) is not None]
         given += ["lods"] if self.lods else []
         if len(given) != 1:
-            raise OptionError(f"exactly one of ratio, faces, max_error and lods must be given, not {given or 'none'}")
+            raise OptionError(
+                f"exactly one of ratio, faces, max_error, screen and lods must be given, not {given or 'none'}"
+            )
         if self.ratio is not None and not 0 < self.ratio <= 1:
             hint = f"; for {self.ratio:g} % give {self.ratio / 100:g}" if 1 < self.ratio <= 100 else ""
             raise OptionError(f"ratio {self.ratio:g}: expected a share above 0 and at most 1{hint}")
@@ -322,12 +327,11 @@ class _Run:
         if face_count <= TRIAL_FACES:
             return CostCurve(face_count, np.zeros(0), np.zeros(0, dtype=np.int64))
         result = self._as_far_as_it_goes(job, progress, job.seams.hold(), TRIAL_FACES)
-        diagonal = float(np.linalg.norm(np.ptp(job.frames.astype(np.float64), axis=1), axis=1).max())
         return CostCurve.from_log(
             face_count=face_count,
             cost=result.log.cost,
             faces_removed=result.log.faces_removed,
-            unit_length=diagonal * job.mesh.world_scale,
+            unit_length=_diagonal(job) * job.mesh.world_scale,
             frame_count=len(result.key_frames),
         )
 
@@ -345,7 +349,7 @@ class _Run:
             return
         seams = job.seams.hold()
         if target_faces is None:
-            result = self._call_core(job, progress, seams, max_error=self.options.max_error)
+            result = self._call_core(job, progress, seams, max_error=self._error_limit(job))
         elif self.options.strict:
             result = self._call_core(job, progress, seams, target_faces=target_faces)
         else:
@@ -356,6 +360,12 @@ class _Run:
             return
         self._write(job, result, report)
         report.dropped += job.seams.let_go(job.faces, result.face_map)
+
+    def _error_limit(self, job: MeshJob) -> float | None:
+        """Largest error of a mesh in % of its diagonal."""
+        if self.options.screen is None:
+            return self.options.max_error
+        return 100.0 * self.options.screen.length / (_diagonal(job) * job.mesh.world_scale)
 
     def _write(self, job: MeshJob, result: warpqem.SimplifiedMesh, report: PrimReport) -> None:
         times, points = job.output_points(result)
@@ -370,3 +380,8 @@ class _Run:
         report.vertices_after = result.points.shape[1]
         report.error = float(result.error)
         report.flips = int(result.flips[job.pose_start :].sum())
+
+
+def _diagonal(job: MeshJob) -> float:
+    """Largest bounding-box diagonal of a frame, in local units."""
+    return float(np.linalg.norm(np.ptp(job.frames.astype(np.float64), axis=1), axis=1).max())

@@ -1,0 +1,222 @@
+"""Progressive meshes from and to USD: the poses of one mesh, in world space."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from pxr import Sdf, Usd, UsdGeom, Vt
+
+from warpqem.errors import OptionError, ProgressiveFileError, StageError
+from warpqem.progressive import ProgressiveMesh, build_progressive, load, read_info, save
+from warpqem.progressive.container import FileInfo
+from warpqem.screen import ScreenView
+from warpqem.usd.frames import FrameRange
+from warpqem.usd.job import MeshJob, ReadOptions
+from warpqem.usd.mesh import MeshSource
+from warpqem.usd.skel import StagePoses
+from warpqem.usd.stage import find_meshes, open_stage
+from warpqem.usd.write import check_output_path, export_layer
+
+__all__ = ["BuildOptions", "LevelChoice", "build_file", "extract_level"]
+
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True)
+class BuildOptions:
+    """How to build a progressive mesh.
+
+    Attributes:
+        prim: Prim path of the mesh; None for the only one of the stage.
+        base_faces: Faces of the base mesh; None for as few as legal collapses lead to.
+        metric: Cost model, see `warpqem.simplify`.
+        coherence: 0 to 1, see `warpqem.simplify`.
+        key_frames: Frames that decide the topology.
+        frames: Time codes to read; None for all authored ones.
+        device: Warp device; None for the default.
+    """
+
+    prim: str | None = None
+    base_faces: int | None = None
+    metric: str = "dsd"
+    coherence: float = 0.5
+    key_frames: int = 16
+    frames: FrameRange | None = None
+    device: str | None = None
+
+
+@dataclass(frozen=True)
+class LevelChoice:
+    """Which level to take. Exactly one is given.
+
+    Attributes:
+        ratio: Share of the input's triangles.
+        faces: Triangles.
+        max_error: Largest error, in % of the bounding-box diagonal.
+        screen: Largest error on a screen, at a distance in the units of the stage.
+    """
+
+    ratio: float | None = None
+    faces: int | None = None
+    max_error: float | None = None
+    screen: ScreenView | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse none and more than one."""
+        given = [name for name, value in vars(self).items() if value is not None]
+        if len(given) != 1:
+            raise OptionError(
+                f"exactly one of ratio, faces, max_error and screen_error must be given, not {given or 'none'}"
+            )
+
+
+def build_file(
+    input_path: str | os.PathLike[str],
+    output_path: str | os.PathLike[str],
+    options: BuildOptions,
+    progress: Progress | None = None,
+) -> FileInfo:
+    """Build the progressive mesh of one mesh of a USD file, in all its poses and in world space, and save it.
+
+    Raises:
+        StageError: the input cannot be read, or the output cannot be written.
+        OptionError: an option is wrong, or the stage has more than one mesh and none is chosen.
+    """
+    output = Path(output_path)
+    if output.exists() and output.samefile(input_path):
+        raise OptionError(f"output {output_path}: this is the input, which is never overwritten")
+    stage = open_stage(input_path)
+    job = MeshJob.prepare(MeshSource(_one_mesh(stage, options.prim), StagePoses(stage)), _reading(options))
+    if not len(job.faces):
+        raise StageError(f"{job.mesh.path}: the mesh has no faces")
+    points = _in_world(job)
+    faces = job.faces[:, ::-1] if job.mesh.left_handed else job.faces
+    mesh = build_progressive(
+        points,
+        faces,
+        base_faces=options.base_faces,
+        metric=options.metric,
+        coherence=options.coherence,
+        key_frames=options.key_frames,
+        seams=job.seams.hold(),
+        device=options.device,
+        progress=progress,
+    )
+    extra = {
+        "prim": job.mesh.path,
+        "times": job.mesh.times,
+        "diagonal": float(np.linalg.norm(np.ptp(points.astype(np.float64), axis=1), axis=1).max()),
+        "stage": {
+            "up_axis": str(UsdGeom.GetStageUpAxis(stage)),
+            "metres_per_unit": UsdGeom.GetStageMetersPerUnit(stage),
+            "time_codes_per_second": stage.GetTimeCodesPerSecond(),
+            "frames_per_second": stage.GetFramesPerSecond(),
+        },
+    }
+    try:
+        save(mesh, output, extra)
+    except OSError as error:
+        raise StageError(f"{output}: cannot be written ({error.strerror})") from error
+    return read_info(output)
+
+
+def extract_level(
+    input_path: str | os.PathLike[str], output_path: str | os.PathLike[str], choice: LevelChoice
+) -> tuple[int, float]:
+    """Write one level of a progressive mesh as a USD file of its own, and read no more of it than that takes.
+
+    Returns:
+        Its faces, and its error in % of the bounding-box diagonal.
+
+    Raises:
+        ProgressiveFileError: the input is no progressive mesh, or damaged.
+        StageError: a file cannot be read or written.
+        OptionError: an option is wrong, or the base mesh has more faces than asked for.
+    """
+    output = check_output_path(output_path, [input_path])
+    try:
+        info = read_info(input_path)
+        mesh, split_count = _find_level(input_path, info, choice)
+    except OSError as error:
+        raise StageError(f"{input_path}: cannot be read ({error.strerror})") from error
+    level = mesh.level(split_count)
+    layer = _layer(input_path, info, level.points, level.faces)
+    export_layer(layer, output)
+    return len(level.faces), level.error
+
+
+def _one_mesh(stage: Usd.Stage, path: str | None) -> Usd.Prim:
+    selection = find_meshes(stage, () if path is None else (path,))
+    for _, error in selection.refused:
+        raise error
+    if not selection.prims:
+        raise StageError("there is no mesh on the stage")
+    if len(selection.prims) > 1:
+        names = ", ".join(str(prim.GetPath()) for prim in selection.prims[:5])
+        raise OptionError(f"there are {len(selection.prims)} meshes ({names}, ...): choose one with --prim")
+    return selection.prims[0]
+
+
+def _reading(options: BuildOptions) -> ReadOptions:
+    return ReadOptions(frames=options.frames, bake=True)
+
+
+def _in_world(job: MeshJob) -> npt.NDArray[np.float64]:
+    """The poses (F, V, 3) as the stage shows them."""
+    points = job.frames.astype(np.float64)
+    for index, time in enumerate(job.mesh.times or [None]):
+        code = Usd.TimeCode.Default() if time is None else Usd.TimeCode(time)
+        matrix = np.array(UsdGeom.XformCache(code).GetLocalToWorldTransform(job.source.prim))
+        points[index] = points[index] @ matrix[:3, :3] + matrix[3, :3]
+    return points
+
+
+def _find_level(path: str | os.PathLike[str], info: FileInfo, choice: LevelChoice) -> tuple[ProgressiveMesh, int]:
+    max_error = choice.max_error
+    if choice.screen is not None:
+        max_error = 100.0 * choice.screen.length / float(_of(info, path, "diagonal"))
+    if max_error is not None:
+        # Errors fall from chunk to chunk, and the first level within is the coarsest.
+        mesh = load(path)
+        return mesh, mesh.splits_for(max_error=max_error)
+    target = choice.faces if choice.ratio is None else max(1, round(choice.ratio * info.face_count))
+    mesh = load(path, target_faces=target)
+    return mesh, mesh.splits_for(target_faces=min(target or 0, info.face_count))
+
+
+def _of(info: FileInfo, path: str | os.PathLike[str], name: str) -> Any:
+    if name not in info.extra:
+        raise ProgressiveFileError(f"{path}: there is no {name} in it; was it built from USD?")
+    return info.extra[name]
+
+
+def _layer(
+    path: str | os.PathLike[str], info: FileInfo, points: npt.NDArray[np.float32], faces: npt.NDArray[np.int32]
+) -> Sdf.Layer:
+    layer = Sdf.Layer.CreateAnonymous("level.usdc")
+    stage = Usd.Stage.Open(layer)
+    settings, times = _of(info, path, "stage"), _of(info, path, "times")
+    UsdGeom.SetStageUpAxis(stage, settings["up_axis"])
+    UsdGeom.SetStageMetersPerUnit(stage, settings["metres_per_unit"])
+    stage.SetTimeCodesPerSecond(settings["time_codes_per_second"])
+    stage.SetFramesPerSecond(settings["frames_per_second"])
+    prim_path = Sdf.Path(_of(info, path, "prim"))
+    mesh = UsdGeom.Mesh.Define(stage, prim_path)
+    stage.SetDefaultPrim(stage.GetPrimAtPath(prim_path.GetPrefixes()[0]))
+    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(faces), 3, dtype=np.int32)))
+    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(np.ascontiguousarray(faces.ravel())))
+    codes = [Usd.TimeCode.Default()] if times is None else [Usd.TimeCode(time) for time in times]
+    if times:
+        stage.SetStartTimeCode(times[0])
+        stage.SetEndTimeCode(times[-1])
+    for code, pose in zip(codes, points, strict=True):
+        mesh.CreatePointsAttr().Set(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(pose)), code)
+        mesh.CreateExtentAttr().Set(Vt.Vec3fArray.FromNumpy(np.stack([pose.min(axis=0), pose.max(axis=0)])), code)
+    return layer
