@@ -86,7 +86,8 @@ def is_canonical(
     v = half_edge_target(corner_vertex, h)
     if u < v:
         return True
-    if (vertex_flags[u] & vertex_flags[v] & BORDER) == 0:
+    # One end after the other: most half-edges stop at the first, before the second is fetched from memory.
+    if (vertex_flags[u] & BORDER) == 0 or (vertex_flags[v] & BORDER) == 0:
         return False
     return find_half_edge(corner_vertex, stars, v, u) < 0
 
