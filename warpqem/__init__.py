@@ -22,6 +22,7 @@ _HOMES = {
     "motion_features": "warpqem.motion",
     "plan": "warpqem.simplification",
     "simplify": "warpqem.simplification",
+    "simplify_levels": "warpqem.simplification",
 }
 
 __all__ = [
@@ -38,6 +39,7 @@ __all__ = [
     "motion_features",
     "plan",
     "simplify",
+    "simplify_levels",
 ]
 
 

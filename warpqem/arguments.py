@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from warpqem.errors import OptionError
 
-__all__ = ["Goal", "check_options", "read_goal"]
+__all__ = ["Goal", "check_options", "check_ratio", "read_goal", "target_count"]
 
 
 @dataclass(frozen=True)
@@ -32,8 +32,8 @@ def check_options(
         raise OptionError("one of ratio, target_faces and max_error is needed")
     if ratio is not None and target_faces is not None:
         raise OptionError(f"ratio {ratio} and target_faces {target_faces} exclude each other")
-    if ratio is not None and not 0.0 < ratio <= 1.0:
-        raise OptionError(f"ratio must be in (0, 1], got {ratio}")
+    if ratio is not None:
+        check_ratio(ratio)
     if target_faces is not None and not _is_count(target_faces):
         raise OptionError(f"target_faces must be a whole number of at least 1, got {target_faces}")
     if max_error is not None and not 0.0 < max_error < math.inf:
@@ -50,10 +50,18 @@ def _is_count(value: float) -> bool:
     return math.isfinite(value) and value == int(value) and value >= 1
 
 
+def check_ratio(ratio: float) -> None:
+    """Raise an OptionError for a part of the faces that is none."""
+    if not 0.0 < ratio <= 1.0:
+        raise OptionError(f"ratio must be in (0, 1], got {ratio}")
+
+
+def target_count(ratio: float, face_count: int) -> int:
+    """The faces that a part of them is."""
+    return max(1, round(ratio * face_count))
+
+
 def read_goal(face_count: int, ratio: float | None, target_faces: int | None, max_error: float | None) -> Goal:
     """With an error limit alone, ordering goes on until the limit stops it."""
-    if ratio is not None:
-        target = max(1, round(ratio * face_count))
-    else:
-        target = 0 if target_faces is None else int(target_faces)
+    target = int(target_faces or 0) if ratio is None else target_count(ratio, face_count)
     return Goal(target, math.inf if max_error is None else max_error)

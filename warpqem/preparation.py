@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,7 @@ from warpqem.motion import MotionWatch
 from warpqem.order.nodes import NodeRecorder
 from warpqem.order.stage import OrderedMesh, OrderInput, OrderSettings, order_collapses
 from warpqem.place.clusters import PlaceSettings
+from warpqem.place.stage import Placer
 from warpqem.seams import Seams, read_seams
 
 __all__ = ["ORDER_END", "Prepared", "Progress", "plan_work", "prepare"]
@@ -46,7 +47,8 @@ class Prepared:
         goal: where to stop.
         plan: blocks of frames, and the memory for them.
         pinned: (V,) bool, input vertices that keep their position.
-        order_input: the mesh on the device.
+        quadric_scale: (V,) float32, scale of each input vertex's quadric.
+        order_input: the mesh on the device; None where it was ordered and let go.
         order_settings: how to order.
         place_settings: how to place.
         device: Warp device.
@@ -57,15 +59,25 @@ class Prepared:
     goal: Goal
     plan: MemoryPlan
     pinned: np.ndarray
-    order_input: OrderInput
+    quadric_scale: np.ndarray
+    order_input: OrderInput | None
     order_settings: OrderSettings
     place_settings: PlaceSettings
     device: str
 
     def order(self, progress: Progress | None = None, recorder: NodeRecorder | None = None) -> OrderedMesh:
         """Collapse edges down to the goal; ``recorder`` keeps every vertex on the way."""
+        assert self.order_input is not None
         listener = _order_progress(progress, len(self.mesh.faces), self.goal.target_faces)
         return order_collapses(self.order_input, self.order_settings, self.device, listener, recorder)
+
+    def placer(self, ordered: OrderedMesh) -> Placer:
+        """What places the vertices that ordering left."""
+        return Placer(self.mesh.faces, ordered, self.quadric_scale, self.pinned, self.place_settings, self.device)
+
+    def without_input(self) -> Prepared:
+        """The same without what only ordering needs."""
+        return replace(self, order_input=None)
 
     @property
     def blocks(self) -> list[slice]:
@@ -123,6 +135,7 @@ def prepare(
         goal=goal,
         plan=planned,
         pinned=pinned,
+        quadric_scale=scale,
         order_input=_order_input(spec, mesh, keys, weights, scale, seam, pinned, values, device),
         order_settings=OrderSettings(
             target_faces=goal.target_faces,

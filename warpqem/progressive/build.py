@@ -70,7 +70,7 @@ def _place_all(work: Prepared, levels: OrderedLevels, topology: SplitTopology, p
                 merged.ordered,
                 merged.kept,
                 merged.cluster,
-                work.order_input.quadric_scale,
+                work.quadric_scale,
                 work.pinned,
                 work.place_settings,
                 work.device,

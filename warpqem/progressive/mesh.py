@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from warpqem.arguments import check_ratio, target_count
 from warpqem.errors import OptionError
 from warpqem.progressive.splits import SplitTopology
 
@@ -107,9 +108,11 @@ class ProgressiveMesh:
             if not len(within):
                 raise OptionError(f"an error of {max_error} % was asked for, that of all levels here is larger")
             return int(within[0])
-        if ratio is not None and not 0.0 < ratio <= 1.0:
-            raise OptionError(f"ratio must be in (0, 1], got {ratio}")
-        target = max(1, round(ratio * self.face_count)) if ratio is not None else int(target_faces or 0)
+        if ratio is not None:
+            check_ratio(ratio)
+            target = target_count(ratio, self.face_count)
+        else:
+            target = int(target_faces or 0)
         split_count = int(np.searchsorted(self._face_counts, target, side="right")) - 1
         if split_count < 0:
             raise OptionError(f"{target} faces were asked for, the base mesh has {self.base_face_count}")

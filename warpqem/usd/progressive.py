@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Sdf, Usd, UsdGeom, Vt
 
+from warpqem.arguments import target_count
 from warpqem.errors import OptionError, ProgressiveFileError, StageError
 from warpqem.progressive import ProgressiveMesh, build_progressive, load, read_info, save
 from warpqem.progressive.container import FileInfo
@@ -185,7 +186,7 @@ def _find_level(path: str | os.PathLike[str], info: FileInfo, choice: LevelChoic
         # Errors fall from chunk to chunk, and the first level within is the coarsest.
         mesh = load(path)
         return mesh, mesh.splits_for(max_error=max_error)
-    target = choice.faces if choice.ratio is None else max(1, round(choice.ratio * info.face_count))
+    target = choice.faces if choice.ratio is None else target_count(choice.ratio, info.face_count)
     mesh = load(path, target_faces=target)
     return mesh, mesh.splits_for(target_faces=min(target or 0, info.face_count))
 
