@@ -73,7 +73,7 @@ def usd_work(path: Path, ratio: float, prim: str | None = None, frame_count: int
     source = max(sources, key=lambda s: len(s.topology.triangles))
     times = source.frame_times()
     mesh = source.read(times if times is None else times[:frame_count])
-    used, corners = np.unique(weld(mesh.faces, list(mesh.points))[mesh.faces], return_inverse=True)
+    used, corners = np.unique(weld(mesh.faces, mesh.points)[mesh.faces], return_inverse=True)
     faces = corners.reshape(-1, 3).astype(np.int32)
     return Work(f"{path.name} {mesh.path}", np.ascontiguousarray(mesh.points[:, used]), faces, _target(faces, ratio))
 

@@ -33,7 +33,10 @@ class Replacement:
     carrier: Carrier
 
     def write(self, layer: OverLayer, path: str) -> list[str]:
-        return layer.replace_mesh(path, self.times, self.points, self.faces, self.carrier)
+        samples = layer.point_samples(path, self.times)
+        samples.begin(*self.points.shape[:2], self.faces)
+        samples.write(slice(0, len(self.points)), self.points)
+        return layer.replace_mesh(path, samples, self.times, self.faces, self.carrier)
 
 
 def simplified(source: Usd.Stage, path: str = CLOTH) -> Replacement:
@@ -41,7 +44,7 @@ def simplified(source: Usd.Stage, path: str = CLOTH) -> Replacement:
     mesh_source = MeshSource(source.GetPrimAtPath(path), StagePoses(source))
     job = MeshJob.prepare(mesh_source, ReadOptions(bake=True))
     result = warpqem.simplify(job.frames, job.faces, target_faces=40, seams=job.seams.hold(), device="cpu")
-    return Replacement(*job.output_points(result), result.faces, job.carrier(result, "cpu"))
+    return Replacement(job.written_times, result.points, result.faces, job.carrier(result, "cpu"))
 
 
 def dressed_cloth(path: Path) -> Usd.Stage:

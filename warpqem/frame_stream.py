@@ -20,7 +20,11 @@ __all__ = [
     "FrameSink",
     "FrameSource",
     "FrameWriter",
+    "JoinedFrames",
+    "KeptFrames",
+    "LaterFrames",
     "NoFrames",
+    "SomeFrames",
     "read_ahead",
 ]
 
@@ -102,6 +106,79 @@ class ArrayFrames:
         return self._points[frames]
 
 
+class JoinedFrames:
+    """Frames of several sources, one after the other.
+
+    Args:
+        parts: sources of the same vertices, at least one.
+    """
+
+    def __init__(self, parts: Sequence[FrameSource]) -> None:
+        self._parts = [part for part in parts if part.frame_count] or list(parts[:1])
+
+    @property
+    def frame_count(self) -> int:
+        """Frames F."""
+        return sum(part.frame_count for part in self._parts)
+
+    @property
+    def vertex_count(self) -> int:
+        """Vertices V."""
+        return self._parts[0].vertex_count
+
+    @property
+    def dtype(self) -> np.dtype:
+        """Type of the points."""
+        return self._parts[0].dtype
+
+    def read(self, frames: slice) -> np.ndarray:
+        """Consecutive frames, of as many parts as they lie in."""
+        blocks, first = [], 0
+        for part in self._parts:
+            start, stop = max(frames.start - first, 0), min(frames.stop - first, part.frame_count)
+            if start < stop:
+                blocks.append(part.read(slice(start, stop)))
+            first += part.frame_count
+        return blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
+
+
+class SomeFrames:
+    """Consecutive frames of another source.
+
+    Args:
+        source: all frames.
+        start: the first one.
+        stop: the one after the last.
+    """
+
+    def __init__(self, source: FrameSource, start: int, stop: int) -> None:
+        self._source, self._start = source, start
+        self.frame_count, self.vertex_count, self.dtype = stop - start, source.vertex_count, source.dtype
+
+    def read(self, frames: slice) -> np.ndarray:
+        """Frames counted from the first one here."""
+        return self._source.read(slice(self._start + frames.start, self._start + frames.stop))
+
+
+class KeptFrames:
+    """Frames that are read once and kept, for sources that are slow and small.
+
+    Args:
+        source: the frames.
+    """
+
+    def __init__(self, source: FrameSource) -> None:
+        self._source = source
+        self.frame_count, self.vertex_count, self.dtype = source.frame_count, source.vertex_count, source.dtype
+        self._points: np.ndarray | None = None
+
+    def read(self, frames: slice) -> np.ndarray:
+        """A view of the frames."""
+        if self._points is None:
+            self._points = self._source.read(slice(0, self.frame_count))
+        return self._points[frames]
+
+
 class ArraySink:
     """Keeps the frames in an array.
 
@@ -118,6 +195,28 @@ class ArraySink:
     def write(self, frames: slice, points: np.ndarray) -> None:
         """Copy the frames."""
         self.points[frames] = points
+
+
+class LaterFrames:
+    """Passes on all frames but the first ones.
+
+    Args:
+        sink: takes the others.
+        skipped: how many frames it does not get to see.
+    """
+
+    def __init__(self, sink: FrameSink, skipped: int) -> None:
+        self._sink, self._skipped = sink, skipped
+
+    def begin(self, frame_count: int, vertex_count: int, faces: np.ndarray) -> None:
+        """Announce the frames but those skipped."""
+        self._sink.begin(frame_count - self._skipped, vertex_count, faces)
+
+    def write(self, frames: slice, points: np.ndarray) -> None:
+        """Pass on what is not skipped, numbered from nought."""
+        start = max(frames.start, self._skipped)
+        if start < frames.stop:
+            self._sink.write(slice(start - self._skipped, frames.stop - self._skipped), points[start - frames.start :])
 
 
 class NoFrames:

@@ -114,17 +114,18 @@ class MemoryNeeds:
 HELD_FACE, HELD_VERTEX = 60, 80
 # Ordering, for each face: corners, stars, costs and candidate lists, most of them twice; for each vertex: claims,
 # masks, flags, stars and the log; for each vertex and key frame: position 12, the same as it was 12, quadric 40, and
-# at first the normals of its two faces 24; for each corner and attribute channel: value, gradient, their fit.
-ORDER_FACE, ORDER_VERTEX, ORDER_KEY, ORDER_CHANNEL = 350, 150, 88, 120
+# at first the normals of its two faces 24; for each corner and attribute channel: value, gradient, their fit; for each
+# vertex and frame where the order needs them all: the position, and once more while vertices are put in another order.
+ORDER_FACE, ORDER_VERTEX, ORDER_KEY, ORDER_CHANNEL, ORDER_TRAJECTORY = 350, 150, 88, 200, 24
 # Placing, for each face: the rows of the clusters it has a part in, and what sorts them; for each output vertex: its
 # anchor's Gram matrix of 32 x 33 / 2 numbers, and members.
-PLACE_FACE, PLACE_OUTPUT = 300, 2500
+PLACE_FACE, PLACE_OUTPUT = 200, 2500
 # A frame of a block, for each output vertex: points and normals packed and not, as float64, as the caller's, and on
 # their way to the sink.
 FRAME_OUTPUT = 120
 # The refit, for each input vertex and key frame: the surface on the device and the host; for each input face and
 # vertex: pairs, search hierarchies; for each output vertex: the equations of its two faces, 9 blocks of 36 bytes each.
-REFIT_KEY, REFIT_FACE, REFIT_VERTEX, REFIT_OUTPUT = 24, 300, 300, 1500
+REFIT_KEY, REFIT_FACE, REFIT_VERTEX, REFIT_OUTPUT = 24, 150, 150, 1500
 
 
 def plan_memory(needs: MemoryNeeds, limit: int | str | None, device: str) -> MemoryPlan:
@@ -195,7 +196,7 @@ def _padded(frame_count: int, device: str) -> int:
 def _order(needs: MemoryNeeds, device: str) -> int:
     per_vertex = ORDER_VERTEX + ORDER_KEY * _padded(needs.key_frames, device)
     if needs.trajectories:
-        per_vertex += 12 * needs.frame_count
+        per_vertex += ORDER_TRAJECTORY * needs.frame_count
     per_face = ORDER_FACE + 3 * ORDER_CHANNEL * needs.channels
     return per_vertex * needs.vertex_count + per_face * needs.face_count
 

@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 
 from warpqem.errors import MeshShapeError, OptionError
+from warpqem.frame_blocks import frame_blocks
+from warpqem.frame_stream import ArrayFrames, FrameSource, read_ahead
 from warpqem.mesh_input import as_numpy
 
 __all__ = ["LEAST_SCALE", "MORPH_METHODS", "morph_distances", "morph_weights"]
@@ -34,7 +36,7 @@ def morph_weights(neutral: Any, targets: Any, method: str | WeightFunction = "th
 
     Args:
         neutral: (V, 3) points of the neutral shape.
-        targets: (T, V, 3) points of the targets.
+        targets: (T, V, 3) points of the targets, or a :class:`warpqem.FrameSource` of them.
         method: "thirds" as in the paper; "rank", from 0.33 to 1 linearly with a vertex's rank by distance, vertices
             as far as each other alike; "distance", linearly with the distance itself; "usage", the same, and ``usage``
             must be given; or a function that gets the distances (V,) and returns the scales (V,).
@@ -74,18 +76,26 @@ def morph_distances(neutral: Any, targets: Any, usage: Any = None) -> np.ndarray
 
     Arguments as for :func:`morph_weights`.
     """
-    start, ends = as_numpy(neutral), as_numpy(targets)
+    start = as_numpy(neutral)
     if start.ndim != 2 or start.shape[1] != 3 or start.dtype.kind not in "fiu":
         raise MeshShapeError(f"neutral must be (V, 3) numbers, got shape {start.shape} dtype {start.dtype}")
-    if ends.ndim != 3 or ends.shape[1:] != start.shape or ends.dtype.kind not in "fiu":
-        raise MeshShapeError(f"targets must be (T, {len(start)}, 3) numbers, got shape {ends.shape} dtype {ends.dtype}")
-    total = np.zeros(len(start))
-    for target, share in zip(ends, _usage(usage, len(ends)), strict=True):
-        total += share * np.linalg.norm(target.astype(np.float64) - start, axis=1)
+    ends = targets if isinstance(targets, FrameSource) else _checked_targets(as_numpy(targets), start)
+    total, shares = np.zeros(len(start)), _usage(usage, ends.frame_count)
+    for frames, block in read_ahead(ends.read, frame_blocks(ends.frame_count, max(1, len(start)))):
+        for target, share in zip(block, shares[frames], strict=True):
+            total += share * np.linalg.norm(target.astype(np.float64) - start, axis=1)
     bad = np.flatnonzero(~np.isfinite(total))
     if len(bad):
         raise MeshShapeError(f"neutral or a target has a point that is not finite at vertex {bad[0]}")
     return total
+
+
+def _checked_targets(targets: np.ndarray, neutral: np.ndarray) -> FrameSource:
+    if targets.ndim != 3 or targets.shape[1:] != neutral.shape or targets.dtype.kind not in "fiu":
+        raise MeshShapeError(
+            f"targets must be (T, {len(neutral)}, 3) numbers, got shape {targets.shape} dtype {targets.dtype}"
+        )
+    return ArrayFrames(targets)
 
 
 def _usage(usage: Any, target_count: int) -> np.ndarray:

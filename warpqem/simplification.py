@@ -252,6 +252,7 @@ def plan(
     target_faces: int | None = None,
     max_error: float | None = None,
     metric: str = "dsd",
+    coherence: float = 0.5,
     key_frames: int | None = 16,
     placement: str = "optimal",
     refit: bool = False,
@@ -267,7 +268,7 @@ def plan(
         OptionError, MeshShapeError, FaceIndexError, DegenerateMeshError, DeviceError: as for :func:`simplify`.
     """
     spec = cost_model(metric)
-    check_options((ratio, target_faces, max_error), 0.0, key_frames, placement)
+    check_options((ratio, target_faces, max_error), coherence, key_frames, placement)
     device = resolve_device(device)
     given = read_mesh(points, faces)
     goal = read_goal(len(given.faces), ratio, target_faces, max_error)

@@ -29,6 +29,7 @@ from warpqem.cli.options import (
 )
 
 if TYPE_CHECKING:
+    from warpqem.memory import MemoryPlan
     from warpqem.usd.report import PrimReport, StageReport
 
 __all__ = ["simplify"]
@@ -121,6 +122,14 @@ def simplify(
         ),
     ] = None,
     lock_borders: Annotated[bool, typer.Option("--lock-borders", help="Keep the points of open borders.")] = False,
+    memory: Annotated[
+        str | None,
+        typer.Option(
+            metavar="BYTES",
+            help="Memory that the work on a mesh may take beside the program itself, such as 8G or 500M; by default "
+            "most of what is free. It decides how many frames are in memory at once, and no bit of the result.",
+        ),
+    ] = None,
     frames: Frames = None,
     poses: Annotated[
         str | None,
@@ -183,6 +192,7 @@ def simplify(
         weight_primvar=weight_primvar,
         morph_weights=None if morph_weights is None else morph_weights.value,
         lock_borders=lock_borders,
+        memory=memory,
         frames=FrameRange.parse(frames) if frames else None,
         poses=poses,
         influences=influences,
@@ -194,13 +204,19 @@ def simplify(
         strict=strict,
     )
     with progress_bar("reading") as progress:
-        report = simplify_stage(input_file, output, options, progress)
+        report = simplify_stage(
+            input_file, output, options, progress, lambda name, plan: tell("plan", f"{name}: {plan}")
+        )
     _tell_problems(report)
     print_table(_table(report), to_stderr=json == "-")
     if json is not None:
         write_json(json, report.to_dict())
     if report.failed:
         raise typer.Exit(EXIT_FAILED)
+
+
+def _tell_plan(name: str, plan: MemoryPlan) -> None:
+    tell("plan", f"{name}: {plan}")
 
 
 def _level(prim: PrimReport) -> str:

@@ -13,7 +13,7 @@ import numpy.typing as npt
 import warpqem
 from warpqem.errors import DeviceError, OptionError, StageError, WarpqemError
 from warpqem.usd.frames import FrameRange
-from warpqem.usd.mesh import MeshSource
+from warpqem.usd.mesh import MeshSource, PoseFrames
 from warpqem.usd.report import name_prim
 from warpqem.usd.skel import StagePoses
 from warpqem.usd.stage import find_meshes, open_stage
@@ -120,8 +120,9 @@ def _color_mesh(
     times = source.frame_times(frames)
     if times is None or len(times) < 2:
         raise StageError(f"{report.path}: the mesh has one pose only, so nothing moves")
-    mesh = source.read(times)
-    found = warpqem.motion_features(mesh.points, mesh.faces, device=device)
+    mesh = source.layout(times)
+    frames = PoseFrames(source, mesh.times, mesh.used_points)
+    found = warpqem.motion_features(frames, mesh.faces, device=device)
     labels = np.full(source.point_count, -1, dtype=np.int32)
     labels[mesh.used_points] = found.label
     layer.set_vertex_colors(report.path, None, feature_colors(labels)[None])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,16 +11,21 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Sdf
 
+from warpqem.frame_blocks import frame_blocks
+from warpqem.frame_stream import ArrayFrames, FrameSource, JoinedFrames, KeptFrames, read_ahead
 from warpqem.simplification import SimplifiedMesh
 from warpqem.usd.blend_shapes import choose_targets
 from warpqem.usd.carrier import Carrier
 from warpqem.usd.frames import FrameRange
-from warpqem.usd.mesh import MeshSource, StageMesh
+from warpqem.usd.mesh import MeshLayout, MeshSource, PoseFrames
 from warpqem.usd.seams import MeshSeams, find_seams
 from warpqem.usd.skin import Skin, read_skin
 from warpqem.usd.weld import weld
 
 __all__ = ["MeshJob", "ReadOptions"]
+
+# Poses of up to so many bytes are kept once they have been read: as much as USD and Warp take themselves.
+KEPT_BYTES = 64 * 2**20
 
 
 @dataclass(frozen=True)
@@ -34,10 +40,10 @@ class _Fit:
     pose_centre: npt.NDArray[np.float64]
 
     @classmethod
-    def of(cls, rest: npt.NDArray[np.float32], poses: npt.NDArray[np.float32]) -> _Fit:
-        extents = [np.ptp(points.astype(np.float64), axis=0) for points in (rest, poses[0])]
+    def of(cls, rest: npt.NDArray[np.float32], pose: npt.NDArray[np.float32]) -> _Fit:
+        extents = [np.ptp(points.astype(np.float64), axis=0) for points in (rest, pose)]
         sizes = [float(np.linalg.norm(extent)) for extent in extents]
-        centres = [points.min(axis=0) + extent / 2 for points, extent in zip((rest, poses[0]), extents, strict=True)]
+        centres = [points.min(axis=0) + extent / 2 for points, extent in zip((rest, pose), extents, strict=True)]
         return cls(sizes[1] / sizes[0] if min(sizes) > 0 else 1.0, centres[0], centres[1])
 
     def apply(self, points: npt.NDArray[np.floating]) -> npt.NDArray[np.float32]:
@@ -70,24 +76,24 @@ class MeshJob:
 
     Attributes:
         source: The mesh on the stage.
-        mesh: Its triangles and poses.
+        mesh: Its triangles and when it is posed.
         faces: int32, shape (N, 3), its triangles on welded vertices; those that welding closed name a vertex twice.
         seams: Its seams.
         skin: What goes on deforming it; None for poses as point samples.
         unskinned_because: Why a skin is there but cannot be taken over; None if it can, or there is none.
-        frames: float32, shape (E + F, V, 3), welded vertices in use: first E that only say how the mesh is shaped, then
-            the poses. These E are the rest shape of a mesh with a skin and its blend shapes at full weight, or
-            example poses of one without.
+        frames: E + F frames of the welded vertices in use: first E that only say how the mesh is shaped, then the
+            poses. These E are the rest shape of a mesh with a skin and its blend shapes at full weight, or example
+            poses of one without.
         pose_start: E.
     """
 
     source: MeshSource
-    mesh: StageMesh
+    mesh: MeshLayout
     faces: npt.NDArray[np.int32]
     seams: MeshSeams
     skin: Skin | None
     unskinned_because: str | None
-    frames: npt.NDArray[np.float32]
+    frames: FrameSource
     pose_start: int
     _fit: _Fit | None
 
@@ -113,18 +119,22 @@ class MeshJob:
             StageError: a pose cannot be read.
         """
         options = options or ReadOptions()
-        mesh = source.read(source.frame_times(options.frames))
+        mesh = source.layout(source.frame_times(options.frames))
         if not len(mesh.faces):
-            return cls(source, mesh, mesh.faces, MeshSeams(), None, None, mesh.points, 0, None)
+            frames = PoseFrames(source, mesh.times, mesh.used_points)
+            return cls(source, mesh, mesh.faces, MeshSeams(), None, None, frames, 0, None)
         skin, reason = None, None
         if not options.bake:
             skin, reason = read_skin(source, shape_users or Counter(), options.influences)
-        shown = mesh.points[:0] if examples is None else examples.read(examples.frame_times()).points
-        vertex_point, faces, kept = mesh.used_points, mesh.faces, np.arange(len(mesh.used_points))
+        clips = [(source, mesh.times)]
+        if examples is not None:
+            clips.insert(0, (examples, examples.frame_times()))
+        joined = np.arange(len(mesh.used_points))
         if options.weld:
-            joined = weld(faces, [*shown, *_what_moves(mesh, skin)])
-            kept, vertex = np.unique(joined, return_inverse=True)
-            vertex_point, faces = vertex_point[kept], vertex.ravel().astype(np.int32)[faces]
+            shown = [PoseFrames(*clip, mesh.used_points) for clip in clips]
+            joined = weld(mesh.faces, _what_moves(mesh, skin, shown))
+        kept, vertex = np.unique(joined, return_inverse=True)
+        vertex_point, faces = mesh.used_points[kept], vertex.ravel().astype(np.int32)[mesh.faces]
         seams = find_seams(
             source,
             faces,
@@ -132,39 +142,55 @@ class MeshJob:
             # Normals of a rest shape fit no pose, so that they are dropped where poses are written.
             with_normals=skin is not None or not source.has_skin_binding,
         )
-        poses, shown = mesh.points[:, kept], shown[:, kept]
+        poses = [_kept_if_small(PoseFrames(*clip, vertex_point)) for clip in clips]
         if skin is None:
-            frames = np.concatenate([shown, poses])
-            return cls(source, mesh, faces, seams, None, reason, frames, len(shown), None)
-        poses = shown if len(shown) else poses
+            start = sum(part.frame_count for part in poses[:-1])
+            return cls(source, mesh, faces, seams, None, reason, JoinedFrames(poses), start, None)
+        # Examples take the place of the mesh's own poses.
         rest = skin.rest_points[vertex_point]
         targets = [rest + offsets[vertex_point] for offsets in choose_targets(skin.shapes)]
-        fit = _Fit.of(rest, poses)
+        fit = _Fit.of(rest, poses[0].read(slice(0, 1))[0])
         extra = fit.apply(np.stack([rest, *targets]))
-        return cls(source, mesh, faces, seams, skin, None, np.concatenate([extra, poses]), len(extra), fit)
+        frames = JoinedFrames([ArrayFrames(extra), poses[0]])
+        return cls(source, mesh, faces, seams, skin, None, frames, len(extra), fit)
 
-    def output_points(self, result: SimplifiedMesh) -> tuple[list[float] | None, npt.NDArray[np.float32]]:
-        """Times and points to write: the rest shape of a mesh with a skin, else its poses."""
-        if self._fit is None:
-            return self.mesh.times, result.points[self.pose_start :]
-        return None, self._fit.undo(result.points[:1])
+    @property
+    def pose_count(self) -> int:
+        """How many of `frames` are poses."""
+        return self.frames.frame_count - self.pose_start
+
+    @property
+    def written_times(self) -> list[float] | None:
+        """Times of the points to write: those of the poses; None for the rest shape of a mesh with a skin."""
+        return self.mesh.times if self._fit is None else None
+
+    def rest_shape(self, result: SimplifiedMesh) -> npt.NDArray[np.float32]:
+        """The rest shape of a mesh with a skin, simplified: float32, shape (1, V', 3)."""
+        assert self._fit is not None
+        return self._fit.undo(result.points[:1])
 
     def carrier(self, result: SimplifiedMesh, device: str | None) -> Carrier:
         """Where the simplified mesh gets its values from."""
-        return Carrier(self.source, self.faces, self.frames[0], result, self.seams, device)
+        return Carrier(self.source, self.faces, self.frames.read(slice(0, 1))[0], result, self.seams, device)
 
 
-def _what_moves(mesh: StageMesh, skin: Skin | None) -> list[npt.NDArray[Any]]:
-    """Everything that points must agree in to be one vertex: (V, ...) each."""
-    arrays: list[npt.NDArray[Any]] = list(mesh.points)
-    if skin is None:
-        return arrays
-    arrays.append(skin.rest_points[mesh.used_points])
-    for influences in skin.influences.values():
-        arrays += [influences.joints[mesh.used_points], influences.weights[mesh.used_points]]
-    for shape in skin.shapes:
-        # Normal offsets are values on the surface; they do not move it.
-        arrays += [
-            array[mesh.used_points] for name, array in shape.arrays.items() if not name.endswith("normalOffsets")
-        ]
-    return arrays
+def _kept_if_small(frames: PoseFrames) -> FrameSource:
+    """Poses that fit in little memory are read once, and skinned or interpolated once."""
+    return KeptFrames(frames) if 12 * frames.frame_count * frames.vertex_count <= KEPT_BYTES else frames
+
+
+def _what_moves(mesh: MeshLayout, skin: Skin | None, clips: Sequence[PoseFrames]) -> Iterator[npt.NDArray[Any]]:
+    """Everything that points must agree in to be one vertex: (V, ...) each; first what is in memory already."""
+    if skin is not None:
+        yield skin.rest_points[mesh.used_points]
+        for influences in skin.influences.values():
+            yield influences.joints[mesh.used_points]
+            yield influences.weights[mesh.used_points]
+        for shape in skin.shapes:
+            for name, array in shape.arrays.items():
+                # Normal offsets are values on the surface; they do not move it.
+                if not name.endswith("normalOffsets"):
+                    yield array[mesh.used_points]
+    for clip in clips:
+        for _, points in read_ahead(clip.read, frame_blocks(clip.frame_count, clip.vertex_count)):
+            yield from points

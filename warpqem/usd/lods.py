@@ -96,6 +96,8 @@ class LevelLayer(ABC):
         copy_stage_metadata(self._source, self._layer)
         self._layer.defaultPrim = self._root.GetName()
         self._names: list[str] = []
+        # Point samples are in the files of the edits until the levels are saved.
+        self._edits: list[OverLayer] = []
         self._start()
         for other in source.GetPseudoRoot().GetAllChildren():
             if other != self._root and other.HasDefiningSpecifier():
@@ -147,6 +149,7 @@ class LevelLayer(ABC):
         self._names.append(name)
         path = self._place(name)
         if edits is not None:
+            self._edits.append(edits)
             self._copy(edits.layer, path)
         self._reference(self._layer.GetPrimAtPath(path), self.path)
         return name

@@ -1,4 +1,4 @@
-"""Read a mesh with all its poses."""
+"""Read a mesh and its poses."""
 
 from __future__ import annotations
 
@@ -15,35 +15,92 @@ from warpqem.usd.skel import MeshPoser, StagePoses
 from warpqem.usd.stage import world_scale
 from warpqem.usd.topology import Topology, read_topology
 
-__all__ = ["MeshSource", "StageMesh"]
+__all__ = ["MeshLayout", "MeshSource", "PoseFrames", "StageMesh"]
 
 
 @dataclass(frozen=True)
-class StageMesh:
-    """A triangle mesh with one topology and a pose for each frame.
+class MeshLayout:
+    """A triangle mesh with one topology and a pose for each frame, which are not read yet.
 
     Attributes:
         path: Prim path.
         times: Time code of each frame; None for a mesh that does not move, read at the default time.
-        points: float32, shape (F, V, 3), local space; only points that a face uses.
-        faces: int32, shape (N, 3), indices into `points`, authored winding.
-        used_points: int32, shape (V,), the authored point that each vertex is.
+        faces: int32, shape (N, 3), indices into the points that a face uses, authored winding.
+        used_points: int32, shape (V,), the authored point that each of these is.
         left_handed: True where the front of a face shows its corners clockwise.
         world_scale: World units per local unit at the first frame.
     """
 
     path: str
     times: list[float] | None
-    points: npt.NDArray[np.float32]
     faces: npt.NDArray[np.int32]
     used_points: npt.NDArray[np.int32]
     left_handed: bool
     world_scale: float
 
     @property
+    def frame_count(self) -> int:
+        """Number of poses."""
+        return 1 if self.times is None else len(self.times)
+
+    @property
     def right_handed_faces(self) -> npt.NDArray[np.int32]:
         """The faces in counter-clockwise winding, int32, shape (N, 3)."""
         return np.ascontiguousarray(self.faces[:, ::-1]) if self.left_handed else self.faces
+
+
+@dataclass(frozen=True)
+class StageMesh(MeshLayout):
+    """The same with all its poses.
+
+    Attributes:
+        points: float32, shape (F, V, 3), local space; only points that a face uses.
+    """
+
+    points: npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class PoseFrames:
+    """Poses of a mesh as a `warpqem.FrameSource`, read from the stage each time.
+
+    Attributes:
+        source: The mesh.
+        times: Time code of each frame; None for one frame at the default time.
+        point: int32, shape (V,), the authored point that each vertex is.
+    """
+
+    source: MeshSource
+    times: list[float] | None
+    point: npt.NDArray[np.int32]
+
+    @property
+    def frame_count(self) -> int:
+        """Number of poses."""
+        return 1 if self.times is None else len(self.times)
+
+    @property
+    def vertex_count(self) -> int:
+        """Number of vertices."""
+        return len(self.point)
+
+    @property
+    def dtype(self) -> np.dtype[np.float32]:
+        """Type of the points."""
+        return np.dtype(np.float32)
+
+    def read(self, frames: slice) -> npt.NDArray[np.float32]:
+        """Points of consecutive frames, float32, shape (n, V, 3), local space.
+
+        Raises:
+            StageError: see `MeshSource.points_at`.
+        """
+        times = [None] if self.times is None else self.times
+        chosen = times[frames]
+        points = np.empty((len(chosen), len(self.point), 3), dtype=np.float32)
+        for pose, time in zip(points, chosen, strict=True):
+            np.take(self.source.points_at(time), self.point, axis=0, out=pose)
+        return points
 
 
 class MeshSource:
@@ -127,26 +184,28 @@ class MeshSource:
             raise StageError(f"{self.path}.points: point {vertex} at time {name} is {points[vertex].tolist()}")
         return points
 
-    def read(self, times: Sequence[float] | None) -> StageMesh:
-        """Read the mesh at `times` (None: one frame at the default time), without the points that no face uses.
-
-        Raises:
-            StageError: see `points_at`.
-        """
+    def layout(self, times: Sequence[float] | None) -> MeshLayout:
+        """The mesh at `times` (None: one frame at the default time), without the points that no face uses."""
         used, corners = np.unique(self.topology.triangles, return_inverse=True)
-        points = np.empty((1 if times is None else len(times), len(used), 3), dtype=np.float32)
-        for frame, time in enumerate([None] if times is None else times):
-            points[frame] = self.points_at(time)[used]
         first = Usd.TimeCode.Default() if times is None else Usd.TimeCode(times[0])
-        return StageMesh(
+        return MeshLayout(
             path=self.path,
             times=None if times is None else list(times),
-            points=points,
             faces=corners.reshape(-1, 3).astype(np.int32),
             used_points=used.astype(np.int32),
             left_handed=self.left_handed,
             world_scale=world_scale(self.prim, first),
         )
+
+    def read(self, times: Sequence[float] | None) -> StageMesh:
+        """The same with all its poses.
+
+        Raises:
+            StageError: see `points_at`.
+        """
+        layout = self.layout(times)
+        frames = PoseFrames(self, layout.times, layout.used_points)
+        return StageMesh(**vars(layout), points=frames.read(slice(0, frames.frame_count)))
 
     def _posed(self, value: object, code: Usd.TimeCode) -> npt.NDArray[np.float32]:
         if self.poser is not None:

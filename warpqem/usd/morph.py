@@ -9,6 +9,7 @@ import numpy.typing as npt
 from pxr import Usd, UsdGeom, UsdSkel
 
 from warpqem.errors import OptionError, StageError
+from warpqem.frame_stream import SomeFrames
 from warpqem.morph import MORPH_METHODS, morph_weights
 from warpqem.usd.blend_shapes import read_shapes
 from warpqem.usd.job import MeshJob
@@ -58,7 +59,7 @@ def morph_scale(job: MeshJob, method: str | None, examples: MeshSource | None = 
     shapes = enumerate(read_shapes(source.prim, source.point_count) or [])
     offsets = {index: shape.arrays["offsets"] for index, shape in shapes if "offsets" in shape.arrays}
     if offsets:
-        point = np.empty(job.frames.shape[1], dtype=np.int64)
+        point = np.empty(job.frames.vertex_count, dtype=np.int64)
         point[job.faces] = source.topology.triangles
         usage = _shape_weights(examples or source)[:, list(offsets)] if method == "usage" else None
         # From the offsets themselves: added to the rest points, equal ones would round apart.
@@ -66,13 +67,16 @@ def morph_scale(job: MeshJob, method: str | None, examples: MeshSource | None = 
         return morph_weights(np.zeros_like(targets[0]), targets, method, usage)
     if source.has_skin_binding:
         return None
-    own = job.frames[job.pose_start :]
-    targets = job.frames[: job.pose_start] if job.pose_start else own[1:]
-    if not len(targets):
+    own = SomeFrames(job.frames, job.pose_start, job.frames.frame_count)
+    if job.pose_start:
+        targets = SomeFrames(job.frames, 0, job.pose_start)
+    else:
+        targets = SomeFrames(job.frames, 1, job.frames.frame_count)
+    if not targets.frame_count:
         return None
     if method == "usage":
         raise StageError(f"{job.mesh.path}: morph weights by usage need blend shapes that an animation drives")
-    return morph_weights(own[0], targets, method)
+    return morph_weights(own.read(slice(0, 1))[0], targets, method)
 
 
 def _shape_weights(source: MeshSource) -> npt.NDArray[np.float64]:

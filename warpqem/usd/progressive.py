@@ -170,7 +170,7 @@ def _reading(options: BuildOptions) -> ReadOptions:
 
 def _in_world(job: MeshJob) -> npt.NDArray[np.float64]:
     """The poses (F, V, 3) as the stage shows them."""
-    points = job.frames.astype(np.float64)
+    points = job.frames.read(slice(0, job.frames.frame_count)).astype(np.float64)
     for index, time in enumerate(job.mesh.times or [None]):
         code = Usd.TimeCode.Default() if time is None else Usd.TimeCode(time)
         matrix = np.array(UsdGeom.XformCache(code).GetLocalToWorldTransform(job.source.prim))

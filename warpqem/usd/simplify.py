@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -15,6 +16,9 @@ from pxr import Sdf, Usd
 
 import warpqem
 from warpqem.errors import DeviceError, OptionError, StageError, UnreachableTargetError, WarpqemError
+from warpqem.frame_blocks import frame_blocks
+from warpqem.frame_stream import LaterFrames, NoFrames, read_ahead
+from warpqem.memory import MemoryPlan, parse_bytes
 from warpqem.screen import ScreenView
 from warpqem.usd.attributes import AttributeWeights, check_names, check_weights, weighted_fields
 from warpqem.usd.blend_shapes import count_shape_users
@@ -25,6 +29,7 @@ from warpqem.usd.job import MeshJob, ReadOptions
 from warpqem.usd.lods import LevelReport, VariantLevels, check_lods
 from warpqem.usd.mesh import MeshSource
 from warpqem.usd.morph import check_morph, morph_scale
+from warpqem.usd.point_samples import PointSamples
 from warpqem.usd.report import PrimReport, StageReport, name_prim
 from warpqem.usd.skel import StagePoses
 from warpqem.usd.stage import find_meshes, open_stage
@@ -38,6 +43,7 @@ __all__ = ["SimplifyOptions", "simplify_stage"]
 TRIAL_FACES = 4
 
 Progress = Callable[[float, str], None]
+Announce = Callable[[str, MemoryPlan], None]
 Save = Callable[[Path], None]
 Result = TypeVar("Result")
 
@@ -68,6 +74,8 @@ class SimplifyOptions:
         morph_weights: Scale the error of what moves more between the shapes of a mesh, see `warpqem.morph_weights`:
             "thirds", "rank", "distance" or "usage"; None for no weights.
         lock_borders: Points at edges with one face keep their position.
+        memory: Bytes that the work on a mesh may take, beside what the program and USD hold already, or text such as
+            "8G"; None for most of what is free. It decides how many frames are in memory at once.
         frames: Time codes to read; None for all authored ones.
         poses: USD file with example poses, see `warpqem.usd.example_poses`: they decide how a mesh with a skin is
             simplified instead of its own animation, and how one without is beside it. None for none.
@@ -97,6 +105,7 @@ class SimplifyOptions:
     weight_primvar: str | None = None
     morph_weights: str | None = None
     lock_borders: bool = False
+    memory: int | str | None = None
     frames: FrameRange | None = None
     poses: str | os.PathLike[str] | None = None
     influences: int | None = None
@@ -124,6 +133,8 @@ class SimplifyOptions:
             raise OptionError(f"max_error {self.max_error:g}: expected a percentage above 0")
         if self.influences is not None and self.influences < 1:
             raise OptionError(f"influences {self.influences}: expected at least 1")
+        if self.memory is not None:
+            parse_bytes(self.memory)
         check_lods(self.lods)
         check_weights(self.uv_weight, self.attribute_weights)
         if self.lods and self.flatten:
@@ -137,6 +148,7 @@ def simplify_stage(
     output_path: str | os.PathLike[str],
     options: SimplifyOptions,
     progress: Progress | None = None,
+    announce: Announce | None = None,
 ) -> StageReport:
     """Simplify every mesh of a USD file over all its frames and write the result.
 
@@ -151,6 +163,7 @@ def simplify_stage(
         output_path: .usd, .usda or .usdc file; replaced if it exists.
         options: What to do.
         progress: Called with the fraction done and what is being done.
+        announce: Called with the name of each mesh and the memory plan for it, before the work on it.
 
     Returns:
         A report on every mesh, level after level where `options.lods` is given. Nothing is written if all meshes fail.
@@ -164,29 +177,58 @@ def simplify_stage(
     output = check_output_path(output_path, [input_path])
     stage = open_stage(input_path)
     progress = progress or (lambda fraction, text: None)
-    report, save = (_simplify_levels if options.lods else _simplify_once)(stage, options, progress)
-    report.input = os.fspath(input_path)
-    if len(report.failed) < len(report.prims):
-        save(output)
-        report.output = os.fspath(output_path)
+    announce = announce or (lambda name, plan: None)
+    with ExitStack() as cleanup:
+        context = _Context(stage, options, output.parent, progress, announce, cleanup)
+        report, save = (_simplify_levels if options.lods else _simplify_once)(context)
+        report.input = os.fspath(input_path)
+        if len(report.failed) < len(report.prims):
+            save(output)
+            report.output = os.fspath(output_path)
     return report
 
 
-def _simplify_once(stage: Usd.Stage, options: SimplifyOptions, progress: Progress) -> tuple[StageReport, Save]:
-    run = _Run(stage, options, progress)
-    return run.simplify(), lambda output: run.layer.save(output, options.flatten)
+@dataclass(frozen=True)
+class _Context:
+    """What all runs over a stage share.
+
+    Attributes:
+        stage: The input.
+        options: What to do.
+        folder: Where the output is going to be.
+        progress: Called with the fraction done and what is being done.
+        announce: Called with the plan of each mesh.
+        cleanup: Ends when all is saved.
+    """
+
+    stage: Usd.Stage
+    options: SimplifyOptions
+    folder: Path
+    progress: Progress
+    announce: Announce
+    cleanup: ExitStack
 
 
-def _simplify_levels(stage: Usd.Stage, options: SimplifyOptions, progress: Progress) -> tuple[StageReport, Save]:
+def _simplify_once(context: _Context) -> tuple[StageReport, Save]:
+    run = _Run(context)
+    return run.simplify(), lambda output: run.layer.save(output, context.options.flatten)
+
+
+def _simplify_levels(context: _Context) -> tuple[StageReport, Save]:
     """Every level is a run from the input of its own, so that it equals what its ratio alone would give."""
-    levels = (UsdLodLevels if options.usd_lod else VariantLevels)(stage, options.prims)
+    options = context.options
+    levels = (UsdLodLevels if options.usd_lod else VariantLevels)(context.stage, options.prims)
     reports: list[PrimReport] = []
     for index, ratio in enumerate(options.lods):
 
         def part(fraction: float, text: str, index: int = index) -> None:
-            progress((index + fraction) / len(options.lods), f"LOD{index + 1}: {text}")
+            context.progress((index + fraction) / len(options.lods), f"LOD{index + 1}: {text}")
 
-        run = _Run(stage, replace(options, ratio=ratio, lods=(), usd_lod=False), part, levels.path)
+        def announce(name: str, plan: MemoryPlan, index: int = index) -> None:
+            context.announce(f"LOD{index + 1}: {name}", plan)
+
+        single = replace(options, ratio=ratio, lods=(), usd_lod=False)
+        run = _Run(replace(context, options=single, progress=part, announce=announce), levels.path)
         report = run.simplify()
         name = levels.add(run.layer, report.face_share)
         reports += [LevelReport(**vars(prim), level=name) for prim in report.prims]
@@ -196,21 +238,15 @@ def _simplify_levels(stage: Usd.Stage, options: SimplifyOptions, progress: Progr
 class _Run:
     """One pass over the meshes of a stage."""
 
-    def __init__(
-        self,
-        stage: Usd.Stage,
-        options: SimplifyOptions,
-        progress: Progress,
-        within: Sdf.Path = Sdf.Path.absoluteRootPath,
-    ) -> None:
-        self.stage = stage
-        self.options = options
-        self.progress = progress
+    def __init__(self, context: _Context, within: Sdf.Path = Sdf.Path.absoluteRootPath) -> None:
+        self.stage, self.options = context.stage, context.options
+        self.progress, self.announce = context.progress, context.announce
         self.within = within
-        self.poses = StagePoses(stage)
-        self.examples = None if options.poses is None else ExamplePoses(stage, options.poses)
-        self.shape_users = count_shape_users(stage)
-        self.layer = OverLayer(stage)
+        self.poses = StagePoses(self.stage)
+        self.examples = None if self.options.poses is None else ExamplePoses(self.stage, self.options.poses)
+        self.shape_users = count_shape_users(self.stage)
+        self.layer = OverLayer(self.stage, context.folder)
+        context.cleanup.callback(self.layer.close)
         self.reports: dict[str, PrimReport] = {}
 
     def simplify(self) -> StageReport:
@@ -280,41 +316,59 @@ class _Run:
             examples=self._examples_of(source),
         )
         report = self.reports[job.mesh.path]
-        report.frames = len(job.frames) - job.pose_start
+        report.frames = job.pose_count
         report.faces_before = report.faces_after = len(job.mesh.faces)
-        report.vertices_before = report.vertices_after = job.mesh.points.shape[1]
+        report.vertices_before = report.vertices_after = len(job.mesh.used_points)
         return job
 
     def _examples_of(self, source: MeshSource) -> MeshSource | None:
         return None if self.examples is None else self.examples.source(source)
 
     def _call_core(
-        self, job: MeshJob, progress: Progress, seams: npt.NDArray[np.int32], **goal: float | int | None
+        self,
+        job: MeshJob,
+        progress: Progress,
+        seams: npt.NDArray[np.int32],
+        sink: warpqem.FrameSink,
+        **goal: float | int | None,
     ) -> warpqem.SimplifiedMesh:
+        shared: dict[str, Any] = {
+            "metric": self.options.metric,
+            "coherence": self.options.coherence,
+            "refit": self.options.refit,
+            "placement": self.options.placement,
+            "key_frames": self.options.key_frames,
+            "attributes": weighted_fields(job.source, self.options.uv_weight, self.options.attribute_weights),
+            "memory": self.options.memory,
+            "sink": sink,
+            "device": self.options.device,
+            **goal,
+        }
+        plan = warpqem.plan(job.frames, job.faces, **shared)
+        self.announce(job.mesh.path, plan)
+        self.reports[job.mesh.path].plan = plan.to_dict()
         return warpqem.simplify(
             job.frames,
             job.faces,
-            metric=self.options.metric,
-            coherence=self.options.coherence,
-            refit=self.options.refit,
-            placement=self.options.placement,
-            key_frames=self.options.key_frames,
             vertex_weights=painted_weights(job, self.options.weight_primvar),
             quadric_scale=morph_scale(job, self.options.morph_weights, self._examples_of(job.source)),
             lock_borders=self.options.lock_borders,
             seams=seams,
-            attributes=weighted_fields(job.source, self.options.uv_weight, self.options.attribute_weights),
-            device=self.options.device,
             progress=progress,
-            **goal,
+            **shared,
         )
 
     def _as_far_as_it_goes(
-        self, job: MeshJob, progress: Progress, seams: npt.NDArray[np.int32], target_faces: int
+        self,
+        job: MeshJob,
+        progress: Progress,
+        seams: npt.NDArray[np.int32],
+        sink: warpqem.FrameSink,
+        target_faces: int,
     ) -> warpqem.SimplifiedMesh:
         """Simplify to a face count, or to the last legal collapse before it."""
         try:
-            return self._call_core(job, progress, seams, target_faces=target_faces)
+            return self._call_core(job, progress, seams, sink, target_faces=target_faces)
         except UnreachableTargetError as error:
             if error.result is None:
                 raise
@@ -326,12 +380,12 @@ class _Run:
         face_count = len(job.mesh.faces)
         if face_count <= TRIAL_FACES:
             return CostCurve(face_count, np.zeros(0), np.zeros(0, dtype=np.int64))
-        result = self._as_far_as_it_goes(job, progress, job.seams.hold(), TRIAL_FACES)
+        result = self._as_far_as_it_goes(job, progress, job.seams.hold(), NoFrames(), TRIAL_FACES)
         return CostCurve.from_log(
             face_count=face_count,
             cost=result.log.cost,
             faces_removed=result.log.faces_removed,
-            unit_length=_diagonal(job) * job.mesh.world_scale,
+            unit_length=result.diagonal * job.mesh.world_scale,
             frame_count=len(result.key_frames),
         )
 
@@ -347,19 +401,37 @@ class _Run:
         if target_faces is not None and target_faces >= face_count:
             report.status, report.message = "kept", "the mesh has no more faces than asked for"
             return
+        samples = self.layer.point_samples(job.mesh.path, job.written_times)
+        try:
+            result = self._result(job, progress, samples, target_faces)
+            report.stopped = result.stopped
+            if len(result.log):
+                self._write(job, samples, result, report)
+                report.dropped += job.seams.let_go(job.faces, result.face_map)
+                return
+            report.status, report.message = "kept", f"nothing could be removed ({report.stopped})"
+        except WarpqemError:
+            samples.discard()
+            raise
+        samples.discard()
+
+    def _result(
+        self, job: MeshJob, progress: Progress, samples: PointSamples, target_faces: int | None
+    ) -> warpqem.SimplifiedMesh:
+        """The simplified mesh, its points with `samples`."""
+        # Of a mesh with a skin the rest shape alone is written; it is the first frame.
+        sink = NoFrames() if job.skin is not None else LaterFrames(samples, job.pose_start)
         seams = job.seams.hold()
         if target_faces is None:
-            result = self._call_core(job, progress, seams, max_error=self._error_limit(job))
+            result = self._call_core(job, progress, seams, sink, max_error=self._error_limit(job))
         elif self.options.strict:
-            result = self._call_core(job, progress, seams, target_faces=target_faces)
+            result = self._call_core(job, progress, seams, sink, target_faces=target_faces)
         else:
-            result = self._as_far_as_it_goes(job, progress, seams, target_faces)
-        report.stopped = result.stopped
-        if not len(result.log):
-            report.status, report.message = "kept", f"nothing could be removed ({report.stopped})"
-            return
-        self._write(job, result, report)
-        report.dropped += job.seams.let_go(job.faces, result.face_map)
+            result = self._as_far_as_it_goes(job, progress, seams, sink, target_faces)
+        if job.skin is not None:
+            samples.begin(1, result.points.shape[1], result.faces)
+            samples.write(slice(0, 1), job.rest_shape(result))
+        return result
 
     def _error_limit(self, job: MeshJob) -> float | None:
         """Largest error of a mesh in % of its diagonal."""
@@ -367,10 +439,11 @@ class _Run:
             return self.options.max_error
         return 100.0 * self.options.screen.length / (_diagonal(job) * job.mesh.world_scale)
 
-    def _write(self, job: MeshJob, result: warpqem.SimplifiedMesh, report: PrimReport) -> None:
-        times, points = job.output_points(result)
+    def _write(self, job: MeshJob, samples: PointSamples, result: warpqem.SimplifiedMesh, report: PrimReport) -> None:
         carrier = job.carrier(result, self.options.device)
-        report.dropped = self.layer.replace_mesh(job.mesh.path, times, points, result.faces, carrier, job.skin)
+        report.dropped = self.layer.replace_mesh(
+            job.mesh.path, samples, job.written_times, result.faces, carrier, job.skin
+        )
         if job.unskinned_because is not None:
             report.dropped = [
                 f"{name} ({job.unskinned_because})" if name.startswith("skin binding") else name
@@ -384,4 +457,5 @@ class _Run:
 
 def _diagonal(job: MeshJob) -> float:
     """Largest bounding-box diagonal of a frame, in local units."""
-    return float(np.linalg.norm(np.ptp(job.frames.astype(np.float64), axis=1), axis=1).max())
+    blocks = read_ahead(job.frames.read, frame_blocks(job.frames.frame_count, job.frames.vertex_count))
+    return max(float(np.linalg.norm(np.ptp(points.astype(np.float64), axis=1), axis=1).max()) for _, points in blocks)

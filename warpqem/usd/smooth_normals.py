@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from pxr import Usd, UsdGeom, Vt
+from pxr import UsdGeom
 
-__all__ = ["is_shaded_by_subdivision", "vertex_normals", "write_vertex_normals"]
+__all__ = ["is_shaded_by_subdivision", "vertex_normals"]
 
 SMOOTH_SCHEMES = (UsdGeom.Tokens.catmullClark, UsdGeom.Tokens.loop)
 
@@ -44,23 +44,3 @@ def vertex_normals(points: npt.NDArray[np.float32], faces: npt.NDArray[np.int32]
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     normals = np.where(length > SHORTEST, normals / np.maximum(length, SHORTEST), [0.0, 0.0, 1.0])
     return normals.astype(np.float32)
-
-
-def write_vertex_normals(
-    mesh: UsdGeom.Mesh, times: list[float] | None, points: npt.NDArray[np.float32], faces: npt.NDArray[np.int32]
-) -> None:
-    """Author normals for each frame.
-
-    Args:
-        mesh: The mesh.
-        times: Time code of each frame, None for one frame at the default time.
-        points: float32, shape (F, V, 3).
-        faces: int32, shape (N, 3), in the winding of the mesh's authored orientation.
-    """
-    if mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded:
-        faces = faces[:, ::-1]
-    attribute = mesh.CreateNormalsAttr()
-    codes = [Usd.TimeCode.Default()] if times is None else [Usd.TimeCode(time) for time in times]
-    for code, pose in zip(codes, points, strict=True):
-        attribute.Set(Vt.Vec3fArray.FromNumpy(vertex_normals(pose, faces)), code)
-    mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)

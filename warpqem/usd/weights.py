@@ -56,7 +56,7 @@ def painted_weights(job: MeshJob, name: str | None) -> npt.NDArray[np.float64] |
     samples = primvar_samples(primvar)
     if not samples:
         raise StageError(f"{path}: has no values that could be weights")
-    weights = np.zeros(job.frames.shape[1])
+    weights = np.zeros(job.frames.vertex_count)
     for code, values in samples.items():
         where = "" if code.IsDefault() else f" at time {code.GetValue():g}"
         if values.shape != (count,) or values.dtype.kind not in "fiub":

@@ -24,16 +24,18 @@ def weld(faces: npt.NDArray[np.int32], arrays: Iterable[npt.NDArray[Any]]) -> np
 
     Args:
         faces: int32, shape (N, 3), vertices of each triangle.
-        arrays: (V, ...) each, what must be equal: points in every frame, joint influences, blend-shape offsets.
+        arrays: (V, ...) each, what must be equal: points in every frame, joint influences, blend-shape offsets. They
+            are looked at one after the other, and no more of them than it takes to tell all vertices apart.
 
     Returns:
         int32, shape (V,), the lowest vertex among those that are joined. A face that sewing closes has one of them at
         two of its corners.
     """
-    arrays = list(arrays)
     vertex_count = int(faces.max()) + 1
     itself = np.arange(vertex_count, dtype=np.int32)
-    sliver = _slivers(faces, arrays)
+    alike = _alike(vertex_count, arrays)
+    corners = alike[faces]
+    sliver = (corners == np.roll(corners, 1, axis=1)).any(axis=1)
     open_faces = faces[~sliver]
     tail, head = open_faces.ravel(), np.roll(open_faces, -1, axis=1).ravel()
     _, edge, face_count = np.unique(edge_key(tail, head, vertex_count), return_inverse=True, return_counts=True)
@@ -41,7 +43,9 @@ def weld(faces: npt.NDArray[np.int32], arrays: Iterable[npt.NDArray[Any]]) -> np
     border_vertices = np.unique(np.append(tail[on_border], head[on_border]))
     if not len(border_vertices):
         return itself
-    place = _places(border_vertices, arrays, vertex_count)
+    place = np.arange(vertex_count, dtype=np.int64)
+    _, lowest, group = np.unique(alike[border_vertices], return_index=True, return_inverse=True)
+    place[border_vertices] = border_vertices[lowest][group.ravel()]
     place_key = edge_key(place[tail], place[head], vertex_count)
     order = np.argsort(place_key, kind="stable")
     _, start, count = np.unique(place_key[order], return_index=True, return_counts=True)
@@ -57,30 +61,52 @@ def weld(faces: npt.NDArray[np.int32], arrays: Iterable[npt.NDArray[Any]]) -> np
     return np.where(np.isin(joined, corners[still_open]), itself, joined).astype(np.int32)
 
 
-def _slivers(faces: npt.NDArray[np.int32], arrays: list[npt.NDArray[Any]]) -> npt.NDArray[np.bool_]:
-    """(N,) whether two corners of a face agree in all arrays."""
-    tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
-    edge = np.arange(len(tail))
+def _alike(vertex_count: int, arrays: Iterable[npt.NDArray[Any]]) -> npt.NDArray[np.int64]:
+    """For each vertex the lowest one that agrees with it in all arrays.
+
+    The first array leaves few vertices that have a like, and only these are looked at in the others.
+    """
+    label = np.arange(vertex_count, dtype=np.int64)
+    member: npt.NDArray[np.int64] | None = None
     for array in arrays:
-        same = array[tail[edge]] == array[head[edge]]
-        edge = edge[same.all(axis=tuple(range(1, same.ndim)))]
-    sliver = np.zeros(len(faces), dtype=bool)
-    sliver[edge // 3] = True
-    return sliver
+        rows = array[:vertex_count].reshape(vertex_count, -1)
+        if member is None:
+            member = np.flatnonzero(_has_like(rows))
+            if not len(member):
+                break
+            label[member] = 0
+        elif (rows[member] == rows[label[member]]).all():
+            continue
+        label[member] = _split(label[member], rows[member], member)
+        _, group, size = np.unique(label[member], return_inverse=True, return_counts=True)
+        member = member[size[group.ravel()] > 1]
+        if not len(member):
+            break
+    return label
 
 
-def _places(
-    chosen: npt.NDArray[np.int32], arrays: Iterable[npt.NDArray[Any]], vertex_count: int
+def _has_like(rows: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
+    """Which rows may be equal to another one: those with the same hash as another."""
+    # Adding nought makes the two zeros of floating-point numbers one.
+    bits = (rows.astype(np.float64) + 0.0).view(np.uint64)
+    code = np.zeros(len(rows), dtype=np.uint64)
+    for column in bits.T:
+        # Multiplying by an odd constant and folding the high bits back (Steele, Lea and Flood 2014, splitmix64).
+        code = (code ^ column) * np.uint64(0xBF58476D1CE4E5B9)
+        code ^= code >> np.uint64(29)
+    _, group, size = np.unique(code, return_inverse=True, return_counts=True)
+    return np.asarray(size[group.ravel()] > 1, dtype=bool)
+
+
+def _split(
+    label: npt.NDArray[np.int64], rows: npt.NDArray[Any], vertex: npt.NDArray[np.int64]
 ) -> npt.NDArray[np.int64]:
-    """For each vertex the lowest of the chosen ones that agree with it in all arrays; others are alone."""
-    label = np.zeros(len(chosen), dtype=np.int64)
-    for array in arrays:
-        # Adding nought makes the two zeros of floating-point numbers one.
-        values = array[chosen].reshape(len(chosen), -1) + np.zeros(1, dtype=array.dtype)
-        _, rank = np.unique(values, axis=0, return_inverse=True)
-        _, label = np.unique(label * (len(chosen) + 1) + rank.ravel(), return_inverse=True)
-        label = label.ravel()
-    place = np.arange(vertex_count, dtype=np.int64)
-    _, first = np.unique(label, return_index=True)
-    place[chosen] = chosen[first][label]
-    return place
+    """New labels where rows with one label differ: the lowest vertex of those whose rows are equal."""
+    order = np.lexsort((vertex, *rows.T, label))
+    ordered = rows[order]
+    differs = (label[order][1:] != label[order][:-1]) | (ordered[1:] != ordered[:-1]).any(axis=1)
+    start = np.flatnonzero(np.append(True, differs))
+    lowest = np.repeat(vertex[order[start]], np.diff(np.append(start, len(order))))
+    split = np.empty_like(label)
+    split[order] = lowest
+    return split

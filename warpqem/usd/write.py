@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 import uuid
+import weakref
 from collections.abc import Iterable
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,16 +16,22 @@ from warpqem.errors import OptionError, StageError
 from warpqem.usd.arrays import anchored
 from warpqem.usd.carrier import Carrier
 from warpqem.usd.drop import Dropped, drop_skin, drop_subdivision
+from warpqem.usd.point_samples import PointSamples
 from warpqem.usd.primvars import carry_arrays, carry_motion, carry_normals, carry_primvars
 from warpqem.usd.skin import Skin
 from warpqem.usd.skin_output import write_skin
-from warpqem.usd.smooth_normals import is_shaded_by_subdivision, write_vertex_normals
 from warpqem.usd.stage import first_line
 from warpqem.usd.subsets import carry_subsets
 
 __all__ = ["OverLayer", "check_output_path", "copy_stage_metadata", "export_layer", "move_asset_paths", "relative_path"]
 
 OUTPUT_SUFFIXES = (".usd", ".usda", ".usdc")
+
+# Samples are saved to the temporary file when so many bytes of them are in memory.
+UNSAVED_BYTES = 8 * 2**20
+# A binary file has a time and a place in the file for each sample, 8 bytes each. They are written anew at each save,
+# and may come to one byte in four.
+SAMPLE_ENTRY_BYTES, TABLE_SHARE = 16, 4
 
 # Metadata of the input's root layer that belongs to that layer alone: its own sublayers and its own relocates compose
 # through it already.
@@ -66,49 +72,78 @@ def copy_stage_metadata(source: Sdf.Layer, target: Sdf.Layer) -> None:
             target.pseudoRoot.SetInfo(key, anchored(value, source) if isinstance(value, Sdf.AssetPath) else value)
 
 
-@dataclass(frozen=True)
-class _Weaker:
-    """Which default values an edited mesh already has below the new layer."""
-
-    points: bool
-    extent: bool
-
-
 class OverLayer:
-    """Edits over an input file, kept in memory until saved.
+    """Edits over an input file, in memory or in a temporary file, until they are saved.
 
     The stage of the edits has the input as its only sublayer and the same stage metadata.
     """
 
-    def __init__(self, source: Usd.Stage) -> None:
-        """Start an empty layer over the file that `source` was opened from."""
+    def __init__(self, source: Usd.Stage, folder: Path | None = None) -> None:
+        """Start an empty layer over the file that `source` was opened from.
+
+        Args:
+            source: Stage of the input.
+            folder: Where to keep a binary file for the edits, so that point samples need no memory once they are
+                authored; None to keep all in memory. The file goes away with this object, or with `close`.
+
+        Raises:
+            StageError: there can be no file in the folder.
+        """
         self._source = source.GetRootLayer()
-        self._layer = Sdf.Layer.CreateAnonymous("over.usda")
+        self._layer = Sdf.Layer.CreateAnonymous("over.usda") if folder is None else _create_layer(folder)
+        self._on_disk = folder is not None
+        file = Path(self._layer.realPath) if folder is not None else None
+        self._remove = weakref.finalize(self, file.unlink, missing_ok=True) if file else None
         copy_stage_metadata(self._source, self._layer)
         self._layer.subLayerPaths.append(self._source.realPath)
         self.stage: Usd.Stage = Usd.Stage.Open(self._layer)
         self._dropped: list[Dropped] = []
+        self._unsaved = self._samples = 0
+
+    def close(self) -> None:
+        """Remove the temporary file; nothing can be saved any more."""
+        if self._remove is not None:
+            self._remove()
 
     @property
     def layer(self) -> Sdf.Layer:
         """The edits."""
         return self._layer
 
-    def replace_mesh(
-        self,
-        path: str,
-        times: list[float] | None,
-        points: npt.NDArray[np.float32],
-        faces: npt.NDArray[np.int32],
-        carrier: Carrier,
-        skin: Skin | None = None,
-    ) -> list[str]:
-        """Give a mesh new faces and points, bring its values to them, and drop what cannot be brought.
+    def point_samples(self, path: str, times: list[float] | None) -> PointSamples:
+        """A sink for the points of the simplified mesh that `replace_mesh` is going to be called for.
 
         Args:
             path: Prim path of a mesh on the input.
             times: Time code of each frame, None for one frame at the default time.
-            points: float32, shape (F, V, 3), local space.
+        """
+        return PointSamples(UsdGeom.Mesh(self.stage.OverridePrim(path)), times, self._count_sample)
+
+    def _count_sample(self, size: int) -> None:
+        """Save the layer now and then: what is saved is let go of by USD, and read from the file when asked for."""
+        self._unsaved += size
+        self._samples += 1
+        # Each time the table of all samples is written again, so that it must not become most of what is written.
+        if self._on_disk and self._unsaved >= max(UNSAVED_BYTES, TABLE_SHARE * SAMPLE_ENTRY_BYTES * self._samples):
+            self._unsaved = 0
+            if not self._layer.Save():
+                raise StageError(f"{self._layer.realPath}: USD cannot write it")
+
+    def replace_mesh(
+        self,
+        path: str,
+        samples: PointSamples,
+        times: list[float] | None,
+        faces: npt.NDArray[np.int32],
+        carrier: Carrier,
+        skin: Skin | None = None,
+    ) -> list[str]:
+        """Give a mesh new faces, bring its values to them, and drop what cannot be brought.
+
+        Args:
+            path: Prim path of a mesh on the input.
+            samples: What has its new points already, in local space.
+            times: Time code of each frame, None for one frame at the default time.
             faces: int32, shape (N, 3), in the winding of the mesh's authored orientation.
             carrier: Where on the input the new points, faces and corners get their values from.
             skin: The skin that goes on deforming the points, which are then one frame, the rest shape; None for a mesh
@@ -116,29 +151,17 @@ class OverLayer:
 
         Returns:
             Names of what was dropped.
-
-        Raises:
-            StageError: a point is not finite, or a face refers to a point that does not exist; nothing is authored.
         """
-        _check_mesh(path, times, points, faces)
-        prim = self.stage.OverridePrim(path)
-        mesh = UsdGeom.Mesh(prim)
-        weaker = _Weaker(mesh.GetPointsAttr().Get() is not None, mesh.GetExtentAttr().Get() is not None)
-        smooth = is_shaded_by_subdivision(mesh)
-        dropped = self._carry_values(mesh, carrier, times, skin)
-        if smooth:
-            write_vertex_normals(mesh, times, points, faces)
+        mesh = UsdGeom.Mesh(self.stage.OverridePrim(path))
+        dropped = self._carry_values(mesh, carrier, times, skin, with_normals=not samples.smooth)
         counts = np.full(len(faces), 3, dtype=np.int32)
         mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(counts))
         mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(np.ascontiguousarray(faces.reshape(-1))))
         mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
-        extents = np.stack([points.min(axis=1), points.max(axis=1)], axis=1)
-        _author(mesh.CreatePointsAttr(), times, points, weaker.points)
-        _author(mesh.CreateExtentAttr(), times, extents, weaker.extent)
         return dropped.names
 
     def _carry_values(
-        self, mesh: UsdGeom.Mesh, carrier: Carrier, times: list[float] | None, skin: Skin | None
+        self, mesh: UsdGeom.Mesh, carrier: Carrier, times: list[float] | None, skin: Skin | None, with_normals: bool
     ) -> Dropped:
         dropped = Dropped()
         self._dropped.append(dropped)
@@ -148,7 +171,8 @@ class OverLayer:
         else:
             write_skin(self.stage, prim, skin, carrier)
         carry_primvars(prim, carrier, dropped)
-        carry_normals(mesh, carrier, dropped)
+        if with_normals:
+            carry_normals(mesh, carrier, dropped)
         carry_motion(prim, carrier, times or [], dropped)
         carry_arrays(prim, carrier, dropped)
         carry_subsets(mesh, carrier, dropped)
@@ -213,20 +237,11 @@ class OverLayer:
         return layer
 
 
-def _check_mesh(
-    path: str, times: list[float] | None, points: npt.NDArray[np.float32], faces: npt.NDArray[np.int32]
-) -> None:
-    """A file is read by others: never write into it what they would trip over."""
-    bad = ~np.isfinite(points).all(axis=2)
-    if bad.any():
-        frame, vertex = np.argwhere(bad)[0]
-        name = "default" if times is None else f"{times[frame]:g}"
-        raise StageError(
-            f"{path}.points: the simplified point {vertex} at time {name} is {points[frame, vertex].tolist()} "
-            f"({int(bad.sum())} such points)"
-        )
-    if faces.min() < 0 or faces.max() >= points.shape[1]:
-        raise StageError(f"{path}.faceVertexIndices: {faces.min()} to {faces.max()} for {points.shape[1]} points")
+def _create_layer(folder: Path) -> Sdf.Layer:
+    try:
+        return Sdf.Layer.CreateNew(os.fspath(folder / f".warpqem.{uuid.uuid4().hex}.usdc"))
+    except Tf.ErrorException as error:
+        raise StageError(f"{folder}: cannot be written to ({first_line(error)})") from error
 
 
 def _author(

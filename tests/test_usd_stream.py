@@ -1,0 +1,277 @@
+"""Point samples read and written a block at a time: the same bits, bounded memory, and nothing left behind."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pxr import Gf, Sdf, Usd, UsdGeom
+from test_cli import run
+from test_usd_stages import cloth_stage, define_cloth, quad_grid, skinned_stage, waves
+
+import warpqem
+from warpqem.errors import StageError
+from warpqem.usd import SimplifyOptions, color_features, simplify_stage
+from warpqem.usd.mesh import MeshSource, PoseFrames
+from warpqem.usd.skel import StagePoses
+from warpqem.usd.write import OverLayer
+
+TIMES = [float(time) for time in range(21)]
+CLOTH, BODY = "/Root/Cloth", "/Char/Body"
+
+
+def split_cloth(path: Path) -> Usd.Stage:
+    """A cloth whose every triangle has points of its own."""
+    stage = cloth_stage(path, times=TIMES, triangles=True)
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath(CLOTH))
+    indices = np.asarray(mesh.GetFaceVertexIndicesAttr().Get())
+    for time in TIMES:
+        mesh.GetPointsAttr().Set(np.asarray(mesh.GetPointsAttr().Get(time))[indices], time)
+    mesh.GetFaceVertexIndicesAttr().Set(np.arange(len(indices), dtype=np.int32))
+    stage.Save()
+    return stage
+
+
+def smooth_cloth(path: Path) -> Usd.Stage:
+    """A cloth that gets normals because it was smooth by subdivision."""
+    stage = cloth_stage(path, times=TIMES)
+    UsdGeom.Mesh(stage.GetPrimAtPath(CLOTH)).GetSubdivisionSchemeAttr().Set("catmullClark")
+    stage.Save()
+    return stage
+
+
+STAGES = {
+    "cache": (lambda path: cloth_stage(path, times=TIMES), {}),
+    "welded": (split_cloth, {}),
+    "smooth": (smooth_cloth, {}),
+    "skinned": (skinned_stage, {}),
+    "baked": (skinned_stage, {"bake": True}),
+    "flat": (lambda path: cloth_stage(path, times=TIMES), {"flatten": True}),
+    "levels": (lambda path: cloth_stage(path, times=TIMES), {"ratio": None, "lods": (0.5, 0.2)}),
+    "refit": (lambda path: cloth_stage(path, times=TIMES), {"refit": True}),
+    "aqem": (lambda path: cloth_stage(path, times=TIMES), {"metric": "aqem"}),
+}
+
+
+@pytest.fixture
+def in_small_blocks(monkeypatch):
+    """Nothing is kept between reads, blocks are as small as they can be, and every sample is saved at once."""
+
+    def shrink() -> None:
+        monkeypatch.setattr("warpqem.usd.job.KEPT_BYTES", 0)
+        monkeypatch.setattr("warpqem.frame_blocks.BLOCK_BYTES", 1)
+        monkeypatch.setattr("warpqem.memory.BLOCK_BYTES", 1)
+        monkeypatch.setattr("warpqem.usd.write.UNSAVED_BYTES", 1)
+        monkeypatch.setattr("warpqem.usd.write.TABLE_SHARE", 0)
+
+    return shrink
+
+
+def simplify(folder: Path, name: str, **options: object) -> Usd.Stage:
+    options = {"ratio": 0.3, "device": "cpu"} | options
+    report = simplify_stage(folder / "in.usda", folder / name, SimplifyOptions(**options))
+    assert [prim.status for prim in report.prims] == ["simplified"] * len(report.prims)
+    return Usd.Stage.Open(str(folder / name))
+
+
+def text_of(path: Path) -> str:
+    """All that a layer says."""
+    layer = Sdf.Layer.FindOrOpen(str(path))
+    return layer.ExportToString()
+
+
+def written(folder: Path, name: str, **options: object) -> str:
+    simplify(folder, name, **options)
+    return text_of(folder / name)
+
+
+@pytest.mark.parametrize("suffix", ["usdc", "usda"])
+@pytest.mark.parametrize("name", STAGES)
+def test_small_blocks_write_the_file_that_one_block_writes(name, suffix, tmp_path, in_small_blocks):
+    make, options = STAGES[name]
+    make(tmp_path / "in.usda")
+    whole = written(tmp_path, f"whole.{suffix}", **options)
+    in_small_blocks()
+    assert written(tmp_path, f"blocks.{suffix}", **options) == whole
+    assert sorted(path.name for path in tmp_path.iterdir()) == [f"blocks.{suffix}", "in.usda", f"whole.{suffix}"]
+
+
+def test_a_point_cache_gets_the_points_that_arrays_get(tmp_path, in_small_blocks):
+    stage = cloth_stage(tmp_path / "in.usda", times=TIMES, triangles=True)
+    poses = waves(quad_grid(8)[0], len(TIMES))
+    faces = np.asarray(UsdGeom.Mesh(stage.GetPrimAtPath(CLOTH)).GetFaceVertexIndicesAttr().Get())
+    expected = warpqem.simplify(poses, faces.reshape(-1, 3), ratio=0.3, device="cpu")
+    in_small_blocks()
+    stage = simplify(tmp_path, "out.usdc")
+    attribute = UsdGeom.Mesh(stage.GetPrimAtPath(CLOTH)).GetPointsAttr()
+    np.testing.assert_array_equal([attribute.Get(time) for time in TIMES], expected.points)
+
+
+def test_memory_decides_the_blocks_and_no_bit_of_the_result(tmp_path, monkeypatch):
+    monkeypatch.setattr("warpqem.usd.job.KEPT_BYTES", 0)
+    cloth_stage(tmp_path / "in.usda", times=TIMES)
+    whole = written(tmp_path, "whole.usda")
+    options = SimplifyOptions(ratio=0.3, device="cpu", memory="300K")
+    report = simplify_stage(tmp_path / "in.usda", tmp_path / "small.usda", options)
+    assert report.prims[0].plan["block_count"] > 1
+    assert report.prims[0].plan["peak_bytes"] <= 300 * 1024
+    assert text_of(tmp_path / "small.usda") == whole
+
+
+def test_memory_that_cannot_do_fails_the_mesh_before_a_frame_is_written(tmp_path):
+    cloth_stage(tmp_path / "in.usda", times=TIMES)
+    options = SimplifyOptions(ratio=0.3, device="cpu", memory="50K")
+    report = simplify_stage(tmp_path / "in.usda", tmp_path / "out.usda", options)
+    assert report.output is None
+    assert "/Root/Cloth: 81 vertices" in report.prims[0].message
+    assert "50K may be used; what would help: fewer key frames than 16" in report.prims[0].message
+    assert [path.name for path in tmp_path.iterdir()] == ["in.usda"]
+
+
+def test_the_plan_of_each_mesh_is_announced_before_its_work(tmp_path):
+    stage = cloth_stage(tmp_path / "in.usda", times=TIMES)
+    define_cloth(stage, "/Root/Other")
+    stage.Save()
+    seen = []
+    simplify_stage(
+        tmp_path / "in.usda",
+        tmp_path / "out.usda",
+        SimplifyOptions(ratio=0.3, device="cpu"),
+        progress=lambda part, text: seen.append(text),
+        announce=lambda name, plan: seen.append((name, plan.frame_count)),
+    )
+    assert seen.index((CLOTH, 21)) < seen.index("Cloth: read")
+    assert seen.index(("/Root/Other", 1)) < seen.index("Other: read")
+
+
+def test_levels_announce_their_plans_by_name(tmp_path):
+    cloth_stage(tmp_path / "in.usda", times=TIMES)
+    names = []
+    options = SimplifyOptions(lods=(0.5, 0.2), device="cpu")
+    simplify_stage(tmp_path / "in.usda", tmp_path / "out.usda", options, announce=lambda name, plan: names.append(name))
+    assert names == [f"LOD1: {CLOTH}", f"LOD2: {CLOTH}"]
+
+
+def test_the_command_line_prints_the_plan_and_reports_it(tmp_path):
+    cloth_stage(tmp_path / "in.usda", times=TIMES)
+    result = run(
+        "simplify", tmp_path / "in.usda", "-o", tmp_path / "out.usda", "--ratio", 0.3, "--memory", "1G",
+        "--device", "cpu", "--json", tmp_path / "report.json",
+    )  # fmt: skip
+    assert result.exit_code == 0
+    assert "plan: /Root/Cloth: 81 vertices, 128 faces, 21 frames in 1 block of 21, 16 key frames" in result.stderr
+    plan = json.loads((tmp_path / "report.json").read_text())["prims"][0]["plan"]
+    assert (plan["limit_bytes"], plan["frame_count"]) == (2**30, 21)
+
+
+def test_memory_that_is_no_number_of_bytes_is_wrong_usage(tmp_path):
+    cloth_stage(tmp_path / "in.usda")
+    result = run("simplify", tmp_path / "in.usda", "-o", tmp_path / "out.usda", "--ratio", 0.5, "--memory", "lots")
+    assert result.exit_code == 2
+    assert "error: memory 'lots': expected bytes above 0" in result.stderr
+
+
+def test_a_mesh_that_fails_half_way_leaves_no_trace(tmp_path, in_small_blocks):
+    in_small_blocks()
+    stage = cloth_stage(tmp_path / "in.usda", times=TIMES)
+    broken = define_cloth(stage, "/Root/Broken", times=TIMES)
+    broken.GetPointsAttr().Set(Sdf.ValueBlock(), 20.0)
+    stage.Save()
+    options = SimplifyOptions(ratio=0.3, device="cpu", weld=False)
+    report = simplify_stage(tmp_path / "in.usda", tmp_path / "out.usda", options)
+    assert [prim.status for prim in report.prims] == ["simplified", "failed"]
+    assert "no value at time 20" in report.prims[1].message
+    layer = Sdf.Layer.FindOrOpen(str(tmp_path / "out.usda"))
+    assert layer.GetPrimAtPath(CLOTH)
+    assert not layer.GetPrimAtPath("/Root/Broken")
+
+
+def test_a_mesh_that_is_kept_leaves_no_trace(tmp_path):
+    stage = cloth_stage(tmp_path / "in.usda", times=TIMES)
+    single = define_cloth(stage, "/Root/Single", size=1)
+    assert len(single.GetPointsAttr().Get()) == 4
+    stage.Save()
+    options = SimplifyOptions(max_error=1e-9, device="cpu")
+    report = simplify_stage(tmp_path / "in.usda", tmp_path / "out.usda", options)
+    assert [prim.status for prim in report.prims] == ["kept", "kept"]
+    assert not Sdf.Layer.FindOrOpen(str(tmp_path / "out.usda")).GetPrimAtPath("/Root/Single")
+
+
+def test_what_is_discarded_leaves_other_edits_of_the_prim(tmp_path):
+    layer = OverLayer(cloth_stage(tmp_path / "in.usda", times=TIMES))
+    layer.stage.OverridePrim(CLOTH).CreateAttribute("mark", Sdf.ValueTypeNames.Int).Set(1)
+    samples = layer.point_samples(CLOTH, TIMES)
+    samples.begin(21, 3, np.array([[0, 1, 2]], dtype=np.int32))
+    samples.write(slice(0, 2), np.zeros((2, 3, 3), dtype=np.float32))
+    samples.discard()
+    assert [item.name for item in layer.layer.GetPrimAtPath(CLOTH).properties] == ["mark"]
+
+
+def test_saved_samples_are_no_longer_held(tmp_path, in_small_blocks):
+    in_small_blocks()
+    layer = OverLayer(cloth_stage(tmp_path / "in.usda", times=TIMES), tmp_path)
+    samples = layer.point_samples(CLOTH, TIMES)
+    samples.begin(21, 3, np.array([[0, 1, 2]], dtype=np.int32))
+    samples.write(slice(0, 2), np.arange(18, dtype=np.float32).reshape(2, 3, 3))
+    assert not layer.layer.dirty
+    again = Sdf.Layer.OpenAsAnonymous(layer.layer.realPath)
+    assert again.ListTimeSamplesForPath(f"{CLOTH}.points") == TIMES[:2]
+    layer.close()
+
+
+def test_the_temporary_file_goes_away_with_its_layer(tmp_path):
+    layer = OverLayer(cloth_stage(tmp_path / "in.usda", times=TIMES), tmp_path)
+    file = Path(layer.layer.realPath)
+    assert file.parent == tmp_path
+    assert file.exists()
+    layer.close()
+    layer.close()
+    assert not file.exists()
+
+
+def test_no_temporary_file_is_left_when_a_run_fails(tmp_path):
+    stage = cloth_stage(tmp_path / "in.usda", times=TIMES)
+    UsdGeom.Mesh(stage.GetPrimAtPath(CLOTH)).GetPointsAttr().Set([Gf.Vec3f(0)], 3.0)
+    stage.Save()
+    with pytest.raises(StageError, match="1 points at time 3") as held:
+        simplify_stage(tmp_path / "in.usda", tmp_path / "out.usda", SimplifyOptions(ratio=0.5, strict=True))
+    assert [path.name for path in tmp_path.iterdir()] == ["in.usda"]
+    del held
+
+
+def test_a_folder_without_room_is_named(tmp_path):
+    stage = cloth_stage(tmp_path / "in.usda")
+    with pytest.raises(StageError, match=r"in\.usda: cannot be written to"):
+        OverLayer(stage, tmp_path / "in.usda")
+
+
+def test_poses_are_read_as_they_are_asked_for():
+    stage = cloth_stage(times=TIMES)
+    source = MeshSource(stage.GetPrimAtPath(CLOTH), StagePoses(stage))
+    frames = PoseFrames(source, TIMES, np.array([3, 1], dtype=np.int32))
+    poses = waves(quad_grid(8)[0], len(TIMES))
+    assert (frames.frame_count, frames.vertex_count) == (21, 2)
+    np.testing.assert_array_equal(frames.read(slice(4, 7)), poses[4:7, [3, 1]])
+
+
+def test_a_closed_mesh_is_not_read_for_welding(monkeypatch, tmp_path):
+    cloth_stage(tmp_path / "in.usda", times=TIMES)
+    read = []
+    original = MeshSource.points_at
+    monkeypatch.setattr(MeshSource, "points_at", lambda self, time: read.append(time) or original(self, time))
+    monkeypatch.setattr("warpqem.usd.job.KEPT_BYTES", 0)
+    monkeypatch.setattr("warpqem.frame_blocks.BLOCK_BYTES", 1)
+    monkeypatch.setattr("warpqem.memory.BLOCK_BYTES", 1)
+    simplify(tmp_path, "out.usda", key_frames=4)
+    # Twice all frames, the key frames, the reference pose, and at most two blocks to see that no points coincide.
+    assert len(read) <= 2 * len(TIMES) + 4 + 1 + 16
+
+
+def test_features_are_found_block_by_block(tmp_path, in_small_blocks):
+    skinned_stage(tmp_path / "in.usda")
+    color_features(tmp_path / "in.usda", tmp_path / "whole.usda", device="cpu")
+    in_small_blocks()
+    color_features(tmp_path / "in.usda", tmp_path / "blocks.usda", device="cpu")
+    assert (tmp_path / "blocks.usda").read_text() == (tmp_path / "whole.usda").read_text()
