@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import threading
 
 import meshes
@@ -14,6 +15,7 @@ from warpqem.frame_blocks import BLOCK_BYTES, frame_blocks
 from warpqem.frame_stream import ArraySink, FrameWriter, NoFrames, read_ahead
 from warpqem.key_frames import POSE_BYTES
 from warpqem.memory import format_bytes, parse_bytes
+from warpqem.order.stage import OrderedMesh, OrderInput
 
 FRAME_COUNT = 21
 
@@ -140,6 +142,17 @@ def test_errors_of_a_sink_come_through():
     options = {"ratio": 0.5, "sink": Full(), "device": "cpu"}
     with pytest.raises(OSError, match="disk full"):
         warpqem.simplify(POINTS, FACES, memory=least_memory(**options), **options)
+
+
+def test_what_ordering_needed_is_let_go_before_placing():
+    held = []
+
+    class Watcher(NoFrames):
+        def begin(self, frame_count: int, vertex_count: int, faces: np.ndarray) -> None:
+            held.extend(type(item).__name__ for item in gc.get_objects() if isinstance(item, (OrderInput, OrderedMesh)))
+
+    warpqem.simplify(POINTS, FACES, ratio=0.5, sink=Watcher(), device="cpu")
+    assert held == []
 
 
 def test_progress_is_reported_from_block_to_block():

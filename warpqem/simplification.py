@@ -150,8 +150,9 @@ def simplify(
     ordered = work.order(progress)
     placer, outcome = work.placer(ordered), _Outcome.of(ordered)
     # Placing has its own use for the memory of ordering.
+    work = work.without_input()
     del ordered
-    result = _finish(work.without_input(), placer, outcome, refit, sink, progress)
+    result = _finish(work, placer, outcome, refit, sink, progress)
     if work.goal.target_faces > 0 and result.stopped == "no legal collapse":
         raise UnreachableTargetError(
             f"{len(result.faces)} faces are left and no edge collapse is legal, "

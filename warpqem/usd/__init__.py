@@ -11,7 +11,7 @@ from typing import Any
 _HOMES = {
     "CompareOptions": "warpqem.usd.compare",
     "FrameRange": "warpqem.usd.frames",
-    "SimplifyOptions": "warpqem.usd.simplify",
+    "SimplifyOptions": "warpqem.usd.simplify_options",
     "color_features": "warpqem.usd.features",
     "compare_stages": "warpqem.usd.compare",
     "inspect_stage": "warpqem.usd.inspect",

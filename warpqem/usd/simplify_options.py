@@ -1,0 +1,110 @@
+"""What to do with the meshes of a USD file."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+
+from warpqem.errors import OptionError
+from warpqem.memory import parse_bytes
+from warpqem.screen import ScreenView
+from warpqem.usd.attributes import AttributeWeights, check_weights
+from warpqem.usd.frames import FrameRange
+from warpqem.usd.lods import check_lods
+
+__all__ = ["SimplifyOptions"]
+
+
+@dataclass(frozen=True)
+class SimplifyOptions:
+    """How to simplify. Exactly one of `ratio`, `faces`, `max_error`, `screen` and `lods` is given.
+
+    Attributes:
+        ratio: Share of its triangles that each mesh keeps, above 0 and at most 1.
+        faces: Triangles of all meshes together, split so that a face saves the same error on each.
+        max_error: Largest error of each mesh, in % of its bounding-box diagonal.
+        screen: Largest error of each mesh on a screen, at a distance in world units.
+        lods: Ratios of levels of detail, each smaller than the one before, between 0 and 1. The output offers the input
+            and one level for each ratio as variants LOD0, LOD1, ... of the root prim that holds the default prim.
+        usd_lod: With `lods`, write the levels as prims below that root prim, with the schemas of UsdLod, instead.
+        metric: Cost model, see `warpqem.simplify`.
+        coherence: 0 to 1, see `warpqem.simplify`.
+        refit: Fit the surface as a whole after placing its vertices, see `warpqem.simplify`.
+        placement: Vertex placement, see `warpqem.simplify`.
+        key_frames: Frames that decide the topology.
+        uv_weight: Weight of the error of texture coordinates in the order of collapses: at 1 an error of the whole UV
+            square counts as much as one bounding-box diagonal, see `warpqem.AttributeField`; 0 does not look at them.
+        attribute_weights: Names of primvars and the weights of their error; for a texture coordinate it takes the place
+            of `uv_weight`.
+        weight_primvar: Name of a primvar of numbers that scale the cost of collapses where it is painted; infinity
+            locks. None for none.
+        morph_weights: Scale the error of what moves more between the shapes of a mesh, see `warpqem.morph_weights`:
+            "thirds", "rank", "distance" or "usage"; None for no weights.
+        lock_borders: Points at edges with one face keep their position.
+        memory: Bytes that the work on a mesh may take, beside what the program and USD hold already, or text such as
+            "8G"; None for most of what is free. It decides how many frames are in memory at once.
+        frames: Time codes to read; None for all authored ones.
+        poses: USD file with example poses, see `warpqem.usd.example_poses`: they decide how a mesh with a skin is
+            simplified instead of its own animation, and how one without is beside it. None for none.
+        influences: Joints that move a new point of a skinned mesh at most; None for as many as in the input.
+        prims: Prim paths; meshes at and below them are simplified. Empty for all.
+        device: Warp device; None for the default.
+        bake: Write skinned and blend-shaped meshes as point samples without their skin.
+        weld: Join points of a mesh that differ in nothing that moves them before simplifying; what else differs between
+            them stays apart as faceVarying values.
+        flatten: Write one self-contained file instead of a layer over the input.
+        strict: Stop at the first mesh that cannot be done, also if it only misses its face count, and write nothing.
+    """
+
+    ratio: float | None = None
+    faces: int | None = None
+    max_error: float | None = None
+    screen: ScreenView | None = None
+    lods: tuple[float, ...] = ()
+    usd_lod: bool = False
+    metric: str = "dsd"
+    coherence: float = 0.5
+    refit: bool = False
+    placement: str = "optimal"
+    key_frames: int = 16
+    uv_weight: float = 0.0
+    attribute_weights: AttributeWeights = ()
+    weight_primvar: str | None = None
+    morph_weights: str | None = None
+    lock_borders: bool = False
+    memory: int | str | None = None
+    frames: FrameRange | None = None
+    poses: str | os.PathLike[str] | None = None
+    influences: int | None = None
+    prims: tuple[str, ...] = ()
+    device: str | None = None
+    bake: bool = False
+    weld: bool = True
+    flatten: bool = False
+    strict: bool = False
+
+    def __post_init__(self) -> None:
+        """Check the targets; the core checks the other options."""
+        given = [name for name in ("ratio", "faces", "max_error", "screen") if getattr(self, name) is not None]
+        given += ["lods"] if self.lods else []
+        if len(given) != 1:
+            raise OptionError(
+                f"exactly one of ratio, faces, max_error, screen and lods must be given, not {given or 'none'}"
+            )
+        if self.ratio is not None and not 0 < self.ratio <= 1:
+            hint = f"; for {self.ratio:g} % give {self.ratio / 100:g}" if 1 < self.ratio <= 100 else ""
+            raise OptionError(f"ratio {self.ratio:g}: expected a share above 0 and at most 1{hint}")
+        if self.faces is not None and self.faces < 1:
+            raise OptionError(f"faces {self.faces}: expected at least 1")
+        if self.max_error is not None and not self.max_error > 0:
+            raise OptionError(f"max_error {self.max_error:g}: expected a percentage above 0")
+        if self.influences is not None and self.influences < 1:
+            raise OptionError(f"influences {self.influences}: expected at least 1")
+        if self.memory is not None:
+            parse_bytes(self.memory)
+        check_lods(self.lods)
+        check_weights(self.uv_weight, self.attribute_weights)
+        if self.lods and self.flatten:
+            raise OptionError("lods and flatten exclude each other: every level is a layer over the input")
+        if self.usd_lod and not self.lods:
+            raise OptionError("usd_lod needs lods: the ratios of the levels")
