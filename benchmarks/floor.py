@@ -240,6 +240,24 @@ def _fit_anchor_weights(a: Arguments) -> Demand:
     return Demand(members * (keys * POINT + 2 * INT) + len(size) * (keys * ROW + 3 * INT), gram + solve)
 
 
+def _choose_nearest(a: Arguments) -> Demand:
+    # Every vertex and its distance; the chosen ones.
+    members = int(a["start_in"].numpy()[-1] - a["start_in"].numpy()[0])
+    chosen = int(a["chosen_start_in"].numpy()[-1] - a["chosen_start_in"].numpy()[0])
+    return Demand((members * 2 + chosen) * INT + 2 * _size(a["start_in"]))
+
+
+def _count_faces(a: Arguments) -> Demand:
+    corners = int(a["start_in"].numpy()[-1] - a["start_in"].numpy()[0])
+    return Demand(corners * INT + 2 * _size(a["start_in"]))
+
+
+def _list_faces(a: Arguments) -> Demand:
+    corners = int(a["start_in"].numpy()[-1] - a["start_in"].numpy()[0])
+    faces = int(a["face_start_in"].numpy()[-1] - a["face_start_in"].numpy()[0])
+    return Demand((corners * 2 + faces * 2) * INT + 2 * _size(a["start_in"]))
+
+
 def _place_vertices(a: Arguments) -> Demand:
     frames, clusters, outputs = _frames(a["points_in"]), a["clusters"], a["points_out"].shape[0]
     faces, members = clusters.face.size, clusters.member.size
@@ -285,6 +303,9 @@ _MODELS: dict[str, Callable[[Arguments], Demand]] = {
         _gather_vertex_quadrics,
         _measure_cluster_distances,
         _fit_anchor_weights,
+        _choose_nearest,
+        _count_faces,
+        _list_faces,
         _place_vertices,
         _count_flips,
     )

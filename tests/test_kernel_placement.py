@@ -10,7 +10,7 @@ from oracles import quadrics as oracle
 from warpqem.kernels.lanes import width_of
 from warpqem.kernels.placement import Clusters, count_flips, place_vertices
 from warpqem.order.quadrics import constraint_lists
-from warpqem.place.rows import sum_repeated
+from warpqem.place.rows import gather_faces, sum_repeated
 
 EPSILON = 0.3
 MESHES = {"closed": meshes.swaying_sphere(1, 3), "open": meshes.waving_grid(5, 3)}
@@ -123,3 +123,20 @@ def test_constraint_lists_of_a_closed_mesh_are_empty():
     vertex, start, half_edge = constraint_lists(meshes.octahedron()[1].ravel(), np.zeros(24, dtype=int))
     assert len(vertex) == len(half_edge) == 0
     assert start.tolist() == [0]
+
+
+def test_faces_of_clusters_are_the_repeated_items_of_their_corners(device):
+    faces = MESHES["closed"][1]
+    rng = np.random.default_rng(3)
+    cluster = rng.integers(-1, 4, size=faces.max() + 1).astype(np.int32)[faces].ravel()
+    weight = rng.uniform(1, 2, faces.size).astype(np.float32)
+    found = gather_faces(cluster, weight, 5, device)
+    expected = sum_repeated(cluster, np.arange(faces.size) // 3, weight, 5)
+    for a, b in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_no_item_makes_empty_rows():
+    start, item, weight = sum_repeated(np.array([-1, -1]), np.array([0, 1]), np.ones(2), 3)
+    assert start.tolist() == [0, 0, 0, 0]
+    assert len(item) == len(weight) == 0

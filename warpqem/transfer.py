@@ -17,7 +17,7 @@ from warpqem.device import resolve_device
 from warpqem.edges import edge_key
 from warpqem.kernels import transfer as kernels
 from warpqem.mesh_input import as_numpy
-from warpqem.place.rows import group_rows, sum_repeated
+from warpqem.place.rows import gather_faces, group_rows
 from warpqem.simplification import SimplifiedMesh
 
 __all__ = ["SurfaceTransfer", "blend", "is_proper", "joined_faces", "surface_transfer"]
@@ -94,9 +94,10 @@ def surface_transfer(
     device = resolve_device(device)
     pose, faces = as_numpy(points).astype(np.float64), np.ascontiguousarray(as_numpy(faces), dtype=np.int32)
     cluster = result.vertex_map[faces]
-    usable = np.flatnonzero((cluster >= 0).all(axis=1) & is_proper(faces))
+    usable = (cluster >= 0).all(axis=1) & is_proper(faces)
     vertex_count = result.points.shape[1]
-    start, face, _ = sum_repeated(cluster[usable].ravel(), np.repeat(usable, 3), np.ones(3 * len(usable)), vertex_count)
+    corner_cluster = np.where(usable[:, None], cluster, -1).ravel()
+    start, face, _ = gather_faces(corner_cluster, np.ones(faces.size, dtype=np.float32), vertex_count, device)
     owner = np.repeat(np.arange(vertex_count), np.diff(start))
     # Entry: one input face at one output vertex; (owner, face) ascends over the entries.
     entry_key = owner * len(faces) + face

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import warp as wp
 
 from warpqem.kernels import topology as kernels
@@ -9,7 +10,7 @@ from warpqem.kernels.topology import VertexStars
 from warpqem.order.steps import Phase, Step, part_work
 from warpqem.parallel import launch_parts, thread_count
 
-__all__ = ["Stars", "build_stars", "classify_vertices"]
+__all__ = ["Stars", "build_stars", "classify_vertices", "group_items"]
 
 
 class Stars:
@@ -88,6 +89,14 @@ def build_stars(
     stars = Stars(corner_vertex, face_count, vertex_count, spare)
     Step(stars.phases(thread_count(device)), device).run()
     return stars
+
+
+def group_items(group: np.ndarray, group_count: int, device: str) -> Stars:
+    """The items of each group as the star of a vertex; ``group`` (M,) int32 is the group of each item, -1 for none."""
+    # Corners come in threes.
+    corner_group = np.full(-(-len(group) // 3) * 3, -1, dtype=np.int32)
+    corner_group[: len(group)] = group
+    return build_stars(wp.array(corner_group, device=device), group_count)
 
 
 def classify_vertices(corner_vertex: wp.array, stars: Stars, vertex_flags: wp.array) -> wp.array:

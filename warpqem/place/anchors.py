@@ -8,8 +8,11 @@ import numpy as np
 import warp as wp
 
 from warpqem.kernels import anchor as kernels
+from warpqem.kernels import cluster_rows as row_kernels
 from warpqem.kernels.lanes import width_of
 from warpqem.order.stage import OrderedMesh
+from warpqem.order.stars import group_items
+from warpqem.parallel import launch_parts
 
 __all__ = ["Anchors", "fit_anchors", "nearest_anchors"]
 
@@ -39,23 +42,45 @@ def nearest_members(ordered: OrderedMesh, cluster: np.ndarray, cluster_count: in
     ``cluster`` (V,) is the output vertex of each input vertex, -1 where there is none.
     """
     device = ordered.position.device
-    distance = wp.empty(len(cluster), dtype=wp.float32, device=device)
-    wp.launch(
-        kernels.measure_cluster_distances[width_of(ordered.position)],
-        dim=len(cluster),
-        inputs=[wp.array(ordered.row[ordered.root], device=device), ordered.key_position, ordered.position],
-        outputs=[distance],
-        device=device,
-    )
-    vertex = np.flatnonzero(_may_anchor(ordered, cluster, cluster_count))
-    order = np.lexsort((distance.numpy()[vertex], cluster[vertex]))
-    vertex = vertex[order]
-    size = np.bincount(cluster[vertex], minlength=cluster_count)
-    rank = np.arange(len(vertex)) - np.repeat(np.cumsum(size) - size, size)
-    vertex = vertex[rank < most]
-    size = np.minimum(size, most)
+    distance = _cluster_distances(ordered, device)
+    eligible = np.where(_may_anchor(ordered, cluster, cluster_count), cluster, np.int32(-1))
+    groups = group_items(eligible, cluster_count, device)
+    group_start = groups.start.numpy()
+    size = np.minimum(np.diff(group_start), most)
     start = np.concatenate([[0], np.cumsum(size)]).astype(np.int32)
-    return Anchors(start, vertex.astype(np.int32), np.repeat(1.0 / size, size).astype(np.float32))
+    chosen_start, vertex = wp.array(start, device=device), wp.empty(int(start[-1]), dtype=wp.int32, device=device)
+
+    def choose(part: slice) -> None:
+        rows = slice(part.start, part.stop + 1)
+        wp.launch(
+            row_kernels.choose_nearest,
+            dim=part.stop - part.start,
+            inputs=[groups.start[rows], groups.corner, distance, chosen_start[rows]],
+            outputs=[vertex],
+            device=device,
+        )
+
+    launch_parts(row_kernels.choose_nearest, choose, cluster_count, device)
+    return Anchors(start, vertex.numpy(), np.repeat(1.0 / size, size).astype(np.float32))
+
+
+def _cluster_distances(ordered: OrderedMesh, device: str) -> wp.array:
+    """(V,) float32, squared distance over the key frames of each input vertex from where its cluster's vertex went."""
+    kernel = kernels.measure_cluster_distances[width_of(ordered.position)]
+    row = wp.array(ordered.row[ordered.root], device=device)
+    distance = wp.empty(len(row), dtype=wp.float32, device=device)
+
+    def measure(part: slice) -> None:
+        wp.launch(
+            kernel,
+            dim=part.stop - part.start,
+            inputs=[row[part], ordered.key_position[part], ordered.position],
+            outputs=[distance[part]],
+            device=device,
+        )
+
+    launch_parts(kernel, measure, len(row), device)
+    return distance
 
 
 def _may_anchor(ordered: OrderedMesh, cluster: np.ndarray, cluster_count: int) -> np.ndarray:
@@ -92,21 +117,23 @@ def fit_anchors(
     members = nearest_members(ordered, cluster, len(kept), MOST_MEMBERS)
     size = np.diff(members.start).astype(np.int64)
     matrix_start = np.concatenate([[0], np.cumsum(size * (size + 1) // 2)])
+    kernel = kernels.fit_anchor_weights[width_of(ordered.position)]
+    row = wp.array(ordered.row[kept], dtype=wp.int32, device=device)
+    member_start, member = (wp.array(a, device=device) for a in (members.start, members.vertex))
+    first_entry = wp.array(matrix_start.astype(np.int32), device=device)
+    matrix = wp.zeros(int(matrix_start[-1]), dtype=wp.float32, device=device)
     weight = wp.zeros(len(members.vertex), dtype=wp.float32, device=device)
-    wp.launch(
-        kernels.fit_anchor_weights[width_of(ordered.position)],
-        dim=len(kept),
-        inputs=[
-            wp.array(ordered.row[kept], dtype=wp.int32, device=device),
-            wp.array(members.start, device=device),
-            wp.array(members.vertex, device=device),
-            wp.array(matrix_start.astype(np.int32), device=device),
-            ordered.key_position,
-            ordered.position,
-            ordered.quadric,
-            regularisation,
-        ],
-        outputs=[wp.zeros(int(matrix_start[-1]), dtype=wp.float32, device=device), weight],
-        device=device,
-    )
+
+    def fit(part: slice) -> None:
+        rows = slice(part.start, part.stop + 1)
+        state = [ordered.key_position, ordered.position, ordered.quadric]
+        wp.launch(
+            kernel,
+            dim=part.stop - part.start,
+            inputs=[row[part], member_start[rows], member, first_entry[rows], *state, regularisation],
+            outputs=[matrix, weight],
+            device=device,
+        )
+
+    launch_parts(kernel, fit, len(kept), device)
     return Anchors(members.start, members.vertex, weight.numpy())

@@ -18,7 +18,7 @@ from warpqem.order.quadrics import CONSTRAINT_WEIGHT
 from warpqem.order.stage import OrderedMesh
 from warpqem.parallel import launch_parts
 from warpqem.place.anchors import Anchors, fit_anchors, nearest_anchors
-from warpqem.place.rows import sum_repeated
+from warpqem.place.rows import gather_faces, sum_repeated
 
 __all__ = ["ClusterPlacer", "PlaceSettings", "PlacedFrames"]
 
@@ -117,9 +117,8 @@ class ClusterPlacer:
     ) -> kernels.Clusters:
         """Faces, border and seam edges of each cluster, each once, weighted by its corners there."""
         corner_vertex = faces.ravel()
-        corner = np.arange(len(corner_vertex))
-        face_start, face, face_weight = sum_repeated(
-            self._cluster[corner_vertex], corner // 3, quadric_scale[corner_vertex], self.vertex_count
+        face_start, face, face_weight = gather_faces(
+            self._cluster[corner_vertex], quadric_scale[corner_vertex], self.vertex_count, self._device
         )
         half_edge = np.flatnonzero(constrained)
         weight = np.where(constrained[half_edge] == 1, CONSTRAINT_WEIGHT[1], CONSTRAINT_WEIGHT[2])

@@ -1,10 +1,15 @@
-"""Compressed rows on the host: items grouped by cluster."""
+"""Compressed rows: items grouped by cluster."""
 
 from __future__ import annotations
 
 import numpy as np
+import warp as wp
 
-__all__ = ["group_rows", "sum_repeated"]
+from warpqem.kernels import cluster_rows as kernels
+from warpqem.order.stars import build_stars
+from warpqem.parallel import launch_parts
+
+__all__ = ["gather_faces", "group_rows", "sum_repeated"]
 
 
 def group_rows(row: np.ndarray, row_count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -29,12 +34,57 @@ def sum_repeated(
     Returns:
         ``start`` (R+1,) int32, ``item`` int32 ascending within a row, ``weight`` float32.
     """
-    from scipy.sparse import coo_array  # here: commands that place nothing start without it
+    inside = np.flatnonzero(row >= 0)
+    order = inside[np.lexsort((item[inside], row[inside]))]
+    row, item = row[order], item[order]
+    first = np.ones(len(order), dtype=bool)
+    first[1:] = (row[1:] != row[:-1]) | (item[1:] != item[:-1])
+    summed = np.bincount(np.cumsum(first) - 1, weight[order]) if len(order) else np.empty(0)
+    start = np.concatenate([[0], np.cumsum(np.bincount(row[first], minlength=row_count))])
+    return start.astype(np.int32), item[first].astype(np.int32), summed.astype(np.float32)
 
-    if row.min(initial=0) < 0:
-        inside = row >= 0
-        row, item, weight = row[inside], item[inside], weight[inside]
-    item_count = int(item.max(initial=-1)) + 1
-    summed = coo_array((weight.astype(np.float64), (row, item)), shape=(row_count, item_count)).tocsr()
-    summed.sum_duplicates()
-    return summed.indptr.astype(np.int32), summed.indices.astype(np.int32), summed.data.astype(np.float32)
+
+def gather_faces(
+    corner_cluster: np.ndarray, corner_weight: np.ndarray, cluster_count: int, device: str
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The faces that have a corner in each cluster, each once: :func:`sum_repeated` for meshes of any size.
+
+    Args:
+        corner_cluster: (3N,) int32, the cluster of each corner; -1 for a corner to leave out.
+        corner_weight: (3N,) float32.
+        cluster_count: clusters C.
+        device: Warp device.
+
+    Returns:
+        ``start`` (C+1,) int32, ``face`` int32 ascending within a cluster, ``weight`` float32, the sum over its corners.
+    """
+    stars = build_stars(wp.array(corner_cluster, dtype=wp.int32, device=device), cluster_count)
+    count = wp.empty(cluster_count, dtype=wp.int32, device=device)
+
+    def count_part(part: slice) -> None:
+        wp.launch(
+            kernels.count_faces,
+            dim=part.stop - part.start,
+            inputs=[stars.start[part.start : part.stop + 1], stars.corner],
+            outputs=[count[part]],
+            device=device,
+        )
+
+    launch_parts(kernels.count_faces, count_part, cluster_count, device)
+    start = np.concatenate([[0], np.cumsum(count.numpy())]).astype(np.int32)
+    weight_in, start_in = (wp.array(a, device=device) for a in (corner_weight, start))
+    face = wp.empty(int(start[-1]), dtype=wp.int32, device=device)
+    weight = wp.empty(len(face), dtype=wp.float32, device=device)
+
+    def list_part(part: slice) -> None:
+        rows = slice(part.start, part.stop + 1)
+        wp.launch(
+            kernels.list_faces,
+            dim=part.stop - part.start,
+            inputs=[stars.start[rows], stars.corner, weight_in, start_in[rows]],
+            outputs=[face, weight],
+            device=device,
+        )
+
+    launch_parts(kernels.list_faces, list_part, cluster_count, device)
+    return start, face.numpy(), weight.numpy()

@@ -1,0 +1,81 @@
+"""Compressed rows of clusters: the nearest of their vertices, and their faces, each once."""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})  # no gradients are taken
+
+
+@wp.kernel
+def choose_nearest(
+    start_in: wp.array[wp.int32],
+    vertex_in: wp.array[wp.int32],
+    distance_in: wp.array[wp.float32],
+    chosen_start_in: wp.array[wp.int32],
+    # outputs
+    chosen_out: wp.array[wp.int32],
+):
+    """The nearest vertices of each cluster, as many as its row of ``chosen_out`` takes, the nearest first.
+
+    Vertices as near as each other stay in their order (insertion sort; rows are short).
+    """
+    cluster = wp.tid()
+    first = chosen_start_in[cluster]
+    most = chosen_start_in[cluster + 1] - first
+    count = wp.int32(0)
+    for i in range(start_in[cluster], start_in[cluster + 1]):
+        vertex = vertex_in[i]
+        distance = distance_in[vertex]
+        j = wp.int32(count)
+        while j > 0 and distance_in[chosen_out[first + j - 1]] > distance:
+            if j < most:
+                chosen_out[first + j] = chosen_out[first + j - 1]
+            j -= 1
+        if j < most:
+            chosen_out[first + j] = vertex
+            count = wp.min(count + 1, most)
+
+
+@wp.kernel
+def count_faces(
+    start_in: wp.array[wp.int32],
+    corner_in: wp.array[wp.int32],
+    # outputs
+    face_count_out: wp.array[wp.int32],
+):
+    """Faces with a corner in each cluster, whose corners come in ascending order."""
+    cluster = wp.tid()
+    count = wp.int32(0)
+    before = wp.int32(-1)
+    for i in range(start_in[cluster], start_in[cluster + 1]):
+        f = corner_in[i] // 3
+        if f != before:
+            count += 1
+        before = f
+    face_count_out[cluster] = count
+
+
+@wp.kernel
+def list_faces(
+    start_in: wp.array[wp.int32],
+    corner_in: wp.array[wp.int32],
+    corner_weight_in: wp.array[wp.float32],
+    face_start_in: wp.array[wp.int32],
+    # outputs
+    face_out: wp.array[wp.int32],
+    weight_out: wp.array[wp.float32],
+):
+    """The faces of each cluster, ascending, weighted by the sum over their corners in it."""
+    cluster = wp.tid()
+    j = face_start_in[cluster] - 1
+    before = wp.int32(-1)
+    weight = wp.float64(0.0)
+    for i in range(start_in[cluster], start_in[cluster + 1]):
+        h = corner_in[i]
+        f = h // 3
+        if f != before:
+            j += 1
+            weight = wp.float64(0.0)
+            face_out[j] = f
+        before = f
+        weight += wp.float64(corner_weight_in[h])
+        weight_out[j] = wp.float32(weight)
