@@ -143,6 +143,13 @@ def simplify(
         int | None,
         typer.Option(help="Joints that move a point of a skinned mesh at most; by default as many as in IN."),
     ] = None,
+    skin_fit: Annotated[
+        bool,
+        typer.Option(
+            "--skin-fit/--no-skin-fit",
+            help="Fit rest points and joint influences of skinned meshes together to their poses; or interpolate them.",
+        ),
+    ] = True,
     prim: Prims = None,
     device: Device = None,
     bake: Annotated[
@@ -196,6 +203,7 @@ def simplify(
         frames=FrameRange.parse(frames) if frames else None,
         poses=poses,
         influences=influences,
+        skin_fit=skin_fit,
         prims=tuple(prim or ()),
         device=device,
         bake=bake,

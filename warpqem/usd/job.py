@@ -22,14 +22,14 @@ from warpqem.usd.seams import MeshSeams, find_seams
 from warpqem.usd.skin import Skin, read_skin
 from warpqem.usd.weld import weld
 
-__all__ = ["MeshJob", "ReadOptions"]
+__all__ = ["MeshJob", "ReadOptions", "RestFit"]
 
 # Poses of up to so many bytes are kept once they have been read: as much as USD and Warp take themselves.
 KEPT_BYTES = 64 * 2**20
 
 
 @dataclass(frozen=True)
-class _Fit:
+class RestFit:
     """A scaling and a move that bring the rest shape to the size and place of the poses.
 
     The skeleton may work in other units than the mesh; frames of another size would count for more, or for nothing.
@@ -40,16 +40,25 @@ class _Fit:
     pose_centre: npt.NDArray[np.float64]
 
     @classmethod
-    def of(cls, rest: npt.NDArray[np.float32], pose: npt.NDArray[np.float32]) -> _Fit:
+    def of(cls, rest: npt.NDArray[np.float32], pose: npt.NDArray[np.float32]) -> RestFit:
+        """What brings this rest shape (V, 3) to the size and place of this pose (V, 3)."""
         extents = [np.ptp(points.astype(np.float64), axis=0) for points in (rest, pose)]
         sizes = [float(np.linalg.norm(extent)) for extent in extents]
         centres = [points.min(axis=0) + extent / 2 for points, extent in zip((rest, pose), extents, strict=True)]
         return cls(sizes[1] / sizes[0] if min(sizes) > 0 else 1.0, centres[0], centres[1])
 
     def apply(self, points: npt.NDArray[np.floating]) -> npt.NDArray[np.float32]:
+        """Rest points as large as the poses."""
         return ((points - self.rest_centre) * self.scale + self.pose_centre).astype(np.float32)
 
+    def moved(self, transforms: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Transforms (..., 3, 4) of rest points, for rest points that this has been applied to."""
+        linear = transforms[..., :3] / self.scale
+        origin = self.rest_centre - self.pose_centre / self.scale
+        return np.concatenate([linear, transforms[..., 3:] + (transforms[..., :3] @ origin)[..., None]], axis=-1)
+
     def undo(self, points: npt.NDArray[np.floating]) -> npt.NDArray[np.float32]:
+        """Such points as large as the rest shape again."""
         return ((points - self.pose_centre) / self.scale + self.rest_centre).astype(np.float32)
 
 
@@ -85,6 +94,7 @@ class MeshJob:
             poses. These E are the rest shape of a mesh with a skin and its blend shapes at full weight, or example
             poses of one without.
         pose_start: E.
+        rest_fit: What brought the rest shape of a mesh with a skin to the poses; None without one.
     """
 
     source: MeshSource
@@ -95,7 +105,7 @@ class MeshJob:
     unskinned_because: str | None
     frames: FrameSource
     pose_start: int
-    _fit: _Fit | None
+    rest_fit: RestFit | None
 
     @classmethod
     def prepare(
@@ -149,7 +159,7 @@ class MeshJob:
         # Examples take the place of the mesh's own poses.
         rest = skin.rest_points[vertex_point]
         targets = [rest + offsets[vertex_point] for offsets in choose_targets(skin.shapes)]
-        fit = _Fit.of(rest, poses[0].read(slice(0, 1))[0])
+        fit = RestFit.of(rest, poses[0].read(slice(0, 1))[0])
         extra = fit.apply(np.stack([rest, *targets]))
         frames = JoinedFrames([ArrayFrames(extra), poses[0]])
         return cls(source, mesh, faces, seams, skin, None, frames, len(extra), fit)
@@ -162,12 +172,12 @@ class MeshJob:
     @property
     def written_times(self) -> list[float] | None:
         """Times of the points to write: those of the poses; None for the rest shape of a mesh with a skin."""
-        return self.mesh.times if self._fit is None else None
+        return self.mesh.times if self.rest_fit is None else None
 
     def rest_shape(self, result: SimplifiedMesh) -> npt.NDArray[np.float32]:
         """The rest shape of a mesh with a skin, simplified: float32, shape (1, V', 3)."""
-        assert self._fit is not None
-        return self._fit.undo(result.points[:1])
+        assert self.rest_fit is not None
+        return self.rest_fit.undo(result.points[:1])
 
     def carrier(self, result: SimplifiedMesh, device: str | None) -> Carrier:
         """Where the simplified mesh gets its values from."""

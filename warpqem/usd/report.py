@@ -32,6 +32,7 @@ class PrimReport:
         seconds: Wall-clock time.
         dropped: What did not fit the new mesh and was taken off it.
         message: Why it failed, or why it was kept.
+        skin: "fitted" or "interpolated: " and why, for a mesh that joints go on moving point by point; None for others.
         plan: The blocks of frames it was done in, and the memory for it, see `warpqem.MemoryPlan`.
     """
 
@@ -48,6 +49,7 @@ class PrimReport:
     seconds: float = 0.0
     dropped: list[str] = field(default_factory=list)
     message: str | None = None
+    skin: str | None = None
     plan: dict[str, Any] | None = None
 
 

@@ -31,6 +31,7 @@ from warpqem.usd.point_samples import PointSamples
 from warpqem.usd.report import PrimReport, StageReport, name_prim
 from warpqem.usd.simplify_options import SimplifyOptions
 from warpqem.usd.skel import StagePoses
+from warpqem.usd.skin_fit import SkinFitter, why_not_fitted
 from warpqem.usd.stage import find_meshes, open_stage
 from warpqem.usd.usd_lod import UsdLodLevels
 from warpqem.usd.weights import check_weight_primvar, painted_weights
@@ -305,12 +306,13 @@ class _Run:
         if target_faces is not None and target_faces >= face_count:
             report.status, report.message = "kept", "the mesh has no more faces than asked for"
             return
+        fitter = self._fitter(job, report)
         samples = self.layer.point_samples(job.mesh.path, job.written_times)
         try:
-            result = self._result(job, progress, samples, target_faces)
+            result = self._result(job, progress, fitter or samples, target_faces)
             report.stopped = result.stopped
             if len(result.log):
-                self._write(job, samples, result, report)
+                self._write(job, samples, fitter, result, report)
                 report.dropped += job.seams.let_go(job.faces, result.face_map)
                 return
             report.status, report.message = "kept", f"nothing could be removed ({report.stopped})"
@@ -319,12 +321,29 @@ class _Run:
             raise
         samples.discard()
 
+    def _fitter(self, job: MeshJob, report: PrimReport) -> SkinFitter | None:
+        """What fits the skin of a mesh; None if it has none, or it is to be interpolated."""
+        if job.skin is None or not job.skin.influences:
+            return None
+        examples = self._examples_of(job.source)
+        poses = examples or job.source
+        reason = why_not_fitted(job.skin, poses) if self.options.skin_fit else "as asked for"
+        if reason is None:
+            report.skin = "fitted"
+            return SkinFitter(job, poses, poses.frame_times(self.options.frames if examples is None else None))
+        report.skin = f"interpolated: {reason}"
+        return None
+
     def _result(
-        self, job: MeshJob, progress: Progress, samples: PointSamples, target_faces: int | None
+        self, job: MeshJob, progress: Progress, taker: PointSamples | SkinFitter, target_faces: int | None
     ) -> warpqem.SimplifiedMesh:
-        """The simplified mesh, its points with `samples`."""
-        # Of a mesh with a skin the rest shape alone is written; it is the first frame.
-        sink = NoFrames() if job.skin is not None else LaterFrames(samples, job.pose_start)
+        """The simplified mesh; ``taker`` gets its points in the poses."""
+        sink: warpqem.FrameSink
+        if isinstance(taker, SkinFitter):
+            sink = taker
+        else:
+            # Of a mesh with a skin the rest shape alone is written; it is the first frame.
+            sink = NoFrames() if job.skin is not None else LaterFrames(taker, job.pose_start)
         seams = job.seams.hold()
         if target_faces is None:
             result = self._call_core(job, progress, seams, sink, max_error=self._error_limit(job))
@@ -332,9 +351,6 @@ class _Run:
             result = self._call_core(job, progress, seams, sink, target_faces=target_faces)
         else:
             result = self._as_far_as_it_goes(job, progress, seams, sink, target_faces)
-        if job.skin is not None:
-            samples.begin(1, result.points.shape[1], result.faces)
-            samples.write(slice(0, 1), job.rest_shape(result))
         return result
 
     def _error_limit(self, job: MeshJob) -> float | None:
@@ -343,11 +359,24 @@ class _Run:
             return self.options.max_error
         return 100.0 * self.options.screen.length / (_diagonal(job) * job.mesh.world_scale)
 
-    def _write(self, job: MeshJob, samples: PointSamples, result: warpqem.SimplifiedMesh, report: PrimReport) -> None:
+    def _write(
+        self,
+        job: MeshJob,
+        samples: PointSamples,
+        fitter: SkinFitter | None,
+        result: warpqem.SimplifiedMesh,
+        report: PrimReport,
+    ) -> None:
         carrier = job.carrier(result, self.options.device)
-        report.dropped = self.layer.replace_mesh(
-            job.mesh.path, samples, job.written_times, result.faces, carrier, job.skin
-        )
+        skin = job.skin
+        if skin is not None:
+            rest = job.rest_shape(result)
+            if fitter is not None:
+                fitted = fitter.fit(result, carrier, self.options.device)
+                skin, rest = replace(skin, fitted=fitted.influences), fitted.rest_points[None]
+            samples.begin(1, result.points.shape[1], result.faces)
+            samples.write(slice(0, 1), rest)
+        report.dropped = self.layer.replace_mesh(job.mesh.path, samples, job.written_times, result.faces, carrier, skin)
         if job.unskinned_because is not None:
             report.dropped = [
                 f"{name} ({job.unskinned_because})" if name.startswith("skin binding") else name

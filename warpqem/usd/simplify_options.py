@@ -47,6 +47,8 @@ class SimplifyOptions:
         poses: USD file with example poses, see `warpqem.usd.example_poses`: they decide how a mesh with a skin is
             simplified instead of its own animation, and how one without is beside it. None for none.
         influences: Joints that move a new point of a skinned mesh at most; None for as many as in the input.
+        skin_fit: Fit rest points and joint influences of skinned meshes together to their poses, see
+            `warpqem.skinning.fit`; otherwise influences are interpolated.
         prims: Prim paths; meshes at and below them are simplified. Empty for all.
         device: Warp device; None for the default.
         bake: Write skinned and blend-shaped meshes as point samples without their skin.
@@ -76,6 +78,7 @@ class SimplifyOptions:
     frames: FrameRange | None = None
     poses: str | os.PathLike[str] | None = None
     influences: int | None = None
+    skin_fit: bool = True
     prims: tuple[str, ...] = ()
     device: str | None = None
     bake: bool = False

@@ -148,6 +148,13 @@ class MeshPoser:
             )
         return self._to_local_space(np.asarray(points), time)
 
+    def shaped(self, rest_points: Vt.Vec3fArray, time: float | Usd.TimeCode) -> npt.NDArray[np.float32]:
+        """The rest points as blend shapes leave them to the joints, float32, shape (point count, 3)."""
+        points = Vt.Vec3fArray(rest_points)
+        if self.blend_shape_query is not None:
+            self._apply_blend_shapes(points, time)
+        return np.array(points, dtype=np.float32).reshape(-1, 3)
+
     def _apply_blend_shapes(self, points: Vt.Vec3fArray, time: float | Usd.TimeCode) -> None:
         assert self.blend_shape_query is not None
         weights = self.skeleton_query.GetAnimQuery().ComputeBlendShapeWeights(time)

@@ -38,12 +38,14 @@ class Skin:
         influences: At each sample, point by point; empty where one set of joints moves the whole mesh, or none.
         shapes: Its blend shapes.
         influence_limit: Joints that move a new point at most; None for as many as move an old one.
+        fitted: Influences of the new points; None to blend them from the old ones'.
     """
 
     rest_points: npt.NDArray[np.float32]
     influences: dict[Usd.TimeCode, Influences]
     shapes: list[ShapeData]
     influence_limit: int | None = None
+    fitted: Influences | None = None
 
     @property
     def diagonal(self) -> float:

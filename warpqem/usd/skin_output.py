@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
 
+from warpqem.skinning.skin import blend_influences as blend_arrays
+from warpqem.skinning.skin import normalised_weights
 from warpqem.usd.blend_shapes import write_shape
 from warpqem.usd.carrier import Carrier, Rows
 from warpqem.usd.skin import Influences, Skin
@@ -26,7 +27,9 @@ def write_skin(stage: Usd.Stage, prim: Usd.Prim, skin: Skin, carrier: Carrier) -
         carrier: Where the new points get their values from.
     """
     rows = carrier.vertices()
-    if skin.influences:
+    if skin.fitted is not None:
+        _write_influences(prim, dict.fromkeys(skin.influences, skin.fitted))
+    elif skin.influences:
         blended = {code: blend_influences(item, rows, skin.influence_limit) for code, item in skin.influences.items()}
         _write_influences(prim, blended)
     for shape in skin.shapes:
@@ -62,31 +65,5 @@ def blend_influences(influences: Influences, rows: Rows, most: int | None = None
     Returns:
         Influences in order of falling weight. A point without any weight keeps joint 0 with weight 0.
     """
-    size = influences.joints.shape[1] if most is None else most
-    row_count = len(rows.index)
-    joint_count = int(influences.joints.max(initial=0)) + 1
-    weight = (rows.weight[:, :, None].astype(np.float64) * influences.weights[rows.index]).ravel()
-    row = np.repeat(np.arange(row_count), len(weight) // max(row_count, 1))
-    key, entry = np.unique(row * joint_count + influences.joints[rows.index].ravel(), return_inverse=True)
-    total = np.bincount(entry.ravel(), weights=weight, minlength=len(key))
-    row, joint = key // joint_count, key % joint_count
-    order = np.lexsort((joint, -total, row))
-    row, joint, total = row[order], joint[order], total[order]
-    rank = np.arange(len(row)) - np.searchsorted(row, row)
-    kept = (rank < size) & (total > 0)
-    joints = np.zeros((row_count, size), dtype=np.int32)
-    weights = np.zeros((row_count, size))
-    joints[row[kept], rank[kept]] = joint[kept]
-    weights[row[kept], rank[kept]] = total[kept]
-    return Influences(joints, _sum_to_one(weights))
-
-
-def _sum_to_one(weights: npt.NDArray[np.float64]) -> npt.NDArray[np.float32]:
-    """Weights (V, K) in falling order, scaled so that each row sums to one in float32; rows of zeros stay."""
-    total = weights.sum(axis=1, keepdims=True)
-    scaled: npt.NDArray[np.float32] = np.divide(weights, total, out=np.zeros_like(weights), where=total > 0).astype(
-        np.float32
-    )
-    # What rounding leaves over goes to the largest weight, where it matters least.
-    scaled[:, 0] += np.where(total[:, 0] > 0, np.float32(1) - scaled.sum(axis=1, dtype=np.float32), np.float32(0))
-    return scaled
+    joints, weights = blend_arrays(influences.joints, influences.weights, rows.index, rows.weight, most)
+    return Influences(joints, normalised_weights(weights))

@@ -1,0 +1,1 @@
+"""Linear blend skins of simplified meshes."""

@@ -1,0 +1,197 @@
+"""Fit rest positions and skin weights of a simplified mesh to its poses ("Articulated meshes").
+
+A skin whose weights are only blended from the input's leaves the simplified surface where the poses of a rest mesh take
+it. Here every output vertex gets the rest position and the weights that together take it nearest to where placement
+put it in the poses, as its cluster's quadrics measure it; see :mod:`warpqem.kernels.skin_fit`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from warpqem.device import resolve_device
+from warpqem.errors import MeshShapeError, OptionError
+from warpqem.mesh_input import as_numpy
+from warpqem.simplification import SimplifiedMesh
+from warpqem.skinning.problem import CandidateRows, ClusterPlanes, SkinFit
+from warpqem.skinning.skin import (
+    LinearSkin,
+    blend_influences,
+    blend_skin,
+    largest_influences,
+    normalised_weights,
+    pose_skin,
+)
+from warpqem.transfer import surface_transfer
+
+__all__ = ["FittedSkin", "fit_skin"]
+
+# Joints that a vertex may choose from: those with the largest sum of weights over its cluster. The dense solves grow
+# with the cube of this, and a joint beyond it has next to no weight there.
+MOST_CANDIDATES = 16
+# A pose may differ so much from what skin and transforms give, in parts of the diagonal.
+POSE_TOLERANCE = 1e-3
+
+
+@dataclass(frozen=True)
+class FittedSkin:
+    """What :func:`fit_skin` returns.
+
+    Attributes:
+        skin: the skin of the output vertices: rest (C, 3) float32, joints (C, K) int32, weights (C, K) float32 in
+            order of falling weight, sum one.
+        before: RMS distance over poses of the vertices from their planes with the weights blended from the input's, in
+            % of the rest shape's diagonal, beyond that of the free placement.
+        after: the same of the fitted skin.
+    """
+
+    skin: LinearSkin
+    before: float
+    after: float
+
+
+def fit_skin(
+    points: Any,
+    faces: Any,
+    result: SimplifiedMesh,
+    skin: LinearSkin,
+    transforms: Any,
+    *,
+    start: LinearSkin | None = None,
+    influences: int | None = None,
+    offsets: Any = None,
+    start_offsets: Any = None,
+    seams: Any = None,
+    device: str | None = None,
+) -> FittedSkin:
+    """Fit the skin of a simplified mesh over P poses, the first of them the rest shape.
+
+    The more the poses have in common with those that the skin will see, the better; 16 to 32 that are far apart do.
+
+    Args:
+        points: (P, V, 3), the input in its poses, as given to :func:`warpqem.simplify`.
+        faces: (N, 3), the input's faces.
+        result: what that returned.
+        skin: the input's skin.
+        transforms: (P, J, 3, 4), see :func:`pose_skin`; identities in the first pose.
+        start: the skin of the output vertices to start from; None blends the input's at the nearest points of the rest
+            shape.
+        influences: joints that move an output vertex at most; None for as many as in the input's skin.
+        offsets: (P, V, 3), offsets of blend shapes in each pose, added to the rest points; None for none.
+        start_offsets: (P, C, 3), the same for the output vertices; needed with ``offsets`` and ``start``.
+        seams: (S, 2) vertex pairs, as given to :func:`warpqem.simplify`.
+        device: Warp device; None takes cuda:0 if present, else cpu.
+
+    Raises:
+        MeshShapeError: shapes do not go together, or the poses are not what skin and transforms give.
+        OptionError: ``influences`` is below 1.
+    """
+    device = resolve_device(device)
+    poses, corner = as_numpy(points), as_numpy(faces).astype(np.int32)
+    matrices = as_numpy(transforms).astype(np.float64)
+    if matrices.ndim != 4 or matrices.shape[2:] != (3, 4) or len(matrices) != len(poses):
+        raise MeshShapeError(f"transforms must be ({len(poses)}, J, 3, 4), got {matrices.shape}")
+    if result.points.shape[0] != len(poses):
+        raise MeshShapeError(f"the result has {result.points.shape[0]} frames, there are {len(poses)} poses")
+    if influences is not None and influences < 1:
+        raise OptionError(f"influences must be at least 1, got {influences}")
+    skin = skin.checked(matrices.shape[1])
+    most = skin.joints.shape[1] if influences is None else influences
+    diagonal = float(np.linalg.norm(np.ptp(poses[0].astype(np.float64), axis=0)))
+    _check_poses(poses, result.vertex_map >= 0, skin, matrices, offsets, diagonal)
+    if start is None:
+        transfer = surface_transfer(poses[0], corner, result, seams=seams, device=device)
+        index = transfer.wedge_vertex[transfer.vertex_wedge]
+        share = transfer.wedge_weight[transfer.vertex_wedge]
+        start = blend_skin(skin, index, share, most)
+        if offsets is not None:
+            start_offsets = np.stack([transfer.from_vertices(offset) for offset in as_numpy(offsets)])
+    start = replace(start.checked(matrices.shape[1]), rest=result.points[0].astype(np.float64))
+    fixed, member = _fixed(poses, result)
+    rows = _candidates(skin, start, result.vertex_map, fixed)
+    # On a mesh of unit diagonal, which the thresholds are made for.
+    unit = 1.0 / diagonal
+    fit = SkinFit(matrices, rows, start.rest * unit, result.points * unit, start_offsets, unit, device)
+    planes = ClusterPlanes(corner, result.vertex_map, len(fixed), seams, device)
+    rest, weight, before, after, size = fit.solve(planes, poses * np.float32(unit), most)
+    row = np.repeat(np.arange(len(fixed)), np.diff(rows.start))
+    joints, weights = largest_influences(row, rows.joint, weight, len(fixed), most)
+    rest *= diagonal
+    # What E measures may only go down: a vertex whose limit on influences cost more than the fit gave stays.
+    kept = (after > before) & ~fixed
+    for rows_kept, source, index in ((kept, start, np.flatnonzero(kept)), (fixed, skin, member[fixed])):
+        rest[rows_kept] = source.rest[index]
+        joints[rows_kept], weights[rows_kept] = _cut(source, index, most)
+    after = np.where(kept, before, after)
+    return FittedSkin(
+        LinearSkin(rest.astype(np.float32), joints, normalised_weights(weights)),
+        100.0 * float(np.sqrt(before.sum() / max(size, 1e-300))),
+        100.0 * float(np.sqrt(after.sum() / max(size, 1e-300))),
+    )
+
+
+def _cut(skin: LinearSkin, index: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
+    """The largest influences of some vertices of a skin."""
+    return blend_influences(skin.joints, skin.weights, index[:, None], np.ones((len(index), 1)), most)
+
+
+def _check_poses(
+    poses: np.ndarray,
+    used: np.ndarray,
+    skin: LinearSkin,
+    transforms: np.ndarray,
+    offsets: np.ndarray | None,
+    diagonal: float,
+) -> None:
+    """Check that the poses are those of the skin."""
+    if len(skin.rest) != poses.shape[1]:
+        raise MeshShapeError(f"the skin has {len(skin.rest)} points, the mesh {poses.shape[1]}")
+    for index, pose in enumerate(poses):
+        offset = None if offsets is None else offsets[index : index + 1]
+        away = np.linalg.norm(pose_skin(skin, transforms[index : index + 1], offset)[0] - pose, axis=1) * used
+        if not away.max(initial=0.0) <= POSE_TOLERANCE * diagonal:
+            vertex = int(np.nanargmax(away))
+            raise MeshShapeError(
+                f"pose {index} is not what skin and transforms give: vertex {vertex} is {away[vertex]:g} away"
+            )
+
+
+def _fixed(poses: np.ndarray, result: SimplifiedMesh) -> tuple[np.ndarray, np.ndarray]:
+    """Output vertices that are an input vertex in all poses, (C,) bool, and which one, (C,) int, -1 for the others.
+
+    These are alone in their cluster, locked, or placed at an endpoint: they keep the skin of that vertex.
+    """
+    member = np.full(result.points.shape[1], -1, dtype=np.int64)
+    used = np.flatnonzero(result.vertex_map >= 0)
+    for pose, placed in zip(poses, result.points, strict=True):
+        used = used[(pose[used] == placed[result.vertex_map[used]]).all(axis=1)]
+    member[result.vertex_map[used[::-1]]] = used[::-1]
+    return member >= 0, member
+
+
+def _candidates(skin: LinearSkin, start: LinearSkin, vertex_map: np.ndarray, fixed: np.ndarray) -> CandidateRows:
+    """Joints of each cluster's input vertices and of where it starts, those with the most weight; none where fixed."""
+    used = np.flatnonzero(vertex_map >= 0)
+    vertex_count, width = start.joints.shape
+    row = np.concatenate([np.repeat(vertex_map[used], skin.joints.shape[1]), np.repeat(np.arange(vertex_count), width)])
+    joint = np.concatenate([skin.joints[used].ravel(), start.joints.ravel()])
+    cluster_weight, start_weight = skin.weights[used].ravel(), start.weights.ravel()
+    none = np.zeros(len(cluster_weight))
+    # A joint that a vertex starts with comes before any other.
+    largest = 1.0 + cluster_weight.sum()
+    rank = np.concatenate([cluster_weight, np.where(start_weight > 0, largest + start_weight, 0.0)])
+    own = np.concatenate([none, start_weight])
+    keep = (rank > 0) & ~fixed[row]
+    key, entry = np.unique(row[keep] * (int(joint.max(initial=0)) + 1) + joint[keep], return_inverse=True)
+    total, weight = (np.bincount(entry.ravel(), weights=array[keep], minlength=len(key)) for array in (rank, own))
+    row, joint = np.divmod(key, int(joint.max(initial=0)) + 1)
+    order = np.lexsort((joint, -total, row))
+    row = row[order]
+    first = np.arange(len(row)) - np.searchsorted(row, row) < MOST_CANDIDATES
+    row, order = row[first], order[first]
+    count = np.zeros(vertex_count + 1, dtype=np.int32)
+    np.cumsum(np.bincount(row, minlength=vertex_count), out=count[1:])
+    return CandidateRows(count, joint[order].astype(np.int32), weight[order])
