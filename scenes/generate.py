@@ -4,24 +4,21 @@ import argparse
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
-from PIL import Image
-
 from scenes import cape, head, quadruped
-from scenes.render import render, tile
 from scenes.scene import Scene
 from scenes.stage import write
+from warpqem.picture import View, render, tile, write_png
 
 SCENES: dict[str, Callable[[], Scene]] = {
     "quadruped_gallop": quadruped.build,
     "cape_wind": cape.build,
     "talking_head": head.build,
 }
-# Camera of each scene in the picture: azimuth and elevation in degrees, the point looked at, the height seen.
+# Camera of each scene in the picture.
 VIEWS = {
-    "quadruped_gallop": (66.0, 6.0, (0.0, 1.06, 0.02), 2.45),
-    "cape_wind": (125.0, 16.0, (0.0, 1.12, -0.55), 1.55),
-    "talking_head": (16.0, 2.0, (0.0, -2.3, 1.0), 29.5),
+    "quadruped_gallop": View(66.0, 6.0, (0.0, 1.06, 0.02), 2.45),
+    "cape_wind": View(125.0, 16.0, (0.0, 1.12, -0.55), 1.55),
+    "talking_head": View(16.0, 2.0, (0.0, -2.3, 1.0), 29.5),
 }
 # Frames shown of each scene, out of its loop.
 PICTURED = (0.04, 0.14, 0.25, 0.41)
@@ -31,13 +28,12 @@ def picture(scenes: dict[str, Scene], path: str | Path) -> None:
     """Write a PNG with a row of four frames per scene."""
     pictures = []
     for name, scene in scenes.items():
-        azimuth, elevation, middle, height = VIEWS[name]
         baked = scene.baked()
         for share in PICTURED:
             points = baked[int(share * scene.frame_count)]
-            view = {"azimuth": azimuth, "elevation": elevation, "frame": (np.array(middle), height)}
-            pictures.append(render(points, scene.faces, scene.colors, size=(320, 260), **view))
-    Image.fromarray(tile(pictures, len(PICTURED))).save(path, optimize=True)
+            options = {"colors": scene.colors, "size": (320, 260), "smooth": True}
+            pictures.append(render(points, scene.faces, VIEWS[name], **options))
+    write_png(tile(pictures, len(PICTURED)), path)
 
 
 def main() -> None:

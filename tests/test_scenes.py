@@ -7,14 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from PIL import Image
 from pxr import Gf, Usd, UsdGeom, UsdSkel
 
 from scenes import cape, head, head_shape, quadruped
 from scenes.diffusion import diffuse, strongest_influences
 from scenes.implicit import ellipsoid, project, round_cone, surface, union
 from scenes.remesh import vertex_normals, well_shaped
-from scenes.render import contact_sheet, render
 from scenes.scene import Scene
 from scenes.stage import FIRST_TIME_CODE, write
 
@@ -439,19 +437,3 @@ def test_strongest_influences_are_sorted_and_renormalised() -> None:
     indices, weights = strongest_influences(np.array([[0.1, 0.4, 0.005, 0.2, 0.3]]), count=2)
     np.testing.assert_array_equal(indices, [[1, 4]])
     np.testing.assert_allclose(weights, [[4 / 7, 3 / 7]], rtol=1e-6)
-
-
-def test_renderer_shows_the_nearer_of_two_triangles() -> None:
-    far = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 1.0, 0.0]])
-    points = np.concatenate([far + np.array([0.0, 0.0, 0.5]), far])
-    colors = np.repeat([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], 3, axis=0)
-    picture = render(points, np.array([[0, 1, 2], [3, 4, 5]]), colors, size=(40, 40), azimuth=0.0, elevation=0.0)
-    red, _, blue = picture[20, 20]
-    assert red > 100
-    assert blue == 0
-
-
-def test_contact_sheet_has_a_tile_for_each_mesh(tmp_path: Path) -> None:
-    triangle = (np.eye(3), np.array([[0, 1, 2]]))
-    contact_sheet([triangle] * 3, tmp_path / "sheet.png", columns=2, size=(32, 24))
-    assert Image.open(tmp_path / "sheet.png").size == (64, 48)

@@ -12,6 +12,7 @@ from warpqem.cli.console import OneLineErrors
 from warpqem.cli.features import features
 from warpqem.cli.info import info
 from warpqem.cli.progressive import progressive
+from warpqem.cli.render import render
 from warpqem.cli.simplify import simplify
 
 __all__ = ["app"]
@@ -29,6 +30,7 @@ app.command()(simplify)
 app.command()(info)
 app.command()(compare)
 app.command()(features)
+app.command()(render)
 app.add_typer(progressive)
 
 

@@ -1,0 +1,116 @@
+"""Pictures by ray casting: one thread per pixel, parallel rays, two lights, lines along the edges if asked for."""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})  # no gradients are taken
+
+# Light from over the viewer's left shoulder, and a weaker one from the right that keeps the dark side readable.
+KEY_LIGHT = wp.constant(wp.vec3(-0.476, 0.617, 0.627))
+FILL_LIGHT = wp.constant(wp.vec3(0.830, 0.055, 0.555))
+AMBIENT = wp.constant(wp.float32(0.18))
+KEY = wp.constant(wp.float32(0.68))
+FILL = wp.constant(wp.float32(0.20))
+# Rays start so far before the middle, in diagonals of the mesh, and end so far behind it.
+REACH = wp.constant(wp.float32(4.0))
+# How dark a line is, and its half width in pixels.
+LINE_SHADE = wp.constant(wp.float32(0.35))
+LINE_HALF_WIDTH = wp.constant(wp.float32(0.6))
+
+
+@wp.struct
+class Camera:
+    """Parallel rays: the middle of the picture, unit vectors across it and up, and the world size of a pixel."""
+
+    middle: wp.vec3
+    right: wp.vec3
+    up: wp.vec3
+    pixel: wp.float32
+    reach: wp.float32  # length of the mesh's diagonal
+
+
+@wp.struct
+class Shading:
+    """What a surface looks like."""
+
+    color: wp.array[wp.vec3]  # (V,) linear
+    normal: wp.array[wp.vec3]  # (V,) unit; read where ``smooth`` is 1
+    smooth: wp.int32
+    lines: wp.int32  # 1: lines along the edges
+    background: wp.vec3  # linear
+
+
+@wp.func
+def lighten(normal: wp.vec3, camera: Camera) -> wp.float32:
+    """Light on a surface that faces the viewer, both sides alike."""
+    toward = wp.cross(camera.right, camera.up)
+    n = wp.vec3(wp.dot(normal, camera.right), wp.dot(normal, camera.up), wp.dot(normal, toward))
+    if n[2] < 0.0:
+        n = -n
+    return AMBIENT + KEY * wp.max(wp.dot(n, KEY_LIGHT), 0.0) + FILL * wp.max(wp.dot(n, FILL_LIGHT), 0.0)
+
+
+@wp.func
+def edge_distance(a: wp.vec3, b: wp.vec3, c: wp.vec3, share: wp.vec3) -> wp.float32:
+    """Distance of a point of triangle ``abc`` from the nearest edge."""
+    double_area = wp.length(wp.cross(b - a, c - a))
+    from_a = share[0] * double_area / wp.max(wp.length(c - b), 1.0e-30)
+    from_b = share[1] * double_area / wp.max(wp.length(a - c), 1.0e-30)
+    from_c = share[2] * double_area / wp.max(wp.length(b - a), 1.0e-30)
+    return wp.min(from_a, wp.min(from_b, from_c))
+
+
+@wp.func
+def trace_ray(
+    mesh: wp.uint64,
+    corner_vertex: wp.array[wp.int32],
+    points: wp.array[wp.vec3],
+    camera: Camera,
+    shading: Shading,
+    x: wp.float32,
+    y: wp.float32,
+) -> wp.vec3:
+    """Linear colour seen at ``(x, y)``, in pixels from the middle, y upwards."""
+    toward = wp.cross(camera.right, camera.up)
+    start = camera.middle + camera.pixel * (x * camera.right + y * camera.up) + REACH * camera.reach * toward
+    hit = wp.mesh_query_ray(mesh, start, -toward, 2.0 * REACH * camera.reach)
+    if not hit.result:
+        return shading.background
+    i = corner_vertex[3 * hit.face]
+    j = corner_vertex[3 * hit.face + 1]
+    k = corner_vertex[3 * hit.face + 2]
+    share = wp.vec3(hit.u, hit.v, 1.0 - hit.u - hit.v)
+    normal = hit.normal
+    if shading.smooth == 1:
+        normal = wp.normalize(
+            share[0] * shading.normal[i] + share[1] * shading.normal[j] + share[2] * shading.normal[k]
+        )
+    color = share[0] * shading.color[i] + share[1] * shading.color[j] + share[2] * shading.color[k]
+    color = color * lighten(normal, camera)
+    if shading.lines == 1:
+        away = edge_distance(points[i], points[j], points[k], share) / camera.pixel
+        color = color * wp.lerp(LINE_SHADE, 1.0, wp.clamp(away / LINE_HALF_WIDTH - 0.5, 0.0, 1.0))
+    return color
+
+
+@wp.kernel
+def render_pixels(
+    mesh: wp.uint64,
+    corner_vertex_in: wp.array[wp.int32],
+    points_in: wp.array[wp.vec3],
+    camera: Camera,
+    shading: Shading,
+    samples: wp.int32,
+    # outputs
+    image_out: wp.array2d[wp.vec3],
+):
+    """Linear colours (height, width), each the mean of ``samples`` x ``samples`` rays."""
+    row, column = wp.tid()
+    height = image_out.shape[0]
+    width = image_out.shape[1]
+    total = wp.vec3()
+    for i in range(samples):
+        for j in range(samples):
+            x = wp.float32(column) + (wp.float32(i) + 0.5) / wp.float32(samples) - 0.5 * wp.float32(width)
+            y = 0.5 * wp.float32(height) - wp.float32(row) - (wp.float32(j) + 0.5) / wp.float32(samples)
+            total += trace_ray(mesh, corner_vertex_in, points_in, camera, shading, x, y)
+    image_out[row, column] = total / wp.float32(samples * samples)

@@ -1,0 +1,65 @@
+"""`warpqem render`."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from warpqem.cli.console import progress_bar, quiet_warp, tell
+from warpqem.cli.options import Device, Frames, Input, Prims
+from warpqem.errors import OptionError
+
+__all__ = ["render"]
+
+
+def render(
+    input_file: Input,
+    output: Annotated[str, typer.Option("--output", "-o", metavar="PNG", help="Picture to write (.png).")],
+    reference: Annotated[
+        str | None, typer.Option(metavar="FILE", help="USD file to draw above IN, from the same view.")
+    ] = None,
+    heatmap: Annotated[
+        bool, typer.Option("--heatmap", help="With --reference: a third row coloured by the distance from it.")
+    ] = False,
+    pictures: Annotated[int, typer.Option(help="Pictures in a row, spread evenly over the animation.")] = 4,
+    size: Annotated[str, typer.Option(metavar="WxH", help="Size of one picture, in pixels.")] = "480x360",
+    azimuth: Annotated[float, typer.Option(metavar="DEG", help="View about the up axis, in degrees.")] = 30.0,
+    elevation: Annotated[float, typer.Option(metavar="DEG", help="View above the horizon, in degrees.")] = 12.0,
+    lines: Annotated[bool, typer.Option("--lines", help="Draw the edges.")] = False,
+    smooth: Annotated[bool, typer.Option("--smooth", help="Shade over the edges instead of face by face.")] = False,
+    frames: Frames = None,
+    prim: Prims = None,
+    device: Device = None,
+) -> None:
+    """Draw a contact sheet: the meshes of IN at several times, beside those of a reference, without a browser.
+
+    Exit codes: 0 done; 1 an error; 2 wrong usage.
+    """
+    quiet_warp()
+    from warpqem.usd import FrameRange
+    from warpqem.usd.render import RenderOptions, render_sheet
+
+    options = RenderOptions(
+        pictures=pictures,
+        frames=FrameRange.parse(frames) if frames else None,
+        prims=tuple(prim or ()),
+        size=_parse_size(size),
+        azimuth=azimuth,
+        elevation=elevation,
+        lines=lines,
+        smooth=smooth,
+        heatmap=heatmap,
+        device=device,
+    )
+    with progress_bar("reading") as progress:
+        scale = render_sheet(input_file, output, options, reference, progress)
+    if scale is not None:
+        tell("note", f"the brightest colour is at {scale:.3g} % of the bounding-box diagonal")
+
+
+def _parse_size(text: str) -> tuple[int, int]:
+    parts = text.lower().split("x")
+    if len(parts) != 2 or not all(part.isdecimal() for part in parts):
+        raise OptionError(f"size '{text}': expected WIDTHxHEIGHT in pixels, such as 480x360")
+    return int(parts[0]), int(parts[1])

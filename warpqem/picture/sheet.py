@@ -1,0 +1,55 @@
+"""Sheets of pictures."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+__all__ = ["caption", "tile", "write_png"]
+
+# Of captions, in pixels.
+FONT_SIZE = 14
+TEXT_COLOR = (40, 44, 52)
+
+
+def caption(picture: np.ndarray, text: str) -> np.ndarray:
+    """The picture (height, width, 3) uint8 with a line of text in its upper left corner."""
+    image = Image.fromarray(picture)
+    ImageDraw.Draw(image).text((8, 6), text, fill=TEXT_COLOR, font=ImageFont.load_default(FONT_SIZE))
+    return np.array(image)
+
+
+def tile(pictures: Sequence[np.ndarray], columns: int) -> np.ndarray:
+    """Pictures of one size in rows of ``columns``, (height, width, 3) uint8; white where there is none."""
+    height, width = pictures[0].shape[:2]
+    rows = -(-len(pictures) // columns)
+    sheet = np.full((rows * height, columns * width, 3), 255, dtype=np.uint8)
+    for index, picture in enumerate(pictures):
+        row, column = divmod(index, columns)
+        sheet[row * height : (row + 1) * height, column * width : (column + 1) * width] = picture
+    return sheet
+
+
+def write_png(picture: np.ndarray, path: str | os.PathLike[str], colors: int | None = None) -> None:
+    """Write a picture (height, width, 3) uint8 under a temporary name and rename it.
+
+    Args:
+        picture: sRGB.
+        path: the file, replaced if it exists.
+        colors: Reduce it to so many colours, for a small file; None for all.
+
+    Raises:
+        OSError: the file cannot be written; nothing is left behind.
+    """
+    target = Path(path)
+    temporary = target.with_name(f".{target.name}.{os.getpid()}")
+    image = Image.fromarray(picture)
+    try:
+        (image if colors is None else image.quantize(colors)).save(temporary, format="PNG", optimize=True)
+        os.replace(temporary, target)
+    finally:
+        temporary.unlink(missing_ok=True)

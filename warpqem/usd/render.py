@@ -1,0 +1,193 @@
+"""Contact sheets of USD files: what a file shows at several times, beside what another one shows."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from pxr import Usd, UsdGeom
+
+from warpqem.errors import OptionError, StageError
+from warpqem.measure import distance_colors
+from warpqem.picture import caption, fit_view, render, tile, write_png
+from warpqem.usd.frames import FrameRange
+from warpqem.usd.mesh import MeshSource
+from warpqem.usd.skel import StagePoses
+from warpqem.usd.stage import find_meshes, open_stage
+
+__all__ = ["RenderOptions", "render_sheet"]
+
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True)
+class RenderOptions:
+    """How to draw.
+
+    Attributes:
+        pictures: Pictures in a row, at times that are spread evenly over the animation.
+        frames: Time codes to draw from; None for all authored ones.
+        prims: Prim paths; meshes at and below them are drawn. Empty for all.
+        size: Width and height of one picture, in pixels.
+        azimuth: Degrees about the up axis, see `warpqem.picture.View`.
+        elevation: Degrees above the horizon.
+        lines: Draw the edges.
+        smooth: Shade over the edges.
+        heatmap: With a reference: a row of colours for the distance from it.
+        device: Warp device; None for the default.
+    """
+
+    pictures: int = 4
+    frames: FrameRange | None = None
+    prims: tuple[str, ...] = ()
+    size: tuple[int, int] = (480, 360)
+    azimuth: float = 30.0
+    elevation: float = 12.0
+    lines: bool = False
+    smooth: bool = False
+    heatmap: bool = False
+    device: str | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse sheets without a picture."""
+        if self.pictures < 1:
+            raise OptionError(f"pictures {self.pictures}: expected at least 1")
+        if min(self.size) < 1:
+            raise OptionError(f"size {self.size[0]} x {self.size[1]}: expected at least one pixel")
+
+
+class _Drawn:
+    """All meshes of one file in world space."""
+
+    def __init__(self, path: str | os.PathLike[str], prims: Sequence[str]) -> None:
+        self.name = os.path.basename(os.fspath(path))
+        self.stage: Usd.Stage = open_stage(path)
+        selection = find_meshes(self.stage, prims)
+        if not selection.prims:
+            raise StageError(f"{path}: there is no mesh on the stage")
+        poses = StagePoses(self.stage)
+        self._sources = [MeshSource(prim, poses) for prim in selection.prims]
+
+    @property
+    def times(self) -> list[float]:
+        """Every time code at which a mesh has a sample."""
+        return sorted({time for source in self._sources for time in source.authored_times})
+
+    def read(self, times: Sequence[float] | None) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int32]]:
+        """Points (F, V, 3) and faces (N, 3) of all meshes as one."""
+        points, faces, count = [], [], 0
+        for source in self._sources:
+            own = None if not source.authored_times else times
+            mesh = source.read(own)
+            posed = np.repeat(mesh.points, len(times or [0]) // len(mesh.points), axis=0).astype(np.float64)
+            for frame, time in enumerate(times or [None]):
+                code = Usd.TimeCode.Default() if time is None else Usd.TimeCode(time)
+                matrix = np.array(UsdGeom.XformCache(code).GetLocalToWorldTransform(source.prim))
+                posed[frame] = posed[frame] @ matrix[:3, :3] + matrix[3, :3]
+            points.append(posed)
+            faces.append(mesh.right_handed_faces + count)
+            count += posed.shape[1]
+        return np.concatenate(points, axis=1).astype(np.float32), np.concatenate(faces).astype(np.int32)
+
+
+def render_sheet(
+    input_path: str | os.PathLike[str],
+    output_path: str | os.PathLike[str],
+    options: RenderOptions,
+    reference_path: str | os.PathLike[str] | None = None,
+    progress: Progress | None = None,
+) -> float | None:
+    """Draw a file at several times as a PNG: a row of pictures; with a reference a row of it above, from the same view.
+
+    Args:
+        input_path: USD file.
+        output_path: .png file; replaced if it exists.
+        options: How to draw.
+        reference_path: USD file to draw above it.
+        progress: Called with the fraction done and what is being done.
+
+    Returns:
+        Distance of the brightest colour of the heat map, in % of the bounding-box diagonal; None without one.
+
+    Raises:
+        StageError: a file cannot be read or written.
+        OptionError: an option is wrong.
+        DeviceError: there is no such device.
+    """
+    if not os.fspath(output_path).lower().endswith(".png"):
+        raise OptionError(f"output {output_path}: the suffix must be .png")
+    if options.heatmap and reference_path is None:
+        raise OptionError("heatmap needs a reference")
+    drawn = [_Drawn(path, options.prims) for path in (reference_path, input_path) if path is not None]
+    times = _spread(sorted({time for item in drawn for time in item.times}), options)
+    meshes = [item.read(times) for item in drawn]
+    rows, scale = _rows(meshes, [item.name for item in drawn], options)
+    up = "z" if UsdGeom.GetStageUpAxis(drawn[0].stage) == UsdGeom.Tokens.z else "y"
+    width, height = options.size
+    view = fit_view(
+        np.concatenate([points.reshape(-1, 3) for points, _ in meshes]),
+        azimuth=options.azimuth,
+        elevation=options.elevation,
+        up=up,
+        aspect=width / height,
+    )
+    pictures = []
+    count = len(times or [None])
+    for row in rows:
+        for frame in range(count):
+            if progress:
+                progress(len(pictures) / (count * len(rows)), row.title)
+            picture = render(
+                row.points[frame],
+                row.faces,
+                view,
+                colors=None if row.colors is None else row.colors[frame],
+                size=options.size,
+                smooth=options.smooth or row.colors is not None,
+                lines=options.lines and row.colors is None,
+                device=options.device,
+            )
+            time = "" if times is None else f", time {times[frame]:g}"
+            pictures.append(caption(picture, f"{row.title}{time}"))
+    try:
+        write_png(tile(pictures, count), output_path)
+    except OSError as error:
+        raise StageError(f"{output_path}: cannot be written ({error.strerror or error})") from error
+    return scale
+
+
+@dataclass(frozen=True)
+class _Row:
+    """What one row of pictures shows."""
+
+    title: str
+    points: npt.NDArray[np.float32]
+    faces: npt.NDArray[np.int32]
+    colors: npt.NDArray[np.float32] | None = None
+
+
+def _rows(
+    meshes: list[tuple[npt.NDArray[np.float32], npt.NDArray[np.int32]]], names: list[str], options: RenderOptions
+) -> tuple[list[_Row], float | None]:
+    rows = [
+        _Row(f"{name}, {len(faces)} faces", points, faces) for name, (points, faces) in zip(names, meshes, strict=True)
+    ]
+    if not options.heatmap:
+        return rows, None
+    colors, scale = distance_colors(*meshes[0], *meshes[1], device=options.device)
+    return [*rows, _Row(f"distance, yellow is {scale:.3g} %", *meshes[1], colors)], scale
+
+
+def _spread(times: list[float], options: RenderOptions) -> list[float] | None:
+    """The times to draw; None for meshes that do not move."""
+    if options.frames is not None:
+        times = options.frames.select(times)
+        if not times:
+            raise StageError(f"no sample in the frame range {options.frames}")
+    if not times:
+        return None
+    chosen = np.unique(np.linspace(0, len(times) - 1, min(options.pictures, len(times))).round().astype(int))
+    return [times[index] for index in chosen]
