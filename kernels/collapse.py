@@ -103,10 +103,14 @@ def classify_seams(state: MeshState, u: wp.int32, v: wp.int32):
 @wp.func
 def mask_star(state: MeshState, mask: wp.array[wp.int32], pass_index: wp.int32, v: wp.int32):
     """Mask a vertex and its one-ring for the rest of the pass."""
+    mask[v] = pass_index
+    # Around an inner vertex the half-edges that leave it meet every neighbour.
+    open_fan = (state.vertex_flags[v] & BORDER) != 0
     for i in range(state.stars.start[v], state.stars.end[v]):
-        f = state.stars.corner[i] // 3
-        for k in range(3):
-            mask[state.corner_vertex[3 * f + k]] = pass_index
+        h = state.stars.corner[i]
+        mask[half_edge_target(state.corner_vertex, h)] = pass_index
+        if open_fan:
+            mask[state.corner_vertex[previous_corner(h)]] = pass_index
 
 
 @wp.func

@@ -9,7 +9,7 @@ made one after another in any order.
 import warp as wp
 
 from warpqem.kernels.mesh_state import MeshState
-from warpqem.kernels.topology import half_edge_target
+from warpqem.kernels.topology import BORDER, half_edge_target, previous_corner
 from warpqem.kernels.work import EdgeList, Work, append, first_item, last_item
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
@@ -134,12 +134,14 @@ def holds_star(state: MeshState, claim: wp.array[wp.int64], v: wp.int32, key: wp
     i = state.stars.start[v]
     last = state.stars.end[v]
     holds = claim[v] == key
+    # Around an inner vertex the half-edges that leave it meet every neighbour.
+    open_fan = (state.vertex_flags[v] & BORDER) != 0
     while holds and i < last:
-        f = state.stars.corner[i] // 3
-        for k in range(3):
-            w = state.corner_vertex[3 * f + k]
-            if claim[w] < key:
-                holds = False
+        h = state.stars.corner[i]
+        if claim[half_edge_target(state.corner_vertex, h)] < key:
+            holds = False
+        if open_fan and claim[state.corner_vertex[previous_corner(h)]] < key:
+            holds = False
         i += 1
     return holds
 

@@ -38,12 +38,14 @@ NO_AREA = wp.constant(wp.float32(1.0e-28))
 @wp.func
 def is_ring_vertex(state: MeshState, u: wp.int32, w: wp.int32) -> wp.bool:
     """Whether ``w`` shares a face with ``u``."""
-    found = wp.bool(False)
+    open_fan = (state.vertex_flags[u] & BORDER) != 0
     for i in range(state.stars.start[u], state.stars.end[u]):
         h = state.stars.corner[i]
-        if half_edge_target(state.corner_vertex, h) == w or state.corner_vertex[previous_corner(h)] == w:
-            found = True
-    return found
+        if half_edge_target(state.corner_vertex, h) == w:
+            return True
+        if open_fan and state.corner_vertex[previous_corner(h)] == w:
+            return True
+    return False
 
 
 @wp.func
@@ -77,10 +79,15 @@ def is_manifold_collapse(state: MeshState, h: wp.int32) -> wp.bool:
     removed = wp.where(opposite >= 0, 2, 1)
     if degree(state, u) + degree(state, v) <= 2 * removed:
         return False
+    # Around an inner vertex the half-edges that leave it meet every neighbour, so those that enter need no look.
+    open_fan = (state.vertex_flags[v] & BORDER) != 0
     for i in range(state.stars.start[v], state.stars.end[v]):
         g = state.stars.corner[i]
-        for side in range(2):
-            w = wp.where(side == 0, half_edge_target(state.corner_vertex, g), state.corner_vertex[previous_corner(g)])
+        w = half_edge_target(state.corner_vertex, g)
+        if w != u and w != left and w != right and is_ring_vertex(state, u, w):
+            return False
+        if open_fan:
+            w = state.corner_vertex[previous_corner(g)]
             if w != u and w != left and w != right and is_ring_vertex(state, u, w):
                 return False
     return True
