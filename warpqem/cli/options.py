@@ -3,14 +3,9 @@
 from __future__ import annotations
 
 from enum import Enum
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
-
-from warpqem.errors import OptionError
-
-if TYPE_CHECKING:
-    from warpqem.screen import ScreenView
 
 __all__ = [
     "Coherence",
@@ -27,7 +22,6 @@ __all__ = [
     "Output",
     "Prims",
     "ScreenError",
-    "screen_view",
 ]
 
 
@@ -117,22 +111,3 @@ FieldOfView = Annotated[
 ImageHeight = Annotated[
     int, typer.Option("--image-height", metavar="PX", help="With --screen-error: height of the picture, in pixels.")
 ]
-
-
-def screen_view(
-    error: float | None, distance: float | None, field_of_view: float, image_height: int
-) -> ScreenView | None:
-    """The options of a view as one; None where no error is asked for.
-
-    Raises:
-        OptionError: the distance is missing, or asks for an error that is.
-    """
-    from warpqem.screen import ScreenView
-
-    if error is None:
-        if distance is not None:
-            raise OptionError("--distance needs --screen-error")
-        return None
-    if distance is None:
-        raise OptionError("--screen-error needs --distance")
-    return ScreenView(error, distance, field_of_view, image_height)

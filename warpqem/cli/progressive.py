@@ -23,7 +23,6 @@ from warpqem.cli.options import (
     MetricOption,
     Output,
     ScreenError,
-    screen_view,
 )
 
 if TYPE_CHECKING:
@@ -97,6 +96,7 @@ def extract(
     Exit codes: 0 done; 1 an error; 2 wrong usage.
     """
     quiet_warp()
+    from warpqem.usd.option_values import screen_view
     from warpqem.usd.progressive import LevelChoice, extract_level
 
     screen = screen_view(screen_error, distance, field_of_view, image_height)

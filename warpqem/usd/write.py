@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import uuid
 import weakref
 from collections.abc import Iterable
 from pathlib import Path
@@ -22,6 +21,7 @@ from warpqem.usd.skin import Skin
 from warpqem.usd.skin_output import write_skin
 from warpqem.usd.stage import first_line
 from warpqem.usd.subsets import carry_subsets
+from warpqem.usd.temporary import temporary_path
 
 __all__ = ["OverLayer", "check_output_path", "copy_stage_metadata", "export_layer", "move_asset_paths", "relative_path"]
 
@@ -66,7 +66,8 @@ def check_output_path(output: str | os.PathLike[str], inputs: Iterable[str | os.
 
 def copy_stage_metadata(source: Sdf.Layer, target: Sdf.Layer) -> None:
     """Give a layer the stage metadata of another, but for what that layer composes by itself."""
-    for key in source.pseudoRoot.ListInfoKeys():
+    # The keys come in the order of addresses in memory. Sorted, a crate file has the same bytes on every run.
+    for key in sorted(source.pseudoRoot.ListInfoKeys()):
         if key not in LAYER_ONLY_METADATA:
             value = source.pseudoRoot.GetInfo(key)
             target.pseudoRoot.SetInfo(key, anchored(value, source) if isinstance(value, Sdf.AssetPath) else value)
@@ -239,7 +240,7 @@ class OverLayer:
 
 def _create_layer(folder: Path) -> Sdf.Layer:
     try:
-        return Sdf.Layer.CreateNew(os.fspath(folder / f".warpqem.{uuid.uuid4().hex}.usdc"))
+        return Sdf.Layer.CreateNew(os.fspath(temporary_path(folder, ".usdc")))
     except Tf.ErrorException as error:
         raise StageError(f"{folder}: cannot be written to ({first_line(error)})") from error
 
@@ -313,7 +314,7 @@ def export_layer(layer: Sdf.Layer, output: Path) -> None:
     Raises:
         StageError: the file cannot be written; nothing is left behind.
     """
-    temporary = output.with_name(f".{output.stem}.{uuid.uuid4().hex}{output.suffix}")
+    temporary = temporary_path(output.parent, output.suffix)
     try:
         if not layer.Export(os.fspath(temporary)):
             raise StageError(f"{output}: USD cannot write it")

@@ -1,0 +1,186 @@
+"""The options of `warpqem simplify`, which other commands take too."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+from collections.abc import Callable
+from enum import Enum
+from typing import Annotated, Any
+
+import typer
+
+from warpqem.cli.options import (
+    Coherence,
+    Device,
+    Distance,
+    FieldOfView,
+    Frames,
+    ImageHeight,
+    KeyFrames,
+    Metric,
+    MetricOption,
+    Prims,
+    ScreenError,
+)
+
+__all__ = ["takes_simplify_options"]
+
+
+class MorphWeights(str, Enum):
+    """Ways from the distances of morph targets to weights."""
+
+    thirds = "thirds"
+    rank = "rank"
+    distance = "distance"
+    usage = "usage"
+
+
+class Placement(str, Enum):
+    """Vertex placements."""
+
+    optimal = "optimal"
+    endpoint = "endpoint"
+
+
+def simplify_values(
+    ratio: Annotated[
+        float | None, typer.Option(help="Share of its triangles that each mesh keeps, above 0 and at most 1.")
+    ] = None,
+    faces: Annotated[
+        int | None,
+        typer.Option(help="Triangles of all meshes together; each mesh gets its part by what its faces are worth."),
+    ] = None,
+    max_error: Annotated[
+        float | None,
+        typer.Option(metavar="PCT", help="Largest error of each mesh, in % of its bounding-box diagonal."),
+    ] = None,
+    screen_error: ScreenError = None,
+    distance: Distance = None,
+    fov: FieldOfView = 45.0,
+    image_height: ImageHeight = 1080,
+    lods: Annotated[
+        str | None,
+        typer.Option(
+            metavar="RATIOS",
+            help="Levels of detail, such as 0.5,0.25,0.1: OUT offers IN as LOD0 and one level for each ratio as LOD1, "
+            "LOD2, ... in the variant set LOD of its default prim.",
+        ),
+    ] = None,
+    usd_lod: Annotated[
+        bool,
+        typer.Option(
+            "--usd-lod",
+            help="With --lods: write the levels with the UsdLod schemas, for renderers to choose by size or distance.",
+        ),
+    ] = False,
+    metric: MetricOption = Metric.dsd,
+    coherence: Coherence = 0.5,
+    refit: Annotated[
+        bool,
+        typer.Option("--refit/--no-refit", help="Fit the whole surface once more at the end: better shape, slower."),
+    ] = False,
+    placement: Annotated[
+        Placement, typer.Option(help="Merged vertices at the optimal point, or at an endpoint of the edge.")
+    ] = Placement.optimal,
+    key_frames: KeyFrames = 16,
+    uv_weight: Annotated[
+        float,
+        typer.Option(
+            metavar="FLOAT",
+            help="Weight of texture-coordinate error in the choice of collapses: at 1 the whole UV square counts as "
+            "much as the bounding-box diagonal; 0 does not look at UVs.",
+        ),
+    ] = 0.0,
+    attribute_weight: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=FLOAT", help="The same for the primvar NAME; may be given several times."),
+    ] = None,
+    weight_primvar: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Primvar of numbers, painted on the meshes, that scale the cost: 10 is ten times as important as 1, "
+            "infinity locks.",
+        ),
+    ] = None,
+    morph_weights: Annotated[
+        MorphWeights | None,
+        typer.Option(
+            help="Keep more detail where blend shapes or poses move the surface more: weights by thirds of the points, "
+            "by rank, by distance, or by distance as an animation uses the shapes."
+        ),
+    ] = None,
+    lock_borders: Annotated[bool, typer.Option("--lock-borders", help="Keep the points of open borders.")] = False,
+    memory: Annotated[
+        str | None,
+        typer.Option(
+            metavar="BYTES",
+            help="Memory that the work on a mesh may take beside the program itself, such as 8G or 500M; by default "
+            "most of what is free. It decides how many frames are in memory at once, and no bit of the result.",
+        ),
+    ] = None,
+    frames: Frames = None,
+    poses: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE",
+            help="USD file with example poses at the same prim paths, such as another clip: they decide how skinned "
+            "meshes are simplified, instead of the animation in IN.",
+        ),
+    ] = None,
+    influences: Annotated[
+        int | None,
+        typer.Option(help="Joints that move a point of a skinned mesh at most; by default as many as in IN."),
+    ] = None,
+    skin_fit: Annotated[
+        bool,
+        typer.Option(
+            "--skin-fit/--no-skin-fit",
+            help="Fit rest points and joint influences of skinned meshes together to their poses; or interpolate them.",
+        ),
+    ] = True,
+    prim: Prims = None,
+    device: Device = None,
+    bake: Annotated[
+        bool, typer.Option("--bake", help="Write skinned and blend-shaped meshes as point samples, without their skin.")
+    ] = False,
+    weld: Annotated[
+        bool,
+        typer.Option(
+            "--weld/--no-weld", help="Join points that lie together in every frame, such as those split at UV seams."
+        ),
+    ] = True,
+    flatten: Annotated[
+        bool, typer.Option("--flatten", help="Write one self-contained file instead of a layer over IN.")
+    ] = False,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Stop at the first mesh that cannot be done, and write nothing.")
+    ] = False,
+) -> dict[str, Any]:
+    """The values of all options by name, for `warpqem.usd.option_values.read_options`.
+
+    The parameters are the definition of the options: their names, types, defaults and help.
+    """
+    return dict(locals())
+
+
+def takes_simplify_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Give a command the options of a simplification beside its own; it gets their values as `options`."""
+    own = inspect.signature(command, eval_str=True)
+    shared = inspect.signature(simplify_values, eval_str=True).parameters
+    # What has no default comes first, then the shared options, then those of the command.
+    kept = [parameter for name, parameter in own.parameters.items() if name != "options"]
+    first = [parameter for parameter in kept if parameter.default is parameter.empty]
+    last = [parameter for parameter in kept if parameter.default is not parameter.empty]
+    parameters = [*first, *shared.values(), *last]
+
+    @functools.wraps(command)
+    def wrapper(**arguments: Any) -> None:
+        values = simplify_values(**{name: arguments.pop(name) for name in shared})
+        command(**arguments, options=values)
+
+    # Typer reads both.
+    wrapper.__signature__ = own.replace(parameters=parameters)  # type: ignore[attr-defined]
+    wrapper.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    return wrapper
