@@ -17,7 +17,7 @@ from warpqem.usd.carrier import Carrier
 from warpqem.usd.job import MeshJob, ReadOptions
 from warpqem.usd.mesh import MeshSource
 from warpqem.usd.skel import StagePoses
-from warpqem.usd.write import OverLayer, check_output_path
+from warpqem.usd.write import OverLayer, check_output_path, copy_stage_metadata
 
 CLOTH = "/Root/Cloth"
 BODY = "/Char/Body"
@@ -174,6 +174,23 @@ def test_stage_metadata_is_that_of_the_input(tmp_path, flatten):
     assert UsdGeom.GetStageMetersPerUnit(stage) == 0.01
     assert (stage.GetTimeCodesPerSecond(), stage.GetStartTimeCode(), stage.GetEndTimeCode()) == (30, 1, 4)
     assert stage.GetDefaultPrim().GetPath() == "/Root"
+
+
+def test_stage_metadata_is_written_in_an_order_that_does_not_hang_on_addresses(tmp_path):
+    class Root:
+        def __init__(self):
+            self.keys = []
+
+        def SetInfo(self, key, value):  # noqa: N802, as USD names it
+            self.keys.append(key)
+
+    class Layer:
+        pseudoRoot = Root()  # noqa: N815
+
+    stage = cloth_stage(tmp_path / "in.usda")
+    copy_stage_metadata(stage.GetRootLayer(), Layer)
+    assert len(Layer.pseudoRoot.keys) > 4
+    assert Layer.pseudoRoot.keys == sorted(Layer.pseudoRoot.keys)
 
 
 def test_layer_names_the_input_by_a_relative_path(tmp_path):

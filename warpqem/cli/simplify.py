@@ -34,9 +34,7 @@ def simplify(input_file: Input, output: Output, options: dict[str, Any], json: J
     from warpqem.usd.option_values import read_options
 
     with progress_bar("reading") as progress:
-        report = simplify_stage(
-            input_file, output, read_options(options), progress, _tell_plan
-        )
+        report = simplify_stage(input_file, output, read_options(options), progress, _tell_plan)
     _tell_problems(report)
     print_table(_table(report), to_stderr=json == "-")
     if json is not None:

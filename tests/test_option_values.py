@@ -1,0 +1,74 @@
+"""Options of a simplification from names and text."""
+
+from __future__ import annotations
+
+import inspect
+from dataclasses import fields
+
+import pytest
+
+from warpqem.cli.simplify_options import simplify_values
+from warpqem.errors import OptionError
+from warpqem.screen import ScreenView
+from warpqem.usd import FrameRange, SimplifyOptions
+from warpqem.usd.option_values import OPTION_NAMES, override_options, read_options
+
+TEXT = {
+    "faces": "40", "metric": "dod", "coherence": "0.2", "refit": "yes", "key-frames": "4", "uv_weight": "1",
+    "attribute-weight": "st=1 map2=0.5", "memory": "2G", "frames": "1:9:2", "prim": "/A /B", "weld": "false",
+}  # fmt: skip
+VALUES = {
+    "faces": 40, "metric": "dod", "coherence": 0.2, "refit": True, "key_frames": 4, "uv_weight": 1.0,
+    "attribute_weight": ["st=1", "map2=0.5"], "memory": "2G", "frames": "1:9:2", "prim": ["/A", "/B"], "weld": False,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("values", [TEXT, VALUES], ids=["text", "values"])
+def test_options_come_from_text_and_from_values(values):
+    assert read_options(values) == SimplifyOptions(
+        faces=40, metric="dod", coherence=0.2, refit=True, key_frames=4, uv_weight=1.0,
+        attribute_weights=(("st", 1.0), ("map2", 0.5)), memory="2G", frames=FrameRange(1, 9, 2), prims=("/A", "/B"),
+        weld=False,
+    )  # fmt: skip
+
+
+def test_every_option_of_the_command_line_is_read_and_every_field_has_one():
+    assert set(inspect.signature(simplify_values).parameters) == set(OPTION_NAMES)
+    view = {"screen_error", "distance", "fov", "image_height"}
+    plural = {"attribute_weight": "attribute_weights", "prim": "prims"}
+    names = {plural.get(name, name) for name in OPTION_NAMES if name not in view}
+    assert names == {field.name for field in fields(SimplifyOptions)} - {"screen"}
+
+
+def test_defaults_of_the_command_line_are_those_of_the_options():
+    assert read_options({**simplify_values(), "ratio": 0.5}) == SimplifyOptions(ratio=0.5)
+
+
+def test_a_view_is_read_from_its_parts():
+    options = read_options({"screen_error": 2, "distance": "10", "fov": "30"})
+    assert options.screen == ScreenView(2.0, 10.0, 30.0)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"rotio": 1}, "no option 'rotio'; there are .*ratio"),
+        ({"ratio": "half"}, "ratio 'half'"),
+        ({"faces": 2.5}, "faces 2.5: expected a whole number"),
+        ({"ratio": 0.5, "weld": "perhaps"}, "weld 'perhaps': expected true or false"),
+        ({"ratio": True}, "ratio True: expected a number"),
+        ({"ratio": 0.5, "metric": 3}, "metric 3: expected text"),
+        ({"ratio": 0.5, "prim": [3]}, "prim"),
+        ({"screen_error": 2}, "needs --distance"),
+        ({"ratio": 0.5, "distance": 2}, "needs --screen-error"),
+        ({}, "exactly one"),
+    ],
+)
+def test_wrong_values_are_named(values, message):
+    with pytest.raises(OptionError, match=message):
+        read_options(values)
+
+
+def test_a_goal_takes_the_place_of_another():
+    merged = override_options({"screen_error": 1.0, "distance": 5.0, "refit": True}, {"max-error": 2, "ratio": ""})
+    assert read_options(merged) == SimplifyOptions(max_error=2.0, refit=True)
