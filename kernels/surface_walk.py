@@ -1,36 +1,72 @@
-"""Closest points of a surface that was near a moment ago: a walk over its vertices, then a bounded search."""
+"""Closest points of a surface that was near a moment ago: walks over its vertices, its faces and its borders.
+
+A walk goes downhill in distance and ends where no neighbour is nearer. From a start on the right part of the surface it
+stays there, where a search over the whole mesh may land on the other side of a thin part; it takes a fraction of the
+search's time. At a fold it may get stuck; then only the search helps.
+"""
 
 import warp as wp
 
-from warpqem.kernels.topology import half_edge_target
+from warpqem.kernels.closest_point import closest_barycentric, offset_squared, segment_parameter
+from warpqem.kernels.topology import half_edge_target, next_corner
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
-# Steps from star to star that a walk takes at most. Within a cluster two or three do, and it only gives a bound.
+# Steps that a walk takes at most. From a start within the same cluster two or three do.
 MOST_STEPS = wp.constant(32)
-
-# The search goes a little further than the bound, so that rounding does not put the vertex that gave it out of reach.
-BOUND_MARGIN = wp.constant(wp.float32(1.001))
-LEAST_BOUND = wp.constant(wp.float32(1.0e-6))
 
 
 @wp.struct
 class Surface:
-    """A mesh on several frames: positions (K, V), faces and stars."""
+    """A mesh on K frames: positions, faces, stars and what lies across each edge."""
 
-    points: wp.array2d[wp.vec3]
-    corner_vertex: wp.array[wp.int32]
-    star_start: wp.array[wp.int32]
-    star_corner: wp.array[wp.int32]
+    points: wp.array2d[wp.vec3]  # (K, V)
+    corner_vertex: wp.array[wp.int32]  # (3N,)
+    star_start: wp.array[wp.int32]  # (V+1,)
+    star_corner: wp.array[wp.int32]  # (3N,)
+    opposite: wp.array[wp.int32]  # (3N,) the half-edge of the other direction, -1 at a border
+    border_out: wp.array[wp.int32]  # (V,) the border half-edge that leaves a vertex, -1 where there is none
+    border_in: wp.array[wp.int32]  # (V,) the one that arrives
 
 
 @wp.struct
 class Hit:
-    """A point of a surface: face and barycentric weights, and a vertex near to it."""
+    """A point of a surface: face and barycentric weights."""
 
     face: wp.int32
     barycentric: wp.vec3
-    vertex: wp.int32
+    squared: wp.float32  # squared distance from the query
+
+
+@wp.struct
+class BorderHit:
+    """A point of a border: half-edge, part of the way along it, and squared distance from the query."""
+
+    half_edge: wp.int32  # -1: none
+    along: wp.float32
+    squared: wp.float32
+
+
+@wp.kernel
+def link_half_edges(
+    s: Surface,
+    # outputs
+    opposite_out: wp.array[wp.int32],
+    border_out: wp.array[wp.int32],
+    border_in: wp.array[wp.int32],
+):
+    """What lies across each edge; the border arrays are -1 before. Of several borders at a vertex the last counts."""
+    h = wp.tid()
+    u = s.corner_vertex[h]
+    v = half_edge_target(s.corner_vertex, h)
+    opposite = wp.int32(-1)
+    for i in range(s.star_start[v], s.star_start[v + 1]):
+        if half_edge_target(s.corner_vertex, s.star_corner[i]) == u:
+            opposite = s.star_corner[i]
+    opposite_out[h] = opposite
+    if opposite < 0:
+        wp.atomic_max(border_out, u, h)
+        wp.atomic_max(border_in, v, h)
 
 
 @wp.func
@@ -72,17 +108,122 @@ def walk_to_vertex(s: Surface, t: wp.int32, start: wp.int32, query: wp.vec3) -> 
 
 
 @wp.func
-def closest_hit(s: Surface, mesh: wp.uint64, t: wp.int32, start: wp.int32, query: wp.vec3) -> Hit:
-    """The nearest point of the surface in frame ``t``, whose hierarchy is ``mesh``; face -1 where there is none.
+def hit_face(s: Surface, t: wp.int32, face: wp.int32, query: wp.vec3) -> Hit:
+    """The nearest point of one face in frame ``t``."""
+    a = s.points[t, s.corner_vertex[3 * face]]
+    b = s.points[t, s.corner_vertex[3 * face + 1]]
+    c = s.points[t, s.corner_vertex[3 * face + 2]]
+    hit = Hit()
+    hit.face = face
+    hit.barycentric = closest_barycentric(query, a, b, c)
+    hit.squared = offset_squared(query, a, b, c, hit.barycentric)
+    return hit
 
-    A walk from a vertex that lies near bounds the distance, so that the hierarchy opens few boxes.
+
+@wp.func
+def hit_star(s: Surface, t: wp.int32, vertex: wp.int32, query: wp.vec3, best: Hit) -> Hit:
+    """``best``, or a nearer point in the star of a vertex."""
+    hit = best
+    for i in range(s.star_start[vertex], s.star_start[vertex + 1]):
+        other = hit_face(s, t, s.star_corner[i] / 3, query)
+        if hit.face < 0 or other.squared < hit.squared:
+            hit = other
+    return hit
+
+
+@wp.func
+def step_across(s: Surface, t: wp.int32, query: wp.vec3, here: Hit) -> Hit:
+    """A nearer point in the faces next to ``here``: across the edge that it lies on, or about its vertex."""
+    hit = here
+    inside = wp.int32(0)
+    corner = wp.int32(0)
+    for k in range(3):
+        if here.barycentric[k] > 0.0:
+            inside += 1
+            corner = 3 * here.face + k
+    if inside == 1:
+        return hit_star(s, t, s.corner_vertex[corner], query, here)
+    if inside == 2:
+        for k in range(3):
+            if here.barycentric[k] <= 0.0:
+                across = s.opposite[next_corner(3 * here.face + k)]
+                if across >= 0:
+                    other = hit_face(s, t, across / 3, query)
+                    if other.squared < hit.squared:
+                        hit = other
+    return hit
+
+
+@wp.func
+def closest_hit(s: Surface, t: wp.int32, starts: wp.vec3i, face: wp.int32, query: wp.vec3) -> Hit:
+    """The nearest point of the surface in frame ``t`` downhill from a face, or from up to three vertices.
+
+    The vertices count where ``face`` is -1; those of -1 do not. Face -1 where there is none to start from. Three starts
+    for the middle of a large face, from which no vertex is near.
     """
     hit = Hit()
-    hit.vertex = walk_to_vertex(s, t, start, query)
-    bound = wp.length(s.points[t, hit.vertex] - query)
-    found = wp.mesh_query_point_no_sign(mesh, query, BOUND_MARGIN * bound + LEAST_BOUND)
-    hit.face = wp.int32(-1)
+    if face >= 0:
+        hit = hit_face(s, t, face, query)
+    else:
+        hit.face = wp.int32(-1)
+        for k in range(3):
+            start = starts[k]
+            if start >= 0 and (k == 0 or start != starts[0]) and (k < 2 or start != starts[1]):
+                hit = hit_star(s, t, walk_to_vertex(s, t, start, query), query, hit)
+        if hit.face < 0:
+            return hit
+    for _ in range(MOST_STEPS):
+        here = hit.face
+        hit = step_across(s, t, query, hit)
+        if hit.face == here:
+            break
+    return hit
+
+
+@wp.func
+def search_nearer(mesh: wp.uint64, query: wp.vec3, best: Hit) -> Hit:
+    """The nearest point of the whole surface, whose hierarchy is ``mesh``, where it is nearer than ``best``."""
+    hit = best
+    distance = wp.sqrt(best.squared)
+    found = wp.mesh_query_point_no_sign(mesh, query, distance)
     if found.result:
         hit.face = found.face
         hit.barycentric = wp.vec3(found.u, found.v, 1.0 - found.u - found.v)
+    return hit
+
+
+@wp.func
+def hit_border_edge(s: Surface, t: wp.int32, half_edge: wp.int32, query: wp.vec3) -> BorderHit:
+    """The nearest point of one border edge."""
+    a = s.points[t, s.corner_vertex[half_edge]]
+    b = s.points[t, half_edge_target(s.corner_vertex, half_edge)]
+    hit = BorderHit()
+    hit.half_edge = half_edge
+    hit.along = segment_parameter(query, a, b)
+    hit.squared = wp.length_sq(query - a - hit.along * (b - a))
+    return hit
+
+
+@wp.func
+def closest_border_hit(s: Surface, t: wp.int32, vertex: wp.int32, query: wp.vec3) -> BorderHit:
+    """The nearest point of the border downhill from a vertex; half-edge -1 where the vertex is on none."""
+    hit = BorderHit()
+    hit.half_edge = s.border_out[vertex]
+    if hit.half_edge < 0:
+        return hit
+    hit = hit_border_edge(s, t, hit.half_edge, query)
+    for _ in range(MOST_STEPS):
+        here = hit.half_edge
+        ahead = s.border_out[half_edge_target(s.corner_vertex, here)]
+        behind = s.border_in[s.corner_vertex[here]]
+        if ahead >= 0:
+            other = hit_border_edge(s, t, ahead, query)
+            if other.squared < hit.squared:
+                hit = other
+        if behind >= 0:
+            other = hit_border_edge(s, t, behind, query)
+            if other.squared < hit.squared:
+                hit = other
+        if hit.half_edge == here:
+            break
     return hit

@@ -45,14 +45,65 @@ def test_refit_slides_little_more_than_placement(both, device):
     assert after.slide < 1.5 * before.slide + 0.01
 
 
-def test_refit_leaves_border_vertices_where_they_are(device):
+def border_edges(faces):
+    """(B, 2) vertices, along the faces."""
+    edges = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
+    directed = set(map(tuple, edges.tolist()))
+    return np.array([e for e in edges.tolist() if (e[1], e[0]) not in directed])
+
+
+def distance_to_segments(query, a, b):
+    """(Q,) distances of points from the nearest of some segments."""
+    along = ((query[:, None] - a) * (b - a)).sum(axis=-1) / ((b - a) ** 2).sum(axis=-1)
+    foot = a + np.clip(along, 0, 1)[..., None] * (b - a)
+    return np.linalg.norm(query[:, None] - foot, axis=-1).min(axis=1)
+
+
+def border_error(mesh, result):
+    """RMS distance of the input's border vertices from the output's border, over the frames."""
+    points, faces = mesh
+    vertex, edge = np.unique(border_edges(faces)), border_edges(result.faces)
+    squared = [
+        distance_to_segments(p[vertex], q[edge[:, 0]], q[edge[:, 1]]) ** 2
+        for p, q in zip(points, result.points, strict=True)
+    ]
+    return np.sqrt(np.mean(squared))
+
+
+def round_cloth():
+    """A disc that waves: its border is curved in the surface and across it."""
     points, faces = meshes.waving_grid(20, 4)
-    placed, refitted = (warpqem.simplify(points, faces, ratio=0.2, refit=r, device=device) for r in (False, True))
-    tail, head = placed.faces.ravel(), np.roll(placed.faces, -1, axis=1).ravel()
-    directed = set(zip(tail.tolist(), head.tolist(), strict=True))
-    border = sorted({v for e in directed if e[::-1] not in directed for v in e})
-    np.testing.assert_array_equal(refitted.points[:, border], placed.points[:, border])
-    assert not np.array_equal(refitted.points, placed.points)
+    x, y = 2 * points[0, :, 0] / np.ptp(points[0, :, 0]), 2 * points[0, :, 1] / np.ptp(points[0, :, 1])
+    x, y = x - (x.max() + x.min()) / 2, y - (y.max() + y.min()) / 2
+    disc = points.copy()
+    disc[:, :, 0], disc[:, :, 1] = x * np.sqrt(1 - y**2 / 2), y * np.sqrt(1 - x**2 / 2)
+    return disc, faces
+
+
+def test_refit_fits_borders_to_borders(device):
+    cloth = round_cloth()
+    placed, refitted = (warpqem.simplify(*cloth, ratio=0.1, refit=r, device=device) for r in (False, True))
+    assert border_error(cloth, refitted) < 0.95 * border_error(cloth, placed)
+
+
+def test_refit_moves_vertices_of_seams_across_the_surface(device):
+    points, faces = meshes.icosphere(4)
+    seams = np.array(
+        [
+            e
+            for e in np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
+            if (np.abs(points[e, 2]) < 1e-6).all()
+        ]
+    )
+    placed, refitted = (
+        warpqem.simplify(points, faces, ratio=0.05, seams=seams, refit=r, device=device) for r in (False, True)
+    )
+    seam = np.unique(placed.vertex_map[seams])
+    move = (refitted.points - placed.points)[0, seam]
+    normal = placed.points[0, seam] / np.linalg.norm(placed.points[0, seam], axis=1, keepdims=True)
+    across = np.abs((move * normal).sum(axis=1))
+    assert across.max() > 1e-3
+    assert np.linalg.norm(move - (move * normal).sum(axis=1, keepdims=True) * normal, axis=1).max() < 0.3 * across.max()
 
 
 def test_refit_leaves_locked_vertices_where_they_are(device):
@@ -89,9 +140,17 @@ def test_refit_of_a_still_mesh_lowers_the_error(device):
     assert rms((points, faces), refitted, device) < rms((points, faces), placed, device)
 
 
-def test_sample_weights_of_a_face_sum_to_one():
-    np.testing.assert_allclose(OUTPUT_SAMPLES.sum(axis=1), 1, atol=1e-12)
-    assert len(np.unique(OUTPUT_SAMPLES.round(9), axis=0)) == 12
+@pytest.mark.parametrize("count", OUTPUT_SAMPLES)
+def test_samples_of_a_face_are_distinct_and_lie_in_it(count):
+    samples = OUTPUT_SAMPLES[count]
+    np.testing.assert_allclose(samples.sum(axis=1), 1, atol=1e-12)
+    assert (samples > 0).all()
+    assert len(np.unique(samples.round(9), axis=0)) == count
+
+
+@pytest.mark.parametrize("count", OUTPUT_SAMPLES)
+def test_samples_of_a_face_have_its_middle(count):
+    np.testing.assert_allclose(OUTPUT_SAMPLES[count].mean(axis=0), 1 / 3, atol=1e-12)
 
 
 def test_conjugate_gradients_solve_the_assembled_system(device):

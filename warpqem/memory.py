@@ -124,8 +124,9 @@ PLACE_FACE, PLACE_OUTPUT = 200, 2500
 # their way to the sink.
 FRAME_OUTPUT = 120
 # The refit, for each input vertex and key frame: the surface on the device and the host; for each input face and
-# vertex: pairs, search hierarchies; for each output vertex: the equations of its two faces, 9 blocks of 36 bytes each.
-REFIT_KEY, REFIT_FACE, REFIT_VERTEX, REFIT_OUTPUT = 24, 150, 150, 1500
+# vertex: pairs, search hierarchies, what lies across its edges; for each output vertex: the pairs of its two faces and
+# their equations, 9 blocks of 36 bytes each.
+REFIT_KEY, REFIT_FACE, REFIT_VERTEX, REFIT_OUTPUT = 24, 170, 160, 1700
 
 
 def plan_memory(needs: MemoryNeeds, limit: int | str | None, device: str) -> MemoryPlan:

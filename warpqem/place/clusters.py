@@ -67,7 +67,8 @@ class ClusterPlacer:
     Attributes:
         vertex_count: clusters C.
         free: (C,) bool, vertices that may leave the place that their quadrics give them: those that stand for several
-            input vertices, on no border or seam, and not pinned.
+            input vertices and are not pinned.
+        on_seam: (C,) bool, vertices that stand for one on a seam.
         nearest: (C,) int32, an input vertex of each cluster near to its anchor.
         copied_count: vertices M that are copies of an input vertex.
     """
@@ -95,9 +96,8 @@ class ClusterPlacer:
             # A vertex alone in its cluster lies on all its planes: it is its own optimum.
             alone = np.bincount(cluster[cluster >= 0], minlength=len(kept)) == 1
             solved = (~alone & ~pinned[kept]).astype(np.int32)
-        on_line = np.zeros(len(kept), dtype=bool)
-        on_line[cluster[(ordered.line_rank > 0) & (cluster >= 0)]] = True
-        self.free = (solved == 1) & ~on_line
+        self.free = solved == 1
+        self.on_seam = _on_seam(faces, ordered.constrained, cluster, len(kept))
         self.nearest = anchors.vertex[_heaviest(anchors)]
         # An anchor that is one input vertex, not solved for, is copied, so that it keeps its bits.
         single = np.flatnonzero((solved == 0) & (np.maximum.reduceat(anchors.weight, anchors.start[:-1]) == 1.0))
@@ -170,6 +170,14 @@ class ClusterPlacer:
         points = mesh.original_points(placed.points)
         points[:, self._copied] = placed.copied + mesh.origin
         return points
+
+
+def _on_seam(faces: np.ndarray, constrained: np.ndarray, cluster: np.ndarray, cluster_count: int) -> np.ndarray:
+    """(C,) bool, clusters that hold a vertex of a seam. Seam edges are marked in both their faces."""
+    owner = cluster[faces.ravel()[np.flatnonzero(constrained >= 2)]]
+    on_seam = np.zeros(cluster_count, dtype=bool)
+    on_seam[owner[owner >= 0]] = True
+    return on_seam
 
 
 def _heaviest(anchors: Anchors) -> np.ndarray:

@@ -6,32 +6,59 @@ import numpy as np
 import warp as wp
 
 from warpqem.kernels import refit as kernels
+from warpqem.kernels import surface_walk as walk_kernels
 from warpqem.kernels.surface_walk import Surface
 from warpqem.order.stars import Stars
 from warpqem.parallel import launch_parts
 from warpqem.place.rows import group_rows
 
-__all__ = ["Matching", "make_surface"]
+__all__ = ["OUTPUT_SAMPLES", "Matching", "make_surface"]
 
-# The 12 points of Dunavant's rule of degree 6 (1985), as the weights of the corners: some near the corners and edges,
-# where a coarse face leaves the surface, and some inside. All weigh the same here.
-_NEAR_CORNER, _INSIDE, _SIDE, _EDGE = 0.063089014491502, 0.249286745170910, 0.310352451033785, 0.053145049844816
-OUTPUT_SAMPLES = np.array(
-    [np.roll([1 - 2 * a, a, a], k) for a in (_INSIDE, _NEAR_CORNER) for k in range(3)]
-    + [
-        np.roll(row, k)
-        for row in ([_SIDE, _EDGE, 1 - _SIDE - _EDGE], [_EDGE, _SIDE, 1 - _SIDE - _EDGE])
-        for k in range(3)
-    ]
-)
+
+def _turned(*barycentric: float) -> list[np.ndarray]:
+    """The same point seen from each corner."""
+    return [np.roll(barycentric, k) for k in range(3)]
+
+
+def _symmetric(a: float) -> list[np.ndarray]:
+    return _turned(1 - 2 * a, a, a)
+
+
+# Dunavant's rules of degree 2, 4 and 6 (1985), as the weights of the corners, by number of points: some near the
+# corners and edges, where a coarse face leaves the surface, and some inside. All points weigh the same here.
+_SIDE, _EDGE = 0.310352451033785, 0.053145049844816
+OUTPUT_SAMPLES = {
+    3: np.array(_symmetric(1 / 6)),
+    6: np.array(_symmetric(0.091576213509771) + _symmetric(0.445948490915965)),
+    12: np.array(
+        _symmetric(0.249286745170910)
+        + _symmetric(0.063089014491502)
+        + _turned(_SIDE, _EDGE, 1 - _SIDE - _EDGE)
+        + _turned(_EDGE, _SIDE, 1 - _SIDE - _EDGE)
+    ),
+}
+
+# Points on a border edge. Output edges are long, and the border leaves them anywhere between their ends.
+INPUT_BORDER_SAMPLES = 1
+OUTPUT_BORDER_SAMPLES = 4
 
 
 def make_surface(points: wp.array, corner_vertex: wp.array, stars: Stars) -> Surface:
     """The struct that kernels walk on: points (K, V) vec3, corner_vertex (3N,) int32."""
+    device, vertex_count = corner_vertex.device, len(stars.start) - 1
     surface = Surface()
     surface.points = points
     surface.corner_vertex = corner_vertex
     surface.star_start, surface.star_corner = stars.start, stars.corner
+    surface.opposite = wp.empty_like(corner_vertex)
+    surface.border_out, surface.border_in = (wp.full(vertex_count, -1, dtype=wp.int32, device=device) for _ in range(2))
+    wp.launch(
+        walk_kernels.link_half_edges,
+        dim=len(corner_vertex),
+        inputs=[surface],
+        outputs=[surface.opposite, surface.border_out, surface.border_in],
+        device=device,
+    )
     return surface
 
 
@@ -40,16 +67,17 @@ class Matching:
 
     Args:
         source: the input on K key frames.
-        target: the output on the same frames, as placed.
+        target: the output on the same frames, as placed; its points are what :meth:`find` pairs.
         vertex_map: (V,) int32, input vertex to output vertex, -1 for a vertex without a face.
         faces: (N, 3) int32, the input's.
         out_faces: (N', 3) int32.
-        nearest: (C,) int32, an input vertex near to each output vertex.
+        nearest: (C,) int32, an input vertex near to each output vertex, on a border where that is.
         turns: frames in which each sample is paired.
+        border_width: a length of border counts as a strip so wide, in diagonals.
         device: Warp device.
 
     Attributes:
-        input_pairs: from points of the input to the output.
+        input_pairs: from points of the input to the output, and those of the borders both ways.
         output_pairs: from points of the output to the input, a fixed number for each face.
         input_start: (N'+1,) int32, first entry of each output face in ``input_order``.
         input_order: int32, input pairs by output face.
@@ -64,38 +92,66 @@ class Matching:
         out_faces: np.ndarray,
         nearest: np.ndarray,
         turns: int,
+        border_width: float,
         device: str,
     ) -> None:
-        self._source, self._turns, self._device = source, turns, device
-        self._source_mesh, self._target_mesh = _Hierarchy(source), _Hierarchy(target)
+        self._source, self._target, self._turns, self._device = source, target, turns, device
+        self._border_width = border_width
         self._face_count = len(out_faces)
-        # A walk starts at the corner that a point lies nearest to.
-        start = np.concatenate([vertex_map[faces[:, 0]], vertex_map])
-        self.input_pairs = _empty_pairs(np.repeat(start, turns), device)
-        corner = OUTPUT_SAMPLES.argmax(axis=1)
-        start = nearest[out_faces[:, corner]].ravel()
-        self.output_pairs = _empty_pairs(np.repeat(start, turns), device)
-        self._barycentric = wp.array(OUTPUT_SAMPLES, dtype=wp.vec3, device=device)
+        self._to_output = wp.array(vertex_map, dtype=wp.int32, device=device)
+        self._to_input = wp.array(nearest, dtype=wp.int32, device=device)
+        self._hierarchies: tuple[_Hierarchy, _Hierarchy] | None = _Hierarchy(source), _Hierarchy(target)
+        self._borders = _border_half_edges(source), _border_half_edges(target)
+        self._sample_count = (len(faces) + len(vertex_map)) * turns
+        # Two pairs at each point of a border.
+        border_counts = len(self._borders[0]) * INPUT_BORDER_SAMPLES, len(self._borders[1]) * OUTPUT_BORDER_SAMPLES
+        self.input_pairs = _empty_pairs(self._sample_count + 2 * turns * sum(border_counts), device)
+        samples = _fitting_samples(len(faces), len(out_faces))
+        self.output_pairs = _empty_pairs(len(samples) * len(out_faces) * turns, device)
+        self._barycentric = wp.array(samples, dtype=wp.vec3, device=device)
 
-    def find(self, target: Surface, reach: float) -> None:
+    def find(self, reach: float) -> None:
         """Pair the output as it lies now; points further apart than ``reach`` are no pair."""
+        source, target = self._source, self._target
+        surfaces = [reach, source, target]
         for key in range(len(target.points)):
-            self._source_mesh.show(self._source, key)
-            self._target_mesh.show(target, key)
-            inputs = [reach, self._source, target]
-            self._launch(kernels.match_input_samples, key, [*inputs, self._target_mesh.id], self.input_pairs)
-            inputs += [self._source_mesh.id, self._barycentric]
-            self._launch(kernels.match_output_samples, key, inputs, self.output_pairs)
+            source_mesh, target_mesh = self._show(key)
+            inputs = [*surfaces, self._to_output, target_mesh]
+            self._launch(kernels.match_input_samples, key, self._sample_count, inputs, self.input_pairs)
+            inputs = [*surfaces, self._to_input, source_mesh, self._barycentric]
+            self._launch(kernels.match_output_samples, key, len(self.output_pairs.face), inputs, self.output_pairs)
+            self._find_borders(key, reach)
+        self._hierarchies = None
         face = self.input_pairs.face.numpy()
         hit = np.flatnonzero(face >= 0)
         order, start = group_rows(face[hit], self._face_count)
         self.input_start = wp.array(start, dtype=wp.int32, device=self._device)
         self.input_order = wp.array(hit[order], dtype=wp.int32, device=self._device)
 
-    def _launch(self, kernel: wp.Kernel, key: int, inputs: list[object], pairs: kernels.Pairs) -> None:
+    def _show(self, key: int) -> tuple[int, int]:
+        """Hierarchies of both surfaces in a key frame, for walks that get stuck; 0 after the first round."""
+        if self._hierarchies is None:
+            return 0, 0
+        for hierarchy, surface in zip(self._hierarchies, (self._source, self._target), strict=True):
+            hierarchy.show(surface, key)
+        return self._hierarchies[0].id, self._hierarchies[1].id
+
+    def _find_borders(self, key: int, reach: float) -> None:
+        source, target, first = self._source, self._target, self._sample_count
+        for is_output, per_edge in enumerate((INPUT_BORDER_SAMPLES, OUTPUT_BORDER_SAMPLES)):
+            half_edge = self._borders[is_output]
+            surfaces = [target, source] if is_output else [source, target]
+            start = self._to_input if is_output else self._to_output
+            count = len(half_edge) * per_edge * self._turns
+            inputs = [reach, *surfaces, is_output, half_edge, start, per_edge, self._border_width, first]
+            self._launch(kernels.match_border_samples, key, count, inputs, self.input_pairs)
+            first += 2 * count
+
+    def _launch(self, kernel: wp.Kernel, key: int, pair_count: int, inputs: list[object], pairs: kernels.Pairs) -> None:
+        """Find those of ``pair_count`` pairs whose turn it is in a key frame."""
         key_count = len(self._source.points)
         # As many as the first frame has; the kernel leaves out those past the end.
-        count = -(-len(pairs.face) // (key_count * self._turns)) * self._turns
+        count = -(-pair_count // (key_count * self._turns)) * self._turns
 
         def match(part: slice) -> None:
             turns = kernels.Turns()
@@ -123,13 +179,30 @@ class _Hierarchy:
         self._mesh.refit()
 
 
-def _empty_pairs(start: np.ndarray, device: str) -> kernels.Pairs:
-    pairs, count = kernels.Pairs(), len(start)
+def _border_half_edges(surface: Surface) -> wp.array:
+    """(B,) int32."""
+    half_edge = np.flatnonzero(surface.opposite.numpy() < 0)
+    return wp.array(half_edge, dtype=wp.int32, device=surface.opposite.device)
+
+
+SAMPLES = 2.0
+
+
+def _fitting_samples(face_count: int, out_face_count: int) -> np.ndarray:
+    """Points of an output face, so many that the output has no fewer than the input: that has 3 for each 2 faces."""
+    for count, samples in OUTPUT_SAMPLES.items():
+        if count * out_face_count >= SAMPLES * face_count:
+            return samples
+    return OUTPUT_SAMPLES[max(OUTPUT_SAMPLES)]
+
+
+def _empty_pairs(count: int, device: str) -> kernels.Pairs:
+    pairs = kernels.Pairs()
     pairs.face = wp.empty(count, dtype=wp.int32, device=device)
     pairs.key = wp.empty(count, dtype=wp.int32, device=device)
     pairs.barycentric = wp.empty(count, dtype=wp.vec3, device=device)
     pairs.normal = wp.empty(count, dtype=wp.vec3, device=device)
     pairs.residual = wp.empty(count, dtype=wp.float32, device=device)
     pairs.weight = wp.empty(count, dtype=wp.float32, device=device)
-    pairs.start = wp.array(start, dtype=wp.int32, device=device)
+    pairs.near = wp.full(count, -1, dtype=wp.int32, device=device)
     return pairs

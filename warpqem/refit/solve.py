@@ -9,8 +9,8 @@ from warpqem.kernels import element_solve as kernels
 __all__ = ["solve_elements"]
 
 # The iteration stops where the preconditioned residual has fallen to this part of its start: corrections are a small
-# part of an edge, so three digits are plenty. About ten steps do.
-TOLERANCE = 1e-4
+# part of an edge, so three digits are plenty.
+TOLERANCE = 1e-3
 MOST_STEPS = 200
 
 

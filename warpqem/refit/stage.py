@@ -49,13 +49,18 @@ EDGE_PULL = 0.01
 # output inwards there.
 OUTPUT_SHARE = 2.0
 
+# A border counts as a strip beside it, so wide in mean edge lengths of the output.
+BORDER_WIDTH = 0.5
+# Pull along the surface on a vertex of a seam, relative to that on others: values on both sides stay where they are.
+SEAM_STIFFNESS = 200.0
+
 # Pairs further apart than so many times the largest error of a collapse are left out: there the search for the nearest
 # point got lost. The surfaces themselves are nowhere further apart than about three times that.
 REACH = 4.0
 
 # A vertex that turns a face over is pulled back so much more, so many times, and then it does not move.
-HOLD = 10.0
-HOLDINGS = 3
+HOLD = 30.0
+HOLDINGS = 1
 # The pull on a vertex that does not move, for its neighbours to be solved with.
 MOST_HOLD = 1e6
 
@@ -71,8 +76,9 @@ def fit_corrections(
 ) -> Callable[[PlacedFrames], PlacedFrames]:
     """What moves placed frames, so that the surface as a whole is nearest to the input.
 
-    Vertices on borders and seams, pinned ones and those that stand for one input vertex stay where they are. A face
-    that does not face away from the input in some frame does not after the refit.
+    Pinned vertices and those that stand for one input vertex stay where they are; those on seams move hardly but across
+    the surface, and borders are fitted to borders. A face that does not face away from the input in some frame does not
+    after the refit.
 
     Args:
         mesh: the input.
@@ -122,11 +128,21 @@ class _Refit:
             corner_vertex,
             build_stars(corner_vertex, mesh.vertex_count),
         )
-        target = make_surface(self._points, self._corner_vertex, self._stars)
+        self._moved = wp.clone(self._points)
         self._matching = Matching(
-            source, target, placer.vertex_map, mesh.faces, placer.faces, placer.nearest, self._turns, device
+            source,
+            make_surface(self._moved, self._corner_vertex, self._stars),
+            placer.vertex_map,
+            mesh.faces,
+            placer.faces,
+            placer.nearest,
+            self._turns,
+            BORDER_WIDTH * self._scales.edge_squared**0.5,
+            device,
         )
-        self._hold = wp.full(self._vertex_count, 1.0, dtype=wp.float32, device=device)
+        self._stiffness = np.ones((self._vertex_count, 3), dtype=np.float32)
+        self._stiffness[placer.on_seam, :2] = SEAM_STIFFNESS
+        self._hold = wp.array(self._stiffness, dtype=wp.vec3, device=device)
         self._correction = wp.zeros(self._vertex_count, dtype=wp.vec3, device=device)
 
     def _make_rings(self, first: PlacedFrames) -> frame_kernels.OneRings:
@@ -155,9 +171,8 @@ class _Refit:
 
     def improve(self, reach: float) -> None:
         """One round: pair the surfaces as they lie now, and solve for the corrections."""
-        moved = wp.empty_like(self._points)
-        self._move(self._points, self._normals, moved)
-        self._matching.find(make_surface(moved, self._corner_vertex, self._stars), reach)
+        self._move(self._points, self._normals, self._moved)
+        self._matching.find(reach)
         self._correction = solve_elements(*self._assemble(self._correction))
 
     def _assemble(self, matched_at: wp.array) -> tuple[Elements, wp.array]:
@@ -167,9 +182,10 @@ class _Refit:
         """
         device, face_count = self._device, len(self._faces)
         pull = kernels.Pull()
-        pull.tangent, pull.normal, pull.edge = TANGENT_PULL, NORMAL_PULL, EDGE_PULL
+        pull.tangent, pull.normal = TANGENT_PULL, NORMAL_PULL
         # One for a vertex's share of the area.
         unit = self._vertex_count / (self._scales.area * self._turns)
+        pull.mass = (1.0 + OUTPUT_SHARE) * self._turns * unit
         edge_weight = EDGE_PULL / 6.0 / len(self._points)
         elements = Elements()
         elements.corner_vertex = self._corner_vertex
@@ -225,7 +241,7 @@ class _Refit:
             if not marked.any():
                 return
             hold[marked] = np.where(hold[marked] < HOLD**HOLDINGS, HOLD * hold[marked], np.inf)
-            self._hold.assign(np.minimum(hold, MOST_HOLD))
+            self._hold.assign(self._stiffness * np.minimum(hold, MOST_HOLD)[:, None])
             solution = solve_elements(*self._assemble(matched_at)).numpy()
             solution[np.isinf(hold)] = 0.0
             self._correction = wp.array(solution, dtype=wp.vec3, device=self._device)
@@ -254,7 +270,8 @@ class _Refit:
 
 
 def _measure_scales(points: np.ndarray, faces: np.ndarray) -> _Scales:
-    corner = points[:, faces]
+    # They hardly change from frame to frame.
+    corner = points[::4, faces]
     edge = np.roll(corner, -1, axis=2) - corner
     area = 0.5 * np.linalg.norm(np.cross(edge[:, :, 0], edge[:, :, 1]), axis=2).sum(axis=1)
     return _Scales(float(area.mean()), float((edge.astype(np.float64) ** 2).sum(axis=-1).mean()))
