@@ -2,61 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-
-from warpqem.arguments import check_options, check_ratio, read_goal, target_count
+from warpqem.arguments import check_options, read_goal
 from warpqem.attributes import AttributeField
 from warpqem.cost_models import cost_model
 from warpqem.device import resolve_device
-from warpqem.errors import OptionError, UnreachableTargetError
-from warpqem.finishing import place_frames, place_refitted
-from warpqem.frame_stream import ArraySink, FrameSink
+from warpqem.frame_stream import FrameSink
 from warpqem.memory import MemoryPlan
 from warpqem.mesh_input import read_mesh
-from warpqem.order.levels import OrderedLevels
-from warpqem.order.log import CollapseRecord
-from warpqem.order.nodes import NodeRecorder
-from warpqem.order.stage import OrderedMesh
-from warpqem.place.stage import Placer
-from warpqem.preparation import ORDER_END, Prepared, Progress, plan_work, prepare
+from warpqem.preparation import Progress, plan_work, prepare
+from warpqem.result import Outcome, SimplifiedMesh, finish, reached
 
-__all__ = ["SimplifiedMesh", "plan", "simplify", "simplify_levels"]
-
-
-@dataclass(frozen=True)
-class SimplifiedMesh:
-    """What :func:`simplify` returns.
-
-    Attributes:
-        points: (F, V', 3) float32, in the input's coordinates; where a sink took the frames, the first one, (1, V', 3).
-        faces: (N', 3) int32.
-        vertex_map: (V,) int32, input vertex to the output vertex it collapsed into; -1 for a vertex without a face.
-        face_map: (N',) int32, the input face that each output face goes on from.
-        stopped: "target", "max_error" or "no legal collapse".
-        error: % of the bounding-box diagonal, the largest RMS distance over key frames, among all collapses, of a
-            merged vertex from the planes of the faces it stands for.
-        flips: (F,) int32, output faces that face away from the input there.
-        log: the collapses, for levels of detail.
-        key_frames: (K,) int, the frames that decided the order.
-        diagonal: largest bounding-box diagonal of a frame of the input, in its units.
-        plan: the blocks of frames it was done in, and the memory for it.
-    """
-
-    points: np.ndarray
-    faces: np.ndarray
-    vertex_map: np.ndarray
-    face_map: np.ndarray
-    stopped: str
-    error: float
-    flips: np.ndarray
-    log: CollapseRecord
-    key_frames: np.ndarray
-    diagonal: float
-    plan: MemoryPlan
+__all__ = ["plan", "simplify"]
 
 
 def simplify(
@@ -148,101 +107,12 @@ def simplify(
         progress=progress,
     )
     ordered = work.order(progress)
-    placer, outcome = work.placer(ordered), _Outcome.of(ordered)
+    placer, outcome = work.placer(ordered), Outcome.of(ordered)
     # Placing has its own use for the memory of ordering.
     work = work.without_input()
     del ordered
-    result = _finish(work, placer, outcome, refit, sink, progress)
-    if work.goal.target_faces > 0 and result.stopped == "no legal collapse":
-        raise UnreachableTargetError(
-            f"{len(result.faces)} faces are left and no edge collapse is legal, "
-            f"{work.goal.target_faces} were asked for",
-            result,
-        )
-    return result
-
-
-def simplify_levels(
-    points: Any,
-    faces: Any = None,
-    *,
-    ratios: Sequence[float],
-    refit: bool = False,
-    progress: Progress | None = None,
-    **options: Any,
-) -> list[SimplifiedMesh]:
-    """Simplify an animated mesh to several levels that nest: edges are collapsed once, each level is placed on its own.
-
-    Every level has the bits of :func:`simplify` with its ratio. Where no legal collapse leads to a level, it is the
-    coarsest mesh there is, and its ``stopped`` says so. For any level at all see :func:`warpqem.build_progressive`.
-
-    Args:
-        points: as for :func:`simplify`.
-        faces: likewise.
-        ratios: part of the faces that each level keeps, in (0, 1].
-        refit: refit each level on its own.
-        progress: called with the part done, 0 to 1, and the stage, "read", "order" or "place".
-        options: other keyword arguments of :func:`simplify`, but for its goals and ``sink``.
-
-    Raises:
-        OptionError: also where there is no ratio, or an option that does not apply.
-        WarpqemError: the other errors of :func:`simplify`, but for an unreachable target.
-    """
-    refused = {"ratio", "target_faces", "max_error", "sink"} & set(options)
-    if refused or not len(ratios):
-        raise OptionError(f"{', '.join(sorted(refused))}: not with levels" if refused else "levels need ratios")
-    for ratio in ratios:
-        check_ratio(ratio)
-    work = prepare(points, faces, ratio=min(ratios), refit=refit, progress=progress, **options)
-    recorder = NodeRecorder()
-    levels = OrderedLevels(work.mesh.faces, work.order(progress, recorder), recorder)
-    results = []
-    for index, ratio in enumerate(ratios):
-        ordered = levels.at(levels.collapses_to(target_count(ratio, len(work.mesh.faces))))
-        part = None if progress is None else _part_of(progress, index, len(ratios))
-        results.append(_finish(work, work.placer(ordered), _Outcome.of(ordered), refit, None, part))
-    return results
-
-
-@dataclass(frozen=True)
-class _Outcome:
-    """What a result says of its ordering."""
-
-    log: CollapseRecord
-    face_map: np.ndarray
-    stopped: str
-
-    @classmethod
-    def of(cls, ordered: OrderedMesh) -> _Outcome:
-        return cls(ordered.log, ordered.face_map, ordered.stopped)
-
-
-def _finish(
-    work: Prepared, placer: Placer, outcome: _Outcome, refit: bool, sink: FrameSink | None, progress: Progress | None
-) -> SimplifiedMesh:
-    """Place all frames, and refit them where that is asked for."""
-    mesh = work.mesh
-    error = float(outcome.log.error.max(initial=0.0))
-    array = ArraySink()
-    common = (mesh, placer, array if sink is None else sink, work.blocks, _place_progress(progress, mesh.frame_count))
-    if refit and not work.place_settings.endpoint and placer.free.any():
-        on_disk = work.plan.scratch_bytes > 0
-        finished = place_refitted(*common, key_frames=work.key_frames, error=error, on_disk=on_disk, device=work.device)
-    else:
-        finished = place_frames(*common)
-    return SimplifiedMesh(
-        points=array.points if sink is None else finished.first,
-        faces=placer.faces,
-        vertex_map=placer.vertex_map,
-        face_map=mesh.face_index[outcome.face_map],
-        stopped=outcome.stopped,
-        error=100.0 * error,
-        flips=finished.flips,
-        log=outcome.log,
-        key_frames=work.key_frames,
-        diagonal=mesh.diagonal,
-        plan=work.plan,
-    )
+    result = finish(work, placer, outcome, refit, sink, progress)
+    return reached(result, work.goal.target_faces)
 
 
 def plan(
@@ -275,19 +145,3 @@ def plan(
     goal = read_goal(len(given.faces), ratio, target_faces, max_error)
     refit = refit and placement != "endpoint"
     return plan_work(given, spec, goal, key_frames, attributes, refit, sink is None, memory, device)
-
-
-def _place_progress(progress: Progress | None, frame_count: int) -> Callable[[int], None] | None:
-    if progress is None:
-        return None
-    return lambda done: progress(ORDER_END + (1.0 - ORDER_END) * done / frame_count, "place")
-
-
-def _part_of(progress: Progress, index: int, count: int) -> Progress:
-    """The progress of placing one of several levels."""
-
-    def part(fraction: float, stage: str) -> None:
-        done = (index + (fraction - ORDER_END) / (1.0 - ORDER_END)) / count
-        progress(ORDER_END + (1.0 - ORDER_END) * done, stage)
-
-    return part

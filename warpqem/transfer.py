@@ -18,7 +18,7 @@ from warpqem.edges import edge_key
 from warpqem.kernels import transfer as kernels
 from warpqem.mesh_input import as_numpy
 from warpqem.place.rows import gather_faces, group_rows
-from warpqem.simplification import SimplifiedMesh
+from warpqem.result import SimplifiedMesh
 
 __all__ = ["SurfaceTransfer", "blend", "is_proper", "joined_faces", "surface_transfer"]
 

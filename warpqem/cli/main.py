@@ -11,6 +11,7 @@ from warpqem.cli.compare import compare
 from warpqem.cli.console import OneLineErrors
 from warpqem.cli.features import features
 from warpqem.cli.info import info
+from warpqem.cli.levels import levels
 from warpqem.cli.progressive import progressive
 from warpqem.cli.render import render
 from warpqem.cli.simplify import simplify
@@ -31,6 +32,7 @@ app.command()(info)
 app.command()(compare)
 app.command()(features)
 app.command()(render)
+app.command()(levels)
 app.add_typer(progressive)
 
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from warpqem.memory import MemoryPlan
     from warpqem.usd.report import PrimReport, StageReport
 
-__all__ = ["simplify"]
+__all__ = ["run_simplify", "simplify"]
 
 
 @takes_simplify_options
@@ -29,6 +29,11 @@ def simplify(input_file: Input, output: Output, options: dict[str, Any], json: J
 
     Exit codes: 0 all done; 1 an error, or some mesh failed; 2 wrong usage.
     """
+    run_simplify(input_file, output, options, json)
+
+
+def run_simplify(input_file: str, output: str, options: dict[str, Any], json: str | None) -> None:
+    """Simplify, and say what came of it."""
     quiet_warp()
     from warpqem.usd import simplify_stage
     from warpqem.usd.option_values import read_options

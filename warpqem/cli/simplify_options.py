@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from enum import Enum
 from typing import Annotated, Any
 
@@ -165,10 +165,14 @@ def simplify_values(
     return dict(locals())
 
 
-def takes_simplify_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Give a command the options of a simplification beside its own; it gets their values as `options`."""
+def takes_simplify_options(command: Callable[..., None], without: Collection[str] = ()) -> Callable[..., None]:
+    """Give a command the options of a simplification beside its own; it gets their values as `options`.
+
+    Those named in `without` keep their defaults.
+    """
     own = inspect.signature(command, eval_str=True)
-    shared = inspect.signature(simplify_values, eval_str=True).parameters
+    offered = inspect.signature(simplify_values, eval_str=True).parameters
+    shared = {name: parameter for name, parameter in offered.items() if name not in without}
     # What has no default comes first, then the shared options, then those of the command.
     kept = [parameter for name, parameter in own.parameters.items() if name != "options"]
     first = [parameter for parameter in kept if parameter.default is parameter.empty]

@@ -15,7 +15,7 @@ import numpy as np
 from warpqem.device import resolve_device
 from warpqem.errors import MeshShapeError, OptionError
 from warpqem.mesh_input import as_numpy
-from warpqem.simplification import SimplifiedMesh
+from warpqem.result import SimplifiedMesh
 from warpqem.skinning.problem import CandidateRows, ClusterPlanes, SkinFit
 from warpqem.skinning.skin import (
     LinearSkin,

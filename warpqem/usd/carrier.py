@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from pxr import UsdGeom
 
-from warpqem.simplification import SimplifiedMesh
+from warpqem.result import SimplifiedMesh
 from warpqem.transfer import SurfaceTransfer, blend, surface_transfer
 from warpqem.usd.mesh import MeshSource
 from warpqem.usd.seams import MeshSeams

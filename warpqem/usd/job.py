@@ -13,7 +13,7 @@ from pxr import Sdf
 
 from warpqem.frame_blocks import frame_blocks
 from warpqem.frame_stream import ArrayFrames, FrameSource, JoinedFrames, KeptFrames, read_ahead
-from warpqem.simplification import SimplifiedMesh
+from warpqem.result import SimplifiedMesh
 from warpqem.usd.blend_shapes import choose_targets
 from warpqem.usd.carrier import Carrier
 from warpqem.usd.frames import FrameRange

@@ -3,49 +3,22 @@
 from __future__ import annotations
 
 import os
-import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeVar
 
-import numpy as np
-import numpy.typing as npt
-from pxr import Sdf, Usd
-
-import warpqem
-from warpqem.errors import DeviceError, OptionError, StageError, UnreachableTargetError, WarpqemError
-from warpqem.frame_blocks import frame_blocks
-from warpqem.frame_stream import LaterFrames, NoFrames, read_ahead
-from warpqem.memory import MemoryPlan
-from warpqem.usd.attributes import check_names, weighted_fields
-from warpqem.usd.blend_shapes import count_shape_users
-from warpqem.usd.budget import CostCurve, split_budget
-from warpqem.usd.example_poses import ExamplePoses
-from warpqem.usd.job import MeshJob, ReadOptions
 from warpqem.usd.lods import LevelReport, VariantLevels
-from warpqem.usd.mesh import MeshSource
-from warpqem.usd.morph import check_morph, morph_scale
-from warpqem.usd.point_samples import PointSamples
-from warpqem.usd.report import PrimReport, StageReport, name_prim
+from warpqem.usd.report import PrimReport, StageReport
+from warpqem.usd.run import Announce, Context, Progress, Run, SharedOrder
 from warpqem.usd.simplify_options import SimplifyOptions
-from warpqem.usd.skel import StagePoses
-from warpqem.usd.skin_fit import SkinFitter, why_not_fitted
-from warpqem.usd.stage import find_meshes, open_stage
+from warpqem.usd.stage import open_stage
 from warpqem.usd.usd_lod import UsdLodLevels
-from warpqem.usd.weights import check_weight_primvar, painted_weights
-from warpqem.usd.write import OverLayer, check_output_path
+from warpqem.usd.write import check_output_path
 
 __all__ = ["simplify_stage"]
 
-# Faces that a trial run goes down to, or as near as it can. A closed surface has at least the 4 of a tetrahedron.
-TRIAL_FACES = 4
-
-Progress = Callable[[float, str], None]
-Announce = Callable[[str, MemoryPlan], None]
 Save = Callable[[Path], None]
-Result = TypeVar("Result")
 
 
 def simplify_stage(
@@ -84,7 +57,7 @@ def simplify_stage(
     progress = progress or (lambda fraction, text: None)
     announce = announce or (lambda name, plan: None)
     with ExitStack() as cleanup:
-        context = _Context(stage, options, output.parent, progress, announce, cleanup)
+        context = Context(stage, options, output.parent, progress, announce, cleanup)
         report, save = (_simplify_levels if options.lods else _simplify_once)(context)
         report.input = os.fspath(input_path)
         if len(report.failed) < len(report.prims):
@@ -93,302 +66,31 @@ def simplify_stage(
     return report
 
 
-@dataclass(frozen=True)
-class _Context:
-    """What all runs over a stage share.
-
-    Attributes:
-        stage: The input.
-        options: What to do.
-        folder: Where the output is going to be.
-        progress: Called with the fraction done and what is being done.
-        announce: Called with the plan of each mesh.
-        cleanup: Ends when all is saved.
-    """
-
-    stage: Usd.Stage
-    options: SimplifyOptions
-    folder: Path
-    progress: Progress
-    announce: Announce
-    cleanup: ExitStack
+def _simplify_once(context: Context) -> tuple[StageReport, Save]:
+    run = Run(context)
+    run.simplify()
+    return run.report(), lambda output: run.layer.save(output, context.options.flatten)
 
 
-def _simplify_once(context: _Context) -> tuple[StageReport, Save]:
-    run = _Run(context)
-    return run.simplify(), lambda output: run.layer.save(output, context.options.flatten)
-
-
-def _simplify_levels(context: _Context) -> tuple[StageReport, Save]:
-    """Every level is a run from the input of its own, so that it equals what its ratio alone would give."""
+def _simplify_levels(context: Context) -> tuple[StageReport, Save]:
+    """Every mesh is read and its edges are collapsed once; each level then equals what its ratio alone would give."""
     options = context.options
     levels = (UsdLodLevels if options.usd_lod else VariantLevels)(context.stage, options.prims)
+    runs = [
+        Run(replace(context, options=replace(options, ratio=ratio, lods=(), usd_lod=False)), levels.path)
+        for ratio in options.lods
+    ]
+    selections = [run.select() for run in runs]
+    for prim_index, prim in enumerate(selections[0]):
+        shared = SharedOrder(options.lods[-1])
+        for index, run in enumerate(runs):
+            done = (prim_index + index / len(runs)) / len(selections[0])
+            part = run.part(done, 1 / len(runs) / len(selections[0]), prim, f"LOD{index + 1} ")
+            run.simplify_one(prim, part, shared)
+    context.progress(1.0, "done")
     reports: list[PrimReport] = []
-    for index, ratio in enumerate(options.lods):
-
-        def part(fraction: float, text: str, index: int = index) -> None:
-            context.progress((index + fraction) / len(options.lods), f"LOD{index + 1}: {text}")
-
-        def announce(name: str, plan: MemoryPlan, index: int = index) -> None:
-            context.announce(f"LOD{index + 1}: {name}", plan)
-
-        single = replace(options, ratio=ratio, lods=(), usd_lod=False)
-        run = _Run(replace(context, options=single, progress=part, announce=announce), levels.path)
-        report = run.simplify()
+    for run in runs:
+        report = run.report()
         name = levels.add(run.layer, report.face_share)
         reports += [LevelReport(**vars(prim), level=name) for prim in report.prims]
     return StageReport("", None, reports), levels.save
-
-
-class _Run:
-    """One pass over the meshes of a stage."""
-
-    def __init__(self, context: _Context, within: Sdf.Path = Sdf.Path.absoluteRootPath) -> None:
-        self.stage, self.options = context.stage, context.options
-        self.progress, self.announce = context.progress, context.announce
-        self.within = within
-        self.poses = StagePoses(self.stage)
-        self.examples = None if self.options.poses is None else ExamplePoses(self.stage, self.options.poses)
-        self.shape_users = count_shape_users(self.stage)
-        self.layer = OverLayer(self.stage, context.folder)
-        context.cleanup.callback(self.layer.close)
-        self.reports: dict[str, PrimReport] = {}
-
-    def simplify(self) -> StageReport:
-        """Simplify all meshes into the layer."""
-        selection = find_meshes(self.stage, self.options.prims, self.within)
-        if not selection.prims and not selection.refused:
-            raise StageError("there is no mesh on the stage")
-        check_names(selection.prims, self.options.attribute_weights)
-        check_weight_primvar(selection.prims, self.options.weight_primvar)
-        check_morph(selection.prims, self.options.morph_weights, self.examples is not None)
-        for prim in selection.prims:
-            self.reports[str(prim.GetPath())] = PrimReport(str(prim.GetPath()), "simplified")
-        for path, error in selection.refused:
-            if self.options.strict:
-                raise error
-            self.reports[path] = PrimReport(path, "failed", message=str(error))
-        if self.options.faces is None:
-            self._run_each(selection.prims)
-        else:
-            self._run_budget(selection.prims, self.options.faces)
-        self.progress(1.0, "done")
-        return StageReport("", None, list(self.reports.values()))
-
-    def _run_each(self, prims: list[Usd.Prim]) -> None:
-        for index, prim in enumerate(prims):
-            self._guarded(self._simplify_prim, prim, self._part(index / len(prims), 1 / len(prims), prim), None)
-
-    def _run_budget(self, prims: list[Usd.Prim], budget: int) -> None:
-        curves: dict[Usd.Prim, CostCurve] = {}
-        for index, prim in enumerate(prims):
-            curve = self._guarded(self._trial, prim, self._part(0.5 * index / len(prims), 0.5 / len(prims), prim))
-            if curve is not None:
-                curves[prim] = curve
-        targets = split_budget(list(curves.values()), budget)
-        for index, (prim, target) in enumerate(zip(curves, targets, strict=True)):
-            part = self._part(0.5 + 0.5 * index / len(curves), 0.5 / len(curves), prim)
-            self._guarded(self._simplify_prim, prim, part, target)
-
-    def _part(self, start: float, share: float, prim: Usd.Prim) -> Progress:
-        """Progress of one mesh as a part of the whole."""
-        return lambda fraction, text: self.progress(start + share * fraction, f"{prim.GetName()}: {text}")
-
-    def _guarded(self, action: Callable[..., Result], prim: Usd.Prim, *arguments: Any) -> Result | None:
-        """Do something for a mesh; an error becomes its report, and None is returned, unless the run is strict."""
-        report = self.reports[str(prim.GetPath())]
-        start = time.perf_counter()
-        try:
-            return action(prim, *arguments)
-        except WarpqemError as error:
-            # A wrong option or device is no fault of this mesh.
-            if isinstance(error, (OptionError, DeviceError)):
-                raise
-            report.status = "failed"
-            report.message = name_prim(report.path, error)
-            if self.options.strict:
-                raise StageError(report.message) from error
-            return None
-        finally:
-            report.seconds += time.perf_counter() - start
-
-    def _prepare(self, prim: Usd.Prim) -> MeshJob:
-        source = MeshSource(prim, self.poses)
-        job = MeshJob.prepare(
-            source,
-            ReadOptions(self.options.frames, self.options.bake, self.options.weld, self.options.influences),
-            shape_users=self.shape_users,
-            examples=self._examples_of(source),
-        )
-        report = self.reports[job.mesh.path]
-        report.frames = job.pose_count
-        report.faces_before = report.faces_after = len(job.mesh.faces)
-        report.vertices_before = report.vertices_after = len(job.mesh.used_points)
-        return job
-
-    def _examples_of(self, source: MeshSource) -> MeshSource | None:
-        return None if self.examples is None else self.examples.source(source)
-
-    def _call_core(
-        self,
-        job: MeshJob,
-        progress: Progress,
-        seams: npt.NDArray[np.int32],
-        sink: warpqem.FrameSink,
-        **goal: float | int | None,
-    ) -> warpqem.SimplifiedMesh:
-        shared: dict[str, Any] = {
-            "metric": self.options.metric,
-            "coherence": self.options.coherence,
-            "refit": self.options.refit,
-            "placement": self.options.placement,
-            "key_frames": self.options.key_frames,
-            "attributes": weighted_fields(job.source, self.options.uv_weight, self.options.attribute_weights),
-            "memory": self.options.memory,
-            "sink": sink,
-            "device": self.options.device,
-            **goal,
-        }
-        plan = warpqem.plan(job.frames, job.faces, **shared)
-        self.announce(job.mesh.path, plan)
-        self.reports[job.mesh.path].plan = plan.to_dict()
-        return warpqem.simplify(
-            job.frames,
-            job.faces,
-            vertex_weights=painted_weights(job, self.options.weight_primvar),
-            quadric_scale=morph_scale(job, self.options.morph_weights, self._examples_of(job.source)),
-            lock_borders=self.options.lock_borders,
-            seams=seams,
-            progress=progress,
-            **shared,
-        )
-
-    def _as_far_as_it_goes(
-        self,
-        job: MeshJob,
-        progress: Progress,
-        seams: npt.NDArray[np.int32],
-        sink: warpqem.FrameSink,
-        target_faces: int,
-    ) -> warpqem.SimplifiedMesh:
-        """Simplify to a face count, or to the last legal collapse before it."""
-        try:
-            return self._call_core(job, progress, seams, sink, target_faces=target_faces)
-        except UnreachableTargetError as error:
-            if error.result is None:
-                raise
-            return error.result
-
-    def _trial(self, prim: Usd.Prim, progress: Progress) -> CostCurve:
-        """How the error of a mesh grows on the way to as few faces as it can have."""
-        job = self._prepare(prim)
-        face_count = len(job.mesh.faces)
-        if face_count <= TRIAL_FACES:
-            return CostCurve(face_count, np.zeros(0), np.zeros(0, dtype=np.int64))
-        result = self._as_far_as_it_goes(job, progress, job.seams.hold(), NoFrames(), TRIAL_FACES)
-        return CostCurve.from_log(
-            face_count=face_count,
-            cost=result.log.cost,
-            faces_removed=result.log.faces_removed,
-            unit_length=result.diagonal * job.mesh.world_scale,
-            frame_count=len(result.key_frames),
-        )
-
-    def _simplify_prim(self, prim: Usd.Prim, progress: Progress, target_faces: int | None) -> None:
-        job = self._prepare(prim)
-        report = self.reports[job.mesh.path]
-        face_count = len(job.mesh.faces)
-        if not face_count:
-            report.status, report.message = "kept", "the mesh has no faces"
-            return
-        if target_faces is None and self.options.ratio is not None:
-            target_faces = max(1, round(self.options.ratio * face_count))
-        if target_faces is not None and target_faces >= face_count:
-            report.status, report.message = "kept", "the mesh has no more faces than asked for"
-            return
-        fitter = self._fitter(job, report)
-        samples = self.layer.point_samples(job.mesh.path, job.written_times)
-        try:
-            result = self._result(job, progress, fitter or samples, target_faces)
-            report.stopped = result.stopped
-            if len(result.log):
-                self._write(job, samples, fitter, result, report)
-                report.dropped += job.seams.let_go(job.faces, result.face_map)
-                return
-            report.status, report.message = "kept", f"nothing could be removed ({report.stopped})"
-        except WarpqemError:
-            samples.discard()
-            raise
-        samples.discard()
-
-    def _fitter(self, job: MeshJob, report: PrimReport) -> SkinFitter | None:
-        """What fits the skin of a mesh; None if it has none, or it is to be interpolated."""
-        if job.skin is None or not job.skin.influences:
-            return None
-        examples = self._examples_of(job.source)
-        poses = examples or job.source
-        reason = why_not_fitted(job.skin, poses) if self.options.skin_fit else "as asked for"
-        if reason is None:
-            report.skin = "fitted"
-            return SkinFitter(job, poses, poses.frame_times(self.options.frames if examples is None else None))
-        report.skin = f"interpolated: {reason}"
-        return None
-
-    def _result(
-        self, job: MeshJob, progress: Progress, taker: PointSamples | SkinFitter, target_faces: int | None
-    ) -> warpqem.SimplifiedMesh:
-        """The simplified mesh; ``taker`` gets its points in the poses."""
-        sink: warpqem.FrameSink
-        if isinstance(taker, SkinFitter):
-            sink = taker
-        else:
-            # Of a mesh with a skin the rest shape alone is written; it is the first frame.
-            sink = NoFrames() if job.skin is not None else LaterFrames(taker, job.pose_start)
-        seams = job.seams.hold()
-        if target_faces is None:
-            result = self._call_core(job, progress, seams, sink, max_error=self._error_limit(job))
-        elif self.options.strict:
-            result = self._call_core(job, progress, seams, sink, target_faces=target_faces)
-        else:
-            result = self._as_far_as_it_goes(job, progress, seams, sink, target_faces)
-        return result
-
-    def _error_limit(self, job: MeshJob) -> float | None:
-        """Largest error of a mesh in % of its diagonal."""
-        if self.options.screen is None:
-            return self.options.max_error
-        return 100.0 * self.options.screen.length / (_diagonal(job) * job.mesh.world_scale)
-
-    def _write(
-        self,
-        job: MeshJob,
-        samples: PointSamples,
-        fitter: SkinFitter | None,
-        result: warpqem.SimplifiedMesh,
-        report: PrimReport,
-    ) -> None:
-        carrier = job.carrier(result, self.options.device)
-        skin = job.skin
-        if skin is not None:
-            rest = job.rest_shape(result)
-            if fitter is not None:
-                fitted = fitter.fit(result, carrier, self.options.device)
-                skin, rest = replace(skin, fitted=fitted.influences), fitted.rest_points[None]
-            samples.begin(1, result.points.shape[1], result.faces)
-            samples.write(slice(0, 1), rest)
-        report.dropped = self.layer.replace_mesh(job.mesh.path, samples, job.written_times, result.faces, carrier, skin)
-        if job.unskinned_because is not None:
-            report.dropped = [
-                f"{name} ({job.unskinned_because})" if name.startswith("skin binding") else name
-                for name in report.dropped
-            ]
-        report.faces_after = len(result.faces)
-        report.vertices_after = result.points.shape[1]
-        report.error = float(result.error)
-        report.flips = int(result.flips[job.pose_start :].sum())
-
-
-def _diagonal(job: MeshJob) -> float:
-    """Largest bounding-box diagonal of a frame, in local units."""
-    blocks = read_ahead(job.frames.read, frame_blocks(job.frames.frame_count, job.frames.vertex_count))
-    return max(float(np.linalg.norm(np.ptp(points.astype(np.float64), axis=1), axis=1).max()) for _, points in blocks)

@@ -12,7 +12,7 @@ from warpqem.frame_blocks import frame_blocks
 from warpqem.frame_stream import SomeFrames
 from warpqem.key_frames import KeyFrameChoice
 from warpqem.mesh_input import read_mesh
-from warpqem.simplification import SimplifiedMesh
+from warpqem.result import SimplifiedMesh
 from warpqem.skinning.fit import fit_skin
 from warpqem.skinning.skin import LinearSkin
 from warpqem.usd.carrier import Carrier

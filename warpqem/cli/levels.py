@@ -1,0 +1,38 @@
+"""`warpqem levels`."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Annotated, Any
+
+import typer
+
+from warpqem.cli.options import Input, JsonReport, Output
+from warpqem.cli.simplify import run_simplify
+from warpqem.cli.simplify_options import takes_simplify_options
+
+__all__ = ["levels"]
+
+# What --ratios takes the place of, and what does not go with levels.
+OTHER_GOALS = (
+    "ratio", "faces", "max_error", "screen_error", "distance", "fov", "image_height", "lods", "flatten"
+)  # fmt: skip
+
+
+@partial(takes_simplify_options, without=OTHER_GOALS)
+def levels(
+    input_file: Input,
+    output: Output,
+    ratios: Annotated[
+        str, typer.Option(metavar="RATIOS", help="Share of the triangles that each level keeps, such as 0.5,0.25,0.1.")
+    ],
+    options: dict[str, Any],
+    json: JsonReport = None,
+) -> None:
+    """Write levels of detail that nest, from one run, each with its error: what simplify does with --lods.
+
+    OUT offers IN as LOD0 and the levels as LOD1, LOD2, ... in the variant set LOD of its default prim.
+
+    Exit codes: 0 all done; 1 an error, or some mesh failed; 2 wrong usage.
+    """
+    run_simplify(input_file, output, {**options, "lods": ratios}, json)

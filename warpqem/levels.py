@@ -1,0 +1,129 @@
+"""Levels of detail that nest, from one ordering."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from warpqem.arguments import check_ratio, target_count
+from warpqem.errors import OptionError, UnreachableTargetError
+from warpqem.frame_stream import FrameSink
+from warpqem.mesh_input import read_mesh
+from warpqem.order.levels import OrderedLevels
+from warpqem.order.nodes import NodeRecorder
+from warpqem.preparation import ORDER_END, Progress, prepare
+from warpqem.result import Outcome, SimplifiedMesh, finish, reached
+
+__all__ = ["LevelOrder", "order_levels", "simplify_levels"]
+
+
+class LevelOrder:
+    """A mesh whose edges were collapsed once, and whose levels are placed one by one.
+
+    Made by :func:`order_levels`.
+    """
+
+    def __init__(self, points: Any, faces: Any, progress: Progress | None, options: dict[str, Any]) -> None:
+        refused = {"ratio", "max_error", "sink"} & set(options)
+        if refused:
+            raise OptionError(f"{', '.join(sorted(refused))}: not with levels")
+        self._refit: bool = options.get("refit", False)
+        self._work = prepare(points, faces, progress=progress, **options)
+        recorder = NodeRecorder()
+        self._levels = OrderedLevels(self._work.mesh.faces, self._work.order(progress, recorder), recorder)
+
+    @property
+    def face_count(self) -> int:
+        """Faces of the input, without those that name a vertex twice."""
+        return len(self._work.mesh.faces)
+
+    def level(
+        self, target_faces: int, *, sink: FrameSink | None = None, progress: Progress | None = None
+    ) -> SimplifiedMesh:
+        """What :func:`warpqem.simplify` gives for so many faces, to the bit.
+
+        Args:
+            target_faces: at least as many as were asked for when ordering.
+            sink: takes the frames of the result, block by block, in place of an array.
+            progress: called with the part done, 0 to 1, and the stage "place".
+
+        Raises:
+            UnreachableTargetError: no legal collapse leads to it; its ``result`` is what there is.
+        """
+        ordered = self._levels.at(self._levels.collapses_to(target_faces))
+        result = finish(self._work, self._work.placer(ordered), Outcome.of(ordered), self._refit, sink, progress)
+        return reached(result, target_faces)
+
+
+def order_levels(
+    points: Any, faces: Any = None, *, target_faces: int, progress: Progress | None = None, **options: Any
+) -> LevelOrder:
+    """Collapse the edges of an animated mesh down to its coarsest level.
+
+    Args:
+        points: as for :func:`warpqem.simplify`.
+        faces: likewise.
+        target_faces: faces of the coarsest level.
+        progress: called with the part done, 0 to 1, and the stage, "read" or "order".
+        options: other keyword arguments of :func:`warpqem.simplify`, but for its goals and ``sink``.
+
+    Raises:
+        OptionError: also for an option that does not apply.
+        WarpqemError: the other errors of :func:`warpqem.simplify`, but for an unreachable target.
+    """
+    return LevelOrder(points, faces, progress, {"target_faces": target_faces, **options})
+
+
+def simplify_levels(
+    points: Any,
+    faces: Any = None,
+    *,
+    ratios: Sequence[float],
+    refit: bool = False,
+    progress: Progress | None = None,
+    **options: Any,
+) -> list[SimplifiedMesh]:
+    """Simplify an animated mesh to several levels that nest: edges are collapsed once, each level is placed on its own.
+
+    Every level has the bits of :func:`simplify` with its ratio. Where no legal collapse leads to a level, it is the
+    coarsest mesh there is, and its ``stopped`` says so. For any level at all see :func:`warpqem.build_progressive`.
+
+    Args:
+        points: as for :func:`simplify`.
+        faces: likewise.
+        ratios: part of the faces that each level keeps, in (0, 1].
+        refit: refit each level on its own.
+        progress: called with the part done, 0 to 1, and the stage, "read", "order" or "place".
+        options: other keyword arguments of :func:`simplify`, but for its goals and ``sink``.
+
+    Raises:
+        OptionError: also where there is no ratio, or an option that does not apply.
+        WarpqemError: the other errors of :func:`simplify`, but for an unreachable target.
+    """
+    if not len(ratios):
+        raise OptionError("levels need ratios")
+    for ratio in ratios:
+        check_ratio(ratio)
+    if "target_faces" in options:
+        raise OptionError("target_faces: not with ratios")
+    face_count = len(read_mesh(points, faces).faces)
+    targets = [target_count(ratio, face_count) for ratio in ratios]
+    order = order_levels(points, faces, target_faces=min(targets), refit=refit, progress=progress, **options)
+    results = []
+    for index, target in enumerate(targets):
+        part = None if progress is None else _part_of(progress, index, len(ratios))
+        try:
+            results.append(order.level(target, progress=part))
+        except UnreachableTargetError as error:
+            results.append(error.result)
+    return results
+
+
+def _part_of(progress: Progress, index: int, count: int) -> Progress:
+    """The progress of placing one of several levels."""
+
+    def part(fraction: float, stage: str) -> None:
+        done = (index + (fraction - ORDER_END) / (1.0 - ORDER_END)) / count
+        progress(ORDER_END + (1.0 - ORDER_END) * done, stage)
+
+    return part

@@ -1,0 +1,112 @@
+"""The result of simplifying: the last steps to it from an ordered mesh."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from warpqem.errors import UnreachableTargetError
+from warpqem.finishing import place_frames, place_refitted
+from warpqem.frame_stream import ArraySink, FrameSink
+from warpqem.memory import MemoryPlan
+from warpqem.order.log import CollapseRecord
+from warpqem.order.stage import OrderedMesh
+from warpqem.place.stage import Placer
+from warpqem.preparation import ORDER_END, Prepared, Progress
+
+__all__ = ["Outcome", "SimplifiedMesh", "finish", "reached"]
+
+
+@dataclass(frozen=True)
+class SimplifiedMesh:
+    """What :func:`simplify` returns.
+
+    Attributes:
+        points: (F, V', 3) float32, in the input's coordinates; where a sink took the frames, the first one, (1, V', 3).
+        faces: (N', 3) int32.
+        vertex_map: (V,) int32, input vertex to the output vertex it collapsed into; -1 for a vertex without a face.
+        face_map: (N',) int32, the input face that each output face goes on from.
+        stopped: "target", "max_error" or "no legal collapse".
+        error: % of the bounding-box diagonal, the largest RMS distance over key frames, among all collapses, of a
+            merged vertex from the planes of the faces it stands for.
+        flips: (F,) int32, output faces that face away from the input there.
+        log: the collapses, for levels of detail.
+        key_frames: (K,) int, the frames that decided the order.
+        diagonal: largest bounding-box diagonal of a frame of the input, in its units.
+        plan: the blocks of frames it was done in, and the memory for it.
+    """
+
+    points: np.ndarray
+    faces: np.ndarray
+    vertex_map: np.ndarray
+    face_map: np.ndarray
+    stopped: str
+    error: float
+    flips: np.ndarray
+    log: CollapseRecord
+    key_frames: np.ndarray
+    diagonal: float
+    plan: MemoryPlan
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a result says of its ordering."""
+
+    log: CollapseRecord
+    face_map: np.ndarray
+    stopped: str
+
+    @classmethod
+    def of(cls, ordered: OrderedMesh) -> Outcome:
+        """Of an ordered mesh."""
+        return cls(ordered.log, ordered.face_map, ordered.stopped)
+
+
+def finish(
+    work: Prepared, placer: Placer, outcome: Outcome, refit: bool, sink: FrameSink | None, progress: Progress | None
+) -> SimplifiedMesh:
+    """Place all frames, and refit them where that is asked for."""
+    mesh = work.mesh
+    error = float(outcome.log.error.max(initial=0.0))
+    array = ArraySink()
+    common = (mesh, placer, array if sink is None else sink, work.blocks, _place_progress(progress, mesh.frame_count))
+    if refit and not work.place_settings.endpoint and placer.free.any():
+        on_disk = work.plan.scratch_bytes > 0
+        finished = place_refitted(*common, key_frames=work.key_frames, error=error, on_disk=on_disk, device=work.device)
+    else:
+        finished = place_frames(*common)
+    return SimplifiedMesh(
+        points=array.points if sink is None else finished.first,
+        faces=placer.faces,
+        vertex_map=placer.vertex_map,
+        face_map=mesh.face_index[outcome.face_map],
+        stopped=outcome.stopped,
+        error=100.0 * error,
+        flips=finished.flips,
+        log=outcome.log,
+        key_frames=work.key_frames,
+        diagonal=mesh.diagonal,
+        plan=work.plan,
+    )
+
+
+def reached(result: SimplifiedMesh, target_faces: int) -> SimplifiedMesh:
+    """The result itself.
+
+    Raises:
+        UnreachableTargetError: it has more faces than the target, if that is not 0, and no collapse is legal.
+    """
+    if target_faces > 0 and result.stopped == "no legal collapse":
+        raise UnreachableTargetError(
+            f"{len(result.faces)} faces are left and no edge collapse is legal, {target_faces} were asked for", result
+        )
+    return result
+
+
+def _place_progress(progress: Progress | None, frame_count: int) -> Callable[[int], None] | None:
+    if progress is None:
+        return None
+    return lambda done: progress(ORDER_END + (1.0 - ORDER_END) * done / frame_count, "place")
