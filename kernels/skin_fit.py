@@ -1,8 +1,8 @@
 """Rest position and skin weights of an output vertex, fitted together over poses ("Articulated meshes", the slides).
 
 Pose ``j`` takes the rest position ``v`` to ``p_j = sum_k a_k (R_k^j (v + o_j) + t_k^j)`` with the transforms of its
-joints, its skin weights ``a`` and the offset ``o_j`` of blend shapes. With the cluster's quadric matrix ``A_j`` and the
-place ``y_j`` that placement gave the vertex there, ``E(v, a) = sum_j (p_j - y_j)^T H_j (p_j - y_j)`` is minimised,
+joints, its skin weights ``a`` and the offset ``o_j`` of blend shapes. With the cluster's quadric matrix ``A_j`` and its
+least ``y_j`` there, ``E(v, a) = sum_j (p_j - y_j)^T H_j (p_j - y_j)`` is minimised,
 ``H_j = A_j + pull tr(A_j) I``: stiff across the surface, soft along it. E is quartic, but quadratic in either argument:
 
 - position: a 3x3 system with the weights fixed;
@@ -72,7 +72,7 @@ def double_point(p: wp.vec3) -> wp.vec3d:
 
 
 @wp.kernel
-def gather_stiffness(
+def gather_planes(
     face_start_in: wp.array[wp.int32],
     face_in: wp.array[wp.vec3i],
     face_weight_in: wp.array[wp.float32],
@@ -80,13 +80,22 @@ def gather_stiffness(
     border_in: wp.array[wp.vec3i],
     border_weight_in: wp.array[wp.float32],
     points_in: wp.array2d[wp.vec3],
+    placed_in: wp.array2d[wp.vec3d],
     pull: wp.float64,
+    to_planes: wp.int32,
     # outputs
     stiffness_out: wp.array2d[wp.mat33d],
+    goal_out: wp.array2d[wp.vec3d],
 ):
-    """``H`` of each cluster in each pose from its faces and its border edges (edge, then the third vertex)."""
+    """``H`` and ``y`` of each cluster in each pose from its faces and its border edges (edge, then the third vertex).
+
+    About the place ``x`` that placement gave the vertex, the quadric is ``(p - x)^T A (p - x) + 2 g.(p - x)``. With the
+    pull towards that place its least is ``y = x - H^-1 g``; where ``to_planes`` is 0, ``y = x``.
+    """
     c, j = wp.tid()
     total = wp.mat33d()
+    slope = wp.vec3d()
+    place = placed_in[j, c]
     for i in range(face_start_in[c], face_start_in[c + 1]):
         face = face_in[i]
         p = double_point(points_in[j, face[0]])
@@ -94,7 +103,9 @@ def gather_stiffness(
         length = wp.length(cross)
         if length > wp.float64(0.0):
             # area n n^T, with n = cross / length and area = length / 2
-            total += plane_matrix(cross, wp.float64(0.5) * wp.float64(face_weight_in[i]) / length)
+            weight = wp.float64(0.5) * wp.float64(face_weight_in[i]) / length
+            total += plane_matrix(cross, weight)
+            slope += cross * (weight * wp.dot(cross, place - p))
     for i in range(border_start_in[c], border_start_in[c + 1]):
         corner = border_in[i]
         p = double_point(points_in[j, corner[0]])
@@ -102,14 +113,19 @@ def gather_stiffness(
         across = wp.cross(edge, wp.cross(edge, double_point(points_in[j, corner[2]]) - p))
         length = wp.length(across)
         if length > wp.float64(0.0):
-            weight = wp.dot(edge, edge) * wp.float64(border_weight_in[i])
-            total += plane_matrix(across, weight / (length * length))
-    soft = pull * wp.trace(total)
-    stiffness_out[c, j] = total + wp.mat33d(
+            weight = wp.dot(edge, edge) * wp.float64(border_weight_in[i]) / (length * length)
+            total += plane_matrix(across, weight)
+            slope += across * (weight * wp.dot(across, place - p))
+    soft = pull * wp.trace(total) + LEAST_TRACE
+    stiffness = total + wp.mat33d(
         soft, wp.float64(0.0), wp.float64(0.0),
         wp.float64(0.0), soft, wp.float64(0.0),
         wp.float64(0.0), wp.float64(0.0), soft,
     )  # fmt: skip
+    stiffness_out[c, j] = stiffness
+    if to_planes == 1:
+        place -= wp.inverse(stiffness) * slope
+    goal_out[j, c] = place
 
 
 @wp.func

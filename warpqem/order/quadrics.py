@@ -10,7 +10,7 @@ from warpqem.kernels.lanes import POINTS, QUADRIC, width_of
 from warpqem.order.stars import Stars
 from warpqem.parallel import launch_parts
 
-__all__ = ["CONSTRAINT_WEIGHT", "constraint_lists", "initial_quadrics"]
+__all__ = ["CONSTRAINT_WEIGHT", "constraint_lists", "given_quadrics", "initial_quadrics"]
 
 # A border edge of length l counts as a square of area l^2 standing on it: as much as the faces beside it. A seam edge
 # counts a tenth: values that slide a little across the surface leave the shape as it is. On characters of a few hundred
@@ -102,3 +102,10 @@ def initial_quadrics(
             device=device,
         )
     return quadric
+
+
+def given_quadrics(matrices: np.ndarray, device: str) -> wp.array:
+    """Quadrics (V, 1) of one key frame with these symmetric matrices (V, 3, 3), each with its least at the vertex."""
+    values = np.zeros((len(matrices), 1, 10, 1), dtype=np.float32)
+    values[:, 0, :6, 0] = matrices[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
+    return wp.array(values, dtype=QUADRIC[1], device=device)

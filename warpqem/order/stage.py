@@ -18,7 +18,7 @@ from warpqem.order.attributes import build_wedges
 from warpqem.order.log import CollapseRecord, read_log
 from warpqem.order.nodes import NodeRecorder
 from warpqem.order.passes import Orderer
-from warpqem.order.quadrics import initial_quadrics
+from warpqem.order.quadrics import given_quadrics, initial_quadrics
 from warpqem.order.stars import build_stars, classify_vertices
 from warpqem.parallel import launch_parts
 
@@ -89,6 +89,9 @@ class OrderInput:
     seam: np.ndarray  # (3N,) int32, 1 at both half-edges of a seam edge
     trajectories: np.ndarray | None  # (V, F, 3) float32, in diagonals, only with a deformation term
     attributes: np.ndarray | None  # (N, 3, C) float64 at the corners, times their weights; None for none
+    matrices: np.ndarray | None = (
+        None  # (V, 3, 3), of one key frame: quadrics about the vertices in place of the faces'
+    )
 
 
 @dataclass(frozen=True)
@@ -172,6 +175,7 @@ def _rearranged(mesh: OrderInput, arrangement: Arrangement) -> OrderInput:
         seam=arrangement.rearrange_corners(mesh.seam),
         trajectories=None if mesh.trajectories is None else mesh.trajectories[vertex],
         attributes=None if mesh.attributes is None else mesh.attributes[arrangement.face],
+        matrices=None if mesh.matrices is None else mesh.matrices[vertex],
     )
 
 
@@ -196,8 +200,11 @@ def _collapse(
     width = width_of(mesh.key_position)
     frames = KEY_FRAMES[width]()
     frames.position = mesh.key_position
-    quadric_scale = wp.array(mesh.quadric_scale, dtype=wp.float32, device=device)
-    frames.quadric = initial_quadrics(corner_vertex, stars, constrained, mesh.key_position, quadric_scale)
+    if mesh.matrices is None:
+        quadric_scale = wp.array(mesh.quadric_scale, dtype=wp.float32, device=device)
+        frames.quadric = initial_quadrics(corner_vertex, stars, constrained, mesh.key_position, quadric_scale)
+    else:
+        frames.quadric = given_quadrics(mesh.matrices, device)
     state.cost_weight = wp.array(mesh.cost_weight, dtype=wp.float32, device=device)
     state.edge_cost = wp.empty(len(corner_vertex), dtype=wp.float32, device=device)
     no_trajectory = wp.empty((0, 0), dtype=wp.vec3, device=device)

@@ -65,6 +65,7 @@ def fit_skin(
     offsets: Any = None,
     start_offsets: Any = None,
     seams: Any = None,
+    to_planes: bool = True,
     device: str | None = None,
 ) -> FittedSkin:
     """Fit the skin of a simplified mesh over P poses, the first of them the rest shape.
@@ -83,6 +84,8 @@ def fit_skin(
         offsets: (P, V, 3), offsets of blend shapes in each pose, added to the rest points; None for none.
         start_offsets: (P, C, 3), the same for the output vertices; needed with ``offsets`` and ``start``.
         seams: (S, 2) vertex pairs, as given to :func:`warpqem.simplify`.
+        to_planes: aim at the least of each vertex's quadrics, as the skin keeps it on the material by itself. False: at
+            where ``result`` has it, which is better after a refit.
         device: Warp device; None takes cuda:0 if present, else cpu.
 
     Raises:
@@ -116,7 +119,7 @@ def fit_skin(
     unit = 1.0 / diagonal
     fit = SkinFit(matrices, rows, start.rest * unit, result.points * unit, start_offsets, unit, device)
     planes = ClusterPlanes(corner, result.vertex_map, len(fixed), seams, device)
-    rest, weight, before, after, size = fit.solve(planes, poses * np.float32(unit), most)
+    rest, weight, before, after, size = fit.solve(planes, poses * np.float32(unit), most, to_planes)
     row = np.repeat(np.arange(len(fixed)), np.diff(rows.start))
     joints, weights = largest_influences(row, rows.joint, weight, len(fixed), most)
     rest *= diagonal

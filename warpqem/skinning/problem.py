@@ -88,10 +88,22 @@ class ClusterPlanes:
         ]
         self._device = device
 
-    def stiffness(self, clusters: slice, points: wp.array) -> wp.array:
-        """``H`` of some clusters in all poses, (C, P) matrices, from the input's points (P, V)."""
+    def gather(
+        self, clusters: slice, points: wp.array, placed: np.ndarray, to_planes: bool
+    ) -> tuple[wp.array, wp.array]:
+        """``H`` (C, P) and ``y`` (P, C) of some clusters in all poses.
+
+        Args:
+            clusters: which ones, C of them.
+            points: (P, V) points of the input.
+            placed: (P, C, 3), where placement put the vertices.
+            to_planes: aim at the least of the quadrics, not at where they were placed.
+        """
         count = clusters.stop - clusters.start
-        out = wp.empty((count, points.shape[0]), dtype=wp.mat33d, device=self._device)
+        shape = (points.shape[0], count)
+        stiffness = wp.empty(shape[::-1], dtype=wp.mat33d, device=self._device)
+        goal = wp.empty(shape, dtype=wp.vec3d, device=self._device)
+        place = wp.array(np.ascontiguousarray(placed, dtype=np.float64), dtype=wp.vec3d, device=self._device)
         starts = [
             wp.array(start[clusters.start : clusters.stop + 1], dtype=wp.int32, device=self._device)
             for start in self._starts
@@ -102,15 +114,15 @@ class ClusterPlanes:
             for start, (item, weight) in zip(starts, self._rows, strict=True):
                 inputs += [start[part.start : part.stop + 1], item, weight]
             wp.launch(
-                kernels.gather_stiffness,
-                dim=(part.stop - part.start, points.shape[0]),
-                inputs=[*inputs, points, SURFACE_PULL],
-                outputs=[out[part]],
+                kernels.gather_planes,
+                dim=(part.stop - part.start, shape[0]),
+                inputs=[*inputs, points, place[:, part], SURFACE_PULL, int(to_planes)],
+                outputs=[stiffness[part], goal[:, part]],
                 device=self._device,
             )
 
-        launch_parts(kernels.gather_stiffness, gather, count, self._device)
-        return out
+        launch_parts(kernels.gather_planes, gather, count, self._device)
+        return stiffness, goal
 
 
 class SkinFit:
@@ -120,7 +132,7 @@ class SkinFit:
         transforms: (P, J, 3, 4) float64.
         rows: candidate joints of C vertices.
         rest: (C, 3) float64, rest positions to start from, on a mesh of unit diagonal.
-        goal: (P, C, 3), where placement put the vertices, on that mesh.
+        placed: (P, C, 3), where placement put the vertices, on that mesh.
         offsets: (P, C, 3) offsets of blend shapes in the caller's units, or None.
         unit: what takes the caller's units to that mesh.
         device: Warp device.
@@ -131,12 +143,12 @@ class SkinFit:
         transforms: np.ndarray,
         rows: CandidateRows,
         rest: np.ndarray,
-        goal: np.ndarray,
+        placed: np.ndarray,
         offsets: np.ndarray | None,
         unit: float,
         device: str,
     ) -> None:
-        self._rows, self._rest, self._goal, self._device = rows, rest, goal, device
+        self._rows, self._rest, self._placed, self._device = rows, rest, placed, device
         self._offsets = None if offsets is None else offsets * unit
         self._rotation = self._array(transforms[..., :3], wp.mat33d)
         self._translation = self._array(transforms[..., 3] * unit, wp.vec3d)
@@ -145,7 +157,7 @@ class SkinFit:
         return wp.array(np.ascontiguousarray(values), dtype=dtype, device=self._device)
 
     def solve(
-        self, planes: ClusterPlanes, points: np.ndarray, influences: int
+        self, planes: ClusterPlanes, points: np.ndarray, influences: int, to_planes: bool
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
         """Solve for all vertices.
 
@@ -153,6 +165,7 @@ class SkinFit:
             planes: of the clusters.
             points: (P, V, 3) float32, the input in its poses, on a mesh of unit diagonal.
             influences: joints that move a vertex at most.
+            to_planes: see :meth:`ClusterPlanes.gather`.
 
         Returns:
             rest positions (C, 3), weights of the candidates (M,), E before and after (C,), all float64, and the area of
@@ -162,13 +175,15 @@ class SkinFit:
         parts, size = [], 0.0
         for first in range(0, len(self._rest), VERTICES_AT_ONCE):
             batch = slice(first, min(first + VERTICES_AT_ONCE, len(self._rest)))
-            stiffness = planes.stiffness(batch, position)
+            stiffness, goal = planes.gather(batch, position, self._placed[:, batch], to_planes)
             size += float(np.trace(stiffness.numpy(), axis1=2, axis2=3).sum()) / (1.0 + 3.0 * SURFACE_PULL)
-            parts.append(self._solve_batch(batch, stiffness, influences))
+            parts.append(self._solve_batch(batch, stiffness, goal, influences))
         rest, weight, before, after = (np.concatenate(column) for column in zip(*parts, strict=True))
         return rest, weight, before, after, size
 
-    def _solve_batch(self, batch: slice, stiffness: wp.array, influences: int) -> tuple[np.ndarray, ...]:
+    def _solve_batch(
+        self, batch: slice, stiffness: wp.array, goal: wp.array, influences: int
+    ) -> tuple[np.ndarray, ...]:
         device, count = self._device, batch.stop - batch.start
         start = self._rows.start[batch.start : batch.stop + 1]
         row = slice(int(start[0]), int(start[-1]))
@@ -178,10 +193,9 @@ class SkinFit:
         problem.start_weight = self._array(self._rows.weight[row], wp.float64)
         problem.start_rest = self._array(self._rest[batch], wp.vec3d)
         problem.rotation, problem.translation = self._rotation, self._translation
-        problem.goal = self._array(self._goal[:, batch], wp.vec3d)
         offsets = np.zeros((0, 0, 3)) if self._offsets is None else self._offsets[:, batch]
         problem.offset = self._array(offsets, wp.vec3d)
-        problem.stiffness = stiffness
+        problem.stiffness, problem.goal = stiffness, goal
         problem.position_pull, problem.weight_pull = POSITION_PULL, WEIGHT_PULL
         problem.rounds, problem.most_influences = ROUNDS, influences
         scratch = self._scratch(np.diff(start).astype(np.int64))

@@ -338,7 +338,7 @@ class Run:
         if skin is not None:
             rest = job.rest_shape(result)
             if fitter is not None:
-                fitted = fitter.fit(result, carrier, self.options.device)
+                fitted = fitter.fit(result, carrier, self.options.refit, self.options.device)
                 skin, rest = replace(skin, fitted=fitted.influences), fitted.rest_points[None]
             samples.begin(1, result.points.shape[1], result.faces)
             samples.write(slice(0, 1), rest)

@@ -80,12 +80,13 @@ class SkinFitter:
         first, last = np.searchsorted(self._frames, [frames.start, frames.stop])
         self._points[first:last] = points[self._frames[first:last] - frames.start]
 
-    def fit(self, result: SimplifiedMesh, carrier: Carrier, device: str | None) -> FittedMesh:
+    def fit(self, result: SimplifiedMesh, carrier: Carrier, refitted: bool, device: str | None) -> FittedMesh:
         """Fit the skin.
 
         Args:
             result: The simplified mesh, whose frames went through here.
             carrier: Where it gets its values from.
+            refitted: Whether its surface was fitted as a whole, which the skin is then to follow.
             device: Warp device; None for the default.
 
         Raises:
@@ -120,6 +121,7 @@ class SkinFitter:
             offsets=offsets,
             start_offsets=start_offsets,
             seams=job.seams.hold(),
+            to_planes=not refitted,
             device=device,
         )
         return FittedMesh(fit.undo(fitted.skin.rest), Influences(fitted.skin.joints, fitted.skin.weights))
