@@ -10,6 +10,7 @@ from pxr import Gf, Usd, UsdGeom, UsdSkel
 from test_usd_skin_output import BODY, rms
 from test_usd_stages import FRAMES, skinned_stage
 
+from warpqem.errors import OptionError
 from warpqem.skinning.skin import LinearSkin, pose_skin
 from warpqem.usd import SimplifyOptions, simplify_stage
 from warpqem.usd.mesh import MeshSource
@@ -112,3 +113,16 @@ def test_example_poses_are_what_it_is_fitted_to(tmp_path):
     before, after = (UsdGeom.Mesh(item.GetPrimAtPath(BODY)).GetPointsAttr().Get() for item in (own, stage))
     assert list(before) != list(after)
     assert rms(source, stage) < 5 * rms(source, own)
+
+
+def test_pose_independent_simplification_is_there_to_compare_with(tmp_path):
+    source = skinned_stage(tmp_path / "in.usda")
+    fitted, _ = simplified(tmp_path)
+    other, report = simplified(tmp_path, pose_independent=True)
+    assert report.skin == "interpolated: as asked for"
+    assert rms(source, fitted) < rms(source, other) < 5 * rms(source, fitted)
+
+
+def test_pose_independent_simplification_excludes_what_places_points_in_poses():
+    with pytest.raises(OptionError, match="pose_independent excludes"):
+        SimplifyOptions(ratio=0.5, pose_independent=True, refit=True)

@@ -140,6 +140,14 @@ def simplify_values(
             help="Fit rest points and joint influences of skinned meshes together to their poses; or interpolate them.",
         ),
     ] = True,
+    pose_independent: Annotated[
+        bool,
+        typer.Option(
+            "--pose-independent",
+            help="To compare with: simplify skinned meshes in their rest shape, by the errors of all poses pulled back "
+            "to it, and interpolate their skin.",
+        ),
+    ] = False,
     prim: Prims = None,
     device: Device = None,
     bake: Annotated[

@@ -30,7 +30,7 @@ from warpqem.usd.point_samples import PointSamples
 from warpqem.usd.report import PrimReport, StageReport, name_prim
 from warpqem.usd.simplify_options import SimplifyOptions
 from warpqem.usd.skel import StagePoses
-from warpqem.usd.skin_fit import SkinFitter, why_not_fitted
+from warpqem.usd.skin_fit import SkinFitter, SkinPoses, simplify_by_pullback, why_not_fitted
 from warpqem.usd.stage import find_meshes
 from warpqem.usd.weights import check_weight_primvar, painted_weights
 from warpqem.usd.write import OverLayer
@@ -203,23 +203,31 @@ class Run:
             "memory": self.options.memory,
             "device": self.options.device,
         }
+        poses = self._skin_poses(job) if self.options.pose_independent else None
+        if poses is not None:
+            options = {name: options[name] for name in ("attributes", "memory", "device")}
+            return simplify_by_pullback(
+                poses, **options, **self._importance(job), seams=seams, progress=progress, **goal
+            )
         plan = warpqem.plan(job.frames, job.faces, sink=sink, **options, **goal)
         self.reports[job.mesh.path].plan = plan.to_dict()
         if order is None or order.order is None:
             self.announce(job.mesh.path, plan)
-            options |= {
-                "vertex_weights": painted_weights(job, self.options.weight_primvar),
-                "quadric_scale": morph_scale(job, self.options.morph_weights, self._examples_of(job.source)),
-                "lock_borders": self.options.lock_borders,
-                "seams": seams,
-                "progress": progress,
-            }
+            options |= {**self._importance(job), "seams": seams, "progress": progress}
         if order is None:
             return warpqem.simplify(job.frames, job.faces, sink=sink, **options, **goal)
         if order.order is None:
             least = target_count(order.least_ratio, len(job.mesh.faces))
             order.order = warpqem.order_levels(job.frames, job.faces, target_faces=least, **options)
         return order.order.level(int(goal["target_faces"] or 0), sink=sink, progress=progress)
+
+    def _importance(self, job: MeshJob) -> dict[str, Any]:
+        """Options of the core that say what matters on a mesh."""
+        return {
+            "vertex_weights": painted_weights(job, self.options.weight_primvar),
+            "quadric_scale": morph_scale(job, self.options.morph_weights, self._examples_of(job.source)),
+            "lock_borders": self.options.lock_borders,
+        }
 
     def _as_far_as_it_goes(
         self,
@@ -282,16 +290,24 @@ class Run:
             raise
         samples.discard()
 
+    def _skin_poses(self, job: MeshJob) -> SkinPoses | None:
+        """The poses of a mesh with a linear skin; None for other meshes."""
+        examples = self._examples_of(job.source)
+        poses = examples or job.source
+        if job.skin is None or not job.skin.influences or why_not_fitted(job.skin, poses) is not None:
+            return None
+        return SkinPoses(job, poses, poses.frame_times(self.options.frames if examples is None else None))
+
     def _fitter(self, job: MeshJob, report: PrimReport) -> SkinFitter | None:
         """What fits the skin of a mesh; None if it has none, or it is to be interpolated."""
         if job.skin is None or not job.skin.influences:
             return None
-        examples = self._examples_of(job.source)
-        poses = examples or job.source
-        reason = why_not_fitted(job.skin, poses) if self.options.skin_fit else "as asked for"
-        if reason is None:
+        wanted = self.options.skin_fit and not self.options.pose_independent
+        poses = self._skin_poses(job) if wanted else None
+        if poses is not None:
             report.skin = "fitted"
-            return SkinFitter(job, poses, poses.frame_times(self.options.frames if examples is None else None))
+            return SkinFitter(poses)
+        reason = why_not_fitted(job.skin, self._examples_of(job.source) or job.source) if wanted else "as asked for"
         report.skin = f"interpolated: {reason}"
         return None
 

@@ -49,6 +49,8 @@ class SimplifyOptions:
         influences: Joints that move a new point of a skinned mesh at most; None for as many as in the input.
         skin_fit: Fit rest points and joint influences of skinned meshes together to their poses, see
             `warpqem.skinning.fit`; otherwise influences are interpolated.
+        pose_independent: Simplify meshes with a linear skin in their rest shape, by the errors of all poses pulled back
+            to it, and interpolate their skin, see `warpqem.skinning.pullback`: a method to compare with.
         prims: Prim paths; meshes at and below them are simplified. Empty for all.
         device: Warp device; None for the default.
         bake: Write skinned and blend-shaped meshes as point samples without their skin.
@@ -79,6 +81,7 @@ class SimplifyOptions:
     poses: str | os.PathLike[str] | None = None
     influences: int | None = None
     skin_fit: bool = True
+    pose_independent: bool = False
     prims: tuple[str, ...] = ()
     device: str | None = None
     bake: bool = False
@@ -107,6 +110,9 @@ class SimplifyOptions:
             parse_bytes(self.memory)
         check_lods(self.lods)
         check_weights(self.uv_weight, self.attribute_weights)
+        others = self.refit or self.bake or self.lods or self.metric != "dsd" or self.placement != "optimal"
+        if self.pose_independent and others:
+            raise OptionError("pose_independent excludes refit, bake, lods, another metric and another placement")
         if self.lods and self.flatten:
             raise OptionError("lods and flatten exclude each other: every level is a layer over the input")
         if self.usd_lod and not self.lods:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,15 +15,17 @@ from warpqem.key_frames import KeyFrameChoice
 from warpqem.mesh_input import read_mesh
 from warpqem.result import SimplifiedMesh
 from warpqem.skinning.fit import fit_skin
+from warpqem.skinning.pullback import simplify_pulled_back
 from warpqem.skinning.skin import LinearSkin
 from warpqem.usd.carrier import Carrier
-from warpqem.usd.job import MeshJob
+from warpqem.usd.job import MeshJob, RestFit
 from warpqem.usd.mesh import MeshSource
+from warpqem.usd.skel import MeshPoser
 from warpqem.usd.skin import Influences, Skin
 from warpqem.usd.skin_output import blend_influences
 from warpqem.usd.skin_poses import is_linear, joint_transforms, shape_offsets
 
-__all__ = ["FittedMesh", "SkinFitter", "why_not_fitted"]
+__all__ = ["FittedMesh", "SkinFitter", "SkinPoses", "simplify_by_pullback", "why_not_fitted"]
 
 # Poses that a skin is fitted to at most, far apart. More of them changed nothing that could be measured.
 MOST_POSES = 32
@@ -52,23 +55,88 @@ def why_not_fitted(skin: Skin, poses: MeshSource) -> str | None:
     return None
 
 
-class SkinFitter:
-    """Fits rest points and joint influences to the poses of a mesh, or those of them that are farthest apart.
-
-    As a `warpqem.FrameSink` it keeps the simplified points of these poses.
+class SkinPoses:
+    """The poses of a mesh with a linear skin, or those of them that are farthest apart, the rest shape first.
 
     Args:
-        job: The mesh, whose skin can be fitted.
+        job: The mesh.
         poses: The mesh in the poses of `job`.
         times: Time codes of these poses; None for one at the default time.
+
+    Attributes:
+        codes: Time codes of the chosen poses.
+        frames: The frames of `job` that the rest shape and these poses are.
     """
 
     def __init__(self, job: MeshJob, poses: MeshSource, times: list[float] | None) -> None:
-        self._job, self._poses = job, poses
+        self.job, self._poses = job, poses
         chosen = _choose_poses(job)
-        self._codes = [Usd.TimeCode.Default() if times is None else Usd.TimeCode(times[index]) for index in chosen]
-        # The rest shape is the first frame.
-        self._frames = np.concatenate([[0], job.pose_start + chosen])
+        self.codes = [Usd.TimeCode.Default() if times is None else Usd.TimeCode(times[index]) for index in chosen]
+        self.frames = np.concatenate([[0], job.pose_start + chosen])
+
+    @property
+    def poser(self) -> MeshPoser:
+        """What moves the mesh in these poses."""
+        assert self._poses.poser is not None
+        return self._poses.poser
+
+    @property
+    def fit(self) -> RestFit:
+        """What makes rest points as large as the poses."""
+        assert self.job.rest_fit is not None
+        return self.job.rest_fit
+
+    @property
+    def influences(self) -> Influences:
+        """The joint influences of the authored points."""
+        assert self.job.skin is not None
+        return next(iter(self.job.skin.influences.values()))
+
+    @property
+    def vertex_point(self) -> npt.NDArray[np.int64]:
+        """An authored point of each vertex, shape (V,)."""
+        point = np.empty(self.job.frames.vertex_count, dtype=np.int64)
+        point[self.job.faces] = self.job.source.topology.triangles
+        return point
+
+    def points(self) -> npt.NDArray[np.float32]:
+        """The vertices, shape (P, V, 3)."""
+        return np.concatenate([self.job.frames.read(slice(frame, frame + 1)) for frame in self.frames.tolist()])
+
+    def skin(self, rest: npt.NDArray[np.float32]) -> LinearSkin:
+        """The skin of the vertices with these rest points."""
+        return LinearSkin(rest, self.influences.joints[self.vertex_point], self.influences.weights[self.vertex_point])
+
+    def transforms(self) -> npt.NDArray[np.float64]:
+        """What joints do to rest points as large as the poses, shape (P, J, 3, 4)."""
+        moved = self.fit.moved(joint_transforms(self.poser, self.codes))
+        return np.concatenate([np.broadcast_to(np.eye(4)[:3], moved[:1].shape), moved])
+
+    def offsets(self) -> npt.NDArray[np.float32] | None:
+        """What blend shapes add to the authored rest points, as large as the poses, shape (P, points, 3)."""
+        assert self.job.skin is not None
+        offsets = shape_offsets(self.poser, self.job.skin.rest_points, self.codes)
+        if offsets is None:
+            return None
+        # The rest shape is without them.
+        return np.concatenate([np.zeros_like(offsets[:1]), offsets]) * np.float32(self.fit.scale)
+
+
+def simplify_by_pullback(poses: SkinPoses, **options: Any) -> SimplifiedMesh:
+    """The rest shape simplified by the quadrics of all poses, see `warpqem.skinning.pullback`."""
+    points = poses.points()
+    return simplify_pulled_back(points, poses.job.faces, poses.skin(points[0]), poses.transforms(), **options)
+
+
+class SkinFitter:
+    """Fits rest points and joint influences to poses.
+
+    As a `warpqem.FrameSink` it keeps the simplified points of these poses.
+    """
+
+    def __init__(self, poses: SkinPoses) -> None:
+        """Fit to these poses of a mesh."""
+        self._poses, self._frames = poses, poses.frames
         self._points = np.zeros((0, 0, 3), dtype=np.float32)
 
     def begin(self, frame_count: int, vertex_count: int, faces: npt.NDArray[np.int32]) -> None:
@@ -92,39 +160,27 @@ class SkinFitter:
         Raises:
             MeshShapeError: the poses are not what joints and blend shapes give.
         """
-        job, skin, poser, fit = self._job, self._job.skin, self._poses.poser, self._job.rest_fit
-        assert skin is not None
-        assert poser is not None
-        assert fit is not None
-        point = np.empty(job.frames.vertex_count, dtype=np.int64)
-        point[job.faces] = job.source.topology.triangles
-        influences = next(iter(skin.influences.values()))
+        poses, job = self._poses, self._poses.job
+        assert job.skin is not None
         rows = carrier.vertices()
-        start = blend_influences(influences, rows, skin.influence_limit)
-        offsets, start_offsets = shape_offsets(poser, skin.rest_points, self._codes), None
-        if offsets is not None:
-            # The rest shape is without them; frames are as large as the poses.
-            offsets = np.concatenate([np.zeros_like(offsets[:1]), offsets]) * np.float32(fit.scale)
-            start_offsets = np.stack([rows.blend(offset) for offset in offsets])
-            offsets = offsets[:, point]
-        transforms = fit.moved(joint_transforms(poser, self._codes))
-        rest_transforms = np.broadcast_to(np.eye(4)[:3], transforms[:1].shape)
-        poses = np.concatenate([job.frames.read(slice(frame, frame + 1)) for frame in self._frames.tolist()])
+        start = blend_influences(poses.influences, rows, job.skin.influence_limit)
+        offsets = poses.offsets()
+        points = poses.points()
         fitted = fit_skin(
-            poses,
+            points,
             job.faces,
             replace(result, points=self._points),
-            LinearSkin(poses[0], influences.joints[point], influences.weights[point]),
-            np.concatenate([rest_transforms, transforms]),
+            poses.skin(points[0]),
+            poses.transforms(),
             start=LinearSkin(self._points[0], start.joints, start.weights),
-            influences=skin.influence_limit,
-            offsets=offsets,
-            start_offsets=start_offsets,
+            influences=job.skin.influence_limit,
+            offsets=None if offsets is None else offsets[:, poses.vertex_point],
+            start_offsets=None if offsets is None else np.stack([rows.blend(offset) for offset in offsets]),
             seams=job.seams.hold(),
             to_planes=not refitted,
             device=device,
         )
-        return FittedMesh(fit.undo(fitted.skin.rest), Influences(fitted.skin.joints, fitted.skin.weights))
+        return FittedMesh(poses.fit.undo(fitted.skin.rest), Influences(fitted.skin.joints, fitted.skin.weights))
 
 
 def _choose_poses(job: MeshJob) -> npt.NDArray[np.int64]:
