@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy.typing as npt
 from pxr import Sdf, Usd, UsdGeom, Vt
 
 __all__ = [
+    "Samples",
     "anchored",
     "blocked_codes",
     "from_numpy",
@@ -21,6 +23,39 @@ __all__ = [
 ]
 
 _QUATERNIONS = (Vt.QuathArray, Vt.QuatfArray, Vt.QuatdArray)
+
+
+class Samples(Mapping[Usd.TimeCode, npt.NDArray[Any]]):
+    """The values of an attribute at its samples, each read when it is asked for, so that they are never all in memory.
+
+    Args:
+        codes: When there are samples.
+        read: The value at one of them.
+    """
+
+    def __init__(self, codes: Sequence[Usd.TimeCode], read: Callable[[Usd.TimeCode], npt.NDArray[Any]]) -> None:
+        self._codes, self._read = list(codes), read
+        # Most attributes have one sample, which is asked for several times.
+        self._last: tuple[Usd.TimeCode, npt.NDArray[Any]] | None = None
+
+    def __getitem__(self, code: Usd.TimeCode) -> npt.NDArray[Any]:
+        if self._last is None or self._last[0] != code:
+            self._last = None
+            self._last = (code, self._read(code))
+        return self._last[1]
+
+    def __contains__(self, code: object) -> bool:
+        return code in self._codes
+
+    def __iter__(self) -> Iterator[Usd.TimeCode]:
+        return iter(self._codes)
+
+    def __len__(self) -> int:
+        return len(self._codes)
+
+    def map(self, change: Callable[[npt.NDArray[Any]], npt.NDArray[Any]]) -> Samples:
+        """The same samples, changed one by one."""
+        return Samples(self._codes, lambda code: change(self[code]))
 
 
 def sample_codes(*attributes: Usd.Attribute) -> list[Usd.TimeCode]:
@@ -96,7 +131,7 @@ def is_normal(type_name: Sdf.ValueTypeName) -> bool:
     return str(type_name.role) == "Normal"
 
 
-def primvar_samples(primvar: UsdGeom.Primvar) -> dict[Usd.TimeCode, npt.NDArray[Any]] | None:
+def primvar_samples(primvar: UsdGeom.Primvar) -> Samples | None:
     """The values of a primvar without its indices, (elements, ...) at each sample.
 
     Samples at which only the values or only the indices are there are left out.
@@ -105,17 +140,27 @@ def primvar_samples(primvar: UsdGeom.Primvar) -> dict[Usd.TimeCode, npt.NDArray[
         The samples; None if there are none, or an index has no value.
     """
     indices = primvar.GetIndicesAttr()
-    samples = {}
-    for code in sample_codes(primvar.GetAttr(), indices):
-        if primvar.IsIndexed() and indices.Get(code) is None:
-            continue
+    has_indices = bool(indices and indices.HasAuthoredValue())
+    codes = [
+        code
+        for code in sample_codes(primvar.GetAttr(), indices)
+        if not primvar.IsIndexed() or indices.Get(code) is not None
+    ]
+
+    def find(code: Usd.TimeCode) -> npt.NDArray[Any] | None:
         values = to_numpy(primvar.GetAttr().Get(code), primvar.GetElementSize())
-        if values is None:
+        if values is None or not has_indices:
+            return values
+        index = to_numpy(indices.Get(code))
+        if index is None or (len(index) and (index.min() < 0 or index.max() >= len(values))):
             return None
-        if indices and indices.HasAuthoredValue():
-            index = to_numpy(indices.Get(code))
-            if index is None or (len(index) and (index.min() < 0 or index.max() >= len(values))):
-                return None
-            values = values[index]
-        samples[code] = values
-    return samples or None
+        return values[index]
+
+    def read(code: Usd.TimeCode) -> npt.NDArray[Any]:
+        values = find(code)
+        assert values is not None
+        return values
+
+    if not codes or any(find(code) is None for code in codes):
+        return None
+    return Samples(codes, read)

@@ -84,7 +84,8 @@ def weighted_fields(source: MeshSource, uv_weight: float, weights: AttributeWeig
             wanted[primvar.GetAttr().GetName()] = weight
     if not wanted:
         return []
-    values = {name: samples[0] for name, samples, _ in corner_values(source, points_too=True) if samples}
+    found = corner_values(source, points_too=True)
+    values = {name: next(iter(samples.values())) for name, samples, _ in found if samples}
     fields = []
     for name, weight in wanted.items():
         if name in values and values[name].dtype.kind == "f":

@@ -84,6 +84,7 @@ class Carrier:
             seams: The seams of the input.
             device: Warp device; None for the default.
         """
+        self.prim = source.prim
         self.topology = source.topology
         self.point_count = source.point_count
         self.seams = seams

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -9,6 +11,7 @@ import numpy.typing as npt
 from pxr import Sdf, Usd, UsdGeom, Vt
 
 from warpqem.usd.arrays import (
+    Samples,
     anchored,
     blocked_codes,
     from_numpy,
@@ -27,10 +30,11 @@ __all__ = ["carry_arrays", "carry_motion", "carry_normals", "carry_primvars"]
 POINT_INTERPOLATIONS = (UsdGeom.Tokens.vertex, UsdGeom.Tokens.varying)
 MOTION_ATTRIBUTES = ("velocities", "accelerations")
 
-Samples = dict[Usd.TimeCode, npt.NDArray[Any]]
+# Told the bytes of every sample that was authored.
+Saved = Callable[[int], None]
 
 
-def carry_primvars(prim: Usd.Prim, carrier: Carrier, dropped: Dropped) -> None:
+def carry_primvars(prim: Usd.Prim, carrier: Carrier, dropped: Dropped, saved: Saved) -> None:
     """Bring all primvars that are authored on a mesh to its new topology, at all their samples.
 
     Constant ones stay. Point values that differ between welded points become faceVarying. Real numbers are blended;
@@ -41,7 +45,8 @@ def carry_primvars(prim: Usd.Prim, carrier: Carrier, dropped: Dropped) -> None:
         name, interpolation = str(primvar.GetPrimvarName()), str(primvar.GetInterpolation())
         if interpolation == UsdGeom.Tokens.constant or name.startswith("skel:") or not primvar.HasAuthoredValue():
             continue
-        samples = primvar_samples(primvar)
+        original = UsdGeom.PrimvarsAPI(carrier.prim).GetPrimvar(name)
+        samples = primvar_samples(original)
         count = carrier.input_count(interpolation)
         if samples is None or count is None or any(len(values) != count for values in samples.values()):
             block(primvar.GetIndicesAttr(), dropped)
@@ -54,10 +59,10 @@ def carry_primvars(prim: Usd.Prim, carrier: Carrier, dropped: Dropped) -> None:
             dropped.names.append(f"unauthoredValuesIndex of primvars:{name}")
         rows, corner_row = _rows(carrier, primvar.GetAttr().GetName(), interpolation)
         size, unit_length = primvar.GetElementSize(), name == "normals"
-        carried = _carry(primvar.GetAttr(), samples, rows, unit_length)
+        carried = _carry(original.GetAttr(), samples, rows, unit_length)
         if corner_row is not None:
             carried, corner_row = _merge_equal(carried, corner_row)
-        _write_values(primvar.GetAttr(), carried, size)
+        _write_values(primvar.GetAttr(), carried, saved, size)
         if corner_row is not None:
             indices = primvar.CreateIndicesAttr()
             indices.Set(Vt.IntArray.FromNumpy(np.ascontiguousarray(corner_row.ravel())))
@@ -66,7 +71,7 @@ def carry_primvars(prim: Usd.Prim, carrier: Carrier, dropped: Dropped) -> None:
             block(primvar.GetIndicesAttr(), dropped)
 
 
-def carry_normals(mesh: UsdGeom.Mesh, carrier: Carrier, dropped: Dropped) -> None:
+def carry_normals(mesh: UsdGeom.Mesh, carrier: Carrier, dropped: Dropped, saved: Saved) -> None:
     """Bring the `normals` of a mesh to its new topology; a mesh without any gets none."""
     attribute = mesh.GetNormalsAttr()
     if not attribute.HasAuthoredValue():
@@ -74,7 +79,8 @@ def carry_normals(mesh: UsdGeom.Mesh, carrier: Carrier, dropped: Dropped) -> Non
     interpolation = str(mesh.GetNormalsInterpolation())
     if interpolation == UsdGeom.Tokens.constant:
         return
-    samples = _samples_of_length(attribute, carrier.input_count(interpolation))
+    original = carrier.prim.GetAttribute("normals")
+    samples = _samples_of_length(original, carrier.input_count(interpolation))
     if samples is None:
         block(attribute, dropped)
         dropped.names.append(f"normals ({interpolation})")
@@ -84,24 +90,25 @@ def carry_normals(mesh: UsdGeom.Mesh, carrier: Carrier, dropped: Dropped) -> Non
         # The attribute has no indices, so that each corner has its own entry.
         rows = Rows(rows.index[corner_row.ravel()], rows.weight[corner_row.ravel()])
         mesh.SetNormalsInterpolation(UsdGeom.Tokens.faceVarying)
-    _write_values(attribute, _carry(attribute, samples, rows, True))
+    _write_values(attribute, _carry(original, samples, rows, True), saved)
 
 
-def carry_motion(prim: Usd.Prim, carrier: Carrier, point_times: list[float], dropped: Dropped) -> None:
+def carry_motion(prim: Usd.Prim, carrier: Carrier, point_times: list[float], dropped: Dropped, saved: Saved) -> None:
     """Bring velocities and accelerations to the new points where they have samples with the points, and only there."""
     for name in MOTION_ATTRIBUTES:
         attribute = prim.GetAttribute(name)
         if not attribute.HasAuthoredValue():
             continue
-        samples = _samples_of_length(attribute, carrier.point_count)
+        original = carrier.prim.GetAttribute(name)
+        samples = _samples_of_length(original, carrier.point_count)
         if samples is None or attribute.GetTimeSamples() != point_times:
             block(attribute, dropped)
             dropped.names.append(name)
             continue
-        _write_values(attribute, _carry(attribute, samples, carrier.vertices()))
+        _write_values(attribute, _carry(original, samples, carrier.vertices()), saved)
 
 
-def carry_arrays(prim: Usd.Prim, carrier: Carrier, dropped: Dropped) -> None:
+def carry_arrays(prim: Usd.Prim, carrier: Carrier, dropped: Dropped, saved: Saved) -> None:
     """Bring arrays that no schema of the mesh knows to the new points or faces, if they have as many entries.
 
     Those with an entry for each corner stay as they are, and are named: nothing says where they are continuous.
@@ -114,13 +121,14 @@ def carry_arrays(prim: Usd.Prim, carrier: Carrier, dropped: Dropped) -> None:
         # Indices of a primvar are no primvar; they and those of a skin are carried with what they belong to.
         if name.startswith(("primvars:", "skel:")):
             continue
+        original = carrier.prim.GetAttribute(name)
         for interpolation in (UsdGeom.Tokens.vertex, UsdGeom.Tokens.uniform):
-            samples = _samples_of_length(attribute, carrier.input_count(interpolation))
+            samples = _samples_of_length(original, carrier.input_count(interpolation))
             if samples:
-                _write_values(attribute, _carry(attribute, samples, _rows(carrier, name, interpolation)[0]))
+                _write_values(attribute, _carry(original, samples, _rows(carrier, name, interpolation)[0]), saved)
                 break
         else:
-            if _samples_of_length(attribute, carrier.input_count(UsdGeom.Tokens.faceVarying)):
+            if _samples_of_length(original, carrier.input_count(UsdGeom.Tokens.faceVarying)):
                 dropped.names.append(f"the order of {name} (an entry for each old corner; make it a primvar)")
 
 
@@ -135,30 +143,31 @@ def _rows(carrier: Carrier, name: str, interpolation: str) -> tuple[Rows, npt.ND
     return carrier.vertices(), None
 
 
-def _samples_of_length(attribute: Usd.Attribute, count: int | None) -> dict[Usd.TimeCode, npt.NDArray[Any]] | None:
-    samples = {}
-    for code in sample_codes(attribute):
+def _samples_of_length(attribute: Usd.Attribute, count: int | None) -> Samples | None:
+    codes = sample_codes(attribute)
+    for code in codes:
         values = to_numpy(attribute.Get(code))
         if values is None or len(values) != count:
             return None
-        samples[code] = values
-    return samples
+
+    def read(code: Usd.TimeCode) -> npt.NDArray[Any]:
+        values = to_numpy(attribute.Get(code))
+        assert values is not None
+        return values
+
+    return Samples(codes, read)
 
 
-def _carry(attribute: Usd.Attribute, samples: Samples, rows: Rows, unit_length: bool = False) -> Samples:
-    """The values of every sample on the new mesh."""
-    carried = {}
-    for code, values in samples.items():
-        like = attribute.Get(code)
-        if not is_continuous(like):
-            carried[code] = rows.pick(_anchored(attribute, code, values))
-        elif is_quaternion(like):
-            carried[code] = rows.blend_directions(values, signed=False).astype(values.dtype)
-        elif unit_length or is_normal(attribute.GetTypeName()):
-            carried[code] = rows.blend_directions(values).astype(values.dtype)
-        else:
-            carried[code] = rows.blend(values).astype(values.dtype)
-    return carried
+def _carry(original: Usd.Attribute, samples: Samples, rows: Rows, unit_length: bool = False) -> Samples:
+    """The values of every sample on the new mesh; ``original`` is the attribute on the input."""
+    like = next((original.Get(code) for code in samples), None)
+    if not is_continuous(like):
+        return Samples(list(samples), lambda code: rows.pick(_anchored(original, code, samples[code])))
+    if is_quaternion(like):
+        return samples.map(lambda values: rows.blend_directions(values, signed=False).astype(values.dtype))
+    if unit_length or is_normal(original.GetTypeName()):
+        return samples.map(lambda values: rows.blend_directions(values).astype(values.dtype))
+    return samples.map(lambda values: rows.blend(values).astype(values.dtype))
 
 
 def _merge_equal(samples: Samples, corner_row: npt.NDArray[np.int32]) -> tuple[Samples, npt.NDArray[np.int32]]:
@@ -176,21 +185,22 @@ def _merge_equal(samples: Samples, corner_row: npt.NDArray[np.int32]) -> tuple[S
     place = np.empty_like(order)
     place[order] = np.arange(len(order))
     merged = place[row.ravel()].astype(np.int32)[corner_row]
-    return {code: values[kept[order]] for code, values in samples.items()}, merged
+    return samples.map(itemgetter(kept[order])), merged
 
 
-def _write_values(attribute: Usd.Attribute, samples: Samples, element_size: int = 1) -> None:
+def _write_values(attribute: Usd.Attribute, samples: Samples, saved: Saved, element_size: int = 1) -> None:
     """Author every sample."""
     # Read before anything is written: the first sample written hides those of weaker layers.
-    likes, blocked = {code: attribute.Get(code) for code in samples}, blocked_codes(attribute)
+    like, blocked = next((attribute.Get(code) for code in samples), None), blocked_codes(attribute)
     default = attribute.Get()
     for code, values in samples.items():
-        written = from_numpy(values, likes[code], element_size)
+        written = from_numpy(values, like, element_size)
         attribute.Set(written, code)
         if default is not None and Usd.TimeCode.Default() not in samples:
             # Else the old one would show through at the default time.
             attribute.Set(written)
             default = None
+        saved(values.nbytes)
     for code in blocked:
         attribute.Set(Sdf.ValueBlock(), code)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from pxr import Usd, UsdGeom
 from warpqem.components import lowest_members
 from warpqem.edges import edge_key
 from warpqem.transfer import is_proper, joined_faces
-from warpqem.usd.arrays import is_normal, primvar_samples, sample_codes, to_numpy
+from warpqem.usd.arrays import Samples, is_normal, primvar_samples, sample_codes
 from warpqem.usd.mesh import MeshSource
 
 __all__ = ["MeshSeams", "corner_values", "find_seams"]
@@ -151,7 +152,7 @@ def find_seams(
         if name in NORMALS and not with_normals:
             continue
         differ = np.zeros(len(edges.ends), dtype=bool)
-        for values in samples:
+        for values in samples.values():
             differ |= edges.values_differ(values, normals)
         seams.add(name, edges.where(differ), int(faces.max()) + 1)
     borders = [_subset_borders(source, edges), _creases(source, edges, faces)]
@@ -159,7 +160,7 @@ def find_seams(
     return seams
 
 
-def corner_values(source: MeshSource, points_too: bool) -> list[tuple[str, list[npt.NDArray[Any]], bool]]:
+def corner_values(source: MeshSource, points_too: bool) -> list[tuple[str, Samples, bool]]:
     """Attributes with a value per corner, or also per point: name, samples at the triangles' corners, if normals."""
     topology = source.topology
     places = {UsdGeom.Tokens.faceVarying: (topology.corner_count, topology.triangle_corners.ravel())}
@@ -170,22 +171,22 @@ def corner_values(source: MeshSource, points_too: bool) -> list[tuple[str, list[
     for name, interpolation, samples, normals in _authored_arrays(source):
         if interpolation in places:
             count, element = places[interpolation]
-            if all(len(values) == count for values in samples):
-                found.append((name, [values[element] for values in samples], normals))
+            if all(len(values) == count for values in samples.values()):
+                found.append((name, samples.map(itemgetter(element)), normals))
     return found
 
 
-def _authored_arrays(source: MeshSource) -> Iterator[tuple[str, str, list[npt.NDArray[Any]], bool]]:
+def _authored_arrays(source: MeshSource) -> Iterator[tuple[str, str, Samples, bool]]:
     """Name, interpolation and samples of all primvars and normals, and whether they are normals."""
     for primvar in UsdGeom.PrimvarsAPI(source.prim).GetPrimvarsWithAuthoredValues():
         name, samples = str(primvar.GetPrimvarName()), primvar_samples(primvar)
         if samples is not None and not name.startswith("skel:"):
             normals = is_normal(primvar.GetTypeName()) or name == "normals"
-            yield primvar.GetAttr().GetName(), str(primvar.GetInterpolation()), list(samples.values()), normals
+            yield primvar.GetAttr().GetName(), str(primvar.GetInterpolation()), samples, normals
     attribute = source.mesh.GetNormalsAttr()
     if attribute.HasAuthoredValue():
-        arrays = [to_numpy(attribute.Get(code)) for code in sample_codes(attribute)]
-        yield "normals", str(source.mesh.GetNormalsInterpolation()), [a for a in arrays if a is not None], True
+        samples = Samples(sample_codes(attribute), lambda code: np.array(attribute.Get(code)))
+        yield "normals", str(source.mesh.GetNormalsInterpolation()), samples, True
 
 
 def _subset_borders(source: MeshSource, edges: _InnerEdges) -> Pairs:

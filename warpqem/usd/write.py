@@ -171,11 +171,11 @@ class OverLayer:
             drop_skin(prim, dropped)
         else:
             write_skin(self.stage, prim, skin, carrier)
-        carry_primvars(prim, carrier, dropped)
+        carry_primvars(prim, carrier, dropped, self._count_sample)
         if with_normals:
-            carry_normals(mesh, carrier, dropped)
-        carry_motion(prim, carrier, times or [], dropped)
-        carry_arrays(prim, carrier, dropped)
+            carry_normals(mesh, carrier, dropped, self._count_sample)
+        carry_motion(prim, carrier, times or [], dropped, self._count_sample)
+        carry_arrays(prim, carrier, dropped, self._count_sample)
         carry_subsets(mesh, carrier, dropped)
         drop_subdivision(mesh, dropped)
         return dropped
