@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from benchmarks import kernels, peers, scaling, startup, static
+from benchmarks import kernels, peers, scaling, startup, static, stream
 from benchmarks.report import Report, write_report
 from benchmarks.settings import Settings
 
@@ -17,6 +17,7 @@ COMMANDS: dict[str, Callable[[Settings], Report]] = {
     "static": static.run,
     "kernels": kernels.run,
     "startup": startup.run,
+    "stream": stream.run,
 }
 TURNS, QUICK_TURNS = 5, 2
 
@@ -30,7 +31,8 @@ def parse(arguments: Sequence[str] | None = None) -> tuple[str, Settings]:
         choices=COMMANDS,
         default="peers",
         help="peers (default): an animation through warpqem and its peers; scaling: faces and frames; static: one "
-        "large frame; kernels: time and floor of each kernel; startup: the command line on a small file",
+        "large frame; kernels: time and floor of each kernel; startup: the command line on a small file; "
+        "stream: memory on long clips and a large mesh",
     )
     parser.add_argument("--out", type=Path, default=Path("benchmark_results"), help="folder for the reports")
     parser.add_argument("--quick", action="store_true", help="small meshes, few turns: whether it works, not how fast")

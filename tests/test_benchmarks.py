@@ -3,11 +3,14 @@
 import itertools
 import json
 import math
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
+from pxr import Usd, UsdGeom
 
-from benchmarks import scaling, turns
+from benchmarks import scaling, stream, turns
 from benchmarks.__main__ import parse
 from benchmarks.figures import log_slope, median, ratio_in_turn
 from benchmarks.floor import BYTES_PER_SECOND, FLOPS_PER_SECOND, Demand, count_demand, floor_seconds
@@ -230,3 +233,30 @@ def test_wrong_options_are_refused(wrong, capsys):
         parse(wrong)
     assert stop.value.code == 2
     assert wrong[-1] in capsys.readouterr().err
+
+
+def test_a_clip_holds_the_frames_of_its_torus(tmp_path, monkeypatch):
+    monkeypatch.setattr(stream, "UNSAVED_BYTES", 0)
+    torus = stream.write_clip(tmp_path / "clip.usdc", 200, 5)
+    stage = Usd.Stage.Open(str(tmp_path / "clip.usdc"))
+    attribute = UsdGeom.Mesh(stage.GetPrimAtPath(stream.PRIM)).GetPointsAttr()
+    points, faces = moving_torus(200, 5)
+    np.testing.assert_array_equal([attribute.Get(float(frame)) for frame in range(5)], points)
+    np.testing.assert_array_equal(torus.faces, faces)
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="no /proc")
+def test_memory_of_a_process_is_its_own():
+    held = np.ones(2**24)  # the parent's own
+    few, many = (
+        stream.run_process([sys.executable, "-c", f"import time; x = bytearray({size}); time.sleep(0.1)"], {})
+        for size in (1, 50 * 2**20)
+    )
+    assert 45 < many.peak_mb - few.peak_mb < 60
+    assert 45 < many.private_mb - few.private_mb < 60
+    assert many.peak_mb < held.nbytes / 2**20
+
+
+def test_process_that_fails_is_named_with_its_error():
+    with pytest.raises(RuntimeError, match=r"exit code 1: .*ZeroDivisionError"):
+        stream.run_process([sys.executable, "-c", "1 / 0"], {})
