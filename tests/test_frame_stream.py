@@ -193,6 +193,22 @@ def test_the_plan_of_many_frames_takes_little_more_than_that_of_few():
     assert many.peak_bytes - few.peak_bytes <= POSE_BYTES + 12 * BLOCK_BYTES
 
 
+def test_the_plan_of_levels_counts_what_is_kept_of_them():
+    one, many = (warpqem.plan(POINTS, FACES, ratio=0.1, memory="1G", levels=levels) for levels in (False, True))
+    assert many.order_bytes - one.order_bytes == 16 * len(POINTS[0]) * 52
+    assert many.place_bytes > one.place_bytes
+
+
+def test_levels_are_placed_from_a_source_to_sinks_in_small_blocks(monkeypatch):
+    whole = warpqem.simplify_levels(POINTS, FACES, ratios=(0.5, 0.2), device="cpu")
+    monkeypatch.setattr("warpqem.memory.BLOCK_BYTES", 1)
+    order = warpqem.order_levels(CountedFrames(POINTS), FACES, target_faces=64, keep_frames=False, device="cpu")
+    for level, count in zip(whole, (160, 64), strict=True):
+        sink = ArraySink()
+        assert order.level(count, sink=sink).plan.block_count == 3
+        np.testing.assert_array_equal(sink.points, level.points)
+
+
 def test_the_plan_says_how_the_work_is_cut():
     plan = warpqem.plan(POINTS, FACES, ratio=0.5, memory="1G", device="cpu")
     assert (plan.frame_count, plan.key_frames, plan.block_frames, plan.block_count) == (FRAME_COUNT, 16, FRAME_COUNT, 1)

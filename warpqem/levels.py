@@ -28,9 +28,9 @@ class LevelOrder:
         if refused:
             raise OptionError(f"{', '.join(sorted(refused))}: not with levels")
         self._refit: bool = options.get("refit", False)
-        self._work = prepare(points, faces, progress=progress, **options)
-        recorder = NodeRecorder()
-        self._levels = OrderedLevels(self._work.mesh.faces, self._work.order(progress, recorder), recorder)
+        work, recorder = prepare(points, faces, progress=progress, keep_nodes=True, **options), NodeRecorder()
+        self._levels = OrderedLevels(work.mesh.faces, work.order(progress, recorder), recorder)
+        self._work = work.without_input()
 
     @property
     def face_count(self) -> int:
@@ -56,7 +56,13 @@ class LevelOrder:
 
 
 def order_levels(
-    points: Any, faces: Any = None, *, target_faces: int, progress: Progress | None = None, **options: Any
+    points: Any,
+    faces: Any = None,
+    *,
+    target_faces: int,
+    keep_frames: bool = True,
+    progress: Progress | None = None,
+    **options: Any,
 ) -> LevelOrder:
     """Collapse the edges of an animated mesh down to its coarsest level.
 
@@ -64,6 +70,7 @@ def order_levels(
         points: as for :func:`warpqem.simplify`.
         faces: likewise.
         target_faces: faces of the coarsest level.
+        keep_frames: plan memory for the frames of one level; not where all levels are to have a sink.
         progress: called with the part done, 0 to 1, and the stage, "read" or "order".
         options: other keyword arguments of :func:`warpqem.simplify`, but for its goals and ``sink``.
 
@@ -71,7 +78,7 @@ def order_levels(
         OptionError: also for an option that does not apply.
         WarpqemError: the other errors of :func:`warpqem.simplify`, but for an unreachable target.
     """
-    return LevelOrder(points, faces, progress, {"target_faces": target_faces, **options})
+    return LevelOrder(points, faces, progress, {"target_faces": target_faces, "keep_frames": keep_frames, **options})
 
 
 def simplify_levels(

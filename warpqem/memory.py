@@ -95,6 +95,7 @@ class MemoryNeeds:
         trajectories: the order needs all frames of every vertex.
         refit: the result is refitted.
         keep_frames: the result is kept in memory.
+        keep_nodes: every vertex on the way down is kept, for levels that are placed later.
     """
 
     frame_count: int
@@ -108,6 +109,7 @@ class MemoryNeeds:
     trajectories: bool = False
     refit: bool = False
     keep_frames: bool = True
+    keep_nodes: bool = False
 
 
 # Bytes per face and per vertex for the topology: the caller's faces checked, edges, flags, vertex map, log.
@@ -117,6 +119,9 @@ HELD_FACE, HELD_VERTEX = 60, 80
 # at first the normals of its two faces 24; for each corner and attribute channel: value, gradient, their fit; for each
 # vertex and frame where the order needs them all: the position, and once more while vertices are put in another order.
 ORDER_FACE, ORDER_VERTEX, ORDER_KEY, ORDER_CHANNEL, ORDER_TRAJECTORY = 350, 150, 88, 200, 24
+# For levels that are placed later, for each vertex and key frame: position and quadric of each merged vertex; and while
+# they are placed what ordering left, position before and after and quadric, and those of the level once more.
+NODE_KEY, LEVEL_KEY = 52, 52 + 64 + 52
 # Placing, for each face: the rows of the clusters it has a part in, and what sorts them; for each output vertex: its
 # anchor's Gram matrix of 32 x 33 / 2 numbers, and members.
 PLACE_FACE, PLACE_OUTPUT = 200, 2500
@@ -196,6 +201,8 @@ def _padded(frame_count: int, device: str) -> int:
 
 def _order(needs: MemoryNeeds, device: str) -> int:
     per_vertex = ORDER_VERTEX + ORDER_KEY * _padded(needs.key_frames, device)
+    if needs.keep_nodes:
+        per_vertex += NODE_KEY * _padded(needs.key_frames, device)
     if needs.trajectories:
         per_vertex += ORDER_TRAJECTORY * needs.frame_count
     per_face = ORDER_FACE + 3 * ORDER_CHANNEL * needs.channels
@@ -207,6 +214,8 @@ def _place(needs: MemoryNeeds, device: str) -> tuple[int, int]:
     fixed = PLACE_FACE * needs.face_count + PLACE_OUTPUT * needs.output_vertices
     # The anchors are fitted on what ordering leaves: positions before and after, quadrics.
     anchors = 64 * _padded(needs.key_frames, device) * needs.vertex_count
+    if needs.keep_nodes:
+        fixed += LEVEL_KEY * _padded(needs.key_frames, device) * needs.vertex_count
     # One block is read while another is packed; a third is about to be let go.
     per_frame = (3 * 3 * needs.value_bytes + 24) * needs.vertex_count + FRAME_OUTPUT * needs.output_vertices
     if needs.refit:

@@ -105,12 +105,13 @@ def prepare(
     attributes: Sequence[AttributeField] = (),
     memory: int | str | None = None,
     keep_frames: bool = True,
+    keep_nodes: bool = False,
     device: str | None = None,
     progress: Progress | None = None,
 ) -> Prepared:
     """Make a mesh ready, with the arguments and errors of :func:`warpqem.simplify`.
 
-    ``keep_frames`` says whether the result stays in memory.
+    ``keep_frames`` says whether the result stays in memory, ``keep_nodes`` whether every vertex on the way down does.
     """
     spec = cost_model(metric)
     goal_options = (ratio, target_faces, max_error)
@@ -119,7 +120,7 @@ def prepare(
     given = read_mesh(points, faces)
     goal = read_goal(len(given.faces), *goal_options)
     refit = refit and placement != "endpoint"
-    planned = plan_work(given, spec, goal, key_frames, attributes, refit, keep_frames, memory, device)
+    planned = plan_work(given, spec, goal, key_frames, attributes, refit, keep_frames, keep_nodes, memory, device)
     seam = read_seams(seams, given.faces, given.vertex_count)
     factors, pinned = read_weights(vertex_weights, given)
     pinned |= lock_mask(locked, given.vertex_count)
@@ -157,6 +158,7 @@ def plan_work(
     attributes: Sequence[AttributeField],
     refit: bool,
     keep_frames: bool,
+    keep_nodes: bool,
     memory: int | str | None,
     device: str,
 ) -> MemoryPlan:
@@ -181,6 +183,7 @@ def plan_work(
             trajectories=spec.deformation_weight > 0,
             refit=refit,
             keep_frames=keep_frames,
+            keep_nodes=keep_nodes,
         ),
         memory,
         device,

@@ -130,9 +130,12 @@ def plan(
     attributes: Sequence[AttributeField] = (),
     memory: int | str | None = None,
     sink: FrameSink | None = None,
+    levels: bool = False,
     device: str | None = None,
 ) -> MemoryPlan:
     """What :func:`simplify` would do with these arguments, and the memory for it; no frame is read.
+
+    With ``levels`` the coarsest level of :func:`order_levels`.
 
     Raises:
         MemoryLimitError: it cannot be done in that memory.
@@ -144,4 +147,4 @@ def plan(
     given = read_mesh(points, faces)
     goal = read_goal(len(given.faces), ratio, target_faces, max_error)
     refit = refit and placement != "endpoint"
-    return plan_work(given, spec, goal, key_frames, attributes, refit, sink is None, memory, device)
+    return plan_work(given, spec, goal, key_frames, attributes, refit, sink is None, levels, memory, device)

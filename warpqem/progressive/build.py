@@ -47,7 +47,7 @@ def build_progressive(
     if refused:
         raise OptionError(f"{', '.join(sorted(refused))}: not with a progressive mesh, which has all levels")
     # A mesh of one face is the least there is.
-    work = prepare(points, faces, target_faces=base_faces or 1, progress=progress, **options)
+    work = prepare(points, faces, target_faces=base_faces or 1, progress=progress, keep_nodes=True, **options)
     recorder = NodeRecorder()
     ordered = work.order(progress, recorder)
     levels = OrderedLevels(work.mesh.faces, ordered, recorder)

@@ -209,7 +209,7 @@ class Run:
             return simplify_by_pullback(
                 poses, **options, **self._importance(job), seams=seams, progress=progress, **goal
             )
-        plan = warpqem.plan(job.frames, job.faces, sink=sink, **options, **goal)
+        plan = warpqem.plan(job.frames, job.faces, sink=sink, levels=order is not None, **options, **goal)
         self.reports[job.mesh.path].plan = plan.to_dict()
         if order is None or order.order is None:
             self.announce(job.mesh.path, plan)
@@ -218,7 +218,7 @@ class Run:
             return warpqem.simplify(job.frames, job.faces, sink=sink, **options, **goal)
         if order.order is None:
             least = target_count(order.least_ratio, len(job.mesh.faces))
-            order.order = warpqem.order_levels(job.frames, job.faces, target_faces=least, **options)
+            order.order = warpqem.order_levels(job.frames, job.faces, target_faces=least, keep_frames=False, **options)
         return order.order.level(int(goal["target_faces"] or 0), sink=sink, progress=progress)
 
     def _importance(self, job: MeshJob) -> dict[str, Any]:
