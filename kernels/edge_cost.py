@@ -10,6 +10,7 @@ from warpqem.kernels.attribute import attribute_error, attribute_parabola, first
 from warpqem.kernels.deformation import length_deformation
 from warpqem.kernels.lanes import lane_dot, lane_kernel, lane_max, lane_sum
 from warpqem.kernels.mesh_state import KEY_FRAMES, AnyKeyFrames, CollapseLog, CostModel, MeshState
+from warpqem.kernels.prefetch import FACES_AHEAD, RINGS_AHEAD, prefetch_faces, prefetch_priced_ring
 from warpqem.kernels.quadric import (
     NO_PLANE,
     anchored_minimiser,
@@ -226,17 +227,22 @@ def reprice_moved_stars(
     """
     moved_count = log.count[0] - pass_begin[0]
     for i in range(first_item(moved_count, work) + wp.tid(), last_item(moved_count, work), work.lanes):
+        if i + FACES_AHEAD < moved_count:
+            prefetch_faces(state, log.kept[pass_begin[0] + i + FACES_AHEAD])
+        if i + RINGS_AHEAD < moved_count:
+            prefetch_priced_ring(state, frames, log.kept[pass_begin[0] + i + RINGS_AHEAD])
         u = log.kept[pass_begin[0] + i]
-        for j in range(state.stars.start[u], state.stars.end[u]):
-            out = state.stars.corner[j]
-            into = previous_corner(out)
-            for side in range(2):
-                h = wp.where(side == 0, out, into)
-                cost = INFINITE_COST
-                if is_canonical(state.corner_vertex, state.stars, state.vertex_flags, h):
-                    price = price_edge(state, frames, model, h)
-                    cost = price.cost
-                state.edge_cost[h] = cost
+        # Both half-edges of a face at the vertex in one loop: a loop of two would be unrolled, and an edge's price is
+        # most of what there is to compile.
+        for j in range(2 * state.stars.start[u], 2 * state.stars.end[u]):
+            h = state.stars.corner[j // 2]
+            if j % 2 == 1:
+                h = previous_corner(h)
+            cost = INFINITE_COST
+            if is_canonical(state.corner_vertex, state.stars, state.vertex_flags, h):
+                price = price_edge(state, frames, model, h)
+                cost = price.cost
+            state.edge_cost[h] = cost
 
 
 @wp.kernel

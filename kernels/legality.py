@@ -24,6 +24,7 @@ from warpqem.kernels.lanes import (
     lane_max,
 )
 from warpqem.kernels.mesh_state import KEY_FRAMES, AnyKeyFrames, CostModel, MeshState
+from warpqem.kernels.prefetch import prefetch_ends, prefetch_winners
 from warpqem.kernels.topology import BORDER, find_half_edge, half_edge_target, previous_corner
 from warpqem.kernels.work import EdgeList, Work, count_before
 
@@ -162,6 +163,7 @@ def place_winners(
     first_slot = count_before(winners, work.part)
     for k in range(wp.tid(), winners.count[work.part], work.lanes):
         i = first_slot + k
+        prefetch_ends(state, frames, winners, work.part, k)
         h = winners.half_edge[work.part * winners.capacity + k]
         u = state.corner_vertex[h]
         v = half_edge_target(state.corner_vertex, h)
@@ -193,6 +195,7 @@ def judge_winners(
     first_slot = count_before(winners, work.part)
     for k in range(wp.tid(), winners.count[work.part], work.lanes):
         i = first_slot + k
+        prefetch_winners(state, frames, winners, work.part, k)
         h = winners.half_edge[work.part * winners.capacity + k]
         u = state.corner_vertex[h]
         v = half_edge_target(state.corner_vertex, h)
