@@ -1,7 +1,15 @@
 """Fixtures shared by all tests."""
 
+import os
+
+import hypothesis
 import pytest
 import warp as wp
+
+# Where a run decides about a change, it tries the same examples every time; elsewhere new ones on every run.
+hypothesis.settings.register_profile("ci", derandomize=True)
+if os.environ.get("CI"):
+    hypothesis.settings.load_profile("ci")
 
 
 @pytest.fixture(scope="session", params=["cpu", "cuda:0"] if wp.is_cuda_available() else ["cpu"])
