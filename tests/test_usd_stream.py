@@ -14,8 +14,11 @@ from test_usd_stages import cloth_stage, define_cloth, quad_grid, skinned_stage,
 
 import warpqem
 from warpqem.errors import StageError
+from warpqem.frame_stream import NoFrames, held_bytes
+from warpqem.memory import parse_bytes
 from warpqem.usd import SimplifyOptions, color_features, simplify_stage
 from warpqem.usd.arrays import Samples
+from warpqem.usd.job import MeshJob, ReadOptions
 from warpqem.usd.mesh import MeshSource, PoseFrames
 from warpqem.usd.skel import StagePoses
 from warpqem.usd.write import OverLayer
@@ -122,6 +125,19 @@ def test_memory_decides_the_blocks_and_no_bit_of_the_result(tmp_path, monkeypatc
     assert report.prims[0].plan["block_count"] > 1
     assert report.prims[0].plan["peak_bytes"] <= 300 * 1024
     assert text_of(tmp_path / "small.usda") == whole
+
+
+@pytest.mark.parametrize(("memory", "kept"), [(None, True), ("1G", True), ("150K", False)])
+def test_small_clips_are_kept_where_memory_has_room_and_the_plan_counts_them(memory, kept):
+    stage = cloth_stage(times=TIMES)
+    source = MeshSource(stage.GetPrimAtPath(CLOTH), StagePoses(stage))
+    options = ReadOptions(memory=None if memory is None else parse_bytes(memory))
+    job = MeshJob.prepare(source, options)
+    assert held_bytes(job.frames) == (12 * 21 * 81 if kept else 0)
+    frames = PoseFrames(source, TIMES, job.mesh.used_points)
+    arguments = {"ratio": 0.3, "sink": NoFrames(), "memory": "1G"}
+    plans = [warpqem.plan(frames, job.faces, **arguments) for frames in (job.frames, frames)]
+    assert plans[0].held_bytes - plans[1].held_bytes == held_bytes(job.frames)
 
 
 def test_memory_that_cannot_do_fails_the_mesh_before_a_frame_is_written(tmp_path):

@@ -25,6 +25,7 @@ __all__ = [
     "LaterFrames",
     "NoFrames",
     "SomeFrames",
+    "held_bytes",
     "read_ahead",
 ]
 
@@ -131,6 +132,11 @@ class JoinedFrames:
         """Type of the points."""
         return self._parts[0].dtype
 
+    @property
+    def held_bytes(self) -> int:
+        """What its parts keep in memory."""
+        return sum(held_bytes(part) for part in self._parts)
+
     def read(self, frames: slice) -> np.ndarray:
         """Consecutive frames, of as many parts as they lie in."""
         blocks, first = [], 0
@@ -165,11 +171,15 @@ class KeptFrames:
 
     Args:
         source: the frames.
+
+    Attributes:
+        held_bytes: what they take, which a memory plan counts.
     """
 
     def __init__(self, source: FrameSource) -> None:
         self._source = source
         self.frame_count, self.vertex_count, self.dtype = source.frame_count, source.vertex_count, source.dtype
+        self.held_bytes = 3 * self.dtype.itemsize * self.frame_count * self.vertex_count
         self._points: np.ndarray | None = None
 
     def read(self, frames: slice) -> np.ndarray:
@@ -177,6 +187,11 @@ class KeptFrames:
         if self._points is None:
             self._points = self._source.read(slice(0, self.frame_count))
         return self._points[frames]
+
+
+def held_bytes(source: FrameSource) -> int:
+    """Bytes that a source is going to keep in memory, 0 for one that does not say."""
+    return int(getattr(source, "held_bytes", 0))
 
 
 class ArraySink:

@@ -40,7 +40,8 @@ class MemoryPlan:
         block_frames: frames placed at once.
         block_count: blocks of frames.
         limit_bytes: what the work may take, beside what the process holds already; None where the system does not say.
-        held_bytes: what is held from beginning to end: topology, poses, and the result where no sink takes it.
+        held_bytes: what is held from beginning to end: topology, poses, frames that the source keeps, and the result
+            where no sink takes it.
         order_bytes: what ordering takes on top.
         place_bytes: what placing takes on top, with the blocks that are being read and written meanwhile.
         scratch_bytes: size of the temporary file; 0 where there is none.
@@ -96,6 +97,7 @@ class MemoryNeeds:
         refit: the result is refitted.
         keep_frames: the result is kept in memory.
         keep_nodes: every vertex on the way down is kept, for levels that are placed later.
+        source_bytes: what the source of the frames keeps in memory.
     """
 
     frame_count: int
@@ -110,6 +112,7 @@ class MemoryNeeds:
     refit: bool = False
     keep_frames: bool = True
     keep_nodes: bool = False
+    source_bytes: int = 0
 
 
 # Bytes per face and per vertex for the topology: the caller's faces checked, edges, flags, vertex map, log.
@@ -184,7 +187,7 @@ def plan_memory(needs: MemoryNeeds, limit: int | str | None, device: str) -> Mem
 
 
 def _held(needs: MemoryNeeds) -> int:
-    held = HELD_FACE * needs.face_count + HELD_VERTEX * needs.vertex_count
+    held = HELD_FACE * needs.face_count + HELD_VERTEX * needs.vertex_count + needs.source_bytes
     if needs.key_frames < needs.frame_count:
         held += pose_bytes(needs.frame_count, needs.used_count)
     return held + _result(needs)

@@ -13,7 +13,7 @@ from warpqem.attributes import AttributeField, channel_count, weighted_corner_va
 from warpqem.cost_models import CostModelSpec, cost_model
 from warpqem.device import resolve_device
 from warpqem.frame_blocks import frame_blocks, pack_frames
-from warpqem.frame_stream import read_ahead
+from warpqem.frame_stream import held_bytes, read_ahead
 from warpqem.importance import border_vertices, lock_mask, read_quadric_scale, read_weights
 from warpqem.kernels.topology import CORNER, LOCKED, SEAM
 from warpqem.key_frames import KeyFrameChoice
@@ -184,6 +184,7 @@ def plan_work(
             refit=refit,
             keep_frames=keep_frames,
             keep_nodes=keep_nodes,
+            source_bytes=held_bytes(mesh.source),
         ),
         memory,
         device,

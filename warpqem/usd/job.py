@@ -26,6 +26,8 @@ __all__ = ["MeshJob", "ReadOptions", "RestFit"]
 
 # Poses of up to so many bytes are kept once they have been read: as much as USD and Warp take themselves.
 KEPT_BYTES = 64 * 2**20
+# Where memory is limited they take one part in so many of it at most.
+KEPT_PART = 8
 
 
 @dataclass(frozen=True)
@@ -71,12 +73,14 @@ class ReadOptions:
         bake: Leave the skin aside.
         weld: Join points that differ in nothing that moves them.
         influences: Joints that move a new point at most; None for as many as move an old one.
+        memory: Bytes that the work may take; None for most of what is free.
     """
 
     frames: FrameRange | None = None
     bake: bool = False
     weld: bool = True
     influences: int | None = None
+    memory: int | None = None
 
 
 @dataclass(frozen=True)
@@ -152,7 +156,7 @@ class MeshJob:
             # Normals of a rest shape fit no pose, so that they are dropped where poses are written.
             with_normals=skin is not None or not source.has_skin_binding,
         )
-        poses = [_kept_if_small(PoseFrames(*clip, vertex_point)) for clip in clips]
+        poses = [_kept_if_small(PoseFrames(*clip, vertex_point), options.memory) for clip in clips]
         if skin is None:
             start = sum(part.frame_count for part in poses[:-1])
             return cls(source, mesh, faces, seams, None, reason, JoinedFrames(poses), start, None)
@@ -184,9 +188,11 @@ class MeshJob:
         return Carrier(self.source, self.faces, self.frames.read(slice(0, 1))[0], result, self.seams, device)
 
 
-def _kept_if_small(frames: PoseFrames) -> FrameSource:
+def _kept_if_small(frames: PoseFrames, memory: int | None) -> FrameSource:
     """Poses that fit in little memory are read once, and skinned or interpolated once."""
-    return KeptFrames(frames) if 12 * frames.frame_count * frames.vertex_count <= KEPT_BYTES else frames
+    kept = KeptFrames(frames)
+    most = KEPT_BYTES if memory is None else min(KEPT_BYTES, memory // KEPT_PART)
+    return kept if kept.held_bytes <= most else frames
 
 
 def _what_moves(mesh: MeshLayout, skin: Skin | None, clips: Sequence[PoseFrames]) -> Iterator[npt.NDArray[Any]]:

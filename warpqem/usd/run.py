@@ -18,7 +18,7 @@ from warpqem.arguments import target_count
 from warpqem.errors import DeviceError, OptionError, StageError, UnreachableTargetError, WarpqemError
 from warpqem.frame_blocks import frame_blocks
 from warpqem.frame_stream import LaterFrames, NoFrames, read_ahead
-from warpqem.memory import MemoryPlan
+from warpqem.memory import MemoryPlan, parse_bytes
 from warpqem.usd.attributes import check_names, weighted_fields
 from warpqem.usd.blend_shapes import count_shape_users
 from warpqem.usd.budget import CostCurve, split_budget
@@ -169,7 +169,7 @@ class Run:
             source = MeshSource(prim, self.poses)
             job = MeshJob.prepare(
                 source,
-                ReadOptions(self.options.frames, self.options.bake, self.options.weld, self.options.influences),
+                self._reading(),
                 shape_users=self.shape_users,
                 examples=self._examples_of(source),
             )
@@ -180,6 +180,11 @@ class Run:
         report.faces_before = report.faces_after = len(job.mesh.faces)
         report.vertices_before = report.vertices_after = len(job.mesh.used_points)
         return job
+
+    def _reading(self) -> ReadOptions:
+        options = self.options
+        memory = None if options.memory is None else parse_bytes(options.memory)
+        return ReadOptions(options.frames, options.bake, options.weld, options.influences, memory)
 
     def _examples_of(self, source: MeshSource) -> MeshSource | None:
         return None if self.examples is None else self.examples.source(source)
