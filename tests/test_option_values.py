@@ -59,6 +59,7 @@ def test_a_view_is_read_from_its_parts():
         ({"ratio": True}, "ratio True: expected a number"),
         ({"ratio": 0.5, "metric": 3}, "metric 3: expected text"),
         ({"ratio": 0.5, "prim": [3]}, "prim"),
+        ({"lods": ""}, "lods"),
         ({"screen_error": 2}, "needs --distance"),
         ({"ratio": 0.5, "distance": 2}, "needs --screen-error"),
         ({}, "exactly one"),

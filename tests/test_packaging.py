@@ -14,8 +14,8 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 KERNELS, PACKAGE = ROOT / "kernels", ROOT / "warpqem"
 # The layers above the core, and what only they may use.
-UPPER = {"usd", "cli", "__main__.py"}
-UPPER_ONLY = {"pxr", "typer", "rich", "warpqem.usd", "warpqem.cli"}
+UPPER = {"usd", "batching", "cli", "__main__.py"}
+UPPER_ONLY = {"pxr", "typer", "rich", "ray", "warpqem.usd", "warpqem.batching", "warpqem.cli"}
 KERNEL_FILES = sorted(KERNELS.glob("*.py"))
 CORE_FILES = [
     p

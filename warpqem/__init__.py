@@ -10,6 +10,8 @@ from typing import Any
 
 # Loaded when first used: importing Warp takes most of a second, which `warpqem --help` need not wait for.
 _HOMES = {
+    "BatchJob": "warpqem.batching.jobs",
+    "BatchResult": "warpqem.batching.result",
     "AttributeField": "warpqem.attributes",
     "FittedSkin": "warpqem.skinning.fit",
     "FrameSink": "warpqem.frame_stream",
@@ -19,6 +21,7 @@ _HOMES = {
     "MotionFeatures": "warpqem.motion",
     "ProgressiveMesh": "warpqem.progressive.mesh",
     "SimplifiedMesh": "warpqem.result",
+    "batch": "warpqem.batching.run",
     "build_progressive": "warpqem.progressive.build",
     "LevelOrder": "warpqem.levels",
     "order_levels": "warpqem.levels",
@@ -32,6 +35,8 @@ _HOMES = {
 
 __all__ = [
     "AttributeField",
+    "BatchJob",
+    "BatchResult",
     "FittedSkin",
     "FrameSink",
     "FrameSource",
@@ -42,6 +47,7 @@ __all__ = [
     "ProgressiveMesh",
     "SimplifiedMesh",
     "__version__",
+    "batch",
     "build_progressive",
     "fit_skin",
     "morph_weights",

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 __all__ = [
+    "BatchError",
     "DegenerateMeshError",
     "DeviceError",
     "FaceIndexError",
@@ -57,6 +58,10 @@ class UnreachableTargetError(WarpqemError, RuntimeError):
     def __init__(self, message: str, result: Any = None) -> None:
         super().__init__(message)
         self.result = result
+
+
+class BatchError(WarpqemError, RuntimeError):
+    """A batch as a whole cannot go on: its folder is in use, or no process can be started."""
 
 
 class MemoryLimitError(WarpqemError, MemoryError):

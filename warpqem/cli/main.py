@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 import warpqem
+from warpqem.cli.batch import batch
 from warpqem.cli.compare import compare
 from warpqem.cli.console import OneLineErrors
 from warpqem.cli.features import features
@@ -28,6 +29,7 @@ app = typer.Typer(
 )
 
 app.command()(simplify)
+app.command()(batch)
 app.command()(info)
 app.command()(compare)
 app.command()(features)

@@ -11,6 +11,7 @@ from pathlib import Path
 from pxr import Sdf, Usd
 
 from warpqem.errors import OptionError, StageError
+from warpqem.usd.field_order import with_fields_in_order
 from warpqem.usd.report import PrimReport
 from warpqem.usd.stage import find_meshes
 from warpqem.usd.write import OverLayer, copy_stage_metadata, export_layer, move_asset_paths, relative_path
@@ -142,7 +143,7 @@ class LevelLayer(ABC):
             self._source.realPath, relative_path(self._source.realPath, output.parent)
         )
         move_asset_paths(layer, self._source, output.parent)
-        export_layer(layer, output)
+        export_layer(with_fields_in_order(layer), output)
 
     def _add(self, edits: OverLayer | None) -> str:
         name = f"{LEVEL_NAME}{len(self._names)}"

@@ -45,13 +45,13 @@ def read_options(values: Mapping[str, Any]) -> SimplifyOptions:
 
     Args:
         values: Values by the names of `warpqem simplify --help` without their dashes in front, such as "max-error" or
-            "max_error". None, an empty text and an empty list stand for the default.
+            "max_error". None and an empty list stand for the default.
 
     Raises:
         OptionError: there is no such option, a value is none that it takes, or they exclude each other.
     """
     given = {_normal(name): _plain(value) for name, value in values.items()}
-    given = {name: value for name, value in given.items() if value not in (None, "", [], ())}
+    given = {name: value for name, value in given.items() if value is not None and value != []}
     view = {VIEW[name]: _read(name, given.pop(name)) for name in VIEW if name in given}
     found = {_FIELD_NAMES.get(name, name): _read(name, value) for name, value in given.items()}
     screen = screen_view(view.pop("error", None), view.pop("distance", None), **view)
@@ -59,7 +59,10 @@ def read_options(values: Mapping[str, Any]) -> SimplifyOptions:
 
 
 def override_options(values: Mapping[str, Any], others: Mapping[str, Any]) -> dict[str, Any]:
-    """Values in which others take precedence; a goal among the others takes the place of any goal."""
+    """Values in which others take precedence, but where they are None or empty text, as in an empty cell of a table.
+
+    A goal among the others takes the place of any goal.
+    """
     merged = {_normal(name): value for name, value in values.items()}
     others = {_normal(name): value for name, value in others.items() if value not in (None, "")}
     if any(name in GOALS for name in others):

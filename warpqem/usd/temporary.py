@@ -2,27 +2,31 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
+import platform
 import re
 import uuid
 from pathlib import Path
 
 __all__ = ["remove_leftovers", "temporary_path"]
 
-# Hidden, and with the process, so that what a dead one left can be told from what a living one is writing.
-PREFIX = ".warpqem"
-PATTERN = re.compile(r"\.warpqem\.(\d+)\.[0-9a-f]{32}\.[a-z]+")
+# Hidden, and with machine and process, so that what a dead one left can be told from what a living one is writing.
+HOST = hashlib.sha256(platform.node().encode()).hexdigest()[:8]
+PATTERN = re.compile(rf"\.warpqem\.{HOST}-(\d+)\.[0-9a-f]{{32}}\.[a-z]+")
 
 
 def temporary_path(folder: Path, suffix: str) -> Path:
     """A new name in a folder; a file is written under it and then renamed, which cannot be seen half done."""
-    return folder / f"{PREFIX}.{os.getpid()}.{uuid.uuid4().hex}{suffix}"
+    return folder / f".warpqem.{HOST}-{os.getpid()}.{uuid.uuid4().hex}{suffix}"
 
 
 def remove_leftovers(folder: Path, process: int | None = None) -> list[Path]:
-    """Remove the temporary files in a folder that a process left, or any process where none is named.
+    """Remove the temporary files that processes of this machine left in a folder.
 
-    Only for processes that have ended, or of which nobody is to use the folder.
+    Args:
+        folder: The folder.
+        process: A process that has ended, or is not to use the folder any more; None for all that have ended.
     """
     removed = []
     try:
@@ -31,7 +35,20 @@ def remove_leftovers(folder: Path, process: int | None = None) -> list[Path]:
         return []
     for name in entries:
         found = PATTERN.fullmatch(name)
-        if found and process in (None, int(found[1])):
+        if found and (int(found[1]) == process if process is not None else not _is_alive(int(found[1]))):
             (folder / name).unlink(missing_ok=True)
             removed.append(folder / name)
     return removed
+
+
+def _is_alive(process: int) -> bool:
+    if os.name != "posix":
+        return True  # there is no asking without touching it
+    try:
+        os.kill(process, 0)
+        # One that has ended is still known until its parent, or what stands in for it, has asked how.
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] not in ("Z", "X")
+    except ProcessLookupError:
+        return False
+    except (OSError, IndexError):
+        return True

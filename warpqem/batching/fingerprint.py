@@ -1,0 +1,95 @@
+"""What an output was made from: the bytes of the input and of all files it needs, the options, the version.
+
+Finding the files needs USD; looking whether they have changed does not, so that files of any kind can be looked at in
+the process that runs a batch.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import warpqem
+from warpqem.batching.jobs import BatchJob
+from warpqem.errors import StageError
+
+__all__ = ["file_hash", "is_current", "take_fingerprint"]
+
+READ_BYTES = 2**20
+# What an output does not depend on: how much is worked on at a time has no part in the bits.
+NOT_IN_OUTPUT = ("memory",)
+
+
+def file_hash(path: str | os.PathLike[str]) -> str | None:
+    """SHA-256 of a file's bytes; None if it cannot be read."""
+    digest = hashlib.sha256()
+    try:
+        with open(path, "rb") as file:
+            while block := file.read(READ_BYTES):
+                digest.update(block)
+    except OSError:
+        return None
+    return digest.hexdigest()
+
+
+def take_fingerprint(job: BatchJob) -> dict[str, Any]:
+    """The fingerprint of a job, before it is done: what changes meanwhile makes it out of date.
+
+    Raises:
+        StageError: the input, or the file with poses, cannot be read.
+    """
+    files: dict[str, str | None] = {}
+    for path in (job.input, *([job.options.poses] if job.options.poses is not None else [])):
+        for file in _dependencies(os.fspath(path)):
+            files[file] = file_hash(file)
+    return {"recipe": recipe(job), "files": files}
+
+
+def recipe(job: BatchJob) -> str:
+    """Hash of all that decides an output beside the bytes of files."""
+    options = {name: value for name, value in asdict(job.options).items() if name not in NOT_IN_OUTPUT}
+    text = json.dumps(
+        [warpqem.__version__, os.path.abspath(job.input), os.path.abspath(job.output), options],
+        sort_keys=True,
+        default=os.fspath,
+    )
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def is_current(job: BatchJob, record: dict[str, Any]) -> bool:
+    """True if a job that was recorded as done needs not be done again.
+
+    Args:
+        job: The job.
+        record: What `warpqem.batching.state.Journal` keeps of it: the fingerprint and the hash of the output.
+    """
+    try:
+        fingerprint = record["fingerprint"]
+        if fingerprint["recipe"] != recipe(job) or file_hash(job.output) != record["output_hash"]:
+            return False
+        return all(file_hash(path) == known for path, known in fingerprint["files"].items())
+    except (KeyError, TypeError, AttributeError):
+        # Written by another version, or by hand.
+        return False
+
+
+def _dependencies(path: str) -> list[str]:
+    """All files that a USD file needs, itself among them; of those that are missing the path they would have."""
+    from pxr import Sdf, Tf, UsdUtils
+
+    from warpqem.usd.stage import first_line
+
+    if not Path(path).is_file():
+        raise StageError(f"{path}: no such file")
+    try:
+        layers, assets, missing = UsdUtils.ComputeAllDependencies(Sdf.AssetPath(os.path.abspath(path)))
+    except Tf.ErrorException as error:
+        raise StageError(f"{path}: USD cannot read it ({first_line(error)})") from error
+    found = [layer.realPath for layer in layers] + [os.fspath(asset) for asset in assets]
+    # A path within a package counts as the package.
+    files = {os.path.abspath(file.split("[", 1)[0]) for file in (path, *found, *missing) if file}
+    return sorted(files)

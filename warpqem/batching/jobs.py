@@ -1,0 +1,136 @@
+"""What is to be done in a batch: which file, to which, with which options."""
+
+from __future__ import annotations
+
+import glob
+import os
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from warpqem.errors import OptionError
+from warpqem.usd.simplify_options import SimplifyOptions
+
+__all__ = ["BatchJob", "FoundFile", "check_jobs", "find_files", "output_path"]
+
+INPUT_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
+OUTPUT_SUFFIXES = (".usd", ".usda", ".usdc")
+# A package is read, never written; a binary layer stands in for it.
+SUFFIX_FOR_PACKAGES = ".usdc"
+
+
+@dataclass(frozen=True)
+class BatchJob:
+    """One asset.
+
+    Attributes:
+        input: USD file to read.
+        output: USD file to write; its folder is made where it is missing.
+        options: How to simplify.
+    """
+
+    input: str
+    output: str
+    options: SimplifyOptions
+
+
+@dataclass(frozen=True)
+class FoundFile:
+    """A file to read, and its place below the folder it was looked for in.
+
+    Attributes:
+        path: Absolute path.
+        relative: Path from that folder, such as "hero/body.usda".
+    """
+
+    path: Path
+    relative: Path
+
+
+def find_files(inputs: Sequence[str | os.PathLike[str]], leave_out: Path | None = None) -> list[FoundFile]:
+    """The USD files that inputs name.
+
+    Args:
+        inputs: Files, also missing ones, folders (all USD files below them, but not what is hidden) and patterns such
+            as "shots/**/*.usd".
+        leave_out: A folder that is not searched, such as that of the outputs.
+
+    Raises:
+        OptionError: an input names nothing.
+    """
+    found: dict[Path, FoundFile] = {}
+    for text in map(os.fspath, inputs):
+        files = _files_of(text, leave_out)
+        if not files:
+            raise OptionError(f"{text}: no such file, and no folder or pattern with a USD file in it")
+        for file in files:
+            found.setdefault(file.path, file)
+    return list(found.values())
+
+
+def _files_of(text: str, leave_out: Path | None) -> list[FoundFile]:
+    path = Path(text).absolute()
+    if path.is_file() or (path.suffix.lower() in INPUT_SUFFIXES and not path.exists() and not glob.has_magic(text)):
+        # One that is missing is found missing when its turn comes: it must not cost the others.
+        return [FoundFile(path, Path(path.name))]
+    if path.is_dir():
+        return [FoundFile(file, file.relative_to(path)) for file in _walk(path, leave_out)]
+    base = _fixed_part(text)
+    files = []
+    for match in sorted(glob.glob(text, recursive=True)):
+        below = Path(match).absolute()
+        below_files = _walk(below, leave_out) if below.is_dir() else [below] if _is_usd(below, leave_out) else []
+        files += [FoundFile(file, file.relative_to(base)) for file in below_files]
+    return list({file.path: file for file in files}.values())
+
+
+def _fixed_part(pattern: str) -> Path:
+    """The folder that all matches of a pattern lie in, as far as it is written out."""
+    parts = []
+    for part in Path(pattern).parts[:-1]:
+        if glob.has_magic(part):
+            break
+        parts.append(part)
+    return Path(*parts).absolute() if parts else Path.cwd()
+
+
+def _walk(folder: Path, leave_out: Path | None) -> list[Path]:
+    files = []
+    for where, folders, names in os.walk(folder):
+        folders[:] = sorted(name for name in folders if not name.startswith("."))
+        files += [Path(where, name) for name in sorted(names)]
+    return [file for file in files if _is_usd(file, leave_out)]
+
+
+def _is_usd(file: Path, leave_out: Path | None) -> bool:
+    if file.name.startswith(".") or file.suffix.lower() not in INPUT_SUFFIXES:
+        return False
+    return file.is_file() and not (leave_out is not None and file.resolve().is_relative_to(leave_out.resolve()))
+
+
+def output_path(folder: Path, relative: Path, suffix: str | None = None) -> str:
+    """Where the output for an input goes: the same place below the folder, with the same suffix or another one."""
+    if suffix is None:
+        suffix = relative.suffix if relative.suffix.lower() in OUTPUT_SUFFIXES else SUFFIX_FOR_PACKAGES
+    return os.fspath((folder / relative.with_suffix(suffix)).absolute())
+
+
+def check_jobs(jobs: Iterable[BatchJob]) -> None:
+    """Refuse jobs that would write over an input, or over each other's outputs.
+
+    Raises:
+        OptionError: two jobs have the same output, or an output is an input.
+    """
+    outputs: dict[str, BatchJob] = {}
+    jobs = list(jobs)
+    inputs = {os.path.realpath(job.input) for job in jobs}
+    for job in jobs:
+        place = os.path.realpath(job.output)
+        if place in inputs:
+            raise OptionError(f"output {job.output}: this is an input, which is never overwritten")
+        if place in outputs:
+            raise OptionError(
+                f"output {job.output}: both {outputs[place].input} and {job.input} would be written there; "
+                "give the folder they are in, which is kept"
+            )
+        outputs[place] = job

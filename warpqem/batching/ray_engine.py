@@ -1,0 +1,156 @@
+"""Jobs as Ray tasks on a cluster.
+
+A task gets and gives paths and reports, never meshes: inputs and outputs lie on a file system that all nodes share.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from typing import Any
+
+from warpqem.batching.engine import Finished, Started, Update, lost, timed_out
+from warpqem.batching.jobs import BatchJob
+from warpqem.batching.result import BatchResult
+from warpqem.errors import BatchError, OptionError
+from warpqem.memory import parse_bytes
+
+__all__ = ["RayEngine"]
+
+# Seconds that a task may take to find a process, and that to start, before its time limit counts.
+START_SECONDS = 60.0
+# How long to wait for a result before limits and the size of the cluster are looked at again.
+WAIT_SECONDS = 1.0
+
+_log = logging.getLogger(__name__)
+
+
+class RayEngine:
+    """One task for each job, no more at a time than the cluster has room for."""
+
+    def __init__(
+        self,
+        address: str | None = None,
+        cpus: float = 1.0,
+        gpus: float | None = None,
+        timeout: float | None = None,
+        memory: int | str | None = None,
+        retries: int = 3,
+    ) -> None:
+        """Nothing is started yet.
+
+        Args:
+            address: The cluster, "auto" for the one this machine is a part of; None for the one this process is
+                connected to, or else a new one on this machine.
+            cpus: CPU cores of a task.
+            gpus: GPUs of a task, also a part of one; None for one where the cluster has any.
+            timeout: Seconds that a job may take; None for any number.
+            memory: What a job may take whose options do not say; the cluster reserves it. None for what is free.
+            retries: How often a job is begun again whose process or node was lost.
+
+        Raises:
+            OptionError: a value is out of range, or Ray is not installed.
+        """
+        if not cpus > 0:
+            raise OptionError(f"cpus {cpus:g}: expected a number above 0")
+        if gpus is not None and not gpus >= 0:
+            raise OptionError(f"gpus {gpus:g}: expected 0 or more")
+        if timeout is not None and not timeout > 0:
+            raise OptionError(f"timeout {timeout:g}: expected seconds above 0")
+        if retries < 0:
+            raise OptionError(f"retries {retries}: expected 0 or more")
+        try:
+            import ray
+        except ImportError as error:
+            raise OptionError("engine ray: Ray is not installed; pip install 'warpqem[ray]'") from error
+        self._ray: Any = ray
+        self.address, self.cpus, self.gpus = address, cpus, gpus
+        self.timeout, self.retries = timeout, retries
+        self.memory = None if memory is None else parse_bytes(memory)
+
+    def run(self, jobs: Sequence[BatchJob]) -> Iterator[Update]:
+        """See `warpqem.batching.engine.Engine.run`."""
+        if not jobs:
+            return
+        connected_here = self._connect()
+        pending: dict[Any, tuple[BatchJob, float]] = {}
+        try:
+            task = self._task()
+            waiting = list(reversed(jobs))
+            while waiting or pending:
+                while waiting and len(pending) < self._slots():
+                    job = waiting.pop()
+                    pending[task.remote(job, self.cpus, self.memory)] = (job, time.monotonic())
+                    yield Started(job)
+                ready, _ = self._ray.wait(list(pending), num_returns=1, timeout=WAIT_SECONDS)
+                for reference in ready:
+                    job, start = pending.pop(reference)
+                    yield Finished(job, self._fetch(reference, job, time.monotonic() - start))
+                yield from self._stop_late(pending)
+        finally:
+            for reference in pending:
+                self._cancel(reference)
+            if connected_here:
+                self._ray.shutdown()
+
+    def _connect(self) -> bool:
+        if self._ray.is_initialized():
+            return False
+        try:
+            self._ray.init(address=self.address, log_to_driver=False, logging_level=logging.WARNING)
+        except (ConnectionError, RuntimeError, ValueError) as error:
+            raise BatchError(f"Ray at {self.address}: no connection ({' '.join(str(error).split())})") from error
+        return True
+
+    def _task(self) -> Any:
+        gpus = self.gpus
+        if gpus is None:
+            gpus = 1.0 if self._ray.cluster_resources().get("GPU") else 0.0
+        self._needs = {"CPU": self.cpus, "GPU": gpus, "memory": self.memory or 0}
+        # An error is a result; what Ray tries again is what has lost its process.
+        return self._ray.remote(
+            num_cpus=self.cpus,
+            num_gpus=gpus,
+            memory=self.memory,
+            max_retries=self.retries,
+            retry_exceptions=False,
+        )(_perform)
+
+    def _slots(self) -> int:
+        """How many tasks the cluster has room for now; it may grow."""
+        has = self._ray.cluster_resources()
+        return max(1, int(min(has.get(name, 0.0) // need for name, need in self._needs.items() if need)))
+
+    def _fetch(self, reference: Any, job: BatchJob, seconds: float) -> BatchResult:
+        try:
+            result: BatchResult = self._ray.get(reference)
+        except self._ray.exceptions.RayError as error:
+            first = next((line.strip() for line in str(error).splitlines() if line.strip()), "")
+            _log.warning("%s: %s", job.input, error)
+            return lost(job, f"was lost ({type(error).__name__}: {first})", self.retries + 1, seconds)
+        return result
+
+    def _stop_late(self, pending: dict[Any, tuple[BatchJob, float]]) -> Iterator[Update]:
+        for reference, (job, start) in list(pending.items()):
+            if self.timeout is not None and time.monotonic() - start > self.timeout + START_SECONDS:
+                del pending[reference]
+                self._cancel(reference)
+                yield Finished(job, timed_out(job, self.timeout, 1))
+
+    def _cancel(self, reference: Any) -> None:
+        with suppress(self._ray.exceptions.RayError, ValueError):
+            self._ray.cancel(reference, force=True)
+
+
+def _perform(job: BatchJob, cpus: float, memory: int | None) -> BatchResult:
+    """The task. Threads are counted when the first long launch needs them, which is later than this."""
+    os.environ["WARPQEM_THREADS"] = str(max(1, int(cpus)))
+    import warp as wp
+
+    from warpqem.batching.perform import perform
+
+    wp.config.log_level = wp.LOG_WARNING
+    return perform(job, memory=memory)

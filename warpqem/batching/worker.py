@@ -1,0 +1,132 @@
+"""The process that does jobs one after another for `warpqem.batching.local`.
+
+It ends with the process that started it, however that ends. Little is imported before it knows how many threads it may
+use.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import sys
+import threading
+import time
+from dataclasses import dataclass
+from multiprocessing import parent_process
+from multiprocessing.connection import Connection, wait
+from typing import Any
+
+__all__ = ["WorkerSetup", "run_worker"]
+
+# No more than so many messages a second about progress.
+MESSAGES_PER_SECOND = 5.0
+# How libraries are told how many threads to use.
+THREAD_VARIABLES = ("WARPQEM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+@dataclass(frozen=True)
+class WorkerSetup:
+    """What a worker is to be like.
+
+    Attributes:
+        threads: CPU threads it may use.
+        device: Warp device for jobs that name none.
+        memory: Bytes it may take for a job that does not say; None for no limit.
+        output: File that takes what libraries print.
+    """
+
+    threads: int
+    device: str
+    memory: int | None
+    output: str
+
+
+def run_worker(connection: Connection, setup: WorkerSetup) -> None:
+    """Do the jobs that come through a connection until it ends."""
+    # The process that started this one answers Ctrl-C.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _redirect(setup.output)
+    for name in THREAD_VARIABLES:
+        os.environ[name] = str(setup.threads)
+    # What USD splits over threads gives the same on one, and a worker has as many as it has.
+    os.environ["PXR_WORK_THREAD_LIMIT"] = str(setup.threads)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    sender = _Sender(connection)
+    root = logging.getLogger("warpqem")
+    root.setLevel(logging.DEBUG)
+    root.propagate = False
+    root.addHandler(_Forward(sender))
+    try:
+        _serve(connection, sender, setup)
+    except (EOFError, OSError):
+        return
+
+
+def _serve(connection: Connection, sender: _Sender, setup: WorkerSetup) -> None:
+    import warp as wp
+
+    from warpqem.batching.perform import perform, warm_up
+    from warpqem.memory import parse_bytes
+    from warpqem.process_memory import limit_memory
+
+    wp.config.log_level = wp.LOG_WARNING
+    sender.send("loaded", None)
+    # Its turn to look for kernels that are not compiled yet.
+    connection.recv()
+    warm_up(setup.device)
+    sender.send("ready", None)
+    while True:
+        job = connection.recv()
+        own = job.options.memory
+        limit = setup.memory if own is None else parse_bytes(own)
+        limit_memory(limit)
+        result = perform(job, sender.progress, setup.device, setup.memory)
+        limit_memory(None)
+        sender.send("result", result)
+
+
+class _Sender:
+    """Sends messages from any thread."""
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection, self._lock, self._last = connection, threading.Lock(), 0.0
+
+    def send(self, kind: str, value: Any) -> None:
+        with self._lock:
+            self._connection.send((kind, value))
+
+    def progress(self, fraction: float, text: str) -> None:
+        now = time.monotonic()
+        if now - self._last > 1 / MESSAGES_PER_SECOND:
+            self._last = now
+            self.send("progress", (fraction, text))
+
+
+class _Forward(logging.Handler):
+    """Sends log records to the process that started this one, as name, level and text."""
+
+    def __init__(self, sender: _Sender) -> None:
+        super().__init__()
+        self._sender = sender
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self._sender.send("log", (record.name, record.levelno, self.format(record)))
+
+
+def _redirect(path: str) -> None:
+    """Let what this process and its libraries print go to a file."""
+    file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
+    for stream in (sys.stdout, sys.stderr):
+        stream.flush()
+    os.dup2(file, 1)
+    os.dup2(file, 2)
+    os.close(file)
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    assert parent is not None
+    wait([parent.sentinel])
+    # At once: nobody waits for the job.
+    os._exit(1)

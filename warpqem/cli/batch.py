@@ -1,0 +1,203 @@
+"""`warpqem batch`."""
+
+from __future__ import annotations
+
+import json as json_lines
+import logging
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from warpqem.cli.console import EXIT_FAILED, print_table, quiet_warp, tell
+from warpqem.cli.logs import LogJson, Verbose, start_logging
+from warpqem.cli.simplify_options import takes_simplify_options
+from warpqem.errors import OptionError, StageError
+
+if TYPE_CHECKING:
+    from warpqem.batching.engine import Engine
+    from warpqem.batching.jobs import BatchJob
+    from warpqem.batching.result import BatchResult
+
+__all__ = ["batch"]
+
+
+class EngineName(str, Enum):
+    """Where assets are done."""
+
+    local = "local"
+    ray = "ray"
+
+
+class OutputFormat(str, Enum):
+    """Kinds of files to write."""
+
+    usd = "usd"
+    usda = "usda"
+    usdc = "usdc"
+
+
+@takes_simplify_options
+def batch(
+    inputs: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="INPUT...",
+            help="USD files, folders, patterns in quotes such as 'shots/**/*.usd', or one manifest (.jsonl, .csv): "
+            "lines with input, output and any option by its name.",
+        ),
+    ],
+    output: Annotated[
+        str,
+        typer.Option("--output", "-o", metavar="DIR", help="Folder for the outputs; the folders of INPUT are kept."),
+    ],
+    options: dict[str, Any],
+    output_format: Annotated[
+        OutputFormat | None, typer.Option("--format", help="Kind of the outputs; by default that of each input.")
+    ] = None,
+    resume: Annotated[
+        bool,
+        typer.Option("--resume", help="Leave out what is done already from the same files with the same options."),
+    ] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be done, and do nothing.")] = False,
+    jobs: Annotated[
+        int | None,
+        typer.Option(help="Processes on this machine; by default one for each GPU, or for each core without any."),
+    ] = None,
+    timeout: Annotated[
+        float | None, typer.Option(metavar="SECONDS", help="Stop an asset that takes longer, and go on without it.")
+    ] = None,
+    retries: Annotated[int, typer.Option(help="How often to begin anew what has lost its process.")] = 1,
+    engine: Annotated[
+        EngineName, typer.Option(help="Processes on this machine, or tasks on a Ray cluster.")
+    ] = EngineName.local,
+    address: Annotated[
+        str | None, typer.Option(help="With --engine ray: the cluster; auto for that of this machine.")
+    ] = None,
+    cpus: Annotated[float, typer.Option(help="With --engine ray: CPU cores of an asset.")] = 1.0,
+    gpus: Annotated[
+        float | None, typer.Option(help="With --engine ray: GPUs of an asset, such as 0.25; by default 1 if any.")
+    ] = None,
+    json: Annotated[
+        str | None,
+        typer.Option("--json", metavar="FILE", help="Write a line of JSON for each asset to FILE, or to stdout for -."),
+    ] = None,
+    verbose: Verbose = 0,
+    log_json: LogJson = None,
+) -> None:
+    """Simplify many assets, each as `warpqem simplify` does; one that fails costs the others nothing.
+
+    Give one of --ratio, --faces, --max-error, --screen-error and --lods, here or in the manifest.
+
+    Exit codes: 0 all done; 1 an error, or some asset or mesh failed; 2 wrong usage.
+    """
+    quiet_warp()
+    start_logging(verbose, log_json)
+    from warpqem.batching.jobs import check_jobs
+    from warpqem.batching.run import batch as run_batch
+    from warpqem.batching.state import JOURNAL_NAME
+    from warpqem.cli.batch_display import BatchDisplay, dry_run_table, summary_table
+
+    folder = Path(output)
+    work = _find_jobs(inputs, folder, options, None if output_format is None else f".{output_format.value}")
+    journal = folder / JOURNAL_NAME
+    if dry_run:
+        check_jobs(work)
+        print_table(dry_run_table(work, journal if resume else None), to_stderr=json == "-")
+        return
+    chosen = _engine(engine, options, jobs=jobs, timeout=timeout, retries=retries, ray=(address, cpus, gpus))
+    _make_folder(folder)
+    results: list[BatchResult] = []
+    interrupted = False
+    with _lines(json) as write, BatchDisplay(work) as display:
+        updates = run_batch(work, chosen, journal=journal, resume=resume, on_update=display.update)
+        try:
+            for result in updates:
+                results.append(result)
+                write(result)
+                if not result.ok:
+                    tell("error", f"{result.error}: {result.message}")
+        except KeyboardInterrupt:
+            interrupted = True
+        finally:
+            updates.close()
+        seconds = display.seconds
+    print_table(summary_table(results, len(work), seconds), to_stderr=json == "-")
+    if interrupted:
+        tell("error", f"interrupted after {len(results)} of {len(work)} assets; go on with --resume")
+    if interrupted or not all(result.ok for result in results):
+        raise typer.Exit(EXIT_FAILED)
+
+
+def _find_jobs(inputs: list[str], folder: Path, options: dict[str, Any], suffix: str | None) -> list[BatchJob]:
+    from warpqem.batching.jobs import BatchJob, find_files, output_path
+    from warpqem.batching.manifest import MANIFEST_SUFFIXES, read_manifest
+    from warpqem.usd.option_values import read_options
+
+    lists = [text for text in inputs if Path(text).suffix.lower() in MANIFEST_SUFFIXES]
+    files = [text for text in inputs if text not in lists]
+    work = [job for path in lists for job in read_manifest(path, folder, options, suffix)]
+    if files:
+        shared = read_options(options)
+        for file in find_files(files, leave_out=folder):
+            work.append(BatchJob(str(file.path), output_path(folder, file.relative, suffix), shared))
+    return work
+
+
+def _engine(
+    name: EngineName,
+    options: dict[str, Any],
+    *,
+    jobs: int | None,
+    timeout: float | None,
+    retries: int,
+    ray: tuple[str | None, float, float | None],
+) -> Engine:
+    if name is EngineName.ray:
+        from warpqem.batching.ray_engine import RayEngine
+
+        if jobs is not None:
+            raise OptionError("--jobs is for --engine local; on Ray --cpus and --gpus say how many run at once")
+        address, cpus, gpus = ray
+        return RayEngine(address, cpus, gpus, timeout, options["memory"], retries)
+    from warpqem.batching.local import LocalEngine
+
+    if ray != (None, 1.0, None):
+        raise OptionError("--address, --cpus and --gpus need --engine ray")
+    return LocalEngine(jobs, timeout, options["memory"], retries, options["device"])
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StageError(f"{folder}: the folder cannot be made ({error.strerror})") from error
+
+
+@contextmanager
+def _lines(target: str | None) -> Iterator[Any]:
+    """A function that writes a result as a line."""
+    if target is None:
+        yield lambda result: None
+        return
+    try:
+        file = sys.stdout if target == "-" else open(target, "w", encoding="utf-8")  # noqa: SIM115
+    except OSError as error:
+        raise StageError(f"{target}: cannot be written ({error.strerror})") from error
+
+    def write(result: BatchResult) -> None:
+        try:
+            file.write(json_lines.dumps(result.to_dict(), allow_nan=False) + "\n")
+            file.flush()
+        except OSError as error:
+            logging.getLogger(__name__).error("%s: cannot be written (%s)", target, error.strerror)
+
+    try:
+        yield write
+    finally:
+        if file is not sys.stdout:
+            file.close()

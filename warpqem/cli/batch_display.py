@@ -1,0 +1,141 @@
+"""What a batch shows while it runs, and at its end."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from warpqem.batching.engine import Finished, Progressed, Started, Update
+from warpqem.batching.jobs import BatchJob
+from warpqem.batching.result import DONE, FAILED, PARTIAL, SKIPPED, BatchResult
+from warpqem.batching.state import Journal
+
+__all__ = ["BatchDisplay", "dry_run_table", "summary_table"]
+
+# What an asset counts for in the time that is left beside its bytes: to open the smallest takes time too.
+BYTES_FOR_OPENING = 2**16
+# Failed assets that the closing table names; all of them have been told before.
+MOST_NAMED = 20
+
+
+class BatchDisplay:
+    """Live progress on stderr; nothing where that is not a terminal."""
+
+    def __init__(self, jobs: Sequence[BatchJob]) -> None:
+        console = Console(stderr=True)
+        columns = [BarColumn(), TaskProgressColumn(), TimeRemainingColumn(), TextColumn("{task.description}")]
+        self._progress = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+        self._weights = {job.output: _weight(job) for job in jobs}
+        self._count, self._done, self._failed, self._face_frames = len(jobs), 0, 0, 0
+        self._all = self._progress.add_task("", total=sum(self._weights.values()) or 1)
+        self._running: dict[str, TaskID] = {}
+        self._start = time.perf_counter()
+
+    def __enter__(self) -> BatchDisplay:
+        self._progress.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._progress.stop()
+
+    @property
+    def seconds(self) -> float:
+        """Since the beginning."""
+        return time.perf_counter() - self._start
+
+    def update(self, update: Update) -> None:
+        """Show what an engine tells."""
+        output = update.job.output
+        if isinstance(update, Started):
+            if output not in self._running:
+                self._running[output] = self._progress.add_task(escape(Path(output).name), total=1.0)
+        elif isinstance(update, Progressed):
+            text = escape(f"{Path(output).name}: {update.text}")
+            if output in self._running:
+                self._progress.update(self._running[output], completed=update.fraction, description=text)
+        elif isinstance(update, Finished):
+            self._finish(output, update.result)
+
+    def _finish(self, output: str, result: BatchResult) -> None:
+        if output in self._running:
+            self._progress.remove_task(self._running.pop(output))
+        self._done += 1
+        self._failed += not result.ok
+        self._face_frames += result.face_frames
+        speed = _count(self._face_frames / max(self.seconds, 1e-9))
+        failed = f", {self._failed} failed" if self._failed else ""
+        text = f"{self._done} of {self._count} assets{failed}, {speed} faces x frames/s"
+        self._progress.update(self._all, advance=self._weights[output], description=text)
+
+
+def dry_run_table(jobs: Sequence[BatchJob], journal: Path | None) -> Table:
+    """What would be done.
+
+    Args:
+        jobs: The jobs.
+        journal: Where to look for what is done; None to take nothing as done.
+    """
+    done: set[str] = set()
+    if journal is not None and journal.exists():
+        with Journal(journal) as notes:
+            done = {job.output for job in jobs if notes.is_done(job)}
+    table = Table(title=f"{len(jobs) - len(done)} of {len(jobs)} assets to be done")
+    for name in ("input", "output", ""):
+        table.add_column(name, overflow="fold")
+    for job in jobs:
+        state = "is done" if job.output in done else "" if os.path.isfile(job.input) else "no such file"
+        table.add_row(escape(job.input), escape(job.output), state)
+    return table
+
+
+def summary_table(results: Sequence[BatchResult], job_count: int, seconds: float) -> Table:
+    """How a batch ended, with the assets that failed first."""
+    counts = Counter(result.status for result in results)
+    table = Table(title=f"{len(results)} of {job_count} assets in {seconds:.1f} s")
+    table.add_column("")
+    for name in ("assets", "faces before", "faces after", "faces x frames", "process seconds", "most memory MB"):
+        table.add_column(name, justify="right")
+    for status in (DONE, PARTIAL, SKIPPED, FAILED):
+        if counts[status]:
+            some = [result for result in results if result.status == status]
+            peak = max((result.peak_memory or 0 for result in some), default=0)
+            table.add_row(
+                status,
+                str(len(some)),
+                str(sum(result.faces for result in some)),
+                str(sum(result.faces_after for result in some)),
+                _count(sum(result.face_frames for result in some)),
+                f"{sum(result.seconds for result in some):.1f}",
+                str(peak >> 20) if peak else "",
+            )
+    bad = [result for result in results if not result.ok]
+    for result in bad[:MOST_NAMED]:
+        table.caption = "\n".join(filter(None, [str(table.caption or ""), escape(f"{result.error}: {result.input}")]))
+    if len(bad) > MOST_NAMED:
+        table.caption = f"{table.caption}\nand {len(bad) - MOST_NAMED} more, all named above"
+    return table
+
+
+def _weight(job: BatchJob) -> int:
+    try:
+        return os.path.getsize(job.input) + BYTES_FOR_OPENING
+    except OSError:
+        return BYTES_FOR_OPENING
+
+
+def _count(value: float) -> str:
+    for size, suffix in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
+        if value >= size:
+            return f"{value / size:.3g} {suffix}"
+    return f"{value:.3g}"

@@ -1,0 +1,68 @@
+"""Logging on the command line."""
+
+from __future__ import annotations
+
+import json
+import logging
+import sys
+import time
+from typing import Annotated
+
+import typer
+
+from warpqem.errors import StageError
+
+__all__ = ["LogJson", "Verbose", "start_logging"]
+
+LEVELS = (logging.WARNING, logging.INFO, logging.DEBUG)
+
+Verbose = Annotated[
+    int, typer.Option("--verbose", "-v", count=True, help="Say on stderr what is being done; twice: in detail.")
+]
+
+LogJson = Annotated[
+    str | None,
+    typer.Option("--log-json", metavar="FILE", help="Append a line of JSON for everything that is being done to FILE."),
+]
+
+
+class _JsonLines(logging.Formatter):
+    def format(self, record: logging.LogRecord) -> str:
+        value = {
+            "time": time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(record.created)) + f".{int(record.msecs):03d}Z",
+            "level": record.levelname,
+            "logger": record.name,
+            "message": record.getMessage(),
+        }
+        if record.exc_info:
+            value["traceback"] = self.formatException(record.exc_info)
+        return json.dumps(value)
+
+
+def start_logging(verbose: int, path: str | None) -> None:
+    """Let the records of warpqem go to stderr, and all of them to a file.
+
+    Args:
+        verbose: 0 for warnings, 1 for steps, 2 or more for details.
+        path: The file; None for none.
+
+    Raises:
+        StageError: the file cannot be written.
+    """
+    logger = logging.getLogger("warpqem")
+    for handler in logger.handlers[:]:
+        logger.removeHandler(handler)
+    to_stderr = logging.StreamHandler(sys.stderr)
+    to_stderr.setLevel(LEVELS[min(verbose, len(LEVELS) - 1)])
+    to_stderr.setFormatter(logging.Formatter("%(levelname)s: %(message)s"))
+    handlers: list[logging.Handler] = [to_stderr]
+    if path is not None:
+        try:
+            handlers.append(logging.FileHandler(path, encoding="utf-8"))
+        except OSError as error:
+            raise StageError(f"{path}: cannot be written ({error.strerror})") from error
+        handlers[-1].setFormatter(_JsonLines())
+    for handler in handlers:
+        logger.addHandler(handler)
+    logger.setLevel(logging.DEBUG if path is not None else to_stderr.level)
+    logger.propagate = False
