@@ -59,9 +59,12 @@ def join_seams(state: MeshState, u: wp.int32, v: wp.int32, h: wp.int32):
     Their half-edges in the neighbouring faces are looked up in the stars of ``u`` and ``v``, which no other winner
     touches.
     """
+    wing = state.corner_vertex[previous_corner(h)]
+    # The flags of vertices are nearer than those of half-edges, and most wings have none.
+    if (state.vertex_flags[wing] & SEAM) == 0:
+        return
     if state.seam[next_corner(h)] == 0 and state.seam[previous_corner(h)] == 0:
         return
-    wing = state.corner_vertex[previous_corner(h)]
     for side in range(2):
         a = wp.where(side == 0, u, v)
         b = wp.where(side == 0, v, u)

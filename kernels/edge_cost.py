@@ -10,7 +10,7 @@ from warpqem.kernels.attribute import attribute_error, attribute_parabola, first
 from warpqem.kernels.deformation import length_deformation
 from warpqem.kernels.lanes import lane_dot, lane_kernel, lane_max, lane_sum
 from warpqem.kernels.mesh_state import KEY_FRAMES, AnyKeyFrames, CollapseLog, CostModel, MeshState
-from warpqem.kernels.prefetch import FACES_AHEAD, RINGS_AHEAD, prefetch_faces, prefetch_priced_ring
+from warpqem.kernels.prefetch import FACES_AHEAD, RINGS_AHEAD, prefetch_priced_ring, prefetch_prices
 from warpqem.kernels.quadric import (
     NO_PLANE,
     anchored_minimiser,
@@ -228,7 +228,7 @@ def reprice_moved_stars(
     moved_count = log.count[0] - pass_begin[0]
     for i in range(first_item(moved_count, work) + wp.tid(), last_item(moved_count, work), work.lanes):
         if i + FACES_AHEAD < moved_count:
-            prefetch_faces(state, log.kept[pass_begin[0] + i + FACES_AHEAD])
+            prefetch_prices(state, log.kept[pass_begin[0] + i + FACES_AHEAD])
         if i + RINGS_AHEAD < moved_count:
             prefetch_priced_ring(state, frames, log.kept[pass_begin[0] + i + RINGS_AHEAD])
         u = log.kept[pass_begin[0] + i]

@@ -54,6 +54,14 @@ def prefetch_faces(state: MeshState, v: wp.int32):
 
 
 @wp.func
+def prefetch_prices(state: MeshState, v: wp.int32):
+    """The faces around a vertex and the prices of their edges."""
+    for i in range(state.stars.start[v], state.stars.end[v]):
+        prefetch(state.corner_vertex, state.stars.corner[i])
+        prefetch(state.edge_cost, state.stars.corner[i])
+
+
+@wp.func
 def prefetch_ring(state: MeshState, positions: Any, v: wp.int32):
     """Positions of the neighbours of a vertex."""
     for i in range(state.stars.start[v], state.stars.end[v]):
@@ -111,6 +119,7 @@ def prefetch_winners(state: MeshState, frames: AnyKeyFrames, winners: EdgeList, 
     count = winners.count[part]
     if k + ENDS_AHEAD < count:
         prefetch(state.corner_vertex, winners.half_edge[first + k + ENDS_AHEAD])
+        prefetch(state.edge_cost, winners.half_edge[first + k + ENDS_AHEAD])
     for side in range(2):
         if k + STARS_AHEAD < count:
             v = end_of(state, winners.half_edge[first + k + STARS_AHEAD], side)
