@@ -56,13 +56,14 @@ def count_costs(
     sample_step: wp.int32,
     work: Work,
     # outputs
-    histogram_out: wp.array[wp.int32],
+    histogram_out: wp.array2d[wp.int32],
 ):
-    """Histogram of the costs of the candidate edges at every ``sample_step``-th half-edge (one part only)."""
-    for h in range(wp.tid() * sample_step, 3 * state.face_count[0], work.lanes * sample_step):
-        cost = state.edge_cost[h]
+    """Histogram of the costs of the candidate edges at every ``sample_step``-th half-edge, a row for each part."""
+    sample_count = (3 * state.face_count[0] + sample_step - 1) // sample_step
+    for i in range(first_item(sample_count, work) + wp.tid(), last_item(sample_count, work), work.lanes):
+        cost = state.edge_cost[i * sample_step]
         if is_candidate_cost(cost):
-            wp.atomic_add(histogram_out, cost_bin(cost), 1)
+            wp.atomic_add(histogram_out, work.part, cost_bin(cost), 1)
 
 
 @wp.kernel
@@ -70,16 +71,18 @@ def find_cap(
     wanted_in: wp.array[wp.int32],
     sample_step: wp.int32,
     # outputs
-    histogram: wp.array[wp.int32],
+    histogram: wp.array2d[wp.int32],
     cap_out: wp.array[wp.float32],
 ):
     """The upper end of the bin of the ``wanted``-th cheapest edge; the histogram is cleared for the next pass."""
     wanted = wp.max(1, wanted_in[0] // sample_step)
     seen = wp.int32(0)
     cap = wp.int32(-1)
-    for b in range(histogram.shape[0]):
-        n = histogram[b]
-        histogram[b] = 0
+    for b in range(histogram.shape[1]):
+        n = wp.int32(0)
+        for part in range(histogram.shape[0]):
+            n += histogram[part, b]
+            histogram[part, b] = 0
         if n > 0 and seen < wanted:
             cap = b
         seen += n

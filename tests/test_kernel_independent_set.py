@@ -54,10 +54,12 @@ def priced_faces(cost, device) -> MeshState:
     return state
 
 
-def histogram_of(cost, device, step=1) -> wp.array:
-    histogram = wp.zeros(BINS, dtype=wp.int32, device=device)
-    inputs = [priced_faces(cost, device), step, one_part(device)]
-    wp.launch(kernels.count_costs, dim=1, inputs=inputs, outputs=[histogram], device=device)
+def histogram_of(cost, device, step=1, part_count=1) -> wp.array:
+    """(P, BINS)."""
+    histogram = wp.zeros((part_count, BINS), dtype=wp.int32, device=device)
+    for part in range(part_count):
+        inputs = [priced_faces(cost, device), step, one_part(device, part, part_count)]
+        wp.launch(kernels.count_costs, dim=1, inputs=inputs, outputs=[histogram], device=device)
     return histogram
 
 
@@ -65,6 +67,15 @@ def test_sampled_histogram_counts_every_seventh_cost(device):
     cost = np.geomspace(1e-9, 1.0, 100).astype(np.float32)
     every_seventh = histogram_of(cost[::7], device).numpy()
     np.testing.assert_array_equal(histogram_of(cost, device, step=7).numpy(), every_seventh)
+
+
+@pytest.mark.parametrize("step", [1, 7])
+def test_histograms_of_three_parts_give_the_cap_of_one(step, device):
+    cost = random_costs()
+    one, three = (histogram_of(cost, device, step, parts) for parts in (1, 3))
+    np.testing.assert_array_equal(three.numpy().sum(axis=0), one.numpy()[0])
+    assert cap_of(three, 50, device).numpy()[0] == cap_of(one, 50, device).numpy()[0]
+    assert not three.numpy().any()
 
 
 def cap_of(histogram, wanted, device) -> wp.array:
@@ -119,7 +130,7 @@ def test_costs_of_one_bin_differ_by_one_sixteenth_at_most(device):
 def test_histogram_counts_every_candidate_in_its_bin(device):
     cost = random_costs()
     expected = np.bincount(bins_of(cost, device), minlength=BINS)
-    np.testing.assert_array_equal(histogram_of(cost, device).numpy(), expected)
+    np.testing.assert_array_equal(histogram_of(cost, device).numpy()[0], expected)
 
 
 def test_histogram_leaves_out_sleeping_and_forbidden_edges(device):

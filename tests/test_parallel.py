@@ -61,3 +61,11 @@ def test_error_of_a_part_is_raised_when_all_have_ended(three_threads):
     with pytest.raises(ValueError, match="part"):
         run_parts([lambda: done.append(1), fail, lambda: done.append(3)])
     assert sorted(done) == [1, 3]
+
+
+@pytest.mark.parametrize(("least", "parts"), [(1, 3), (4, 2), (10, 1), (11, 1)])
+def test_parts_have_as_many_items_as_asked_for(least, parts, three_threads):
+    seen = []
+    launch_parts(square, seen.append, 10, "cpu", least)
+    assert len(seen) == parts
+    assert min(part.stop - part.start for part in seen) >= min(least, 10)

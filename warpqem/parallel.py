@@ -62,10 +62,11 @@ def run_parts(parts: Sequence[Callable[[], object]]) -> None:
             raise error
 
 
-def launch_parts(kernel: wp.Kernel, launch: Callable[[slice], object], count: int, device: str) -> None:
-    """Call ``launch`` for slices of ``count`` items, one for each thread of the device.
+def launch_parts(kernel: wp.Kernel, launch: Callable[[slice], object], count: int, device: str, least: int = 1) -> None:
+    """Call ``launch`` for slices of ``count`` items, one for each thread of the device, of ``least`` items or more.
 
     The kernel's module is loaded before: threads that came to it at the same time would each compile it.
     """
     wp.load_module(kernel.module, device, max_workers=0)
-    run_parts([partial(launch, part) for part in split_range(count, thread_count(device))])
+    parts = max(1, min(thread_count(device), count // least))
+    run_parts([partial(launch, part) for part in split_range(count, parts)])

@@ -58,7 +58,7 @@ def read_log(log: CollapseLog) -> CollapseRecord:
     """Fetch the log; within a round, where threads log in any order, collapses are put in the order of their cost."""
     count = int(log.count.numpy()[0])
     round_index, cost, removed = (a.numpy()[:count] for a in (log.round_index, log.cost, log.removed))
-    order = np.lexsort((removed, cost, round_index))
+    order = _sorted_rounds(round_index, cost, removed, len(log.removed))
     return CollapseRecord(
         kept=log.kept.numpy()[:count][order],
         removed=removed[order],
@@ -68,3 +68,17 @@ def read_log(log: CollapseLog) -> CollapseRecord:
         error=np.sqrt(log.error.numpy()[:count])[order],
         round_index=round_index[order],
     )
+
+
+def _sorted_rounds(round_index: np.ndarray, cost: np.ndarray, removed: np.ndarray, vertex_count: int) -> np.ndarray:
+    """The order by round, cost and removed vertex (C,); rounds come in order, and no vertex is removed twice.
+
+    So each round is one sort of plain numbers: the bits of a positive cost, which ascend with it, then the vertex.
+    """
+    slot = np.empty(vertex_count, dtype=np.int64)
+    slot[removed] = np.arange(len(removed))
+    key = cost.view(np.uint32).astype(np.uint64) << np.uint64(32) | removed.astype(np.uint64)
+    first = np.flatnonzero(np.diff(round_index)) + 1
+    for part in np.split(key, first):
+        part.sort()
+    return slot[(key & np.uint64(0xFFFFFFFF)).astype(np.int64)]

@@ -24,7 +24,7 @@ from warpqem.kernels.work import EdgeList, Work
 from warpqem.order.nodes import NodeRecorder
 from warpqem.order.stars import Stars
 from warpqem.order.steps import Phase, Step, new_edge_list, part_work
-from warpqem.parallel import thread_count
+from warpqem.parallel import launch_parts, thread_count
 
 __all__ = ["Orderer"]
 
@@ -81,7 +81,6 @@ class Orderer:
         self.threads = thread_count(device)
         self.log = self._new_log(vertex_count)
         self._pass_number, self._pass_begin, self._wanted = (self._integers(1) for _ in range(3))
-        self._histogram = self._integers(HISTOGRAM_BINS)
         self._cap = wp.zeros(1, dtype=wp.float32, device=device)
         self._claim = wp.full(vertex_count, set_kernels.UNCLAIMED, dtype=wp.int64, device=device)
         self._mask, self._dropped = self._integers(vertex_count), self._integers(vertex_count)
@@ -130,9 +129,10 @@ class Orderer:
             commit = [
                 self._committing(*order, winners, (legal, space, slot, pool_slot), part_count) for order in orders
             ]
+            histogram = wp.zeros((part_count, HISTOGRAM_BINS), dtype=wp.int32, device=self.device)
             self._gears[part_count] = _Gear(
-                collect_sampled=self._step(self._collecting(candidates[0], SAMPLE_STEP, part_count)),
-                collect_all=self._step(self._collecting(candidates[0], 1, part_count)),
+                collect_sampled=self._step(self._collecting(candidates[0], SAMPLE_STEP, histogram, part_count)),
+                collect_all=self._step(self._collecting(candidates[0], 1, histogram, part_count)),
                 choose=(self._step(choose[0]), self._step(choose[1])),
                 commit=(self._step(commit[0]), self._step(commit[1])),
                 build_stars=self._step(self.stars.phases(part_count)),
@@ -147,19 +147,21 @@ class Orderer:
     def _step(self, phases: Sequence[Phase]) -> Step:
         return Step(phases, self.device)
 
-    def _collecting(self, candidates: EdgeList, sample_step: int, part_count: int) -> list[Phase]:
-        """Fill the list of candidates with the cheapest edges."""
+    def _collecting(self, candidates: EdgeList, sample_step: int, histogram: wp.array, part_count: int) -> list[Phase]:
+        """Fill the list of candidates with the cheapest edges; ``histogram`` is zero between passes."""
         state, device = self.state, self.device
 
+        def count(part: int) -> None:
+            work = part_work(part, part_count, device)
+            self._launch(set_kernels.count_costs, [state, sample_step], work, [histogram])
+
         def find_cap(_: int) -> None:
-            work = part_work(0, 1, device)
             wp.copy(self._pass_begin, self.log.count)
-            self._launch_counting(sample_step, work)
             wp.launch(
                 set_kernels.find_cap,
                 dim=1,
                 inputs=[self._wanted, sample_step],
-                outputs=[self._histogram, self._cap],
+                outputs=[histogram, self._cap],
                 device=device,
             )
             candidates.count.zero_()
@@ -168,10 +170,7 @@ class Orderer:
             work = part_work(part, part_count, device)
             self._launch(set_kernels.collect_candidates, [state, self._cap], work, [candidates])
 
-        return [Phase(find_cap), Phase(collect, part_count)]
-
-    def _launch_counting(self, sample_step: int, work: Work) -> None:
-        self._launch(set_kernels.count_costs, [self.state, sample_step], work, [self._histogram])
+        return [Phase(count, part_count), Phase(find_cap), Phase(collect, part_count)]
 
     def _choosing(
         self, candidates: EdgeList, winners: EdgeList, legal: wp.array, space: wp.array, part_count: int
@@ -380,21 +379,29 @@ class Orderer:
             return False
         state = self.state
         rank = self._live_rank[: self.face_slots]
-        wp.launch(
-            collapse_kernels.mark_live_faces,
-            dim=self.face_slots,
-            inputs=[state.corner_vertex],
-            outputs=[rank],
-            device=self.device,
-        )
+
+        def mark(part: slice) -> None:
+            wp.launch(
+                collapse_kernels.mark_live_faces,
+                dim=part.stop - part.start,
+                inputs=[state.corner_vertex[3 * part.start : 3 * part.stop]],
+                outputs=[rank[part]],
+                device=self.device,
+            )
+
+        def move(part: slice) -> None:
+            corners = slice(3 * part.start, 3 * part.stop)
+            wp.launch(
+                collapse_kernels.move_live_faces,
+                dim=part.stop - part.start,
+                inputs=[state.corner_vertex[corners], state.edge_cost[corners], state.seam[corners], rank[part]],
+                outputs=[self._spare_corner_vertex, self._spare_edge_cost, self._spare_seam],
+                device=self.device,
+            )
+
+        launch_parts(collapse_kernels.mark_live_faces, mark, self.face_slots, self.device, SHARED_FACES // 2)
         wp.utils.array_scan(rank, rank, inclusive=True)
-        wp.launch(
-            collapse_kernels.move_live_faces,
-            dim=self.face_slots,
-            inputs=[state.corner_vertex, state.edge_cost, state.seam, rank],
-            outputs=[self._spare_corner_vertex, self._spare_edge_cost, self._spare_seam],
-            device=self.device,
-        )
+        launch_parts(collapse_kernels.move_live_faces, move, self.face_slots, self.device, SHARED_FACES // 2)
         if state.wedges.channel_count > 0:
             wp.launch(
                 attribute_kernels.move_corner_wedges,
