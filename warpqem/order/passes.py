@@ -46,6 +46,8 @@ LEAST_SAMPLE = 2048
 # Meshes of at least so many faces are worked on by all CPU threads throughout; below it a thread takes longer to start
 # than most kernels of a pass run.
 SHARED_FACES = 60_000
+# Faces that are worth a thread when gaps are closed: a step of a few nanoseconds each.
+COMPACTED_FACES = 30_000
 
 
 @dataclass(frozen=True)
@@ -399,9 +401,9 @@ class Orderer:
                 device=self.device,
             )
 
-        launch_parts(collapse_kernels.mark_live_faces, mark, self.face_slots, self.device, SHARED_FACES // 2)
+        launch_parts(collapse_kernels.mark_live_faces, mark, self.face_slots, self.device, COMPACTED_FACES)
         wp.utils.array_scan(rank, rank, inclusive=True)
-        launch_parts(collapse_kernels.move_live_faces, move, self.face_slots, self.device, SHARED_FACES // 2)
+        launch_parts(collapse_kernels.move_live_faces, move, self.face_slots, self.device, COMPACTED_FACES)
         if state.wedges.channel_count > 0:
             wp.launch(
                 attribute_kernels.move_corner_wedges,
