@@ -57,7 +57,9 @@ def wheel_names(tmp_path_factory):
     for name in ("pyproject.toml", "README.md", "LICENSE"):
         copy(ROOT / name, source)
     for name in ("kernels", "warpqem", "tests", "scenes"):
-        copytree(ROOT / name, source / name, symlinks=True, ignore=ignore_patterns("__pycache__", "*.usdc"))
+        copytree(
+            ROOT / name, source / name, symlinks=True, ignore=ignore_patterns("__pycache__", "*.usdc", "node_modules")
+        )
     command = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(out), str(source)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
@@ -85,6 +87,12 @@ def test_wheel_holds_nothing_but_the_package(wheel_names):
 
 def test_wheel_holds_the_licence(wheel_names):
     assert any(re.search(r"dist-info/.*LICENSE$", name) for name in wheel_names)
+
+
+def test_wheel_holds_what_reports_are_made_of_with_its_licence_and_no_more(wheel_names):
+    assets = {f"warpqem/report/assets/{p.name}" for p in (PACKAGE / "report" / "assets").iterdir()}
+    assert assets == {name for name in wheel_names if name.startswith("warpqem/report/") and not name.endswith(".py")}
+    assert any(re.search(r"dist-info/.*three\.LICENSE$", name) for name in wheel_names)
 
 
 def test_every_directory_of_modules_is_a_listed_package():

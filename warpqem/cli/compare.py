@@ -9,7 +9,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from warpqem.cli.console import EXIT_FAILED, print_table, progress_bar, quiet_warp, tell, write_json
-from warpqem.cli.options import Device, Frames, JsonReport, Prims
+from warpqem.cli.options import Device, Frames, JsonReport, Prims, ReportPage
 
 if TYPE_CHECKING:
     from warpqem.usd.compare import PairReport
@@ -39,6 +39,7 @@ def compare(
         ),
     ] = None,
     device: Device = None,
+    report: ReportPage = None,
     json: JsonReport = None,
 ) -> None:
     """Measure the meshes of TEST against those of REFERENCE with the same prim path, at the frames of both.
@@ -49,8 +50,12 @@ def compare(
     Exit codes: 0 all done; 1 an error, or some pair failed; 2 wrong usage.
     """
     quiet_warp()
+    from warpqem.report.page import check_page_path
     from warpqem.usd import CompareOptions, FrameRange, compare_stages
+    from warpqem.usd.report_page import write_compare_report
 
+    if report is not None:
+        check_page_path(report)
     options = CompareOptions(
         samples=samples,
         frames=FrameRange.parse(frames) if frames else None,
@@ -61,6 +66,8 @@ def compare(
     )
     with progress_bar("reading") as progress:
         pairs = compare_stages(reference, test, options, progress)
+        if report is not None and any(pair.comparison for pair in pairs):
+            write_compare_report(report, reference, test, pairs, options, progress)
     for pair in pairs:
         if pair.message is not None:
             tell("error", pair.message)

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from warpqem.cli.options import Input, JsonReport, Output
+from warpqem.cli.options import Input, JsonReport, Output, ReportPage
 from warpqem.cli.simplify import run_simplify
 from warpqem.cli.simplify_options import takes_simplify_options
 
@@ -27,6 +27,7 @@ def levels(
         str, typer.Option(metavar="RATIOS", help="Share of the triangles that each level keeps, such as 0.5,0.25,0.1.")
     ],
     options: dict[str, Any],
+    report: ReportPage = None,
     json: JsonReport = None,
 ) -> None:
     """Write levels of detail that nest, from one run, each with its error: what simplify does with --lods.
@@ -35,4 +36,4 @@ def levels(
 
     Exit codes: 0 all done; 1 an error, or some mesh failed; 2 wrong usage.
     """
-    run_simplify(input_file, output, {**options, "lods": ratios}, json)
+    run_simplify(input_file, output, {**options, "lods": ratios}, report, json)

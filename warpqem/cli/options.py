@@ -21,6 +21,7 @@ __all__ = [
     "MetricOption",
     "Output",
     "Prims",
+    "ReportPage",
     "ScreenError",
 ]
 
@@ -71,6 +72,15 @@ Device = Annotated[
 JsonReport = Annotated[
     str | None,
     typer.Option("--json", metavar="FILE", help="Write the report as JSON to FILE, or to stdout for -."),
+]
+
+ReportPage = Annotated[
+    str | None,
+    typer.Option(
+        "--report",
+        metavar="FILE",
+        help="Write a page (.html) that shows both in motion, their distance and all figures; it opens offline.",
+    ),
 ]
 
 MetricOption = Annotated[

@@ -9,7 +9,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from warpqem.cli.console import EXIT_FAILED, print_table, progress_bar, quiet_warp, tell, write_json
-from warpqem.cli.options import Input, JsonReport, Output
+from warpqem.cli.options import Input, JsonReport, Output, ReportPage
 from warpqem.cli.simplify_options import takes_simplify_options
 
 if TYPE_CHECKING:
@@ -20,7 +20,9 @@ __all__ = ["run_simplify", "simplify"]
 
 
 @takes_simplify_options
-def simplify(input_file: Input, output: Output, options: dict[str, Any], json: JsonReport = None) -> None:
+def simplify(
+    input_file: Input, output: Output, options: dict[str, Any], report: ReportPage = None, json: JsonReport = None
+) -> None:
     """Simplify every mesh over all its frames. Give one of --ratio, --faces, --max-error,
     --screen-error and --lods.
 
@@ -29,17 +31,24 @@ def simplify(input_file: Input, output: Output, options: dict[str, Any], json: J
 
     Exit codes: 0 all done; 1 an error, or some mesh failed; 2 wrong usage.
     """
-    run_simplify(input_file, output, options, json)
+    run_simplify(input_file, output, options, report, json)
 
 
-def run_simplify(input_file: str, output: str, options: dict[str, Any], json: str | None) -> None:
+def run_simplify(input_file: str, output: str, options: dict[str, Any], page: str | None, json: str | None) -> None:
     """Simplify, and say what came of it."""
     quiet_warp()
+    from warpqem.report.page import check_page_path
     from warpqem.usd import simplify_stage
     from warpqem.usd.option_values import read_options
+    from warpqem.usd.report_page import write_simplify_report
 
+    asked = read_options(options)
+    if page is not None:
+        check_page_path(page)
     with progress_bar("reading") as progress:
-        report = simplify_stage(input_file, output, read_options(options), progress, _tell_plan)
+        report = simplify_stage(input_file, output, asked, progress, _tell_plan)
+        if page is not None and report.output is not None:
+            write_simplify_report(page, report, asked, progress)
     _tell_problems(report)
     print_table(_table(report), to_stderr=json == "-")
     if json is not None:

@@ -10,7 +10,7 @@ from warpqem.errors import OptionError
 from warpqem.measure.distance import ClosestPointSearch
 from warpqem.measure.inputs import check_same_frame_count, check_sequence, frame_scale
 
-__all__ = ["COLOR_MAP", "distance_colors"]
+__all__ = ["COLOR_MAP", "distance_colors", "vertex_distances"]
 
 # Five stops of the viridis map (van der Walt and Smith, 2015, CC0), sRGB-encoded, evenly spaced from distance zero
 # (dark blue-violet) over teal and green to the full scale (yellow). Lightness grows evenly along it, so that the order
@@ -36,6 +36,41 @@ def _colors(fraction: npt.NDArray[np.float64]) -> npt.NDArray[np.float32]:
     stops = np.linspace(0, 1, len(COLOR_MAP))
     encoded = np.stack([np.interp(fraction, stops, COLOR_MAP[:, channel]) for channel in range(3)], axis=-1)
     return _linear_light(encoded).astype(np.float32)
+
+
+def vertex_distances(
+    reference_points: npt.ArrayLike,
+    reference_faces: npt.ArrayLike,
+    test_points: npt.ArrayLike,
+    test_faces: npt.ArrayLike,
+    *,
+    device: str | None = None,
+) -> npt.NDArray[np.float64]:
+    """Distance of each test vertex to the reference surface in each frame.
+
+    Args:
+        reference_points: (F, V, 3) or (V, 3).
+        reference_faces: (N, 3) integers.
+        test_points: (F, V', 3) or (V', 3), with as many frames.
+        test_faces: (N', 3) integers.
+        device: Warp device name; None takes "cuda:0" where there is one, else "cpu".
+
+    Returns:
+        (F, V'), in % of the reference's bounding-box diagonal in the frame.
+
+    Raises:
+        MeshShapeError, NonFinitePointError, FaceIndexError, DegenerateMeshError, DeviceError: as in ``compare``.
+    """
+    reference = check_sequence(reference_points, reference_faces, "reference")
+    test = check_sequence(test_points, test_faces, "test")
+    check_same_frame_count(reference, test)
+    search = ClosestPointSearch(reference.faces, resolve_device(device), "reference")
+    centre, diagonal = frame_scale(reference)
+    distance = np.empty(test.points.shape[:2])
+    for frame in range(len(distance)):
+        p, q = ((mesh.points[frame] - centre[frame]) / diagonal[frame] for mesh in (reference, test))
+        distance[frame] = 100 * search.closest(p, q, frame).distance
+    return distance
 
 
 def distance_colors(
@@ -70,14 +105,6 @@ def distance_colors(
     """
     if scale is not None and not (np.isfinite(scale) and scale > 0):
         raise OptionError(f"scale: expected a positive number, got {scale}")
-    reference = check_sequence(reference_points, reference_faces, "reference")
-    test = check_sequence(test_points, test_faces, "test")
-    check_same_frame_count(reference, test)
-    search = ClosestPointSearch(reference.faces, resolve_device(device), "reference")
-    centre, diagonal = frame_scale(reference)
-    distance = np.empty(test.points.shape[:2])
-    for frame in range(len(distance)):
-        p, q = ((mesh.points[frame] - centre[frame]) / diagonal[frame] for mesh in (reference, test))
-        distance[frame] = 100 * search.closest(p, q, frame).distance
+    distance = vertex_distances(reference_points, reference_faces, test_points, test_faces, device=device)
     used = float(distance.max()) if scale is None else float(scale)
     return _colors(distance / used if used > 0 else distance), used

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from pxr import Usd, UsdGeom
 
 from warpqem.errors import OptionError, StageError
 from warpqem.measure import distance_colors
 from warpqem.picture import caption, fit_view, render, tile, write_png
 from warpqem.usd.frames import FrameRange
-from warpqem.usd.mesh import MeshSource
-from warpqem.usd.skel import StagePoses
-from warpqem.usd.stage import find_meshes, open_stage
+from warpqem.usd.world import WorldMeshes, chosen_times
 
 __all__ = ["RenderOptions", "render_sheet"]
 
@@ -59,40 +56,6 @@ class RenderOptions:
             raise OptionError(f"size {self.size[0]} x {self.size[1]}: expected at least one pixel")
 
 
-class _Drawn:
-    """All meshes of one file in world space."""
-
-    def __init__(self, path: str | os.PathLike[str], prims: Sequence[str]) -> None:
-        self.name = os.path.basename(os.fspath(path))
-        self.stage: Usd.Stage = open_stage(path)
-        selection = find_meshes(self.stage, prims)
-        if not selection.prims:
-            raise StageError(f"{path}: there is no mesh on the stage")
-        poses = StagePoses(self.stage)
-        self._sources = [MeshSource(prim, poses) for prim in selection.prims]
-
-    @property
-    def times(self) -> list[float]:
-        """Every time code at which a mesh has a sample."""
-        return sorted({time for source in self._sources for time in source.authored_times})
-
-    def read(self, times: Sequence[float] | None) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int32]]:
-        """Points (F, V, 3) and faces (N, 3) of all meshes as one."""
-        points, faces, count = [], [], 0
-        for source in self._sources:
-            own = None if not source.authored_times else times
-            mesh = source.read(own)
-            posed = np.repeat(mesh.points, len(times or [0]) // len(mesh.points), axis=0).astype(np.float64)
-            for frame, time in enumerate(times or [None]):
-                code = Usd.TimeCode.Default() if time is None else Usd.TimeCode(time)
-                matrix = np.array(UsdGeom.XformCache(code).GetLocalToWorldTransform(source.prim))
-                posed[frame] = posed[frame] @ matrix[:3, :3] + matrix[3, :3]
-            points.append(posed)
-            faces.append(mesh.right_handed_faces + count)
-            count += posed.shape[1]
-        return np.concatenate(points, axis=1).astype(np.float32), np.concatenate(faces).astype(np.int32)
-
-
 def render_sheet(
     input_path: str | os.PathLike[str],
     output_path: str | os.PathLike[str],
@@ -121,17 +84,16 @@ def render_sheet(
         raise OptionError(f"output {output_path}: the suffix must be .png")
     if options.heatmap and reference_path is None:
         raise OptionError("heatmap needs a reference")
-    drawn = [_Drawn(path, options.prims) for path in (reference_path, input_path) if path is not None]
-    times = _spread(sorted({time for item in drawn for time in item.times}), options)
+    drawn = [WorldMeshes(path, options.prims) for path in (reference_path, input_path) if path is not None]
+    times = _spread(chosen_times(drawn, options.frames), options)
     meshes = [item.read(times) for item in drawn]
     rows, scale = _rows(meshes, [item.name for item in drawn], options)
-    up = "z" if UsdGeom.GetStageUpAxis(drawn[0].stage) == UsdGeom.Tokens.z else "y"
     width, height = options.size
     view = fit_view(
         np.concatenate([points.reshape(-1, 3) for points, _ in meshes]),
         azimuth=options.azimuth,
         elevation=options.elevation,
-        up=up,
+        up=drawn[0].up,
         aspect=width / height,
     )
     pictures = []
@@ -183,10 +145,6 @@ def _rows(
 
 def _spread(times: list[float], options: RenderOptions) -> list[float] | None:
     """The times to draw; None for meshes that do not move."""
-    if options.frames is not None:
-        times = options.frames.select(times)
-        if not times:
-            raise StageError(f"no sample in the frame range {options.frames}")
     if not times:
         return None
     chosen = np.unique(np.linspace(0, len(times) - 1, min(options.pictures, len(times))).round().astype(int))

@@ -1,0 +1,69 @@
+"""What a report is made of."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+__all__ = ["Level", "Report", "Table"]
+
+
+@dataclass(frozen=True)
+class Level:
+    """A simplified mesh.
+
+    Attributes:
+        name: what the page calls it, such as "LOD1".
+        points: (F, V', 3), in the coordinates and frames of the original.
+        faces: (N', 3) integers, counter-clockwise.
+    """
+
+    name: str
+    points: np.ndarray
+    faces: np.ndarray
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of the page.
+
+    Attributes:
+        title: stands above it.
+        head: name of each column.
+        rows: text or numbers for each column.
+    """
+
+    title: str
+    head: Sequence[str]
+    rows: Sequence[Sequence[str | int | float | None]]
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a page shows.
+
+    Attributes:
+        title: its heading.
+        points: (F, V, 3) or (V, 3), the original.
+        faces: (N, 3) integers, counter-clockwise.
+        levels: simplified meshes, the finest first.
+        times: name of each frame, such as its time code; None counts from 1.
+        frames_per_second: how fast the frames play.
+        up: "y" or "z".
+        tables: options, timings and the like.
+        notes: sentences under the picture.
+        thinned: True where frames were left out before, so that differences from one to the next mean nothing.
+    """
+
+    title: str
+    points: np.ndarray
+    faces: np.ndarray
+    levels: Sequence[Level]
+    times: Sequence[float] | None = None
+    frames_per_second: float = 24.0
+    up: str = "y"
+    tables: Sequence[Table] = ()
+    notes: Sequence[str] = field(default_factory=tuple)
+    thinned: bool = False

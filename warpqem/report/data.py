@@ -1,0 +1,200 @@
+"""What the page is handed: meshes as text, and the measures of each level."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from warpqem.device import resolve_device
+from warpqem.errors import WarpqemError
+from warpqem.measure import Comparison, compare, vertex_distances
+from warpqem.measure.distance import ClosestPointSearch
+from warpqem.measure.heatmap import COLOR_MAP
+from warpqem.motion import motion_features
+from warpqem.report.content import Level, Report
+from warpqem.report.encoding import Grid, encode
+
+__all__ = ["LARGEST_POSITIONS", "chosen_frames", "mesh_data", "report_data"]
+
+# Positions of a page take no more bytes than this before they are packed; the bundle and the rest add about 1 MB.
+LARGEST_POSITIONS = 6 * 2**20
+# A coordinate has 16 bits.
+BYTES_PER_POINT = 6
+# Five seconds show what moves, and each frame that is shown is measured too.
+MOST_FRAMES = 120
+# Samples on each mesh for the curves: the mean over frames is then off by about 1 %.
+SAMPLES = 10000
+# The page has room for so many colours in one byte; the last value stands for no feature.
+NO_FEATURE = 255
+# Distances have 8 bits, as a share of the largest.
+DISTANCE_STEPS = 255
+
+Progress = Callable[[float, str], None]
+
+
+def chosen_frames(frame_count: int, point_count: int) -> range:
+    """The frames of an animation that a page has room for, evenly spread: all, every second, every third, ...
+
+    Args:
+        frame_count: Frames that there are.
+        point_count: Points of all meshes together.
+    """
+    room = max(2, min(MOST_FRAMES, LARGEST_POSITIONS // (BYTES_PER_POINT * max(point_count, 1))))
+    return range(0, frame_count, -(-frame_count // room))
+
+
+def report_data(report: Report, device: str | None = None, progress: Progress | None = None) -> dict[str, Any]:
+    """Measure the levels and pack everything: plain dictionaries, lists, numbers, text and None, ready for JSON.
+
+    Positions are rounded to 16 bits per component of the box around all of them.
+
+    Args:
+        report: what to show.
+        device: Warp device; None for the default.
+        progress: called with the fraction done and what is being done.
+
+    Raises:
+        MeshShapeError, NonFinitePointError, FaceIndexError, DegenerateMeshError: a mesh is none, or the numbers of
+            frames differ.
+        DeviceError: there is no such device.
+    """
+    progress = progress or (lambda fraction, text: None)
+    original = np.asarray(report.points)
+    original = original[None] if original.ndim == 2 else original
+    levels = [Level(v.name, np.asarray(v.points).reshape(-1, *v.points.shape[-2:]), v.faces) for v in report.levels]
+    grid = Grid.around(original, *(level.points for level in levels))
+    packed = []
+    labels = _features(original, report.faces, device)
+    for index, level in enumerate(levels):
+        start, share = index / len(levels), 1 / len(levels)
+
+        def part(done: int, total: int, start: float = start, share: float = share, name: str = level.name) -> None:
+            progress(start + share * done / total, f"measuring {name}")
+
+        packed.append(_level_data(level, original, report, grid, labels, device, part))
+    notes = list(report.notes)
+    shown_whole = original.shape[1] * BYTES_PER_POINT * min(2, len(original)) <= LARGEST_POSITIONS
+    if not shown_whole:
+        notes.append(f"The original has {original.shape[1]} vertices, more than this page has room for: not shown.")
+    return {
+        "title": report.title,
+        "up": report.up,
+        "framesPerSecond": report.frames_per_second,
+        "times": list(report.times) if report.times is not None else list(range(1, len(original) + 1)),
+        "grid": {"low": grid.low.tolist(), "step": grid.step},
+        "colorMap": COLOR_MAP.tolist(),
+        "original": {
+            **_counts(original, report.faces),
+            "mesh": mesh_data(original, report.faces, grid, labels) if shown_whole else None,
+        },
+        "levels": packed,
+        "samples": SAMPLES,
+        "tables": [asdict(table) for table in report.tables],
+        "notes": notes,
+    }
+
+
+def mesh_data(
+    points: np.ndarray,
+    faces: np.ndarray,
+    grid: Grid,
+    labels: np.ndarray | None = None,
+    distance: np.ndarray | None = None,
+) -> dict[str, Any]:
+    """A mesh as the page decodes it.
+
+    Args:
+        points: (F, V, 3).
+        faces: (N, 3) integers.
+        grid: what positions are rounded to.
+        labels: (V,) integers, motion feature of each vertex, -1 for none; None where nothing was looked for.
+        distance: (F, V), in % of the diagonal; None where nothing was measured.
+    """
+    largest = 0.0 if distance is None else float(distance.max(initial=0.0))
+    heat = None
+    if distance is not None:
+        heat = encode(np.rint(distance * (DISTANCE_STEPS / largest if largest > 0 else 0)).astype(np.uint8))
+    return {
+        "vertexCount": points.shape[1],
+        "faceCount": len(faces),
+        "points": encode(grid.round(points), over_time=True),
+        "faces": encode(np.asarray(faces).astype(np.uint32)),
+        "features": None if labels is None else encode(_feature_bytes(labels)),
+        "heat": heat,
+        "heatScale": largest,
+    }
+
+
+def _feature_bytes(labels: np.ndarray) -> np.ndarray:
+    return np.where(labels < 0, NO_FEATURE, labels % NO_FEATURE).astype(np.uint8)
+
+
+def _counts(points: np.ndarray, faces: np.ndarray) -> dict[str, int]:
+    return {"frames": len(points), "vertices": points.shape[1], "faces": len(faces)}
+
+
+def _features(points: np.ndarray, faces: np.ndarray, device: str | None) -> np.ndarray | None:
+    """Motion feature of each vertex; None where nothing moves or the mesh is none that bends."""
+    if len(points) < 2:
+        return None
+    try:
+        label: np.ndarray = motion_features(points, faces, device=device).label
+    except WarpqemError:
+        return None
+    return label if label.max(initial=-1) >= 0 else None
+
+
+def _carried(
+    labels: np.ndarray, points: np.ndarray, faces: np.ndarray, new_points: np.ndarray, device: str | None
+) -> np.ndarray:
+    """Label of the vertex near each new point."""
+    faces = np.asarray(faces, dtype=np.int64)
+    middle, size = points.mean(axis=0, dtype=np.float64), float(np.ptp(points, axis=0).max()) or 1.0
+    search = ClosestPointSearch(faces, resolve_device(device), "reference")
+    nearest = search.closest((points - middle) / size, (new_points - middle) / size, 0)
+    return labels[faces[nearest.face, nearest.barycentric.argmax(axis=1)]]
+
+
+def _level_data(
+    level: Level,
+    original: np.ndarray,
+    report: Report,
+    grid: Grid,
+    labels: np.ndarray | None,
+    device: str | None,
+    progress: Callable[[int, int], None],
+) -> dict[str, Any]:
+    meshes = (original, report.faces, level.points, level.faces)
+    distance = vertex_distances(*meshes, device=device)
+    own_labels = None if labels is None else _carried(labels, original[0], report.faces, level.points[0], device)
+    measures = compare(*meshes, samples=SAMPLES, device=device, progress=progress)
+    return {
+        "name": level.name,
+        **_counts(level.points, level.faces),
+        "mesh": mesh_data(level.points, level.faces, grid, own_labels, distance),
+        "measures": _measures(measures, report.thinned),
+    }
+
+
+def _measures(found: Comparison, thinned: bool) -> dict[str, Any]:
+    frames = found.per_frame
+    return {
+        "rms": found.rms,
+        "hausdorff": found.hausdorff,
+        "mean": found.mean,
+        "normals": found.normal_deviation,
+        "flips": found.flips,
+        # Between frames that do not follow each other these say nothing.
+        "jitter": None if thinned else found.jitter,
+        "slide": None if thinned else found.slide,
+        "edgeLength": found.edge_length_error,
+        "perFrame": {
+            name: [float(f"{value:.4g}") for value in getattr(frames, name)]
+            for name in ("rms", "hausdorff", "mean", "normal_deviation", "flips", "degenerate_faces")
+        },
+        "topology": asdict(found.test_topology),
+        "originalTopology": asdict(found.reference_topology),
+    }

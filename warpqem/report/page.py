@@ -1,0 +1,89 @@
+"""The page itself: template, styles, three.js and the data in one file."""
+
+from __future__ import annotations
+
+import html
+import json
+import os
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from warpqem.errors import OptionError, StageError
+from warpqem.report.content import Report
+from warpqem.report.data import Progress, report_data
+
+__all__ = ["check_page_path", "report_page", "save_page", "write_report"]
+
+SUFFIXES = (".html", ".htm")
+
+
+def write_report(
+    path: str | os.PathLike[str], report: Report, device: str | None = None, progress: Progress | None = None
+) -> None:
+    """Write a report as one HTML file that needs nothing else; an existing one is replaced.
+
+    Args:
+        path: .html file.
+        report: what to show.
+        device: Warp device; None for the default.
+        progress: called with the fraction done and what is being done.
+
+    Raises:
+        OptionError: the suffix is another one.
+        StageError: the file cannot be written.
+        WarpqemError: see `report_data`.
+    """
+    check_page_path(path)
+    save_page(path, report_page(report_data(report, device, progress)))
+
+
+def check_page_path(path: str | os.PathLike[str]) -> None:
+    """Refuse what browsers would not open as a page.
+
+    Raises:
+        OptionError: the suffix is another one.
+    """
+    if not os.fspath(path).lower().endswith(SUFFIXES):
+        raise OptionError(f"report {os.fspath(path)}: the suffix must be .html")
+
+
+def report_page(data: dict[str, Any]) -> str:
+    """The HTML text for the data of `report_data`."""
+    text = _asset("template.html")
+    # Each mark is replaced once, and what it is replaced by is not looked at again.
+    parts = {
+        "TITLE": html.escape(data["title"]),
+        "STYLE": _asset("page.css"),
+        "DATA": json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"),
+        "THREE": _script("three.min.js"),
+        "PAGE": "".join(_script(name) for name in ("decode.js", "plots.js", "scene.js", "page.js")),
+    }
+    pieces = text.split("%%")
+    return "".join(parts[piece] if index % 2 else piece for index, piece in enumerate(pieces))
+
+
+def save_page(path: str | os.PathLike[str], text: str) -> None:
+    """Write the text under a temporary name and rename it.
+
+    Raises:
+        StageError: the file cannot be written; nothing is left behind.
+    """
+    target = Path(path)
+    temporary = target.with_name(f".{target.name}.{os.getpid()}")
+    try:
+        temporary.write_text(text, encoding="utf-8")
+        os.replace(temporary, target)
+    except OSError as error:
+        raise StageError(f"{path}: cannot be written ({error.strerror or error})") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _asset(name: str) -> str:
+    return (files("warpqem.report") / "assets" / name).read_text(encoding="utf-8")
+
+
+def _script(name: str) -> str:
+    # Inside a page, only this would end a script early.
+    return _asset(name).replace("</script", "<\\/script")

@@ -1,0 +1,177 @@
+"""HTML reports on what was done with USD files."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import fields
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from pxr import Sdf, Usd
+
+import warpqem
+from warpqem.device import resolve_device
+from warpqem.report import Level, Report, Table, chosen_frames, write_report
+from warpqem.usd.lods import VARIANT_SET, LevelReport
+from warpqem.usd.report import PrimReport, StageReport
+from warpqem.usd.simplify_options import SimplifyOptions
+from warpqem.usd.stage import open_stage
+from warpqem.usd.world import WorldMeshes, chosen_times
+
+if TYPE_CHECKING:
+    from warpqem.usd.compare import CompareOptions, PairReport
+    from warpqem.usd.frames import FrameRange
+
+__all__ = ["write_compare_report", "write_simplify_report"]
+
+Progress = Callable[[float, str], None]
+
+# What the table of options always says; others only where they are not the default.
+ALWAYS = ("metric", "coherence", "key_frames", "refit")
+
+
+def write_simplify_report(
+    path: str | os.PathLike[str], report: StageReport, options: SimplifyOptions, progress: Progress | None = None
+) -> None:
+    """Write the report on a run of `simplify_stage` that wrote a file.
+
+    Args:
+        path: .html file; replaced if it exists.
+        report: What came of it.
+        options: What was asked for.
+        progress: Called with the fraction done and what is being done.
+
+    Raises:
+        OptionError: the suffix of `path` is another one.
+        StageError: one of the files cannot be read, or the page cannot be written.
+    """
+    output = report.output or ""
+    failed = [prim.path for prim in report.failed]
+    original = WorldMeshes(report.input, options.prims, passing=failed)
+    names = list(dict.fromkeys(prim.level for prim in report.prims if isinstance(prim, LevelReport)))
+    levels = [(name, _open_level(output, name, options.prims, failed)) for name in names]
+    levels = levels or [("simplified", WorldMeshes(output, options.prims, passing=failed))]
+    tables = [_mesh_table(report.prims), _option_table(options)]
+    notes = [prim.message for prim in report.prims if prim.message]
+    notes += [f"{prim.path}: dropped: {', '.join(prim.dropped)}" for prim in report.prims if prim.dropped]
+    title = f"{original.name} → {os.path.basename(output)}"
+    page = _gather(title, original, levels, options.frames, tables, list(dict.fromkeys(notes)))
+    write_report(path, page, options.device, progress)
+
+
+def write_compare_report(
+    path: str | os.PathLike[str],
+    reference: str,
+    test: str,
+    pairs: Sequence[PairReport],
+    options: CompareOptions,
+    progress: Progress | None = None,
+) -> None:
+    """Write the report on a run of `compare_stages`; see `write_simplify_report`.
+
+    Args:
+        path: .html file; replaced if it exists.
+        reference: The USD file with the originals.
+        test: The USD file that was compared with it.
+        pairs: What came of it; a pair that failed is left out of the picture.
+        options: What was asked for.
+        progress: Called with the fraction done and what is being done.
+
+    Raises:
+        OptionError, StageError: as there.
+    """
+    failed = [pair.path for pair in pairs if pair.comparison is None]
+    original, level = (WorldMeshes(name, options.prims, passing=failed) for name in (reference, test))
+    notes = [pair.message for pair in pairs if pair.message]
+    head = ("mesh", "frames", "RMS %", "Hausdorff %", "flips", "jitter %", "slide %", "edge length %")
+    rows = []
+    for pair in pairs:
+        found = pair.comparison
+        if found is not None:
+            values = (found.rms, found.hausdorff, found.flips, found.jitter, found.slide, found.edge_length_error)
+            rows.append((pair.path, found.frame_count, *values))
+    tables = [Table("Meshes", head, rows)]
+    title = f"{original.name} – {level.name}"
+    page = _gather(title, original, [(level.name, level)], options.frames, tables, notes)
+    write_report(path, page, options.device, progress)
+
+
+def _open_level(path: str, name: str, prims: Sequence[str], failed: Sequence[str]) -> WorldMeshes:
+    """One level of a file: a variant, or a prim below a prim that holds the levels."""
+    stage = open_stage(path)
+    root = stage.GetDefaultPrim()
+    if root.GetVariantSets().HasVariantSet(VARIANT_SET):
+        return WorldMeshes(path, prims, (root.GetPath(), VARIANT_SET, name), failed)
+    place = root.GetPath().AppendChild(VARIANT_SET).AppendChild(name)
+    moved, left_out = (
+        [_moved(prim, root, place) for prim in paths] for paths in (prims or [str(root.GetPath())], failed)
+    )
+    return WorldMeshes(path, moved, passing=left_out)
+
+
+def _moved(path: str, root: Usd.Prim, place: Sdf.Path) -> str:
+    return str(Sdf.Path(path).ReplacePrefix(root.GetPath(), place))
+
+
+def _gather(
+    title: str,
+    original: WorldMeshes,
+    levels: Sequence[tuple[str, WorldMeshes]],
+    frames: FrameRange | None,
+    tables: Sequence[Table],
+    notes: Sequence[str],
+) -> Report:
+    """Read as many frames as a page has room for."""
+    all_meshes = [original, *(level for _, level in levels)]
+    times = chosen_times(all_meshes, frames)
+    shown = chosen_frames(len(times), sum(meshes.point_count for meshes in all_meshes)) if times else range(0)
+    own = [times[index] for index in shown] or None
+    thinned = shown.step > 1
+    if thinned:
+        notes = [
+            *notes,
+            f"Shown and measured: every {shown.step}th of {len(times)} frames, so that the page stays small.",
+        ]
+    points, faces = original.read(own)
+    rate = original.stage.GetTimeCodesPerSecond() / (float(np.median(np.diff(own))) if own and len(own) > 1 else 1.0)
+    return Report(
+        title=title,
+        points=points,
+        faces=faces,
+        levels=[Level(name, *meshes.read(own)) for name, meshes in levels],
+        times=own,
+        frames_per_second=rate,
+        up=original.up,
+        tables=tables,
+        notes=notes,
+        thinned=thinned,
+    )
+
+
+def _mesh_table(prims: Sequence[PrimReport]) -> Table:
+    head = ("mesh", "frames", "faces before", "faces after", "error %", "flips", "stopped", "seconds")
+    rows = []
+    for prim in prims:
+        level = f" ({prim.level})" if isinstance(prim, LevelReport) else ""
+        stopped = prim.stopped if prim.status == "simplified" else prim.status
+        counts = (prim.frames, prim.faces_before, prim.faces_after)
+        rows.append((prim.path + level, *counts, prim.error, prim.flips, stopped, round(prim.seconds, 2)))
+    return Table("Meshes", head, rows)
+
+
+def _option_table(options: SimplifyOptions) -> Table:
+    rows: list[tuple[str, Any]] = []
+    for field in fields(options):
+        value = getattr(options, field.name)
+        if field.name in ALWAYS or value != field.default:
+            rows.append((field.name.replace("_", " "), _as_text(value)))
+    rows = [row for row in rows if row[0] != "device"]
+    rows += [("device", resolve_device(options.device)), ("warpqem", warpqem.__version__)]
+    return Table("Options", ("", ""), rows)
+
+
+def _as_text(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return ", ".join(map(str, value)) if isinstance(value, tuple) else str(value)
