@@ -161,7 +161,7 @@ def test_simplify_writes_a_report(tmp_path):
     data = data_of(page.read_text("utf-8"))
     assert (data["original"]["faces"], [level["faces"] for level in data["levels"]]) == (128, [64])
     options = dict(next(table for table in data["tables"] if table["title"] == "Options")["rows"])
-    assert (options["ratio"], options["metric"], options["device"]) == ("0.5", "dsd", "cpu")
+    assert (options["ratio"], options["metric"], options["device"]) == ("0.5", "dsd (Mohr & Gleicher 2003)", "cpu")
 
 
 @pytest.mark.parametrize("schemas", [False, True])

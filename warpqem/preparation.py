@@ -14,7 +14,7 @@ from warpqem.cost_models import CostModelSpec, cost_model
 from warpqem.device import resolve_device
 from warpqem.frame_blocks import frame_blocks, pack_frames
 from warpqem.frame_stream import held_bytes, read_ahead
-from warpqem.importance import border_vertices, lock_mask, read_quadric_scale, read_weights
+from warpqem.importance import border_vertices, lock_mask, read_model_weights, read_quadric_scale, read_weights
 from warpqem.kernels.topology import CORNER, LOCKED, SEAM
 from warpqem.key_frames import KeyFrameChoice
 from warpqem.memory import MemoryNeeds, MemoryPlan, plan_memory
@@ -204,7 +204,13 @@ def _look_through(
     motion = MotionWatch(given, device) if spec.uses_motion_features else None
     observers = [choice] if motion is None else [choice, motion]
     mesh = measure_mesh(given, observers, planned.block_frames, _read_progress(progress, given.frame_count))
-    return mesh, choice.choose(), factors if motion is None else motion.features().weight * factors
+    keys = choice.choose()
+    if motion is not None:
+        factors = motion.features().weight * factors
+    if spec.vertex_weight is not None:
+        own = spec.vertex_weight(mesh.chosen_points(keys), mesh.faces)
+        factors = read_model_weights(own, mesh.vertex_count, spec.name) * factors
+    return mesh, keys, factors
 
 
 def _order_input(

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from warpqem.cost_models import cost_model_names
+
 __all__ = [
     "Coherence",
     "Device",
@@ -26,14 +28,8 @@ __all__ = [
 ]
 
 
-class Metric(str, Enum):
-    """Cost models."""
-
-    dsd = "dsd"
-    qem = "qem"
-    dod = "dod"
-    aqem = "aqem"
-
+# Cost models, those of other packages too; none of them is loaded for it.
+Metric = Enum("Metric", {name: name for name in cost_model_names()}, type=str)  # type: ignore[misc]
 
 Input = Annotated[str, typer.Argument(metavar="IN", help="USD file to read (.usd, .usda, .usdc, .usdz).")]
 
@@ -88,7 +84,7 @@ MetricOption = Annotated[
     typer.Option(
         "--metric",
         help="Cost model: dsd sums the error over frames, qem takes the first pose only, dod adds stretching "
-        "edges, aqem keeps joints.",
+        "edges, aqem keeps joints. Installed packages may offer more.",
     ),
 ]
 

@@ -11,6 +11,7 @@ import numpy as np
 from pxr import Sdf, Usd
 
 import warpqem
+from warpqem.cost_models import cost_model
 from warpqem.device import resolve_device
 from warpqem.report import Level, Report, Table, chosen_frames, write_report
 from warpqem.usd.lods import VARIANT_SET, LevelReport
@@ -166,7 +167,9 @@ def _option_table(options: SimplifyOptions) -> Table:
         value = getattr(options, field.name)
         if field.name in ALWAYS or value != field.default:
             rows.append((field.name.replace("_", " "), _as_text(value)))
-    rows = [row for row in rows if row[0] != "device"]
+    rows = [row for row in rows if row[0] not in ("device", "metric")]
+    source = cost_model(options.metric).source
+    rows.append(("metric", f"{options.metric} ({source})" if source else options.metric))
     rows += [("device", resolve_device(options.device)), ("warpqem", warpqem.__version__)]
     return Table("Options", ("", ""), rows)
 
