@@ -37,7 +37,7 @@ class CostModelSpec:
         uses_motion_features: costs are multiplied by the weights of the motion features.
         vertex_weight: called once for each mesh with the key frames, points (K, V, 3) float32 in the input's unit about
             a common origin and faces (N, 3) int32; returns factors on the cost at each vertex, (V,) numbers, 0 or more
-            and finite, which multiply those the caller gives. Equal arguments must give equal bits. None for no factors.
+            and finite, which multiply those the caller gives. Equal arguments have to give equal bits. None for none.
         source: the paper, for reports.
     """
 
