@@ -223,3 +223,13 @@ def test_rounded_weights_sum_to_one_as_well_as_float32_can():
     weights = np.sort(np.random.default_rng(0).dirichlet(np.ones(4), 500), axis=1)[:, ::-1]
     np.testing.assert_allclose(normalised_weights(weights).sum(axis=1, dtype=np.float64), 1.0, atol=1.2e-7)
     assert not normalised_weights(np.zeros((2, 3))).any()
+
+
+def test_vertex_with_more_influences_than_may_be_is_fitted_although_it_does_not_move(device):
+    # Hardly simplified: nearly every vertex is alone in its cluster, with three influences.
+    result = simplified(ratio=0.95)
+    skin = fit_skin(POSES, FACES, result, SKIN, TRANSFORMS, influences=1, device=device).skin
+    whole = interpolated(result)
+    rows = np.arange(len(whole.rest))[:, None]
+    cut = LinearSkin(whole.rest, *blend_influences(whole.joints, whole.weights, rows, np.ones(rows.shape), 1))
+    assert error(skin, result, TRANSFORMS) < 0.9 * error(cut, result, TRANSFORMS)

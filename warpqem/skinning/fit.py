@@ -113,7 +113,7 @@ def fit_skin(
         if offsets is not None:
             start_offsets = np.stack([transfer.from_vertices(offset) for offset in as_numpy(offsets)])
     start = replace(start.checked(matrices.shape[1]), rest=result.points[0].astype(np.float64))
-    fixed, member = _fixed(poses, result)
+    fixed, member = _fixed(poses, result, (skin.weights > 0).sum(axis=1) <= most)
     rows = _candidates(skin, start, result.vertex_map, fixed)
     # On a mesh of unit diagonal, which the thresholds are made for.
     unit = 1.0 / diagonal
@@ -162,13 +162,14 @@ def _check_poses(
             )
 
 
-def _fixed(poses: np.ndarray, result: SimplifiedMesh) -> tuple[np.ndarray, np.ndarray]:
+def _fixed(poses: np.ndarray, result: SimplifiedMesh, keeps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Output vertices that are an input vertex in all poses, (C,) bool, and which one, (C,) int, -1 for the others.
 
-    These are alone in their cluster, locked, or placed at an endpoint: they keep the skin of that vertex.
+    These are alone in their cluster, locked, or placed at an endpoint: they keep the skin of that vertex, if it has no
+    more influences than may be: ``keeps`` (V,) bool.
     """
     member = np.full(result.points.shape[1], -1, dtype=np.int64)
-    used = np.flatnonzero(result.vertex_map >= 0)
+    used = np.flatnonzero((result.vertex_map >= 0) & keeps)
     for pose, placed in zip(poses, result.points, strict=True):
         used = used[(pose[used] == placed[result.vertex_map[used]]).all(axis=1)]
     member[result.vertex_map[used[::-1]]] = used[::-1]
