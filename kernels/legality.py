@@ -5,6 +5,7 @@
 | link condition  | a common neighbour that is not a wing would leave two faces on three edges (a non-manifold edge) |
 | pinch           | an inner edge between two border vertices would join the borders at one vertex                   |
 | wing            | a wing needs a face fan after it lost one face: 3 faces inside, 1 at a border                    |
+| mirror          | an inner edge between two vertices of a mirror plane would be one edge of both halves            |
 | vanish          | the merged vertex keeps a face, also where the wing is a bow tie that says nothing of this fan   |
 | flip, any frame | a face may turn past ``TURN_COSINE`` in a few frames only (crumpling motion does so by itself)   |
 | flip, the whole | ``sum over frames of n.n' sqrt(A A' w w')`` must stay positive (seed paper of aqem, equation 7)  |
@@ -25,7 +26,7 @@ from warpqem.kernels.lanes import (
 )
 from warpqem.kernels.mesh_state import KEY_FRAMES, AnyKeyFrames, CostModel, MeshState
 from warpqem.kernels.prefetch import prefetch_ends, prefetch_winners
-from warpqem.kernels.topology import BORDER, find_half_edge, half_edge_target, previous_corner
+from warpqem.kernels.topology import BORDER, MIRROR, find_half_edge, half_edge_target, previous_corner
 from warpqem.kernels.work import EdgeList, Work, count_before
 
 # A face may not turn by more than 78 degrees in one collapse: beyond that it folds over its neighbour a few later.
@@ -64,8 +65,24 @@ def keeps_fan(state: MeshState, wing: wp.int32) -> wp.bool:
 
 
 @wp.func
+def spans_mirror(state: MeshState, u: wp.int32, v: wp.int32, left: wp.int32, right: wp.int32) -> wp.bool:
+    """Whether a collapse of ``u v``, one of them on a mirror plane, makes an inner edge between two vertices of it."""
+    inner = wp.where((state.vertex_flags[u] & MIRROR) != 0, v, u)
+    on_plane = wp.where(inner == v, u, v)
+    for i in range(state.stars.start[inner], state.stars.end[inner]):
+        h = state.stars.corner[i]
+        for side in range(2):
+            w = half_edge_target(state.corner_vertex, h)
+            if side == 1:
+                w = state.corner_vertex[previous_corner(h)]
+            if w != on_plane and w != left and w != right and (state.vertex_flags[w] & MIRROR) != 0:
+                return True
+    return False
+
+
+@wp.func
 def is_manifold_collapse(state: MeshState, h: wp.int32) -> wp.bool:
-    """Link condition, pinch, wing and vanish rules for half-edge ``h``."""
+    """Link condition, pinch, wing, mirror and vanish rules for half-edge ``h``."""
     u = state.corner_vertex[h]
     v = half_edge_target(state.corner_vertex, h)
     left = state.corner_vertex[previous_corner(h)]
@@ -76,6 +93,8 @@ def is_manifold_collapse(state: MeshState, h: wp.int32) -> wp.bool:
         if (state.vertex_flags[u] & state.vertex_flags[v] & BORDER) != 0 or not keeps_fan(state, right):
             return False
     if not keeps_fan(state, left):
+        return False
+    if ((state.vertex_flags[u] ^ state.vertex_flags[v]) & MIRROR) != 0 and spans_mirror(state, u, v, left, right):
         return False
     removed = wp.where(opposite >= 0, 2, 1)
     if degree(state, u) + degree(state, v) <= 2 * removed:

@@ -13,12 +13,14 @@ wp.set_module_options({"enable_backward": False})  # no gradients are taken
 # Vertex flags. BORDER: an edge with one face ends here. LOCKED: asked for by the user, the vertex keeps its position.
 # SEAM: an edge that values do not cross ends here (UV seam, subset border, hard edge).
 # CORNER: a seam ends, forks or meets a border here. Set along with SEAM.
+# MIRROR: on the plane along which a symmetric mesh was cut; set along with BORDER.
 # FROZEN: the star is not one fan of faces, so the link condition says nothing and no edge here may collapse.
 BORDER = wp.constant(wp.int32(1))
 LOCKED = wp.constant(wp.int32(2))
 FROZEN = wp.constant(wp.int32(4))
 SEAM = wp.constant(wp.int32(8))
 CORNER = wp.constant(wp.int32(16))
+MIRROR = wp.constant(wp.int32(32))
 
 
 @wp.struct

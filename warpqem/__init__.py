@@ -31,6 +31,8 @@ _HOMES = {
     "morph_weights": "warpqem.morph",
     "motion_features": "warpqem.motion",
     "plan": "warpqem.simplification",
+    "find_mirror": "warpqem.symmetry",
+    "simplify_symmetric": "warpqem.symmetry",
     "simplify": "warpqem.simplification",
     "simplify_levels": "warpqem.levels",
 }
@@ -53,6 +55,7 @@ __all__ = [
     "batch",
     "build_progressive",
     "cost_model_names",
+    "find_mirror",
     "fit_skin",
     "morph_weights",
     "motion_features",
@@ -60,6 +63,7 @@ __all__ = [
     "plan",
     "simplify",
     "simplify_levels",
+    "simplify_symmetric",
 ]
 
 

@@ -73,6 +73,8 @@ def _tell_problems(report: StageReport) -> None:
         level = f"{_level(prim)}: " if _level(prim) else ""
         if prim.dropped:
             tell("warning", f"{level}{prim.path}: dropped, does not fit the new mesh: {', '.join(prim.dropped)}")
+        if prim.symmetry not in (None, "kept"):
+            tell("warning", f"{level}{prim.path}: not kept symmetric: {prim.symmetry}")
         if prim.stopped == "no legal collapse":
             tell("warning", f"{level}{prim.path}: stopped at {prim.faces_after} faces, no legal collapse is left")
         if prim.status == "failed":

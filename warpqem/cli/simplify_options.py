@@ -111,6 +111,14 @@ def simplify_values(
             "by rank, by distance, or by distance as an animation uses the shapes."
         ),
     ] = None,
+    symmetry: Annotated[
+        str | None,
+        typer.Option(
+            metavar="AXIS",
+            help="x, y or z: meshes that are their own mirror image across this local axis, at rest or in the first "
+            "pose, stay so; auto for the first axis of which this is true.",
+        ),
+    ] = None,
     lock_borders: Annotated[bool, typer.Option("--lock-borders", help="Keep the points of open borders.")] = False,
     memory: Annotated[
         str | None,

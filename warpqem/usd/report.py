@@ -33,6 +33,7 @@ class PrimReport:
         dropped: What did not fit the new mesh and was taken off it.
         message: Why it failed, or why it was kept.
         skin: "fitted" or "interpolated: " and why, for a mesh that joints go on moving point by point; None for others.
+        symmetry: Where symmetry was asked for, "kept" or why the mesh is not symmetric.
         plan: The blocks of frames it was done in, and the memory for it, see `warpqem.MemoryPlan`.
     """
 
@@ -50,6 +51,7 @@ class PrimReport:
     dropped: list[str] = field(default_factory=list)
     message: str | None = None
     skin: str | None = None
+    symmetry: str | None = None
     plan: dict[str, Any] | None = None
 
 

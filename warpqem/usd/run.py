@@ -19,6 +19,8 @@ from warpqem.errors import DeviceError, OptionError, StageError, UnreachableTarg
 from warpqem.frame_blocks import frame_blocks
 from warpqem.frame_stream import LaterFrames, NoFrames, read_ahead
 from warpqem.memory import MemoryPlan, parse_bytes
+from warpqem.symmetry import Mirror, find_mirror, simplify_symmetric
+from warpqem.transfer import is_proper
 from warpqem.usd.attributes import check_names, weighted_fields
 from warpqem.usd.blend_shapes import count_shape_users
 from warpqem.usd.budget import CostCurve, split_budget
@@ -214,6 +216,10 @@ class Run:
             return simplify_by_pullback(
                 poses, **options, **self._importance(job), seams=seams, progress=progress, **goal
             )
+        mirror = self._mirror(job)
+        if mirror is not None:
+            options |= {**self._importance(job), "seams": seams, "progress": progress}
+            return simplify_symmetric(job.frames, job.faces, mirror, sink=sink, **options, **goal)
         plan = warpqem.plan(job.frames, job.faces, sink=sink, levels=order is not None, **options, **goal)
         self.reports[job.mesh.path].plan = plan.to_dict()
         if order is None or order.order is None:
@@ -225,6 +231,19 @@ class Run:
             least = target_count(order.least_ratio, len(job.mesh.faces))
             order.order = warpqem.order_levels(job.frames, job.faces, target_faces=least, keep_frames=False, **options)
         return order.order.level(int(goal["target_faces"] or 0), sink=sink, progress=progress)
+
+    def _mirror(self, job: MeshJob) -> Mirror | None:
+        """How a mesh that is to stay symmetric maps to itself; None for one that is not."""
+        if self.options.symmetry is None:
+            return None
+        report, faces = self.reports[job.mesh.path], job.faces[is_proper(job.faces)]
+        try:
+            mirror = find_mirror(job.frames.read(slice(0, 1))[0], faces, self.options.symmetry)
+        except OptionError as error:
+            report.symmetry = str(error)
+            return None
+        report.symmetry = "kept"
+        return mirror
 
     def _importance(self, job: MeshJob) -> dict[str, Any]:
         """Options of the core that say what matters on a mesh."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from warpqem.errors import OptionError
 from warpqem.memory import parse_bytes
 from warpqem.screen import ScreenView
+from warpqem.symmetry import AXES
 from warpqem.usd.attributes import AttributeWeights, check_weights
 from warpqem.usd.frames import FrameRange
 from warpqem.usd.lods import check_lods
@@ -41,6 +42,8 @@ class SimplifyOptions:
         morph_weights: Scale the error of what moves more between the shapes of a mesh, see `warpqem.morph_weights`:
             "thirds", "rank", "distance" or "usage"; None for no weights.
         lock_borders: Points at edges with one face keep their position.
+        symmetry: "x", "y" or "z": a mesh whose first pose, or rest shape, is its own mirror image across that local
+            axis stays so; "auto" for the first of them; None for no care. Other meshes are simplified as usual.
         memory: Bytes that the work on a mesh may take, beside what the program and USD hold already, or text such as
             "8G"; None for most of what is free. It decides how many frames are in memory at once.
         frames: Time codes to read; None for all authored ones.
@@ -76,6 +79,7 @@ class SimplifyOptions:
     weight_primvar: str | None = None
     morph_weights: str | None = None
     lock_borders: bool = False
+    symmetry: str | None = None
     memory: int | str | None = None
     frames: FrameRange | None = None
     poses: str | os.PathLike[str] | None = None
@@ -110,9 +114,15 @@ class SimplifyOptions:
             parse_bytes(self.memory)
         check_lods(self.lods)
         check_weights(self.uv_weight, self.attribute_weights)
-        others = self.refit or self.bake or self.lods or self.metric != "dsd" or self.placement != "optimal"
+        if self.symmetry not in (None, "auto", *AXES):
+            raise OptionError(f"symmetry {self.symmetry!r}: expected auto, {', '.join(AXES)}")
+        others = (
+            self.symmetry or self.refit or self.bake or self.lods or self.metric != "dsd" or self.placement != "optimal"
+        )
         if self.pose_independent and others:
-            raise OptionError("pose_independent excludes refit, bake, lods, another metric and another placement")
+            raise OptionError(
+                "pose_independent excludes symmetry, refit, bake, lods, another metric and another placement"
+            )
         if self.lods and self.flatten:
             raise OptionError("lods and flatten exclude each other: every level is a layer over the input")
         if self.usd_lod and not self.lods:

@@ -1,0 +1,355 @@
+"""Simplify a mirror-symmetric mesh to one that is mirror-symmetric too.
+
+One half is simplified, cut along the mirror plane: on its own poses and on the reflected poses of the other half, so
+that both count alike although the motion need not be symmetric. Its mirror image is the other half. In every pose a
+vertex of either half is where its own poses put it; one on the plane is half way between the two. No collapse makes an
+inner edge between two vertices of the plane, which both halves would have, and nothing else can tie them in a knot.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from warpqem.arguments import read_goal
+from warpqem.edges import edge_key
+from warpqem.errors import OptionError
+from warpqem.frame_stream import ArraySink, FrameSink
+from warpqem.importance import border_vertices, lock_mask, read_quadric_scale, read_weights
+from warpqem.kernels.topology import MIRROR
+from warpqem.mesh_input import MeshInput, as_numpy, read_mesh
+from warpqem.order.log import CollapseRecord
+from warpqem.preparation import prepare
+from warpqem.result import Outcome, SimplifiedMesh, finish, reached
+from warpqem.seams import read_seams
+
+__all__ = ["AXES", "Mirror", "MirrorPlane", "find_mirror", "simplify_symmetric"]
+
+# A vertex may be so far from the mirror image of its partner, in parts of the bounding-box diagonal.
+TOLERANCE = 1e-4
+# A direction that no regular mesh has many vertices across.
+GENERIC = np.array([0.5345224838248488, 0.2672612419124244, 0.8017837257372732])
+AXES = ("x", "y", "z")
+
+
+@dataclass(frozen=True)
+class MirrorPlane:
+    """The plane ``normal.p = offset``.
+
+    Attributes:
+        normal: (3,) float64, of length one.
+        offset: in the caller's units.
+    """
+
+    normal: np.ndarray
+    offset: float
+
+    def reflect(self, points: np.ndarray) -> np.ndarray:
+        """The mirror images of points (..., 3), float64."""
+        away = points.astype(np.float64) @ self.normal - self.offset
+        reflected: np.ndarray = points - 2.0 * away[..., None] * self.normal
+        return reflected
+
+
+@dataclass(frozen=True)
+class Mirror:
+    """How a mesh maps to itself.
+
+    Attributes:
+        plane: the mirror plane.
+        vertex: (V,) int64, the mirror image of each vertex, itself on the plane; -1 without a face.
+        face: (N,) int64, the mirror image of each face.
+        half: indices of the faces on one side.
+    """
+
+    plane: MirrorPlane
+    vertex: np.ndarray
+    face: np.ndarray
+    half: np.ndarray
+
+
+def find_mirror(points: Any, faces: Any, plane: str | MirrorPlane = "auto") -> Mirror:
+    """Find how a mesh maps to itself under reflection.
+
+    Args:
+        points: (V, 3), a symmetric pose.
+        faces: (N, 3) vertex indices.
+        plane: "x", "y" or "z" for a plane across that axis through the middle of the bounding box; "auto" for the first
+            of them that the mesh is symmetric about; or the plane itself.
+
+    Raises:
+        OptionError: the mesh is not symmetric about the plane, or a face lies across it.
+    """
+    pose, corner = as_numpy(points).astype(np.float64), as_numpy(faces).astype(np.int64)
+    if isinstance(plane, str) and plane == "auto":
+        reasons = []
+        for axis in AXES:
+            try:
+                return _mirror(pose, corner, _axis_plane(pose, corner, axis))
+            except OptionError as error:
+                reasons.append(f"across {axis} {error}")
+        raise OptionError(f"symmetry: the mesh has no mirror plane: {'; '.join(reasons)}")
+    if isinstance(plane, str):
+        if plane not in AXES:
+            raise OptionError(f"symmetry {plane!r}: expected auto, x, y, z or a plane")
+        plane = _axis_plane(pose, corner, plane)
+    try:
+        return _mirror(pose, corner, plane)
+    except OptionError as error:
+        raise OptionError(f"symmetry: {error}") from None
+
+
+def _axis_plane(pose: np.ndarray, faces: np.ndarray, axis: str) -> MirrorPlane:
+    used = pose[np.unique(faces)][:, AXES.index(axis)]
+    return MirrorPlane(np.eye(3)[AXES.index(axis)], float(used.min() + used.max()) / 2)
+
+
+def _mirror(pose: np.ndarray, faces: np.ndarray, plane: MirrorPlane) -> Mirror:
+    used = np.unique(faces)
+    tolerance = TOLERANCE * float(np.linalg.norm(np.ptp(pose[used], axis=0)))
+    vertex = np.full(len(pose), -1, dtype=np.int64)
+    away = np.abs(pose[used] @ plane.normal - plane.offset)
+    vertex[used] = used[_nearest(pose[used], plane.reflect(pose[used]), tolerance)]
+    # Near the plane a vertex is its own image, whichever neighbour is as near.
+    vertex[used[away <= tolerance / 2]] = used[away <= tolerance / 2]
+    alone = used[vertex[vertex[used]] != used]
+    if len(alone):
+        raise OptionError(f"vertex {alone[0]} has no mirror image ({len(alone)} have none)")
+    face = _mirrored_faces(faces, vertex)
+    alone = np.flatnonzero(face < 0)
+    if len(alone):
+        raise OptionError(f"face {alone[0]} has no mirror image ({len(alone)} have none)")
+    side = pose @ plane.normal - plane.offset
+    side[vertex == np.arange(len(pose))] = 0.0
+    lowest, highest = side[faces].min(axis=1), side[faces].max(axis=1)
+    across = np.flatnonzero(((lowest < 0) & (highest > 0)) | ((lowest == 0) & (highest == 0)))
+    if len(across):
+        raise OptionError(f"face {across[0]} lies across the plane ({len(across)} do)")
+    return Mirror(plane, vertex, face, np.flatnonzero(highest > 0))
+
+
+def _nearest(points: np.ndarray, wanted: np.ndarray, tolerance: float) -> np.ndarray:
+    """Index of the nearest of ``points`` (M, 3) to each of ``wanted`` within the tolerance, the first of equal ones.
+
+    Where there is none, the last point; the caller sees that it is not a mutual match.
+    """
+    along = points @ GENERIC
+    order = np.argsort(along, kind="stable")
+    target = wanted @ GENERIC
+    first = np.searchsorted(along[order], target - tolerance)
+    last = np.searchsorted(along[order], target + tolerance, side="right")
+    best, distance = np.full(len(wanted), len(points) - 1), np.full(len(wanted), tolerance)
+    for step in range(int((last - first).max(initial=0))):
+        row = np.flatnonzero(first + step < last)
+        candidate = order[first[row] + step]
+        length = np.linalg.norm(points[candidate] - wanted[row], axis=1)
+        nearer = (length < distance[row]) | ((length == distance[row]) & (candidate < best[row]))
+        best[row[nearer]], distance[row[nearer]] = candidate[nearer], length[nearer]
+    return best
+
+
+def _mirrored_faces(faces: np.ndarray, vertex: np.ndarray) -> np.ndarray:
+    """The face over the mirror images of each face's vertices, turned over, (N,) int64; -1 for none."""
+
+    def canonical(corners: np.ndarray) -> np.ndarray:
+        turn = corners.argmin(axis=1)
+        return np.stack(
+            [np.take_along_axis(corners, ((turn + k) % 3)[:, None], axis=1)[:, 0] for k in range(3)], axis=1
+        )
+
+    own, image = canonical(faces), canonical(vertex[faces][:, ::-1])
+    count = len(vertex)
+    own_key = (own[:, 0] * count + own[:, 1]) * count + own[:, 2]
+    image_key = (image[:, 0] * count + image[:, 1]) * count + image[:, 2]
+    order = np.argsort(own_key, kind="stable")
+    place = np.minimum(np.searchsorted(own_key[order], image_key), len(order) - 1)
+    found = own_key[order][place] == image_key
+    return np.where(found, order[place], -1)
+
+
+def simplify_symmetric(
+    points: Any,
+    faces: Any,
+    symmetry: str | MirrorPlane | Mirror = "auto",
+    *,
+    sink: FrameSink | None = None,
+    **options: Any,
+) -> SimplifiedMesh:
+    """Simplify a mirror-symmetric mesh so that the result has the same mirror plane.
+
+    Args:
+        points: (F, V, 3) or (V, 3), as for :func:`warpqem.simplify`; the first frame is the symmetric pose, unless
+            ``symmetry`` is a mirror found in another one. The half is kept in memory.
+        faces: (N, 3) vertex indices.
+        symmetry: see :func:`find_mirror`, or what that returned.
+        sink: as for :func:`warpqem.simplify`.
+        options: the other options of :func:`warpqem.simplify`. Of weights, scales and locks that differ between two
+            mirror images the larger counts for both, and seams of either are seams of both.
+
+    Returns:
+        The result: the vertices and faces of one half come first. It has up to three faces fewer than asked for, as
+        both halves have the same number. The log is that of both halves, collapse by collapse and image by image.
+
+    Raises:
+        OptionError: the mesh is not symmetric; else as for :func:`warpqem.simplify`.
+    """
+    given = read_mesh(points, faces)
+    frames = given.source.read(slice(0, given.frame_count))
+    mirror = symmetry if isinstance(symmetry, Mirror) else find_mirror(frames[0], given.faces, symmetry)
+    half = _Half(given, frames, mirror, options)
+    refit = bool(options.get("refit")) and options.get("placement") != "endpoint"
+    work = prepare(half.frames, half.faces, **half.options)
+    assert work.order_input is not None
+    flags = work.order_input.vertex_flags | np.where(half.on_plane, int(MIRROR), 0).astype(np.int32)
+    work = replace(work, order_input=replace(work.order_input, vertex_flags=flags))
+    ordered = work.order(options.get("progress"))
+    placed = ArraySink()
+    part = finish(work, work.placer(ordered), Outcome.of(ordered), refit, placed, options.get("progress"))
+    return reached(half.whole(part, placed.points, sink), half.target)
+
+
+class _Half:
+    """One half of a mesh as a mesh of its own, and the way back.
+
+    Attributes:
+        frames: (2 F, H, 3), its vertices in all poses, and the reflected images of these in all poses.
+        faces: (M, 3) int32.
+        on_plane: (H,) bool.
+        options: what to prepare it with.
+        target: faces of the whole asked for; 0 for none.
+    """
+
+    def __init__(self, given: MeshInput, frames: np.ndarray, mirror: Mirror, options: dict[str, Any]) -> None:
+        self._given, self._mirror, self._frame_count = given, mirror, len(frames)
+        faces = given.faces[mirror.half]
+        self._vertex, index = np.unique(faces, return_inverse=True)
+        self._image = mirror.vertex[self._vertex]
+        self.faces = index.reshape(-1, 3).astype(np.int32)
+        self.on_plane = self._image == self._vertex
+        images = mirror.plane.reflect(frames[:, self._image]).astype(frames.dtype)
+        self.frames = np.concatenate([frames[:, self._vertex], images])
+        self._diagonal = _diagonal(frames[:, given.used])
+        self._own_diagonal = _diagonal(self.frames)
+        goal = read_goal(len(given.faces), options.get("ratio"), options.get("target_faces"), options.get("max_error"))
+        self.target = goal.target_faces
+        self.options = {**options, **self._importance(options), **self._values(options)}
+        self.options.pop("ratio", None)
+        if self.target:
+            self.options["target_faces"] = max(1, self.target // 2)
+        if options.get("max_error") is not None:
+            self.options["max_error"] = options["max_error"] * self._diagonal / self._own_diagonal
+
+    def _importance(self, options: dict[str, Any]) -> dict[str, Any]:
+        """Weights and locks at the half's vertices: of two images the larger."""
+        given, here = self._given, self._vertex
+        weights, locked = read_weights(options.get("vertex_weights"), given)
+        locked |= lock_mask(options.get("locked"), given.vertex_count)
+        if options.get("lock_borders"):
+            # Of the whole mesh: the cut along the plane is no border.
+            locked |= border_vertices(given)
+        scale = read_quadric_scale(options.get("quadric_scale"), given)
+        return {
+            "vertex_weights": np.maximum(weights[here], weights[self._image]),
+            "quadric_scale": np.maximum(scale[here], scale[self._image]),
+            "locked": locked[here] | locked[self._image],
+            "lock_borders": False,
+        }
+
+    def _values(self, options: dict[str, Any]) -> dict[str, Any]:
+        """Seams and attributes of the half."""
+        given, here = self._given, self._vertex
+        rows = given.face_index[self._mirror.half]
+        fields = [replace(field, values=as_numpy(field.values)[rows]) for field in options.get("attributes", ())]
+        seams = options.get("seams")
+        if seams is None or not len(seams):
+            return {"attributes": fields, "seams": None}
+        read_seams(seams, given.faces, given.vertex_count)
+        pairs = as_numpy(seams).astype(np.int64)
+        pairs = np.concatenate([pairs, self._mirror.vertex[pairs]])
+        place = np.full(given.vertex_count, -1, dtype=np.int64)
+        place[here] = np.arange(len(here))
+        pairs = place[pairs]
+        pairs = pairs[(pairs >= 0).all(axis=1)]
+        count = len(here)
+        edges = edge_key(self.faces.ravel(), np.roll(self.faces, -1, axis=1).ravel(), count)
+        pairs = pairs[np.isin(edge_key(pairs[:, 0], pairs[:, 1], count), edges)]
+        return {"attributes": fields, "seams": np.unique(np.sort(pairs, axis=1), axis=0)}
+
+    def whole(self, part: SimplifiedMesh, points: np.ndarray, sink: FrameSink | None) -> SimplifiedMesh:
+        """The whole result of that of the half, whose points in all its frames are given."""
+        given, mirror, frame_count = self._given, self._mirror, self._frame_count
+        count = points.shape[1]
+        on_plane = np.zeros(count, dtype=bool)
+        on_plane[part.vertex_map[self.on_plane]] = True
+        image = np.where(on_plane, np.arange(count), count + np.cumsum(~on_plane) - 1).astype(np.int32)
+        images = mirror.plane.reflect(points[frame_count:])
+        own = points[:frame_count].copy()
+        own[:, on_plane] = 0.5 * (own[:, on_plane].astype(np.float64) + images[:, on_plane])
+        joined = np.concatenate([own, images[:, ~on_plane].astype(np.float32)], axis=1)
+        faces = np.concatenate([part.faces, image[part.faces][:, ::-1]]).astype(np.int32)
+        source = mirror.half[part.face_map]
+        vertex_map = np.full(given.vertex_count, -1, dtype=np.int32)
+        vertex_map[self._image] = image[part.vertex_map]
+        vertex_map[self._vertex] = part.vertex_map
+        if sink is not None:
+            sink.begin(frame_count, joined.shape[1], faces)
+            sink.write(slice(0, frame_count), joined)
+        size = self._own_diagonal / self._diagonal
+        return SimplifiedMesh(
+            points=joined if sink is None else joined[:1],
+            faces=faces,
+            vertex_map=vertex_map,
+            face_map=given.face_index[np.concatenate([source, mirror.face[source]])],
+            stopped=part.stopped,
+            error=part.error * size,
+            flips=part.flips[:frame_count] + part.flips[frame_count:],
+            log=self._whole_log(part.log, size),
+            key_frames=np.unique(part.key_frames % frame_count),
+            diagonal=self._diagonal,
+            plan=part.plan,
+        )
+
+    def _whole_log(self, log: CollapseRecord, size: float) -> CollapseRecord:
+        """Every collapse and, one round later, its image; a vertex of the plane is its own."""
+        on_plane = self.on_plane.copy()
+        here, image = self._vertex, self._image.copy()
+        rows: list[tuple[int, int, int, int, int, int, int]] = []
+        wings = np.where(log.wings >= 0, log.wings, 0)
+        for i, (kept, removed) in enumerate(zip(log.kept.tolist(), log.removed.tolist(), strict=True)):
+            left, right = wings[i]
+            second = here[right] if log.wings[i, 1] >= 0 else -1
+            at_round, faces = 2 * int(log.round_index[i]) - 1, int(log.faces_removed[i])
+            if on_plane[kept] and on_plane[removed]:
+                # The cut is no border of the whole: the face beyond the edge is the image of the one before it.
+                rows.append((here[kept], here[removed], here[left], image[left], 2 * faces, i, at_round))
+                continue
+            rows.append((here[kept], here[removed], here[left], second, faces, i, at_round))
+            other = image[right] if log.wings[i, 1] >= 0 else -1
+            if on_plane[removed]:
+                rows.append((here[kept], image[kept], other, image[left], faces, i, at_round + 1))
+            else:
+                rows.append((image[kept], image[removed], other, image[left], faces, i, at_round + 1))
+            if on_plane[removed] or on_plane[kept]:
+                on_plane[kept] = True
+                image[kept] = here[kept]
+        table = np.array(rows, dtype=np.int64).reshape(-1, 7)
+        table = table[np.lexsort((table[:, 5], table[:, 6]))]
+        flip = (table[:, 2] < 0) & (table[:, 3] >= 0)
+        table[flip, 2], table[flip, 3] = table[flip, 3], -1
+        index = table[:, 5]
+        return CollapseRecord(
+            kept=table[:, 0].astype(np.int32),
+            removed=table[:, 1].astype(np.int32),
+            wings=table[:, 2:4].astype(np.int32),
+            faces_removed=table[:, 4].astype(np.int32),
+            cost=(log.cost[index] * size**4).astype(np.float32),
+            error=(log.error[index] * size).astype(np.float32),
+            round_index=table[:, 6].astype(np.int32),
+        )
+
+
+def _diagonal(frames: np.ndarray) -> float:
+    """Largest bounding-box diagonal of a frame."""
+    return float(np.linalg.norm(np.ptp(frames.astype(np.float64), axis=1), axis=1).max())
