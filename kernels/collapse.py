@@ -161,8 +161,8 @@ def drop_dead_corners(
     first_vertex = first_item(dropped.shape[0], work)
     last_vertex = last_item(dropped.shape[0], work)
     for i in range(pass_begin[0] + wp.tid(), log.count[0], work.lanes):
-        prefetch_stars(state, log.left_wing, i, log.count[0])
-        prefetch_stars(state, log.right_wing, i, log.count[0])
+        prefetch_stars(state, log.left_wing, i, log.count[0], work)
+        prefetch_stars(state, log.right_wing, i, log.count[0], work)
         for side in range(2):
             w = wp.where(side == 0, log.left_wing[i], log.right_wing[i])
             mine = w >= first_vertex and w < last_vertex
@@ -229,7 +229,7 @@ def commit_winners(
     first_slot = count_before(winners, work.part)
     for w in range(wp.tid(), winners.count[work.part], work.lanes):
         i = first_slot + w
-        prefetch_winners(state, frames, winners, work.part, w)
+        prefetch_winners(state, frames, winners, work, w)
         if faces_removed_in[i] > 0:
             h = winners.half_edge[work.part * winners.capacity + w]
             a = state.corner_vertex[h]

@@ -10,7 +10,7 @@ from warpqem.kernels.attribute import attribute_error, attribute_parabola, first
 from warpqem.kernels.deformation import length_deformation
 from warpqem.kernels.lanes import lane_dot, lane_kernel, lane_max, lane_sum
 from warpqem.kernels.mesh_state import KEY_FRAMES, AnyKeyFrames, CollapseLog, CostModel, MeshState
-from warpqem.kernels.prefetch import FACES_AHEAD, RINGS_AHEAD, prefetch_priced_ring, prefetch_prices
+from warpqem.kernels.prefetch import prefetch_moved
 from warpqem.kernels.quadric import (
     NO_PLANE,
     anchored_minimiser,
@@ -227,10 +227,7 @@ def reprice_moved_stars(
     """
     moved_count = log.count[0] - pass_begin[0]
     for i in range(first_item(moved_count, work) + wp.tid(), last_item(moved_count, work), work.lanes):
-        if i + FACES_AHEAD < moved_count:
-            prefetch_prices(state, log.kept[pass_begin[0] + i + FACES_AHEAD])
-        if i + RINGS_AHEAD < moved_count:
-            prefetch_priced_ring(state, frames, log.kept[pass_begin[0] + i + RINGS_AHEAD])
+        prefetch_moved(state, frames, log.kept, pass_begin[0] + i, log.count[0], work)
         u = log.kept[pass_begin[0] + i]
         # Both half-edges of a face at the vertex in one loop: a loop of two would be unrolled, and an edge's price is
         # most of what there is to compile.

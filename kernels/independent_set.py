@@ -122,7 +122,7 @@ def claim_vertices(
     last_vertex = last_item(claim.shape[0], work)
     for part in range(work.part_count):
         for i in range(wp.tid(), candidates.count[part], work.lanes):
-            prefetch_edges(state, candidates, part, i, claim)
+            prefetch_edges(state, candidates, part, i, claim, work)
             h = candidates.half_edge[part * candidates.capacity + i]
             u = state.corner_vertex[h]
             v = half_edge_target(state.corner_vertex, h)
@@ -162,7 +162,7 @@ def select_winners(
 ):
     """Candidates whose key is the smallest at every vertex of both ends' stars (counts zeroed before the launch)."""
     for i in range(wp.tid(), candidates.count[work.part], work.lanes):
-        prefetch_edges(state, candidates, work.part, i, claim_in)
+        prefetch_edges(state, candidates, work.part, i, claim_in, work)
         h = candidates.half_edge[work.part * candidates.capacity + i]
         u = state.corner_vertex[h]
         v = half_edge_target(state.corner_vertex, h)
@@ -207,7 +207,7 @@ def shrink_candidates(
     A winner's one-ring is masked whole, so the stars of what is kept are as they were when the pass began.
     """
     for i in range(wp.tid(), candidates_in.count[work.part], work.lanes):
-        prefetch_edges(state, candidates_in, work.part, i, mask_in)
+        prefetch_edges(state, candidates_in, work.part, i, mask_in, work)
         h = candidates_in.half_edge[work.part * candidates_in.capacity + i]
         u = state.corner_vertex[h]
         if u >= 0 and is_candidate_cost(state.edge_cost[h]):

@@ -182,7 +182,7 @@ def place_winners(
     first_slot = count_before(winners, work.part)
     for k in range(wp.tid(), winners.count[work.part], work.lanes):
         i = first_slot + k
-        prefetch_ends(state, frames, winners, work.part, k)
+        prefetch_ends(state, frames, winners, work, k)
         h = winners.half_edge[work.part * winners.capacity + k]
         u = state.corner_vertex[h]
         v = half_edge_target(state.corner_vertex, h)
@@ -214,7 +214,7 @@ def judge_winners(
     first_slot = count_before(winners, work.part)
     for k in range(wp.tid(), winners.count[work.part], work.lanes):
         i = first_slot + k
-        prefetch_winners(state, frames, winners, work.part, k)
+        prefetch_winners(state, frames, winners, work, k)
         h = winners.half_edge[work.part * winners.capacity + k]
         u = state.corner_vertex[h]
         v = half_edge_target(state.corner_vertex, h)

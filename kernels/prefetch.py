@@ -2,7 +2,8 @@
 
 What a collapse touches lies wherever its vertex is, so on a mesh larger than the caches each first look at a neighbour
 waits for memory, one after the other. A thread that walks a list knows who comes next: it asks for the rows of the
-next items while it works on this one. A GPU hides the same waits behind its other threads and needs no hint.
+next items while it works on this one. A GPU hides the same waits behind its other threads and needs no hint: where a
+part has more than one lane, nothing is done here.
 """
 
 from typing import Any
@@ -11,7 +12,7 @@ import warp as wp
 
 from warpqem.kernels.mesh_state import AnyKeyFrames, MeshState
 from warpqem.kernels.topology import half_edge_target
-from warpqem.kernels.work import EdgeList
+from warpqem.kernels.work import EdgeList, Work
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
@@ -80,10 +81,25 @@ def prefetch_priced_ring(state: MeshState, frames: AnyKeyFrames, v: wp.int32):
 
 
 @wp.func
-def prefetch_ends(state: MeshState, frames: AnyKeyFrames, winners: EdgeList, part: wp.int32, k: wp.int32):
+def prefetch_moved(
+    state: MeshState, frames: AnyKeyFrames, vertices: wp.array[wp.int32], i: wp.int32, count: wp.int32, work: Work
+):
+    """What new prices around the vertices that come after the ``i``-th of a list need."""
+    if work.lanes > 1:
+        return
+    if i + FACES_AHEAD < count:
+        prefetch_prices(state, vertices[i + FACES_AHEAD])
+    if i + RINGS_AHEAD < count:
+        prefetch_priced_ring(state, frames, vertices[i + RINGS_AHEAD])
+
+
+@wp.func
+def prefetch_ends(state: MeshState, frames: AnyKeyFrames, winners: EdgeList, work: Work, k: wp.int32):
     """The rows of the ends of the winners that come after the ``k``-th of a part."""
-    first = part * winners.capacity
-    count = winners.count[part]
+    if work.lanes > 1:
+        return
+    first = work.part * winners.capacity
+    count = winners.count[work.part]
     if k + ENDS_AHEAD < count:
         prefetch(state.corner_vertex, winners.half_edge[first + k + ENDS_AHEAD])
     if k + LISTS_AHEAD < count:
@@ -95,8 +111,10 @@ def prefetch_ends(state: MeshState, frames: AnyKeyFrames, winners: EdgeList, par
 
 
 @wp.func
-def prefetch_stars(state: MeshState, vertices: wp.array[wp.int32], i: wp.int32, count: wp.int32):
+def prefetch_stars(state: MeshState, vertices: wp.array[wp.int32], i: wp.int32, count: wp.int32, work: Work):
     """The stars of the vertices that come after the ``i``-th of a list, and their faces; -1 is passed over."""
+    if work.lanes > 1:
+        return
     if i + STARS_AHEAD < count:
         v = vertices[i + STARS_AHEAD]
         if v >= 0:
@@ -113,10 +131,12 @@ def prefetch_stars(state: MeshState, vertices: wp.array[wp.int32], i: wp.int32, 
 
 
 @wp.func
-def prefetch_winners(state: MeshState, frames: AnyKeyFrames, winners: EdgeList, part: wp.int32, k: wp.int32):
+def prefetch_winners(state: MeshState, frames: AnyKeyFrames, winners: EdgeList, work: Work, k: wp.int32):
     """What the winners that come after the ``k``-th of a part need: ends, stars, faces and positions around them."""
-    first = part * winners.capacity
-    count = winners.count[part]
+    if work.lanes > 1:
+        return
+    first = work.part * winners.capacity
+    count = winners.count[work.part]
     if k + ENDS_AHEAD < count:
         prefetch(state.corner_vertex, winners.half_edge[first + k + ENDS_AHEAD])
         prefetch(state.edge_cost, winners.half_edge[first + k + ENDS_AHEAD])
@@ -145,8 +165,10 @@ def end_of(state: MeshState, h: wp.int32, side: wp.int32) -> wp.int32:
 
 
 @wp.func
-def prefetch_edges(state: MeshState, edges: EdgeList, part: wp.int32, i: wp.int32, values: Any):
+def prefetch_edges(state: MeshState, edges: EdgeList, part: wp.int32, i: wp.int32, values: Any, work: Work):
     """What the edges that come after the ``i``-th of a part need: ends, cost, and the ``values`` of both ends."""
+    if work.lanes > 1:
+        return
     first = part * edges.capacity
     count = edges.count[part]
     if i + ENDS_AHEAD < count:
