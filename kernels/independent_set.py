@@ -17,6 +17,9 @@ wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
 # Costs are binned by the upper bits of their float: 8 of exponent and 4 of mantissa, so a bin is 6 % wide at most.
 BIN_SHIFT = wp.constant(wp.int32(19))
+# The multipliers of murmur3's mixer.
+FIRST_MIX = wp.constant(wp.uint32(0x85EBCA6B))
+SECOND_MIX = wp.constant(wp.uint32(0xC2B2AE35))
 UNCLAIMED = wp.constant(wp.int64(0x7FFFFFFFFFFFFFFF))
 
 
@@ -39,8 +42,8 @@ def shuffled(h: wp.int32) -> wp.uint32:
     Ties are broken without a preference for low indices, and since no two edges share a value, no two edges tie.
     """
     x = wp.uint32(h)
-    x = (x ^ (x >> wp.uint32(16))) * wp.uint32(0x85EBCA6B)
-    x = (x ^ (x >> wp.uint32(13))) * wp.uint32(0xC2B2AE35)
+    x = (x ^ (x >> wp.uint32(16))) * FIRST_MIX
+    x = (x ^ (x >> wp.uint32(13))) * SECOND_MIX
     return x ^ (x >> wp.uint32(16))
 
 
