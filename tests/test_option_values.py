@@ -35,7 +35,7 @@ def test_options_come_from_text_and_from_values(values):
 def test_every_option_of_the_command_line_is_read_and_every_field_has_one():
     assert set(inspect.signature(simplify_values).parameters) == set(OPTION_NAMES)
     view = {"screen_error", "distance", "fov", "image_height"}
-    plural = {"attribute_weight": "attribute_weights", "prim": "prims"}
+    plural = {"attribute_weight": "attribute_weights", "prim": "prims", "asset_root": "asset_roots"}
     names = {plural.get(name, name) for name in OPTION_NAMES if name not in view}
     assert names == {field.name for field in fields(SimplifyOptions)} - {"screen"}
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 import warpqem
@@ -27,6 +27,8 @@ NOT_IN_OUTPUT = ("memory",)
 def file_hash(path: str | os.PathLike[str]) -> str | None:
     """SHA-256 of a file's bytes; None if it cannot be read."""
     digest = hashlib.sha256()
+    if not os.path.isfile(path):
+        return None  # nor does what never ends, such as a device, have a hash
     try:
         with open(path, "rb") as file:
             while block := file.read(READ_BYTES):
@@ -36,8 +38,15 @@ def file_hash(path: str | os.PathLike[str]) -> str | None:
     return digest.hexdigest()
 
 
-def take_fingerprint(job: BatchJob) -> dict[str, Any]:
-    """The fingerprint of a job, before it is done: what changes meanwhile makes it out of date.
+def take_fingerprint(job: BatchJob, begun: float = math.inf) -> dict[str, Any] | None:
+    """The fingerprint of a job, before it is done.
+
+    Args:
+        job: The job, whose input can be read safely; see `warpqem.usd.input_check.open_layers`.
+        begun: When USD began to read it, in seconds since 1970.
+
+    Returns:
+        The fingerprint; None where a file has changed since, so that it is not known which bytes were read.
 
     Raises:
         StageError: the input, or the file with poses, cannot be read.
@@ -46,6 +55,8 @@ def take_fingerprint(job: BatchJob) -> dict[str, Any]:
     for path in (job.input, *([job.options.poses] if job.options.poses is not None else [])):
         for file in _dependencies(os.fspath(path)):
             files[file] = file_hash(file)
+            if files[file] is not None and os.path.getmtime(file) >= begun:
+                return None
     return {"recipe": recipe(job), "files": files}
 
 
@@ -83,8 +94,6 @@ def _dependencies(path: str) -> list[str]:
 
     from warpqem.usd.stage import first_line
 
-    if not Path(path).is_file():
-        raise StageError(f"{path}: no such file")
     try:
         layers, assets, missing = UsdUtils.ComputeAllDependencies(Sdf.AssetPath(os.path.abspath(path)))
     except Tf.ErrorException as error:

@@ -17,6 +17,7 @@ from warpqem.device import resolve_device
 from warpqem.errors import StageError, WarpqemError
 from warpqem.memory import DEFAULT_SHARE, available_memory
 from warpqem.process_memory import peak_memory, reset_peak
+from warpqem.usd.input_check import open_layers
 from warpqem.usd.report import StageReport
 from warpqem.usd.simplify import simplify_stage
 from warpqem.usd.simplify_options import SimplifyOptions
@@ -42,14 +43,17 @@ def perform(
         device: Warp device where the options name none.
         memory: Bytes that the work may take, where the options do not say.
     """
-    start = time.perf_counter()
+    start, begun = time.perf_counter(), time.time()
     reset_peak()
     result = BatchResult(job.input, job.output, FAILED, process=f"{platform.node()}:{os.getpid()}")
     try:
         options = _with_defaults(job.options, device, memory)
-        result.fingerprint = take_fingerprint(job)
         _make_folder(Path(job.output).parent)
+        # Held, so that USD reads no layer twice.
+        layers = [open_layers(path, options.asset_roots) for path in (job.input, options.poses) if path is not None]
+        result.fingerprint = take_fingerprint(job, begun)
         _fill(result, simplify_stage(job.input, job.output, options, progress))
+        del layers
     except MemoryError as error:
         result.error = type(error).__name__
         result.message = f"{job.input}: {error}" if isinstance(error, WarpqemError) else f"{job.input}: out of memory"

@@ -156,6 +156,13 @@ def simplify_values(
             "to it, and interpolate their skin.",
         ),
     ] = False,
+    asset_root: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="DIR",
+            help="Refuse inputs that name files outside of this folder and their own; may be given several times.",
+        ),
+    ] = None,
     prim: Prims = None,
     device: Device = None,
     bake: Annotated[

@@ -136,13 +136,14 @@ _READERS: dict[str, Callable[[Any], Any]] = {
     "attribute_weight": lambda value: tuple(parse_attribute_weight(text) for text in _names(value)),
     "frames": lambda value: FrameRange.parse(_text(value)),
     "prim": lambda value: tuple(_names(value)),
+    "asset_root": lambda value: (value,) if isinstance(value, str) else tuple(_text(entry) for entry in value),
     "screen_error": _number,
     "distance": _number,
     "fov": _number,
     "image_height": _integer,
 }
 # Options that may be given several times are named in the singular.
-_FIELD_NAMES = {"attribute_weight": "attribute_weights", "prim": "prims"}
+_FIELD_NAMES = {"attribute_weight": "attribute_weights", "prim": "prims", "asset_root": "asset_roots"}
 _READERS.update(
     {
         field.name: _BY_TYPE[str(field.type).removesuffix(" | None")]

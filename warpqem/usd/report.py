@@ -63,11 +63,15 @@ class StageReport:
         input: Path of the file that was read.
         output: Path of the file that was written, None if nothing was.
         prims: One report for each mesh, in stage order; instance proxies last.
+        problems: What is wrong with how the input is composed, such as references to what is missing.
+        run: Versions, device, options, seconds and memory; see `warpqem.usd.run_info`.
     """
 
     input: str
     output: str | None
     prims: list[PrimReport]
+    problems: list[str] = field(default_factory=list)
+    run: dict[str, Any] | None = None
 
     @property
     def failed(self) -> list[PrimReport]:

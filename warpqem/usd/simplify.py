@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import logging
 import os
+import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
+from warpqem.usd.input_check import check_composition
 from warpqem.usd.lods import LevelReport, VariantLevels
 from warpqem.usd.report import PrimReport, StageReport
 from warpqem.usd.run import Announce, Context, Progress, Run, SharedOrder
+from warpqem.usd.run_info import run_info
 from warpqem.usd.simplify_options import SimplifyOptions
 from warpqem.usd.stage import open_stage
 from warpqem.usd.usd_lod import UsdLodLevels
@@ -19,6 +23,8 @@ from warpqem.usd.write import check_output_path
 __all__ = ["simplify_stage"]
 
 Save = Callable[[Path], None]
+
+_log = logging.getLogger(__name__)
 
 
 def simplify_stage(
@@ -53,16 +59,22 @@ def simplify_stage(
         DeviceError: there is no such device.
     """
     output = check_output_path(output_path, [input_path])
-    stage = open_stage(input_path)
+    start = time.perf_counter()
+    _log.info("%s: reading", input_path)
+    stage = open_stage(input_path, options.asset_roots)
+    check_output_path(output_path, [layer.realPath for layer in stage.GetUsedLayers() if layer.realPath])
     progress = progress or (lambda fraction, text: None)
     announce = announce or (lambda name, plan: None)
     with ExitStack() as cleanup:
         context = Context(stage, options, output.parent, progress, announce, cleanup)
         report, save = (_simplify_levels if options.lods else _simplify_once)(context)
         report.input = os.fspath(input_path)
+        report.problems = check_composition(stage)
         if len(report.failed) < len(report.prims):
             save(output)
             report.output = os.fspath(output_path)
+            _log.info("%s: written", output_path)
+    report.run = run_info(options, time.perf_counter() - start)
     return report
 
 

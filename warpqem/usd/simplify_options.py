@@ -54,6 +54,7 @@ class SimplifyOptions:
             `warpqem.skinning.fit`; otherwise influences are interpolated.
         pose_independent: Simplify meshes with a linear skin in their rest shape, by the errors of all poses pulled back
             to it, and interpolate their skin, see `warpqem.skinning.pullback`: a method to compare with.
+        asset_roots: Folders that all files which the input needs must be in, or in its own; empty for anywhere.
         prims: Prim paths; meshes at and below them are simplified. Empty for all.
         device: Warp device; None for the default.
         bake: Write skinned and blend-shaped meshes as point samples without their skin.
@@ -86,6 +87,7 @@ class SimplifyOptions:
     influences: int | None = None
     skin_fit: bool = True
     pose_independent: bool = False
+    asset_roots: tuple[str, ...] = ()
     prims: tuple[str, ...] = ()
     device: str | None = None
     bake: bool = False

@@ -6,11 +6,11 @@ import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
 from pxr import Sdf, Tf, Usd, UsdGeom
 
 from warpqem.errors import StageError
+from warpqem.usd.input_check import check_composition, open_layers
 
 __all__ = ["MeshSelection", "find_meshes", "first_line", "open_stage", "world_scale"]
 
@@ -39,20 +39,26 @@ def first_line(error: Exception) -> str:
     return found.group(1) if found else lines[0]
 
 
-def open_stage(path: str | os.PathLike[str]) -> Usd.Stage:
+def open_stage(path: str | os.PathLike[str], roots: Sequence[str | os.PathLike[str]] = ()) -> Usd.Stage:
     """Open a USD file for reading, with all payloads loaded.
 
+    Args:
+        path: The file.
+        roots: Folders that all files it needs must be in, or in its own; empty for anywhere.
+
     Raises:
-        StageError: the file does not exist or USD cannot read it.
+        StageError: the file does not exist, USD cannot read it, or could not read it safely; a file it needs lies
+            elsewhere; or a layer or prim refers to itself.
     """
-    if not Path(path).is_file():
-        raise StageError(f"{path}: no such file")
+    layers = open_layers(path, roots)
     try:
         stage = Usd.Stage.Open(os.fspath(path))
     except Tf.ErrorException as error:
         raise StageError(f"{path}: USD cannot open it ({first_line(error)})") from error
     if stage is None:
         raise StageError(f"{path}: USD cannot open it")
+    del layers  # which the stage holds now
+    check_composition(stage)
     return stage
 
 

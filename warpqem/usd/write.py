@@ -96,7 +96,11 @@ class OverLayer:
         file = Path(self._layer.realPath) if folder is not None else None
         self._remove = weakref.finalize(self, file.unlink, missing_ok=True) if file else None
         copy_stage_metadata(self._source, self._layer)
-        self._layer.subLayerPaths.append(self._source.realPath)
+        try:
+            self._layer.subLayerPaths.append(self._source.realPath)
+        except Tf.ErrorException as error:
+            name = self._source.realPath
+            raise StageError(f"{name!r}: no layer can name a file of this name ({first_line(error)})") from error
         self.stage: Usd.Stage = Usd.Stage.Open(self._layer)
         self._dropped: list[Dropped] = []
         self._unsaved = self._samples = 0

@@ -1,0 +1,41 @@
+"""With what a report was made."""
+
+from __future__ import annotations
+
+import os
+import platform
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+import warp as wp
+from pxr import Usd
+
+import warpqem
+from warpqem.device import resolve_device
+from warpqem.process_memory import peak_memory
+from warpqem.usd.simplify_options import SimplifyOptions
+
+__all__ = ["run_info"]
+
+
+def run_info(options: SimplifyOptions, seconds: float) -> dict[str, Any]:
+    """Versions, machine, device, options, wall-clock seconds and peak memory in bytes, ready for JSON."""
+    device = wp.get_device(resolve_device(options.device))
+    given = asdict(options)
+    given["poses"] = None if options.poses is None else os.fspath(options.poses)
+    return {
+        "versions": {
+            "warpqem": warpqem.__version__,
+            "warp": wp.__version__,
+            "usd": ".".join(map(str, Usd.GetVersion())),
+            "numpy": np.__version__,
+            "python": platform.python_version(),
+        },
+        "platform": platform.platform(),
+        "device": device.alias,
+        "device_name": device.name,
+        "options": given,
+        "seconds": seconds,
+        "peak_memory": peak_memory(),
+    }
