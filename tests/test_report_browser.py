@@ -5,13 +5,17 @@ from __future__ import annotations
 import io
 import os
 import shutil
+import threading
 
 import numpy as np
 import pytest
 from PIL import Image
 from test_report import waving
 
-from warpqem.report import Level, Report, Table, write_report
+import warpqem
+from warpqem.report import Level, Report, Table, report_page, write_report
+from warpqem.report.live import LiveLevels
+from warpqem.report.server import PageServer
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="the browser extra is not installed")
 CHROMIUM = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
@@ -197,3 +201,28 @@ def test_phone_has_no_sideways_scroll_and_stacks_the_panes(browser, address):
     left, right = (page.locator(f"#tag-{side}").bounding_box() for side in ("left", "right"))
     assert right["y"] > left["y"] + 100
     context.close()
+
+
+def test_levels_come_from_the_server_of_view(browser):
+    points, faces = waving(4)
+    live = LiveLevels(warpqem.build_progressive(points, faces, device="cpu"), "waves", {}, device="cpu")
+    server = PageServer(report_page(live.data()), live.level)
+    thread = threading.Thread(target=server.serve)
+    thread.start()
+    try:
+        page = browser.new_page(reduced_motion="reduce")
+        errors = []
+        page.on("pageerror", lambda error: errors.append(str(error)))
+        page.goto(server.address)
+        page.wait_for_function("window.warpqem && window.warpqem.ready")
+        before = picture(page)
+        page.locator("#level").fill(str(len(live.splits) - 1))
+        page.wait_for_function("!document.getElementById('level-name').textContent.endsWith('…')")
+        assert changed(before, picture(page))
+        page.keyboard.press("h")
+        assert page.locator("#legend").is_visible()
+        assert errors == []
+        page.close()
+    finally:
+        server.stop()
+        thread.join()

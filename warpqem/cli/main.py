@@ -16,6 +16,7 @@ from warpqem.cli.levels import levels
 from warpqem.cli.progressive import progressive
 from warpqem.cli.render import render
 from warpqem.cli.simplify import simplify
+from warpqem.cli.view import view
 
 __all__ = ["app"]
 
@@ -34,6 +35,7 @@ app.command()(info)
 app.command()(compare)
 app.command()(features)
 app.command()(render)
+app.command()(view)
 app.command()(levels)
 app.add_typer(progressive)
 

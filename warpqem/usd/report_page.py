@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any
@@ -14,7 +15,7 @@ import warpqem
 from warpqem.cost_models import cost_model
 from warpqem.device import resolve_device
 from warpqem.report import Level, Report, Table, chosen_frames, write_report
-from warpqem.usd.lods import VARIANT_SET, LevelReport
+from warpqem.usd.lods import LEVEL_NAME, VARIANT_SET, LevelReport
 from warpqem.usd.report import PrimReport, StageReport
 from warpqem.usd.simplify_options import SimplifyOptions
 from warpqem.usd.stage import open_stage
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from warpqem.usd.compare import CompareOptions, PairReport
     from warpqem.usd.frames import FrameRange
 
-__all__ = ["write_compare_report", "write_simplify_report"]
+__all__ = ["stage_report", "write_compare_report", "write_simplify_report"]
 
 Progress = Callable[[float, str], None]
 
@@ -96,6 +97,50 @@ def write_compare_report(
     title = f"{original.name} – {level.name}"
     page = _gather(title, original, [(level.name, level)], options.frames, tables, notes)
     write_report(path, page, options.device, progress)
+
+
+def stage_report(
+    reference: str, test: str | None = None, prims: Sequence[str] = (), frames: FrameRange | None = None
+) -> Report:
+    """What there is to see in one file or two.
+
+    Args:
+        reference: USD file with the originals. Without `test`, its own levels of detail are shown if it has any.
+        test: USD file with the simplified meshes, or with levels of detail; None for none.
+        prims: Prim paths; meshes at and below them are shown. Empty for all.
+        frames: Time codes to show; None for all authored ones.
+
+    Raises:
+        StageError: a file cannot be read, or has no mesh.
+    """
+    names = _level_names(test or reference)
+    if test is None and names:
+        original = _open_level(reference, names.pop(0), prims, ())
+    else:
+        original = WorldMeshes(reference, prims)
+    if test is not None and names:
+        # The first level is the original.
+        names.pop(0)
+    levels = [(name, _open_level(test or reference, name, prims, ())) for name in names]
+    if test is not None and not levels:
+        levels = [(os.path.basename(test), WorldMeshes(test, prims))]
+    title = original.name if test is None else f"{original.name} – {os.path.basename(test)}"
+    return _gather(title, original, levels, frames, (), ())
+
+
+def _level_names(path: str) -> list[str]:
+    """Names of the levels of detail of a file, the finest first; empty if it has none."""
+    # A prim does not keep its stage alive.
+    stage = open_stage(path)
+    root = stage.GetDefaultPrim()
+    if not root:
+        return []
+    names: list[str] = root.GetVariantSets().GetVariantSet(VARIANT_SET).GetVariantNames()
+    if not names:
+        holder = root.GetChild(VARIANT_SET)
+        names = [prim.GetName() for prim in holder.GetChildren()] if holder else []
+    names = [name for name in names if re.fullmatch(rf"{LEVEL_NAME}\d+", name)]
+    return sorted(names, key=lambda name: int(name.removeprefix(LEVEL_NAME)))
 
 
 def _open_level(path: str, name: str, prims: Sequence[str], failed: Sequence[str]) -> WorldMeshes:

@@ -4,7 +4,7 @@
   const byId = (id) => document.getElementById(id);
   const data = JSON.parse(byId("data").textContent);
   const frameCount = data.original.frames;
-  const state = { frame: 0, level: 0, layout: "side", colors: "plain", wire: false, playing: false, dirty: true };
+  const state = { frame: 0, level: data.firstLevel || 0, layout: "side", colors: "plain", wire: false, playing: false, dirty: true };
   // What tests and curious readers look at.
   const seen = { state, ready: false, firstFrame: null, drawn: 0 };
   window.warpqem = seen;
@@ -72,6 +72,11 @@
   function addPlots() {
     const measured = data.levels.filter((one) => one.measures);
     const parent = byId("plots");
+    if (data.curve) {
+      const series = [{ name: "largest RMS over key frames", x: data.curve.faces, y: data.curve.error }];
+      const move = plotCard(parent, { title: "Error over levels", unit: "% of the diagonal", xName: "faces", logX: true, series, pick: setLevel });
+      marks.push(() => move(level().faces));
+    }
     if (!measured.length) return;
     const several = measured.length > 1;
     if (frameCount > 1) {
@@ -143,8 +148,12 @@
     state.level = Math.max(0, Math.min(data.levels.length - 1, index));
     const wanted = (levelLoad += 1);
     const chosen = level();
+    byId("level").value = state.level;
     if (chosen && !chosen.decoded) {
-      if (!chosen.mesh && chosen.url) Object.assign(chosen, await (await fetch(chosen.url)).json());
+      if (!chosen.mesh && chosen.url) {
+        byId("level-name").textContent = `${chosen.name}, ${chosen.faces} faces …`;
+        Object.assign(chosen, await (await fetch(chosen.url)).json());
+      }
       chosen.decoded = await decodeMesh(chosen.mesh, frameCount);
     }
     // A later choice may have come first.
@@ -219,7 +228,8 @@
 
   function addFacts() {
     const parts = [`${data.original.faces} faces`];
-    if (data.levels.length) parts[0] = `${data.original.faces} → ${data.levels.map((one) => one.faces).join(", ")} faces`;
+    if (data.curve) parts[0] = `${data.levels.at(-1).faces} to ${data.original.faces} faces`;
+    else if (data.levels.length) parts[0] = `${data.original.faces} → ${data.levels.map((one) => one.faces).join(", ")} faces`;
     parts.push(frameCount > 1 ? `${frameCount} frames` : "one pose");
     if (data.levels.length === 1 && level().measures) parts.push(`RMS ${percent(level().measures.rms)} of the diagonal`);
     byId("facts").textContent = parts.join(" · ");
@@ -253,7 +263,7 @@
     view.layout = state.layout;
     const original = data.original.mesh ? await decodeMesh(data.original.mesh, frameCount) : null;
     view.setMeshes(original ? new MeshView(original, data.grid, "original") : null, null);
-    await setLevel(0);
+    await setLevel(state.level);
     view.aim(boxOf(original || view.level.mesh));
     view.controls.addEventListener("change", () => { state.dirty = true; });
     refresh();

@@ -27,6 +27,15 @@ function ticks(low, high, about) {
   return found;
 }
 
+// Those of some values whose labels have room beside each other.
+function apart(values, place) {
+  const kept = [];
+  for (const value of values) {
+    if (kept.every((other) => Math.abs(place(other) - place(value)) > 38)) kept.push(value);
+  }
+  return kept;
+}
+
 // A plot of series {name, x, y} from zero up; returns a function that moves the line of the current x.
 // `pick` is called with the index of the x nearest to where the plot is clicked.
 function plotCard(parent, { title, unit, xName, series, logX = false, dots = false, pick }) {
@@ -49,7 +58,7 @@ function plotCard(parent, { title, unit, xName, series, logX = false, dots = fal
     svgNode(svg, "line", { class: "grid", x1: left, x2: width - 12, y1: placeY(value), y2: placeY(value) });
     svgNode(svg, "text", { x: left - 6, y: placeY(value) + 4, "text-anchor": "end" }, short(value));
   }
-  for (const value of logX ? xs : ticks(low, high, 7)) {
+  for (const value of logX ? apart(xs, placeX) : ticks(low, high, 7)) {
     svgNode(svg, "text", { x: placeX(value), y: height - bottom + 16, "text-anchor": "middle" }, short(value));
   }
   svgNode(svg, "text", { x: (left + width) / 2, y: height - 3, "text-anchor": "middle" }, xName);

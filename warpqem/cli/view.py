@@ -1,0 +1,85 @@
+"""`warpqem view`."""
+
+from __future__ import annotations
+
+import webbrowser
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from warpqem.cli.console import progress_bar, quiet_warp, tell
+from warpqem.cli.options import Device, Frames, Prims
+from warpqem.errors import OptionError, StageError
+
+__all__ = ["view"]
+
+
+def view(
+    input_file: Annotated[
+        str, typer.Argument(metavar="IN", help="USD file, or progressive mesh (.wpqm): any of its levels, live.")
+    ],
+    other: Annotated[
+        str | None, typer.Argument(metavar="[OUT]", help="USD file to show beside it, such as what simplify wrote.")
+    ] = None,
+    port: Annotated[int, typer.Option(help="Port of this machine to serve at; 0 takes any that is free.")] = 0,
+    browser: Annotated[
+        bool, typer.Option("--browser/--no-browser", help="Open the page in the browser, or only print its address.")
+    ] = True,
+    frames: Frames = None,
+    prim: Prims = None,
+    device: Device = None,
+) -> None:
+    """Look at meshes in motion in the browser, until interrupted.
+
+    The page is that of --report. It is served to this machine only, at an address that nobody can guess.
+
+    Exit codes: 0 interrupted; 1 an error; 2 wrong usage.
+    """
+    quiet_warp()
+    from warpqem.report.page import report_page
+    from warpqem.report.server import PageServer
+
+    progressive = input_file.lower().endswith(".wpqm")
+    if progressive and other is not None:
+        raise OptionError("a progressive mesh is shown alone: leave OUT away")
+    if progressive and (frames or prim):
+        raise OptionError("--frames and --prim are for USD files; a progressive mesh holds one mesh and its frames")
+    level = None
+    if progressive:
+        data, level = _live_data(input_file, device)
+    else:
+        data = _stage_data(input_file, other, frames, prim, device)
+    server = PageServer(report_page(data), level, port)
+    print(server.address, flush=True)
+    tell("note", "stop with Ctrl+C")
+    if browser:
+        webbrowser.open(server.address)
+    try:
+        server.serve()
+    except KeyboardInterrupt:
+        tell("note", "stopped")
+
+
+def _live_data(path: str, device: str | None) -> tuple[dict[str, Any], Callable[[int], dict[str, Any]]]:
+    from warpqem.progressive import load, read_info
+    from warpqem.report.live import LiveLevels
+
+    try:
+        live = LiveLevels(load(path), Path(path).name, read_info(path).extra, device)
+    except OSError as error:
+        raise StageError(f"{path}: cannot be read ({error.strerror})") from error
+    return live.data(), live.level
+
+
+def _stage_data(
+    path: str, other: str | None, frames: str | None, prim: list[str] | None, device: str | None
+) -> dict[str, Any]:
+    from warpqem.report import report_data
+    from warpqem.usd import FrameRange
+    from warpqem.usd.report_page import stage_report
+
+    with progress_bar("reading") as progress:
+        report = stage_report(path, other, tuple(prim or ()), FrameRange.parse(frames) if frames else None)
+        return report_data(report, device, progress)
