@@ -9,7 +9,7 @@ from oracles import topology as oracle
 
 from warpqem.kernels.lanes import width_of
 from warpqem.kernels.legality import judge_winners
-from warpqem.kernels.topology import SEAM
+from warpqem.kernels.topology import MIRROR, SEAM
 
 
 def judged(built, half_edges, target, device, flip_tolerance=0) -> np.ndarray:
@@ -57,6 +57,22 @@ def test_link_condition_refuses_to_close_a_hole_of_three_edges(device):
 
 def test_pinch_refuses_an_inner_edge_between_border_vertices(device):
     assert judged_at_middle(meshes.grid(4, 1), 2, 7, device) == 0
+
+
+def test_mirror_rule_refuses_an_inner_edge_between_two_vertices_of_the_plane(device):
+    # An inner vertex over three vertices of the border: into one of the outer two, it would join both.
+    points, faces = meshes.grid(4, 3)
+    faces = oracle.collapsed(faces, 6, 7)
+    points[6, 0] = 1.5 / 4
+    edges = [(6, 1), (6, 2), (6, 3), (6, 11)]
+    half_edges = [half_edge_between(faces, u, v) for u, v in edges]
+    target = np.array([[points[6]]] * len(edges))
+    built = build_mesh(points, faces, device)
+    assert (judged(built, half_edges, target, device, flip_tolerance=1) > 0).all()
+    flags = built.state.vertex_flags.numpy()
+    flags[:5] |= int(MIRROR)
+    built.state.vertex_flags = wp.array(flags, device=device)
+    assert (judged(built, half_edges, target, device, flip_tolerance=1) > 0).tolist() == [False, True, False, True]
 
 
 def test_wing_rule_keeps_three_faces_inside(device):
