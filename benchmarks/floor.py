@@ -192,7 +192,7 @@ def _mark_live_faces(a: Arguments) -> Demand:
 
 def _move_live_faces(a: Arguments) -> Demand:
     # Rank and corner of every face; three corners, costs and seams of the live ones, read and written.
-    live = int(a["live_rank_in"].numpy()[-1])
+    live = int(np.count_nonzero(a["corner_vertex_in"].numpy()[::3] >= 0))
     return Demand(2 * _size(a["live_rank_in"]) + 2 * 9 * live * INT)
 
 
