@@ -73,6 +73,30 @@ def test_dual_quaternion_skin_is_interpolated_and_says_why(tmp_path):
     assert report.skin == "interpolated: its skinning is not linear"
 
 
+@pytest.mark.parametrize("weights", [[0.0, 0.0], [0.5, 0.3], [1.2, -0.2]])
+def test_weights_that_do_not_sum_to_one_are_interpolated_and_say_so(tmp_path, weights):
+    stage = skinned_stage(tmp_path / "in.usda")
+    primvar = UsdSkel.BindingAPI(stage.GetPrimAtPath(BODY)).GetJointWeightsPrimvar()
+    values = np.array(primvar.Get()).reshape(-1, 2)
+    values[5] = weights
+    primvar.Set(values.ravel().tolist())
+    stage.Save()
+    _, report = simplified(tmp_path)
+    assert report.skin == "interpolated: its joint weights do not sum to one"
+
+
+def test_weights_of_eight_bits_are_fitted(tmp_path):
+    stage = skinned_stage(tmp_path / "in.usda")
+    primvar = UsdSkel.BindingAPI(stage.GetPrimAtPath(BODY)).GetJointWeightsPrimvar()
+    primvar.Set((np.floor(np.array(primvar.Get(), dtype=float) * 255) / 255).tolist())
+    stage.Save()
+    source = Usd.Stage.Open(str(tmp_path / "in.usda"))
+    fitted, report = simplified(tmp_path)
+    assert report.skin == "fitted"
+    interpolated, _ = simplified(tmp_path, skin_fit=False)
+    assert rms(source, fitted) < 1.05 * rms(source, interpolated)
+
+
 def test_mesh_that_one_joint_moves_as_a_whole_has_nothing_to_fit(tmp_path):
     skinned_stage(tmp_path / "in.usda", rigid=True)
     _, report = simplified(tmp_path)

@@ -32,8 +32,9 @@ __all__ = ["FittedSkin", "fit_skin"]
 # Joints that a vertex may choose from: those with the largest sum of weights over its cluster. The dense solves grow
 # with the cube of this, and a joint beyond it has next to no weight there.
 MOST_CANDIDATES = 16
-# A pose may differ so much from what skin and transforms give, in parts of the diagonal.
-POSE_TOLERANCE = 1e-3
+# A pose may differ so much from what skin and transforms give, in parts of the diagonal: weights of eight bits sum to
+# one as badly.
+POSE_TOLERANCE = 1e-2
 
 
 @dataclass(frozen=True)

@@ -50,6 +50,9 @@ class LinearSkin:
             raise MeshShapeError(f"the skin has {len(rest)} rest points and joints of {len(joints)}")
         if joints.dtype.kind not in "iu" or weights.dtype.kind != "f":
             raise MeshShapeError(f"joints must be int and weights float, got {joints.dtype} and {weights.dtype}")
+        if not (weights >= 0).all():
+            vertex, influence = np.argwhere(~(weights >= 0))[0]
+            raise MeshShapeError(f"a weight of vertex {vertex} is {weights[vertex, influence]}")
         outside = np.argwhere((weights > 0) & ((joints < 0) | (joints >= joint_count)))
         if len(outside):
             vertex, influence = outside[0]

@@ -15,7 +15,7 @@ from pxr import Sdf, Usd
 
 import warpqem
 from warpqem.arguments import target_count
-from warpqem.errors import DeviceError, OptionError, StageError, UnreachableTargetError, WarpqemError
+from warpqem.errors import DeviceError, MeshShapeError, OptionError, StageError, UnreachableTargetError, WarpqemError
 from warpqem.frame_blocks import frame_blocks
 from warpqem.frame_stream import LaterFrames, NoFrames, read_ahead
 from warpqem.memory import MemoryPlan, parse_bytes
@@ -378,8 +378,12 @@ class Run:
         if skin is not None:
             rest = job.rest_shape(result)
             if fitter is not None:
-                fitted = fitter.fit(result, carrier, self.options.refit, self.options.device)
-                skin, rest = replace(skin, fitted=fitted.influences), fitted.rest_points[None]
+                try:
+                    fitted = fitter.fit(result, carrier, self.options.refit, self.options.device)
+                    skin, rest = replace(skin, fitted=fitted.influences), fitted.rest_points[None]
+                except MeshShapeError as error:
+                    # What UsdSkel makes of the skin is not what its arrays say.
+                    report.skin = f"interpolated: {error}"
             samples.begin(1, result.points.shape[1], result.faces)
             samples.write(slice(0, 1), rest)
         report.dropped = self.layer.replace_mesh(job.mesh.path, samples, job.written_times, result.faces, carrier, skin)

@@ -29,6 +29,8 @@ __all__ = ["FittedMesh", "SkinFitter", "SkinPoses", "simplify_by_pullback", "why
 
 # Poses that a skin is fitted to at most, far apart. More of them changed nothing that could be measured.
 MOST_POSES = 32
+# Weights as exporters round them, to eight bits, sum to one within this.
+SUM_TOLERANCE = 0.01
 
 
 @dataclass(frozen=True)
@@ -52,6 +54,10 @@ def why_not_fitted(skin: Skin, poses: MeshSource) -> str | None:
         return "its skinning is not linear"
     if len(skin.influences) > 1:
         return "its joint influences change over time"
+    used = np.unique(poses.topology.triangles)
+    weights = next(iter(skin.influences.values())).weights[used].astype(np.float64)
+    if not ((weights >= 0).all() and np.abs(weights.sum(axis=1) - 1.0).max(initial=0.0) <= SUM_TOLERANCE):
+        return "its joint weights do not sum to one"
     return None
 
 
