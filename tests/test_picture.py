@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from warpqem.cli.main import app
 from warpqem.errors import OptionError, StageError
-from warpqem.picture import View, caption, fit_view, render, tile, write_png
+from warpqem.picture import View, caption, fit_view, render, tile, write_gif, write_png
 from warpqem.usd.render import RenderOptions, render_sheet
 
 FRONT = View(0.0, 0.0, (0.0, 0.0, 0.0), 2.0)
@@ -173,3 +173,20 @@ def test_size_that_is_none_is_named(tmp_path):
     result = CliRunner().invoke(app, ["render", str(tmp_path / "in.usda"), "-o", "s.png", "--size", "big"])
     assert result.exit_code != 0
     assert isinstance(result.exception, OptionError) or "size 'big'" in result.output
+
+
+def test_films_repeat_and_keep_their_pictures(tmp_path):
+    pictures = [np.full((6, 8, 3), level, dtype=np.uint8) for level in (0, 120, 250)]
+    write_gif(pictures, tmp_path / "film.gif", frames_per_second=10)
+    with Image.open(tmp_path / "film.gif") as film:
+        assert (film.size, film.n_frames, film.info["loop"], film.info["duration"]) == ((8, 6), 3, 0, 100)
+        for index, picture in enumerate(pictures):
+            film.seek(index)
+            assert np.abs(np.asarray(film.convert("RGB")).astype(int) - picture).max() <= 8
+
+
+def test_film_that_cannot_be_written_leaves_nothing_behind(tmp_path):
+    (tmp_path / "film.gif").mkdir()
+    with pytest.raises(OSError, match="film"):
+        write_gif([np.zeros((2, 2, 3), dtype=np.uint8)], tmp_path / "film.gif")
+    assert [path.name for path in tmp_path.iterdir()] == ["film.gif"]

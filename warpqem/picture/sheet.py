@@ -5,11 +5,12 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-__all__ = ["caption", "tile", "write_png"]
+__all__ = ["caption", "tile", "write_gif", "write_png"]
 
 # Of captions, in pixels.
 FONT_SIZE = 14
@@ -34,6 +35,27 @@ def tile(pictures: Sequence[np.ndarray], columns: int) -> np.ndarray:
     return sheet
 
 
+def write_gif(
+    pictures: Sequence[np.ndarray], path: str | os.PathLike[str], frames_per_second: float = 12.0, colors: int = 64
+) -> None:
+    """Write pictures (height, width, 3) uint8 as a film that repeats, under a temporary name, and rename it.
+
+    Args:
+        pictures: sRGB, all of one size.
+        path: the file, replaced if it exists.
+        frames_per_second: GIF counts in hundredths of a second, so that 12 becomes 12.5.
+        colors: of the whole film, 2 to 256. They are not dithered: the noise would cost more than it shows.
+
+    Raises:
+        OSError: the file cannot be written; nothing is left behind.
+    """
+    # One palette for all pictures, found in all of them at once.
+    palette = Image.fromarray(np.concatenate(pictures)).quantize(colors, dither=Image.Dither.NONE)
+    films = [Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
+    options = {"format": "GIF", "append_images": films[1:], "loop": 0, "optimize": False, "disposal": 1}
+    _save(films[0], path, save_all=True, duration=round(100 / frames_per_second) * 10, **options)
+
+
 def write_png(picture: np.ndarray, path: str | os.PathLike[str], colors: int | None = None) -> None:
     """Write a picture (height, width, 3) uint8 under a temporary name and rename it.
 
@@ -45,11 +67,15 @@ def write_png(picture: np.ndarray, path: str | os.PathLike[str], colors: int | N
     Raises:
         OSError: the file cannot be written; nothing is left behind.
     """
+    image = Image.fromarray(picture)
+    _save(image if colors is None else image.quantize(colors), path, format="PNG", optimize=True)
+
+
+def _save(image: Image.Image, path: str | os.PathLike[str], **options: Any) -> None:
     target = Path(path)
     temporary = target.with_name(f".{target.name}.{os.getpid()}")
-    image = Image.fromarray(picture)
     try:
-        (image if colors is None else image.quantize(colors)).save(temporary, format="PNG", optimize=True)
+        image.save(temporary, **options)
         os.replace(temporary, target)
     finally:
         temporary.unlink(missing_ok=True)

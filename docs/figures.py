@@ -1,0 +1,168 @@
+"""Draw every picture of the documentation: ``python -m docs.figures [NAME ...]``, from the root of a checkout.
+
+It needs the extra `scenes`; the picture of a report needs the extra `browser` and a Chromium, and stays as it is
+without them.
+"""
+
+from __future__ import annotations
+
+import shutil
+import sys
+import tempfile
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+import warpqem
+from examples import before_after
+from scenes.generate import SCENES, VIEWS
+from scenes.generate import picture as scenes_picture
+from warpqem.measure import vertex_distances
+from warpqem.measure.heatmap import distance_colors
+from warpqem.picture import View, caption, render, tile, write_gif, write_png
+from warpqem.usd import SimplifyOptions, simplify_stage
+from warpqem.usd.features import feature_colors
+from warpqem.usd.report_page import write_simplify_report
+
+ROOT = Path(__file__).resolve().parent.parent
+DOCS = ROOT / "docs"
+SIZE = (390, 250)
+# Of still pictures; more colours do not show, and the files stay small.
+COLORS = 128
+# A frame in which the legs of the quadruped are far apart.
+STRIDE = 11
+
+Pixels = np.ndarray
+
+
+@cache
+def _gallop() -> tuple[np.ndarray, np.ndarray]:
+    scene = SCENES["quadruped_gallop"]()
+    return scene.baked(), scene.faces
+
+
+def _view() -> View:
+    return VIEWS["quadruped_gallop"]
+
+
+def _simplify(ratio: float, **options: object) -> warpqem.SimplifiedMesh:
+    points, faces = _gallop()
+    return warpqem.simplify(points, faces, ratio=ratio, **options)
+
+
+def _draw(points: np.ndarray, faces: np.ndarray, text: str, **options: object) -> Pixels:
+    return caption(render(points, faces, _view(), size=SIZE, **options), text)
+
+
+def _heat(results: dict[str, warpqem.SimplifiedMesh], path: Path) -> None:
+    """One frame of each result, with the distance to the original as colours of one scale."""
+    points, faces = _gallop()
+    scale = max(float(vertex_distances(points, faces, r.points, r.faces).max()) for r in results.values())
+    pictures = []
+    for name, result in results.items():
+        colors, _ = distance_colors(points, faces, result.points, result.faces, scale=scale)
+        text = f"{name}: {len(result.faces)} faces, yellow is {scale:.2f} %"
+        pictures.append(_draw(result.points[STRIDE], result.faces, text, colors=colors[STRIDE], smooth=True))
+    write_png(tile(pictures, 2), path, colors=COLORS)
+
+
+def gallop(path: Path) -> None:
+    """The quadruped and a tenth of it, galloping."""
+    points, faces = _gallop()
+    result = _simplify(0.1)
+    pictures = []
+    # One stride of two, in every second frame.
+    for frame in range(0, len(points) // 2, 2):
+        meshes = ((points, faces, False), (result.points, result.faces, True))
+        pair = [
+            caption(render(p[frame], f, _view(), size=(360, 240), lines=lines), f"{len(f)} faces")
+            for p, f, lines in meshes
+        ]
+        pictures.append(tile(pair, 2))
+    write_gif(pictures, path, frames_per_second=12, colors=32)
+
+
+def levels(path: Path) -> None:
+    """Levels of one ordering."""
+    points, faces = _gallop()
+    ratios = (0.5, 0.2, 0.08, 0.03)
+    results = warpqem.simplify_levels(points, faces, ratios=ratios)
+    pictures = [
+        _draw(result.points[STRIDE], result.faces, f"{len(result.faces)} faces", lines=True) for result in results
+    ]
+    write_png(tile(pictures, 2), path, colors=COLORS)
+
+
+def metrics(path: Path) -> None:
+    """The cost models, each at 4 %."""
+    _heat({name: _simplify(0.04, metric=name) for name in ("qem", "dsd", "dod", "aqem")}, path)
+
+
+def joints(path: Path) -> None:
+    """What bends, and where the edges go because of it."""
+    points, faces = _gallop()
+    found = warpqem.motion_features(points, faces)
+    result = _simplify(0.08, metric="aqem")
+    pictures = [
+        _draw(points[STRIDE], faces, f"{found.feature_count} joints", colors=feature_colors(found.label), smooth=True),
+        _draw(result.points[STRIDE], result.faces, f"aqem, {len(result.faces)} faces", lines=True),
+    ]
+    write_png(tile(pictures, 2), path, colors=COLORS)
+
+
+def scenes(path: Path) -> None:
+    """The shipped scenes."""
+    scenes_picture({name: build() for name, build in SCENES.items()}, path)
+
+
+def report(path: Path) -> None:
+    """The page of --report, as a browser shows it."""
+    chromium = shutil.which("chromium") or shutil.which("google-chrome")
+    try:
+        from playwright.sync_api import sync_playwright
+    except ImportError:
+        chromium = None
+    if chromium is None:
+        print(f"{path}: left as it is, it needs playwright and a Chromium")
+        return
+    with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
+        page_file, output = Path(folder) / "report.html", Path(folder) / "quadruped_10.usdc"
+        options = SimplifyOptions(ratio=0.1)
+        done = simplify_stage(ROOT / "scenes" / "quadruped_gallop.usdc", output, options)
+        write_simplify_report(page_file, done, options)
+        flags = ["--no-sandbox", "--disable-gpu", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+        browser = playwright.chromium.launch(executable_path=chromium, args=flags)
+        page = browser.new_page(viewport={"width": 1100, "height": 960}, reduced_motion="reduce")
+        page.goto(page_file.as_uri())
+        page.wait_for_function("window.warpqem && window.warpqem.ready")
+        page.locator("#scrub").fill(str(STRIDE))
+        page.keyboard.press("h")
+        # No mark of the keyboard's focus on the scrubber.
+        page.evaluate("document.activeElement.blur()")
+        page.wait_for_function("!window.warpqem.state.dirty")
+        page.screenshot(path=str(path))
+        browser.close()
+
+
+FIGURES: dict[str, Callable[[Path], None]] = {
+    "gallop.gif": gallop,
+    "before_after.png": lambda path: before_after.main(str(path)),
+    "levels.png": levels,
+    "metrics.png": metrics,
+    "joints.png": joints,
+    "report.png": report,
+    "scenes.png": scenes,
+}
+
+
+def main(names: list[str]) -> None:
+    """Draw those that are named, or all."""
+    for name in names or FIGURES:
+        FIGURES[name](DOCS / name)
+        print(DOCS / name)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
