@@ -109,3 +109,10 @@ def test_points_have_no_more_influences_than_asked_for(tmp_path, limit):
 def test_influences_below_one_are_refused():
     with pytest.raises(OptionError, match="influences 0"):
         SimplifyOptions(ratio=0.5, influences=0)
+
+
+def test_input_may_be_its_own_example(tmp_path):
+    skinned_stage(tmp_path / "in.usda")
+    own, _ = simplified(tmp_path, "own")
+    stage, _ = simplified(tmp_path, poses=tmp_path / "in.usda")
+    np.testing.assert_array_equal(rest_points(stage), rest_points(own))

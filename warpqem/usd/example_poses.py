@@ -30,7 +30,9 @@ class ExamplePoses:
         self._path = os.fspath(path)
         self._own = open_stage(path)
         layer = Sdf.Layer.CreateAnonymous("poses.usda")
-        layer.subLayerPaths = [self._own.GetRootLayer().realPath, stage.GetRootLayer().realPath]
+        # The examples may be those of the input itself; USD allows a layer once.
+        layers = dict.fromkeys(of.GetRootLayer().realPath for of in (self._own, stage))
+        layer.subLayerPaths = list(layers)
         layer.timeCodesPerSecond = self._own.GetTimeCodesPerSecond()
         self._stage: Usd.Stage = Usd.Stage.Open(layer)
         self._poses = StagePoses(self._stage)
