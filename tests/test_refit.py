@@ -86,6 +86,25 @@ def test_refit_fits_borders_to_borders(device):
     assert border_error(cloth, refitted) < 0.95 * border_error(cloth, placed)
 
 
+def test_refit_leaves_the_ends_of_seams_where_they_are(device):
+    points, faces = meshes.waving_grid(20, 4)
+    column = np.arange(5, 15) * 21 + 10
+    seams = np.stack([column[:-1], column[1:]], axis=1)
+    placed, refitted = (
+        warpqem.simplify(points, faces, ratio=0.1, seams=seams, refit=r, device=device) for r in (False, True)
+    )
+    ends = placed.vertex_map[column[[0, -1]]]
+    np.testing.assert_array_equal(refitted.points[:, ends], placed.points[:, ends])
+    assert not np.array_equal(refitted.points, placed.points)
+
+
+def test_refit_of_a_mesh_without_area_changes_nothing(device):
+    points, faces = meshes.grid(8, 8)
+    line = points * np.array([1, 0, 0], dtype=np.float32)
+    placed, refitted = (warpqem.simplify(line, faces, ratio=0.5, refit=r, device=device) for r in (False, True))
+    np.testing.assert_array_equal(refitted.points, placed.points)
+
+
 def test_refit_moves_vertices_of_seams_across_the_surface(device):
     points, faces = meshes.icosphere(4)
     seams = np.array(

@@ -67,7 +67,7 @@ class ClusterPlacer:
     Attributes:
         vertex_count: clusters C.
         free: (C,) bool, vertices that may leave the place that their quadrics give them: those that stand for several
-            input vertices and are not pinned.
+            input vertices, are not pinned, and no corner of a seam.
         on_seam: (C,) bool, vertices that stand for one on a seam.
         nearest: (C,) int32, an input vertex of each cluster near to its anchor.
         copied_count: vertices M that are copies of an input vertex.
@@ -96,7 +96,10 @@ class ClusterPlacer:
             # A vertex alone in its cluster lies on all its planes: it is its own optimum.
             alone = np.bincount(cluster[cluster >= 0], minlength=len(kept)) == 1
             solved = (~alone & ~pinned[kept]).astype(np.int32)
-        self.free = solved == 1
+        # Corners of seams keep the place that their own planes and seams give them.
+        at_corner = np.zeros(len(kept), dtype=bool)
+        at_corner[cluster[(ordered.line_rank == 2) & (cluster >= 0)]] = True
+        self.free = (solved == 1) & ~at_corner
         self.on_seam = _on_seam(faces, ordered.constrained, cluster, len(kept))
         self.nearest = anchors.vertex[_heaviest(anchors)]
         # An anchor that is one input vertex, not solved for, is copied, so that it keeps its bits.
