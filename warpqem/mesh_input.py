@@ -196,6 +196,8 @@ def measure_mesh(
     diagonal = float(np.linalg.norm(high.astype(np.float64) - low, axis=1).max())
     if not 0.0 < diagonal < np.inf:
         raise DegenerateMeshError(f"the mesh has no extent: its bounding-box diagonal is {diagonal:g} in every frame")
+    if not 1.0 / FLOAT32_MAX < diagonal < FLOAT32_MAX:
+        raise DegenerateMeshError(f"the bounding-box diagonal, {diagonal:g}, cannot be scaled to 1 in single precision")
     centre = ((low.min(axis=0).astype(np.float64) + high.max(axis=0)) / 2).astype(np.float32)
     return AnimatedMesh(
         mesh.source, mesh.faces, mesh.face_index, mesh.input_face_count, mesh.used, origin, centre, diagonal

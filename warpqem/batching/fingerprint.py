@@ -92,7 +92,7 @@ def _dependencies(path: str) -> list[str]:
     """All files that a USD file needs, itself among them; of those that are missing the path they would have."""
     from pxr import Sdf, Tf, UsdUtils
 
-    from warpqem.usd.stage import first_line
+    from warpqem.usd.usd_errors import first_line
 
     try:
         layers, assets, missing = UsdUtils.ComputeAllDependencies(Sdf.AssetPath(os.path.abspath(path)))

@@ -176,7 +176,12 @@ class _Refit:
         return frames
 
     def improve(self, reach: float) -> None:
-        """One round: pair the surfaces as they lie now, and solve for the corrections."""
+        """One round: pair the surfaces as they lie now, and solve for the corrections.
+
+        A surface without area, such as one that is flattened to a line, stays as it is: it has nothing to fit to.
+        """
+        if not self._scales.area > 0.0:
+            return
         self._move(self._points, self._normals, self._moved)
         self._matching.find(reach)
         self._correction = solve_elements(*self._assemble(self._correction))

@@ -17,6 +17,7 @@ import numpy as np
 from pxr import Ar, Pcp, Sdf, Tf, Usd, UsdUtils
 
 from warpqem.errors import StageError
+from warpqem.usd.usd_errors import first_line
 
 __all__ = ["check_composition", "open_layers"]
 
@@ -93,7 +94,10 @@ def check_composition(stage: Usd.Stage) -> list[str]:
     """
     problems = []
     for error in getattr(stage, "GetCompositionErrors", list)():
-        text = " ".join(str(error).split())
+        try:
+            text = " ".join(str(error).split())
+        except UnicodeDecodeError:
+            text = f"{type(error).__name__} with a path that is no text"
         if isinstance(error, (Pcp.ErrorArcCycle, Pcp.ErrorSublayerCycle)):
             raise StageError(f"{stage.GetRootLayer().realPath}: {text}")
         problems.append(text)
@@ -112,10 +116,8 @@ def _open(place: str, named_by: str, allowed: list[Path]) -> Sdf.Layer | None:
     _check_bytes(file, by)
     try:
         return Sdf.Layer.FindOrOpen(place)
-    except Tf.ErrorException as error:
-        first_line = next((line.strip() for line in str(error).splitlines() if line.strip()), "")
-        found = re.fullmatch(r"Error in .* : '(.*)'", first_line)
-        raise StageError(f"{place}{by}: USD cannot open it ({found.group(1) if found else first_line})") from error
+    except (Tf.ErrorException, UnicodeDecodeError) as error:
+        raise StageError(f"{place}{by}: USD cannot open it ({first_line(error)})") from error
 
 
 def _layers_of(layer: Sdf.Layer) -> Iterator[str]:
@@ -177,7 +179,7 @@ def _check_package(file: str, by: str) -> None:
                     start = stream.read(8)
                     if start.startswith(TEXT):
                         _check_nesting(start + stream.read(), f"{file}[{entry.filename}]{by}")
-    except (zipfile.BadZipFile, NotImplementedError, EOFError, ValueError, RuntimeError) as error:
+    except (zipfile.BadZipFile, NotImplementedError, EOFError, OSError, ValueError, RuntimeError) as error:
         raise StageError(f"{file}{by}: no package that could be read ({error})") from error
 
 

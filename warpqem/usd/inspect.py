@@ -14,6 +14,7 @@ from warpqem.measure import topology
 from warpqem.usd.mesh import MeshSource
 from warpqem.usd.skel import StagePoses
 from warpqem.usd.stage import find_meshes, open_stage
+from warpqem.usd.usd_errors import usd_errors_named
 
 __all__ = ["MeshInfo", "inspect_stage"]
 
@@ -77,9 +78,10 @@ def inspect_stage(path: str | os.PathLike[str]) -> list[MeshInfo]:
         StageError: the file cannot be read.
     """
     stage = open_stage(path)
-    poses = StagePoses(stage)
-    selection = find_meshes(stage)
-    infos = [_inspect(prim, poses) for prim in selection.prims]
+    with usd_errors_named(path):
+        poses = StagePoses(stage)
+        selection = find_meshes(stage)
+        infos = [_inspect(prim, poses) for prim in selection.prims]
     infos += [MeshInfo(proxy, problems=[str(error)]) for proxy, error in selection.refused]
     return infos
 

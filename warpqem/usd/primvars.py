@@ -28,6 +28,7 @@ from warpqem.usd.drop import Dropped, block
 __all__ = ["carry_arrays", "carry_motion", "carry_normals", "carry_primvars"]
 
 POINT_INTERPOLATIONS = (UsdGeom.Tokens.vertex, UsdGeom.Tokens.varying)
+PARTNERS = {"skel:jointIndices": "skel:jointWeights", "skel:jointWeights": "skel:jointIndices"}
 MOTION_ATTRIBUTES = ("velocities", "accelerations")
 
 # Told the bytes of every sample that was authored.
@@ -43,7 +44,13 @@ def carry_primvars(prim: Usd.Prim, carrier: Carrier, dropped: Dropped, saved: Sa
     """
     for primvar in UsdGeom.PrimvarsAPI(prim).GetPrimvars():
         name, interpolation = str(primvar.GetPrimvarName()), str(primvar.GetInterpolation())
-        if interpolation == UsdGeom.Tokens.constant or name.startswith("skel:") or not primvar.HasAuthoredValue():
+        if interpolation == UsdGeom.Tokens.constant or not primvar.HasAuthoredValue():
+            continue
+        if name.startswith("skel:"):
+            if name in PARTNERS and not UsdGeom.PrimvarsAPI(prim).GetPrimvar(PARTNERS[name]).HasAuthoredValue():
+                # One without the other is no skin, so that nothing has written it for the new points.
+                block(primvar.GetAttr(), dropped)
+                dropped.names.append(f"primvars:{name} without {PARTNERS[name]}")
             continue
         original = UsdGeom.PrimvarsAPI(carrier.prim).GetPrimvar(name)
         samples = primvar_samples(original)

@@ -34,6 +34,7 @@ from warpqem.usd.simplify_options import SimplifyOptions
 from warpqem.usd.skel import StagePoses
 from warpqem.usd.skin_fit import SkinFitter, SkinPoses, simplify_by_pullback, why_not_fitted
 from warpqem.usd.stage import find_meshes
+from warpqem.usd.usd_errors import usd_errors_named
 from warpqem.usd.weights import check_weight_primvar, painted_weights
 from warpqem.usd.write import OverLayer
 
@@ -168,13 +169,14 @@ class Run:
     def _prepare(self, prim: Usd.Prim, shared: SharedOrder | None = None) -> MeshJob:
         job = None if shared is None else shared.job
         if job is None:
-            source = MeshSource(prim, self.poses)
-            job = MeshJob.prepare(
-                source,
-                self._reading(),
-                shape_users=self.shape_users,
-                examples=self._examples_of(source),
-            )
+            with usd_errors_named(prim.GetPath()):
+                source = MeshSource(prim, self.poses)
+                job = MeshJob.prepare(
+                    source,
+                    self._reading(),
+                    shape_users=self.shape_users,
+                    examples=self._examples_of(source),
+                )
             if shared is not None:
                 shared.job = job
         report = self.reports[job.mesh.path]
@@ -302,7 +304,8 @@ class Run:
         fitter = self._fitter(job, report)
         samples = self.layer.point_samples(job.mesh.path, job.written_times)
         try:
-            result = self._result(job, progress, fitter or samples, target_faces, shared)
+            with usd_errors_named(job.mesh.path):
+                result = self._result(job, progress, fitter or samples, target_faces, shared)
             report.stopped = result.stopped
             if len(result.log):
                 self._write(job, samples, fitter, result, report)

@@ -10,6 +10,8 @@ from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
+from pxr import Usd
+
 from warpqem.usd.input_check import check_composition
 from warpqem.usd.lods import LevelReport, VariantLevels
 from warpqem.usd.report import PrimReport, StageReport
@@ -17,6 +19,7 @@ from warpqem.usd.run import Announce, Context, Progress, Run, SharedOrder
 from warpqem.usd.run_info import run_info
 from warpqem.usd.simplify_options import SimplifyOptions
 from warpqem.usd.stage import open_stage
+from warpqem.usd.usd_errors import usd_errors_named
 from warpqem.usd.usd_lod import UsdLodLevels
 from warpqem.usd.write import check_output_path
 
@@ -63,6 +66,23 @@ def simplify_stage(
     _log.info("%s: reading", input_path)
     stage = open_stage(input_path, options.asset_roots)
     check_output_path(output_path, [layer.realPath for layer in stage.GetUsedLayers() if layer.realPath])
+    # What fails while a layer is being written is no matter of one mesh: half of it would be there.
+    with usd_errors_named(input_path):
+        report = _simplify(stage, input_path, output, options, progress, announce)
+    if report.output is not None:
+        report.output = os.fspath(output_path)
+    report.run = run_info(options, time.perf_counter() - start)
+    return report
+
+
+def _simplify(
+    stage: Usd.Stage,
+    input_path: str | os.PathLike[str],
+    output: Path,
+    options: SimplifyOptions,
+    progress: Progress | None,
+    announce: Announce | None,
+) -> StageReport:
     progress = progress or (lambda fraction, text: None)
     announce = announce or (lambda name, plan: None)
     with ExitStack() as cleanup:
@@ -72,9 +92,8 @@ def simplify_stage(
         report.problems = check_composition(stage)
         if len(report.failed) < len(report.prims):
             save(output)
-            report.output = os.fspath(output_path)
-            _log.info("%s: written", output_path)
-    report.run = run_info(options, time.perf_counter() - start)
+            report.output = os.fspath(output)
+            _log.info("%s: written", output)
     return report
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -11,8 +10,9 @@ from pxr import Sdf, Tf, Usd, UsdGeom
 
 from warpqem.errors import StageError
 from warpqem.usd.input_check import check_composition, open_layers
+from warpqem.usd.usd_errors import first_line
 
-__all__ = ["MeshSelection", "find_meshes", "first_line", "open_stage", "world_scale"]
+__all__ = ["MeshSelection", "find_meshes", "open_stage", "world_scale"]
 
 
 @dataclass
@@ -29,16 +29,6 @@ class MeshSelection:
     refused: list[tuple[str, StageError]] = field(default_factory=list)
 
 
-def first_line(error: Exception) -> str:
-    """The first line of an exception's text that says something; USD errors carry a C++ stack after it."""
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    if not lines:
-        return type(error).__name__
-    # Tf.ErrorException: Error in '<C++ function>' at line <n> in file <path> : '<what is wrong>'
-    found = re.fullmatch(r"Error in .* : '(.*)'", lines[0])
-    return found.group(1) if found else lines[0]
-
-
 def open_stage(path: str | os.PathLike[str], roots: Sequence[str | os.PathLike[str]] = ()) -> Usd.Stage:
     """Open a USD file for reading, with all payloads loaded.
 
@@ -53,7 +43,7 @@ def open_stage(path: str | os.PathLike[str], roots: Sequence[str | os.PathLike[s
     layers = open_layers(path, roots)
     try:
         stage = Usd.Stage.Open(os.fspath(path))
-    except Tf.ErrorException as error:
+    except (Tf.ErrorException, UnicodeDecodeError) as error:
         raise StageError(f"{path}: USD cannot open it ({first_line(error)})") from error
     if stage is None:
         raise StageError(f"{path}: USD cannot open it")

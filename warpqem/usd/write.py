@@ -19,9 +19,9 @@ from warpqem.usd.point_samples import PointSamples
 from warpqem.usd.primvars import carry_arrays, carry_motion, carry_normals, carry_primvars
 from warpqem.usd.skin import Skin
 from warpqem.usd.skin_output import write_skin
-from warpqem.usd.stage import first_line
 from warpqem.usd.subsets import carry_subsets
 from warpqem.usd.temporary import temporary_path
+from warpqem.usd.usd_errors import first_line
 
 __all__ = ["OverLayer", "check_output_path", "copy_stage_metadata", "export_layer", "move_asset_paths", "relative_path"]
 
@@ -70,7 +70,10 @@ def copy_stage_metadata(source: Sdf.Layer, target: Sdf.Layer) -> None:
     for key in sorted(source.pseudoRoot.ListInfoKeys()):
         if key not in LAYER_ONLY_METADATA:
             value = source.pseudoRoot.GetInfo(key)
-            target.pseudoRoot.SetInfo(key, anchored(value, source) if isinstance(value, Sdf.AssetPath) else value)
+            try:
+                target.pseudoRoot.SetInfo(key, anchored(value, source) if isinstance(value, Sdf.AssetPath) else value)
+            except (TypeError, Tf.ErrorException) as error:
+                raise StageError(f"{source.realPath}: the metadata {key!r} is damaged ({first_line(error)})") from error
 
 
 class OverLayer:

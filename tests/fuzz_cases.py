@@ -1,0 +1,365 @@
+"""Random hostile cases: arrays, values on a stage, and bytes of files, each from a seed.
+
+A case ends with a result that is sound, or with a named error. Anything else is a find.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import random
+import re
+import shutil
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import meshes
+import numpy as np
+from pxr import Sdf, Tf, Usd, UsdGeom, UsdUtils
+from rich_stage import rich_stage
+from test_usd_stages import cloth_stage, define_cloth, skinned_stage
+
+import warpqem
+from warpqem.errors import UnreachableTargetError, WarpqemError
+from warpqem.usd import SimplifyOptions, inspect_stage, simplify_stage
+from warpqem.usd.stage import open_stage
+
+# Values that have broken meshes before: edges of the types, what is not finite, what vanishes when squared.
+EDGES = [0.0, -0.0, 1.0, -1.0, 1e-45, 1e-38, -1e-30, 1e-20, 1e6, 1e10, 1e19, 1e20, 3e38, -3e38, np.nan, np.inf, -np.inf]
+INDEX_EDGES = [0, 1, -1, -2, 2**15, 2**16, 2**31 - 1, -(2**31), 10**6]
+
+
+class UnsoundError(AssertionError):
+    """A result that must not come out."""
+
+
+# Arrays.
+
+
+@functools.cache
+def _bases() -> list[meshes.Mesh]:
+    return [
+        meshes.triangle(),
+        meshes.tetrahedron(),
+        meshes.icosphere(1),
+        meshes.torus(8, 5),
+        meshes.grid(5, 4),
+        meshes.fan(7, 0.3),
+        meshes.bow_tie(),
+        meshes.book(3, 3),
+        meshes.moebius(9),
+        meshes.back_to_back(),
+        meshes.joined(meshes.tetrahedron(), meshes.grid(2, 2), spacing=1.0),
+        meshes.soup(meshes.grid(3, 3)),
+    ]
+
+
+def array_case(seed: int) -> str:
+    """Simplify a small mesh with something wrong with it; returns how it ended."""
+    draw = np.random.default_rng(seed)
+    points, faces = _bases()[draw.integers(len(_bases()))]
+    frames = int(draw.choice([1, 1, 2, 5, 9]))
+    moving = points + 0.1 * draw.normal(size=(frames, *points.shape)) * draw.choice([0, 0, 1])
+    moving, faces = moving.astype(draw.choice([np.float32, np.float64])), faces.copy()
+    for _ in range(draw.integers(0, 4)):
+        moving, faces = _change_arrays(draw, moving, faces)
+    options = _array_options(draw, moving, faces)
+    try:
+        result = warpqem.simplify(moving[0] if draw.random() < 0.1 and len(moving) else moving, faces, **options)
+    except UnreachableTargetError as error:
+        result = error.result
+    except WarpqemError as error:
+        if not str(error):
+            raise UnsoundError("an error that says nothing") from error
+        return type(error).__name__
+    _check_arrays(result, moving, faces)
+    return "done"
+
+
+def _change_arrays(draw: np.random.Generator, points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    kind = draw.integers(14)
+    with np.errstate(over="ignore", invalid="ignore"):
+        if kind == 0 and points.size:
+            with contextlib.suppress(OverflowError, ValueError):
+                points.reshape(-1)[draw.integers(points.size)] = float(draw.choice(EDGES))
+        elif kind == 1:
+            points = points * points.dtype.type(draw.choice(EDGES[4:14]))
+        elif kind == 2:
+            points = points + points.dtype.type(draw.choice([1e3, 1e6, -1e6, 1e8]))
+        elif kind == 3 and faces.size:
+            with contextlib.suppress(OverflowError):  # it has no place in this type
+                faces.reshape(-1)[draw.integers(faces.size)] = int(draw.choice(INDEX_EDGES))
+        elif kind == 4 and len(faces):
+            faces = np.concatenate([faces, faces[draw.integers(len(faces), size=3)]])
+        elif kind == 5 and len(faces):
+            faces[draw.integers(len(faces)), 0] = faces[draw.integers(len(faces)), 1]
+        elif kind == 6:
+            faces = faces[: draw.integers(len(faces) + 1)]
+        elif kind == 7:
+            points = points[:, : draw.integers(points.shape[1] + 1)]
+        elif kind == 8:
+            points = points[: draw.integers(len(points) + 1)]
+        elif kind == 9:
+            points[:, :, draw.integers(3)] = 0
+        elif kind == 10 and len(points):
+            points[draw.integers(len(points))] = 0
+        elif kind == 11:
+            faces = faces.astype(draw.choice([np.int8, np.uint8, np.int64, np.uint64, np.float32, ">i4"]))
+        elif kind == 12:
+            points = points.astype(draw.choice([np.float16, ">f4", ">f8", np.float64, np.int32]))
+        elif kind == 13 and len(faces):
+            faces = draw.permutation(faces)[:, ::-1]
+    return points, faces
+
+
+def _array_options(draw: np.random.Generator, points: np.ndarray, faces: np.ndarray) -> dict[str, Any]:
+    options: dict[str, Any] = {"device": "cpu", "metric": draw.choice(["qem", "dsd", "dsd", "dod", "aqem"])}
+    goal = draw.choice(["ratio", "ratio", "target_faces", "max_error"])
+    options[goal] = {"ratio": 0.4, "target_faces": 2, "max_error": 1.0}[goal]
+    if draw.random() < 0.3:
+        options["coherence"] = draw.choice([0.0, 1.0, 0.3])
+    if draw.random() < 0.1:
+        options["placement"] = "endpoint"
+    if draw.random() < 0.1:
+        options["refit"] = True
+    if draw.random() < 0.2:
+        options["key_frames"] = int(draw.choice([1, 2, 7]))
+    count = points.shape[1] if points.ndim == 3 else 0
+    for name in ("vertex_weights", "quadric_scale"):
+        if draw.random() < 0.15:
+            options[name] = draw.choice(
+                [0.0, 1.0, 1e-30, 1e12, np.inf, np.nan, -1.0], size=count + draw.choice([0, 0, 1])
+            )
+    if draw.random() < 0.1:
+        options["locked"] = draw.integers(-1, count + 1, size=3)
+    if draw.random() < 0.1:
+        options["seams"] = draw.integers(-1, max(count, 1) + 1, size=(4, 2))
+    if draw.random() < 0.1:
+        options["lock_borders"] = True
+    return options
+
+
+def _check_arrays(result: Any, points: np.ndarray, faces: np.ndarray) -> None:
+    if not np.isfinite(result.points).all():
+        raise UnsoundError("points that are not finite")
+    if result.faces.size and not (result.faces.min() >= 0 and result.faces.max() < result.points.shape[1]):
+        raise UnsoundError("faces out of range")
+    if len(result.faces) > len(faces) or (result.faces == np.roll(result.faces, 1, axis=1)).any():
+        raise UnsoundError("more faces than before, or one that names a vertex twice")
+    if len(result.vertex_map) != points.shape[-2] or result.vertex_map.max(initial=-1) >= result.points.shape[1]:
+        raise UnsoundError("a vertex map out of range")
+    low, high = points.min(axis=(0, 1)).astype(float), points.max(axis=(0, 1)).astype(float)
+    reach = float(np.linalg.norm(high - low)) + 1e-6 * float(np.abs([low, high]).max(initial=0)) + 1e-37
+    if result.points.size and (
+        (result.points.min(axis=(0, 1)) < low - reach).any() or (result.points.max(axis=(0, 1)) > high + reach).any()
+    ):
+        raise UnsoundError("points that fly off")
+
+
+# Values on a stage.
+
+
+@functools.cache
+def _stages() -> Path:
+    """A folder of stages to start from, made once for each process."""
+    folder = Path(tempfile.mkdtemp(prefix="fuzz-"))
+    rich_stage(folder / "rich.usda")
+    skinned_stage(folder / "skinned.usda")
+    stage = cloth_stage(folder / "cloth.usda", size=4)
+    define_cloth(stage, "/Root/Still", size=3)
+    stage.Save()
+    for name in ("rich", "skinned", "cloth"):
+        layer = Sdf.Layer.FindOrOpen(str(folder / f"{name}.usda"))
+        layer.Export(str(folder / f"{name}.usdc"))
+    UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(str(folder / "cloth.usdc")), str(folder / "cloth.usdz"))
+    return folder
+
+
+def remove_stages() -> None:
+    """Remove what `_stages` made."""
+    if _stages.cache_info().currsize:
+        shutil.rmtree(_stages(), ignore_errors=True)
+        _stages.cache_clear()
+
+
+def value_case(seed: int) -> str:
+    """Change values of attributes on a stage, then simplify it; returns how it ended."""
+    draw = random.Random(seed)
+    source = _stages() / draw.choice(["rich.usda", "skinned.usda", "skinned.usda"])
+    path = _stages() / "case.usdc"
+    Sdf.Layer.OpenAsAnonymous(str(source)).Export(str(path))
+    stage = Usd.Stage.Open(str(path))
+    attributes = [a for prim in stage.Traverse() for a in prim.GetAttributes() if a.HasAuthoredValue()]
+    changed = []
+    for _ in range(draw.choice([1, 1, 2])):
+        attribute = draw.choice(attributes)
+        changed.append(f"{attribute.GetPath()}: {_change_value(draw, attribute)}")
+    stage.Save()
+    del stage, attributes
+    try:
+        return _simplify_file(draw, path, ".usda")
+    except UnsoundError as error:
+        raise UnsoundError(f"{error} after {changed}") from error
+
+
+def _change_value(draw: random.Random, attribute: Usd.Attribute) -> str:
+    times = [Usd.TimeCode(time) for time in attribute.GetTimeSamples()] or [Usd.TimeCode.Default()]
+    time = draw.choice(times)
+    value = attribute.Get(time)
+    kind = draw.choice(["empty", "short", "long", "edge", "edges", "clear", "block", "time"])
+    try:
+        if kind == "clear":
+            attribute.Clear()
+        elif kind == "block":
+            attribute.Block()
+        elif kind == "time":
+            attribute.Set(value, draw.choice([1e300, -1e300, 1e-300, 2.5, float("inf"), float("nan")]))
+        elif not hasattr(type(value), "FromNumpy"):
+            kind = "a number"
+            attribute.Set(type(value)(draw.choice([0, -1, 7])), time)
+        else:
+            array = np.array(value)
+            if kind == "empty":
+                array = array[:0]
+            elif kind == "short":
+                array = array[: draw.randrange(len(array) + 1)]
+            elif kind == "long":
+                array = np.concatenate([array, array])
+            elif array.size:
+                edges = EDGES if array.dtype.kind == "f" else INDEX_EDGES
+                with np.errstate(over="ignore"):
+                    new = np.array([draw.choice(edges) for _ in range(array.size)]).astype(array.dtype)
+                    keep = np.random.default_rng(draw.randrange(2**32)).random(array.size) < (kind == "edge") * 0.98
+                array = np.where(keep.reshape(array.shape), array, new.reshape(array.shape)).astype(array.dtype)
+            attribute.Set(type(value).FromNumpy(np.ascontiguousarray(array)), time)
+    except (TypeError, OverflowError, ValueError, Tf.ErrorException) as error:
+        return f"{kind} refused ({type(error).__name__})"
+    return f"{kind} at {time}"
+
+
+# Bytes of files.
+
+
+def byte_case(seed: int) -> str:
+    """Change bytes of a text, crate or package file, then simplify it; returns how it ended."""
+    draw = random.Random(seed)
+    source = _stages() / draw.choice(
+        [
+            "rich.usda",
+            "skinned.usda",
+            "cloth.usda",
+            "rich.usdc",
+            "skinned.usdc",
+            "cloth.usdc",
+            "cloth.usdc",
+            "cloth.usdz",
+        ]
+    )
+    data = bytearray(source.read_bytes())
+    for _ in range(draw.choice([1, 1, 1, 2, 4, 16])):
+        data = _change_text(draw, data) if source.suffix == ".usda" else _change_binary(draw, data)
+    path = _stages() / f"case{source.suffix}"
+    path.write_bytes(data)
+    return _simplify_file(draw, path, ".usdc")
+
+
+def _change_text(draw: random.Random, data: bytearray) -> bytearray:
+    text = data.decode("utf-8", "replace")
+    kind = draw.randrange(6)
+    if kind == 0:
+        return _change_binary(draw, data)
+    tokens = list(re.finditer(r"-?\d+(?:\.\d+)?(?:e-?\d+)?|\w+|[^\w\s]", text))
+    if not tokens:
+        return data
+    one, other = draw.choice(tokens), draw.choice(tokens)
+    if kind in (1, 2):
+        numbers = [token for token in tokens if token[0][-1].isdigit()]
+        one = draw.choice(numbers or tokens)
+        new = draw.choice(
+            ["nan", "inf", "-inf", "1e39", "1e-46", "-1", "0", str(2**31), str(2**63), str(10**30), "1.5"]
+        )
+    elif kind == 3:
+        new = other[0]
+    elif kind == 4:
+        new = ""
+    else:
+        new = one[0] * draw.choice([2, 3, 50])
+    return bytearray((text[: one.start()] + new + text[one.end() :]).encode())
+
+
+def _change_binary(draw: random.Random, data: bytearray) -> bytearray:
+    if not data:
+        return data
+    place, length = draw.randrange(len(data)), draw.choice([1, 1, 2, 4, 8, 64])
+    # The tables of a crate are at its end, and its header at the beginning.
+    if draw.random() < 0.4:
+        place = draw.choice([draw.randrange(min(96, len(data))), len(data) - 1 - draw.randrange(min(700, len(data)))])
+    kind = draw.randrange(6)
+    if kind == 0:
+        data[place] ^= 1 << draw.randrange(8)
+    elif kind == 1:
+        data[place : place + length] = draw.randbytes(length)
+    elif kind == 2:
+        data[place : place + length] = draw.choice([b"\xff", b"\x00", b"\x7f", b"\x80"]) * length
+    elif kind == 3:
+        del data[place : place + length]
+    elif kind == 4:
+        data[place:place] = data[place : place + length * draw.choice([1, 30])]
+    else:
+        del data[place:]
+    return data
+
+
+def _simplify_file(draw: random.Random, path: Path, suffix: str) -> str:
+    output = _stages() / f"out{suffix}"
+    output.unlink(missing_ok=True)
+    options = SimplifyOptions(
+        ratio=0.4,
+        device="cpu",
+        bake=draw.random() < 0.2,
+        weld=draw.random() < 0.8,
+        flatten=draw.random() < 0.3,
+        memory="1G",
+    )
+    try:
+        report = simplify_stage(path, output, options)
+        if draw.random() < 0.1:
+            inspect_stage(path)
+    except WarpqemError as error:
+        if not str(error):
+            raise UnsoundError("an error that says nothing") from error
+        if list(_stages().glob(".warpqem.*")) or output.exists():
+            raise UnsoundError("a file is left behind") from error
+        return type(error).__name__
+    for prim in report.failed:
+        if not prim.message or not prim.message.startswith(prim.path):
+            raise UnsoundError(f"a message without its prim: {prim.message}")
+    if report.output is not None:
+        _check_output(output, [prim.path for prim in report.prims if prim.status == "simplified"])
+    return "done" if not report.failed else "prim failed"
+
+
+def _check_output(output: Path, simplified: list[str]) -> None:
+    stage = open_stage(output)
+    for path in simplified:
+        mesh = UsdGeom.Mesh(stage.GetPrimAtPath(path))
+        counts = np.array(mesh.GetFaceVertexCountsAttr().Get())
+        indices = np.array(mesh.GetFaceVertexIndicesAttr().Get())
+        attribute = mesh.GetPointsAttr()
+        for time in attribute.GetTimeSamples() or [Usd.TimeCode.Default()]:
+            points = np.array(attribute.Get(time))
+            if not len(points) or not np.isfinite(points).all():
+                raise UnsoundError(f"{path}: points that are not finite at {time}")
+            if counts.sum() != len(indices) or indices.min() < 0 or indices.max() >= len(points):
+                raise UnsoundError(f"{path}: faces out of range at {time}")
+        lengths = {"uniform": len(counts), "vertex": len(points), "varying": len(points), "faceVarying": len(indices)}
+        for primvar in UsdGeom.PrimvarsAPI(mesh).GetPrimvars():
+            wanted = lengths.get(primvar.GetInterpolation())
+            indexed = primvar.IsIndexed() or not primvar.HasAuthoredValue()
+            values = None if indexed else primvar.Get()
+            if wanted and values is not None and len(values) != wanted * primvar.GetElementSize():
+                raise UnsoundError(f"{primvar.GetName()}: {len(values)} values for {wanted}")
+
+
+CASES = {"arrays": array_case, "values": value_case, "bytes": byte_case}

@@ -1,0 +1,104 @@
+"""A slice of the fuzz cases, and what they have found; `python -m tests.long.fuzz` runs more of them."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import fuzz_cases
+import meshes
+import numpy as np
+import pytest
+from pxr import Tf, Usd
+from test_usd_stages import cloth_stage, skinned_stage
+
+import warpqem
+from warpqem.errors import DegenerateMeshError, StageError
+from warpqem.usd import SimplifyOptions, simplify_stage
+from warpqem.usd.usd_errors import first_line, usd_errors_named
+
+HALF = SimplifyOptions(ratio=0.5, device="cpu")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _stages():
+    yield
+    fuzz_cases.remove_stages()
+
+
+@pytest.mark.parametrize("start", range(0, 200, 50))
+def test_arrays_end_in_a_sound_result_or_a_named_error(start):
+    ends = [fuzz_cases.array_case(seed) for seed in range(start, start + 50)]
+    assert 0 < ends.count("done") < 50
+
+
+def test_values_on_a_stage_end_in_a_sound_result_or_a_named_error():
+    ends = [fuzz_cases.value_case(seed) for seed in range(30)]
+    assert 0 < ends.count("done") < 30
+
+
+def test_bytes_end_in_a_sound_result_or_a_named_error():
+    # In a process of its own: USD may end it.
+    code = "import fuzz_cases; print([fuzz_cases.byte_case(seed) for seed in range(25)]); fuzz_cases.remove_stages()"
+    path = [f"import sys; sys.path[:] = {sys.path!r}; "]
+    process = subprocess.run([sys.executable, "-c", path[0] + code], capture_output=True, text=True)
+    assert process.returncode == 0, process.stderr[-2000:]
+    assert "StageError" in process.stdout
+
+
+@pytest.mark.parametrize("size", [2e38, 3e38, 1e-40, 1e-42])
+def test_size_whose_scale_is_beyond_single_precision_is_refused(size):
+    points, faces = meshes.icosphere(1)
+    with pytest.raises(DegenerateMeshError, match="bounding-box diagonal"):
+        warpqem.simplify(points.astype(np.float64) * 2 * size, faces, ratio=0.5, device="cpu")
+
+
+@pytest.mark.parametrize("size", [2.0**120, 2.0**-110])
+def test_size_just_within_single_precision_is_done(size):
+    points, faces = meshes.icosphere(1)
+    whole = warpqem.simplify(points, faces, ratio=0.5, device="cpu")
+    result = warpqem.simplify(points.astype(np.float64) * size, faces, ratio=0.5, device="cpu")
+    assert np.array_equal(result.faces, whole.faces)
+    assert np.allclose(result.points / np.float32(size), whole.points, atol=1e-6)
+
+
+def test_refit_leaves_a_surface_without_area_as_it_is():
+    points, faces = meshes.grid(5, 5)
+    line = points * np.float32([1, 0, 0])
+    with_refit, without = (
+        warpqem.simplify(line, faces, ratio=0.5, refit=refit, device="cpu") for refit in (True, False)
+    )
+    assert np.array_equal(with_refit.points, without.points)
+
+
+@pytest.mark.parametrize("name", ["jointIndices", "jointWeights"])
+def test_half_a_skin_is_dropped(tmp_path, name):
+    stage = skinned_stage(tmp_path / "in.usda")
+    stage.GetPrimAtPath("/Char/Body").GetAttribute(f"primvars:skel:{name}").Clear()
+    stage.Save()
+    [prim] = simplify_stage(tmp_path / "in.usda", tmp_path / "out.usda", HALF).prims
+    other = {"jointIndices": "jointWeights", "jointWeights": "jointIndices"}[name]
+    assert prim.status == "simplified"
+    assert f"primvars:skel:{other} without skel:{name}" in prim.dropped
+    out = Usd.Stage.Open(str(tmp_path / "out.usda"))
+    assert out.GetPrimAtPath("/Char/Body").GetAttribute(f"primvars:skel:{other}").Get() is None
+
+
+def test_what_usd_raises_is_named_also_where_its_message_is_no_text():
+    class Unreadable(Tf.ErrorException):
+        def __str__(self):
+            return b"\xff".decode()
+
+    with pytest.raises(StageError, match=r"/A: USD fails on a value of it .*Unreadable with"), usd_errors_named("/A"):
+        raise Unreadable
+    assert first_line(Unreadable()).endswith("no text")
+
+
+def test_damaged_metadata_is_named(tmp_path, monkeypatch):
+    stage = cloth_stage(tmp_path / "in.usda")
+    stage.GetRootLayer().pseudoRoot.SetInfo("customLayerData", {"a": 1})
+    stage.Save()
+    monkeypatch.setattr("warpqem.usd.write.anchored", lambda value, layer: 3)
+    monkeypatch.setattr("warpqem.usd.write.Sdf.AssetPath", dict)
+    with pytest.raises(StageError, match=r"in\.usda: the metadata 'customLayerData' is damaged"):
+        simplify_stage(tmp_path / "in.usda", tmp_path / "out.usda", HALF)

@@ -1,0 +1,41 @@
+"""What USD raises, as errors of warpqem."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from pxr import Tf
+
+from warpqem.errors import StageError
+
+__all__ = ["first_line", "usd_errors_named"]
+
+
+def first_line(error: Exception) -> str:
+    """The first line of an exception's text that says something; USD errors carry a C++ stack after it."""
+    try:
+        text = str(error)
+    except UnicodeDecodeError:
+        # USD quotes what it has read, which may be no text.
+        return f"{type(error).__name__} with a message that is no text"
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    if not lines:
+        return type(error).__name__
+    # Tf.ErrorException: Error in '<C++ function>' at line <n> in file <path> : '<what is wrong>'
+    found = re.fullmatch(r"Error in .* : '(.*)'", lines[0])
+    return found.group(1) if found else lines[0]
+
+
+@contextmanager
+def usd_errors_named(what: object) -> Iterator[None]:
+    """Turn what USD raises while damaged values are read or written into a StageError that names something.
+
+    Raises:
+        StageError: USD has raised something.
+    """
+    try:
+        yield
+    except (Tf.ErrorException, UnicodeDecodeError) as error:
+        raise StageError(f"{what}: USD fails on a value of it ({first_line(error)})") from error
