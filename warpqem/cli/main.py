@@ -10,6 +10,7 @@ import warpqem
 from warpqem.cli.batch import batch
 from warpqem.cli.compare import compare
 from warpqem.cli.console import OneLineErrors
+from warpqem.cli.examples import epilog
 from warpqem.cli.features import features
 from warpqem.cli.info import info
 from warpqem.cli.levels import levels
@@ -23,20 +24,13 @@ __all__ = ["app"]
 app = typer.Typer(
     name="warpqem",
     cls=OneLineErrors,
-    add_completion=False,
     pretty_exceptions_enable=False,
     help="Simplify animated meshes in USD files: one topology for all frames, least error over all frames.",
     epilog="Exit codes: 0 all done; 1 an error, or some mesh failed; 2 wrong usage.",
 )
 
-app.command()(simplify)
-app.command()(batch)
-app.command()(info)
-app.command()(compare)
-app.command()(features)
-app.command()(render)
-app.command()(view)
-app.command()(levels)
+for command in (simplify, batch, info, compare, features, render, view, levels):
+    app.command(epilog=epilog(command.__name__))(command)
 app.add_typer(progressive)
 
 

@@ -9,6 +9,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from warpqem.cli.console import print_table, progress_bar, quiet_warp, write_json
+from warpqem.cli.examples import epilog
 from warpqem.cli.options import (
     Coherence,
     Device,
@@ -37,7 +38,7 @@ progressive = typer.Typer(
 MeshFile = Annotated[str, typer.Argument(metavar="FILE", help="Progressive mesh (.wpqm).")]
 
 
-@progressive.command()
+@progressive.command(epilog=epilog("build"))
 def build(
     input_file: Input,
     output: Annotated[str, typer.Option("--output", "-o", metavar="FILE", help="Progressive mesh to write (.wpqm).")],
@@ -76,7 +77,7 @@ def build(
     _show(f"{input_file} -> {output}", info, json)
 
 
-@progressive.command()
+@progressive.command(epilog=epilog("extract"))
 def extract(
     file: MeshFile,
     output: Output,
@@ -110,7 +111,7 @@ def extract(
         write_json(json, {"input": file, "output": output, "faces": count, "error": error})
 
 
-@progressive.command()
+@progressive.command(epilog=epilog("progressive info"))
 def info(file: MeshFile, json: JsonReport = None) -> None:
     """Say what is in a progressive mesh.
 

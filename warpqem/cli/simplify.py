@@ -23,8 +23,9 @@ __all__ = ["run_simplify", "simplify"]
 def simplify(
     input_file: Input, output: Output, options: dict[str, Any], report: ReportPage = None, json: JsonReport = None
 ) -> None:
-    """Simplify every mesh over all its frames. Give one of --ratio, --faces, --max-error,
-    --screen-error and --lods.
+    """Simplify every mesh over all its frames.
+
+    Give one of --ratio, --faces, --max-error, --screen-error and --lods.
 
     OUT is a small layer over IN that holds the new meshes; keep the two files together, or use --flatten. Primvars,
     normals, subsets, skins and blend shapes come along. What does not fit the new meshes is dropped, with a warning.
