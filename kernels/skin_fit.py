@@ -20,6 +20,9 @@ wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
 # Planes closer to none than this, in units of area on a mesh of unit diagonal, do not place a vertex.
 LEAST_TRACE = wp.constant(wp.float64(1.0e-30))
+# The least of a cluster's planes counts as far as this from where placement put the vertex, in radii of a disc of the
+# cluster's area: planes that hardly meet, as at a thin tip of few faces, would take it away as a spike.
+REACH = wp.constant(wp.float64(0.25))
 # A multiplier this far below zero, relative to the mean diagonal of G, lets a joint in again.
 ENTRY_TOLERANCE = wp.constant(wp.float64(1.0e-10))
 # Steps of the active set for each candidate joint: every joint may leave and come back.
@@ -90,7 +93,8 @@ def gather_planes(
     """``H`` and ``y`` of each cluster in each pose from its faces and its border edges (edge, then the third vertex).
 
     About the place ``x`` that placement gave the vertex, the quadric is ``(p - x)^T A (p - x) + 2 g.(p - x)``. With the
-    pull towards that place its least is ``y = x - H^-1 g``; where ``to_planes`` is 0, ``y = x``.
+    pull towards that place its least is ``y = x - H^-1 g``, or as far that way as ``REACH`` allows; where ``to_planes``
+    is 0, ``y = x``.
     """
     c, j = wp.tid()
     total = wp.mat33d()
@@ -124,7 +128,10 @@ def gather_planes(
     )  # fmt: skip
     stiffness_out[c, j] = stiffness
     if to_planes == 1:
-        place -= wp.inverse(stiffness) * slope
+        away = wp.inverse(stiffness) * slope
+        # Every face counts at its three corners.
+        reach = REACH * wp.sqrt(wp.trace(total) / wp.float64(3.0 * wp.PI))
+        place -= away * wp.min(wp.float64(1.0), reach / wp.max(wp.length(away), LEAST_TRACE))
     goal_out[j, c] = place
 
 

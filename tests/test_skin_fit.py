@@ -8,6 +8,7 @@ from meshes import bumpy_sphere, rotation, tube
 
 import warpqem
 from warpqem.errors import MeshShapeError, OptionError
+from warpqem.kernels.skin_fit import REACH
 from warpqem.measure import compare
 from warpqem.skinning.fit import fit_skin
 from warpqem.skinning.problem import SURFACE_PULL, WEIGHT_PULL
@@ -140,9 +141,11 @@ def normal_equations(poses, faces, result, vertex, rest, start, unit) -> tuple[n
         length = np.linalg.norm(cross, axis=1)
         share = (result.vertex_map[faces] == vertex).sum(axis=1) * 0.5 / length
         matrix = np.einsum("f,fi,fj->ij", share, cross, cross)
+        reach = float(REACH) * np.sqrt(np.trace(matrix) / (3 * np.pi))
         matrix += SURFACE_PULL * np.trace(matrix) * np.eye(3)
         slope = np.einsum("f,fi,f->i", share, cross, np.einsum("fi,fi->f", cross, goal - corner[:, 0]))
-        goal = goal - np.linalg.solve(matrix, slope)
+        away = np.linalg.solve(matrix, slope)
+        goal = goal - away * min(1.0, reach / max(np.linalg.norm(away), 1e-30))
         away = transform[:, :, :3] @ rest + transform[:, :, 3] * unit - goal
         gram += away @ matrix @ away.T
     soft = WEIGHT_PULL * np.trace(gram) / 4
