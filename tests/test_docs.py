@@ -107,7 +107,7 @@ def test_every_option_on_the_pages_exists():
         for code in re.findall(r"`([^`\n]+)`", page.read_text("utf-8")):
             for option in re.findall(r"(?<![\w-])--[a-z][a-z-]+", code):
                 if not code.startswith(("python -m", "ruff", "pip", ".venv")):
-                    assert option in known | {"--help", "--version"}, f"{name_of(page)}: {code}"
+                    assert option in known, f"{name_of(page)}: {code}"
 
 
 def test_figures_are_those_that_the_program_draws():
