@@ -98,10 +98,9 @@ def test_every_option_on_the_pages_exists():
     import typer.main
 
     group = typer.main.get_command(app)
-    commands = [*group.commands.values(), *group.commands["progressive"].commands.values()]
-    known = {
-        name for command in commands for option in command.params for name in (*option.opts, *option.secondary_opts)
-    }
+    commands = [group, *group.commands.values(), *group.commands["progressive"].commands.values()]
+    options = [option for command in commands for option in command.params]
+    known = {"--help", *(name for option in options for name in (*option.opts, *option.secondary_opts))}
     for page in PAGES:
         # Inside code of one line: other programs' options are not named like ours.
         for code in re.findall(r"`([^`\n]+)`", page.read_text("utf-8")):
