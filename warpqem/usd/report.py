@@ -35,6 +35,7 @@ class PrimReport:
         skin: "fitted" or "interpolated: " and why, for a mesh that joints go on moving point by point; None for others.
         symmetry: Where symmetry was asked for, "kept" or why the mesh is not symmetric.
         plan: The blocks of frames it was done in, and the memory for it, see `warpqem.MemoryPlan`.
+        problems: Values that it was done with, but that cannot be meant, such as a normal that is no number.
     """
 
     path: str
@@ -53,6 +54,7 @@ class PrimReport:
     skin: str | None = None
     symmetry: str | None = None
     plan: dict[str, Any] | None = None
+    problems: list[str] = field(default_factory=list)
 
 
 @dataclass

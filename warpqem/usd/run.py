@@ -28,6 +28,7 @@ from warpqem.usd.example_poses import ExamplePoses
 from warpqem.usd.job import MeshJob, ReadOptions
 from warpqem.usd.mesh import MeshSource
 from warpqem.usd.morph import check_morph, morph_scale
+from warpqem.usd.odd_values import find_odd_values
 from warpqem.usd.point_samples import PointSamples
 from warpqem.usd.report import PrimReport, StageReport, name_prim
 from warpqem.usd.simplify_options import SimplifyOptions
@@ -183,6 +184,8 @@ class Run:
         report.frames = job.pose_count
         report.faces_before = report.faces_after = len(job.mesh.faces)
         report.vertices_before = report.vertices_after = len(job.mesh.used_points)
+        with usd_errors_named(job.mesh.path):
+            report.problems = find_odd_values(job.source)
         return job
 
     def _reading(self) -> ReadOptions:
