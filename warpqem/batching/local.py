@@ -26,6 +26,7 @@ from warpqem.batching.worker import WorkerSetup, run_worker
 from warpqem.device import resolve_device
 from warpqem.errors import BatchError, OptionError
 from warpqem.memory import DEFAULT_SHARE, available_memory, parse_bytes
+from warpqem.parallel import thread_count
 from warpqem.usd.temporary import remove_leftovers
 
 __all__ = ["LocalEngine"]
@@ -107,7 +108,7 @@ class LocalEngine:
 
     def worker_count(self, job_count: int, devices: Sequence[str]) -> int:
         """How many processes there are for so many jobs on some devices."""
-        each = _core_count() if list(devices) == ["cpu"] else len(devices)
+        each = thread_count("cpu") if list(devices) == ["cpu"] else len(devices)
         return min(self._asked or each, job_count)
 
     def setup(self, workers: int, device: str, output: str) -> WorkerSetup:
@@ -116,7 +117,7 @@ class LocalEngine:
         if memory is None:
             free = available_memory("cpu")
             memory = None if free is None else int(DEFAULT_SHARE * free) // workers
-        return WorkerSetup(max(1, _core_count() // workers), device, memory, output)
+        return WorkerSetup(max(1, thread_count("cpu") // workers), device, memory, output)
 
 
 class _Pool:
@@ -298,10 +299,6 @@ class _Pool:
         else:
             how = f"ended with code {code}"
         return how + _last_words(worker.output)
-
-
-def _core_count() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _last_words(path: str) -> str:
