@@ -1,0 +1,10 @@
+"""Faces: named feature points, levels that keep them, and expressions carried to other faces.
+
+After the multiresolution facial animation of the source paper, whose points and retargeting are those of expression
+cloning (Noh & Neumann 2001).
+"""
+
+from warpqem.face.features import FacialFeatures, facial_features
+from warpqem.face.names import FEATURE_NAMES, MIDLINE, PAIRS
+
+__all__ = ["FEATURE_NAMES", "MIDLINE", "PAIRS", "FacialFeatures", "facial_features"]
