@@ -15,6 +15,7 @@ from test_report import waving
 import warpqem
 from warpqem.report import Level, Report, Table, report_page, write_report
 from warpqem.report.live import LiveLevels
+from warpqem.report.overview import Asset, overview_page
 from warpqem.report.server import PageServer
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="the browser extra is not installed")
@@ -226,3 +227,33 @@ def test_levels_come_from_the_server_of_view(browser):
     finally:
         server.stop()
         thread.join()
+
+
+def test_overview_is_sorted_and_limited(browser, tmp_path):
+    picture = np.full((6, 8, 3), 90, dtype=np.uint8)
+    assets = [
+        Asset("b", "done", 100, 10, 0.5, pictures=[picture, picture]),
+        Asset("a", "failed", message="lost"),
+        Asset("c", "done", 20, 10, 0.1),
+    ]
+    (tmp_path / "page.html").write_text(overview_page("three", assets), "utf-8")
+    page = browser.new_page()
+    errors = []
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    page.goto((tmp_path / "page.html").as_uri())
+
+    def names() -> list[str]:
+        return page.locator("tbody tr td:first-child > span").all_inner_texts()
+
+    assert names() == ["b", "a", "c"]
+    page.click("thead button:text('error')")
+    assert names() == ["c", "b", "a"]
+    page.click("thead button:text('error')")
+    assert names() == ["b", "c", "a"]
+    page.click("#status [data-value=failed]")
+    assert names() == ["a"]
+    page.click("#status [data-value=all]")
+    page.fill("#search", "LOST")
+    assert names() == ["a"]
+    assert errors == []
+    page.close()

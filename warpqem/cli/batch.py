@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from warpqem.cli.console import EXIT_FAILED, print_table, quiet_warp, tell
+from warpqem.cli.console import EXIT_FAILED, print_table, progress_bar, quiet_warp, tell
 from warpqem.cli.logs import LogJson, Verbose, start_logging
 from warpqem.cli.simplify_options import takes_simplify_options
 from warpqem.errors import OptionError, StageError
@@ -86,6 +86,10 @@ def batch(
         str | None,
         typer.Option("--json", metavar="FILE", help="Write a line of JSON for each asset to FILE, or to stdout for -."),
     ] = None,
+    report: Annotated[
+        str | None,
+        typer.Option("--report", metavar="FILE", help="Write an overview (.html) with pictures; it opens offline."),
+    ] = None,
     verbose: Verbose = 0,
     log_json: LogJson = None,
 ) -> None:
@@ -101,7 +105,10 @@ def batch(
     from warpqem.batching.run import batch as run_batch
     from warpqem.batching.state import JOURNAL_NAME
     from warpqem.cli.batch_display import BatchDisplay, dry_run_table, summary_table
+    from warpqem.report.page import check_page_path
 
+    if report is not None:
+        check_page_path(report)
     folder = Path(output)
     work = _find_jobs(inputs, folder, options, None if output_format is None else f".{output_format.value}")
     journal = folder / JOURNAL_NAME
@@ -127,10 +134,20 @@ def batch(
             updates.close()
         seconds = display.seconds
     print_table(summary_table(results, len(work), seconds), to_stderr=json == "-")
+    if report is not None:
+        _write_overview(report, results, options)
     if interrupted:
         tell("error", f"interrupted after {len(results)} of {len(work)} assets; go on with --resume")
     if interrupted or not all(result.ok for result in results):
         raise typer.Exit(EXIT_FAILED)
+
+
+def _write_overview(path: str, results: list[BatchResult], options: dict[str, Any]) -> None:
+    from warpqem.usd.overview import write_overview
+
+    with progress_bar("drawing") as progress:
+        found = [result.to_dict() for result in results]
+        write_overview(path, found, tuple(options["prim"] or ()), options["device"], progress)
 
 
 def _find_jobs(inputs: list[str], folder: Path, options: dict[str, Any], suffix: str | None) -> list[BatchJob]:

@@ -13,7 +13,7 @@ from warpqem.errors import OptionError, StageError
 from warpqem.report.content import Report
 from warpqem.report.data import Progress, report_data
 
-__all__ = ["check_page_path", "report_page", "save_page", "write_report"]
+__all__ = ["asset_text", "check_page_path", "report_page", "save_page", "script_text", "write_report"]
 
 SUFFIXES = (".html", ".htm")
 
@@ -50,14 +50,14 @@ def check_page_path(path: str | os.PathLike[str]) -> None:
 
 def report_page(data: dict[str, Any]) -> str:
     """The HTML text for the data of `report_data`."""
-    text = _asset("template.html")
+    text = asset_text("template.html")
     # Each mark is replaced once, and what it is replaced by is not looked at again.
     parts = {
         "TITLE": html.escape(data["title"]),
-        "STYLE": _asset("page.css"),
+        "STYLE": asset_text("page.css"),
         "DATA": json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"),
-        "THREE": _script("three.min.js"),
-        "PAGE": "".join(_script(name) for name in ("decode.js", "plots.js", "scene.js", "page.js")),
+        "THREE": script_text("three.min.js"),
+        "PAGE": "".join(script_text(name) for name in ("decode.js", "plots.js", "scene.js", "page.js")),
     }
     pieces = text.split("%%")
     return "".join(parts[piece] if index % 2 else piece for index, piece in enumerate(pieces))
@@ -80,10 +80,12 @@ def save_page(path: str | os.PathLike[str], text: str) -> None:
         temporary.unlink(missing_ok=True)
 
 
-def _asset(name: str) -> str:
+def asset_text(name: str) -> str:
+    """One of the files that pages are made of."""
     return (files("warpqem.report") / "assets" / name).read_text(encoding="utf-8")
 
 
-def _script(name: str) -> str:
+def script_text(name: str) -> str:
+    """The same as the inside of a script element."""
     # Inside a page, only this would end a script early.
-    return _asset(name).replace("</script", "<\\/script")
+    return asset_text(name).replace("</script", "<\\/script")

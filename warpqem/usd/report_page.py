@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from warpqem.usd.compare import CompareOptions, PairReport
     from warpqem.usd.frames import FrameRange
 
-__all__ = ["stage_report", "write_compare_report", "write_simplify_report"]
+__all__ = ["coarsest_level", "stage_report", "write_compare_report", "write_simplify_report"]
 
 Progress = Callable[[float, str], None]
 
@@ -128,6 +128,16 @@ def stage_report(
     return _gather(title, original, levels, frames, (), ())
 
 
+def coarsest_level(path: str, prims: Sequence[str] = ()) -> WorldMeshes:
+    """The meshes of a file, those of its last level of detail where it has levels.
+
+    Raises:
+        StageError: the file cannot be read, or has no mesh.
+    """
+    names = _level_names(path)
+    return _open_level(path, names[-1], prims, ()) if names else WorldMeshes(path, prims)
+
+
 def _level_names(path: str) -> list[str]:
     """Names of the levels of detail of a file, the finest first; empty if it has none."""
     # A prim does not keep its stage alive.
@@ -175,10 +185,8 @@ def _gather(
     own = [times[index] for index in shown] or None
     thinned = shown.step > 1
     if thinned:
-        notes = [
-            *notes,
-            f"Shown and measured: every {shown.step}th of {len(times)} frames, so that the page stays small.",
-        ]
+        left = f"Shown and measured: {len(shown)} of {len(times)} frames, one in {shown.step}: the page stays small."
+        notes = [*notes, left]
     points, faces = original.read(own)
     rate = original.stage.GetTimeCodesPerSecond() / (float(np.median(np.diff(own))) if own and len(own) > 1 else 1.0)
     return Report(

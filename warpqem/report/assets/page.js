@@ -233,7 +233,12 @@
     parts.push(frameCount > 1 ? `${frameCount} frames` : "one pose");
     if (data.levels.length === 1 && level().measures) parts.push(`RMS ${percent(level().measures.rms)} of the diagonal`);
     byId("facts").textContent = parts.join(" · ");
-    for (const note of data.notes) element(byId("notes"), "p", note);
+    let place = byId("notes");
+    if (data.notes.length > 4) {
+      place = element(place, "details");
+      element(place, "summary", `${data.notes.length} notes`);
+    }
+    for (const note of data.notes) element(place, "p", note);
   }
 
   function boxOf(mesh) {

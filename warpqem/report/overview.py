@@ -1,0 +1,70 @@
+"""An overview of many assets as one HTML file: a table that can be sorted and searched, with pictures."""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from PIL import Image
+
+from warpqem.report.page import asset_text, script_text
+
+__all__ = ["Asset", "overview_page"]
+
+# Of a picture; more do not show at its size.
+COLORS = 48
+
+
+@dataclass(frozen=True)
+class Asset:
+    """One row.
+
+    Attributes:
+        name: of the input.
+        status: "done", "partial", "failed" or "skipped".
+        faces: triangles before; 0 where that is not known.
+        faces_after: triangles after.
+        error: largest error of a mesh, in % of its diagonal; None where that is not known.
+        flips: faces that turned over, in all frames together.
+        seconds: wall-clock time.
+        message: what went wrong; empty where nothing did.
+        pictures: before and after, (height, width, 3) uint8 sRGB; empty for none.
+        link: address of the output, relative to the page; empty for none.
+    """
+
+    name: str
+    status: str
+    faces: int = 0
+    faces_after: int = 0
+    error: float | None = None
+    flips: int = 0
+    seconds: float = 0.0
+    message: str = ""
+    pictures: Sequence[np.ndarray] = ()
+    link: str = ""
+
+
+def overview_page(title: str, assets: Sequence[Asset], notes: Sequence[str] = ()) -> str:
+    """The HTML text; equal arguments give equal text."""
+    rows = [{**vars(asset), "pictures": [_as_address(picture) for picture in asset.pictures]} for asset in assets]
+    parts = {
+        "TITLE": html.escape(title),
+        "STYLE": asset_text("page.css"),
+        "DATA": json.dumps({"assets": rows, "notes": list(notes)}, allow_nan=False, separators=(",", ":")).replace(
+            "<", "\\u003c"
+        ),
+        "PAGE": script_text("overview.js"),
+    }
+    pieces = asset_text("overview.html").split("%%")
+    return "".join(parts[piece] if index % 2 else piece for index, piece in enumerate(pieces))
+
+
+def _as_address(picture: np.ndarray) -> str:
+    file = io.BytesIO()
+    Image.fromarray(picture).quantize(COLORS).save(file, format="PNG", optimize=True)
+    return "data:image/png;base64," + base64.b64encode(file.getvalue()).decode("ascii")

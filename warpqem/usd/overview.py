@@ -1,0 +1,98 @@
+"""Overviews of batches, with pictures of what was read and written."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import numpy as np
+
+from warpqem.errors import WarpqemError
+from warpqem.picture import fit_view, render
+from warpqem.report.overview import Asset, overview_page
+from warpqem.report.page import check_page_path, save_page
+from warpqem.usd.report_page import coarsest_level
+from warpqem.usd.world import WorldMeshes, chosen_times
+
+__all__ = ["write_overview"]
+
+Progress = Callable[[float, str], None]
+
+# Width and height of a picture.
+SIZE = (200, 150)
+# Reading two files takes long beside drawing them, and the page is to stay below some MB.
+MOST_PICTURES = 400
+
+
+def write_overview(
+    path: str | os.PathLike[str],
+    results: Sequence[dict[str, Any]],
+    prims: Sequence[str] = (),
+    device: str | None = None,
+    progress: Progress | None = None,
+) -> None:
+    """Write an overview of a batch as one HTML file.
+
+    Args:
+        path: .html file; replaced if it exists.
+        results: What came of each asset, see `warpqem.BatchResult.to_dict`.
+        prims: Prim paths; meshes at and below them are drawn. Empty for all.
+        device: Warp device; None for the default.
+        progress: Called with the fraction done and what is being done.
+
+    Raises:
+        OptionError: the suffix of `path` is another one.
+        StageError: the page cannot be written.
+    """
+    check_page_path(path)
+    ordered = sorted(results, key=lambda result: str(result["input"]))
+    folder = os.path.commonpath([os.path.dirname(os.path.abspath(result["input"])) for result in ordered] or [os.sep])
+    assets = []
+    drawn = 0
+    for index, result in enumerate(ordered):
+        if progress:
+            progress(index / len(ordered), f"drawing {result['input']}")
+        pictures: list[np.ndarray] = []
+        message = result["message"] or ""
+        if result["status"] != "failed" and drawn < MOST_PICTURES:
+            drawn += 1
+            try:
+                pictures = _pictures(result["input"], result["output"], prims, device)
+            except WarpqemError as error:
+                message = " ".join(part for part in (message, f"not drawn: {error}") if part)
+        name = os.path.relpath(os.path.abspath(result["input"]), folder)
+        assets.append(_asset(name, result, message, pictures, Path(path)))
+    done = sum(result["status"] in ("done", "skipped") for result in ordered)
+    notes = [f"Inputs are in {folder}."]
+    notes += ["Pictures show the middle of each animation, before and after. Errors are in % of a mesh's diagonal."]
+    if drawn == MOST_PICTURES < len(ordered):
+        notes.append(f"The first {MOST_PICTURES} are drawn.")
+    save_page(path, overview_page(f"{done} of {len(ordered)} assets are done", assets, notes))
+
+
+def _asset(name: str, result: dict[str, Any], message: str, pictures: Sequence[np.ndarray], page: Path) -> Asset:
+    reports = [prim for prim in (result["report"] or {}).get("prims", []) if prim["error"] is not None]
+    written = result["status"] != "failed"
+    return Asset(
+        name=name,
+        status=result["status"],
+        faces=result["faces"],
+        faces_after=result["faces_after"],
+        error=max((prim["error"] for prim in reports), default=None),
+        flips=sum(prim["flips"] or 0 for prim in reports),
+        seconds=round(result["seconds"], 2),
+        message=message,
+        pictures=pictures,
+        link=quote(os.path.relpath(result["output"], page.resolve().parent).replace(os.sep, "/")) if written else "",
+    )
+
+
+def _pictures(before: str, after: str, prims: Sequence[str], device: str | None) -> list[np.ndarray]:
+    meshes = [WorldMeshes(before, prims), coarsest_level(after, prims)]
+    times = chosen_times(meshes)
+    shapes = [item.read([times[len(times) // 2]] if times else None) for item in meshes]
+    view = fit_view(shapes[0][0], up=meshes[0].up, aspect=SIZE[0] / SIZE[1])
+    return [render(points[0], faces, view, size=SIZE, device=device) for points, faces in shapes]
