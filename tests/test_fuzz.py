@@ -100,5 +100,8 @@ def test_damaged_metadata_is_named(tmp_path, monkeypatch):
     stage.Save()
     monkeypatch.setattr("warpqem.usd.write.anchored", lambda value, layer: 3)
     monkeypatch.setattr("warpqem.usd.write.Sdf.AssetPath", dict)
-    with pytest.raises(StageError, match=r"in\.usda: the metadata 'customLayerData' is damaged"):
+    with pytest.raises(StageError, match=r"in\.usda: the metadata 'customLayerData' is damaged") as raised:
         simplify_stage(tmp_path / "in.usda", tmp_path / "out.usda", HALF)
+    # Not even while the error is at hand.
+    assert raised.value is not None
+    assert [path.name for path in tmp_path.iterdir()] == ["in.usda"]

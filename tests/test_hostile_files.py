@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+import sys
 import zipfile
 from pathlib import Path
 
 import pytest
-from pxr import Sdf, Usd, UsdGeom
+from pxr import Sdf, Usd, UsdGeom, Vt
+from test_cli import run
 from test_usd_stages import cloth_stage, define_cloth
 
 from warpqem.errors import OptionError, StageError
@@ -157,6 +159,20 @@ def test_package_that_lies_about_a_size_is_refused(tmp_path):
     data[central + 20 : central + 28] = (2**31).to_bytes(4, "little") * 2
     (tmp_path / "in.usdz").write_bytes(data)
     refused(tmp_path / "in.usdz", "said to be larger|no package")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux limits what is mapped")
+def test_array_that_unpacks_to_more_than_the_memory_allows_is_named(tmp_path):
+    stage = cloth_stage(tmp_path / "in.usdc")
+    # Equal numbers: half a gigabyte of them is some hundred kilobytes of a file.
+    count = 2**27
+    UsdGeom.Mesh(stage.GetPrimAtPath("/Root/Cloth")).GetFaceVertexIndicesAttr().Set(Vt.IntArray(count, 0))
+    stage.Save()
+    del stage
+    assert (tmp_path / "in.usdc").stat().st_size < 2**20
+    result = run("simplify", tmp_path / "in.usdc", "-o", tmp_path / "o.usda", "--ratio", 0.5, "--memory", "16M")
+    assert result.exit_code == 1
+    assert "error: /Root/Cloth: USD fails on a value of it" in result.stderr
 
 
 @pytest.fixture

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
-__all__ = ["limit_memory", "peak_memory", "reset_peak"]
+__all__ = ["limit_memory", "limited_memory", "peak_memory", "reset_peak"]
 
 STATUS = Path("/proc/self/status")
 # Room above what is planned: the plan's factors are not exact, and a file is read before there is a plan.
@@ -49,6 +51,18 @@ def limit_memory(more: int | None) -> None:
     if hard != resource.RLIM_INFINITY:
         soft = min(soft, hard)
     resource.setrlimit(resource.RLIMIT_DATA, (soft, hard))
+
+
+@contextmanager
+def limited_memory(more: int | None) -> Iterator[None]:
+    """`limit_memory` for a while; None for no limit."""
+    if more is not None:
+        limit_memory(more)
+    try:
+        yield
+    finally:
+        if more is not None:
+            limit_memory(None)
 
 
 def _status(name: str) -> int | None:

@@ -68,7 +68,7 @@ def _serve(connection: Connection, sender: _Sender, setup: WorkerSetup) -> None:
 
     from warpqem.batching.perform import perform, warm_up
     from warpqem.memory import parse_bytes
-    from warpqem.process_memory import limit_memory
+    from warpqem.process_memory import limited_memory
 
     wp.config.log_level = wp.LOG_WARNING
     sender.send("loaded", None)
@@ -80,9 +80,8 @@ def _serve(connection: Connection, sender: _Sender, setup: WorkerSetup) -> None:
         job = connection.recv()
         own = job.options.memory
         limit = setup.memory if own is None else parse_bytes(own)
-        limit_memory(limit)
-        result = perform(job, sender.progress, setup.device, setup.memory)
-        limit_memory(None)
+        with limited_memory(limit):
+            result = perform(job, sender.progress, setup.device, setup.memory)
         sender.send("result", result)
 
 

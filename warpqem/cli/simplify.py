@@ -38,6 +38,8 @@ def simplify(
 def run_simplify(input_file: str, output: str, options: dict[str, Any], page: str | None, json: str | None) -> None:
     """Simplify, and say what came of it."""
     quiet_warp()
+    from warpqem.memory import parse_bytes
+    from warpqem.process_memory import limited_memory
     from warpqem.report.page import check_page_path
     from warpqem.usd import simplify_stage
     from warpqem.usd.option_values import read_options
@@ -46,7 +48,8 @@ def run_simplify(input_file: str, output: str, options: dict[str, Any], page: st
     asked = read_options(options)
     if page is not None:
         check_page_path(page)
-    with progress_bar("reading") as progress:
+    limit = None if asked.memory is None else parse_bytes(asked.memory)
+    with limited_memory(limit), progress_bar("reading") as progress:
         report = simplify_stage(input_file, output, asked, progress, _tell_plan)
         if page is not None and report.output is not None:
             write_simplify_report(page, report, asked, progress)

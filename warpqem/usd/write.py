@@ -98,15 +98,23 @@ class OverLayer:
         self._on_disk = folder is not None
         file = Path(self._layer.realPath) if folder is not None else None
         self._remove = weakref.finalize(self, file.unlink, missing_ok=True) if file else None
+        try:
+            self.stage: Usd.Stage = self._start()
+        except BaseException:
+            # An error holds on to this object, and so to the file.
+            self.close()
+            raise
+        self._dropped: list[Dropped] = []
+        self._unsaved = self._samples = 0
+
+    def _start(self) -> Usd.Stage:
         copy_stage_metadata(self._source, self._layer)
         try:
             self._layer.subLayerPaths.append(self._source.realPath)
         except Tf.ErrorException as error:
             name = self._source.realPath
             raise StageError(f"{name!r}: no layer can name a file of this name ({first_line(error)})") from error
-        self.stage: Usd.Stage = Usd.Stage.Open(self._layer)
-        self._dropped: list[Dropped] = []
-        self._unsaved = self._samples = 0
+        return Usd.Stage.Open(self._layer)
 
     def close(self) -> None:
         """Remove the temporary file; nothing can be saved any more."""
