@@ -110,11 +110,14 @@ def test_mesh_of_one_pose_is_shown():
     assert (data["original"]["frames"], data["original"]["mesh"]["features"]) == (1, None)
 
 
-def test_too_large_an_original_is_named_but_not_shown(monkeypatch):
-    monkeypatch.setattr("warpqem.report.data.LARGEST_POSITIONS", 100)
+@pytest.mark.parametrize(("room", "drawn"), [(10**6, (True, True)), (2500, (False, True)), (100, (False, False))])
+def test_what_is_too_large_is_measured_and_named_but_not_drawn(monkeypatch, room, drawn):
+    monkeypatch.setattr("warpqem.report.data.LARGEST_MESHES", room)
     data = report_data(small_report(), device="cpu")
-    assert data["original"]["mesh"] is None
-    assert "more than this page has room for" in data["notes"][-1]
+    [level] = data["levels"]
+    assert (data["original"]["mesh"] is not None, level["mesh"] is not None) == drawn
+    assert level["measures"]["rms"] > 0
+    assert sum("room for" in note for note in data["notes"]) == 2 - sum(drawn)
 
 
 def test_page_refers_to_nothing_outside():

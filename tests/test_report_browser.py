@@ -229,6 +229,26 @@ def test_levels_come_from_the_server_of_view(browser):
         thread.join()
 
 
+@pytest.mark.parametrize("room", [2500, 100])
+def test_page_without_some_meshes_or_all_shows_the_rest(browser, tmp_path, monkeypatch, room):
+    monkeypatch.setattr("warpqem.report.data.LARGEST_MESHES", room)
+    points, faces = waving(4)
+    report = Report("large", points, faces, [Level("level", points + np.float32([0, 0, 0.1]), faces)])
+    write_report(tmp_path / "page.html", report, device="cpu")
+    page = browser.new_page(reduced_motion="reduce")
+    errors = []
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    page.goto((tmp_path / "page.html").as_uri())
+    if room == 100:
+        page.wait_for_selector("#message:visible")
+    else:
+        page.wait_for_function("window.warpqem && window.warpqem.ready")
+    assert "Validity" in page.locator("#tables").inner_text()
+    page.locator("#scrub").fill("2")
+    assert errors == []
+    page.close()
+
+
 def test_overview_is_sorted_and_limited(browser, tmp_path):
     picture = np.full((6, 8, 3), 90, dtype=np.uint8)
     assets = [

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -23,6 +23,9 @@ __all__ = ["LARGEST_POSITIONS", "chosen_frames", "mesh_data", "report_data"]
 LARGEST_POSITIONS = 6 * 2**20
 # A coordinate has 16 bits.
 BYTES_PER_POINT = 6
+# The meshes as a whole, with their faces.
+LARGEST_MESHES = 2 * LARGEST_POSITIONS
+BYTES_PER_FACE = 12
 # Five seconds show what moves, and each frame that is shown is measured too.
 MOST_FRAMES = 120
 # Samples on each mesh for the curves: the mean over frames is then off by about 1 %.
@@ -66,6 +69,10 @@ def report_data(report: Report, device: str | None = None, progress: Progress | 
     original = original[None] if original.ndim == 2 else original
     levels = [Level(v.name, np.asarray(v.points).reshape(-1, *v.points.shape[-2:]), v.faces) for v in report.levels]
     grid = Grid.around(original, *(level.points for level in levels))
+    notes = list(report.notes)
+    shown = _with_room(
+        [("The original", original, report.faces), *((v.name, v.points, v.faces) for v in levels)], notes
+    )
     packed = []
     labels = _features(original, report.faces, device)
     for index, level in enumerate(levels):
@@ -74,11 +81,7 @@ def report_data(report: Report, device: str | None = None, progress: Progress | 
         def part(done: int, total: int, start: float = start, share: float = share, name: str = level.name) -> None:
             progress(start + share * done / total, f"measuring {name}")
 
-        packed.append(_level_data(level, original, report, grid, labels, device, part))
-    notes = list(report.notes)
-    shown_whole = original.shape[1] * BYTES_PER_POINT * min(2, len(original)) <= LARGEST_POSITIONS
-    if not shown_whole:
-        notes.append(f"The original has {original.shape[1]} vertices, more than this page has room for: not shown.")
+        packed.append(_level_data(level, original, report, grid, labels, shown[index + 1], device, part))
     return {
         "title": report.title,
         "up": report.up,
@@ -88,7 +91,7 @@ def report_data(report: Report, device: str | None = None, progress: Progress | 
         "colorMap": COLOR_MAP.tolist(),
         "original": {
             **_counts(original, report.faces),
-            "mesh": mesh_data(original, report.faces, grid, labels) if shown_whole else None,
+            "mesh": mesh_data(original, report.faces, grid, labels) if shown[0] else None,
         },
         "levels": packed,
         "samples": SAMPLES,
@@ -128,6 +131,23 @@ def mesh_data(
     }
 
 
+def _with_room(meshes: Sequence[tuple[str, np.ndarray, np.ndarray]], notes: list[str]) -> list[bool]:
+    """Which meshes (name, points, faces) the page has room for; a note names each of the others.
+
+    The last are the coarsest and come first: of what was simplified, most is seen.
+    """
+    room = LARGEST_MESHES
+    shown = []
+    for name, points, faces in reversed(meshes):
+        size = points.shape[0] * points.shape[1] * BYTES_PER_POINT + len(faces) * BYTES_PER_FACE
+        shown.append(size <= room)
+        if shown[-1]:
+            room -= size
+        else:
+            notes.append(f"{name} has {len(faces)} faces, more than this page has room for: measured, but not drawn.")
+    return shown[::-1]
+
+
 def _feature_bytes(labels: np.ndarray) -> np.ndarray:
     return np.where(labels < 0, NO_FEATURE, labels % NO_FEATURE).astype(np.uint8)
 
@@ -164,6 +184,7 @@ def _level_data(
     report: Report,
     grid: Grid,
     labels: np.ndarray | None,
+    shown: bool,
     device: str | None,
     progress: Callable[[int, int], None],
 ) -> dict[str, Any]:
@@ -174,7 +195,7 @@ def _level_data(
     return {
         "name": level.name,
         **_counts(level.points, level.faces),
-        "mesh": mesh_data(level.points, level.faces, grid, own_labels, distance),
+        "mesh": mesh_data(level.points, level.faces, grid, own_labels, distance) if shown else None,
         "measures": _measures(measures, report.thinned),
     }
 

@@ -154,11 +154,12 @@
         byId("level-name").textContent = `${chosen.name}, ${chosen.faces} faces …`;
         Object.assign(chosen, await (await fetch(chosen.url)).json());
       }
-      chosen.decoded = await decodeMesh(chosen.mesh, frameCount);
+      if (chosen.mesh) chosen.decoded = await decodeMesh(chosen.mesh, frameCount);
     }
     // A later choice may have come first.
     if (wanted !== levelLoad || !view) return;
-    if (chosen) view.setMeshes(view.original, new MeshView(chosen.decoded, data.grid, "level"));
+    // One that is too large for the page has no mesh.
+    view.setMeshes(view.original, chosen && chosen.decoded ? new MeshView(chosen.decoded, data.grid, "level") : null);
     refresh();
   }
 
@@ -269,7 +270,13 @@
     const original = data.original.mesh ? await decodeMesh(data.original.mesh, frameCount) : null;
     view.setMeshes(original ? new MeshView(original, data.grid, "original") : null, null);
     await setLevel(state.level);
-    view.aim(boxOf(original || view.level.mesh));
+    const first = original || (view.level && view.level.mesh);
+    if (!first) {
+      tell("The meshes are too large for this page; plots and tables are below.");
+      view = null;
+      return;
+    }
+    view.aim(boxOf(first));
     view.controls.addEventListener("change", () => { state.dirty = true; });
     refresh();
     let last = null;
