@@ -6,6 +6,7 @@
 | `dsd`  | the sum of the frames' quadrics                    | Mohr & Gleicher 2003                        |
 | `dod`  | that sum plus the edges' change of length          | deformation oriented decimation             |
 | `aqem` | that sum times the size of the motion feature      | Yang, Zhou, Lin, Lin & Lin 2019, equation 6 |
+| `face` | that sum with the quadrics of a face's feature points weighted up | expression retargeting to levels |
 
 Other packages add theirs as entry points of the group `warpqem.cost_models`: the name of the entry point is that of the
 model, its object a :class:`CostModelSpec`. A name from the table stays what it is here.
@@ -38,6 +39,7 @@ class CostModelSpec:
         vertex_weight: called once for each mesh with the key frames, points (K, V, 3) float32 in the input's unit about
             a common origin and faces (N, 3) int32; returns factors on the cost at each vertex, (V,) numbers, 0 or more
             and finite, which multiply those the caller gives. Equal arguments have to give equal bits. None for none.
+        keeps_face: the quadrics of the feature points of a face are weighted up, and the points stay vertices.
         source: the paper, for reports.
     """
 
@@ -46,6 +48,7 @@ class CostModelSpec:
     deformation_weight: float = 0.0
     uses_motion_features: bool = False
     vertex_weight: Callable[[Any, Any], Any] | None = None
+    keeps_face: bool = False
     source: str = ""
 
 
@@ -56,6 +59,7 @@ COST_MODELS = {
         CostModelSpec("dsd", source="Mohr & Gleicher 2003"),
         CostModelSpec("dod", deformation_weight=1.0, source="deformation oriented decimation"),
         CostModelSpec("aqem", uses_motion_features=True, source="Yang et al. 2019"),
+        CostModelSpec("face", keeps_face=True, source="feature-preserving levels of faces, equation 1"),
     )
 }
 

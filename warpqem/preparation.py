@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from warpqem.arguments import Goal, check_options, read_goal
 from warpqem.attributes import AttributeField, channel_count, weighted_corner_values
 from warpqem.cost_models import CostModelSpec, cost_model
 from warpqem.device import resolve_device
+from warpqem.errors import OptionError
 from warpqem.frame_blocks import frame_blocks, pack_frames
 from warpqem.frame_stream import held_bytes, read_ahead
 from warpqem.importance import border_vertices, lock_mask, read_model_weights, read_quadric_scale, read_weights
@@ -25,6 +26,9 @@ from warpqem.order.stage import OrderedMesh, OrderInput, OrderSettings, order_co
 from warpqem.place.clusters import PlaceSettings
 from warpqem.place.stage import Placer
 from warpqem.seams import Seams, read_seams
+
+if TYPE_CHECKING:
+    from warpqem.face.protect import FaceProtection
 
 __all__ = ["ORDER_END", "Prepared", "Progress", "plan_work", "prepare"]
 
@@ -103,6 +107,7 @@ def prepare(
     lock_borders: bool = False,
     seams: Any = None,
     attributes: Sequence[AttributeField] = (),
+    face: FaceProtection | None = None,
     memory: int | str | None = None,
     keep_frames: bool = True,
     keep_nodes: bool = False,
@@ -127,6 +132,13 @@ def prepare(
     if lock_borders:
         pinned |= border_vertices(given)
     scale = read_quadric_scale(quadric_scale, given)
+    if face is not None and not spec.keeps_face:
+        raise OptionError(f"face= needs metric 'face', not {metric!r}")
+    if spec.keeps_face:
+        from warpqem.face.protect import FaceProtection, protect
+
+        face_scale, kept = protect(given, FaceProtection() if face is None else face)
+        scale, pinned = scale * face_scale, pinned | kept
     values = weighted_corner_values(attributes, given)
     mesh, keys, weights = _look_through(given, spec, planned, factors, progress, device)
     endpoint = placement == "endpoint"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from warpqem.arguments import check_options, read_goal
 from warpqem.attributes import AttributeField
@@ -14,6 +14,9 @@ from warpqem.memory import MemoryPlan
 from warpqem.mesh_input import read_mesh
 from warpqem.preparation import Progress, plan_work, prepare
 from warpqem.result import Outcome, SimplifiedMesh, finish, reached
+
+if TYPE_CHECKING:
+    from warpqem.face.protect import FaceProtection
 
 __all__ = ["plan", "simplify"]
 
@@ -36,6 +39,7 @@ def simplify(
     lock_borders: bool = False,
     seams: Any = None,
     attributes: Sequence[AttributeField] = (),
+    face: FaceProtection | None = None,
     memory: int | str | None = None,
     sink: FrameSink | None = None,
     device: str | None = None,
@@ -54,7 +58,7 @@ def simplify(
         target_faces: faces to keep, at least 1. The result has as many, or one fewer.
         max_error: stop before an edge collapse whose error (see ``SimplifiedMesh.error``) exceeds this, in % of the
             bounding-box diagonal. At least one of the three is needed; with a count, whichever comes first stops.
-        metric: "dsd" (default), "qem", "dod" or "aqem"; see :mod:`warpqem.cost_models`.
+        metric: "dsd" (default), "qem", "dod", "aqem" or "face"; see :mod:`warpqem.cost_models`.
         coherence: 0 (every frame its own best fit) to 1 (vertices stay on the material).
         key_frames: how many frames decide the order, chosen by their pose; None for all.
         placement: "optimal", or "endpoint" to use vertices of the input only.
@@ -71,6 +75,8 @@ def simplify(
             to spare: beyond that the islands between them that cost the shape least are given up.
         attributes: UVs and other values on the surface, each with the weight of its error in the order of collapses;
             see :class:`warpqem.AttributeField`. ``max_error`` and ``SimplifiedMesh.error`` stay errors of the shape.
+        face: how ``metric="face"`` keeps the feature points of a face, see :class:`warpqem.FaceProtection`; None for
+            its defaults.
         memory: bytes that the work may take, beside what the process holds already, or text such as "8G"; None for
             most of what is free. It decides how many frames are in memory at once, and no bit of the result.
         sink: takes the frames of the result, block by block, in place of an array.
@@ -101,6 +107,7 @@ def simplify(
         lock_borders=lock_borders,
         seams=seams,
         attributes=attributes,
+        face=face,
         memory=memory,
         keep_frames=sink is None,
         device=device,

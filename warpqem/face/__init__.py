@@ -6,5 +6,6 @@ cloning (Noh & Neumann 2001).
 
 from warpqem.face.features import FacialFeatures, facial_features
 from warpqem.face.names import FEATURE_NAMES, MIDLINE, PAIRS
+from warpqem.face.protect import FaceProtection, face_weights
 
-__all__ = ["FEATURE_NAMES", "MIDLINE", "PAIRS", "FacialFeatures", "facial_features"]
+__all__ = ["FEATURE_NAMES", "MIDLINE", "PAIRS", "FaceProtection", "FacialFeatures", "face_weights", "facial_features"]

@@ -16,9 +16,9 @@ from warpqem.face.nose import FaceUnits
 from warpqem.face.orientation import axes_of, find_face
 from warpqem.face.skin import find_skin
 from warpqem.face.spots import Missing, Spot
-from warpqem.mesh_input import read_mesh
+from warpqem.mesh_input import MeshInput, read_mesh
 
-__all__ = ["FacialFeatures", "facial_features"]
+__all__ = ["FacialFeatures", "facial_features", "features_of"]
 
 # Frames beyond these tell no more about how lips part; they are spread over the animation.
 MOST_FRAMES = 64
@@ -91,8 +91,14 @@ def facial_features(
     """
     if (up is None) != (forward is None):
         raise OptionError(f"up {up!r} and forward {forward!r}: both or none must be given")
+    return features_of(read_mesh(points, faces), up, forward, overrides)
+
+
+def features_of(
+    mesh: MeshInput, up: str | None, forward: str | None, overrides: Mapping[str, int | None] | None = None
+) -> FacialFeatures:
+    """The same for a mesh that has been read."""
     need_scipy()
-    mesh = read_mesh(points, faces)
     given = _check_overrides(overrides, mesh.vertex_count)
     chosen = np.unique(np.linspace(0, mesh.frame_count - 1, min(mesh.frame_count, MOST_FRAMES)).round().astype(int))
     frames = np.concatenate([mesh.source.read(slice(int(i), int(i) + 1)) for i in chosen]).astype(np.float64)
