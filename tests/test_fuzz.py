@@ -9,7 +9,7 @@ import fuzz_cases
 import meshes
 import numpy as np
 import pytest
-from pxr import Tf, Usd
+from pxr import Sdf, Tf, Usd, UsdGeom, Vt
 from test_usd_stages import cloth_stage, skinned_stage
 
 import warpqem
@@ -105,3 +105,22 @@ def test_damaged_metadata_is_named(tmp_path, monkeypatch):
     # Not even while the error is at hand.
     assert raised.value is not None
     assert [path.name for path in tmp_path.iterdir()] == ["in.usda"]
+
+
+@pytest.mark.parametrize("suffix", [".usda", ".usd", ".usdc"])
+def test_nan_with_a_sign_does_not_make_the_output_unreadable(tmp_path, flatten, suffix):
+    stage = cloth_stage(tmp_path / "in.usdc")
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/Root/Cloth"))
+    for name, kind, count in (("heat", "vertex", 81), ("cold", "constant", 1)):
+        primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar(name, Sdf.ValueTypeNames.HalfArray, kind)
+        primvar.Set(Vt.HalfArray.FromNumpy(np.copysign(np.full(count, np.nan, dtype=np.float16), np.float16(-1))))
+    note = stage.GetPrimAtPath("/Root").CreateAttribute("note", Sdf.ValueTypeNames.String)
+    note.Set("a -nan, and\n-nan")
+    stage.Save()
+    options = SimplifyOptions(ratio=0.5, device="cpu", flatten=flatten)
+    simplify_stage(tmp_path / "in.usdc", tmp_path / f"out{suffix}", options)
+    out = Usd.Stage.Open(str(tmp_path / f"out{suffix}"))
+    values = np.array(UsdGeom.PrimvarsAPI(out.GetPrimAtPath("/Root/Cloth")).GetPrimvar("heat").Get())
+    assert len(values)
+    assert np.isnan(values).all()
+    assert out.GetPrimAtPath("/Root").GetAttribute("note").Get() == "a -nan, and\n-nan"

@@ -19,7 +19,7 @@ from pxr import Ar, Pcp, Sdf, Tf, Usd, UsdUtils
 from warpqem.errors import StageError
 from warpqem.usd.usd_errors import first_line
 
-__all__ = ["check_composition", "open_layers"]
+__all__ = ["QUOTED", "check_composition", "open_layers"]
 
 # Brackets and prims in each other. Scenes have some dozens; USD's own stack ends between 20 000 and 100 000.
 MOST_NESTED = 1000
@@ -35,7 +35,7 @@ MOST_PACKAGE_FILES = 100_000
 
 CRATE, TEXT, PACKAGE = b"PXR-USDC", (b"#usda", b"#sdf"), b"PK\x03\x04"
 # What brackets may stand in without being any: strings, asset paths, comments.
-_QUOTED = re.compile(
+QUOTED = re.compile(
     rb'"""(?:[^"\\]|\\.|"(?!""))*"""|\'\'\'(?:[^\'\\]|\\.|\'(?!\'\'))*\'\'\'|"(?:[^"\\\n]|\\.)*"|\'(?:[^\'\\\n]|\\.)*\''
     rb"|@@@.*?@@@|@[^@\n]*@|#[^\n]*|//[^\n]*|/\*.*?\*/",
     re.DOTALL,
@@ -152,7 +152,7 @@ def _check_bytes(file: str, by: str) -> None:
 
 
 def _check_nesting(text: bytes, name: str) -> None:
-    steps = _STEPS[np.frombuffer(_QUOTED.sub(b" ", text), dtype=np.uint8)]
+    steps = _STEPS[np.frombuffer(QUOTED.sub(b" ", text), dtype=np.uint8)]
     depth = 0
     for start in range(0, len(steps), _BLOCK):
         depths = depth + np.cumsum(steps[start : start + _BLOCK], dtype=np.int32)

@@ -21,6 +21,7 @@ from warpqem.usd.skin import Skin
 from warpqem.usd.skin_output import write_skin
 from warpqem.usd.subsets import carry_subsets
 from warpqem.usd.temporary import temporary_path
+from warpqem.usd.text_numbers import make_readable
 from warpqem.usd.usd_errors import first_line
 
 __all__ = ["OverLayer", "check_output_path", "copy_stage_metadata", "export_layer", "move_asset_paths", "relative_path"]
@@ -333,6 +334,7 @@ def export_layer(layer: Sdf.Layer, output: Path) -> None:
     try:
         if not layer.Export(os.fspath(temporary)):
             raise StageError(f"{output}: USD cannot write it")
+        make_readable(temporary)
         os.replace(temporary, output)
     except (OSError, Tf.ErrorException) as error:
         raise StageError(f"{output}: cannot be written ({first_line(error)})") from error
