@@ -6,6 +6,7 @@ import base64
 import json
 import re
 import zlib
+from pathlib import Path
 
 import meshes
 import numpy as np
@@ -120,6 +121,15 @@ def test_what_is_too_large_is_measured_and_named_but_not_drawn(monkeypatch, room
     assert sum("room for" in note for note in data["notes"]) == 2 - sum(drawn)
 
 
+def test_markers_are_found_again_on_the_levels():
+    points, faces = waving()
+    order = np.random.default_rng(3).permutation(len(points[0]))
+    moved = Level("other order", points[:, order], np.argsort(order)[faces])
+    data = report_data(Report("m", points, faces, [moved], markers={"left": 0, "right": 5}), device="cpu")
+    assert (data["markers"], data["original"]["markers"]) == (["left", "right"], [0, 5])
+    assert order[data["levels"][0]["markers"]].tolist() == [0, 5]
+
+
 def test_page_refers_to_nothing_outside():
     page = report_page(report_data(small_report(), device="cpu"))
     assert not re.search(r"<(script|img|iframe)[^>]*\ssrc=|<link[^>]*href=\"(?!data:)|@import|url\(", page)
@@ -192,6 +202,17 @@ def test_meshes_that_failed_are_notes_not_pictures(tmp_path):
     data = data_of(page.read_text("utf-8"))
     assert data["original"]["faces"] == 128
     assert any(note.startswith("/Root/Broken") for note in data["notes"])
+
+
+def test_report_on_a_face_marks_its_feature_points(tmp_path):
+    scene = Path(__file__).resolve().parent.parent / "scenes" / "talking_head.usdc"
+    page = tmp_path / "page.html"
+    done = run("simplify", scene, "-o", tmp_path / "out.usda", "--ratio", 0.1, "--metric", "face", "--frames", "1:3",
+               "--device", "cpu", "--report", page)  # fmt: skip
+    assert done.exit_code == 0, done.stderr
+    data = data_of(page.read_text("utf-8"))
+    assert {"nose_tip", "chin"} <= set(data["markers"])
+    assert len(set(data["levels"][0]["markers"])) == len(data["markers"])
 
 
 def test_compare_writes_a_report(tmp_path):

@@ -229,6 +229,24 @@ def test_levels_come_from_the_server_of_view(browser):
         thread.join()
 
 
+def test_markers_can_be_hidden(browser, tmp_path):
+    points, faces = waving(4)
+    report = Report("marked", points, faces, [Level("level", points, faces)], markers={"corner": 0, "other": 20})
+    write_report(tmp_path / "page.html", report, device="cpu")
+    page = browser.new_page(reduced_motion="reduce")
+    page.goto((tmp_path / "page.html").as_uri())
+    page.wait_for_function("window.warpqem && window.warpqem.ready")
+
+    def red() -> int:
+        shown = picture(page)
+        return int(((shown[..., 0] > 180) & (shown[..., 1] < 110)).sum())
+
+    assert red() > 20
+    page.click("#dots")
+    assert red() == 0
+    page.close()
+
+
 @pytest.mark.parametrize("room", [2500, 100])
 def test_page_without_some_meshes_or_all_shows_the_rest(browser, tmp_path, monkeypatch, room):
     monkeypatch.setattr("warpqem.report.data.LARGEST_MESHES", room)

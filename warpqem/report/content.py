@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -54,6 +54,8 @@ class Report:
         up: "y" or "z".
         tables: options, timings and the like.
         notes: sentences under the picture.
+        markers: vertices of the original by name, such as the feature points of a face; drawn as dots, on the levels
+            too, on the vertex that is nearest in the first frame.
         thinned: True where frames were left out before, so that differences from one to the next mean nothing.
     """
 
@@ -65,5 +67,6 @@ class Report:
     frames_per_second: float = 24.0
     up: str = "y"
     tables: Sequence[Table] = ()
-    notes: Sequence[str] = field(default_factory=tuple)
+    notes: Sequence[str] = ()
+    markers: Mapping[str, int] = field(default_factory=dict)
     thinned: bool = False

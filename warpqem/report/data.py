@@ -73,6 +73,7 @@ def report_data(report: Report, device: str | None = None, progress: Progress | 
     shown = _with_room(
         [("The original", original, report.faces), *((v.name, v.points, v.faces) for v in levels)], notes
     )
+    marked = np.array(list(report.markers.values()), dtype=np.int64)
     packed = []
     labels = _features(original, report.faces, device)
     for index, level in enumerate(levels):
@@ -81,7 +82,12 @@ def report_data(report: Report, device: str | None = None, progress: Progress | 
         def part(done: int, total: int, start: float = start, share: float = share, name: str = level.name) -> None:
             progress(start + share * done / total, f"measuring {name}")
 
-        packed.append(_level_data(level, original, report, grid, labels, shown[index + 1], device, part))
+        # Few points, so that every vertex can be asked.
+        places = original[0, marked].astype(np.float64)
+        nearest = [int(((level.points[0] - place) ** 2).sum(axis=1).argmin()) for place in places]
+        packed.append(
+            {"markers": nearest} | _level_data(level, original, report, grid, labels, shown[index + 1], device, part)
+        )
     return {
         "title": report.title,
         "up": report.up,
@@ -89,9 +95,11 @@ def report_data(report: Report, device: str | None = None, progress: Progress | 
         "times": list(report.times) if report.times is not None else list(range(1, len(original) + 1)),
         "grid": {"low": grid.low.tolist(), "step": grid.step},
         "colorMap": COLOR_MAP.tolist(),
+        "markers": list(report.markers),
         "original": {
             **_counts(original, report.faces),
             "mesh": mesh_data(original, report.faces, grid, labels) if shown[0] else None,
+            "markers": marked.tolist(),
         },
         "levels": packed,
         "samples": SAMPLES,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from pxr import Sdf, Usd
 import warpqem
 from warpqem.cost_models import cost_model
 from warpqem.device import resolve_device
+from warpqem.errors import WarpqemError
 from warpqem.report import Level, Report, Table, chosen_frames, write_report
 from warpqem.usd.lods import LEVEL_NAME, VARIANT_SET, LevelReport
 from warpqem.usd.report import PrimReport, StageReport
@@ -59,6 +60,8 @@ def write_simplify_report(
     notes += [f"{prim.path}: dropped: {', '.join(prim.dropped)}" for prim in report.prims if prim.dropped]
     title = f"{original.name} → {os.path.basename(output)}"
     page = _gather(title, original, levels, options.frames, tables, list(dict.fromkeys(notes)))
+    if cost_model(options.metric).keeps_face:
+        page = replace(page, markers=_feature_points(page))
     write_report(path, page, options.device, progress)
 
 
@@ -225,6 +228,14 @@ def _option_table(options: SimplifyOptions) -> Table:
     rows.append(("metric", f"{options.metric} ({source})" if source else options.metric))
     rows += [("device", resolve_device(options.device)), ("warpqem", warpqem.__version__)]
     return Table("Options", ("", ""), rows)
+
+
+def _feature_points(page: Report) -> dict[str, int]:
+    """The feature points of the face on a page; none where it shows more than a face."""
+    try:
+        return dict(warpqem.facial_features(page.points, page.faces).vertices)
+    except WarpqemError:
+        return {}
 
 
 def _as_text(value: Any) -> str:

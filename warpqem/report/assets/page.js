@@ -4,7 +4,7 @@
   const byId = (id) => document.getElementById(id);
   const data = JSON.parse(byId("data").textContent);
   const frameCount = data.original.frames;
-  const state = { frame: 0, level: data.firstLevel || 0, layout: "side", colors: "plain", wire: false, playing: false, dirty: true };
+  const state = { frame: 0, level: data.firstLevel || 0, layout: "side", colors: "plain", wire: false, dots: (data.markers || []).length > 0, playing: false, dirty: true };
   // What tests and curious readers look at.
   const seen = { state, ready: false, firstFrame: null, drawn: 0 };
   window.warpqem = seen;
@@ -114,6 +114,7 @@
       }
     }
     byId("wire").setAttribute("aria-pressed", String(state.wire));
+    byId("dots").setAttribute("aria-pressed", String(state.dots));
     byId("play").textContent = state.playing ? "❚❚" : "▶";
     byId("play").setAttribute("aria-label", state.playing ? "Pause" : "Play");
     const one = level();
@@ -159,7 +160,7 @@
     // A later choice may have come first.
     if (wanted !== levelLoad || !view) return;
     // One that is too large for the page has no mesh.
-    view.setMeshes(view.original, chosen && chosen.decoded ? new MeshView(chosen.decoded, data.grid, "level") : null);
+    view.setMeshes(view.original, chosen && chosen.decoded ? new MeshView(chosen.decoded, data.grid, "level", chosen.markers) : null);
     refresh();
   }
 
@@ -173,6 +174,7 @@
       for (const button of byId(id).children) button.addEventListener("click", () => choose(key, button.dataset.value));
     }
     byId("wire").addEventListener("click", () => choose("wire", !state.wire));
+    byId("dots").addEventListener("click", () => choose("dots", !state.dots));
     byId("play").addEventListener("click", () => choose("playing", !state.playing));
     byId("scrub").addEventListener("input", (event) => {
       state.playing = false;
@@ -217,6 +219,9 @@
     if (!data.levels.length) ["side", "over", "level"].forEach((value) => off("layout", value));
     state.layout = !data.levels.length ? "original" : data.original.mesh ? "side" : "level";
     const any = (key) => [data.original, ...data.levels].some((one) => (one.mesh && one.mesh[key]) || (one.has && one.has[key]));
+    byId("dots").hidden = !state.dots;
+    byId("dots").textContent = `${data.markers.length} points`;
+    byId("dots").title = data.markers.join(", ");
     if (!any("heat")) off("color", "heat");
     if (!any("features")) off("color", "features");
     const bar = byId("legend-bar");
@@ -268,7 +273,7 @@
     }
     view.layout = state.layout;
     const original = data.original.mesh ? await decodeMesh(data.original.mesh, frameCount) : null;
-    view.setMeshes(original ? new MeshView(original, data.grid, "original") : null, null);
+    view.setMeshes(original ? new MeshView(original, data.grid, "original", data.original.markers) : null, null);
     await setLevel(state.level);
     const first = original || (view.level && view.level.mesh);
     if (!first) {

@@ -4,6 +4,9 @@
 const PLAIN = { original: 0xb9bfc7, level: 0xc8ae84 };
 // Edges stand out from what they lie on.
 const LINES = { plain: 0x10141a, heat: 0xffffff, features: 0x000000 };
+// Dots of named vertices, in pixels.
+const DOT_COLOR = 0xe5383b;
+const DOT_SIZE = 7;
 // Part of the picture that is left free around the box.
 const MARGIN = 1.06;
 // Hues in steps of the golden ratio stay apart; vertices outside every feature are grey.
@@ -12,7 +15,7 @@ const NO_FEATURE = 255;
 const NO_FEATURE_COLOR = 0x5a5f66;
 
 class MeshView {
-  constructor(mesh, grid, kind) {
+  constructor(mesh, grid, kind, marked = []) {
     this.mesh = mesh;
     this.grid = grid;
     this.kind = kind;
@@ -30,6 +33,12 @@ class MeshView {
     });
     this.solid = new THREE.Mesh(geometry, this.material);
     this.lines = new THREE.Mesh(geometry, new THREE.MeshBasicMaterial({ wireframe: true, transparent: true, opacity: 0.4 }));
+    this.marked = marked;
+    const dots = new THREE.BufferGeometry();
+    this.dotPosition = new THREE.BufferAttribute(new Float32Array(3 * marked.length), 3);
+    dots.setAttribute("position", this.dotPosition);
+    this.dots = new THREE.Points(dots, dotMaterial());
+    this.dots.frustumCulled = false;
     // The points move and their bounds with them; both meshes are always in view.
     this.solid.frustumCulled = this.lines.frustumCulled = false;
   }
@@ -47,6 +56,8 @@ class MeshView {
         array[i + 2] = low[2] + step * nodes[start + i + 2];
       }
       this.position.needsUpdate = true;
+      this.marked.forEach((vertex, i) => this.dotPosition.set(array.subarray(3 * vertex, 3 * vertex + 3), 3 * i));
+      this.dotPosition.needsUpdate = true;
       this.frame = frame;
     }
     const source = colors === "heat" ? heat : colors === "features" ? features : null;
@@ -80,7 +91,21 @@ class MeshView {
     this.solid.geometry.dispose();
     this.material.dispose();
     this.lines.material.dispose();
+    this.dots.geometry.dispose();
+    this.dots.material.dispose();
   }
+}
+
+// Round dots, a little nearer than they are, so that the surface they lie on does not hide them.
+function dotMaterial() {
+  const material = new THREE.PointsMaterial({ color: DOT_COLOR, size: DOT_SIZE, sizeAttenuation: false });
+  material.onBeforeCompile = (shader) => {
+    const nearer = "#include <project_vertex>\n gl_Position.z -= 2e-4 * gl_Position.w;";
+    const round = "#include <clipping_planes_fragment>\n if (length(gl_PointCoord - 0.5) > 0.5) discard;";
+    shader.vertexShader = shader.vertexShader.replace("#include <project_vertex>", nearer);
+    shader.fragmentShader = shader.fragmentShader.replace("#include <clipping_planes_fragment>", round);
+  };
+  return material;
 }
 
 // 256 linear colours, 8 bits each, for what an 8-bit value stands for.
@@ -174,7 +199,7 @@ class SceneView {
     return [{ x: 0, y: 0, width: width / 2, height }, { x: width / 2, y: 0, width: width / 2, height }];
   }
 
-  draw({ frame, layout, colors, wire }) {
+  draw({ frame, layout, colors, wire, dots }) {
     this.layout = layout;
     this.renderer.setSize(this.canvas.clientWidth, this.canvas.clientHeight, false);
     for (const view of [this.original, this.level]) if (view) view.show(frame, colors);
@@ -184,7 +209,7 @@ class SceneView {
       this.renderer.setScissor(pane.x, pane.y, pane.width, pane.height);
       this.camera.aspect = pane.width / pane.height;
       this.camera.updateProjectionMatrix();
-      this.scene.children.filter((child) => child.isMesh).forEach((child) => this.scene.remove(child));
+      this.scene.children.filter((child) => child.isMesh || child.isPoints).forEach((child) => this.scene.remove(child));
       for (const view of shown[index].filter(Boolean)) {
         // Overlaid, the original is a glass around the simplified mesh.
         const glass = layout === "over" && view === this.original;
@@ -195,6 +220,7 @@ class SceneView {
         view.lines.material.color.set(LINES[view.drawn]);
         this.scene.add(view.solid);
         if (wire && !glass) this.scene.add(view.lines);
+        if (dots && !glass) this.scene.add(view.dots);
       }
       this.renderer.render(this.scene, this.camera);
     });

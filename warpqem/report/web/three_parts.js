@@ -11,6 +11,8 @@ export {
   MeshBasicMaterial,
   MeshLambertMaterial,
   PerspectiveCamera,
+  Points,
+  PointsMaterial,
   REVISION,
   Scene,
   SRGBColorSpace,
