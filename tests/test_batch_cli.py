@@ -9,6 +9,9 @@ import pytest
 from test_cli import run
 from test_usd_stages import cloth_stage
 
+from warpqem.batching.result import BatchResult
+from warpqem.cli.batch import _line
+
 
 @pytest.fixture
 def folder(tmp_path) -> Path:
@@ -63,6 +66,11 @@ def test_wrong_usage_is_one_line_and_exit_code_2(folder, options, message):
     [line] = result.stderr.splitlines()
     assert line.startswith("error: ")
     assert message in line
+
+
+def test_report_that_json_cannot_hold_does_not_cost_the_line():
+    result = BatchResult("in.usda", "out.usda", "done", report={"error": float("nan")})
+    assert json.loads(_line(result))["status"] == "done"
 
 
 def test_unknown_device_is_an_error(folder):

@@ -195,6 +195,14 @@ def _make_folder(folder: Path) -> None:
         raise StageError(f"{folder}: the folder cannot be made ({error.strerror})") from error
 
 
+def _line(result: BatchResult) -> str:
+    try:
+        return json_lines.dumps(result.to_dict(), allow_nan=False)
+    except ValueError:
+        # A number of the report is none that JSON has. That must not cost the line, nor the rest of the batch.
+        return json_lines.dumps({**result.to_dict(), "report": None}, allow_nan=False)
+
+
 @contextmanager
 def _lines(target: str | None) -> Iterator[Any]:
     """A function that writes a result as a line."""
@@ -208,7 +216,7 @@ def _lines(target: str | None) -> Iterator[Any]:
 
     def write(result: BatchResult) -> None:
         try:
-            file.write(json_lines.dumps(result.to_dict(), allow_nan=False) + "\n")
+            file.write(_line(result) + "\n")
             file.flush()
         except OSError as error:
             logging.getLogger(__name__).error("%s: cannot be written (%s)", target, error.strerror)
