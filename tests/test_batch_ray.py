@@ -83,16 +83,32 @@ def test_same_jobs_give_the_same_bytes_as_on_this_machine(cluster, folder, local
     assert len({result.process for result in results}) >= 2
 
 
+class Count:
+    """How many tasks are with the cluster at a time, at most."""
+
+    def __init__(self):
+        self.open = self.most = 0
+
+    def __call__(self, update):
+        self.open += 1 if isinstance(update, Started) else -1
+        self.most = max(self.most, self.open)
+
+
 def test_no_more_tasks_are_handed_over_than_there_is_room_for(cluster, folder):
-    open_tasks, most = 0, 0
-
-    def count(update):
-        nonlocal open_tasks, most
-        open_tasks += 1 if isinstance(update, Started) else -1
-        most = max(most, open_tasks)
-
+    count = Count()
     run(folder, "room", on_update=count)
-    assert most == 2
+    assert count.most == 2
+
+
+def test_tasks_share_a_gpu_by_parts(cluster, folder, local):
+    # One by its name: what a task has of it is the cluster's business, and it runs on the CPU here.
+    node = cluster.add_node(num_cpus=3, num_gpus=1)
+    cluster.wait_for_nodes()
+    count = Count()
+    run(folder, "parts", on_update=count, gpus=0.5)
+    assert count.most == 2
+    assert outputs(folder, "parts") == local
+    cluster.remove_node(node)
 
 
 def test_worker_that_is_killed_costs_nothing(cluster, folder, local):
