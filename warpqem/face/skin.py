@@ -9,7 +9,7 @@ import numpy as np
 from warpqem.components import lowest_members
 from warpqem.edges import edge_table
 
-__all__ = ["Skin", "border_vertices_of", "find_skin", "without_head_motion"]
+__all__ = ["Skin", "border_vertices_of", "find_skin", "head_motion", "without_head_motion"]
 
 # Eyeballs are about as deep as they are wide; lashes, tear fluid and covers are sheets and strips.
 ROUND = 0.6
@@ -61,21 +61,28 @@ def _is_round(points: np.ndarray) -> bool:
 
 
 def without_head_motion(points: np.ndarray, vertices: np.ndarray) -> np.ndarray:
-    """Frames (F, V, 3) turned and moved so that the stiff part of the face stays where it is in the first one.
+    """Frames (F, V, 3) turned and moved so that the stiff part of the face stays where it is in the first one."""
+    rotation, shift = head_motion(points, vertices)
+    return np.asarray(np.einsum("fvi,fji->fvj", points, rotation) + shift[:, None])
+
+
+def head_motion(points: np.ndarray, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rotations (F, 3, 3) and shifts (F, 3) that bring the head in frames (F, V, 3) to where it is in the first one.
 
     The part that moves least is found together with the motion: a rigid fit to all vertices, then to those that it
     leaves nearest, and so on.
     """
     first = points[0].astype(np.float64)
-    still = np.empty(points.shape, dtype=np.float64)
-    for frame, posed in enumerate(points.astype(np.float64)):
+    rotations, shifts = [], []
+    for posed in points.astype(np.float64):
         chosen = vertices
         for _ in range(RIGID_ROUNDS):
             rotation, shift = _rigid(posed[chosen], first[chosen])
             rest = np.linalg.norm(posed[vertices] @ rotation.T + shift - first[vertices], axis=1)
             chosen = vertices[rest <= np.quantile(rest, STIFF_PART)]
-        still[frame] = posed @ rotation.T + shift
-    return still
+        rotations.append(rotation)
+        shifts.append(shift)
+    return np.array(rotations), np.array(shifts)
 
 
 def _rigid(source: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
