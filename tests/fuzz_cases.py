@@ -267,18 +267,11 @@ def byte_case(seed: int) -> str:
 def _change_text(draw: random.Random, data: bytearray) -> bytearray:
     text = data.decode("utf-8", "replace")
     kind = draw.randrange(6)
-    if kind == 0:
+    one, other = (_token_near(draw, text, _NUMBER if kind in (1, 2) else _TOKEN) for _ in range(2))
+    if kind == 0 or one is None or other is None:
         return _change_binary(draw, data)
-    tokens = list(re.finditer(r"-?\d+(?:\.\d+)?(?:e-?\d+)?|\w+|[^\w\s]", text))
-    if not tokens:
-        return data
-    one, other = draw.choice(tokens), draw.choice(tokens)
     if kind in (1, 2):
-        numbers = [token for token in tokens if token[0][-1].isdigit()]
-        one = draw.choice(numbers or tokens)
-        new = draw.choice(
-            ["nan", "inf", "-inf", "1e39", "1e-46", "-1", "0", str(2**31), str(2**63), str(10**30), "1.5"]
-        )
+        new = draw.choice(["nan", "inf", "-inf", "1e39", "1e-46", "-1", "0", str(2**31), str(2**63), "9" * 30, "1.5"])
     elif kind == 3:
         new = other[0]
     elif kind == 4:
@@ -286,6 +279,14 @@ def _change_text(draw: random.Random, data: bytearray) -> bytearray:
     else:
         new = one[0] * draw.choice([2, 3, 50])
     return bytearray((text[: one.start()] + new + text[one.end() :]).encode())
+
+
+_NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e-?\d+)?")
+_TOKEN = re.compile(rf"{_NUMBER.pattern}|\w+|[^\w\s]")
+
+
+def _token_near(draw: random.Random, text: str, kind: re.Pattern[str]) -> re.Match[str] | None:
+    return kind.search(text, draw.randrange(max(1, len(text))))
 
 
 def _change_binary(draw: random.Random, data: bytearray) -> bytearray:
