@@ -279,6 +279,21 @@ def commit_winners(
 
 
 @wp.kernel
+def remove_stars(
+    state: MeshState,
+    vertex_in: wp.array[wp.int32],
+):
+    """Take the faces of all vertices of a component off the mesh; threads that share a face write the same."""
+    v = vertex_in[wp.tid()]
+    for i in range(state.stars.start[v], state.stars.end[v]):
+        f = state.stars.corner[i] // 3
+        for k in range(3):
+            state.corner_vertex[3 * f + k] = -1
+            state.edge_cost[3 * f + k] = INFINITE_COST
+    state.stars.end[v] = state.stars.start[v]
+
+
+@wp.kernel
 def mark_live_faces(
     corner_vertex_in: wp.array[wp.int32],
     # outputs

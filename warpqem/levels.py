@@ -50,7 +50,7 @@ class LevelOrder:
         Raises:
             UnreachableTargetError: no legal collapse leads to it; its ``result`` is what there is.
         """
-        ordered = self._levels.at(self._levels.collapses_to(target_faces))
+        ordered = self._levels.at(self._levels.steps_to(target_faces))
         result = finish(self._work, self._work.placer(ordered), Outcome.of(ordered), self._refit, sink, progress)
         return reached(result, target_faces)
 

@@ -11,6 +11,7 @@ from warpqem.errors import UnreachableTargetError
 from warpqem.finishing import place_frames, place_refitted
 from warpqem.frame_stream import ArraySink, FrameSink
 from warpqem.memory import MemoryPlan
+from warpqem.order.drops import DropRecord
 from warpqem.order.log import CollapseRecord
 from warpqem.order.stage import OrderedMesh
 from warpqem.place.stage import Placer
@@ -35,6 +36,7 @@ class SimplifiedMesh:
         log: the collapses, for levels of detail.
         key_frames: (K,) int, the frames that decided the order.
         diagonal: largest bounding-box diagonal of a frame of the input, in its units.
+        components_removed: components of the input that vanished, see ``keep_components``.
         plan: the blocks of frames it was done in, and the memory for it.
     """
 
@@ -49,6 +51,7 @@ class SimplifiedMesh:
     key_frames: np.ndarray
     diagonal: float
     plan: MemoryPlan
+    components_removed: int = 0
 
 
 @dataclass(frozen=True)
@@ -58,11 +61,12 @@ class Outcome:
     log: CollapseRecord
     face_map: np.ndarray
     stopped: str
+    drops: DropRecord
 
     @classmethod
     def of(cls, ordered: OrderedMesh) -> Outcome:
         """Of an ordered mesh."""
-        return cls(ordered.log, ordered.face_map, ordered.stopped)
+        return cls(ordered.log, ordered.face_map, ordered.stopped, ordered.drops)
 
 
 def finish(
@@ -70,7 +74,7 @@ def finish(
 ) -> SimplifiedMesh:
     """Place all frames, and refit them where that is asked for."""
     mesh = work.mesh
-    error = float(outcome.log.error.max(initial=0.0))
+    error = max(float(outcome.log.error.max(initial=0.0)), float(outcome.drops.error.max(initial=0.0)))
     array = ArraySink()
     common = (mesh, placer, array if sink is None else sink, work.blocks, _place_progress(progress, mesh.frame_count))
     if refit and not work.place_settings.endpoint and placer.free.any():
@@ -90,6 +94,7 @@ def finish(
         key_frames=work.key_frames,
         diagonal=mesh.diagonal,
         plan=work.plan,
+        components_removed=len(outcome.drops),
     )
 
 

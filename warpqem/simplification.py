@@ -37,6 +37,7 @@ def simplify(
     quadric_scale: Any = None,
     locked: Any = None,
     lock_borders: bool = False,
+    keep_components: bool = False,
     seams: Any = None,
     attributes: Sequence[AttributeField] = (),
     face: FaceProtection | None = None,
@@ -70,6 +71,9 @@ def simplify(
             its planes as they add up; see :func:`warpqem.morph_weights`. Vertices are placed by the scaled quadrics.
         locked: (V,) bool, or indices, of vertices that keep their position in every frame.
         lock_borders: lock the vertices at edges with one face too.
+        keep_components: no component vanishes. Otherwise small ones do as a whole, once collapses have left four faces
+            of them or fewer, where the shape misses that less than the next collapses, and where no other collapse is
+            legal; the result may then have up to three faces fewer than asked for. A locked vertex keeps its component.
         seams: (S, 2) vertex pairs: edges that values on the surface do not cross, such as UV seams. They stay closed
             polylines of edges near where they were, with the same ends and forks, as long as the shape has something
             to spare: beyond that the islands between them that cost the shape least are given up.
@@ -105,6 +109,7 @@ def simplify(
         quadric_scale=quadric_scale,
         locked=locked,
         lock_borders=lock_borders,
+        keep_components=keep_components,
         seams=seams,
         attributes=attributes,
         face=face,

@@ -255,6 +255,8 @@ class _Half:
             "quadric_scale": np.maximum(scale[here], scale[self._image]),
             "locked": locked[here] | locked[self._image],
             "lock_borders": False,
+            # One that vanished could not be glued to its image.
+            "keep_components": True,
         }
 
     def _values(self, options: dict[str, Any]) -> dict[str, Any]:

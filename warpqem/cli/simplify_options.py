@@ -120,6 +120,12 @@ def simplify_values(
         ),
     ] = None,
     lock_borders: Annotated[bool, typer.Option("--lock-borders", help="Keep the points of open borders.")] = False,
+    keep_components: Annotated[
+        bool,
+        typer.Option(
+            "--keep-components", help="Let no small component vanish, even if the shape would miss it less than others."
+        ),
+    ] = False,
     memory: Annotated[
         str | None,
         typer.Option(

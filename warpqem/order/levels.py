@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 
 from warpqem.order.nodes import NodeRecorder, PassNodes
-from warpqem.order.stage import OrderedMesh
+from warpqem.order.stage import OrderedMesh, faces_left
 
 __all__ = ["MergedClusters", "OrderedLevels"]
 
@@ -44,26 +44,27 @@ class OrderedLevels:
         self._input_faces, self._ordered, self._passes = input_faces, ordered, recorder.passes
         self.log = ordered.log
         self._position, self._quadric = wp.clone(ordered.position), wp.clone(ordered.quadric)
+        # Collapses and drops in the order they came, the drops counted on from the last collapse.
+        collapse, after = np.arange(len(self.log)), ordered.drops.collapse_count
+        self._event = np.argsort(np.concatenate([2 * collapse + 1, 2 * after]), kind="stable")
         sizes = [len(nodes.row) for nodes in self._passes]
         self._vertex_of_row = np.argsort(ordered.row)
         # The log is sorted by round, so each pass owns a run of it.
         self._pass_start = np.concatenate([[0], np.cumsum(sizes, dtype=np.int64)])
 
-    def face_counts(self) -> np.ndarray:
-        """(C+1,) int64, faces after so many collapses."""
-        removed = np.cumsum(self.log.faces_removed, dtype=np.int64)
-        return len(self._input_faces) - np.concatenate([[0], removed])
+    def steps_to(self, target_faces: int) -> int:
+        """The least number of collapses and drops that leaves so many faces or fewer; all of them where none does."""
+        counts = np.concatenate([self.log.faces_removed, self._ordered.drops.face_count])[self._event]
+        left = len(self._input_faces) - np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])
+        return min(int(np.searchsorted(-left, -target_faces)), len(self._event))
 
-    def collapses_to(self, target_faces: int) -> int:
-        """The least number of collapses that leaves so many faces or fewer; all of them where none does."""
-        counts = self.face_counts()
-        return min(int(np.searchsorted(-counts, -target_faces)), len(self.log))
-
-    def at(self, collapse_count: int) -> OrderedMesh:
-        """What ordering would have left after so many collapses.
+    def at(self, step_count: int) -> OrderedMesh:
+        """What ordering would have left after so many collapses and drops.
 
         The arrays of positions and quadrics are shared by all levels: one level is placed before the next is asked for.
         """
+        collapse_count = int((self._event[:step_count] < len(self.log)).sum())
+        drops = self._ordered.drops.head(step_count - collapse_count)
         for index, nodes in enumerate(self._passes):
             first = int(self._pass_start[index])
             if first < collapse_count:
@@ -72,17 +73,18 @@ class OrderedLevels:
         log = self.log.head(collapse_count)
         root = log.roots(len(self._ordered.root))
         faces = root[self._input_faces]
-        apart = (faces != np.roll(faces, -1, axis=1)).all(axis=1)
-        at_end = collapse_count == len(self.log)
+        face_map = faces_left(self._input_faces, faces, drops)
+        at_end = step_count == len(self._event)
         return replace(
             self._ordered,
-            faces=faces[apart],
-            face_map=np.flatnonzero(apart).astype(np.int32),
+            faces=faces[face_map],
+            face_map=face_map,
             root=root,
             position=self._position,
             quadric=self._quadric,
             stopped=self._ordered.stopped if at_end else "target",
             log=log,
+            drops=drops,
         )
 
     def merged_clusters(self) -> Iterator[MergedClusters]:

@@ -9,7 +9,7 @@ import warp as wp
 
 from warpqem.kernels.mesh_state import AnyKeyFrames, CollapseLog, MeshState
 
-__all__ = ["NodeRecorder", "PassNodes"]
+__all__ = ["NodeRecorder", "PassNodes", "read_rows"]
 
 
 @dataclass(frozen=True)
@@ -41,15 +41,15 @@ class NodeRecorder:
         """Keep the vertices of the collapses that stand in the log from ``begin`` to ``end``."""
         row = np.sort(log.kept.numpy()[begin:end])
         chosen = wp.array(row, dtype=wp.int32, device=frames.position.device)
-        position, quadric = (_rows(array, chosen) for array in (frames.position, frames.quadric))
+        position, quadric = (read_rows(array, chosen) for array in (frames.position, frames.quadric))
         if state.wedges.channel_count > 0:
             # As order_collapses adds it for the vertices that are left at the end.
-            attribute = _rows(state.wedges.quadric, chosen)
+            attribute = read_rows(state.wedges.quadric, chosen)
             quadric[:, 0, :, 0] += attribute[:, :, 0]
         self.passes.append(PassNodes(row, position, quadric))
 
 
-def _rows(array: wp.array, chosen: wp.array) -> np.ndarray:
+def read_rows(array: wp.array, chosen: wp.array) -> np.ndarray:
     """A copy of some rows on the host."""
     rows: np.ndarray = wp.indexedarray(array, [chosen]).contiguous().numpy()
     return rows

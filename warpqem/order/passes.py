@@ -21,6 +21,7 @@ from warpqem.kernels.lanes import width_of
 from warpqem.kernels.mesh_state import AnyKeyFrames, CollapseLog, CostModel, MeshState
 from warpqem.kernels.topology import LOCKED
 from warpqem.kernels.work import EdgeList, Work
+from warpqem.order.drops import ComponentDrop, Components
 from warpqem.order.nodes import NodeRecorder
 from warpqem.order.stars import Stars
 from warpqem.order.steps import Phase, Step, new_edge_list, part_work
@@ -79,6 +80,7 @@ class Orderer:
         self.face_slots = face_count  # faces in the arrays, dead ones included
         self.live_faces = face_count
         self.pass_index = 0
+        self.drops: list[ComponentDrop] = []
         self.flip_tolerance = int(FLIP_FRACTION * key_count)
         self.threads = thread_count(device)
         self.log = self._new_log(vertex_count)
@@ -266,8 +268,9 @@ class Orderer:
         target_faces: int,
         progress: Callable[[int], None] | None = None,
         recorder: NodeRecorder | None = None,
+        components: Components | None = None,
     ) -> str:
-        """Collapse until the target is met.
+        """Collapse until the target is met; small ones of ``components``, if given, may vanish.
 
         ``progress`` is called with the live face count after each pass, ``recorder`` is shown what each pass merged.
 
@@ -282,13 +285,26 @@ class Orderer:
             if recorder and collapsed:
                 end = int(self.log.count.numpy()[0])
                 recorder.record(self.state, self.frames, self.log, end - collapsed, end)
-            if candidate_count == 0 and cap_fraction >= 1.0:
+            stuck = candidate_count == 0 and cap_fraction >= 1.0
+            if components and self._drop_components(components, target_faces, stuck):
+                continue
+            if stuck:
                 return "max_error" if self._is_limited() else "no legal collapse"
             # No legal winner under the cap: look further, at all edges, until every one has been refused.
             cap_fraction = CAP_FRACTION if collapsed else min(1.0, 4.0 * cap_fraction)
             if progress:
                 progress(self.live_faces)
         return "target"
+
+    def _drop_components(self, components: Components, target_faces: int, stuck: bool) -> bool:
+        """Let small components vanish that cost less than the last pass's cap; any, where no edge is left."""
+        cap = np.inf if stuck else float(self._cap.numpy()[0])
+        collapse_count = int(self.log.count.numpy()[0])
+        excess = self.live_faces - target_faces
+        drops = components.drop(self.frames, cap, excess, collapse_count, self.face_slots)
+        self.live_faces -= sum(drop.face_count for drop in drops)
+        self.drops += drops
+        return len(drops) > 0
 
     def _is_limited(self) -> bool:
         """Whether the error limit holds back an edge: without it more edges have a price than lie asleep.

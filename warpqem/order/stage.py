@@ -15,6 +15,7 @@ from warpqem.kernels.mesh_state import KEY_FRAMES, CostModel, MeshState
 from warpqem.kernels.topology import CORNER
 from warpqem.order.arrangement import ARRANGED_FACES, Arrangement, arrange
 from warpqem.order.attributes import build_wedges
+from warpqem.order.drops import Components, DropRecord
 from warpqem.order.log import CollapseRecord, read_log
 from warpqem.order.nodes import NodeRecorder
 from warpqem.order.passes import Orderer
@@ -22,7 +23,7 @@ from warpqem.order.quadrics import given_quadrics, initial_quadrics
 from warpqem.order.stars import build_stars, classify_vertices
 from warpqem.parallel import launch_parts
 
-__all__ = ["OrderInput", "OrderSettings", "OrderedMesh", "order_collapses"]
+__all__ = ["OrderInput", "OrderSettings", "OrderedMesh", "faces_left", "order_collapses"]
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,7 @@ class OrderSettings:
         epsilon: pull of a merged vertex towards the material anchor of its edge, relative to the quadric.
         endpoint: the merged vertex goes to one of the edge's ends.
         deformation_weight: factor of the edge-length deformation term; 0 for none.
+        keep_components: none vanishes.
     """
 
     target_faces: int
@@ -42,6 +44,7 @@ class OrderSettings:
     epsilon: float
     endpoint: bool
     deformation_weight: float
+    keep_components: bool = True
 
 
 @dataclass(frozen=True)
@@ -61,6 +64,7 @@ class OrderedMesh:
         line_rank: (V,) int, of input vertices: 2 at corners of seams, 1 elsewhere on a seam or border, 0 inside.
         stopped: "target", "max_error" or "no legal collapse".
         log: the collapses.
+        drops: the components that vanished.
     """
 
     faces: np.ndarray
@@ -74,6 +78,7 @@ class OrderedMesh:
     line_rank: np.ndarray
     stopped: str
     log: CollapseRecord
+    drops: DropRecord
 
 
 @dataclass(frozen=True)
@@ -96,13 +101,14 @@ class OrderInput:
 
 @dataclass(frozen=True)
 class _Collapsed:
-    """What the collapses left: rows of each vertex (V, B), flags of each half-edge (3N,), the log."""
+    """What the collapses left: rows of each vertex (V, B), flags of each half-edge (3N,), the log, what vanished."""
 
     position: wp.array
     quadric: wp.array
     constrained: np.ndarray
     stopped: str
     log: CollapseRecord
+    drops: DropRecord
 
 
 def order_collapses(
@@ -121,17 +127,16 @@ def order_collapses(
         arrangement = arrange(mesh.faces, mesh.key_position[:, :1].numpy()[:, 0, :, 0])
         collapsed = _collapse(_rearranged(mesh, arrangement), settings, device, progress, recorder)
         row, log = arrangement.place, arrangement.restore_log(collapsed.log)
+        drops = collapsed.drops.for_vertices(arrangement.vertex)
         constrained = arrangement.restore_corners(collapsed.constrained)
     else:
         moving = replace(mesh, key_position=wp.clone(mesh.key_position))
         collapsed = _collapse(moving, settings, device, progress, recorder)
         row, log, constrained = np.arange(vertex_count, dtype=np.int32), collapsed.log, collapsed.constrained
+        drops = collapsed.drops
     root = log.roots(vertex_count)
     faces = root[mesh.faces]
-    # A collapse takes the faces that hold both its ends: the faces left are those whose corners stayed apart.
-    face_map = np.flatnonzero(
-        (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
-    ).astype(np.int32)
+    face_map = faces_left(mesh.faces, faces, drops)
     return OrderedMesh(
         faces=faces[face_map],
         face_map=face_map,
@@ -146,7 +151,19 @@ def order_collapses(
         ),
         stopped=collapsed.stopped,
         log=log,
+        drops=drops,
     )
+
+
+def faces_left(input_faces: np.ndarray, faces: np.ndarray, drops: DropRecord) -> np.ndarray:
+    """(N',) int32, the input's faces that collapses and drops left; ``faces`` (N, 3) are the roots of their corners.
+
+    A collapse takes the faces that hold both its ends: the faces left are those whose corners stayed apart.
+    """
+    apart = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    if len(drops):
+        apart &= drops.vertex_drop[input_faces[:, 0]] < 0
+    return np.flatnonzero(apart).astype(np.int32)
 
 
 def _rearranged(mesh: OrderInput, arrangement: Arrangement) -> OrderInput:
@@ -223,7 +240,8 @@ def _collapse(
     model.deformation_weight = settings.deformation_weight * mesh.key_count / frame_count
 
     orderer = Orderer(state, frames, stars, model, mesh.key_count, device)
-    stopped = orderer.run(settings.target_faces, progress, recorder)
+    components = None if settings.keep_components else Components(state, model.epsilon, model.error_limit)
+    stopped = orderer.run(settings.target_faces, progress, recorder, components)
     if mesh.attributes is not None:
         wp.launch(
             attribute_kernels.add_attribute_quadrics[width],
@@ -232,7 +250,8 @@ def _collapse(
             outputs=[frames.quadric],
             device=device,
         )
-    return _Collapsed(frames.position, frames.quadric, constrained, stopped, read_log(orderer.log))
+    drops = DropRecord.none(vertex_count) if components is None else components.record(orderer.drops)
+    return _Collapsed(frames.position, frames.quadric, constrained, stopped, read_log(orderer.log), drops)
 
 
 def _ends(faces: np.ndarray, half_edge_flags: np.ndarray, vertex_count: int) -> np.ndarray:

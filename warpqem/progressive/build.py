@@ -29,25 +29,35 @@ def build_progressive(
     """Every level of an animated mesh from one run (progressive deforming meshes, Huang et al. 2006).
 
     A vertex of any level is placed over all frames from its own cluster of input vertices, as :func:`warpqem.simplify`
-    does, so a level does not depend on how it was reached: it has the same bits as the result for its face count.
+    does, so a level does not depend on how it was reached: it has the same bits as the result for its face count,
+    with all components kept.
 
     Args:
         points: as for :func:`warpqem.simplify`.
         faces: likewise.
         base_faces: where to stop; None for as few faces as legal collapses lead to.
         progress: called with the part done, 0 to 1, and the stage, "read", "order" or "place".
-        options: keyword arguments of :func:`warpqem.simplify`, but for its goals, ``refit`` and ``sink``.
+        options: keyword arguments of :func:`warpqem.simplify`, but for its goals, ``refit``,
+            ``keep_components`` and ``sink``.
 
     Raises:
         OptionError: also for an option that does not apply.
         WarpqemError: the other errors of :func:`warpqem.simplify`, but for an unreachable target: the base mesh then
             has more faces than asked for.
     """
-    refused = {"ratio", "target_faces", "max_error", "refit", "sink"} & set(options)
+    refused = {"ratio", "target_faces", "max_error", "refit", "sink", "keep_components"} & set(options)
     if refused:
         raise OptionError(f"{', '.join(sorted(refused))}: not with a progressive mesh, which has all levels")
     # A mesh of one face is the least there is.
-    work = prepare(points, faces, target_faces=base_faces or 1, progress=progress, keep_nodes=True, **options)
+    work = prepare(
+        points,
+        faces,
+        target_faces=base_faces or 1,
+        keep_components=True,
+        progress=progress,
+        keep_nodes=True,
+        **options,
+    )
     recorder = NodeRecorder()
     ordered = work.order(progress, recorder)
     levels = OrderedLevels(work.mesh.faces, ordered, recorder)

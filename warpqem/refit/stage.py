@@ -123,7 +123,9 @@ class _Refit:
         self._frames = self._measure_frames(placer.free)
         self._scales = _measure_scales(keys.points, placer.faces)
         self._turns = max(1, min(len(key_frames), mesh.frame_count // FRAMES_PER_TURN))
-        corner_vertex = wp.array(mesh.faces.ravel(), dtype=wp.int32, device=device)
+        # Of a component that vanished nothing is near to the output.
+        faces = mesh.faces[placer.vertex_map[mesh.faces[:, 0]] >= 0]
+        corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device)
         source = make_surface(
             wp.array(mesh.to_unit(mesh.chosen_points(key_frames)), dtype=wp.vec3, device=device),
             corner_vertex,
@@ -134,7 +136,7 @@ class _Refit:
             source,
             make_surface(self._moved, self._corner_vertex, self._stars),
             placer.vertex_map,
-            mesh.faces,
+            faces,
             placer.faces,
             placer.nearest,
             self._turns,

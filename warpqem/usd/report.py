@@ -29,6 +29,7 @@ class PrimReport:
         error: Root mean square error over the frames, in % of the bounding-box diagonal.
         stopped: Why simplification stopped.
         flips: Faces that turned over, in all frames together.
+        components_removed: Small components of the surface that vanished.
         seconds: Wall-clock time.
         dropped: What did not fit the new mesh and was taken off it.
         message: Why it failed, or why it was kept.
@@ -48,6 +49,7 @@ class PrimReport:
     error: float | None = None
     stopped: str | None = None
     flips: int | None = None
+    components_removed: int = 0
     seconds: float = 0.0
     dropped: list[str] = field(default_factory=list)
     message: str | None = None

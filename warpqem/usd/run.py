@@ -256,6 +256,7 @@ class Run:
             "vertex_weights": painted_weights(job, self.options.weight_primvar),
             "quadric_scale": morph_scale(job, self.options.morph_weights, self._examples_of(job.source)),
             "lock_borders": self.options.lock_borders,
+            "keep_components": self.options.keep_components,
         }
 
     def _as_far_as_it_goes(
@@ -310,7 +311,7 @@ class Run:
             with usd_errors_named(job.mesh.path):
                 result = self._result(job, progress, fitter or samples, target_faces, shared)
             report.stopped = result.stopped
-            if len(result.log):
+            if len(result.log) or result.components_removed:
                 self._write(job, samples, fitter, result, report)
                 report.dropped += job.seams.let_go(job.faces, result.face_map)
                 return
@@ -398,6 +399,9 @@ class Run:
                 f"{name} ({job.unskinned_because})" if name.startswith("skin binding") else name
                 for name in report.dropped
             ]
+        if result.components_removed:
+            report.dropped.append(f"{result.components_removed} small components of the surface")
+        report.components_removed = result.components_removed
         report.faces_after = len(result.faces)
         report.vertices_after = result.points.shape[1]
         report.error = float(result.error)

@@ -42,6 +42,7 @@ class SimplifyOptions:
         morph_weights: Scale the error of what moves more between the shapes of a mesh, see `warpqem.morph_weights`:
             "thirds", "rank", "distance" or "usage"; None for no weights.
         lock_borders: Points at edges with one face keep their position.
+        keep_components: No small component vanishes, see `warpqem.simplify`.
         symmetry: "x", "y" or "z": a mesh whose first pose, or rest shape, is its own mirror image across that local
             axis stays so; "auto" for the first of them; None for no care. Other meshes are simplified as usual.
         memory: Bytes that the work on a mesh may take, beside what the program and USD hold already, or text such as
@@ -80,6 +81,7 @@ class SimplifyOptions:
     weight_primvar: str | None = None
     morph_weights: str | None = None
     lock_borders: bool = False
+    keep_components: bool = False
     symmetry: str | None = None
     memory: int | str | None = None
     frames: FrameRange | None = None
