@@ -15,6 +15,7 @@ from test_docs import desk, run_line
 from typer.testing import CliRunner
 
 from warpqem.cli.examples import EXAMPLES
+from warpqem.cli.face import face
 from warpqem.cli.main import app
 from warpqem.cli.progressive import progressive
 
@@ -22,11 +23,13 @@ __all__ = ["desk"]
 
 GROUP = typer.main.get_command(app)
 PROGRESSIVE = GROUP.commands["progressive"].commands
+FACE = GROUP.commands["face"].commands
 COMMANDS = {
-    **{name: command for name, command in GROUP.commands.items() if name != "progressive"},
+    **{name: command for name, command in GROUP.commands.items() if name not in ("progressive", "face")},
     "build": PROGRESSIVE["build"],
     "extract": PROGRESSIVE["extract"],
     "progressive info": PROGRESSIVE["info"],
+    **{f"face {name}": command for name, command in FACE.items()},
 }
 # How the help of a number says what it counts.
 UNITS = (
@@ -59,7 +62,7 @@ def test_examples_run_in_their_order(desk):
             run_line(line)
 
 
-CALLBACKS = [info.callback for typer_app in (app, progressive) for info in typer_app.registered_commands]
+CALLBACKS = [info.callback for typer_app in (app, progressive, face) for info in typer_app.registered_commands]
 
 
 @pytest.mark.parametrize("callback", CALLBACKS, ids=lambda callback: callback.__name__)

@@ -98,7 +98,11 @@ def test_every_option_on_the_pages_exists():
     import typer.main
 
     group = typer.main.get_command(app)
-    commands = [group, *group.commands.values(), *group.commands["progressive"].commands.values()]
+    commands = [
+        group,
+        *group.commands.values(),
+        *(command for name in ("progressive", "face") for command in group.commands[name].commands.values()),
+    ]
     options = [option for command in commands for option in command.params]
     known = {"--help", *(name for option in options for name in (*option.opts, *option.secondary_opts))}
     for page in PAGES:

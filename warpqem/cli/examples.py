@@ -23,6 +23,9 @@ EXAMPLES = {
     "build": ("warpqem progressive build cape_wind.usdc -o cape.wpqm",),
     "extract": ("warpqem progressive extract cape.wpqm -o level.usda --faces 700",),
     "progressive info": ("warpqem progressive info cape.wpqm",),
+    "face detect": ("warpqem face detect talking_head.usdc -o points.json --picture points.png",),
+    "face simplify": ("warpqem face simplify talking_head.usdc -o head_2000.usda --faces 2000",),
+    "face retarget": ("warpqem face retarget talking_head.usdc head_2000.usda -o talking_2000.usdc",),
 }
 
 

@@ -11,6 +11,7 @@ from warpqem.cli.batch import batch
 from warpqem.cli.compare import compare
 from warpqem.cli.console import OneLineErrors
 from warpqem.cli.examples import epilog
+from warpqem.cli.face import face
 from warpqem.cli.features import features
 from warpqem.cli.info import info
 from warpqem.cli.levels import levels
@@ -32,6 +33,7 @@ app = typer.Typer(
 for command in (simplify, batch, info, compare, features, render, view, levels):
     app.command(epilog=epilog(command.__name__))(command)
 app.add_typer(progressive)
+app.add_typer(face)
 
 
 def _print_version(wanted: bool) -> None:

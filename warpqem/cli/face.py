@@ -1,0 +1,133 @@
+"""`warpqem face detect`, `simplify` and `retarget`."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Annotated, Any
+
+import typer
+from rich.markup import escape
+from rich.table import Table
+
+from warpqem.cli.console import print_table, quiet_warp, write_json
+from warpqem.cli.examples import epilog
+from warpqem.cli.options import Device, Frames, Input, JsonReport, Output, ReportPage
+from warpqem.cli.simplify import run_simplify
+from warpqem.cli.simplify_options import takes_simplify_options
+
+__all__ = ["face"]
+
+face = typer.Typer(name="face", help="Faces: named feature points, levels that keep them, expressions carried over.")
+
+FacePrim = Annotated[
+    str | None, typer.Option("--prim", metavar="PATH", help="Prim path of the face; by default the largest mesh.")
+]
+Points = Annotated[
+    str | None,
+    typer.Option(
+        metavar="FILE", help="JSON file with points by name, such as detect writes: they are taken as they are."
+    ),
+]
+FindOrientation = Annotated[
+    bool, typer.Option("--find-orientation", help="Find which way the face looks, instead of by the stage's up axis.")
+]
+
+
+@face.command(epilog=epilog("face detect"))
+def detect(
+    input_file: Input,
+    output: Annotated[
+        str | None, typer.Option("--output", "-o", metavar="FILE", help="JSON file to write the points to.")
+    ] = None,
+    picture: Annotated[
+        str | None, typer.Option(metavar="PNG", help="Draw the points on the face, from the front and from the side.")
+    ] = None,
+    prim: FacePrim = None,
+    frames: Frames = None,
+    points: Points = None,
+    find_orientation: FindOrientation = False,
+    device: Device = None,
+    json: JsonReport = None,
+) -> None:
+    """Find the named feature points of a face, each with its confidence, or why it is missing.
+
+    Exit codes: 0 done; 1 an error; 2 wrong usage.
+    """
+    quiet_warp()
+    from warpqem.usd import FrameRange
+    from warpqem.usd.face import FaceOptions, draw_face, read_face, write_points
+
+    frame_range = FrameRange.parse(frames) if frames else None
+    found = read_face(input_file, FaceOptions(prim, frame_range, find_orientation, points))
+    if picture is not None:
+        draw_face(found, picture, device)
+    written = write_points(found)
+    for target in (output, json):
+        if target is not None:
+            write_json(target, written)
+    table = Table(title=escape(f"{found.path}: {len(written['points'])} points"))
+    for name in ("point", "index", "confidence"):
+        table.add_column(name, justify="left" if name == "point" else "right", overflow="fold")
+    for name, entry in written["points"].items():
+        table.add_row(name, str(entry["point"]), f"{entry['confidence']:.2f}")
+    for name, reason in written["missing"].items():
+        table.add_row(name, "-", escape(reason))
+    print_table(table, to_stderr="-" in (json, output))
+
+
+@face.command(epilog=epilog("face simplify"))
+@partial(takes_simplify_options, without=("metric",))
+def simplify(
+    input_file: Input, output: Output, options: dict[str, Any], report: ReportPage = None, json: JsonReport = None
+) -> None:
+    """Simplify and keep the feature points of the face as vertices: what simplify does with --metric face.
+
+    Exit codes: 0 all done; 1 an error, or some mesh failed; 2 wrong usage.
+    """
+    run_simplify(input_file, output, {**options, "metric": "face"}, report, json)
+
+
+@face.command(epilog=epilog("face retarget"))
+def retarget(
+    source_file: Annotated[str, typer.Argument(metavar="SOURCE", help="USD file with the face that moves.")],
+    target_file: Annotated[str, typer.Argument(metavar="TARGET", help="USD file with the face to move.")],
+    output: Output,
+    source_prim: Annotated[
+        str | None, typer.Option(metavar="PATH", help="Prim path of the face in SOURCE; by default the largest mesh.")
+    ] = None,
+    target_prim: Annotated[
+        str | None, typer.Option(metavar="PATH", help="Prim path of the face in TARGET; by default the largest mesh.")
+    ] = None,
+    source_points: Points = None,
+    target_points: Points = None,
+    frames: Frames = None,
+    device: Device = None,
+    json: JsonReport = None,
+) -> None:
+    """Move one face as another one moves: a level of it, or a face with another topology.
+
+    Both are taken to be at rest in their first frame. OUT is a file of its own with the points of the mesh over time.
+
+    Exit codes: 0 done; 1 an error; 2 wrong usage.
+    """
+    quiet_warp()
+    from warpqem.usd import FrameRange
+    from warpqem.usd.face import FaceOptions, read_face, retarget_file
+
+    frame_range = FrameRange.parse(frames) if frames else None
+    source = read_face(source_file, FaceOptions(source_prim, frame_range, points=source_points))
+    target = read_face(target_file, FaceOptions(target_prim, points=target_points))
+    moved = retarget_file(source, target, output, device)
+    row = {
+        "frames": len(moved.points),
+        "vertices": moved.points.shape[1],
+        "shared points": len(moved.shared),
+        "vertices that fade": int((moved.share < 1.0).sum()),
+    }
+    table = Table(title=escape(f"{source_file}, {target_file} -> {output}"))
+    for name in row:
+        table.add_column(name, justify="right")
+    table.add_row(*map(str, row.values()))
+    print_table(table, to_stderr=json == "-")
+    if json is not None:
+        write_json(json, {"source": source_file, "target": target_file, "output": output, **row})
