@@ -12,6 +12,7 @@ import pdoc
 MODULES = (
     "warpqem",
     "warpqem.errors",
+    "warpqem.face",
     "warpqem.measure",
     "warpqem.picture",
     "warpqem.progressive",

@@ -44,6 +44,15 @@ def test_retarget_moves_a_level_as_the_face_moves(tmp_path: Path) -> None:
     assert np.linalg.norm(motion, axis=1).max() > 1.0
 
 
+def test_blend_shapes_show_the_same_as_points_over_time(tmp_path: Path) -> None:
+    files = tmp_path / "points.usdc", tmp_path / "shapes.usdc"
+    for file, options in zip(files, ([], ["--blend-shapes"]), strict=True):
+        run("retarget", str(SCENE), str(SCENE), "-o", str(file), "--frames", "1:25:12", *options)
+    points, shapes = (read_face(file).points for file in files)
+    assert points.shape == shapes.shape == (3, 5542, 3)
+    assert np.abs(points - shapes).max() < 2e-3
+
+
 def test_point_subsets_of_the_family_face_name_points(tmp_path: Path) -> None:
     stage = Usd.Stage.CreateNew(str(tmp_path / "named.usda"))
     stage.GetRootLayer().subLayerPaths.append(str(SCENE))

@@ -100,13 +100,17 @@ def retarget(
     ] = None,
     source_points: Points = None,
     target_points: Points = None,
+    blend_shapes: Annotated[
+        bool, typer.Option("--blend-shapes", help="Write a blend shape for each frame instead of points over time.")
+    ] = False,
     frames: Frames = None,
     device: Device = None,
     json: JsonReport = None,
 ) -> None:
     """Move one face as another one moves: a level of it, or a face with another topology.
 
-    Both are taken to be at rest in their first frame. OUT is a file of its own with the points of the mesh over time.
+    Both are taken to be at rest in their first frame. OUT is a file of its own with the points of the mesh over time, or
+    with blend shapes.
 
     Exit codes: 0 done; 1 an error; 2 wrong usage.
     """
@@ -117,7 +121,7 @@ def retarget(
     frame_range = FrameRange.parse(frames) if frames else None
     source = read_face(source_file, FaceOptions(source_prim, frame_range, points=source_points))
     target = read_face(target_file, FaceOptions(target_prim, points=target_points))
-    moved = retarget_file(source, target, output, device)
+    moved = retarget_file(source, target, output, blend_shapes, device)
     row = {
         "frames": len(moved.points),
         "vertices": moved.points.shape[1],

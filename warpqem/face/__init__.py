@@ -7,5 +7,17 @@ cloning (Noh & Neumann 2001).
 from warpqem.face.features import FacialFeatures, facial_features
 from warpqem.face.names import FEATURE_NAMES, MIDLINE, PAIRS
 from warpqem.face.protect import FaceProtection, face_weights
+from warpqem.face.retarget import FaceMesh, RetargetedMotion, retarget
 
-__all__ = ["FEATURE_NAMES", "MIDLINE", "PAIRS", "FaceProtection", "FacialFeatures", "face_weights", "facial_features"]
+__all__ = [
+    "FEATURE_NAMES",
+    "MIDLINE",
+    "PAIRS",
+    "FaceMesh",
+    "FaceProtection",
+    "FacialFeatures",
+    "RetargetedMotion",
+    "face_weights",
+    "facial_features",
+    "retarget",
+]

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from pxr import Usd, UsdGeom, Vt
+from pxr import Usd, UsdGeom
 
 from warpqem.errors import OptionError, StageError
 from warpqem.face import FEATURE_NAMES
@@ -18,6 +18,7 @@ from warpqem.face.features import FacialFeatures, facial_features
 from warpqem.face.retarget import FaceMesh, RetargetedMotion, retarget
 from warpqem.picture import View, fit_view, render, tile, write_png
 from warpqem.picture.marks import mark
+from warpqem.usd.face_output import write_blend_shapes, write_samples
 from warpqem.usd.frames import FrameRange
 from warpqem.usd.mesh import MeshSource
 from warpqem.usd.skel import StagePoses
@@ -178,11 +179,15 @@ def draw_face(face: StageFace, output: str | os.PathLike[str], device: str | Non
 
 
 def retarget_file(
-    source: StageFace, target: StageFace, output_path: str | os.PathLike[str], device: str | None = None
+    source: StageFace,
+    target: StageFace,
+    output_path: str | os.PathLike[str],
+    blend_shapes: bool = False,
+    device: str | None = None,
 ) -> RetargetedMotion:
-    """Carry the motion of one face to another, and write that one with its points over time, as a file of its own.
+    """Carry the motion of one face to another, and write that one as a file of its own.
 
-    Both are at rest in their first frame.
+    Both are at rest in their first frame. The file has the points over time, or a blend shape for each frame.
 
     Raises:
         StageError: the source does not move, or the output cannot be written.
@@ -200,16 +205,10 @@ def retarget_file(
     )
     stage: Usd.Stage = Usd.Stage.CreateInMemory("face.usdc")
     copy_stage_metadata(target.stage.GetRootLayer(), stage.GetRootLayer())
-    mesh = UsdGeom.Mesh.Define(stage, target.path)
-    stage.SetDefaultPrim(stage.GetPrimAtPath(mesh.GetPath().GetPrefixes()[0]))
+    write = write_blend_shapes if blend_shapes else write_samples
+    write(stage, target.path, target.faces, moved, source.times)
     stage.SetTimeCodesPerSecond(source.stage.GetTimeCodesPerSecond())
     stage.SetStartTimeCode(source.times[0])
     stage.SetEndTimeCode(source.times[-1])
-    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
-    mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(target.faces), 3, dtype=np.int32)))
-    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(np.ascontiguousarray(target.faces.ravel())))
-    for time, pose in zip(source.times, moved.points, strict=True):
-        mesh.CreatePointsAttr().Set(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(pose)), time)
-        mesh.CreateExtentAttr().Set(Vt.Vec3fArray.FromNumpy(np.stack([pose.min(axis=0), pose.max(axis=0)])), time)
     export_layer(stage.GetRootLayer(), output)
     return moved
