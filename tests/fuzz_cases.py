@@ -323,10 +323,11 @@ def _simplify_file(draw: random.Random, path: Path, suffix: str) -> str:
         flatten=draw.random() < 0.3,
         memory="1G",
     )
+    if draw.random() < 0.1:
+        with contextlib.suppress(WarpqemError):
+            inspect_stage(path)
     try:
         report = simplify_stage(path, output, options)
-        if draw.random() < 0.1:
-            inspect_stage(path)
     except WarpqemError as error:
         if not str(error):
             raise UnsoundError("an error that says nothing") from error

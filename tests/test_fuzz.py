@@ -124,3 +124,26 @@ def test_nan_with_a_sign_does_not_make_the_output_unreadable(tmp_path, flatten, 
     assert len(values)
     assert np.isnan(values).all()
     assert out.GetPrimAtPath("/Root").GetAttribute("note").Get() == "a -nan, and\n-nan"
+
+
+@pytest.mark.parametrize("name", ["int[] faceVertexIndices", "int[] faceVertexCounts"])
+def test_attribute_of_a_type_that_does_not_exist_is_named(tmp_path, name):
+    cloth_stage(tmp_path / "in.usda")
+    text = (tmp_path / "in.usda").read_text()
+    kind, _, rest = name.partition(" ")
+    (tmp_path / "in.usda").write_text(text.replace(name, f"x{kind} {rest}"))
+    report = simplify_stage(tmp_path / "in.usda", tmp_path / "out.usda", HALF)
+    assert report.prims[0].status == "failed"
+    assert report.prims[0].message.startswith("/Root/Cloth")
+
+
+def test_primvar_that_is_only_called_like_one_of_a_skin_is_carried(tmp_path):
+    stage = skinned_stage(tmp_path / "in.usda")
+    primvars = UsdGeom.PrimvarsAPI(stage.GetPrimAtPath("/Char/Body"))
+    primvars.CreatePrimvar("skel:mine", Sdf.ValueTypeNames.FloatArray, "vertex").Set([1.0] * 81)
+    stage.Save()
+    simplify_stage(tmp_path / "in.usda", tmp_path / "out.usda", HALF)
+    out = Usd.Stage.Open(str(tmp_path / "out.usda"))
+    mesh = UsdGeom.Mesh(out.GetPrimAtPath("/Char/Body"))
+    values = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("skel:mine").Get()
+    assert list(values) == [1.0] * len(mesh.GetPointsAttr().Get())

@@ -78,7 +78,7 @@ def inspect_stage(path: str | os.PathLike[str]) -> list[MeshInfo]:
         StageError: the file cannot be read.
     """
     stage = open_stage(path)
-    with usd_errors_named(path):
+    with usd_errors_named(path, reading=True):
         poses = StagePoses(stage)
         selection = find_meshes(stage)
         infos = [_inspect(prim, poses) for prim in selection.prims]

@@ -46,8 +46,8 @@ def carry_primvars(prim: Usd.Prim, carrier: Carrier, dropped: Dropped, saved: Sa
         name, interpolation = str(primvar.GetPrimvarName()), str(primvar.GetInterpolation())
         if interpolation == UsdGeom.Tokens.constant or not primvar.HasAuthoredValue():
             continue
-        if name.startswith("skel:"):
-            if name in PARTNERS and not UsdGeom.PrimvarsAPI(prim).GetPrimvar(PARTNERS[name]).HasAuthoredValue():
+        if name in PARTNERS:
+            if not UsdGeom.PrimvarsAPI(prim).GetPrimvar(PARTNERS[name]).HasAuthoredValue():
                 # One without the other is no skin, so that nothing has written it for the new points.
                 block(primvar.GetAttr(), dropped)
                 dropped.names.append(f"primvars:{name} without {PARTNERS[name]}")

@@ -170,7 +170,7 @@ class Run:
     def _prepare(self, prim: Usd.Prim, shared: SharedOrder | None = None) -> MeshJob:
         job = None if shared is None else shared.job
         if job is None:
-            with usd_errors_named(prim.GetPath()):
+            with usd_errors_named(prim.GetPath(), reading=True):
                 source = MeshSource(prim, self.poses)
                 job = MeshJob.prepare(
                     source,
@@ -184,7 +184,7 @@ class Run:
         report.frames = job.pose_count
         report.faces_before = report.faces_after = len(job.mesh.faces)
         report.vertices_before = report.vertices_after = len(job.mesh.used_points)
-        with usd_errors_named(job.mesh.path):
+        with usd_errors_named(job.mesh.path, reading=True):
             report.problems = find_odd_values(job.source)
         return job
 

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 from pxr import Tf
 
-from warpqem.errors import StageError
+from warpqem.errors import StageError, WarpqemError
 
 __all__ = ["first_line", "usd_errors_named"]
 
@@ -29,13 +29,20 @@ def first_line(error: Exception) -> str:
 
 
 @contextmanager
-def usd_errors_named(what: object) -> Iterator[None]:
+def usd_errors_named(what: object, reading: bool = False) -> Iterator[None]:
     """Turn what USD raises while damaged values are read or written into a StageError that names something.
+
+    Args:
+        what: What is at work, such as a prim path.
+        reading: Values are only being read, so that a type or value that does not fit is the file's.
 
     Raises:
         StageError: USD has raised something.
     """
+    expected = (Tf.ErrorException, UnicodeDecodeError, *((TypeError, ValueError) if reading else ()))
     try:
         yield
-    except (Tf.ErrorException, UnicodeDecodeError) as error:
+    except WarpqemError:
+        raise
+    except expected as error:
         raise StageError(f"{what}: USD fails on a value of it ({first_line(error)})") from error
