@@ -109,8 +109,8 @@ def retarget(
 ) -> None:
     """Move one face as another one moves: a level of it, or a face with another topology.
 
-    Both are taken to be at rest in their first frame. OUT is a file of its own with the points of the mesh over time, or
-    with blend shapes.
+    Both are taken to be at rest in their first frame. OUT is a file of its own with the points of the mesh over time,
+    or with blend shapes.
 
     Exit codes: 0 done; 1 an error; 2 wrong usage.
     """

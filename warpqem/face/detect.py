@@ -23,6 +23,8 @@ Found = dict[str, Spot | Missing]
 HALF_WIDTH, BELOW, ABOVE = 1.75, 2.2, 2.2
 # Half the width that a profile needs.
 STRIP_WIDTH = 0.125
+# For comparing directions: samples across a surface to find the nose, and distance between samples of the profile.
+STRIP_SAMPLES, STRIP_PIXEL = 128, 0.025
 # Distance between samples, and smoothing: 0.02 noses are about a millimetre, less than any feature.
 PIXEL, SIGMA = 0.0125, 0.02
 # Coarse meshes are smoothed by this part of the median edge of the face, so that facets are no features. Lips and eyes
@@ -65,16 +67,16 @@ class FoundMidline:
 def find_midline(points: np.ndarray, skin: Skin, axes: np.ndarray, strip: bool = False) -> FoundMidline | None:
     """The nose and the profile of a face with points (V, 3); None where there is no nose.
 
-    With ``strip`` the relief is that of the profile alone.
+    With ``strip`` the relief is that of the profile alone, and coarser: enough to compare directions.
     """
-    units = find_units(points, skin.seen, axes)
+    units = find_units(points, skin.seen, axes, STRIP_SAMPLES) if strip else find_units(points, skin.seen, axes)
     if units is None:
         return None
     local = units.local(points)
     sigma = max(SIGMA, EDGE_SIGMA * _edge_length(local, skin.faces))
     half = STRIP_WIDTH if strip else HALF_WIDTH
     low, high = (-half, -BELOW), (half, ABOVE)
-    relief = make_relief(local, skin.seen, low, high, PIXEL).smoothed(sigma)
+    relief = make_relief(local, skin.seen, low, high, STRIP_PIXEL if strip else PIXEL).smoothed(sigma)
     return FoundMidline(units, relief, sigma, find_profile(relief, None))
 
 

@@ -53,13 +53,14 @@ class FaceUnits:
         return vectors @ self.axes.T / self.nose
 
 
-def find_units(points: np.ndarray, faces: np.ndarray, axes: np.ndarray) -> FaceUnits | None:
+def find_units(points: np.ndarray, faces: np.ndarray, axes: np.ndarray, samples: int = COARSE) -> FaceUnits | None:
     """Find the nose of a face that looks along ``axes[2]``.
 
     Args:
         points: (V, 3) float64.
         faces: (N, 3) int, what can be seen of the face.
         axes: (3, 3), unit vectors to the left, up and forward.
+        samples: across the larger side of the relief that is looked at.
 
     Returns:
         None where nothing looks like a nose.
@@ -68,7 +69,7 @@ def find_units(points: np.ndarray, faces: np.ndarray, axes: np.ndarray) -> FaceU
     turned = points @ axes.T
     low, high = turned[used].min(axis=0), turned[used].max(axis=0)
     extent = high - low
-    pixel = float(max(extent[0], extent[1])) / COARSE
+    pixel = float(max(extent[0], extent[1])) / samples
     if pixel <= 0.0:
         return None
     relief = make_relief(turned, faces, (low[0], low[1]), (high[0], high[1]), pixel).smoothed(COARSE_SIGMA * pixel)
@@ -87,7 +88,7 @@ def find_units(points: np.ndarray, faces: np.ndarray, axes: np.ndarray) -> FaceU
     guess = top.at - (foot if bottom is None else bottom).at
     brow = min(top.at + round(FOREHEAD * guess), int(np.flatnonzero(np.isfinite(profile)).max()))
     root = from_chord(profile, tip, brow, -1.0, pixel)
-    if bottom is None or root is None or root.at - bottom.at < LEAST_NOSE * COARSE:
+    if bottom is None or root is None or root.at - bottom.at < LEAST_NOSE * samples:
         return None
     place = np.array([relief.left(middle), relief.up(tip), profile[tip]])
     return FaceUnits(axes, place @ axes, (root.at - bottom.at) * pixel)
