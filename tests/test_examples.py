@@ -1,0 +1,39 @@
+"""The tables of the papers come out as the papers say, on the shipped scenes."""
+
+from __future__ import annotations
+
+import pytest
+from rich.table import Table
+
+pytest.importorskip("skimage", reason="the extra `scenes` generates them")
+from examples import paper_tables
+
+
+def column(table: Table, index: int) -> list[float]:
+    return [float(cell) for cell in table.columns[index].cells]
+
+
+def test_errors_of_levels_grow_as_faces_go():
+    table = paper_tables.levels()
+    assert column(table, 2) == sorted(column(table, 2))
+    assert column(table, 3) == sorted(column(table, 3))
+
+
+def test_weights_of_morph_targets_lower_the_error_where_they_move():
+    table = paper_tables.morph()
+    plain, weighted = column(table, 1), column(table, 2)
+    assert len(plain) == 10
+    assert all(second < first for first, second in zip(plain, weighted, strict=True))
+
+
+def test_feature_points_survive_where_plain_quadrics_lose_them():
+    table = paper_tables.face()
+    kept, plain = column(table, 1), column(table, 2)
+    assert min(kept) >= 23
+    assert all(second < first for first, second in zip(kept, plain, strict=True))
+
+
+def test_joints_keep_their_vertices():
+    table = paper_tables.joints()
+    counts = dict(zip(table.columns[0].cells, column(table, 1), strict=True))
+    assert counts["aqem"] > 1.2 * counts["dsd"] > counts["qem"]
