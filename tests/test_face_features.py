@@ -11,6 +11,7 @@ import warpqem
 from tests.faces import FACE_HEIGHT, REFERENCE, talking_head
 from warpqem.errors import OptionError
 from warpqem.face import FEATURE_NAMES, PAIRS, FacialFeatures
+from warpqem.face.lids import closing_lid
 from warpqem.face.walks import from_chord, walk_to_extremum
 
 
@@ -146,3 +147,15 @@ def test_the_corner_of_an_angle_stands_out_of_its_chord() -> None:
     stop = from_chord(profile, 0, 20, -1.0, 1.0)
     assert stop is not None
     assert stop.at == 7
+
+
+def test_a_lid_that_closes_tells_where_the_eye_is() -> None:
+    left, up = (axis.ravel() for axis in np.meshgrid(np.linspace(0.2, 1.0, 41), np.linspace(0.3, 1.0, 36)))
+    place = np.stack([left, up, np.zeros_like(left)], axis=1)
+    lid = np.exp(-(((left - 0.55) / 0.1) ** 2) - ((up - 0.72) / 0.05) ** 2)
+    # The whole face comes down in the second frame, the lid in the third.
+    rise = np.stack([np.zeros_like(lid), np.full_like(lid, -0.5), -0.2 * lid])
+    found = closing_lid(place, rise, (0.62, 0.67), 0.15)
+    assert found is not None
+    assert abs(found - 0.55) < 0.01
+    assert closing_lid(place, rise[:2], (0.62, 0.67), 0.15) is None

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
+from warpqem.face.lids import closing_lid
 from warpqem.face.midline import ProfileSpots, find_profile, find_throat
 from warpqem.face.mouth import LipMotion, find_parting, follow_dent
 from warpqem.face.names import FEATURE_NAMES
@@ -84,7 +86,7 @@ def find_spots(points: np.ndarray, skin: Skin, axes: np.ndarray) -> FoundFace | 
     """Find the feature points in the first frame.
 
     Args:
-        points: (F, V, 3) float64; later frames tell where lips part.
+        points: (F, V, 3) float64; later frames tell where lips part and lids close.
         skin: of the mesh.
         axes: (3, 3), unit vectors to the person's left, up and forward.
 
@@ -97,20 +99,22 @@ def find_spots(points: np.ndarray, skin: Skin, axes: np.ndarray) -> FoundFace | 
     units, relief, first = middle.units, middle.relief, middle.profile
     local = units.local(points[0])
     bottom = first.up("nose_bottom")
-    lips = None
+    lips, lids = None, (None, None)
     if bottom is not None and len(points) > 1:
         still = without_head_motion(points, skin.vertices)[:, skin.vertices]
         rise = units.local_vectors(still - still[:1])[..., 1]
-        lips = find_parting(local[skin.vertices], rise, relief, bottom)
+        place = local[skin.vertices]
+        lips = find_parting(place, rise, relief, bottom)
+        lids = (partial(closing_lid, place, rise), partial(closing_lid, place * (-1.0, 1.0, 1.0), rise))
     profile = first if lips is None else find_profile(relief, (lips.up, lips.confidence))
     spots: Found = dict(profile.spots)
     spots.update(_outline(local, skin, profile.up("nose_bottom"), profile.up("nose_top")))
     chin = spots.get("chin")
     if isinstance(chin, Spot):
         spots["throat"] = find_throat(local, skin.faces, chin, PIXEL, middle.sigma)
-    left = find_side(relief, profile, _corner(lips))
-    right = find_side(relief.mirrored(), profile, _corner(None if lips is None else lips.mirrored()))
-    even = find_side(relief.evened(), profile, _corner(lips))
+    left = find_side(relief, profile, _corner(lips), lids[0])
+    right = find_side(relief.mirrored(), profile, _corner(None if lips is None else lips.mirrored()), lids[1])
+    even = find_side(relief.evened(), profile, _corner(lips), lids[0])
     for name in left:
         spots[f"{name}_left"], spots[f"{name}_right"] = _pair(left[name], right[name], even[name])
     unreached = Missing("what it is found from is missing")

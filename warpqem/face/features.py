@@ -76,7 +76,7 @@ def facial_features(
 
     Args:
         points: (F, V, 3) or (V, 3) coordinates in any unit, as for :func:`warpqem.simplify`. Where lips part in later
-            frames, that tells where they meet.
+            frames, that tells where they meet; where lids close, how far out the eyes are.
         faces: (N, 3) vertex indices. The largest component is taken for the skin.
         up: axis that points up, "+y" or "-z" for instance; None to find it.
         forward: axis that points out of the face; None to find it. Both or none are given.

@@ -14,11 +14,13 @@ from warpqem.face.relief import Relief
 from warpqem.face.spots import Missing, Spot, trust
 from warpqem.face.walks import Stop, from_chord, walk_to_extremum
 
-__all__ = ["CornerFinder", "find_side"]
+__all__ = ["CornerFinder", "LidFinder", "find_side"]
 
 Found = dict[str, Spot | Missing]
 # The corner of the mouth from the relief and the height of the contact.
 CornerFinder = Callable[[Relief, float], Spot | Missing]
+# How far out a closing lid is, from where the eye is expected and how far around to look.
+LidFinder = Callable[[tuple[float, float], float], float | None]
 
 # Rows and columns are the mean over this much to both sides.
 STRIP = 0.03
@@ -43,14 +45,16 @@ CHEEK_FROM, CHEEK_TO, CHEEK_UP, CHEEK_UNDER_EYE, CHEEK_VIEW = 0.45, 1.4, -0.05, 
 LIP_PROMINENCE = 0.004
 
 
-def find_side(relief: Relief, profile: ProfileSpots, corner: CornerFinder) -> Found:
-    """All points of the side where left is positive."""
+def find_side(relief: Relief, profile: ProfileSpots, corner: CornerFinder, lid: LidFinder | None = None) -> Found:
+    """All points of the side where left is positive; a lid that closes tells how far out the eye is."""
     spots: Found = {}
     bottom, top = profile.up("nose_bottom"), profile.up("nose_top")
     if bottom is None or top is None:
         return {}
     spots["nose_side"] = _nose_side(relief, bottom)
-    eye = _eye_middle(relief, top)
+    expected = (EYE_LEFT, top - EYE_DOWN)
+    closing = None if lid is None else lid(expected, EYE_SEARCH)
+    eye = _eye_middle(relief, expected if closing is None else (closing, expected[1]))
     spots.update(_eye(relief, eye))
     spots["cheek"] = _cheek(relief, bottom, eye[1])
     contact = profile.up("lip_contact")
@@ -79,15 +83,15 @@ def _nose_side(relief: Relief, bottom: float) -> Spot | Missing:
     return _on(relief, relief.left(stop.at), up, trust(stop.prominence))
 
 
-def _eye_middle(relief: Relief, top: float) -> tuple[float, float]:
-    """Left and up of the middle of the eye: the bump that stands out most, near where eyes are."""
+def _eye_middle(relief: Relief, expected: tuple[float, float]) -> tuple[float, float]:
+    """Left and up of the middle of the eye: the bump that stands out most, near where it is expected."""
     # What there is of the bump is found by the difference of two smoothed reliefs.
     bump = relief.smoothed(EYE_SIGMA).height - relief.smoothed(3.0 * EYE_SIGMA).height
-    rows = slice(relief.row(top - EYE_DOWN - EYE_SEARCH), relief.row(top - EYE_DOWN + EYE_SEARCH) + 1)
-    columns = slice(relief.column(EYE_LEFT - EYE_SEARCH), relief.column(EYE_LEFT + EYE_SEARCH) + 1)
+    rows = slice(relief.row(expected[1] - EYE_SEARCH), relief.row(expected[1] + EYE_SEARCH) + 1)
+    columns = slice(relief.column(expected[0] - EYE_SEARCH), relief.column(expected[0] + EYE_SEARCH) + 1)
     window = bump[rows, columns]
-    ups = (relief.origin[1] + np.arange(rows.start, rows.stop) * relief.pixel - (top - EYE_DOWN)) / EYE_SEARCH
-    lefts = (relief.origin[0] + np.arange(columns.start, columns.stop) * relief.pixel - EYE_LEFT) / EYE_SEARCH
+    ups = (relief.origin[1] + np.arange(rows.start, rows.stop) * relief.pixel - expected[1]) / EYE_SEARCH
+    lefts = (relief.origin[0] + np.arange(columns.start, columns.stop) * relief.pixel - expected[0]) / EYE_SEARCH
     # The farther from where eyes are, the less a bump counts, so that brows and cheek bones are none.
     near = np.exp(-(ups[:, None] ** 2 + lefts[None, :] ** 2))
     at = np.unravel_index(int(((window - window.min()) * near).argmax()), window.shape)
