@@ -97,16 +97,25 @@ class Components:
         state: the mesh, with nothing collapsed yet.
         epsilon: pull on a point that follows soft quadrics, relative to them.
         error_limit: squared error, in diagonals squared, beyond which none vanishes.
+
+    Attributes:
+        count: components with a face.
     """
 
     def __init__(self, state: MeshState, epsilon: float, error_limit: float) -> None:
         self._state, self._epsilon, self._error_limit = state, epsilon, error_limit
         faces = state.corner_vertex.numpy().reshape(-1, 3)
         vertex_count = len(state.vertex_flags)
-        self._component = lowest_members(vertex_count, np.concatenate([faces[:, :2], faces[:, 1:]]))
+        lowest = lowest_members(vertex_count, np.concatenate([faces[:, :2], faces[:, 1:]]))
+        # Numbered from 0; a vertex without a face is none, but that does no harm.
+        _, component = np.unique(lowest, return_inverse=True)
+        self._component: np.ndarray = component.ravel()
+        with_faces = np.zeros(int(self._component.max(initial=0)) + 1, dtype=bool)
+        with_faces[self._component[faces[:, 0]]] = True
+        self.count = int(with_faces.sum())
         # A locked vertex stays.
-        locked = (state.vertex_flags.numpy() & int(LOCKED)) != 0
-        self._held = np.unique(self._component[locked])
+        self._free = np.ones(len(with_faces), dtype=bool)
+        self._free[self._component[(state.vertex_flags.numpy() & int(LOCKED)) != 0]] = False
 
     def drop(
         self, frames: AnyKeyFrames, cap: float, excess: int, collapse_count: int, slot_count: int
@@ -122,11 +131,13 @@ class Components:
             collapse_count: collapses so far.
             slot_count: faces in the arrays, dead ones included.
         """
-        live = self._state.corner_vertex.numpy()[: 3 * slot_count].reshape(-1, 3)
-        live = live[live[:, 0] >= 0]
-        near = _Nearest(frames, np.unique(live), self._component)
-        drops: list[ComponentDrop] = []
-        remnants, left = self._remnants(frames, live, near), len(np.unique(self._component[live[:, 0]]))
+        first = self._state.corner_vertex.numpy()[: 3 * slot_count : 3]
+        sizes = np.bincount(self._component[first[first >= 0]], minlength=len(self._free))
+        small = np.flatnonzero((sizes > 0) & (sizes <= MOST_FACES) & self._free)
+        if not len(small):
+            return []
+        left, drops = int(np.count_nonzero(sizes)), []
+        remnants = self._remnants(frames, small, slot_count)
         for remnant in sorted(remnants, key=lambda item: (item.cost, int(item.vertex[0]))):
             if excess <= 0 or remnant.cost > cap or left == 1:
                 break
@@ -140,7 +151,7 @@ class Components:
 
     def record(self, drops: list[ComponentDrop]) -> DropRecord:
         """What vanished, by vertex."""
-        index = np.full(len(self._component), -1, dtype=np.int32)
+        index = np.full(len(self._free), -1, dtype=np.int32)
         index[self._component[[drop.vertex for drop in drops]]] = np.arange(len(drops))
         return DropRecord(
             index[self._component],
@@ -149,16 +160,15 @@ class Components:
             np.array([drop.error for drop in drops], dtype=np.float32),
         )
 
-    def _remnants(self, frames: AnyKeyFrames, live: np.ndarray, near: _Nearest) -> list[_Remnant]:
+    def _remnants(self, frames: AnyKeyFrames, small: np.ndarray, slot_count: int) -> list[_Remnant]:
+        live = self._state.corner_vertex.numpy()[: 3 * slot_count].reshape(-1, 3)
+        live = live[live[:, 0] >= 0]
+        near = _Nearest(frames, np.unique(live), self._component)
         component = self._component[live[:, 0]]
-        names, sizes = np.unique(component, return_counts=True)
-        small = names[(sizes <= MOST_FACES) & ~np.isin(names, self._held)]
-        if not len(small):
-            return []
         inside = np.isin(component, small)
         corners = np.stack([np.repeat(component[inside], 3), live[inside].ravel()], axis=1)
         pairs = np.unique(corners, axis=0)
-        face_counts = dict(zip(names.tolist(), sizes.tolist(), strict=True))
+        face_counts = np.bincount(component[inside], minlength=len(self._free)).tolist()
         chosen = wp.array(pairs[:, 1].astype(np.int32), device=frames.position.device)
         position, quadric = (_by_frame(read_rows(array, chosen)) for array in (frames.position, frames.quadric))
         weight = self._state.cost_weight.numpy()[pairs[:, 1]]

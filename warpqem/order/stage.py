@@ -241,6 +241,9 @@ def _collapse(
 
     orderer = Orderer(state, frames, stars, model, mesh.key_count, device)
     components = None if settings.keep_components else Components(state, model.epsilon, model.error_limit)
+    if components is not None and components.count == 1:
+        # One always stays.
+        components = None
     stopped = orderer.run(settings.target_faces, progress, recorder, components)
     if mesh.attributes is not None:
         wp.launch(
