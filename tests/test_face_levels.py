@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 import warpqem
 from tests.faces import FACE_HEIGHT, talking_head
 from warpqem import FaceProtection, FacialFeatures
-from warpqem.errors import OptionError
+from warpqem.errors import FeaturePointError, OptionError
 from warpqem.face import face_weights
 
 LEVELS = (1420, 1120, 820, 620)
@@ -105,5 +105,5 @@ def test_a_mesh_without_a_face_is_refused() -> None:
     flat = np.concatenate([grid, np.zeros((25, 1))], axis=1)
     corner = (np.arange(4)[:, None] * 5 + np.arange(4)).reshape(-1, 1)
     faces = np.concatenate([corner + np.array(side) for side in ([0, 1, 5], [1, 6, 5])])
-    with pytest.raises(OptionError, match="no face was found"):
+    with pytest.raises(FeaturePointError, match="no face was found"):
         warpqem.simplify(flat, faces, ratio=0.5, metric="face")

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 import warpqem
 from tests.faces import FACE_HEIGHT, talking_head
 from warpqem import FaceMesh, FaceProtection, FacialFeatures, RetargetedMotion
-from warpqem.errors import MeshShapeError, OptionError
+from warpqem.errors import FeaturePointError, MeshShapeError
 from warpqem.face.lips import keep_apart, lip_pairs
 from warpqem.face.skin import without_head_motion
 from warpqem.measure.distance import ClosestPointSearch
@@ -127,7 +127,7 @@ def test_wrong_input_is_refused() -> None:
     with pytest.raises(MeshShapeError, match="motion"):
         warpqem.retarget(source(), source(), points[:, :10])
     few = replace(features, vertices={name: features.vertices[name] for name in ("chin", "nose_tip")})
-    with pytest.raises(OptionError, match="share 2 feature points"):
+    with pytest.raises(FeaturePointError, match="share 2 feature points"):
         warpqem.retarget(source(), FaceMesh(points[0], faces, few), points)
-    with pytest.raises(OptionError, match="nose"):
+    with pytest.raises(FeaturePointError, match="nose"):
         warpqem.retarget(source(), FaceMesh(points[0], faces, replace(features, units=None)), points)

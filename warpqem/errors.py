@@ -9,6 +9,7 @@ __all__ = [
     "DegenerateMeshError",
     "DeviceError",
     "FaceIndexError",
+    "FeaturePointError",
     "MemoryLimitError",
     "MeshShapeError",
     "NonFinitePointError",
@@ -38,6 +39,10 @@ class FaceIndexError(WarpqemError, IndexError):
 
 class DegenerateMeshError(WarpqemError, ValueError):
     """The mesh has no extent, no usable face, or no point."""
+
+
+class FeaturePointError(WarpqemError, ValueError):
+    """A mesh has no face that is known to have feature points, or too few of them."""
 
 
 class OptionError(WarpqemError, ValueError):

@@ -90,6 +90,7 @@ def simplify(
     Raises:
         OptionError: an option outside its range, or options that exclude each other.
         MeshShapeError, NonFinitePointError, FaceIndexError, DegenerateMeshError: see :mod:`warpqem.errors`.
+        FeaturePointError: metric "face", and the mesh is none.
         DeviceError: there is no such device.
         MemoryLimitError: it cannot be done in that memory; raised before the work starts.
         UnreachableTargetError: no legal collapse leads to the face count asked for; its ``result`` is what there is.

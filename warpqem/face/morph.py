@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from warpqem.errors import OptionError
+from warpqem.errors import FeaturePointError
 from warpqem.face.features import FacialFeatures
 
 __all__ = ["VolumeMorph", "shared_points"]
@@ -22,11 +22,11 @@ def shared_points(source: FacialFeatures, target: FacialFeatures) -> tuple[str, 
     """The points that both faces have.
 
     Raises:
-        OptionError: they are too few.
+        FeaturePointError: they are too few.
     """
     names = tuple(name for name in source.names if name in target.vertices)
     if len(names) < LEAST_POINTS:
-        raise OptionError(f"the faces share {len(names)} feature points, at least {LEAST_POINTS} are needed")
+        raise FeaturePointError(f"the faces share {len(names)} feature points, at least {LEAST_POINTS} are needed")
     return names
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warpqem.errors import OptionError
+from warpqem.errors import FeaturePointError, OptionError
 from warpqem.face.features import FacialFeatures, features_of
 from warpqem.mesh_input import MeshInput
 
@@ -72,7 +72,8 @@ def protect(mesh: MeshInput, protection: FaceProtection) -> tuple[np.ndarray, np
     """Quadric scales (V,) float32, and which vertices keep their position, (V,) bool.
 
     Raises:
-        OptionError: no feature point was found.
+        FeaturePointError: no feature point was found.
+        OptionError: a feature point is no vertex of the mesh.
     """
     features = protection.features
     if features is None:
@@ -80,7 +81,7 @@ def protect(mesh: MeshInput, protection: FaceProtection) -> tuple[np.ndarray, np
         if not features.vertices:
             features = features_of(mesh, None, None)
     if not features.vertices:
-        raise OptionError("metric 'face': no face was found, and no feature points were given")
+        raise FeaturePointError("metric 'face': no face was found, and no feature points were given")
     if int(features.indices.max()) >= mesh.vertex_count:
         raise OptionError(
             f"metric 'face': a feature point is vertex {int(features.indices.max())}, "

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from warpqem.device import resolve_device
-from warpqem.errors import MeshShapeError, OptionError
+from warpqem.errors import FeaturePointError, MeshShapeError
 from warpqem.face.correspondence import Correspondence, LipLine, correspond
 from warpqem.face.features import FacialFeatures, facial_features
 from warpqem.face.lips import keep_apart, lip_pairs
@@ -85,7 +85,7 @@ def retarget(source: FaceMesh, target: FaceMesh, motion: Any, *, device: str | N
         device: Warp device; None takes cuda:0 if present, else cpu.
 
     Raises:
-        OptionError: the faces share too few feature points, or one has no nose.
+        FeaturePointError: the faces share too few feature points, or one has no nose.
         MeshShapeError: the motion has other vertices than the source.
         NonFinitePointError, FaceIndexError, DegenerateMeshError: see :mod:`warpqem.errors`.
     """
@@ -165,7 +165,7 @@ class _Prepared:
         if features is None:
             features = facial_features(points, mesh.faces)
         if features.units is None:
-            raise OptionError("retargeting needs faces whose nose was found")
+            raise FeaturePointError("retargeting needs faces whose nose was found")
         faces = mesh.faces.astype(np.int64)
         skin = find_skin(points, faces)
         used = np.unique(faces)

@@ -191,7 +191,8 @@ def retarget_file(
 
     Raises:
         StageError: the source does not move, or the output cannot be written.
-        OptionError: the output path is wrong, or the faces share too few points.
+        OptionError: the output path is wrong.
+        FeaturePointError: the faces share too few points.
     """
     inputs = [layer.realPath for face in (source, target) for layer in face.stage.GetUsedLayers() if layer.realPath]
     output = check_output_path(output_path, inputs)
