@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 
 from warpqem.edges import edge_table
-from warpqem.errors import OptionError, UnreachableTargetError
+from warpqem.errors import OptionError
 from warpqem.mesh_input import as_numpy
 from warpqem.order.quadrics import CONSTRAINT_WEIGHT
 from warpqem.preparation import prepare
-from warpqem.simplification import SimplifiedMesh
+from warpqem.result import SimplifiedMesh, reached
 from warpqem.skinning.skin import LinearSkin
 from warpqem.transfer import is_proper
 
@@ -73,14 +73,9 @@ def simplify_pulled_back(points: Any, faces: Any, skin: LinearSkin, transforms: 
         key_frames=np.zeros(1, dtype=np.int64),
         diagonal=work.mesh.diagonal,
         plan=work.plan,
+        components_removed=len(ordered.drops),
     )
-    if work.goal.target_faces > 0 and result.stopped == "no legal collapse":
-        raise UnreachableTargetError(
-            f"{len(result.faces)} faces are left and no edge collapse is legal, "
-            f"{work.goal.target_faces} were asked for",
-            result,
-        )
-    return result
+    return reached(result, work.goal.target_faces)
 
 
 def pulled_back_matrices(
