@@ -20,6 +20,12 @@ BOX_MARGIN = wp.constant(1.0e-6)
 
 
 @wp.func
+def double_point(p: wp.vec3) -> wp.vec3d:
+    """A point in double precision."""
+    return wp.vec3d(wp.float64(p[0]), wp.float64(p[1]), wp.float64(p[2]))
+
+
+@wp.func
 def segment_parameter(p: Any, a: Any, b: Any):
     """Parameter in [0, 1] of the point of segment ab closest to p; 0 for a segment without length."""
     ab = b - a

@@ -16,6 +16,8 @@ the result is the same on every run.
 
 import warp as wp
 
+from warpqem.kernels.closest_point import double_point
+
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
 # Planes closer to none than this, in units of area on a mesh of unit diagonal, do not place a vertex.
@@ -66,12 +68,6 @@ class SkinScratch:
 def plane_matrix(normal: wp.vec3d, weight: wp.float64) -> wp.mat33d:
     """``weight n n^T``."""
     return wp.outer(normal, normal) * weight
-
-
-@wp.func
-def double_point(p: wp.vec3) -> wp.vec3d:
-    """A point in double precision."""
-    return wp.vec3d(wp.float64(p[0]), wp.float64(p[1]), wp.float64(p[2]))
 
 
 @wp.kernel

@@ -2,15 +2,9 @@
 
 import warp as wp
 
-from warpqem.kernels.closest_point import closest_barycentric, offset_squared
+from warpqem.kernels.closest_point import closest_barycentric, double_point, offset_squared
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
-
-
-@wp.func
-def double(p: wp.vec3) -> wp.vec3d:
-    """A point in double precision."""
-    return wp.vec3d(wp.float64(p[0]), wp.float64(p[1]), wp.float64(p[2]))
 
 
 @wp.kernel
@@ -26,13 +20,13 @@ def find_wedge_sources(
 ):
     """The nearest of each wedge's faces, the first of equal ones, and the barycentric weights of the point on it."""
     wedge = wp.tid()
-    p = double(wedge_point_in[wedge])
+    p = double_point(wedge_point_in[wedge])
     best = wp.float64(wp.inf)
     for i in range(wedge_start_in[wedge], wedge_start_in[wedge + 1]):
         f = face_in[i]
-        a = double(points_in[corner_vertex_in[3 * f]])
-        b = double(points_in[corner_vertex_in[3 * f + 1]])
-        c = double(points_in[corner_vertex_in[3 * f + 2]])
+        a = double_point(points_in[corner_vertex_in[3 * f]])
+        b = double_point(points_in[corner_vertex_in[3 * f + 1]])
+        c = double_point(points_in[corner_vertex_in[3 * f + 2]])
         barycentric = closest_barycentric(p, a, b, c)
         distance = offset_squared(p, a, b, c, barycentric)
         if distance < best:

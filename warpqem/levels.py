@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from warpqem.arguments import check_ratio, target_count
+from warpqem.arguments import SimplifyOptions, check_ratio, target_count
 from warpqem.errors import OptionError, UnreachableTargetError
 from warpqem.frame_stream import FrameSink
 from warpqem.mesh_input import read_mesh
 from warpqem.order.levels import OrderedLevels
 from warpqem.order.nodes import NodeRecorder
-from warpqem.preparation import ORDER_END, Progress, prepare
+from warpqem.preparation import ORDER_END, Prepared, Progress, prepare
 from warpqem.result import Outcome, SimplifiedMesh, finish, reached
 
 __all__ = ["LevelOrder", "order_levels", "simplify_levels"]
@@ -23,12 +23,8 @@ class LevelOrder:
     Made by :func:`order_levels`.
     """
 
-    def __init__(self, points: Any, faces: Any, progress: Progress | None, options: dict[str, Any]) -> None:
-        refused = {"ratio", "max_error", "sink"} & set(options)
-        if refused:
-            raise OptionError(f"{', '.join(sorted(refused))}: not with levels")
-        self._refit: bool = options.get("refit", False)
-        work, recorder = prepare(points, faces, progress=progress, keep_nodes=True, **options), NodeRecorder()
+    def __init__(self, work: Prepared, refit: bool, progress: Progress | None) -> None:
+        self._refit, recorder = refit, NodeRecorder()
         self._levels = OrderedLevels(work.mesh.faces, work.order(progress, recorder), recorder)
         self._work = work.without_input()
 
@@ -78,7 +74,12 @@ def order_levels(
         OptionError: also for an option that does not apply.
         WarpqemError: the other errors of :func:`warpqem.simplify`, but for an unreachable target.
     """
-    return LevelOrder(points, faces, progress, {"target_faces": target_faces, "keep_frames": keep_frames, **options})
+    refused = {"ratio", "max_error", "sink"} & set(options)
+    if refused:
+        raise OptionError(f"{', '.join(sorted(refused))}: not with levels")
+    asked = SimplifyOptions(target_faces=target_faces, **options)
+    work = prepare(points, faces, asked, keep_frames=keep_frames, keep_nodes=True, progress=progress)
+    return LevelOrder(work, asked.refits, progress)
 
 
 def simplify_levels(

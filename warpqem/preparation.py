@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from warpqem.arguments import Goal, check_options, read_goal
-from warpqem.attributes import AttributeField, channel_count, weighted_corner_values
+from warpqem.arguments import Goal, SimplifyOptions
+from warpqem.attributes import channel_count, weighted_corner_values
 from warpqem.cost_models import CostModelSpec, cost_model
 from warpqem.device import resolve_device
 from warpqem.errors import OptionError
@@ -26,9 +26,6 @@ from warpqem.order.stage import OrderedMesh, OrderInput, OrderSettings, order_co
 from warpqem.place.clusters import PlaceSettings
 from warpqem.place.stage import Placer
 from warpqem.seams import Seams, read_seams
-
-if TYPE_CHECKING:
-    from warpqem.face.protect import FaceProtection
 
 __all__ = ["ORDER_END", "Prepared", "Progress", "plan_work", "prepare"]
 
@@ -91,58 +88,39 @@ class Prepared:
 
 def prepare(
     points: Any,
-    faces: Any = None,
+    faces: Any,
+    options: SimplifyOptions,
     *,
-    ratio: float | None = None,
-    target_faces: int | None = None,
-    max_error: float | None = None,
-    metric: str = "dsd",
-    coherence: float = 0.5,
-    key_frames: int | None = 16,
-    placement: str = "optimal",
-    refit: bool = False,
-    vertex_weights: Any = None,
-    quadric_scale: Any = None,
-    locked: Any = None,
-    lock_borders: bool = False,
-    keep_components: bool = False,
-    seams: Any = None,
-    attributes: Sequence[AttributeField] = (),
-    face: FaceProtection | None = None,
-    memory: int | str | None = None,
     keep_frames: bool = True,
     keep_nodes: bool = False,
-    device: str | None = None,
     progress: Progress | None = None,
 ) -> Prepared:
     """Make a mesh ready, with the arguments and errors of :func:`warpqem.simplify`.
 
     ``keep_frames`` says whether the result stays in memory, ``keep_nodes`` whether every vertex on the way down does.
     """
-    spec = cost_model(metric)
-    goal_options = (ratio, target_faces, max_error)
-    check_options(goal_options, coherence, key_frames, placement)
-    device = resolve_device(device)
+    spec = cost_model(options.metric)
+    options.check()
+    device = resolve_device(options.device)
     given = read_mesh(points, faces)
-    goal = read_goal(len(given.faces), *goal_options)
-    refit = refit and placement != "endpoint"
-    planned = plan_work(given, spec, goal, key_frames, attributes, refit, keep_frames, keep_nodes, memory, device)
-    seam = read_seams(seams, given.faces, given.vertex_count)
-    factors, pinned = read_weights(vertex_weights, given)
-    pinned |= lock_mask(locked, given.vertex_count)
-    if lock_borders:
+    goal = options.goal(len(given.faces))
+    planned = plan_work(given, spec, options, device, keep_frames=keep_frames, keep_nodes=keep_nodes)
+    seam = read_seams(options.seams, given.faces, given.vertex_count)
+    factors, pinned = read_weights(options.vertex_weights, given)
+    pinned |= lock_mask(options.locked, given.vertex_count)
+    if options.lock_borders:
         pinned |= border_vertices(given)
-    scale = read_quadric_scale(quadric_scale, given)
-    if face is not None and not spec.keeps_face:
-        raise OptionError(f"face= needs metric 'face', not {metric!r}")
+    scale = read_quadric_scale(options.quadric_scale, given)
+    if options.face is not None and not spec.keeps_face:
+        raise OptionError(f"face= needs metric 'face', not {options.metric!r}")
     if spec.keeps_face:
         from warpqem.face.protect import FaceProtection, protect
 
-        face_scale, kept = protect(given, FaceProtection() if face is None else face)
+        face_scale, kept = protect(given, FaceProtection() if options.face is None else options.face)
         scale, pinned = scale * face_scale, pinned | kept
-    values = weighted_corner_values(attributes, given)
+    values = weighted_corner_values(options.attributes, given)
     mesh, keys, weights = _look_through(given, spec, planned, factors, progress, device)
-    endpoint = placement == "endpoint"
+    endpoint, coherence = options.placement == "endpoint", options.coherence
     return Prepared(
         mesh=mesh,
         key_frames=keys,
@@ -157,7 +135,7 @@ def prepare(
             epsilon=min(_epsilon(coherence), ORDER_EPSILON),
             endpoint=endpoint,
             deformation_weight=spec.deformation_weight,
-            keep_components=keep_components,
+            keep_components=options.keep_components,
         ),
         place_settings=PlaceSettings(_epsilon(coherence), _regularisation(coherence), endpoint),
         device=device,
@@ -167,19 +145,17 @@ def prepare(
 def plan_work(
     mesh: MeshInput,
     spec: CostModelSpec,
-    goal: Goal,
-    key_frames: int | None,
-    attributes: Sequence[AttributeField],
-    refit: bool,
+    options: SimplifyOptions,
+    device: str,
+    *,
     keep_frames: bool,
     keep_nodes: bool,
-    memory: int | str | None,
-    device: str,
 ) -> MemoryPlan:
     """The memory plan for arguments of :func:`prepare`."""
     frame_count, face_count = mesh.frame_count, len(mesh.faces)
+    goal = options.goal(face_count)
     used_count = int(mesh.used.sum())
-    most_keys = 1 if spec.single_frame else key_frames
+    most_keys = 1 if spec.single_frame else options.key_frames
     key_count = frame_count if most_keys is None else min(frame_count, int(most_keys))
     # A surface has about half as many vertices as faces; where borders are, or many small pieces, more. With an error
     # limit alone, nothing need go.
@@ -193,14 +169,14 @@ def plan_work(
             key_frames=key_count,
             output_vertices=output,
             value_bytes=mesh.source.dtype.itemsize,
-            channels=channel_count(attributes),
+            channels=channel_count(options.attributes),
             trajectories=spec.deformation_weight > 0,
-            refit=refit,
+            refit=options.refits,
             keep_frames=keep_frames,
             keep_nodes=keep_nodes,
             source_bytes=held_bytes(mesh.source),
         ),
-        memory,
+        options.memory,
         device,
     )
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from warpqem.arguments import check_options, read_goal
+from warpqem.arguments import SimplifyOptions
 from warpqem.attributes import AttributeField
 from warpqem.cost_models import cost_model
 from warpqem.device import resolve_device
@@ -95,9 +95,7 @@ def simplify(
         MemoryLimitError: it cannot be done in that memory; raised before the work starts.
         UnreachableTargetError: no legal collapse leads to the face count asked for; its ``result`` is what there is.
     """
-    work = prepare(
-        points,
-        faces,
+    options = SimplifyOptions(
         ratio=ratio,
         target_faces=target_faces,
         max_error=max_error,
@@ -115,49 +113,36 @@ def simplify(
         attributes=attributes,
         face=face,
         memory=memory,
-        keep_frames=sink is None,
         device=device,
-        progress=progress,
     )
+    work = prepare(points, faces, options, keep_frames=sink is None, progress=progress)
     ordered = work.order(progress)
     placer, outcome = work.placer(ordered), Outcome.of(ordered)
     # Placing has its own use for the memory of ordering.
     work = work.without_input()
     del ordered
-    result = finish(work, placer, outcome, refit, sink, progress)
+    result = finish(work, placer, outcome, options.refits, sink, progress)
     return reached(result, work.goal.target_faces)
 
 
 def plan(
-    points: Any,
-    faces: Any = None,
-    *,
-    ratio: float | None = None,
-    target_faces: int | None = None,
-    max_error: float | None = None,
-    metric: str = "dsd",
-    coherence: float = 0.5,
-    key_frames: int | None = 16,
-    placement: str = "optimal",
-    refit: bool = False,
-    attributes: Sequence[AttributeField] = (),
-    memory: int | str | None = None,
-    sink: FrameSink | None = None,
-    levels: bool = False,
-    device: str | None = None,
+    points: Any, faces: Any = None, *, sink: FrameSink | None = None, levels: bool = False, **options: Any
 ) -> MemoryPlan:
     """What :func:`simplify` would do with these arguments, and the memory for it; no frame is read.
 
-    With ``levels`` the coarsest level of :func:`order_levels`.
+    Args:
+        points: as for :func:`simplify`.
+        faces: likewise.
+        sink: likewise.
+        levels: plan for the coarsest level of :func:`order_levels`.
+        options: the other options of :func:`simplify`, but for ``progress``.
 
     Raises:
         MemoryLimitError: it cannot be done in that memory.
         OptionError, MeshShapeError, FaceIndexError, DegenerateMeshError, DeviceError: as for :func:`simplify`.
     """
-    spec = cost_model(metric)
-    check_options((ratio, target_faces, max_error), coherence, key_frames, placement)
-    device = resolve_device(device)
-    given = read_mesh(points, faces)
-    goal = read_goal(len(given.faces), ratio, target_faces, max_error)
-    refit = refit and placement != "endpoint"
-    return plan_work(given, spec, goal, key_frames, attributes, refit, sink is None, levels, memory, device)
+    asked = SimplifyOptions(**options)
+    spec = cost_model(asked.metric)
+    asked.check()
+    device = resolve_device(asked.device)
+    return plan_work(read_mesh(points, faces), spec, asked, device, keep_frames=sink is None, keep_nodes=levels)

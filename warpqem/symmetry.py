@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from warpqem.arguments import read_goal
+from warpqem.arguments import SimplifyOptions
 from warpqem.edges import edge_key
 from warpqem.errors import OptionError
 from warpqem.frame_stream import ArraySink, FrameSink
@@ -21,7 +21,7 @@ from warpqem.importance import border_vertices, lock_mask, read_quadric_scale, r
 from warpqem.kernels.topology import MIRROR
 from warpqem.mesh_input import MeshInput, as_numpy, read_mesh
 from warpqem.order.log import CollapseRecord
-from warpqem.preparation import prepare
+from warpqem.preparation import Progress, prepare
 from warpqem.result import Outcome, SimplifiedMesh, finish, reached
 from warpqem.seams import read_seams
 
@@ -175,6 +175,7 @@ def simplify_symmetric(
     symmetry: str | MirrorPlane | Mirror = "auto",
     *,
     sink: FrameSink | None = None,
+    progress: Progress | None = None,
     **options: Any,
 ) -> SimplifiedMesh:
     """Simplify a mirror-symmetric mesh so that the result has the same mirror plane.
@@ -185,6 +186,7 @@ def simplify_symmetric(
         faces: (N, 3) vertex indices.
         symmetry: see :func:`find_mirror`, or what that returned.
         sink: as for :func:`warpqem.simplify`.
+        progress: likewise.
         options: the other options of :func:`warpqem.simplify`. Of weights, scales and locks that differ between two
             mirror images the larger counts for both, and seams of either are seams of both.
 
@@ -198,15 +200,14 @@ def simplify_symmetric(
     given = read_mesh(points, faces)
     frames = given.source.read(slice(0, given.frame_count))
     mirror = symmetry if isinstance(symmetry, Mirror) else find_mirror(frames[0], given.faces, symmetry)
-    half = _Half(given, frames, mirror, options)
-    refit = bool(options.get("refit")) and options.get("placement") != "endpoint"
-    work = prepare(half.frames, half.faces, **half.options)
+    half = _Half(given, frames, mirror, SimplifyOptions(**options))
+    work = prepare(half.frames, half.faces, half.options, progress=progress)
     assert work.order_input is not None
     flags = work.order_input.vertex_flags | np.where(half.on_plane, int(MIRROR), 0).astype(np.int32)
     work = replace(work, order_input=replace(work.order_input, vertex_flags=flags))
-    ordered = work.order(options.get("progress"))
+    ordered = work.order(progress)
     placed = ArraySink()
-    part = finish(work, work.placer(ordered), Outcome.of(ordered), refit, placed, options.get("progress"))
+    part = finish(work, work.placer(ordered), Outcome.of(ordered), half.options.refits, placed, progress)
     return reached(half.whole(part, placed.points, sink), half.target)
 
 
@@ -221,7 +222,7 @@ class _Half:
         target: faces of the whole asked for; 0 for none.
     """
 
-    def __init__(self, given: MeshInput, frames: np.ndarray, mirror: Mirror, options: dict[str, Any]) -> None:
+    def __init__(self, given: MeshInput, frames: np.ndarray, mirror: Mirror, options: SimplifyOptions) -> None:
         self._given, self._mirror, self._frame_count = given, mirror, len(frames)
         faces = given.faces[mirror.half]
         self._vertex, index = np.unique(faces, return_inverse=True)
@@ -232,24 +233,27 @@ class _Half:
         self.frames = np.concatenate([frames[:, self._vertex], images])
         self._diagonal = _diagonal(frames[:, given.used])
         self._own_diagonal = _diagonal(self.frames)
-        goal = read_goal(len(given.faces), options.get("ratio"), options.get("target_faces"), options.get("max_error"))
-        self.target = goal.target_faces
-        self.options = {**options, **self._importance(options), **self._values(options)}
-        self.options.pop("ratio", None)
-        if self.target:
-            self.options["target_faces"] = max(1, self.target // 2)
-        if options.get("max_error") is not None:
-            self.options["max_error"] = options["max_error"] * self._diagonal / self._own_diagonal
+        self.target = options.goal(len(given.faces)).target_faces
+        self.options = replace(options, **self._goal(options), **self._importance(options), **self._values(options))
 
-    def _importance(self, options: dict[str, Any]) -> dict[str, Any]:
+    def _goal(self, options: SimplifyOptions) -> dict[str, Any]:
+        """Half of the faces, and the error limit as a part of the half's own diagonal."""
+        limit = options.max_error
+        return {
+            "ratio": None,
+            "target_faces": max(1, self.target // 2) if self.target else options.target_faces,
+            "max_error": None if limit is None else limit * self._diagonal / self._own_diagonal,
+        }
+
+    def _importance(self, options: SimplifyOptions) -> dict[str, Any]:
         """Weights and locks at the half's vertices: of two images the larger."""
         given, here = self._given, self._vertex
-        weights, locked = read_weights(options.get("vertex_weights"), given)
-        locked |= lock_mask(options.get("locked"), given.vertex_count)
-        if options.get("lock_borders"):
+        weights, locked = read_weights(options.vertex_weights, given)
+        locked |= lock_mask(options.locked, given.vertex_count)
+        if options.lock_borders:
             # Of the whole mesh: the cut along the plane is no border.
             locked |= border_vertices(given)
-        scale = read_quadric_scale(options.get("quadric_scale"), given)
+        scale = read_quadric_scale(options.quadric_scale, given)
         return {
             "vertex_weights": np.maximum(weights[here], weights[self._image]),
             "quadric_scale": np.maximum(scale[here], scale[self._image]),
@@ -259,12 +263,12 @@ class _Half:
             "keep_components": True,
         }
 
-    def _values(self, options: dict[str, Any]) -> dict[str, Any]:
+    def _values(self, options: SimplifyOptions) -> dict[str, Any]:
         """Seams and attributes of the half."""
         given, here = self._given, self._vertex
         rows = given.face_index[self._mirror.half]
-        fields = [replace(field, values=as_numpy(field.values)[rows]) for field in options.get("attributes", ())]
-        seams = options.get("seams")
+        fields = [replace(field, values=as_numpy(field.values)[rows]) for field in options.attributes]
+        seams = options.seams
         if seams is None or not len(seams):
             return {"attributes": fields, "seams": None}
         read_seams(seams, given.faces, given.vertex_count)

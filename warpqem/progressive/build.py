@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from warpqem.arguments import SimplifyOptions
 from warpqem.errors import OptionError
 from warpqem.frame_stream import read_ahead
 from warpqem.order.levels import OrderedLevels
@@ -49,15 +50,8 @@ def build_progressive(
     if refused:
         raise OptionError(f"{', '.join(sorted(refused))}: not with a progressive mesh, which has all levels")
     # A mesh of one face is the least there is.
-    work = prepare(
-        points,
-        faces,
-        target_faces=base_faces or 1,
-        keep_components=True,
-        progress=progress,
-        keep_nodes=True,
-        **options,
-    )
+    asked = SimplifyOptions(target_faces=base_faces or 1, keep_components=True, **options)
+    work = prepare(points, faces, asked, keep_nodes=True, progress=progress)
     recorder = NodeRecorder()
     ordered = work.order(progress, recorder)
     levels = OrderedLevels(work.mesh.faces, ordered, recorder)

@@ -14,11 +14,12 @@ from typing import Any
 
 import numpy as np
 
+from warpqem.arguments import SimplifyOptions
 from warpqem.edges import edge_table
 from warpqem.errors import OptionError
 from warpqem.mesh_input import as_numpy
 from warpqem.order.quadrics import CONSTRAINT_WEIGHT
-from warpqem.preparation import prepare
+from warpqem.preparation import Progress, prepare
 from warpqem.result import SimplifiedMesh, reached
 from warpqem.skinning.skin import LinearSkin
 from warpqem.transfer import is_proper
@@ -30,7 +31,9 @@ __all__ = ["pulled_back_matrices", "simplify_pulled_back"]
 MEAN_PULL = 1e-3
 
 
-def simplify_pulled_back(points: Any, faces: Any, skin: LinearSkin, transforms: Any, **options: Any) -> SimplifiedMesh:
+def simplify_pulled_back(
+    points: Any, faces: Any, skin: LinearSkin, transforms: Any, *, progress: Progress | None = None, **options: Any
+) -> SimplifiedMesh:
     """Simplify a skinned mesh in its rest shape.
 
     Args:
@@ -39,8 +42,7 @@ def simplify_pulled_back(points: Any, faces: Any, skin: LinearSkin, transforms: 
         skin: its skin.
         transforms: (P, J, 3, 4), see :func:`warpqem.skinning.skin.pose_skin`; identities in the first pose.
         options: ``ratio``, ``target_faces``, ``max_error``, ``vertex_weights``, ``quadric_scale``, ``locked``,
-            ``lock_borders``, ``seams``, ``attributes``, ``memory``, ``device`` and ``progress`` of
-            :func:`warpqem.simplify`.
+            ``lock_borders``, ``seams``, ``attributes``, ``memory`` and ``device`` of :func:`warpqem.simplify`.
 
     Returns:
         The result with one frame, the rest shape.
@@ -52,13 +54,14 @@ def simplify_pulled_back(points: Any, faces: Any, skin: LinearSkin, transforms: 
     if unknown:
         raise OptionError(f"{', '.join(sorted(unknown))}: no option of simplifying by pulled back quadrics")
     poses, corner = as_numpy(points), as_numpy(faces)
-    work = prepare(poses[:1], corner, metric="qem", coherence=0.0, **options)
-    matrices = pulled_back_matrices(poses, corner, skin, transforms, options.get("seams"))
+    asked = SimplifyOptions(metric="qem", coherence=0.0, **options)
+    work = prepare(poses[:1], corner, asked, progress=progress)
+    matrices = pulled_back_matrices(poses, corner, skin, transforms, asked.seams)
     # On the mesh of unit diagonal that the order works on; the sum over poses becomes a mean, as for one frame.
     matrices *= work.quadric_scale[:, None, None] / (len(poses) * work.mesh.diagonal**2)
     assert work.order_input is not None
     work = replace(work, order_input=replace(work.order_input, matrices=matrices))
-    ordered = work.order(options.get("progress"))
+    ordered = work.order(progress)
     placer = work.placer(ordered)
     rest = _place(poses[0].astype(np.float64), placer.vertex_map, matrices, work.pinned)
     result = SimplifiedMesh(
