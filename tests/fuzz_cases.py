@@ -10,6 +10,8 @@ import functools
 import random
 import re
 import shutil
+import subprocess
+import sys
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -244,6 +246,22 @@ def _change_value(draw: random.Random, attribute: Usd.Attribute) -> str:
 def byte_case(seed: int) -> str:
     """Change bytes of a text, crate or package file, then simplify it; returns how it ended."""
     draw = random.Random(seed)
+    return _simplify_file(draw, _damaged_file(draw), ".usdc")
+
+
+def byte_case_by_program(seed: int) -> str:
+    """The same file through the command line, for what USD does not survive."""
+    path = _damaged_file(random.Random(seed))
+    output = path.with_name("out.usdc")
+    command = [sys.executable, "-m", "warpqem", "simplify", str(path), "--ratio", "0.4", "-o", str(output)]
+    process = subprocess.run(command, capture_output=True, text=True, errors="replace", timeout=60)
+    lines = [line for line in process.stderr.splitlines() if line.startswith("error: ")]
+    if process.returncode != 1 or not lines or str(path) not in lines[-1] or output.exists():
+        raise UnsoundError(f"ended with {process.returncode}: {process.stderr[-300:]}")
+    return "named by the program"
+
+
+def _damaged_file(draw: random.Random) -> Path:
     source = _stages() / draw.choice(
         [
             "rich.usda",
@@ -261,7 +279,7 @@ def byte_case(seed: int) -> str:
         data = _change_text(draw, data) if source.suffix == ".usda" else _change_binary(draw, data)
     path = _stages() / f"case{source.suffix}"
     path.write_bytes(data)
-    return _simplify_file(draw, path, ".usdc")
+    return path
 
 
 def _change_text(draw: random.Random, data: bytearray) -> bytearray:
@@ -364,4 +382,9 @@ def _check_output(output: Path, simplified: list[str]) -> None:
                 raise UnsoundError(f"{primvar.GetName()}: {len(values)} values for {wanted}")
 
 
-CASES = {"arrays": array_case, "values": value_case, "bytes": byte_case}
+CASES = {
+    "arrays": array_case,
+    "values": value_case,
+    "bytes": byte_case,
+    "program": byte_case_by_program,
+}

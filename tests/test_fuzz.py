@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 
@@ -13,8 +14,8 @@ from pxr import Sdf, Tf, Usd, UsdGeom, Vt
 from test_usd_stages import cloth_stage, skinned_stage
 
 import warpqem
-from warpqem.errors import DegenerateMeshError, StageError
-from warpqem.usd import SimplifyOptions, simplify_stage
+from warpqem.errors import DegenerateMeshError, StageError, UnreachableTargetError
+from warpqem.usd import SimplifyOptions, inspect_stage, simplify_stage
 from warpqem.usd.usd_errors import first_line, usd_errors_named
 
 HALF = SimplifyOptions(ratio=0.5, device="cpu")
@@ -147,3 +148,98 @@ def test_primvar_that_is_only_called_like_one_of_a_skin_is_carried(tmp_path):
     mesh = UsdGeom.Mesh(out.GetPrimAtPath("/Char/Body"))
     values = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("skel:mine").Get()
     assert list(values) == [1.0] * len(mesh.GetPointsAttr().Get())
+
+
+def test_refit_does_not_send_vertices_far_off_where_few_faces_are_left():
+    points, faces = meshes.book(3, 3)
+    faces = faces[:30]
+    with pytest.raises(UnreachableTargetError) as raised:
+        warpqem.simplify(points, faces, target_faces=2, metric="qem", refit=True, device="cpu")
+    reach = np.linalg.norm(np.ptp(points, axis=0))
+    assert np.abs(raised.value.result.points).max() < np.abs(points).max() + reach
+
+
+@pytest.mark.parametrize("missing", ["/Root", "/Root/Cloth", "/Root/Cloth.points"])
+def test_what_a_damaged_file_lists_but_does_not_hold_is_named(tmp_path, monkeypatch, missing):
+    cloth_stage(tmp_path / "in.usda")
+
+    class Damaged:
+        """A layer as USD opens it from crate files with a wrong table of specs."""
+
+        def __init__(self, layer):
+            self.layer = layer
+
+        def GetObjectAtPath(self, path):  # noqa: N802, the name is USD's
+            return None if path == Sdf.Path(missing) else self.layer.GetObjectAtPath(path)
+
+        def __getattr__(self, name):
+            return getattr(self.layer, name)
+
+    opened = Sdf.Layer.FindOrOpen(str(tmp_path / "in.usda"))
+    monkeypatch.setattr("warpqem.usd.input_check.Sdf.Layer.FindOrOpen", lambda place: Damaged(opened))
+    with pytest.raises(StageError, match=rf"in\.usda: damaged: {missing} is listed, but is not there"):
+        simplify_stage(tmp_path / "in.usda", tmp_path / "out.usda", HALF)
+
+
+def test_sample_at_a_time_that_is_no_number_is_named(tmp_path):
+    cloth_stage(tmp_path / "in.usda")
+    text = (tmp_path / "in.usda").read_text()
+    assert "1: [" in text
+    (tmp_path / "in.usda").write_text(text.replace("1: [", "nan: [", 1))
+    with pytest.raises(StageError, match=r"/Root/Cloth\.points has a sample at time nan"):
+        simplify_stage(tmp_path / "in.usda", tmp_path / "out.usda", HALF)
+
+
+def test_points_that_are_no_points_are_named(tmp_path):
+    cloth_stage(tmp_path / "in.usda", size=2)
+    text = (tmp_path / "in.usda").read_text()
+    numbers = "[" + ", ".join("0" * 9) + "]"
+    text = re.sub(r"point3f\[\] points\.timeSamples = \{[^}]*\}", f"float[] points = {numbers}", text)
+    (tmp_path / "in.usda").write_text(text)
+    [prim] = simplify_stage(tmp_path / "in.usda", tmp_path / "out.usda", HALF).prims
+    assert prim.status == "failed"
+    assert "/Root/Cloth.points: FloatArray at time default, no array of points" in prim.message
+
+
+@pytest.mark.parametrize("sampled", [False, True])
+def test_empty_asset_paths_keep_their_place(tmp_path, sampled, flatten):
+    stage = cloth_stage(tmp_path / "in.usda")
+    primvars = UsdGeom.PrimvarsAPI(stage.GetPrimAtPath("/Root/Cloth"))
+    primvar = primvars.CreatePrimvar("maps", Sdf.ValueTypeNames.AssetArray, "uniform")
+    paths = [Sdf.AssetPath("" if face % 2 else "./a.png") for face in range(64)]
+    (tmp_path / "a.png").write_bytes(b"picture")
+    primvar.Set(paths, *((1.0,) if sampled else ()))
+    stage.Save()
+    simplify_stage(
+        tmp_path / "in.usda", tmp_path / "out.usda", SimplifyOptions(ratio=0.5, device="cpu", flatten=flatten)
+    )
+    out = Usd.Stage.Open(str(tmp_path / "out.usda"))
+    mesh = UsdGeom.Mesh(out.GetPrimAtPath("/Root/Cloth"))
+    values = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("maps").Get(1.0)
+    assert len(values) == len(mesh.GetFaceVertexCountsAttr().Get())
+    assert {value.path for value in values} == {"", "./a.png"}
+
+
+@pytest.mark.parametrize("name", ["jointIndices", "jointWeights"])
+def test_skin_of_which_one_half_is_constant_is_dropped(tmp_path, name):
+    stage = skinned_stage(tmp_path / "in.usda")
+    UsdGeom.PrimvarsAPI(stage.GetPrimAtPath("/Char/Body")).GetPrimvar(f"skel:{name}").SetInterpolation("constant")
+    stage.Save()
+    [prim] = simplify_stage(tmp_path / "in.usda", tmp_path / "out.usda", HALF).prims
+    assert prim.status == "simplified"
+    out = Usd.Stage.Open(str(tmp_path / "out.usda"))
+    body = out.GetPrimAtPath("/Char/Body")
+    for half in ("jointIndices", "jointWeights"):
+        assert body.GetAttribute(f"primvars:skel:{half}").Get() is None
+
+
+def test_element_size_of_zero_is_a_problem_that_inspection_names(tmp_path):
+    stage = cloth_stage(tmp_path / "in.usda")
+    primvar = UsdGeom.PrimvarsAPI(stage.GetPrimAtPath("/Root/Cloth")).CreatePrimvar(
+        "a", Sdf.ValueTypeNames.FloatArray, "vertex"
+    )
+    primvar.Set([1.0])
+    primvar.GetAttr().SetMetadata("elementSize", 0)
+    stage.Save()
+    [info] = inspect_stage(tmp_path / "in.usda")
+    assert "primvars:a: elementSize 0" in info.problems

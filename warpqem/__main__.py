@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from warpqem.cli.main import app
+from warpqem.cli.main import run
 
 if __name__ == "__main__":
-    app(prog_name="warpqem")
+    run()

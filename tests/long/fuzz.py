@@ -1,6 +1,6 @@
 """Run fuzz cases in a process that may crash, hang or run out of memory; each such case is a find with its seed.
 
-python -m tests.long.fuzz arrays --seconds 300 --start 0
+python -m tests.long.fuzz arrays --cases 1000000 --seconds 9000 --start 0
 python -m tests.long.fuzz bytes --only 1234
 """
 
@@ -34,6 +34,9 @@ def child(kind: str, start: int) -> None:
     resource.setrlimit(resource.RLIMIT_DATA, (MEMORY_BYTES, MEMORY_BYTES))
     from fuzz_cases import CASES
 
+    from warpqem.opening import tell_openings
+
+    tell_openings(lambda file: None)
     for seed in range(start, 2**62):
         out.write(f"begin {seed}\n")
         out.flush()
@@ -47,27 +50,40 @@ def child(kind: str, start: int) -> None:
         out.flush()
 
 
-def run(kind: str, start: int, seconds: float) -> int:
-    """Run cases for some time; prints the finds and the counts. Returns how many finds there are."""
+def survives_in_program(seed: int) -> bool:
+    """Whether a file that ends the process that reads it ends in an error of the command line, which has two."""
+    command = [sys.executable, "-m", "tests.long.fuzz", "program", "--only", str(seed)]
+    return subprocess.run(command, capture_output=True).returncode == 0
+
+
+def run(kind: str, start: int, seconds: float, wanted: int) -> int:
+    """Run so many cases, within some time; prints each find as it comes, then the counts. Returns how many finds."""
     begun = time.monotonic()
     seed, cases = start, 0
     ends: collections.Counter[str] = collections.Counter()
     finds: dict[str, list[int]] = {}
-    while time.monotonic() - begun < seconds:
+
+    def found(how: str, seed: int) -> None:
+        finds.setdefault(how, []).append(seed)
+        print(f"{kind} {seed}: {how}", flush=True)
+
+    while time.monotonic() - begun < seconds and cases < wanted:
         command = [sys.executable, "-m", "tests.long.fuzz", kind, "--child", "--start", str(seed)]
         process = subprocess.Popen(command, stdout=subprocess.PIPE, stdin=subprocess.DEVNULL)
         assert process.stdout is not None
         buffer, limit = b"", FIRST_SECONDS
         running = None
-        while time.monotonic() - begun < seconds:
+        while time.monotonic() - begun < seconds and cases < wanted:
             ready, _, _ = select.select([process.stdout], [], [], limit)
             data = os.read(process.stdout.fileno(), 65536) if ready else b""
             if not data:
                 process.kill()
                 code = process.wait()
-                how = f"FIND hang over {limit:g} s" if not ready else f"FIND ended with {code}"
-                finds.setdefault(how, []).append(seed)
                 cases += running is not None
+                if kind == "bytes" and ready and survives_in_program(seed):
+                    ends[f"ended with {code}, named by the program"] += 1
+                else:
+                    found(f"FIND hang over {limit:g} s" if not ready else f"FIND ended with {code}", seed)
                 seed += 1
                 break
             buffer += data
@@ -79,7 +95,7 @@ def run(kind: str, start: int, seconds: float) -> int:
                     continue
                 cases, limit, running, seed = cases + 1, CASE_SECONDS, None, seed + 1
                 if rest.startswith("FIND"):
-                    finds.setdefault(rest, []).append(seed - 1)
+                    found(rest, seed - 1)
                 else:
                     ends[rest] += 1
         process.kill()
@@ -93,8 +109,9 @@ def run(kind: str, start: int, seconds: float) -> int:
 
 def main() -> None:
     parser = argparse.ArgumentParser()
-    parser.add_argument("kind", choices=["arrays", "values", "bytes"])
+    parser.add_argument("kind", choices=["arrays", "values", "bytes", "program"])
     parser.add_argument("--seconds", type=float, default=300.0)
+    parser.add_argument("--cases", type=int, default=10**9)
     parser.add_argument("--start", type=int, default=0)
     parser.add_argument("--only", type=int, help="run one case in this process, with its traceback")
     parser.add_argument("--child", action="store_true", help=argparse.SUPPRESS)
@@ -106,7 +123,7 @@ def main() -> None:
 
         print(CASES[given.kind](given.only))
     else:
-        sys.exit(1 if run(given.kind, given.start, given.seconds) else 0)
+        sys.exit(1 if run(given.kind, given.start, given.seconds, given.cases) else 0)
 
 
 if __name__ == "__main__":

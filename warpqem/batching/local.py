@@ -26,6 +26,7 @@ from warpqem.batching.worker import WorkerSetup, run_worker
 from warpqem.device import resolve_device
 from warpqem.errors import BatchError, OptionError
 from warpqem.memory import DEFAULT_SHARE, available_memory, parse_bytes
+from warpqem.opening import TIME_IS_UP
 from warpqem.parallel import thread_count
 from warpqem.usd.temporary import remove_leftovers
 
@@ -295,7 +296,8 @@ class _Pool:
         if code is not None and code < 0:
             with suppress(ValueError):
                 code = signal.Signals(-code).name
-            how = f"was ended by {code}"
+            late = ": USD does not come to the end of a file, which is damaged" if code == TIME_IS_UP else ""
+            how = f"was ended by {code}{late}"
         else:
             how = f"ended with code {code}"
         return how + _last_words(worker.output)

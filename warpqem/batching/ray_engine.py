@@ -151,6 +151,8 @@ def _perform(job: BatchJob, cpus: float, memory: int | None) -> BatchResult:
     import warp as wp
 
     from warpqem.batching.perform import perform
+    from warpqem.opening import tell_openings
 
+    tell_openings(lambda file: None)
     wp.config.log_level = wp.LOG_WARNING
     return perform(job, memory=memory)

@@ -13,6 +13,7 @@ from warpqem.cli.console import OneLineErrors
 from warpqem.cli.examples import epilog
 from warpqem.cli.face import face
 from warpqem.cli.features import features
+from warpqem.cli.guard import guarded
 from warpqem.cli.info import info
 from warpqem.cli.levels import levels
 from warpqem.cli.progressive import progressive
@@ -20,7 +21,7 @@ from warpqem.cli.render import render
 from warpqem.cli.simplify import simplify
 from warpqem.cli.view import view
 
-__all__ = ["app"]
+__all__ = ["app", "run"]
 
 app = typer.Typer(
     name="warpqem",
@@ -49,3 +50,12 @@ def _common(
     ] = False,
 ) -> None:
     pass
+
+
+def run() -> None:
+    """The `warpqem` program.
+
+    Raises:
+        SystemExit: always.
+    """
+    guarded(lambda: app(prog_name="warpqem"))

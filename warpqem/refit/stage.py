@@ -93,7 +93,7 @@ def fit_corrections(
         return lambda frames: frames
     for _ in range(ROUNDS):
         fit.improve(REACH * error)
-    fit.hold_back_flips(placed, blocks)
+    fit.hold_back(placed, blocks)
     return fit.apply
 
 
@@ -239,8 +239,11 @@ class _Refit:
 
         launch_parts(frame_kernels.move_in_material_frame, move, len(points), self._device)
 
-    def hold_back_flips(self, placed: FrameStore, blocks: Sequence[slice]) -> None:
+    def hold_back(self, placed: FrameStore, blocks: Sequence[slice]) -> None:
         """Hold vertices that turn a face over in some frame back more, and at last do not move them.
+
+        Likewise those that would go further than an edge is long in the mean: no pair is there, and few faces far off
+        that reach beyond their pairs decide.
 
         The others are solved for anew each time: a vertex that stays where its neighbours do not expect it would cost
         more than its own share of the fit.
@@ -248,7 +251,7 @@ class _Refit:
         matched_at = self._correction
         hold = np.ones(self._vertex_count, dtype=np.float32)
         while True:
-            marked = np.zeros(self._vertex_count, dtype=bool)
+            marked = np.linalg.norm(self._correction.numpy(), axis=1) > self._scales.edge_squared**0.5
             for _, block in read_ahead(placed.read, blocks):
                 marked |= self._turned_over(block)
             if not marked.any():

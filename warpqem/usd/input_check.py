@@ -17,7 +17,8 @@ import numpy as np
 from pxr import Ar, Pcp, Sdf, Tf, Usd, UsdUtils
 
 from warpqem.errors import StageError
-from warpqem.usd.usd_errors import first_line
+from warpqem.opening import opening
+from warpqem.usd.usd_errors import first_line, usd_errors_named
 
 __all__ = ["QUOTED", "check_composition", "open_layers"]
 
@@ -115,14 +116,50 @@ def _open(place: str, named_by: str, allowed: list[Path]) -> Sdf.Layer | None:
         raise StageError(f"{file}{by}: no regular file")
     _check_bytes(file, by)
     try:
-        return Sdf.Layer.FindOrOpen(place)
+        with opening(place):
+            layer = Sdf.Layer.FindOrOpen(place)
+        if layer is not None:
+            _check_specs(layer, place + by)
+        return layer
     except (Tf.ErrorException, UnicodeDecodeError) as error:
         raise StageError(f"{place}{by}: USD cannot open it ({first_line(error)})") from error
 
 
+def _check_specs(layer: Sdf.Layer, name: str) -> None:
+    """Look for what a damaged file lists but does not hold, and for times that are no number: USD crashes there.
+
+    Only through lookups by path, which give None for what is missing or of another kind, and never through lists of
+    specs.
+    """
+    waiting = [(Sdf.Path.absoluteRootPath, Sdf.PrimSpec)]
+    while waiting:
+        path, kind = waiting.pop()
+        spec = layer.GetObjectAtPath(path)
+        if not isinstance(spec, kind):
+            raise StageError(f"{name}: damaged: {path} is listed, but is not there")
+        waiting += [(path.AppendChild(child), Sdf.PrimSpec) for child in _listed(spec, "primChildren")]
+        for group in _listed(spec, "variantSetChildren"):
+            waiting.append((path.AppendVariantSelection(group, ""), Sdf.VariantSetSpec))
+        for variant in _listed(spec, "variantChildren"):
+            place = path.GetParentPath().AppendVariantSelection(path.GetVariantSelection()[0], variant)
+            waiting.append((place, Sdf.VariantSpec))
+        for child in _listed(spec, "properties"):
+            place = path.AppendProperty(child)
+            if not isinstance(layer.GetObjectAtPath(place), Sdf.PropertySpec):
+                raise StageError(f"{name}: damaged: {place} is listed, but is not there")
+            if layer.GetNumTimeSamplesForPath(place) and np.isnan(layer.ListTimeSamplesForPath(place)).any():
+                raise StageError(f"{name}: {place} has a sample at time nan")
+
+
+def _listed(spec: Sdf.Spec, key: str) -> list[str]:
+    return spec.GetInfo(key) if spec.HasInfo(key) else []
+
+
 def _layers_of(layer: Sdf.Layer) -> Iterator[str]:
     """Where the layers are that a layer names, in any variant; not value clips, which are opened when they are read."""
-    for asset in layer.GetCompositionAssetDependencies():
+    with usd_errors_named(layer.identifier):
+        named = layer.GetCompositionAssetDependencies()
+    for asset in named:
         if not asset:
             continue
         resolved = Ar.GetResolver().Resolve(Sdf.ComputeAssetPathRelativeToLayer(layer, asset))

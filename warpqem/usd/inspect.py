@@ -157,7 +157,11 @@ def _find_wrong_lengths(info: MeshInfo, source: MeshSource) -> None:
         )
         if count is None or value is None or not hasattr(value, "__len__"):
             continue
-        length = len(value) // primvar.GetElementSize()
+        size = primvar.GetElementSize()
+        if size < 1:
+            info.problems.append(f"primvars:{primvar.GetPrimvarName()}: elementSize {size}")
+            continue
+        length = len(value) // size
         if length != count:
             info.problems.append(
                 f"primvars:{primvar.GetPrimvarName()}: {length} values, {count} expected ({primvar.GetInterpolation()})"

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from pxr import Usd, UsdGeom
+from pxr import Usd, UsdGeom, Vt
 
 from warpqem.errors import StageError
 from warpqem.usd.frames import FrameRange
@@ -16,6 +16,9 @@ from warpqem.usd.stage import world_scale
 from warpqem.usd.topology import Topology, read_topology
 
 __all__ = ["MeshLayout", "MeshSource", "PoseFrames", "StageMesh"]
+
+# What the points of a mesh may be; a file can declare them as anything.
+POINT_ARRAYS = (Vt.Vec3fArray, Vt.Vec3dArray, Vt.Vec3hArray)
 
 
 @dataclass(frozen=True)
@@ -172,6 +175,8 @@ class MeshSource:
         value = self._points.Get(code)
         if value is None:
             raise StageError(f"{self.path}.points: no value at time {name} (missing or blocked)")
+        if not isinstance(value, POINT_ARRAYS):
+            raise StageError(f"{self.path}.points: {type(value).__name__} at time {name}, no array of points")
         if len(value) != self.point_count:
             raise StageError(
                 f"{self.path}.points: {len(value)} points at time {name}, {self.point_count} before; "

@@ -83,6 +83,8 @@ def read_skin(
     shapes = read_shapes(prim, source.point_count)
     if shapes is None:
         return None, "a blend shape does not fit its points"
+    if joints is not None and weights is not None and _is_constant(joints) != _is_constant(weights):
+        return None, "its joint indices are constant and its joint weights are not, or the other way round"
     influences = _read_influences(joints, weights, source.point_count)
     if influences is None:
         return None, "its joint influences do not fit its points"
@@ -102,12 +104,16 @@ def _influence_primvars(source: MeshSource) -> tuple[UsdGeom.Primvar | None, Usd
     return joints, weights
 
 
+def _is_constant(primvar: UsdGeom.Primvar) -> bool:
+    return bool(primvar.GetInterpolation() == UsdGeom.Tokens.constant)
+
+
 def _read_influences(
     joints: UsdGeom.Primvar | None, weights: UsdGeom.Primvar | None, point_count: int
 ) -> dict[Usd.TimeCode, Influences] | None:
     if joints is None or weights is None:
         return {}
-    if UsdGeom.Tokens.constant in (joints.GetInterpolation(), weights.GetInterpolation()):
+    if _is_constant(joints):
         return {}
     size = joints.GetElementSize()
     influences = {}

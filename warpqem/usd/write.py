@@ -321,7 +321,32 @@ def move_asset_paths(layer: Sdf.Layer, source: Sdf.Layer, folder: Path) -> None:
             return path
         return relative_path(package, folder) + path[len(package) :]
 
+    # USD takes empty paths out of arrays, which then have too few values for their faces.
+    with_gaps = _arrays_with_empty_paths(layer)
     UsdUtils.ModifyAssetPaths(layer, move)
+    for path, time, array in with_gaps:
+        moved = Sdf.AssetPathArray([Sdf.AssetPath(move(asset.path)) if asset.path else asset for asset in array])
+        if time is None:
+            layer.GetAttributeAtPath(path).default = moved
+        else:
+            layer.SetTimeSample(path, time, moved)
+
+
+def _arrays_with_empty_paths(layer: Sdf.Layer) -> list[tuple[Sdf.Path, float | None, Sdf.AssetPathArray]]:
+    """Arrays of asset paths some of which are empty: attribute, time (None for the default value), and value."""
+    found: list[tuple[Sdf.Path, float | None, Sdf.AssetPathArray]] = []
+
+    def look(path: Sdf.Path) -> None:
+        attribute = layer.GetAttributeAtPath(path) if path.IsPropertyPath() else None
+        if attribute is None or attribute.typeName != Sdf.ValueTypeNames.AssetArray:
+            return
+        values = [(time, layer.QueryTimeSample(path, time)) for time in layer.ListTimeSamplesForPath(path)]
+        for time, value in [(None, attribute.default), *values]:
+            if isinstance(value, Sdf.AssetPathArray) and not all(asset.path for asset in value):
+                found.append((path, time, value))
+
+    layer.Traverse(Sdf.Path.absoluteRootPath, look)
+    return found
 
 
 def export_layer(layer: Sdf.Layer, output: Path) -> None:
