@@ -53,8 +53,11 @@ def test_crash_while_a_file_is_opened_names_it(tmp_path):
 def test_crash_at_another_time_says_how_it_came():
     code, errors = run("with opening('good.usdc'):\n    pass\nos.kill(os.getpid(), signal.SIGABRT)")
     assert code == 1
-    assert "error: crashed (SIGABRT)" in errors
-    assert "good.usdc" not in errors
+    assert "error: good.usdc: crashed in native code (SIGABRT) after the file was opened" in errors
+
+
+def test_crash_before_any_file_names_none():
+    assert "error: crashed in native code (SIGABRT)" in run("os.kill(os.getpid(), signal.SIGABRT)")[1]
 
 
 def test_file_that_never_opens_ends_in_an_error():

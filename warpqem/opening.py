@@ -20,14 +20,14 @@ LEAST_SECONDS, BYTES_A_SECOND = 8.0, 2**20
 # The signal that ends a process whose time is up, by the name that a watcher sees; none on Windows.
 TIME_IS_UP = "SIGPROF"
 
-_told: Callable[[str], None] | None = None
+_told: Callable[[str, bool], None] | None = None
 
 
-def tell_openings(told: Callable[[str], None]) -> None:
+def tell_openings(told: Callable[[str, bool], None]) -> None:
     """From now on limit the time for opening a file in this process, which ends it.
 
     Args:
-        told: Called with each file before it is opened.
+        told: Called with each file and whether it is still to be opened, before and after.
     """
     global _told
     _told = told
@@ -39,7 +39,7 @@ def opening(file: str) -> Iterator[None]:
     if _told is None or not hasattr(signal, "setitimer"):
         yield
         return
-    _told(file)
+    _told(file, True)
     path = Path(file.split("[", 1)[0])
     size = path.stat().st_size if path.is_file() else 0
     signal.setitimer(signal.ITIMER_PROF, LEAST_SECONDS + size / BYTES_A_SECOND)
@@ -47,4 +47,4 @@ def opening(file: str) -> Iterator[None]:
         yield
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0.0)
-        _told("")
+        _told(file, False)

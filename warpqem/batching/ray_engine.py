@@ -153,6 +153,6 @@ def _perform(job: BatchJob, cpus: float, memory: int | None) -> BatchResult:
     from warpqem.batching.perform import perform
     from warpqem.opening import tell_openings
 
-    tell_openings(lambda file: None)
+    tell_openings(lambda file, begins: None)
     wp.config.log_level = wp.LOG_WARNING
     return perform(job, memory=memory)

@@ -49,7 +49,7 @@ def run_worker(connection: Connection, setup: WorkerSetup) -> None:
     # The process that started this one answers Ctrl-C.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     _redirect(setup.output)
-    tell_openings(lambda file: print(f"opening {file}", flush=True) if file else None)
+    tell_openings(lambda file, begins: print(f"opening {file}", flush=True) if begins else None)
     for name in THREAD_VARIABLES:
         os.environ[name] = str(setup.threads)
     # What USD splits over threads gives the same on one, and a worker has as many as it has.

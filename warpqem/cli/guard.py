@@ -23,6 +23,8 @@ __all__ = ["guarded"]
 
 # Room for the path of the file that is being opened; longer ones are cut.
 PATH_BYTES = 4096
+# What stands before it: whether USD is at it still.
+OPENING, OPENED = b"o", b"d"
 # A terminal sends Ctrl-C to both processes, and the watcher passes on what only it may have got: two within so many
 # seconds are one.
 SAME_INTERRUPT_SECONDS = 0.5
@@ -37,7 +39,7 @@ def guarded(work: Callable[[], None]) -> None:
     if not hasattr(os, "fork"):
         work()
         sys.exit(0)
-    opened = mmap.mmap(-1, PATH_BYTES)
+    opened = mmap.mmap(-1, 1 + PATH_BYTES)
     alive_read, alive_write = os.pipe()
     child = os.fork()
     if child == 0:
@@ -54,8 +56,8 @@ def _work(work: Callable[[], None], opened: mmap.mmap, alive: int) -> None:
         os.read(alive, 1)  # ends when the watcher has, however that was
         os._exit(EXIT_FAILED)
 
-    def note(file: str) -> None:
-        opened[:] = os.fsencode(file)[:PATH_BYTES].ljust(PATH_BYTES, b"\0")
+    def note(file: str, begins: bool) -> None:
+        opened[:] = (OPENING if begins else OPENED) + os.fsencode(file)[:PATH_BYTES].ljust(PATH_BYTES, b"\0")
 
     threading.Thread(target=end_with_watcher, daemon=True).start()
     _take_interrupts_once()
@@ -101,16 +103,18 @@ def _watch(child: int, opened: mmap.mmap) -> int:
         name = signal.Signals(-code).name
     except ValueError:
         name = f"signal {-code}"
-    file = os.fsdecode(bytes(opened).rstrip(b"\0"))
-    tell("error", _reason(name, file))
+    note = bytes(opened).rstrip(b"\0")
+    tell("error", _reason(name, os.fsdecode(note[1:]), is_opening=note.startswith(OPENING)))
     return EXIT_FAILED
 
 
-def _reason(name: str, file: str) -> str:
-    if name == TIME_IS_UP:
-        return f"{file}: USD does not come to the end of it; it is damaged"
+def _reason(name: str, file: str, is_opening: bool) -> str:
+    """Why the work ended by a signal; ``file`` is the last that was opened, empty for none."""
+    before = f"{file}: " if file else ""
     if name == "SIGKILL":
-        return "stopped from outside (SIGKILL), as systems do when memory runs out (--memory limits it)"
-    if file:
-        return f"{file}: USD crashed while it opened the file, which is damaged ({name})"
-    return f"crashed ({name}); a damaged input can do this to USD"
+        return f"{before}stopped from outside (SIGKILL), as systems do when memory runs out (--memory limits it)"
+    if is_opening and name == TIME_IS_UP:
+        return f"{before}USD does not come to the end of it; it is damaged"
+    if is_opening:
+        return f"{before}USD crashed while it opened the file, which is damaged ({name})"
+    return f"{before}crashed in native code ({name}) after the file was opened; a damaged file can do this to USD"

@@ -118,8 +118,8 @@ def _open(place: str, named_by: str, allowed: list[Path]) -> Sdf.Layer | None:
     try:
         with opening(place):
             layer = Sdf.Layer.FindOrOpen(place)
-        if layer is not None:
-            _check_specs(layer, place + by)
+            if layer is not None:
+                _check_specs(layer, place + by)
         return layer
     except (Tf.ErrorException, UnicodeDecodeError) as error:
         raise StageError(f"{place}{by}: USD cannot open it ({first_line(error)})") from error
@@ -137,13 +137,13 @@ def _check_specs(layer: Sdf.Layer, name: str) -> None:
         spec = layer.GetObjectAtPath(path)
         if not isinstance(spec, kind):
             raise StageError(f"{name}: damaged: {path} is listed, but is not there")
-        waiting += [(path.AppendChild(child), Sdf.PrimSpec) for child in _listed(spec, "primChildren")]
-        for group in _listed(spec, "variantSetChildren"):
+        waiting += [(path.AppendChild(child), Sdf.PrimSpec) for child in _listed(spec, "primChildren", name)]
+        for group in _listed(spec, "variantSetChildren", name):
             waiting.append((path.AppendVariantSelection(group, ""), Sdf.VariantSetSpec))
-        for variant in _listed(spec, "variantChildren"):
+        for variant in _listed(spec, "variantChildren", name):
             place = path.GetParentPath().AppendVariantSelection(path.GetVariantSelection()[0], variant)
             waiting.append((place, Sdf.VariantSpec))
-        for child in _listed(spec, "properties"):
+        for child in _listed(spec, "properties", name):
             place = path.AppendProperty(child)
             if not isinstance(layer.GetObjectAtPath(place), Sdf.PropertySpec):
                 raise StageError(f"{name}: damaged: {place} is listed, but is not there")
@@ -151,8 +151,12 @@ def _check_specs(layer: Sdf.Layer, name: str) -> None:
                 raise StageError(f"{name}: {place} has a sample at time nan")
 
 
-def _listed(spec: Sdf.Spec, key: str) -> list[str]:
-    return spec.GetInfo(key) if spec.HasInfo(key) else []
+def _listed(spec: Sdf.Spec, key: str, name: str) -> list[str]:
+    """The names below a spec."""
+    names = spec.GetInfo(key) if spec.HasInfo(key) else []
+    if not isinstance(names, list) or not all(isinstance(child, str) for child in names):
+        raise StageError(f"{name}: damaged: {key} of {spec.path} is {type(names).__name__}, no list of names")
+    return names
 
 
 def _layers_of(layer: Sdf.Layer) -> Iterator[str]:
