@@ -41,6 +41,7 @@ def merge_vertex(
         frames.position[u, t] = x
     state.vertex_flags[u] = state.vertex_flags[u] | state.vertex_flags[v]
     state.cost_weight[u] = 0.5 * (state.cost_weight[u] + state.cost_weight[v])
+    state.quadric_scale[u] = 0.5 * (state.quadric_scale[u] + state.quadric_scale[v])
     return total / wp.max(area, NO_PLANE)
 
 

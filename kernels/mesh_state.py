@@ -40,6 +40,7 @@ class MeshState:
     stars: VertexStars
     vertex_flags: wp.array[wp.int32]  # (V,) BORDER | LOCKED | FROZEN | SEAM | CORNER
     cost_weight: wp.array[wp.float32]  # (V,) multiplies the cost; averaged when two vertices merge
+    quadric_scale: wp.array[wp.float32]  # (V,) what planes at a vertex count; averaged when two vertices merge
     seam: wp.array[wp.int32]  # (3N,) 1 at both half-edges of a seam edge
     edge_cost: wp.array[wp.float32]  # (3N,) at canonical half-edges; inf: no collapse here; negative: asleep
     trajectory: wp.array2d[wp.vec3]  # (V, F) every frame's position, only where a deformation term needs it

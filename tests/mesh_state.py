@@ -85,6 +85,7 @@ def build_mesh(points, faces, device, locked=(), cost_weight=None, with_trajecto
     frames.quadric = initial_quadrics(state.corner_vertex, stars, border.numpy(), position, ones)
     weight = np.ones(vertex_count) if cost_weight is None else np.asarray(cost_weight)
     state.cost_weight = wp.array(weight, dtype=wp.float32, device=device)
+    state.quadric_scale = wp.full(vertex_count, 1.0, dtype=wp.float32, device=device)
     state.edge_cost = wp.zeros(faces.size, dtype=wp.float32, device=device)
     state.seam = wp.zeros(faces.size, dtype=wp.int32, device=device)
     state.wedges = build_wedges(faces, position, None, len(points))

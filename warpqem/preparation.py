@@ -101,6 +101,8 @@ def prepare(
     """
     spec = cost_model(options.metric)
     options.check()
+    if options.hybrid and keep_nodes:
+        raise OptionError("hybrid: not for levels of one ordering, as what a vertex has forgotten depends on its level")
     device = resolve_device(options.device)
     given = read_mesh(points, faces)
     goal = options.goal(len(given.faces))
@@ -136,6 +138,7 @@ def prepare(
             endpoint=endpoint,
             deformation_weight=spec.deformation_weight,
             keep_components=options.keep_components,
+            hybrid=options.hybrid,
         ),
         place_settings=PlaceSettings(_epsilon(coherence), _regularisation(coherence), endpoint),
         device=device,

@@ -80,6 +80,13 @@ def simplify_values(
         bool,
         typer.Option("--refit/--no-refit", help="Fit the whole surface once more at the end: better shape, slower."),
     ] = False,
+    hybrid: Annotated[
+        bool,
+        typer.Option(
+            "--hybrid/--no-hybrid",
+            help="Order by planes of the present faces, too: better shape, most of all the largest distance, slower.",
+        ),
+    ] = False,
     placement: Annotated[
         Placement, typer.Option(help="Merged vertices at the optimal point, or at an endpoint of the edge.")
     ] = Placement.optimal,

@@ -15,6 +15,7 @@ import warp as wp
 from warpqem.kernels import attribute as attribute_kernels
 from warpqem.kernels import collapse as collapse_kernels
 from warpqem.kernels import edge_cost as cost_kernels
+from warpqem.kernels import forgetting as forgetting_kernels
 from warpqem.kernels import independent_set as set_kernels
 from warpqem.kernels import legality as legality_kernels
 from warpqem.kernels.lanes import width_of
@@ -23,6 +24,7 @@ from warpqem.kernels.topology import LOCKED
 from warpqem.kernels.work import EdgeList, Work
 from warpqem.order.drops import ComponentDrop, Components
 from warpqem.order.nodes import NodeRecorder
+from warpqem.order.quadrics import CONSTRAINT_WEIGHT
 from warpqem.order.stars import Stars
 from warpqem.order.steps import Phase, Step, new_edge_list, part_work
 from warpqem.parallel import launch_parts, thread_count
@@ -71,10 +73,18 @@ class Orderer:
     """Collapses the edges of one mesh state, pass by pass."""
 
     def __init__(
-        self, state: MeshState, frames: AnyKeyFrames, stars: Stars, model: CostModel, key_count: int, device: str
+        self,
+        state: MeshState,
+        frames: AnyKeyFrames,
+        stars: Stars,
+        model: CostModel,
+        key_count: int,
+        device: str,
+        memory: float = 1.0,
     ) -> None:
+        """``memory`` is the part of its planes that a vertex keeps after a pass that changed its faces."""
         self.state, self.frames, self.stars, self.model, self.device = state, frames, stars, model, device
-        self._width = width_of(frames.position)
+        self._width, self.memory = width_of(frames.position), memory
         face_count = len(state.corner_vertex) // 3
         vertex_count = len(state.vertex_flags)
         self.face_slots = face_count  # faces in the arrays, dead ones included
@@ -261,7 +271,27 @@ class Orderer:
             work = part_work(part, part_count, self.device)
             self._launch(cost_kernels.wake_neighbourhoods, [state, self._mask, self._pass_number], work)
 
+        if self.memory < 1.0:
+            return self._forgetting()
         return [Phase(reprice, self.threads), Phase(wake, part_count)]
+
+    def _forgetting(self) -> list[Phase]:
+        """Blend the present planes into the quadrics around what moved, and price all edges there."""
+        model = forgetting_kernels.Forgetting()
+        model.memory = self.memory
+        model.border_weight, model.seam_weight = CONSTRAINT_WEIGHT[1], CONSTRAINT_WEIGHT[2]
+        around = [self._mask, self._pass_number]
+
+        def forget(part: int) -> None:
+            work = part_work(part, self.threads, self.device)
+            self._launch(forgetting_kernels.forget_planes[self._width], [self.state, self.frames, model, *around], work)
+
+        def reprice(part: int) -> None:
+            work = part_work(part, self.threads, self.device)
+            inputs = [self.state, self.frames, self.model, *around]
+            self._launch(forgetting_kernels.reprice_neighbourhoods[self._width], inputs, work)
+
+        return [Phase(forget, self.threads), Phase(reprice, self.threads)]
 
     def run(
         self,

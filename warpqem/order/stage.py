@@ -25,6 +25,10 @@ from warpqem.parallel import launch_parts
 
 __all__ = ["OrderInput", "OrderSettings", "OrderedMesh", "faces_left", "order_collapses"]
 
+# Part of its planes that a vertex with a hybrid quadric keeps each time its faces change. Less forgets thin parts: an
+# elastic cow at 10 % is 1.0 times as good as the better peer with 0.7, and 1.4 times as bad without any memory.
+HYBRID_MEMORY = 0.9
+
 
 @dataclass(frozen=True)
 class OrderSettings:
@@ -37,6 +41,7 @@ class OrderSettings:
         endpoint: the merged vertex goes to one of the edge's ends.
         deformation_weight: factor of the edge-length deformation term; 0 for none.
         keep_components: none vanishes.
+        hybrid: quadrics gather planes of the present faces too.
     """
 
     target_faces: int
@@ -45,6 +50,7 @@ class OrderSettings:
     endpoint: bool
     deformation_weight: float
     keep_components: bool = True
+    hybrid: bool = False
 
 
 @dataclass(frozen=True)
@@ -217,9 +223,9 @@ def _collapse(
     width = width_of(mesh.key_position)
     frames = KEY_FRAMES[width]()
     frames.position = mesh.key_position
+    state.quadric_scale = wp.array(mesh.quadric_scale, dtype=wp.float32, device=device)
     if mesh.matrices is None:
-        quadric_scale = wp.array(mesh.quadric_scale, dtype=wp.float32, device=device)
-        frames.quadric = initial_quadrics(corner_vertex, stars, constrained, mesh.key_position, quadric_scale)
+        frames.quadric = initial_quadrics(corner_vertex, stars, constrained, mesh.key_position, state.quadric_scale)
     else:
         frames.quadric = given_quadrics(mesh.matrices, device)
     state.cost_weight = wp.array(mesh.cost_weight, dtype=wp.float32, device=device)
@@ -239,7 +245,8 @@ def _collapse(
     frame_count = 1 if mesh.trajectories is None else mesh.trajectories.shape[1]
     model.deformation_weight = settings.deformation_weight * mesh.key_count / frame_count
 
-    orderer = Orderer(state, frames, stars, model, mesh.key_count, device)
+    memory = HYBRID_MEMORY if settings.hybrid else 1.0
+    orderer = Orderer(state, frames, stars, model, mesh.key_count, device, memory)
     components = None if settings.keep_components else Components(state, model.epsilon, model.error_limit)
     if components is not None and components.count == 1:
         # One always stays.

@@ -31,6 +31,8 @@ class SimplifyOptions:
         metric: Cost model, see `warpqem.simplify`.
         coherence: 0 to 1, see `warpqem.simplify`.
         refit: Fit the surface as a whole after placing its vertices, see `warpqem.simplify`.
+        hybrid: Order by quadrics of the input's and the present faces, see `warpqem.simplify`; each level of detail is
+            then ordered on its own.
         placement: Vertex placement, see `warpqem.simplify`.
         key_frames: Frames that decide the topology.
         uv_weight: Weight of the error of texture coordinates in the order of collapses: at 1 an error of the whole UV
@@ -74,6 +76,7 @@ class SimplifyOptions:
     metric: str = "dsd"
     coherence: float = 0.5
     refit: bool = False
+    hybrid: bool = False
     placement: str = "optimal"
     key_frames: int = 16
     uv_weight: float = 0.0
@@ -121,11 +124,17 @@ class SimplifyOptions:
         if self.symmetry not in (None, "auto", *AXES):
             raise OptionError(f"symmetry {self.symmetry!r}: expected auto, {', '.join(AXES)}")
         others = (
-            self.symmetry or self.refit or self.bake or self.lods or self.metric != "dsd" or self.placement != "optimal"
+            self.symmetry
+            or self.refit
+            or self.hybrid
+            or self.bake
+            or self.lods
+            or self.metric != "dsd"
+            or self.placement != "optimal"
         )
         if self.pose_independent and others:
             raise OptionError(
-                "pose_independent excludes symmetry, refit, bake, lods, another metric and another placement"
+                "pose_independent excludes symmetry, refit, hybrid, bake, lods, another metric and another placement"
             )
         if self.lods and self.flatten:
             raise OptionError("lods and flatten exclude each other: every level is a layer over the input")
