@@ -34,10 +34,16 @@ def merge_vertex(
     area = wp.float32(0.0)
     for t in range(frames.position.shape[1]):
         x = target[slot, t]
-        q = shift_origin(merged_quadric(frames, u, v, t, 0.0), x - frames.position[u, t])
+        p = frames.position[u, t]
+        q = shift_origin(merged_quadric(frames, u, v, t, 0.0), x - p)
         total += lane_sum(lane_max(q[9], 0.0))
         area += lane_sum(trace(q))
         frames.quadric[u, t] = q
+        if frames.gathered.shape[0] > 0:
+            old = frames.gathered[u, t]
+            frames.gathered[u, t] = shift_origin(old, x - p) + shift_origin(
+                frames.gathered[v, t], x - frames.position[v, t]
+            )
         frames.position[u, t] = x
     state.vertex_flags[u] = state.vertex_flags[u] | state.vertex_flags[v]
     state.cost_weight[u] = 0.5 * (state.cost_weight[u] + state.cost_weight[v])

@@ -2,8 +2,8 @@
 
 A quadric that gathers all planes of the input keeps thin parts, but it also keeps planes that the surface has left for
 good; a quadric of the present faces alone ("memoryless", Lindstrom & Turk 1998) fits compact shapes better and eats
-thin parts. After each pass, every vertex around a collapse keeps ``memory`` of what it has, and takes the rest from the
-faces it has now.
+thin parts. A hybrid quadric is ``memory`` times the planes of the input and ``1 - memory`` times those of the present
+faces; after each pass it is made anew at every vertex around a collapse.
 """
 
 import warp as wp
@@ -25,7 +25,7 @@ from warpqem.kernels.work import Work, first_item, last_item
 
 @wp.struct
 class Forgetting:
-    """How much a vertex keeps of its planes, and what the planes on border and seam edges weigh."""
+    """What the planes of the input count against the present ones, and what those on border and seam edges weigh."""
 
     memory: wp.float32
     border_weight: wp.float32
@@ -77,14 +77,14 @@ def forget_planes(
     pass_number_in: wp.array[wp.int32],
     work: Work,
 ):
-    """Blend the present planes into the quadrics of the vertices that this pass masked."""
+    """Blend gathered and present planes at the vertices that this pass masked."""
     vertex_count = state.vertex_flags.shape[0]
     for u in range(first_item(vertex_count, work) + wp.tid(), last_item(vertex_count, work), work.lanes):
         if mask_in[u] == pass_number_in[0] and state.stars.end[u] > state.stars.start[u]:
             for t in range(frames.position.shape[1]):
                 q = present_quadric(state, frames, model, u, t)
                 share = (1.0 - model.memory) * state.quadric_scale[u]
-                frames.quadric[u, t] = model.memory * frames.quadric[u, t] + share * q
+                frames.quadric[u, t] = model.memory * frames.gathered[u, t] + share * q
 
 
 @lane_kernel(frames=KEY_FRAMES)

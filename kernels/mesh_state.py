@@ -56,6 +56,7 @@ def _key_frames(width: int) -> type:
 
         position: POINTS_ARRAY[width]  # (V, B) in units of the bounding-box diagonal
         quadric: QUADRIC_ARRAY[width]  # (V, B) origin at the vertex's position in that frame
+        gathered: QUADRIC_ARRAY[width]  # (V, B) the part of it that the input's faces make; empty: all of it
 
     return KeyFrames
 

@@ -83,6 +83,7 @@ def build_mesh(points, faces, device, locked=(), cost_weight=None, with_trajecto
     frames.position = position
     ones = wp.ones(vertex_count, dtype=wp.float32, device=device)
     frames.quadric = initial_quadrics(state.corner_vertex, stars, border.numpy(), position, ones)
+    frames.gathered = wp.empty((0, 0), frames.quadric.dtype, device)
     weight = np.ones(vertex_count) if cost_weight is None else np.asarray(cost_weight)
     state.cost_weight = wp.array(weight, dtype=wp.float32, device=device)
     state.quadric_scale = wp.full(vertex_count, 1.0, dtype=wp.float32, device=device)

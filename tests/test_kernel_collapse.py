@@ -22,13 +22,15 @@ RIM_EDGE = (1, 0)  # the border half-edge of the open mesh between its vertices 
 class Commit:
     """One committed edge of a mesh: state, log, mask, target (K, 3) and anchor."""
 
-    def __init__(self, points, faces, edge, device, faces_removed=2, seam=None, flags=None, **options):
+    def __init__(self, points, faces, edge, device, faces_removed=2, seam=None, flags=None, hybrid=False, **options):
         self.faces, self.edge, self.half_edge = faces, edge, half_edge_between(faces, *edge)
         self.mesh = build_mesh(points, faces, device, **options)
         self.state, frames = self.mesh.state, self.mesh.frames
         if seam is not None:
             self.state.seam = wp.array(seam, device=device)
             self.state.vertex_flags = wp.array(self.state.vertex_flags.numpy() | flags, device=device)
+        if hybrid:
+            frames.gathered = wp.clone(frames.quadric)
         self.before = self.mesh.quadric.astype(np.float64)
         self.state.edge_cost.fill_(3.0)
         winners = edge_list([self.half_edge], device)
@@ -162,6 +164,16 @@ def test_dead_faces_have_no_price(device):
 def test_kept_vertex_moves_to_the_target(device):
     commit = closed_commit(device)
     np.testing.assert_array_equal(commit.mesh.position[commit.edge[0]], commit.target)
+
+
+def test_gathered_planes_merge_as_the_quadrics_do(device):
+    points, faces = MESHES["closed"]
+    u, v = faces[0, :2].tolist()
+    commit = Commit(points, faces, (u, v), device, hybrid=True)
+    gathered = blocks(commit.mesh.frames.gathered, len(points))
+    kept = min(u, v)
+    assert np.abs(gathered[kept] - commit.before[kept]).max() > 0
+    np.testing.assert_allclose(gathered[kept], commit.mesh.quadric[kept], rtol=1e-5, atol=1e-7)
 
 
 def test_lower_vertex_is_kept_whichever_way_the_half_edge_runs(device):

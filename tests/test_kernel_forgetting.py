@@ -1,4 +1,4 @@
-"""Hybrid quadrics: planes of the present faces in those of the vertices around a collapse."""
+"""Hybrid quadrics: planes of the present faces beside those of the input."""
 
 from __future__ import annotations
 
@@ -33,6 +33,7 @@ def around(mesh, masked, device):
 
 
 def forget(mesh, masked, memory, device):
+    mesh.frames.gathered = wp.clone(mesh.frames.quadric)
     model = Forgetting()
     model.memory = memory
     model.border_weight, model.seam_weight = CONSTRAINT_WEIGHT[1], CONSTRAINT_WEIGHT[2]

@@ -175,6 +175,7 @@ def plan_work(
             channels=channel_count(options.attributes),
             trajectories=spec.deformation_weight > 0,
             refit=options.refits,
+            hybrid=options.hybrid,
             keep_frames=keep_frames,
             keep_nodes=keep_nodes,
             source_bytes=held_bytes(mesh.source),

@@ -82,7 +82,7 @@ class Orderer:
         device: str,
         memory: float = 1.0,
     ) -> None:
-        """``memory`` is the part of its planes that a vertex keeps after a pass that changed its faces."""
+        """``memory`` is what the planes of the input count against those of the present faces; 1: they are all."""
         self.state, self.frames, self.stars, self.model, self.device = state, frames, stars, model, device
         self._width, self.memory = width_of(frames.position), memory
         face_count = len(state.corner_vertex) // 3
