@@ -195,6 +195,16 @@ def price_edge(state: MeshState, frames: AnyKeyFrames, model: CostModel, h: wp.i
     return price
 
 
+@wp.func
+def cost_at(state: MeshState, frames: AnyKeyFrames, model: CostModel, h: wp.int32) -> wp.float32:
+    """What stands at half-edge ``h`` of a live face: the cost of its edge, once for both half-edges."""
+    cost = INFINITE_COST
+    if is_canonical(state.corner_vertex, state.stars, state.vertex_flags, h):
+        price = price_edge(state, frames, model, h)
+        cost = price.cost
+    return cost
+
+
 @lane_kernel(frames=KEY_FRAMES)
 def price_all_edges(
     state: MeshState,
@@ -206,9 +216,8 @@ def price_all_edges(
     half_edge_count = 3 * state.face_count[0]
     for h in range(first_item(half_edge_count, work) + wp.tid(), last_item(half_edge_count, work), work.lanes):
         cost = INFINITE_COST
-        if state.corner_vertex[h] >= 0 and is_canonical(state.corner_vertex, state.stars, state.vertex_flags, h):
-            price = price_edge(state, frames, model, h)
-            cost = price.cost
+        if state.corner_vertex[h] >= 0:
+            cost = cost_at(state, frames, model, h)
         state.edge_cost[h] = cost
 
 
@@ -235,11 +244,26 @@ def reprice_moved_stars(
             h = state.stars.corner[j // 2]
             if j % 2 == 1:
                 h = previous_corner(h)
-            cost = INFINITE_COST
-            if is_canonical(state.corner_vertex, state.stars, state.vertex_flags, h):
-                price = price_edge(state, frames, model, h)
-                cost = price.cost
-            state.edge_cost[h] = cost
+            state.edge_cost[h] = cost_at(state, frames, model, h)
+
+
+@lane_kernel(frames=KEY_FRAMES)
+def reprice_neighbourhoods(
+    state: MeshState,
+    frames: AnyKeyFrames,
+    model: CostModel,
+    mask_in: wp.array[wp.int32],
+    pass_number_in: wp.array[wp.int32],
+    work: Work,
+):
+    """Price the edges anew that have an end among the vertices that this pass masked."""
+    half_edge_count = 3 * state.face_count[0]
+    for h in range(first_item(half_edge_count, work) + wp.tid(), last_item(half_edge_count, work), work.lanes):
+        u = state.corner_vertex[h]
+        if u >= 0:
+            v = half_edge_target(state.corner_vertex, h)
+            if mask_in[u] == pass_number_in[0] or mask_in[v] == pass_number_in[0]:
+                state.edge_cost[h] = cost_at(state, frames, model, h)
 
 
 @wp.kernel

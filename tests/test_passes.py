@@ -18,7 +18,7 @@ def orderer(device):
     mesh = build_mesh(points, faces, device)
     stars = build_stars(mesh.state.corner_vertex, len(points), mesh.state.face_count)
     orderer = Orderer(mesh.state, mesh.frames, stars, cost_model(), 1, device)
-    orderer._price_all.run()
+    orderer.steps.price_all().run()
     return orderer
 
 
@@ -30,7 +30,7 @@ def only_awake(orderer, half_edge):
 
 @pytest.mark.parametrize("half_edge", [7 * 100, 7 * 100 + 1, 7 * 100 + 6])
 def test_pass_after_one_without_a_winner_sees_every_edge(half_edge, orderer):
-    gear = orderer._gear(1)
+    gear = orderer.steps.gear(1)
     assert orderer._collect_candidates(gear, CAP_FRACTION) > 0
     only_awake(orderer, half_edge)
     assert orderer._collect_candidates(gear, 4 * CAP_FRACTION) == 1
@@ -39,7 +39,7 @@ def test_pass_after_one_without_a_winner_sees_every_edge(half_edge, orderer):
 def test_sampled_cap_is_near_the_exact_one(orderer):
     cost = orderer.state.edge_cost.numpy()
     wanted = int(CAP_FRACTION * 1.5 * orderer.live_faces)
-    count = orderer._collect_candidates(orderer._gear(1), CAP_FRACTION)
+    count = orderer._collect_candidates(orderer.steps.gear(1), CAP_FRACTION)
     assert np.isfinite(cost).sum() > 10 * wanted
     # A bin is up to 6 % wide, and costs of a regular mesh lie close together.
     assert wanted // 2 <= count <= 4 * wanted
@@ -78,7 +78,7 @@ def test_stars_are_those_of_the_faces_after_every_pass(spare, threads, device, m
     stars = build_stars(mesh.state.corner_vertex, vertex_count, mesh.state.face_count, spare)
     mesh.state.stars = stars.lists
     orderer = Orderer(mesh.state, mesh.frames, stars, cost_model(), 3, device)
-    orderer._price_all.run()
+    orderer.steps.price_all().run()
     for _ in range(12):
         orderer._run_pass(200, CAP_FRACTION)
         fresh = build_stars(mesh.state.corner_vertex, vertex_count, mesh.state.face_count)

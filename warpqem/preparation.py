@@ -102,7 +102,7 @@ def prepare(
     spec = cost_model(options.metric)
     options.check()
     if options.hybrid and keep_nodes:
-        raise OptionError("hybrid: not for levels of one ordering, as what a vertex has forgotten depends on its level")
+        raise OptionError("hybrid: not for levels of one ordering, as each level has present faces of its own")
     device = resolve_device(options.device)
     given = read_mesh(points, faces)
     goal = options.goal(len(given.faces))

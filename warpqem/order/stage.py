@@ -27,7 +27,7 @@ __all__ = ["OrderInput", "OrderSettings", "OrderedMesh", "faces_left", "order_co
 
 # What the planes of the input count in a hybrid quadric; those of the present faces count the rest. With 0.25 the
 # largest distance is 7 % larger, as thin parts go; blending at each pass anew, which forgets the input, was worse too.
-HYBRID_MEMORY = 0.5
+HYBRID_GATHERED = 0.5
 
 
 @dataclass(frozen=True)
@@ -246,8 +246,8 @@ def _collapse(
     frame_count = 1 if mesh.trajectories is None else mesh.trajectories.shape[1]
     model.deformation_weight = settings.deformation_weight * mesh.key_count / frame_count
 
-    memory = HYBRID_MEMORY if settings.hybrid else 1.0
-    orderer = Orderer(state, frames, stars, model, mesh.key_count, device, memory)
+    gathered_share = HYBRID_GATHERED if settings.hybrid else 1.0
+    orderer = Orderer(state, frames, stars, model, mesh.key_count, device, gathered_share)
     components = None if settings.keep_components else Components(state, model.epsilon, model.error_limit)
     if components is not None and components.count == 1:
         # One always stays.

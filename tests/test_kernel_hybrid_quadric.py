@@ -11,8 +11,8 @@ from oracles import quadrics as oracle
 
 import warpqem
 from warpqem.errors import OptionError
-from warpqem.kernels.edge_cost import price_all_edges
-from warpqem.kernels.forgetting import Forgetting, forget_planes, reprice_neighbourhoods
+from warpqem.kernels.edge_cost import price_all_edges, reprice_neighbourhoods
+from warpqem.kernels.hybrid_quadric import HybridWeights, blend_present_planes
 from warpqem.kernels.lanes import width_of
 from warpqem.measure import compare
 from warpqem.order.quadrics import CONSTRAINT_WEIGHT
@@ -32,13 +32,13 @@ def around(mesh, masked, device):
     return [wp.array(mask, device=device), wp.array([PASS], dtype=wp.int32, device=device)]
 
 
-def forget(mesh, masked, memory, device):
+def blend(mesh, masked, gathered, device):
     mesh.frames.gathered = wp.clone(mesh.frames.quadric)
-    model = Forgetting()
-    model.memory = memory
-    model.border_weight, model.seam_weight = CONSTRAINT_WEIGHT[1], CONSTRAINT_WEIGHT[2]
-    inputs = [mesh.state, mesh.frames, model, *around(mesh, masked, device), one_part(device)]
-    wp.launch(forget_planes[width_of(mesh.frames.position)], dim=1, inputs=inputs, device=device)
+    weights = HybridWeights()
+    weights.gathered = gathered
+    weights.border, weights.seam = CONSTRAINT_WEIGHT[1], CONSTRAINT_WEIGHT[2]
+    inputs = [mesh.state, mesh.frames, weights, *around(mesh, masked, device), one_part(device)]
+    wp.launch(blend_present_planes[width_of(mesh.frames.position)], dim=1, inputs=inputs, device=device)
 
 
 def expected(points, faces):
@@ -46,12 +46,12 @@ def expected(points, faces):
 
 
 @pytest.mark.parametrize("name", MESHES)
-def test_without_memory_the_present_planes_are_all(name, device):
+def test_without_the_gathered_planes_the_present_planes_are_all(name, device):
     points, faces = MESHES[name]
     mesh = build_mesh(points, faces, device)
     moved = points + 0.05 * np.random.default_rng(1).normal(size=points.shape)
     wp.copy(mesh.frames.position, packed(moved, device))
-    forget(mesh, slice(None), 0.0, device)
+    blend(mesh, slice(None), 0.0, device)
     np.testing.assert_allclose(mesh.quadric, expected(moved, faces), rtol=1e-3, atol=1e-5)
 
 
@@ -66,7 +66,7 @@ def test_seams_count_as_where_quadrics_begin(device):
     mesh = build_mesh(points, faces, device)
     before = mesh.quadric.copy()
     mesh.state.seam = wp.array(seam, device=device)
-    forget(mesh, slice(None), 0.0, device)
+    blend(mesh, slice(None), 0.0, device)
     changed = np.flatnonzero(np.abs(mesh.quadric - before).max(axis=(1, 2)) > 1e-4)
     assert set(changed) == edge
     # The plane stands on the edge, so that it holds what moves across it within the grid; it is met in both faces.
@@ -75,12 +75,12 @@ def test_seams_count_as_where_quadrics_begin(device):
     assert trace == pytest.approx(2 * CONSTRAINT_WEIGHT[2] * length**2, rel=1e-3)
 
 
-def test_memory_blends_old_and_present_planes(device):
+def test_gathered_and_present_planes_are_blended(device):
     points, faces = MESHES["closed"]
     mesh = build_mesh(points, faces, device)
     before = mesh.quadric.copy()
     wp.copy(mesh.frames.position, packed(2 * points, device))
-    forget(mesh, slice(None), 0.75, device)
+    blend(mesh, slice(None), 0.75, device)
     np.testing.assert_allclose(mesh.quadric, 0.75 * before + 0.25 * expected(2 * points, faces), rtol=1e-3, atol=1e-5)
 
 
@@ -88,7 +88,7 @@ def test_scaled_vertices_weigh_their_present_planes_alike(device):
     points, faces = MESHES["closed"]
     mesh = build_mesh(points, faces, device)
     mesh.state.quadric_scale = wp.full(points.shape[1], 3.0, dtype=wp.float32, device=device)
-    forget(mesh, slice(None), 0.0, device)
+    blend(mesh, slice(None), 0.0, device)
     np.testing.assert_allclose(mesh.quadric, 3 * expected(points, faces), rtol=1e-3, atol=1e-5)
 
 
@@ -97,7 +97,7 @@ def test_vertices_that_the_pass_did_not_mask_keep_their_planes(device):
     mesh = build_mesh(points, faces, device)
     before = mesh.quadric.copy()
     wp.copy(mesh.frames.position, packed(2 * points, device))
-    forget(mesh, [3], 0.5, device)
+    blend(mesh, [3], 0.5, device)
     assert set(np.flatnonzero((mesh.quadric != before).any(axis=(1, 2)))) == {3}
 
 

@@ -2,53 +2,51 @@
 
 A quadric that gathers all planes of the input keeps thin parts, but it also keeps planes that the surface has left for
 good; a quadric of the present faces alone ("memoryless", Lindstrom & Turk 1998) fits compact shapes better and eats
-thin parts. A hybrid quadric is ``memory`` times the planes of the input and ``1 - memory`` times those of the present
-faces; after each pass it is made anew at every vertex around a collapse.
+thin parts. A hybrid quadric is ``gathered`` times the planes of the input and ``1 - gathered`` times those of the
+present faces; after each pass it is made anew at every vertex around a collapse.
 """
 
 import warp as wp
 
-from warpqem.kernels.edge_cost import INFINITE_COST, price_edge
 from warpqem.kernels.lanes import lane_cross, lane_dot, lane_inverse_length, lane_kernel
-from warpqem.kernels.mesh_state import KEY_FRAMES, AnyKeyFrames, CostModel, MeshState
+from warpqem.kernels.mesh_state import KEY_FRAMES, AnyKeyFrames, MeshState
 from warpqem.kernels.plane_quadrics import add_border_plane
 from warpqem.kernels.quadric import add_plane, zero_quadric
 from warpqem.kernels.topology import (
     BORDER,
     find_half_edge,
     half_edge_target,
-    is_canonical,
     previous_corner,
 )
 from warpqem.kernels.work import Work, first_item, last_item
 
 
 @wp.struct
-class Forgetting:
+class HybridWeights:
     """What the planes of the input count against the present ones, and what those on border and seam edges weigh."""
 
-    memory: wp.float32
-    border_weight: wp.float32
-    seam_weight: wp.float32
+    gathered: wp.float32
+    border: wp.float32
+    seam: wp.float32
 
 
 @wp.func
-def line_weight(state: MeshState, model: Forgetting, h: wp.int32) -> wp.float32:
+def line_weight(state: MeshState, weights: HybridWeights, h: wp.int32) -> wp.float32:
     """What the plane on half-edge ``h`` weighs: 0 where it is neither on a border nor a seam."""
     if state.seam[h] == 1:
-        return model.seam_weight
+        return weights.seam
     u = state.corner_vertex[h]
     v = half_edge_target(state.corner_vertex, h)
     weight = wp.float32(0.0)
     # Most edges have an inner end, and need no search.
     if (state.vertex_flags[u] & state.vertex_flags[v] & BORDER) != 0:
         opposite = find_half_edge(state.corner_vertex, state.stars, v, u)
-        weight = wp.where(opposite < 0, model.border_weight, weight)
+        weight = wp.where(opposite < 0, weights.border, weight)
     return weight
 
 
 @wp.func
-def present_quadric(state: MeshState, frames: AnyKeyFrames, model: Forgetting, u: wp.int32, t: wp.int32):
+def present_quadric(state: MeshState, frames: AnyKeyFrames, weights: HybridWeights, u: wp.int32, t: wp.int32):
     """Planes of the faces at ``u`` as they are now, and of its border and seam edges, about ``u``."""
     x = frames.position[u, t]
     q = zero_quadric(x)
@@ -59,20 +57,20 @@ def present_quadric(state: MeshState, frames: AnyKeyFrames, model: Forgetting, u
         b = frames.position[state.corner_vertex[previous_corner(h)], t]
         cross = lane_cross(a - x, b - x)
         q = add_plane(q, cross, on_plane, lane_inverse_length(cross) * 0.5)
-        leaving = line_weight(state, model, h)
+        leaving = line_weight(state, weights, h)
         if leaving > 0.0:
             q = add_border_plane(q, x, a, b, x, leaving)
-        entering = line_weight(state, model, previous_corner(h))
+        entering = line_weight(state, weights, previous_corner(h))
         if entering > 0.0:
             q = add_border_plane(q, b, x, a, x, entering)
     return q
 
 
 @lane_kernel(frames=KEY_FRAMES)
-def forget_planes(
+def blend_present_planes(
     state: MeshState,
     frames: AnyKeyFrames,
-    model: Forgetting,
+    weights: HybridWeights,
     mask_in: wp.array[wp.int32],
     pass_number_in: wp.array[wp.int32],
     work: Work,
@@ -82,29 +80,6 @@ def forget_planes(
     for u in range(first_item(vertex_count, work) + wp.tid(), last_item(vertex_count, work), work.lanes):
         if mask_in[u] == pass_number_in[0] and state.stars.end[u] > state.stars.start[u]:
             for t in range(frames.position.shape[1]):
-                q = present_quadric(state, frames, model, u, t)
-                share = (1.0 - model.memory) * state.quadric_scale[u]
-                frames.quadric[u, t] = model.memory * frames.gathered[u, t] + share * q
-
-
-@lane_kernel(frames=KEY_FRAMES)
-def reprice_neighbourhoods(
-    state: MeshState,
-    frames: AnyKeyFrames,
-    model: CostModel,
-    mask_in: wp.array[wp.int32],
-    pass_number_in: wp.array[wp.int32],
-    work: Work,
-):
-    """Price the edges anew that have an end among the vertices that this pass masked."""
-    half_edge_count = 3 * state.face_count[0]
-    for h in range(first_item(half_edge_count, work) + wp.tid(), last_item(half_edge_count, work), work.lanes):
-        u = state.corner_vertex[h]
-        if u >= 0:
-            v = half_edge_target(state.corner_vertex, h)
-            if mask_in[u] == pass_number_in[0] or mask_in[v] == pass_number_in[0]:
-                cost = INFINITE_COST
-                if is_canonical(state.corner_vertex, state.stars, state.vertex_flags, h):
-                    price = price_edge(state, frames, model, h)
-                    cost = price.cost
-                state.edge_cost[h] = cost
+                q = present_quadric(state, frames, weights, u, t)
+                share = (1.0 - weights.gathered) * state.quadric_scale[u]
+                frames.quadric[u, t] = weights.gathered * frames.gathered[u, t] + share * q

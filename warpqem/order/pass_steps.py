@@ -1,0 +1,279 @@
+"""The steps of a pass, recorded once and replayed in every pass, and the arrays that they hand each other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import warp as wp
+
+from warpqem.kernels import collapse as collapse_kernels
+from warpqem.kernels import edge_cost as cost_kernels
+from warpqem.kernels import hybrid_quadric as hybrid_kernels
+from warpqem.kernels import independent_set as set_kernels
+from warpqem.kernels import legality as legality_kernels
+from warpqem.kernels.lanes import width_of
+from warpqem.kernels.mesh_state import AnyKeyFrames, CollapseLog, CostModel, MeshState
+from warpqem.kernels.work import EdgeList, Work
+from warpqem.order.quadrics import CONSTRAINT_WEIGHT
+from warpqem.order.stars import Stars
+from warpqem.order.steps import Phase, Step, new_edge_list, part_work
+from warpqem.parallel import thread_count
+
+__all__ = ["SAMPLE_STEP", "Gear", "PassSteps"]
+
+# A face may turn over in this part of the key frames (crumpling motion); 1 of 16.
+FLIP_FRACTION = 0.07
+HISTOGRAM_BINS = 4096
+# The cap is read off every so many half-edges; a step without the factor 3 sees all corners alike.
+SAMPLE_STEP = 7
+
+
+@dataclass(frozen=True)
+class Gear:
+    """The steps of a pass, recorded for a number of parts. Rounds take turns with two lists of candidates."""
+
+    collect_sampled: Step
+    collect_all: Step
+    choose: tuple[Step, Step]
+    commit: tuple[Step, Step]
+    build_stars: Step
+    keep_stars: Step
+    renew: Step
+    candidates: tuple[EdgeList, EdgeList]
+    winners: EdgeList
+    legal: wp.array
+
+
+class PassSteps:
+    """What the passes over one mesh state are made of.
+
+    Attributes:
+        threads: CPU threads that large steps are split over.
+        log: the collapses so far.
+        pass_number, pass_begin: (1,) int32, the pass at work, and the length of the log when it began.
+        wanted: (1,) int32, edges that a pass is to look at.
+        cap: (1,) float32, the cost that candidates stay below.
+        faces_removed: int32, the faces that each winner removes; 0 for an illegal one.
+
+    Args:
+        gathered_share: what the planes of the input count in a quadric, those of the present faces count the rest; 1:
+            they are all.
+    """
+
+    def __init__(
+        self,
+        state: MeshState,
+        frames: AnyKeyFrames,
+        stars: Stars,
+        model: CostModel,
+        key_count: int,
+        device: str,
+        gathered_share: float,
+    ) -> None:
+        self.state, self.frames, self.stars, self.model, self.device = state, frames, stars, model, device
+        self._width, self._gathered_share = width_of(frames.position), gathered_share
+        face_count = len(state.corner_vertex) // 3
+        vertex_count = len(state.vertex_flags)
+        self._flip_tolerance = int(FLIP_FRACTION * key_count)
+        self.threads = thread_count(device)
+        self.log = self._new_log(vertex_count)
+        self.pass_number, self.pass_begin, self.wanted = (self._integers(1) for _ in range(3))
+        self.cap = wp.zeros(1, dtype=wp.float32, device=device)
+        self._claim = wp.full(vertex_count, set_kernels.UNCLAIMED, dtype=wp.int64, device=device)
+        self._mask, self._dropped = self._integers(vertex_count), self._integers(vertex_count)
+        # Winners share no vertex, so there are V / 2 at most; an edge stands at one of its two half-edges.
+        most_winners = vertex_count // 2 + 1
+        self._lists = [wp.empty(3 * face_count, dtype=wp.int32, device=device) for _ in range(3)]
+        self.faces_removed = self._integers(most_winners)
+        shape = (most_winners, frames.position.shape[1])
+        self._target = wp.empty(shape, dtype=frames.position.dtype, device=device)
+        self._anchor = wp.empty(most_winners, dtype=wp.float32, device=device)
+        self._gears: dict[int, Gear] = {}
+
+    def _integers(self, count: int) -> wp.array:
+        return wp.zeros(count, dtype=wp.int32, device=self.device)
+
+    def _new_log(self, capacity: int) -> CollapseLog:
+        log = CollapseLog()
+        log.count, log.round_count = self._integers(1), self._integers(1)
+        for name in ("kept", "removed", "left_wing", "right_wing", "faces_removed", "round_index"):
+            setattr(log, name, wp.empty(capacity, dtype=wp.int32, device=self.device))
+        for name in ("cost", "error"):
+            setattr(log, name, wp.empty(capacity, dtype=wp.float32, device=self.device))
+        return log
+
+    def _launch(self, kernel: wp.Kernel, inputs: list, work: Work, outputs: Sequence = ()) -> None:
+        wp.launch(kernel, dim=work.lanes, inputs=[*inputs, work], outputs=list(outputs), device=self.device)
+
+    def price_all(self) -> Step:
+        """Price all edges by the model as it is now."""
+
+        def price(part: int) -> None:
+            work = part_work(part, self.threads, self.device)
+            self._launch(cost_kernels.price_all_edges[self._width], [self.state, self.frames, self.model], work)
+
+        return self._step([Phase(price, self.threads)])
+
+    def gear(self, part_count: int) -> Gear:
+        """The steps for so many parts, recorded when they are first asked for."""
+        if part_count not in self._gears:
+            candidates = tuple(new_edge_list(storage, part_count) for storage in self._lists[:2])
+            winners = new_edge_list(self._lists[2], part_count)
+            legal, space, slot, pool_slot = (self._integers(part_count) for _ in range(4))
+            orders = [(candidates[0], candidates[1]), (candidates[1], candidates[0])]
+            choose = [self._choosing(now, winners, legal, space, part_count) for now, _ in orders]
+            commit = [
+                self._committing(*order, winners, (legal, space, slot, pool_slot), part_count) for order in orders
+            ]
+            histogram = wp.zeros((part_count, HISTOGRAM_BINS), dtype=wp.int32, device=self.device)
+            self._gears[part_count] = Gear(
+                collect_sampled=self._step(self._collecting(candidates[0], SAMPLE_STEP, histogram, part_count)),
+                collect_all=self._step(self._collecting(candidates[0], 1, histogram, part_count)),
+                choose=(self._step(choose[0]), self._step(choose[1])),
+                commit=(self._step(commit[0]), self._step(commit[1])),
+                build_stars=self._step(self.stars.phases(part_count)),
+                keep_stars=self._step(self._keeping_stars(part_count)),
+                renew=self._step(self._renewing(part_count)),
+                candidates=candidates,
+                winners=winners,
+                legal=legal,
+            )
+        return self._gears[part_count]
+
+    def _step(self, phases: Sequence[Phase]) -> Step:
+        return Step(phases, self.device)
+
+    def _collecting(self, candidates: EdgeList, sample_step: int, histogram: wp.array, part_count: int) -> list[Phase]:
+        """Fill the list of candidates with the cheapest edges; ``histogram`` is zero between passes."""
+        state, device = self.state, self.device
+
+        def count(part: int) -> None:
+            work = part_work(part, part_count, device)
+            self._launch(set_kernels.count_costs, [state, sample_step], work, [histogram])
+
+        def find_cap(_: int) -> None:
+            wp.copy(self.pass_begin, self.log.count)
+            wp.launch(
+                set_kernels.find_cap,
+                dim=1,
+                inputs=[self.wanted, sample_step],
+                outputs=[histogram, self.cap],
+                device=device,
+            )
+            candidates.count.zero_()
+
+        def collect(part: int) -> None:
+            work = part_work(part, part_count, device)
+            self._launch(set_kernels.collect_candidates, [state, self.cap], work, [candidates])
+
+        return [Phase(count, part_count), Phase(find_cap), Phase(collect, part_count)]
+
+    def _choosing(
+        self, candidates: EdgeList, winners: EdgeList, legal: wp.array, space: wp.array, part_count: int
+    ) -> list[Phase]:
+        """Claim, select, place and judge."""
+        state, frames = self.state, self.frames
+
+        def claim(part: int) -> None:
+            if part == 0:
+                winners.count.zero_()
+            work = part_work(part, part_count, self.device)
+            self._launch(set_kernels.claim_vertices, [state, candidates], work, [self._claim])
+
+        def select(part: int) -> None:
+            work = part_work(part, part_count, self.device)
+            self._launch(set_kernels.select_winners, [state, candidates, self._claim], work, [winners])
+
+        def judge(part: int) -> None:
+            work = part_work(part, part_count, self.device)
+            self._launch(set_kernels.withdraw_claims, [state, candidates], work, [self._claim])
+            targets = [self._target, self._anchor]
+            self._launch(
+                legality_kernels.place_winners[self._width], [state, frames, self.model, winners], work, targets
+            )
+            judged = [state, frames, self.model, winners, self._target, self._flip_tolerance]
+            self._launch(legality_kernels.judge_winners[self._width], judged, work, [self.faces_removed, legal, space])
+
+        return [Phase(claim, part_count), Phase(select, part_count), Phase(judge, part_count)]
+
+    def _committing(
+        self,
+        candidates: EdgeList,
+        candidates_left: EdgeList,
+        winners: EdgeList,
+        reserve: Sequence[wp.array],
+        part_count: int,
+    ) -> list[Phase]:
+        """Collapse the legal winners, and keep the candidates that they leave free.
+
+        ``reserve`` holds, for each part: legal winners, entries of the pool for their stars, the first slots of both.
+        """
+        state, frames = self.state, self.frames
+        legal, space, slot, pool_slot = reserve
+
+        def open_log(_: int) -> None:
+            outputs = [legal, space, self.log, slot, state.stars.used, pool_slot]
+            wp.launch(collapse_kernels.open_log, dim=1, inputs=[], outputs=outputs, device=self.device)
+            candidates_left.count.zero_()
+
+        def commit(part: int) -> None:
+            work = part_work(part, part_count, self.device)
+            inputs = [state, frames, winners, self.faces_removed, self._target, self._anchor, self.pass_number]
+            self._launch(
+                collapse_kernels.commit_winners[self._width], inputs, work, [self._mask, self.log, slot, pool_slot]
+            )
+
+        def shrink(part: int) -> None:
+            work = part_work(part, part_count, self.device)
+            inputs = [state, self._mask, self.pass_number, candidates]
+            self._launch(set_kernels.shrink_candidates, inputs, work, [candidates_left])
+
+        return [Phase(open_log), Phase(commit, part_count), Phase(shrink, part_count)]
+
+    def _keeping_stars(self, part_count: int) -> list[Phase]:
+        """Bring the stars of the wings up to date; those of the vertices that moved are since the commit."""
+
+        def drop(part: int) -> None:
+            work = part_work(part, part_count, self.device)
+            inputs = [self.state, self.log, self.pass_begin, self.pass_number]
+            self._launch(collapse_kernels.drop_dead_corners, inputs, work, [self._dropped])
+
+        return [Phase(drop, part_count)]
+
+    def _renewing(self, part_count: int) -> list[Phase]:
+        """Price what moved, wake what lies around it. Prices are worth all threads on any mesh."""
+        state = self.state
+
+        def reprice(part: int) -> None:
+            work = part_work(part, self.threads, self.device)
+            inputs = [state, self.frames, self.model, self.log, self.pass_begin]
+            self._launch(cost_kernels.reprice_moved_stars[self._width], inputs, work)
+
+        def wake(part: int) -> None:
+            work = part_work(part, part_count, self.device)
+            self._launch(cost_kernels.wake_neighbourhoods, [state, self._mask, self.pass_number], work)
+
+        if self._gathered_share < 1.0:
+            return self._renewing_hybrid()
+        return [Phase(reprice, self.threads), Phase(wake, part_count)]
+
+    def _renewing_hybrid(self) -> list[Phase]:
+        """Blend the present planes into the quadrics around what moved, and price all edges there."""
+        weights = hybrid_kernels.HybridWeights()
+        weights.gathered = self._gathered_share
+        weights.border, weights.seam = CONSTRAINT_WEIGHT[1], CONSTRAINT_WEIGHT[2]
+        around = [self._mask, self.pass_number]
+
+        def blend(part: int) -> None:
+            work = part_work(part, self.threads, self.device)
+            self._launch(
+                hybrid_kernels.blend_present_planes[self._width], [self.state, self.frames, weights, *around], work
+            )
+
+        def reprice(part: int) -> None:
+            work = part_work(part, self.threads, self.device)
+            inputs = [self.state, self.frames, self.model, *around]
+            self._launch(cost_kernels.reprice_neighbourhoods[self._width], inputs, work)
+
+        return [Phase(blend, self.threads), Phase(reprice, self.threads)]
