@@ -54,7 +54,7 @@ def shared_from_the_first_face(monkeypatch):
 def test_passes_shared_by_three_threads_end_as_those_of_one(mesh, monkeypatch, shared_from_the_first_face):
     results = []
     for threads in (1, 3):
-        monkeypatch.setattr("warpqem.order.passes.thread_count", lambda _, threads=threads: threads)
+        monkeypatch.setattr("warpqem.order.pass_steps.thread_count", lambda _, threads=threads: threads)
         results.append(warpqem.simplify(*mesh, ratio=0.2, device="cpu"))
     one, three = results
     np.testing.assert_array_equal(one.faces, three.faces)
@@ -71,7 +71,7 @@ def lists_of(stars, vertex_count):
 @pytest.mark.parametrize("spare", [0, 300, 10**5], ids=["no room", "some room", "room"])
 def test_stars_are_those_of_the_faces_after_every_pass(spare, threads, device, monkeypatch, shared_from_the_first_face):
     if wp.get_device(device).is_cpu:
-        monkeypatch.setattr("warpqem.order.passes.thread_count", lambda _: threads)
+        monkeypatch.setattr("warpqem.order.pass_steps.thread_count", lambda _: threads)
     points, faces = meshes.waving_grid(24, 3)
     mesh = build_mesh(points, faces, device)
     vertex_count = points.shape[1]

@@ -31,8 +31,8 @@ LEAST_CANDIDATES = 32
 ROUNDS = 3
 # Faces are compacted when fewer than this part of them is alive.
 LIVE_FRACTION = 0.7
-# The cap is read off all half-edges where a sample would hold fewer than so many: it need not be exact, only the same on
-# every run.
+# The cap is read off all half-edges where a sample would hold fewer than so many: it need not be exact, only the same
+# on every run.
 LEAST_SAMPLE = 2048
 # Meshes of at least so many faces are worked on by all CPU threads throughout; below it a thread takes longer to start
 # than most kernels of a pass run.
