@@ -127,7 +127,7 @@ def cpu_seconds(who: int) -> float:
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--assets", type=int, default=1000)
-    parser.add_argument("--singles", type=int, default=1000, help="every so manieth asset is also done by itself")
+    parser.add_argument("--singles", type=int, default=1000, help="so many of the assets are also done one by one")
     given = parser.parse_args()
     folder = Path(tempfile.mkdtemp(prefix="many-"))
     paths, bad = make(folder / "in", given.assets)
