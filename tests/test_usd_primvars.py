@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,8 @@ SIZE = 8
 POINTS, _, INDICES = quad_grid(SIZE)
 QUADS = INDICES.reshape(-1, 4)
 NAMES = Sdf.ValueTypeNames
+# Types of values as a binary layer numbers them, the first with the bit of an array.
+VEC3F_ARRAY, FLOAT = 0x8000 | 24, 8
 
 
 class Flat:
@@ -233,3 +236,18 @@ def test_inherited_primvar_is_left_alone(flat):
     root.CreatePrimvar("tint", NAMES.FloatArray, "constant").Set([0.5])
     mesh = flat.simplified()
     assert not mesh.GetPrim().HasAttribute("primvars:tint")
+
+
+def test_samples_of_several_types_are_dropped(flat):
+    flat.mesh.GetPointsAttr().Clear()
+    for time in (1.0, 2.0):
+        flat.mesh.GetPointsAttr().Set(Vt.Vec3fArray.FromNumpy(POINTS + np.float32(time)), time)
+        flat.mesh.CreateVelocitiesAttr().Set([Gf.Vec3f(time + 0.5)] * 81, time)
+    flat.stage.Export(str(flat.folder / "binary.usdc"))
+    # USD does not write such a file; one byte of damage does.
+    data = bytearray((flat.folder / "binary.usdc").read_bytes())
+    values = data.index(struct.pack("<Q3f", 81, 2.5, 2.5, 2.5))
+    data[data.index(struct.pack("<Q", values | VEC3F_ARRAY << 48)) + 6] = FLOAT
+    (flat.folder / "damaged.usdc").write_bytes(data)
+    report = simplify_stage(flat.folder / "damaged.usdc", flat.folder / "out.usda", SimplifyOptions(ratio=0.3))
+    assert [prim.dropped for prim in report.prims] == [["velocities"]]

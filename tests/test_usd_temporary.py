@@ -46,6 +46,17 @@ def test_only_what_one_process_left_goes_where_it_is_named(tmp_path):
     assert other.exists()
 
 
+def test_folder_that_a_dead_process_left_goes_with_all_that_is_in_it(tmp_path):
+    process = subprocess.Popen([sys.executable, "-c", "pass"])
+    process.wait()
+    path = left_by(tmp_path, process.pid)
+    path.unlink()
+    path.mkdir()
+    (path / "0.claimed").touch()
+    assert remove_leftovers(tmp_path) == [path]
+    assert not path.exists()
+
+
 def test_files_of_others_stay(tmp_path):
     for name in (".warpqem.notes.usda", "warpqem.usda", ".warpqem.00000000-1.aa.usdc", ".warpqem-batch.jsonl"):
         (tmp_path / name).touch()

@@ -9,10 +9,11 @@ import numpy as np
 
 from warpqem.frame_stream import FrameSink, FrameWriter, read_ahead
 from warpqem.mesh_input import AnimatedMesh
-from warpqem.place.clusters import PlacedFrames
+from warpqem.place.blocks import PlacedFrames
 from warpqem.place.stage import Placer
 from warpqem.place.store import FrameStore
 from warpqem.refit.stage import fit_corrections
+from warpqem.sharing import FrameShare, placed_blocks
 
 __all__ = ["FinishedFrames", "place_frames", "place_refitted"]
 
@@ -50,13 +51,18 @@ class _Finish:
 
 
 def place_frames(
-    mesh: AnimatedMesh, placer: Placer, sink: FrameSink, blocks: Sequence[slice], progress: Progress = None
+    mesh: AnimatedMesh,
+    placer: Placer,
+    sink: FrameSink,
+    blocks: Sequence[slice],
+    progress: Progress = None,
+    share: FrameShare | None = None,
 ) -> FinishedFrames:
-    """Place all frames straight from the source to the sink; ``progress`` is called with the number of frames done."""
+    """Place all frames straight from the source to the sink; the arguments are those of :func:`place_refitted`."""
     finish = _Finish(mesh, placer, sink)
     with FrameWriter(sink.write, len(blocks)) as write:
-        for frames, points in read_ahead(mesh.points, blocks):
-            finish.take(frames, placer.place(mesh, points), write)
+        for frames, placed in placed_blocks(mesh, placer, blocks, share):
+            finish.take(frames, placed, write)
             if progress:
                 progress(frames.stop)
     return finish.finished
@@ -68,6 +74,7 @@ def place_refitted(
     sink: FrameSink,
     blocks: Sequence[slice],
     progress: Progress = None,
+    share: FrameShare | None = None,
     *,
     key_frames: np.ndarray,
     error: float,
@@ -82,6 +89,7 @@ def place_refitted(
         sink: takes them.
         blocks: frames to work on at once.
         progress: called with the number of frames placed.
+        share: lets other processes place some of them.
         key_frames: (K,) int, the frames to fit.
         error: the largest error of a collapse, in diagonals.
         on_disk: keep the placed frames in a temporary file.
@@ -90,8 +98,8 @@ def place_refitted(
     store = FrameStore(mesh.frame_count, placer.vertex_count, placer.copied_count, on_disk)
     try:
         with FrameWriter(store.write, len(blocks)) as keep:
-            for frames, points in read_ahead(mesh.points, blocks):
-                keep(frames, placer.place(mesh, points))
+            for frames, placed in placed_blocks(mesh, placer, blocks, share):
+                keep(frames, placed)
                 if progress:
                     progress(frames.stop)
         correct = fit_corrections(mesh, placer, store, key_frames, error, blocks, device)

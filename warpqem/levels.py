@@ -12,7 +12,8 @@ from warpqem.mesh_input import read_mesh
 from warpqem.order.levels import OrderedLevels
 from warpqem.order.nodes import NodeRecorder
 from warpqem.preparation import ORDER_END, Prepared, Progress, prepare
-from warpqem.result import Outcome, SimplifiedMesh, finish, reached
+from warpqem.result import Delivery, Outcome, SimplifiedMesh, finish, reached
+from warpqem.sharing import FrameShare
 
 __all__ = ["LevelOrder", "order_levels", "simplify_levels"]
 
@@ -34,20 +35,27 @@ class LevelOrder:
         return len(self._work.mesh.faces)
 
     def level(
-        self, target_faces: int, *, sink: FrameSink | None = None, progress: Progress | None = None
+        self,
+        target_faces: int,
+        *,
+        sink: FrameSink | None = None,
+        share: FrameShare | None = None,
+        progress: Progress | None = None,
     ) -> SimplifiedMesh:
         """What :func:`warpqem.simplify` gives for so many faces, to the bit.
 
         Args:
             target_faces: at least as many as were asked for when ordering.
             sink: takes the frames of the result, block by block, in place of an array.
+            share: lets other processes place some of the frames.
             progress: called with the part done, 0 to 1, and the stage "place".
 
         Raises:
             UnreachableTargetError: no legal collapse leads to it; its ``result`` is what there is.
         """
+        delivery = Delivery(sink, progress, share)
         ordered = self._levels.at(self._levels.steps_to(target_faces))
-        result = finish(self._work, self._work.placer(ordered), Outcome.of(ordered), self._refit, sink, progress)
+        result = finish(self._work, self._work.placer(ordered), Outcome.of(ordered), self._refit, delivery)
         return reached(result, target_faces)
 
 
@@ -68,13 +76,13 @@ def order_levels(
         target_faces: faces of the coarsest level.
         keep_frames: plan memory for the frames of one level; not where all levels are to have a sink.
         progress: called with the part done, 0 to 1, and the stage, "read" or "order".
-        options: other keyword arguments of :func:`warpqem.simplify`, but for its goals and ``sink``.
+        options: other keyword arguments of :func:`warpqem.simplify`, but for its goals, ``sink`` and ``share``.
 
     Raises:
         OptionError: also for an option that does not apply.
         WarpqemError: the other errors of :func:`warpqem.simplify`, but for an unreachable target.
     """
-    refused = {"ratio", "max_error", "sink"} & set(options)
+    refused = {"ratio", "max_error", "sink", "share"} & set(options)
     if refused:
         raise OptionError(f"{', '.join(sorted(refused))}: not with levels")
     asked = SimplifyOptions(target_faces=target_faces, **options)

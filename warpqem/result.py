@@ -16,8 +16,9 @@ from warpqem.order.log import CollapseRecord
 from warpqem.order.stage import OrderedMesh
 from warpqem.place.stage import Placer
 from warpqem.preparation import ORDER_END, Prepared, Progress
+from warpqem.sharing import FrameShare
 
-__all__ = ["Outcome", "SimplifiedMesh", "finish", "reached"]
+__all__ = ["Delivery", "Outcome", "SimplifiedMesh", "finish", "reached"]
 
 
 @dataclass(frozen=True)
@@ -69,14 +70,28 @@ class Outcome:
         return cls(ordered.log, ordered.face_map, ordered.stopped, ordered.drops)
 
 
-def finish(
-    work: Prepared, placer: Placer, outcome: Outcome, refit: bool, sink: FrameSink | None, progress: Progress | None
-) -> SimplifiedMesh:
+@dataclass(frozen=True)
+class Delivery:
+    """How placed frames come about and where they go.
+
+    Attributes:
+        sink: takes them; None to keep them in an array.
+        progress: called with the part done and "place".
+        share: lets other processes place some of them.
+    """
+
+    sink: FrameSink | None = None
+    progress: Progress | None = None
+    share: FrameShare | None = None
+
+
+def finish(work: Prepared, placer: Placer, outcome: Outcome, refit: bool, delivery: Delivery) -> SimplifiedMesh:
     """Place all frames, and refit them where that is asked for."""
-    mesh = work.mesh
+    mesh, sink = work.mesh, delivery.sink
     error = max(float(outcome.log.error.max(initial=0.0)), float(outcome.drops.error.max(initial=0.0)))
     array = ArraySink()
-    common = (mesh, placer, array if sink is None else sink, work.blocks, _place_progress(progress, mesh.frame_count))
+    progress = _place_progress(delivery.progress, mesh.frame_count)
+    common = (mesh, placer, array if sink is None else sink, work.blocks, progress, delivery.share)
     if refit and not work.place_settings.endpoint and placer.free.any():
         on_disk = work.plan.scratch_bytes > 0
         finished = place_refitted(*common, key_frames=work.key_frames, error=error, on_disk=on_disk, device=work.device)

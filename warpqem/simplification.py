@@ -13,7 +13,8 @@ from warpqem.frame_stream import FrameSink
 from warpqem.memory import MemoryPlan
 from warpqem.mesh_input import read_mesh
 from warpqem.preparation import Progress, plan_work, prepare
-from warpqem.result import Outcome, SimplifiedMesh, finish, reached
+from warpqem.result import Delivery, Outcome, SimplifiedMesh, finish, reached
+from warpqem.sharing import FrameShare
 
 if TYPE_CHECKING:
     from warpqem.face.protect import FaceProtection
@@ -44,6 +45,7 @@ def simplify(
     face: FaceProtection | None = None,
     memory: int | str | None = None,
     sink: FrameSink | None = None,
+    share: FrameShare | None = None,
     device: str | None = None,
     progress: Progress | None = None,
 ) -> SimplifiedMesh:
@@ -88,6 +90,8 @@ def simplify(
         memory: bytes that the work may take, beside what the process holds already, or text such as "8G"; None for
             most of what is free. It decides how many frames are in memory at once, and no bit of the result.
         sink: takes the frames of the result, block by block, in place of an array.
+        share: lets other processes place some of the frames, see :class:`warpqem.FrameShare`; it decides no bit of the
+            result.
         device: Warp device; None takes cuda:0 if present, else cpu.
         progress: called with the part done, 0 to 1, and the stage, "read", "order" or "place".
 
@@ -126,7 +130,7 @@ def simplify(
     # Placing has its own use for the memory of ordering.
     work = work.without_input()
     del ordered
-    result = finish(work, placer, outcome, options.refits, sink, progress)
+    result = finish(work, placer, outcome, options.refits, Delivery(sink, progress, share))
     return reached(result, work.goal.target_faces)
 
 

@@ -22,7 +22,7 @@ from warpqem.kernels.topology import MIRROR
 from warpqem.mesh_input import MeshInput, as_numpy, read_mesh
 from warpqem.order.log import CollapseRecord
 from warpqem.preparation import Progress, prepare
-from warpqem.result import Outcome, SimplifiedMesh, finish, reached
+from warpqem.result import Delivery, Outcome, SimplifiedMesh, finish, reached
 from warpqem.seams import read_seams
 
 __all__ = ["AXES", "Mirror", "MirrorPlane", "find_mirror", "simplify_symmetric"]
@@ -207,7 +207,7 @@ def simplify_symmetric(
     work = replace(work, order_input=replace(work.order_input, vertex_flags=flags))
     ordered = work.order(progress)
     placed = ArraySink()
-    part = finish(work, work.placer(ordered), Outcome.of(ordered), half.options.refits, placed, progress)
+    part = finish(work, work.placer(ordered), Outcome.of(ordered), half.options.refits, Delivery(placed, progress))
     return reached(half.whole(part, placed.points, sink), half.target)
 
 

@@ -17,12 +17,14 @@ from warpqem.device import resolve_device
 from warpqem.errors import StageError, WarpqemError
 from warpqem.memory import DEFAULT_SHARE, available_memory
 from warpqem.process_memory import peak_memory, reset_peak
+from warpqem.sharing import FrameShare, help_place
 from warpqem.usd.input_check import open_layers
 from warpqem.usd.report import StageReport
 from warpqem.usd.simplify import simplify_stage
 from warpqem.usd.simplify_options import SimplifyOptions
+from warpqem.usd.temporary import temporary_path
 
-__all__ = ["perform", "warm_up"]
+__all__ = ["assist", "perform", "warm_up"]
 
 _log = logging.getLogger(__name__)
 
@@ -32,6 +34,7 @@ def perform(
     progress: Callable[[float, str], None] | None = None,
     device: str | None = None,
     memory: int | None = None,
+    call: Callable[[Path], None] | None = None,
 ) -> BatchResult:
     """Simplify an asset. Whatever is raised on the way becomes the result.
 
@@ -42,6 +45,7 @@ def perform(
         progress: Called with the fraction done and what is being done.
         device: Warp device where the options name none.
         memory: Bytes that the work may take, where the options do not say.
+        call: Lets other processes know of a folder for `warpqem.help_place`; None to work alone.
     """
     start, begun = time.perf_counter(), time.time()
     reset_peak()
@@ -52,7 +56,8 @@ def perform(
         # Held, so that USD reads no layer twice.
         layers = [open_layers(path, options.asset_roots) for path in (job.input, options.poses) if path is not None]
         result.fingerprint = take_fingerprint(job, begun)
-        _fill(result, simplify_stage(job.input, job.output, options, progress))
+        share = None if call is None else FrameShare(lambda: temporary_path(Path(job.output).parent, ".share"), call)
+        _fill(result, simplify_stage(job.input, job.output, options, progress, share=share))
         del layers
     except MemoryError as error:
         result.error = type(error).__name__
@@ -66,6 +71,15 @@ def perform(
     result.seconds = time.perf_counter() - start
     result.peak_memory = peak_memory()
     return result
+
+
+def assist(folder: str, device: str | None = None) -> None:
+    """Place frames for another process. Whatever is raised on the way costs that process nothing but the help."""
+    try:
+        count = help_place(folder, device)
+        _log.info("%s: placed %d blocks of frames for another process", folder, count)
+    except Exception as error:
+        _log.warning("%s: no help for the process there (%s)", folder, " ".join(str(error).split()), exc_info=error)
 
 
 def warm_up(device: str | None = None) -> None:

@@ -10,6 +10,7 @@ import os
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 from warpqem.batching.engine import Finished, Started, Update, lost, timed_out
@@ -39,6 +40,7 @@ class RayEngine:
         timeout: float | None = None,
         memory: int | str | None = None,
         retries: int = 3,
+        spread: bool = False,
     ) -> None:
         """Nothing is started yet.
 
@@ -50,6 +52,7 @@ class RayEngine:
             timeout: Seconds that a job may take; None for any number.
             memory: What a job may take whose options do not say; the cluster reserves it. None for what is free.
             retries: How often a job is begun again whose process or node was lost.
+            spread: Let tasks of their own place frames of jobs that have many, where the cluster has room for them.
 
         Raises:
             OptionError: a value is out of range, or Ray is not installed.
@@ -68,7 +71,7 @@ class RayEngine:
             raise OptionError("engine ray: Ray is not installed; pip install 'warpqem[ray]'") from error
         self._ray: Any = ray
         self.address, self.cpus, self.gpus = address, cpus, gpus
-        self.timeout, self.retries = timeout, retries
+        self.timeout, self.retries, self.spread = timeout, retries, spread
         self.memory = None if memory is None else parse_bytes(memory)
 
     def run(self, jobs: Sequence[BatchJob]) -> Iterator[Update]:
@@ -83,7 +86,7 @@ class RayEngine:
             while waiting or pending:
                 while waiting and len(pending) < self._slots():
                     job = waiting.pop()
-                    pending[task.remote(job, self.cpus, self.memory)] = (job, time.monotonic())
+                    pending[task.remote(job, self._needs, self.spread)] = (job, time.monotonic())
                     yield Started(job)
                 ready, _ = self._ray.wait(list(pending), num_returns=1, timeout=WAIT_SECONDS)
                 for reference in ready:
@@ -121,8 +124,7 @@ class RayEngine:
 
     def _slots(self) -> int:
         """How many tasks the cluster has room for now; it may grow."""
-        has = self._ray.cluster_resources()
-        return max(1, int(min(has.get(name, 0.0) // need for name, need in self._needs.items() if need)))
+        return max(1, _room(self._ray.cluster_resources(), self._needs))
 
     def _fetch(self, reference: Any, job: BatchJob, seconds: float) -> BatchResult:
         try:
@@ -145,14 +147,68 @@ class RayEngine:
             self._ray.cancel(reference, force=True)
 
 
-def _perform(job: BatchJob, cpus: float, memory: int | None) -> BatchResult:
-    """The task. Threads are counted when the first long launch needs them, which is later than this."""
-    os.environ["WARPQEM_THREADS"] = str(max(1, int(cpus)))
+def _perform(job: BatchJob, needs: dict[str, float], spread: bool) -> BatchResult:
+    """The task of a job."""
+    _begin(needs)
+    from warpqem.batching.perform import perform
+
+    memory = int(needs["memory"]) or None
+    if not spread:
+        return perform(job, memory=memory)
+    helpers = _Helpers(needs)
+    try:
+        return perform(job, memory=memory, call=helpers.call)
+    finally:
+        helpers.dismiss()
+
+
+def _assist(folder: str, needs: dict[str, float]) -> None:
+    """The task of a helper."""
+    _begin(needs)
+    from warpqem.batching.perform import assist
+
+    assist(folder)
+
+
+def _begin(needs: dict[str, float]) -> None:
+    """Set up the process. Threads are counted when the first long launch needs them, which is later than this."""
+    os.environ["WARPQEM_THREADS"] = str(max(1, int(needs["CPU"])))
     import warp as wp
 
-    from warpqem.batching.perform import perform
     from warpqem.opening import tell_openings
 
     tell_openings(lambda file, begins: None)
     wp.config.log_level = wp.LOG_WARNING
-    return perform(job, memory=memory)
+
+
+class _Helpers:
+    """Tasks that place frames of one job, which needs none of them to succeed."""
+
+    def __init__(self, needs: dict[str, float]) -> None:
+        import ray
+
+        self._ray: Any = ray
+        self._needs = needs
+        self._called: list[Any] = []
+
+    def call(self, folder: Path) -> None:
+        """Begin as many as the cluster has room for now."""
+        task = self._ray.remote(
+            num_cpus=self._needs["CPU"],
+            num_gpus=self._needs["GPU"],
+            memory=int(self._needs["memory"]) or None,
+            max_retries=0,
+        )(_assist)
+        count = _room(self._ray.available_resources(), self._needs)
+        self._called += [task.remote(os.fspath(folder), self._needs) for _ in range(count)]
+
+    def dismiss(self) -> None:
+        """Those that have not begun yet need not."""
+        for reference in self._called:
+            with suppress(self._ray.exceptions.RayError, ValueError):
+                self._ray.cancel(reference)
+
+
+def _room(has: dict[str, float], needs: dict[str, float]) -> int:
+    """How many tasks there is room for."""
+    return int(min(has.get(name, 0.0) // need for name, need in needs.items() if need))

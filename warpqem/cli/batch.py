@@ -71,6 +71,14 @@ def batch(
     timeout: Annotated[
         float | None, typer.Option(metavar="SECONDS", help="Stop an asset that takes longer, and go on without it.")
     ] = None,
+    spread: Annotated[
+        bool,
+        typer.Option(
+            "--spread",
+            help="Let processes or tasks without an asset place frames of large ones that are still at work; "
+            "--jobs may then be more than there are assets. No bit changes.",
+        ),
+    ] = False,
     retries: Annotated[int, typer.Option(help="How often to begin anew what has lost its process.")] = 1,
     engine: Annotated[
         EngineName, typer.Option(help="Processes on this machine, or tasks on a Ray cluster.")
@@ -116,7 +124,9 @@ def batch(
         check_jobs(work)
         print_table(dry_run_table(work, journal if resume else None), to_stderr=json == "-")
         return
-    chosen = _engine(engine, options, jobs=jobs, timeout=timeout, retries=retries, ray=(address, cpus, gpus))
+    chosen = _engine(
+        engine, options, jobs=jobs, timeout=timeout, retries=retries, spread=spread, ray=(address, cpus, gpus)
+    )
     _make_folder(folder)
     results: list[BatchResult] = []
     interrupted = False
@@ -172,6 +182,7 @@ def _engine(
     jobs: int | None,
     timeout: float | None,
     retries: int,
+    spread: bool,
     ray: tuple[str | None, float, float | None],
 ) -> Engine:
     if name is EngineName.ray:
@@ -180,12 +191,12 @@ def _engine(
         if jobs is not None:
             raise OptionError("--jobs is for --engine local; on Ray --cpus and --gpus say how many run at once")
         address, cpus, gpus = ray
-        return RayEngine(address, cpus, gpus, timeout, options["memory"], retries)
+        return RayEngine(address, cpus, gpus, timeout, options["memory"], retries, spread)
     from warpqem.batching.local import LocalEngine
 
     if ray != (None, 1.0, None):
         raise OptionError("--address, --cpus and --gpus need --engine ray")
-    return LocalEngine(jobs, timeout, options["memory"], retries, options["device"])
+    return LocalEngine(jobs, timeout, options["memory"], retries, options["device"], spread)
 
 
 def _make_folder(folder: Path) -> None:

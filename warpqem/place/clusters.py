@@ -1,26 +1,19 @@
-"""What puts clusters of input vertices where they belong, in a block of frames at a time.
-
-Memory is that of the block and of the clusters; the number of frames does not matter. Frames do not know of each other,
-so how they are cut into blocks makes no difference to a single bit, and neither do clusters.
-"""
+"""What puts clusters of input vertices where they belong: gathered from an ordered mesh, then placed block by block."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-import warp as wp
 
-from warpqem.frame_blocks import block_width, pack_frames, unpack_frames
-from warpqem.kernels import placement as kernels
 from warpqem.mesh_input import AnimatedMesh
 from warpqem.order.quadrics import CONSTRAINT_WEIGHT
 from warpqem.order.stage import OrderedMesh
-from warpqem.parallel import launch_parts
 from warpqem.place.anchors import Anchors, fit_anchors, nearest_anchors
+from warpqem.place.blocks import BlockPlacer, ClusterData, PlacedFrames
 from warpqem.place.rows import gather_faces, sum_repeated
 
-__all__ = ["ClusterPlacer", "PlaceSettings", "PlacedFrames"]
+__all__ = ["ClusterPlacer", "PlaceSettings"]
 
 
 @dataclass(frozen=True)
@@ -36,19 +29,6 @@ class PlaceSettings:
     epsilon: float
     regularisation: float
     endpoint: bool
-
-
-@dataclass(frozen=True)
-class PlacedFrames:
-    """Some placed frames: ``points`` (n, C, 3) float32, in diagonals, and area-weighted normals of the input there.
-
-    A normal (n, C, 3) is the sum over the faces of the vertex's cluster, twice their area long. ``copied`` (n, M, 3)
-    float32 are the input's points, about its origin, at the vertices that are copied from it.
-    """
-
-    points: np.ndarray
-    normals: np.ndarray
-    copied: np.ndarray
 
 
 class ClusterPlacer:
@@ -71,6 +51,8 @@ class ClusterPlacer:
         on_seam: (C,) bool, vertices that stand for one on a seam.
         nearest: (C,) int32, an input vertex of each cluster near to its anchor.
         copied_count: vertices M that are copies of an input vertex.
+        clusters: what placing a block of frames takes.
+        device: Warp device.
     """
 
     def __init__(
@@ -84,7 +66,7 @@ class ClusterPlacer:
         settings: PlaceSettings,
         device: str,
     ) -> None:
-        self._settings, self._device = settings, device
+        self._settings, self.device = settings, device
         self._cluster = cluster
         self.vertex_count = len(kept)
         if settings.endpoint:
@@ -106,9 +88,13 @@ class ClusterPlacer:
         single = np.flatnonzero((solved == 0) & (np.maximum.reduceat(anchors.weight, anchors.start[:-1]) == 1.0))
         self._copied = single
         self.copied_count = len(single)
-        self._copied_from = self.nearest[single]
-        self._clusters = self._gather_clusters(faces, ordered.constrained, quadric_scale, anchors, solved)
-        self._corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device)
+        self.clusters = ClusterData(
+            corner_vertex=faces.ravel(),
+            rows=self._gather_clusters(faces, ordered.constrained, quadric_scale, anchors, solved),
+            copied_from=self.nearest[single],
+            epsilon=settings.epsilon,
+        )
+        self._blocks = BlockPlacer(self.clusters, device)
 
     def _gather_clusters(
         self,
@@ -117,11 +103,11 @@ class ClusterPlacer:
         quadric_scale: np.ndarray,
         anchors: Anchors,
         solved: np.ndarray,
-    ) -> kernels.Clusters:
+    ) -> dict[str, np.ndarray]:
         """Faces, border and seam edges of each cluster, each once, weighted by its corners there."""
         corner_vertex = faces.ravel()
         face_start, face, face_weight = gather_faces(
-            self._cluster[corner_vertex], quadric_scale[corner_vertex], self.vertex_count, self._device
+            self._cluster[corner_vertex], quadric_scale[corner_vertex], self.vertex_count, self.device
         )
         half_edge = np.flatnonzero(constrained)
         weight = np.where(constrained[half_edge] == 1, CONSTRAINT_WEIGHT[1], CONSTRAINT_WEIGHT[2])
@@ -132,41 +118,22 @@ class ClusterPlacer:
             np.concatenate([weight, weight]) * quadric_scale[corner_vertex[ends]],
             self.vertex_count,
         )
-        clusters, device = kernels.Clusters(), self._device
-        clusters.member_start = wp.array(anchors.start, device=device)
-        clusters.member = wp.array(anchors.vertex, device=device)
-        clusters.member_weight = wp.array(anchors.weight, device=device)
-        clusters.face_start = wp.array(face_start, device=device)
-        clusters.face = wp.array(faces[face], dtype=wp.vec3i, device=device)
-        clusters.face_weight = wp.array(face_weight, device=device)
-        clusters.border_start = wp.array(border_start, device=device)
-        clusters.border = wp.array(border_half_edge, device=device)
-        clusters.border_weight = wp.array(border_weight, device=device)
-        clusters.solved = wp.array(solved, device=device)
-        return clusters
+        return {
+            "member_start": anchors.start,
+            "member": anchors.vertex,
+            "member_weight": anchors.weight,
+            "face_start": face_start,
+            "face": faces[face],
+            "face_weight": face_weight,
+            "border_start": border_start,
+            "border": border_half_edge,
+            "border_weight": border_weight,
+            "solved": solved,
+        }
 
     def place(self, mesh: AnimatedMesh, points: np.ndarray) -> PlacedFrames:
         """Place some frames of the mesh, given about its origin: (n, V, 3) float32."""
-        device, width = self._device, block_width(mesh.frame_count, self._device)
-        kernel = kernels.place_vertices[width]
-        packed = pack_frames(points, device, centre=mesh.centre, scale=1 / mesh.diagonal, width=width)
-        block_count = packed.shape[1]
-        out = wp.empty((self.vertex_count, block_count), dtype=packed.dtype, device=device)
-        normal = wp.empty_like(out)
-
-        def place(part: slice) -> None:
-            wp.launch(
-                kernel,
-                dim=(part.stop - part.start, block_count),
-                inputs=[packed, self._corner_vertex, self._clusters, self._settings.epsilon, part.start],
-                outputs=[out, normal],
-                device=device,
-            )
-
-        launch_parts(kernel, place, self.vertex_count, device)
-        return PlacedFrames(
-            unpack_frames(out, len(points)), unpack_frames(normal, len(points)), points[:, self._copied_from]
-        )
+        return self._blocks.place(mesh, points)
 
     def original_points(self, mesh: AnimatedMesh, placed: PlacedFrames) -> np.ndarray:
         """The placed points in the caller's coordinates, (n, C, 3) float32."""

@@ -9,7 +9,8 @@ from warpqem.frame_blocks import block_width, pack_frames
 from warpqem.kernels import placement as kernels
 from warpqem.mesh_input import AnimatedMesh
 from warpqem.order.stage import OrderedMesh
-from warpqem.place.clusters import ClusterPlacer, PlacedFrames, PlaceSettings
+from warpqem.place.blocks import PlacedFrames
+from warpqem.place.clusters import ClusterPlacer, PlaceSettings
 
 __all__ = ["Placer"]
 
@@ -50,14 +51,14 @@ class Placer(ClusterPlacer):
 
     def count_flips(self, mesh: AnimatedMesh, placed: PlacedFrames) -> np.ndarray:
         """Faces of each frame that face away from the input, (n,) int32."""
-        width = block_width(mesh.frame_count, self._device)
-        points, normals = (pack_frames(a, self._device, width=width) for a in (placed.points, placed.normals))
-        count = wp.zeros(points.shape[1] * width, dtype=wp.int32, device=self._device)
+        width = block_width(mesh.frame_count, self.device)
+        points, normals = (pack_frames(a, self.device, width=width) for a in (placed.points, placed.normals))
+        count = wp.zeros(points.shape[1] * width, dtype=wp.int32, device=self.device)
         wp.launch(
             kernels.count_flips[width],
             dim=(len(self.faces), points.shape[1]),
             inputs=[points, normals, self._out_corner_vertex],
             outputs=[count],
-            device=self._device,
+            device=self.device,
         )
         return count.numpy()[: len(placed.points)]

@@ -6,7 +6,7 @@ import tempfile
 
 import numpy as np
 
-from warpqem.place.clusters import PlacedFrames
+from warpqem.place.blocks import PlacedFrames
 
 __all__ = ["FrameStore", "store_bytes"]
 
@@ -34,7 +34,7 @@ class FrameStore:
 
     def write(self, frames: slice, placed: PlacedFrames) -> None:
         """Keep consecutive frames."""
-        rows = np.concatenate([placed.points, placed.normals, placed.copied], axis=1)
+        rows = placed.to_rows()
         if self._file is None:
             self._rows[frames] = rows
             return
@@ -50,9 +50,7 @@ class FrameStore:
             self._file.seek(4 * values * frames.start)
             rows = np.frombuffer(self._file.read(4 * values * (frames.stop - frames.start)), dtype=np.float32)
             rows = rows.reshape(-1, *self._row)
-        count = self.vertex_count
-        parts = (rows[:, :count], rows[:, count : 2 * count], rows[:, 2 * count :])
-        return PlacedFrames(*(np.ascontiguousarray(part) for part in parts))
+        return PlacedFrames.from_rows(rows, self.vertex_count)
 
     def chosen(self, frames: np.ndarray) -> PlacedFrames:
         """Any frames."""

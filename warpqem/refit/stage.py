@@ -23,7 +23,7 @@ from warpqem.kernels.element_solve import Elements
 from warpqem.mesh_input import AnimatedMesh
 from warpqem.order.stars import build_stars
 from warpqem.parallel import launch_parts
-from warpqem.place.clusters import PlacedFrames
+from warpqem.place.blocks import PlacedFrames
 from warpqem.place.stage import Placer
 from warpqem.place.store import FrameStore
 from warpqem.refit.matching import Matching, make_surface

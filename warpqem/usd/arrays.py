@@ -73,6 +73,11 @@ def sample_codes(*attributes: Usd.Attribute) -> list[Usd.TimeCode]:
     ]
 
 
+def is_of_one_type(attribute: Usd.Attribute, codes: Sequence[Usd.TimeCode]) -> bool:
+    """False where samples are of different types, which a damaged file may hold; there is no blending those."""
+    return len({type(attribute.Get(code)) for code in codes}) <= 1
+
+
 def blocked_codes(attribute: Usd.Attribute) -> list[Usd.TimeCode]:
     """The time samples of an attribute that say it has no value."""
     return [Usd.TimeCode(time) for time in attribute.GetTimeSamples() if attribute.Get(time) is None]
@@ -137,7 +142,7 @@ def primvar_samples(primvar: UsdGeom.Primvar) -> Samples | None:
     Samples at which only the values or only the indices are there are left out.
 
     Returns:
-        The samples; None if there are none, or an index has no value.
+        The samples; None if there are none, an index has no value, or they are of several types.
     """
     indices = primvar.GetIndicesAttr()
     has_indices = bool(indices and indices.HasAuthoredValue())
@@ -161,6 +166,6 @@ def primvar_samples(primvar: UsdGeom.Primvar) -> Samples | None:
         assert values is not None
         return values
 
-    if not codes or any(find(code) is None for code in codes):
+    if not codes or not is_of_one_type(primvar.GetAttr(), codes) or any(find(code) is None for code in codes):
         return None
     return Samples(codes, read)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +13,7 @@ from pxr import Usd, UsdGeom, Vt
 from warpqem.errors import StageError
 from warpqem.usd.frames import FrameRange
 from warpqem.usd.skel import MeshPoser, StagePoses
-from warpqem.usd.stage import world_scale
+from warpqem.usd.stage import SavedStage, world_scale
 from warpqem.usd.topology import Topology, read_topology
 
 __all__ = ["MeshLayout", "MeshSource", "PoseFrames", "StageMesh"]
@@ -92,6 +93,11 @@ class PoseFrames:
         """Type of the points."""
         return np.dtype(np.float32)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Where to read them in another process."""
+        stage = SavedStage.of(self.source.prim.GetStage())
+        return _open_frames, (stage, self.source.path, self.times, self.point)
+
     def read(self, frames: slice) -> npt.NDArray[np.float32]:
         """Points of consecutive frames, float32, shape (n, V, 3), local space.
 
@@ -104,6 +110,11 @@ class PoseFrames:
         for pose, time in zip(points, chosen, strict=True):
             np.take(self.source.points_at(time), self.point, axis=0, out=pose)
         return points
+
+
+def _open_frames(stage: SavedStage, path: str, times: list[float] | None, point: npt.NDArray[np.int32]) -> PoseFrames:
+    opened = stage.open()
+    return PoseFrames(MeshSource(opened.GetPrimAtPath(path), StagePoses(opened)), times, point)
 
 
 class MeshSource:

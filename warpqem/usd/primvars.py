@@ -17,6 +17,7 @@ from warpqem.usd.arrays import (
     from_numpy,
     is_continuous,
     is_normal,
+    is_of_one_type,
     is_quaternion,
     primvar_samples,
     sample_codes,
@@ -152,6 +153,8 @@ def _rows(carrier: Carrier, name: str, interpolation: str) -> tuple[Rows, npt.ND
 
 def _samples_of_length(attribute: Usd.Attribute, count: int | None) -> Samples | None:
     codes = sample_codes(attribute)
+    if not is_of_one_type(attribute, codes):
+        return None
     for code in codes:
         values = to_numpy(attribute.Get(code))
         if values is None or len(values) != count:

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from contextlib import ExitStack
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -18,12 +16,13 @@ from warpqem.arguments import target_count
 from warpqem.errors import DeviceError, MeshShapeError, OptionError, StageError, UnreachableTargetError, WarpqemError
 from warpqem.frame_blocks import frame_blocks
 from warpqem.frame_stream import LaterFrames, NoFrames, read_ahead
-from warpqem.memory import MemoryPlan, parse_bytes
+from warpqem.memory import parse_bytes
 from warpqem.symmetry import Mirror, find_mirror, simplify_symmetric
 from warpqem.transfer import is_proper
 from warpqem.usd.attributes import check_names, weighted_fields
 from warpqem.usd.blend_shapes import count_shape_users
 from warpqem.usd.budget import CostCurve, split_budget
+from warpqem.usd.context import Context, Progress, SharedOrder
 from warpqem.usd.example_poses import ExamplePoses
 from warpqem.usd.job import MeshJob, ReadOptions
 from warpqem.usd.mesh import MeshSource
@@ -31,7 +30,6 @@ from warpqem.usd.morph import check_morph, morph_scale
 from warpqem.usd.odd_values import find_odd_values
 from warpqem.usd.point_samples import PointSamples
 from warpqem.usd.report import PrimReport, StageReport, name_prim
-from warpqem.usd.simplify_options import SimplifyOptions
 from warpqem.usd.skel import StagePoses
 from warpqem.usd.skin_fit import SkinFitter, SkinPoses, simplify_by_pullback, why_not_fitted
 from warpqem.usd.stage import find_meshes
@@ -39,50 +37,12 @@ from warpqem.usd.usd_errors import usd_errors_named
 from warpqem.usd.weights import check_weight_primvar, painted_weights
 from warpqem.usd.write import OverLayer
 
-__all__ = ["Announce", "Context", "Progress", "Run", "SharedOrder"]
+__all__ = ["Run"]
 
 # Faces that a trial run goes down to, or as near as it can. A closed surface has at least the 4 of a tetrahedron.
 TRIAL_FACES = 4
 
-Progress = Callable[[float, str], None]
-Announce = Callable[[str, MemoryPlan], None]
 Result = TypeVar("Result")
-
-
-@dataclass(frozen=True)
-class Context:
-    """What all runs over a stage share.
-
-    Attributes:
-        stage: The input.
-        options: What to do.
-        folder: Where the output is going to be.
-        progress: Called with the fraction done and what is being done.
-        announce: Called with the plan of each mesh.
-        cleanup: Ends when all is saved.
-    """
-
-    stage: Usd.Stage
-    options: SimplifyOptions
-    folder: Path
-    progress: Progress
-    announce: Announce
-    cleanup: ExitStack
-
-
-@dataclass
-class SharedOrder:
-    """What all levels of one mesh share, from the first level on.
-
-    Attributes:
-        least_ratio: Ratio of the coarsest level.
-        job: The mesh made ready.
-        order: Its ordering.
-    """
-
-    least_ratio: float
-    job: MeshJob | None = None
-    order: warpqem.LevelOrder | None = None
 
 
 class Run:
@@ -90,7 +50,7 @@ class Run:
 
     def __init__(self, context: Context, within: Sdf.Path = Sdf.Path.absoluteRootPath) -> None:
         self.stage, self.options = context.stage, context.options
-        self.progress, self.announce = context.progress, context.announce
+        self.progress, self.announce, self.share = context.progress, context.announce, context.share
         self.within = within
         self.poses = StagePoses(self.stage)
         self.examples = None if self.options.poses is None else ExamplePoses(self.stage, self.options.poses)
@@ -232,11 +192,11 @@ class Run:
             self.announce(job.mesh.path, plan)
             options |= {**self._importance(job), "seams": seams, "progress": progress}
         if order is None:
-            return warpqem.simplify(job.frames, job.faces, sink=sink, **options, **goal)
+            return warpqem.simplify(job.frames, job.faces, sink=sink, share=self.share, **options, **goal)
         if order.order is None:
             least = target_count(order.least_ratio, len(job.mesh.faces))
             order.order = warpqem.order_levels(job.frames, job.faces, target_faces=least, keep_frames=False, **options)
-        return order.order.level(int(goal["target_faces"] or 0), sink=sink, progress=progress)
+        return order.order.level(int(goal["target_faces"] or 0), sink=sink, share=self.share, progress=progress)
 
     def _mirror(self, job: MeshJob) -> Mirror | None:
         """How a mesh that is to stay symmetric maps to itself; None for one that is not."""

@@ -10,12 +10,12 @@ from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
-from pxr import Usd
-
+from warpqem.sharing import FrameShare
+from warpqem.usd.context import Announce, Context, Progress, SharedOrder
 from warpqem.usd.input_check import check_composition
 from warpqem.usd.lods import LevelReport, VariantLevels
 from warpqem.usd.report import PrimReport, StageReport
-from warpqem.usd.run import Announce, Context, Progress, Run, SharedOrder
+from warpqem.usd.run import Run
 from warpqem.usd.run_info import run_info
 from warpqem.usd.simplify_options import SimplifyOptions
 from warpqem.usd.stage import open_stage
@@ -36,6 +36,7 @@ def simplify_stage(
     options: SimplifyOptions,
     progress: Progress | None = None,
     announce: Announce | None = None,
+    share: FrameShare | None = None,
 ) -> StageReport:
     """Simplify every mesh of a USD file over all its frames and write the result.
 
@@ -51,6 +52,8 @@ def simplify_stage(
         options: What to do.
         progress: Called with the fraction done and what is being done.
         announce: Called with the name of each mesh and the memory plan for it, before the work on it.
+        share: Lets other processes place some of the frames; see `warpqem.simplify`. Meshes that are to stay symmetric
+            or are simplified in their rest shape are done alone.
 
     Returns:
         A report on every mesh, level after level where `options.lods` is given. Nothing is written if all meshes fail.
@@ -67,33 +70,31 @@ def simplify_stage(
     stage = open_stage(input_path, options.asset_roots)
     check_output_path(output_path, [layer.realPath for layer in stage.GetUsedLayers() if layer.realPath])
     # What fails while a layer is being written is no matter of one mesh: half of it would be there.
-    with usd_errors_named(input_path):
-        report = _simplify(stage, input_path, output, options, progress, announce)
+    with usd_errors_named(input_path), ExitStack() as cleanup:
+        context = Context(
+            stage,
+            options,
+            output.parent,
+            progress or (lambda fraction, text: None),
+            announce or (lambda name, plan: None),
+            cleanup,
+            share,
+        )
+        report = _simplify(context, input_path, output)
     if report.output is not None:
         report.output = os.fspath(output_path)
     report.run = run_info(options, time.perf_counter() - start)
     return report
 
 
-def _simplify(
-    stage: Usd.Stage,
-    input_path: str | os.PathLike[str],
-    output: Path,
-    options: SimplifyOptions,
-    progress: Progress | None,
-    announce: Announce | None,
-) -> StageReport:
-    progress = progress or (lambda fraction, text: None)
-    announce = announce or (lambda name, plan: None)
-    with ExitStack() as cleanup:
-        context = Context(stage, options, output.parent, progress, announce, cleanup)
-        report, save = (_simplify_levels if options.lods else _simplify_once)(context)
-        report.input = os.fspath(input_path)
-        report.problems = check_composition(stage)
-        if len(report.failed) < len(report.prims):
-            save(output)
-            report.output = os.fspath(output)
-            _log.info("%s: written", output)
+def _simplify(context: Context, input_path: str | os.PathLike[str], output: Path) -> StageReport:
+    report, save = (_simplify_levels if context.options.lods else _simplify_once)(context)
+    report.input = os.fspath(input_path)
+    report.problems = check_composition(context.stage)
+    if len(report.failed) < len(report.prims):
+        save(output)
+        report.output = os.fspath(output)
+        _log.info("%s: written", output)
     return report
 
 

@@ -12,7 +12,7 @@ from warpqem.errors import StageError
 from warpqem.usd.input_check import check_composition, open_layers
 from warpqem.usd.usd_errors import first_line
 
-__all__ = ["MeshSelection", "find_meshes", "open_stage", "world_scale"]
+__all__ = ["MeshSelection", "SavedStage", "find_meshes", "open_stage", "world_scale"]
 
 
 @dataclass
@@ -50,6 +50,37 @@ def open_stage(path: str | os.PathLike[str], roots: Sequence[str | os.PathLike[s
     del layers  # which the stage holds now
     check_composition(stage)
     return stage
+
+
+@dataclass(frozen=True)
+class SavedStage:
+    """What another process opens a stage by.
+
+    Attributes:
+        path: File of the root layer; None for one in memory.
+        text: What that layer holds, as .usda; None for a file.
+    """
+
+    path: str | None
+    text: str | None
+
+    @classmethod
+    def of(cls, stage: Usd.Stage) -> SavedStage:
+        """Of a stage whose layers are as they are on disk, apart from its root layer."""
+        root = stage.GetRootLayer()
+        return cls(None, root.ExportToString()) if root.anonymous else cls(root.realPath, None)
+
+    def open(self) -> Usd.Stage:
+        """The stage.
+
+        Raises:
+            StageError: see `open_stage`.
+        """
+        if self.path is not None:
+            return open_stage(self.path)
+        layer = Sdf.Layer.CreateAnonymous(".usda")
+        layer.ImportFromString(self.text)
+        return Usd.Stage.Open(layer)
 
 
 def find_meshes(

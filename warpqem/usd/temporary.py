@@ -1,4 +1,4 @@
-"""Names of temporary files beside an output, and how to remove those that a killed process left."""
+"""Names of temporary files and folders beside an output, and how to remove those that a killed process left."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import hashlib
 import os
 import platform
 import re
+import shutil
 import uuid
 from pathlib import Path
 
@@ -17,12 +18,15 @@ PATTERN = re.compile(rf"\.warpqem\.{HOST}-(\d+)\.[0-9a-f]{{32}}\.[a-z]+")
 
 
 def temporary_path(folder: Path, suffix: str) -> Path:
-    """A new name in a folder; a file is written under it and then renamed, which cannot be seen half done."""
+    """A new name in a folder; a file is written under it and then renamed, which cannot be seen half done.
+
+    A folder of this name is for what processes hand each other while they work on an output.
+    """
     return folder / f".warpqem.{HOST}-{os.getpid()}.{uuid.uuid4().hex}{suffix}"
 
 
 def remove_leftovers(folder: Path, process: int | None = None) -> list[Path]:
-    """Remove the temporary files that processes of this machine left in a folder.
+    """Remove the temporary files and folders that processes of this machine left in a folder.
 
     Args:
         folder: The folder.
@@ -36,9 +40,16 @@ def remove_leftovers(folder: Path, process: int | None = None) -> list[Path]:
     for name in entries:
         found = PATTERN.fullmatch(name)
         if found and (int(found[1]) == process if process is not None else not _is_alive(int(found[1]))):
-            (folder / name).unlink(missing_ok=True)
+            _remove(folder / name)
             removed.append(folder / name)
     return removed
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def _is_alive(process: int) -> bool:

@@ -15,8 +15,10 @@ __all__ = ["first_line", "usd_errors_named"]
 
 def first_line(error: Exception) -> str:
     """The first line of an exception's text that says something; USD errors carry a C++ stack after it."""
+    # One exception may hold a million errors, whose text together takes seconds to put together.
+    first = error.args[0] if isinstance(error, Tf.ErrorException) and error.args else error
     try:
-        text = str(error)
+        text = str(first)
     except UnicodeDecodeError:
         # USD quotes what it has read, which may be no text.
         return f"{type(error).__name__} with a message that is no text"

@@ -1,0 +1,58 @@
+"""What the runs over a stage, and the levels of a mesh, share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+from pxr import Usd
+
+import warpqem
+from warpqem.memory import MemoryPlan
+from warpqem.usd.job import MeshJob
+from warpqem.usd.simplify_options import SimplifyOptions
+
+__all__ = ["Announce", "Context", "Progress", "SharedOrder"]
+
+Progress = Callable[[float, str], None]
+Announce = Callable[[str, MemoryPlan], None]
+
+
+@dataclass(frozen=True)
+class Context:
+    """What all runs over a stage share.
+
+    Attributes:
+        stage: The input.
+        options: What to do.
+        folder: Where the output is going to be.
+        progress: Called with the fraction done and what is being done.
+        announce: Called with the plan of each mesh.
+        cleanup: Ends when all is saved.
+        share: Lets other processes place some of the frames.
+    """
+
+    stage: Usd.Stage
+    options: SimplifyOptions
+    folder: Path
+    progress: Progress
+    announce: Announce
+    cleanup: ExitStack
+    share: warpqem.FrameShare | None = None
+
+
+@dataclass
+class SharedOrder:
+    """What all levels of one mesh share, from the first level on.
+
+    Attributes:
+        least_ratio: Ratio of the coarsest level.
+        job: The mesh made ready.
+        order: Its ordering.
+    """
+
+    least_ratio: float
+    job: MeshJob | None = None
+    order: warpqem.LevelOrder | None = None
