@@ -7,6 +7,7 @@ import warp as wp
 from warpqem.kernels.attribute import first_frame, merge_wedges
 from warpqem.kernels.edge_cost import INFINITE_COST, merged_quadric
 from warpqem.kernels.lanes import POINTS_ARRAY, lane_kernel, lane_max, lane_sum
+from warpqem.kernels.member_distance import join_members
 from warpqem.kernels.mesh_state import KEY_FRAMES, AnyKeyFrames, CollapseLog, MeshState
 from warpqem.kernels.prefetch import prefetch_stars, prefetch_winners
 from warpqem.kernels.quadric import NO_PLANE, shift_origin, trace
@@ -39,15 +40,11 @@ def merge_vertex(
         total += lane_sum(lane_max(q[9], 0.0))
         area += lane_sum(trace(q))
         frames.quadric[u, t] = q
-        if frames.gathered.shape[0] > 0:
-            old = frames.gathered[u, t]
-            frames.gathered[u, t] = shift_origin(old, x - p) + shift_origin(
-                frames.gathered[v, t], x - frames.position[v, t]
-            )
         frames.position[u, t] = x
     state.vertex_flags[u] = state.vertex_flags[u] | state.vertex_flags[v]
     state.cost_weight[u] = 0.5 * (state.cost_weight[u] + state.cost_weight[v])
     state.quadric_scale[u] = 0.5 * (state.quadric_scale[u] + state.quadric_scale[v])
+    join_members(state, u, v)
     return total / wp.max(area, NO_PLANE)
 
 
@@ -220,6 +217,7 @@ def commit_winners(
     faces_removed_in: wp.array[wp.int32],
     target_in: Any,
     anchor_in: wp.array[wp.float32],
+    error_in: wp.array[wp.float32],
     pass_number_in: wp.array[wp.int32],
     work: Work,
     # outputs
@@ -264,7 +262,7 @@ def commit_winners(
                 carry_trajectory(state, u, v, wp.where(u == a, anchor_in[i], 1.0 - anchor_in[i]))
             if state.wedges.channel_count > 0:
                 merge_wedges(state, u, v, first_frame(target_in[i, 0]))
-            log.error[slot] = merge_vertex(state, frames, u, v, target_in, i)
+            log.error[slot] = wp.max(error_in[i], merge_vertex(state, frames, u, v, target_in, i))
             join_seams(state, u, v, h)
             if opposite >= 0:
                 join_seams(state, u, v, opposite)

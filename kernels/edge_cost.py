@@ -41,10 +41,10 @@ INFINITE_COST = wp.constant(wp.float32(wp.inf))
 LEAST_COST = wp.constant(wp.float32(1.0e-37))
 # Where the quadrics leave the anchor open (flat or empty stars), this pull, relative to the stiffness of the stars,
 # takes it to the middle of the edge; it is far below what any curvature asks for.
-MIDDLE_PULL = wp.constant(wp.float32(1.0e-3))
+MIDDLE_PULL = wp.constant(wp.float32(1.0e-5))
 # On flat ground every edge costs nothing. This part of area x length^2 makes short edges go first, far below the cost
 # of any visible bend, so that triangles stay compact.
-LENGTH_COST = wp.constant(wp.float32(1.0e-6))
+LENGTH_COST = wp.constant(wp.float32(1.0e-8))
 # A collapse that changes how seams run counts as an error of this part of the edge's length, squared: dear enough that
 # seams hold as long as the shape has something to spare, and that the smallest go first.
 SEAM_COST = wp.constant(wp.float32(0.01))

@@ -200,12 +200,13 @@ def shrink_candidates(
     state: MeshState,
     mask_in: wp.array[wp.int32],
     pass_number_in: wp.array[wp.int32],
+    cap_in: wp.array[wp.float32],
     candidates_in: EdgeList,
     work: Work,
     # outputs
     candidates_out: EdgeList,
 ):
-    """Keep the candidates that are alive, awake and outside the neighbourhoods of this pass's winners.
+    """Keep the candidates that are alive, awake, below the cap and outside the neighbourhoods of this pass's winners.
 
     A winner's one-ring is masked whole, so the stars of what is kept are as they were when the pass began.
     """
@@ -213,7 +214,8 @@ def shrink_candidates(
         prefetch_edges(state, candidates_in, work.part, i, mask_in, work)
         h = candidates_in.half_edge[work.part * candidates_in.capacity + i]
         u = state.corner_vertex[h]
-        if u >= 0 and is_candidate_cost(state.edge_cost[h]):
+        # One that was found dearer than its price is no candidate any more.
+        if u >= 0 and is_candidate_cost(state.edge_cost[h]) and state.edge_cost[h] < cap_in[0]:
             v = half_edge_target(state.corner_vertex, h)
             if mask_in[u] != pass_number_in[0] and mask_in[v] != pass_number_in[0]:
                 append(candidates_out, work.part, h)

@@ -15,7 +15,7 @@ from typing import Any
 
 import warp as wp
 
-from warpqem.kernels.edge_cost import breaks_seams, edge_anchor, merged_position, price_edge
+from warpqem.kernels.edge_cost import INFINITE_COST, breaks_seams, edge_anchor, merged_position, price_edge
 from warpqem.kernels.lanes import (
     POINTS_ARRAY,
     lane_cross,
@@ -24,15 +24,20 @@ from warpqem.kernels.lanes import (
     lane_kernel,
     lane_max,
 )
+from warpqem.kernels.member_distance import lead_point, member_gap
 from warpqem.kernels.mesh_state import KEY_FRAMES, AnyKeyFrames, CostModel, MeshState
 from warpqem.kernels.prefetch import prefetch_ends, prefetch_winners
+from warpqem.kernels.quadric import NO_PLANE
 from warpqem.kernels.topology import BORDER, MIRROR, find_half_edge, half_edge_target, previous_corner
 from warpqem.kernels.work import EdgeList, Work, count_before
 
 # A face may not turn by more than 78 degrees in one collapse: beyond that it folds over its neighbour a few later.
 TURN_COSINE = wp.constant(wp.float32(0.2))
 # A price that rose by more than this factor since it was set puts a winner back among the edges.
-DEARER = wp.constant(wp.float32(1.5))
+DEARER = wp.constant(wp.float32(1.2))
+# What the area times the squared distance of merged input vertices from the faces left costs, against the same from
+# planes. Below 1 thin tips go, above 3 fits of compact shapes get worse, as one frame decides more and more.
+GAP_COST = wp.constant(wp.float32(2.0))
 # Squared normals (4 area^2 squared, in diagonals^4) below this belong to faces without an orientation: nothing to flip.
 NO_AREA = wp.constant(wp.float32(1.0e-28))
 
@@ -54,6 +59,12 @@ def is_ring_vertex(state: MeshState, u: wp.int32, w: wp.int32) -> wp.bool:
 def degree(state: MeshState, v: wp.int32) -> wp.int32:
     """Faces at a vertex."""
     return state.stars.end[v] - state.stars.start[v]
+
+
+@wp.func
+def mean_weight(state: MeshState, u: wp.int32, v: wp.int32) -> wp.float32:
+    """What an error at the vertex that ``u`` and ``v`` become counts."""
+    return 0.25 * (state.cost_weight[u] + state.cost_weight[v]) * (state.quadric_scale[u] + state.quadric_scale[v])
 
 
 @wp.func
@@ -203,13 +214,16 @@ def judge_winners(
     work: Work,
     # outputs
     faces_removed_out: wp.array[wp.int32],
+    error_out: wp.array[wp.float32],
     legal_count: wp.array[wp.int32],
     space: wp.array[wp.int32],
 ):
     """The faces each legal winner removes; 0 for an illegal one, whose edge sleeps until its neighbourhood changes.
 
-    Also 0 for one that has become dear: seams come to an edge from across its faces, where nothing prices it again.
-    Counts the legal ones of each part too, and what their stars take together (both zeroed before the launch).
+    Also 0 for one that is dearer than its price says: input vertices would be far from the faces left, or a seam has
+    come to the edge from across its faces, where nothing prices it again. ``error_out`` is the mean squared distance of
+    the input vertices that a legal winner merges. Counts the legal ones of each part too, and what their stars take
+    together (both zeroed before the launch).
     """
     first_slot = count_before(winners, work.part)
     for k in range(wp.tid(), winners.count[work.part], work.lanes):
@@ -232,6 +246,13 @@ def judge_winners(
         if legal and breaks_seams(state, h):
             fresh = price_edge(state, frames, model, h)
             price = fresh.cost
+        if legal:
+            gap = member_gap(state, frames, u, v, lead_point(target_in[i, 0]))
+            error_out[i] = gap[0] / wp.max(gap[1], NO_PLANE)
+            if error_out[i] > model.error_limit:
+                price = INFINITE_COST
+            else:
+                price = wp.max(price, GAP_COST * model.key_count * mean_weight(state, u, v) * gap[0])
         if price > DEARER * state.edge_cost[h]:
             faces_removed_out[i] = 0
             state.edge_cost[h] = price

@@ -32,6 +32,16 @@ class Wedges:
 
 
 @wp.struct
+class Members:
+    """The input vertices that each vertex stands for, as linked lists that begin with itself (V vertices)."""
+
+    position: wp.array[wp.vec3]  # (V,) of the input in the first key frame, in diagonals
+    area: wp.array[wp.float32]  # (V,) a third of the faces around, there, in diagonals squared
+    following: wp.array[wp.int32]  # (V,) -1 for the last one
+    last: wp.array[wp.int32]  # (V,)
+
+
+@wp.struct
 class MeshState:
     """Faces, stars, flags and prices (V vertices, N faces, F frames)."""
 
@@ -45,6 +55,7 @@ class MeshState:
     edge_cost: wp.array[wp.float32]  # (3N,) at canonical half-edges; inf: no collapse here; negative: asleep
     trajectory: wp.array2d[wp.vec3]  # (V, F) every frame's position, only where a deformation term needs it
     wedges: Wedges  # attributes, only where they have a weight
+    members: Members
 
 
 def _key_frames(width: int) -> type:
@@ -56,7 +67,6 @@ def _key_frames(width: int) -> type:
 
         position: POINTS_ARRAY[width]  # (V, B) in units of the bounding-box diagonal
         quadric: QUADRIC_ARRAY[width]  # (V, B) origin at the vertex's position in that frame
-        gathered: QUADRIC_ARRAY[width]  # (V, B) the part of it that the input's faces make; empty: all of it
 
     return KeyFrames
 
@@ -69,6 +79,7 @@ AnyKeyFrames = Any  # one of KEY_FRAMES
 class CostModel:
     """How an edge is priced and where its collapse puts the vertex."""
 
+    key_count: wp.float32  # key frames K
     epsilon: wp.float32  # pull towards the edge anchor, relative to the quadric's trace
     endpoint: wp.int32  # 1: the vertex goes to the better end; 0: to the optimum
     error_limit: wp.float32  # squared error, in diagonals squared, above which no edge collapses

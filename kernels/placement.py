@@ -6,7 +6,7 @@ import warp as wp
 
 from warpqem.kernels.lanes import POINTS_ARRAY, lane_cross, lane_dot, lane_inverse_length, lane_kernel
 from warpqem.kernels.plane_quadrics import add_border_plane
-from warpqem.kernels.quadric import add_plane, anchored_minimiser, zero_quadric
+from warpqem.kernels.quadric import add_plane, tangential_minimiser, zero_quadric
 from warpqem.kernels.topology import half_edge_target, next_corner, previous_corner
 
 
@@ -62,7 +62,7 @@ def place_vertices(
             b = points_in[half_edge_target(corner_vertex_in, h), t]
             opposite = points_in[corner_vertex_in[previous_corner(h)], t]
             q = add_border_plane(q, a, b, opposite, anchor, clusters.border_weight[j])
-        x = anchor + anchored_minimiser(q, epsilon)
+        x = anchor + tangential_minimiser(q, epsilon)
     points_out[c, t] = x
 
 

@@ -82,22 +82,23 @@ def shift_origin(q: Any, d: Any):
 
 
 @wp.func
-def anchored_minimiser(q: Any, epsilon: wp.float32):
-    """``argmin Q(x) + epsilon tr(A) |x|^2``: stiff directions follow the quadric, soft ones stay at the origin.
+def pulled_minimiser(q: Any, share: wp.float32, epsilon: wp.float32):
+    """``x`` with ``(share A + epsilon tr(A) I) x = -b``.
 
     The system is divided by its trace, so its entries are of order one whatever the areas are, and ``epsilon > 0``
-    bounds its condition number by ``1 + 1 / epsilon``: the closed form by cofactors is safe in float32. Where there is
-    no plane the linear part is zero too, and so is the result.
+    bounds its condition number: the closed form by cofactors is safe in float32. Where there is no plane the linear
+    part is zero too, and so is the result.
     """
     tr = lane_max(trace(q), NO_PLANE)
     s = wp.cw_div(type(tr)(wp.float32(1.0)), tr)
+    m = s * share
     pull = type(tr)(epsilon)
-    a = wp.cw_mul(q[0], s) + pull
-    b = wp.cw_mul(q[1], s)
-    c = wp.cw_mul(q[2], s)
-    d = wp.cw_mul(q[3], s) + pull
-    e = wp.cw_mul(q[4], s)
-    f = wp.cw_mul(q[5], s) + pull
+    a = wp.cw_mul(q[0], m) + pull
+    b = wp.cw_mul(q[1], m)
+    c = wp.cw_mul(q[2], m)
+    d = wp.cw_mul(q[3], m) + pull
+    e = wp.cw_mul(q[4], m)
+    f = wp.cw_mul(q[5], m) + pull
     c00 = wp.cw_mul(d, f) - wp.cw_mul(e, e)
     c01 = wp.cw_mul(c, e) - wp.cw_mul(b, f)
     c02 = wp.cw_mul(b, e) - wp.cw_mul(c, d)
@@ -112,6 +113,21 @@ def anchored_minimiser(q: Any, epsilon: wp.float32):
     x[1] = wp.cw_mul(scale, wp.cw_mul(c01, g[0]) + wp.cw_mul(c11, g[1]) + wp.cw_mul(c12, g[2]))
     x[2] = wp.cw_mul(scale, wp.cw_mul(c02, g[0]) + wp.cw_mul(c12, g[1]) + wp.cw_mul(c22, g[2]))
     return x
+
+
+@wp.func
+def anchored_minimiser(q: Any, epsilon: wp.float32):
+    """``argmin Q(x) + epsilon tr(A) |x|^2``: stiff directions follow the quadric, soft ones stay at the origin."""
+    return pulled_minimiser(q, 1.0, epsilon)
+
+
+@wp.func
+def tangential_minimiser(q: Any, epsilon: wp.float32):
+    """``argmin Q(x) + epsilon x^T (tr(A) I - A) x``: held along the surface alone.
+
+    Across a flat place ``A`` has its whole trace, so that nothing pulls there.
+    """
+    return pulled_minimiser(q, 1.0 - epsilon, epsilon)
 
 
 @wp.func

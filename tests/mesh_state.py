@@ -8,6 +8,7 @@ from warpqem.kernels.lanes import QUADRIC, width_of
 from warpqem.kernels.mesh_state import KEY_FRAMES, CollapseLog, CostModel, MeshState
 from warpqem.kernels.work import EdgeList, Work
 from warpqem.order.attributes import build_wedges
+from warpqem.order.members import build_members
 from warpqem.order.quadrics import initial_quadrics
 from warpqem.order.stars import build_stars, classify_vertices
 
@@ -83,20 +84,21 @@ def build_mesh(points, faces, device, locked=(), cost_weight=None, with_trajecto
     frames.position = position
     ones = wp.ones(vertex_count, dtype=wp.float32, device=device)
     frames.quadric = initial_quadrics(state.corner_vertex, stars, border.numpy(), position, ones)
-    frames.gathered = wp.empty((0, 0), frames.quadric.dtype, device)
     weight = np.ones(vertex_count) if cost_weight is None else np.asarray(cost_weight)
     state.cost_weight = wp.array(weight, dtype=wp.float32, device=device)
     state.quadric_scale = wp.full(vertex_count, 1.0, dtype=wp.float32, device=device)
     state.edge_cost = wp.zeros(faces.size, dtype=wp.float32, device=device)
     state.seam = wp.zeros(faces.size, dtype=wp.int32, device=device)
     state.wedges = build_wedges(faces, position, None, len(points))
+    state.members = build_members(faces, position)
     none = wp.empty((0, 0), dtype=wp.vec3, device=device)
     state.trajectory = vertex_major(points, device) if with_trajectory else none
     return DeviceMesh(state, frames, len(points))
 
 
-def cost_model(epsilon=0.1, endpoint=False, error_limit=np.inf, deformation_weight=0.0) -> CostModel:
+def cost_model(epsilon=0.1, endpoint=False, error_limit=np.inf, deformation_weight=0.0, key_count=1) -> CostModel:
     model = CostModel()
+    model.key_count = float(key_count)
     model.epsilon, model.endpoint = epsilon, int(endpoint)
     model.error_limit, model.deformation_weight = error_limit, deformation_weight
     return model

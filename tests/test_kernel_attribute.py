@@ -109,6 +109,7 @@ class Mesh:
             removed,
             packed(np.reshape(x, (1, 1, 3)), self.device),
             wp.array([0.5], dtype=wp.float32, device=self.device),
+            wp.zeros(1, dtype=wp.float32, device=self.device),
             number,
             one_part(self.device),
         ]

@@ -22,15 +22,15 @@ RIM_EDGE = (1, 0)  # the border half-edge of the open mesh between its vertices 
 class Commit:
     """One committed edge of a mesh: state, log, mask, target (K, 3) and anchor."""
 
-    def __init__(self, points, faces, edge, device, faces_removed=2, seam=None, flags=None, hybrid=False, **options):
+    def __init__(
+        self, points, faces, edge, device, faces_removed=2, seam=None, flags=None, member_error=0.0, **options
+    ):
         self.faces, self.edge, self.half_edge = faces, edge, half_edge_between(faces, *edge)
         self.mesh = build_mesh(points, faces, device, **options)
         self.state, frames = self.mesh.state, self.mesh.frames
         if seam is not None:
             self.state.seam = wp.array(seam, device=device)
             self.state.vertex_flags = wp.array(self.state.vertex_flags.numpy() | flags, device=device)
-        if hybrid:
-            frames.gathered = wp.clone(frames.quadric)
         self.before = self.mesh.quadric.astype(np.float64)
         self.state.edge_cost.fill_(3.0)
         winners = edge_list([self.half_edge], device)
@@ -48,7 +48,8 @@ class Commit:
         outputs = [legal, space, self.log, slot, self.state.stars.used, pool_slot]
         wp.launch(open_log, dim=1, inputs=[], outputs=outputs, device=device)
         self.pool_used = self.state.stars.used.numpy()[0]
-        inputs = [self.state, frames, winners, removed, target, self.anchor, number, one_part(device)]
+        error = wp.array([member_error], dtype=wp.float32, device=device)
+        inputs = [self.state, frames, winners, removed, target, self.anchor, error, number, one_part(device)]
         outputs = [self.mask, self.log, slot, pool_slot]
         wp.launch(commit_winners[width_of(target)], dim=1, inputs=inputs, outputs=outputs, device=device)
         self.number = number
@@ -166,14 +167,19 @@ def test_kept_vertex_moves_to_the_target(device):
     np.testing.assert_array_equal(commit.mesh.position[commit.edge[0]], commit.target)
 
 
-def test_gathered_planes_merge_as_the_quadrics_do(device):
+def test_members_of_both_ends_belong_to_the_one_that_is_kept(device):
+    commit = closed_commit(device)
+    kept, removed = sorted(commit.edge)
+    members = commit.state.members
+    assert members.following.numpy()[kept] == removed
+    assert (members.following.numpy()[removed], members.last.numpy()[kept]) == (-1, removed)
+
+
+def test_larger_of_both_errors_is_logged(device):
     points, faces = MESHES["closed"]
-    u, v = faces[0, :2].tolist()
-    commit = Commit(points, faces, (u, v), device, hybrid=True)
-    gathered = blocks(commit.mesh.frames.gathered, len(points))
-    kept = min(u, v)
-    assert np.abs(gathered[kept] - commit.before[kept]).max() > 0
-    np.testing.assert_allclose(gathered[kept], commit.mesh.quadric[kept], rtol=1e-5, atol=1e-7)
+    small, large = (Commit(points, faces, faces[0, :2].tolist(), device, member_error=e).log for e in (0.0, 0.5))
+    assert large.error.numpy()[0] == 0.5
+    assert 0 < small.error.numpy()[0] < 0.5
 
 
 def test_lower_vertex_is_kept_whichever_way_the_half_edge_runs(device):

@@ -194,7 +194,8 @@ def commit_one(mesh, half_edge, target, device):
     removed = wp.array([2], dtype=wp.int32, device=device)
     anchor = wp.array([0.5], dtype=wp.float32, device=device)
     blocks_in = packed(target.transpose(1, 0, 2), device)
-    inputs = [mesh.state, mesh.frames, winners, removed, blocks_in, anchor, one, one_part(device)]
+    error = wp.zeros(1, dtype=wp.float32, device=device)
+    inputs = [mesh.state, mesh.frames, winners, removed, blocks_in, anchor, error, one, one_part(device)]
     wp.launch(
         commit_winners[width_of(blocks_in)],
         dim=1,

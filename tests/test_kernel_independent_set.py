@@ -19,6 +19,11 @@ BINS = 4096
 MESHES = {"closed": meshes.swaying_sphere(2, 2), "open": meshes.bending_bar(8, 12, 3)}
 
 
+def no_cap(device) -> wp.array:
+    """A cap above any cost."""
+    return wp.array([np.inf], dtype=wp.float32, device=device)
+
+
 @wp.kernel
 def shuffle_indices(
     index_in: wp.array[wp.int32],
@@ -250,7 +255,7 @@ def test_winners_of_all_rounds_are_a_maximal_independent_set(priced, device):
             masked[list(oracle.closed_neighbourhood(faces, ends_of(faces, h)))] = 1
         rest = edge_list([], device, len(left))
         mask = wp.array(masked, dtype=wp.int32, device=device)
-        inputs = [state, mask, number, edge_list(left, device), one_part(device)]
+        inputs = [state, mask, number, no_cap(device), edge_list(left, device), one_part(device)]
         wp.launch(kernels.shrink_candidates, dim=1, inputs=inputs, outputs=[rest], device=device)
         left = listed(rest)
     ends = [ends_of(faces, h) for h in taken]
@@ -272,9 +277,23 @@ def test_shrinking_drops_dead_and_sleeping_candidates(device):
     rest = edge_list([], device, 3)
     mask = wp.zeros(points.shape[1], dtype=wp.int32, device=device)
     number = wp.array([1], dtype=wp.int32, device=device)
-    inputs = [state, mask, number, edge_list([dead, asleep, kept], device), one_part(device)]
+    inputs = [state, mask, number, no_cap(device), edge_list([dead, asleep, kept], device), one_part(device)]
     wp.launch(kernels.shrink_candidates, dim=1, inputs=inputs, outputs=[rest], device=device)
     assert listed(rest).tolist() == [kept]
+
+
+def test_shrinking_drops_candidates_that_were_found_dearer_than_the_cap(device):
+    points, faces = MESHES["closed"]
+    state = build_mesh(points, faces, device).state
+    cost = np.ones(faces.size, dtype=np.float32)
+    cost[30] = 2.0
+    state.edge_cost.assign(cost)
+    rest = edge_list([], device, 2)
+    mask = wp.zeros(points.shape[1], dtype=wp.int32, device=device)
+    number, cap = wp.array([1], dtype=wp.int32, device=device), wp.array([1.5], dtype=wp.float32, device=device)
+    inputs = [state, mask, number, cap, edge_list([30, 60], device), one_part(device)]
+    wp.launch(kernels.shrink_candidates, dim=1, inputs=inputs, outputs=[rest], device=device)
+    assert listed(rest).tolist() == [60]
 
 
 def test_parts_together_find_the_winners_of_one(priced, device):

@@ -12,14 +12,20 @@ from warpqem.kernels.legality import judge_winners
 from warpqem.kernels.topology import MIRROR, SEAM
 
 
-def judged(built, half_edges, target, device, flip_tolerance=0) -> np.ndarray:
-    """Faces removed by each half-edge, 0 where illegal; ``target`` (E, K, 3)."""
+def judged(built, half_edges, target, device, flip_tolerance=0, price=1e30) -> np.ndarray:
+    """Faces removed by each half-edge, 0 where illegal; ``target`` (E, K, 3).
+
+    By default edges are so dear that no distance makes them dearer.
+    """
+    built.state.edge_cost.fill_(price)
     out = wp.full(len(half_edges), -1, dtype=wp.int32, device=device)
     legal, space = (wp.zeros(1, dtype=wp.int32, device=device) for _ in range(2))
     blocks = packed(np.asarray(target).transpose(1, 0, 2), device)
     winners, work = edge_list(half_edges, device), one_part(device)
     inputs = [built.state, built.frames, cost_model(), winners, blocks, flip_tolerance, work]
-    wp.launch(judge_winners[width_of(blocks)], dim=1, inputs=inputs, outputs=[out, legal, space], device=device)
+    error = wp.zeros(len(half_edges), dtype=wp.float32, device=device)
+    outputs = [out, error, legal, space]
+    wp.launch(judge_winners[width_of(blocks)], dim=1, inputs=inputs, outputs=outputs, device=device)
     assert legal.numpy()[0] == (out.numpy() > 0).sum()
     return out.numpy()
 
@@ -165,10 +171,9 @@ def test_verdict_does_not_depend_on_the_size_of_faces(scale, device):
 def test_refused_edge_falls_asleep_and_a_legal_one_does_not(device):
     points, faces = meshes.grid(4, 1)
     built = build_mesh(points, faces, device)
-    built.state.edge_cost.fill_(3.0)
     pinched, border = half_edge_between(faces, 2, 7), half_edge_between(faces, 1, 2)
     middle = np.array([points[[2, 7]].mean(axis=0), points[[1, 2]].mean(axis=0)])[:, None]
-    assert judged(built, [pinched, border], middle, device).tolist() == [0, 1]
+    assert judged(built, [pinched, border], middle, device, price=3.0).tolist() == [0, 1]
     assert built.state.edge_cost.numpy()[[pinched, border]].tolist() == [-3, 3]
 
 
@@ -195,13 +200,13 @@ def test_edge_that_seams_made_dear_is_put_back_at_its_new_price(device):
     u, v = 6, 7
     h = half_edge_between(faces, u, v)
     middle = (points[None, u] + points[None, v]) / 2
-    built.state.edge_cost = wp.full(faces.size, 1e-30, dtype=wp.float32, device=device)
-    assert judged(built, [h], middle[None], device)[0] == 2
+    cheap = 1e-12
+    assert judged(built, [h], middle[None], device, price=cheap)[0] == 2
     flags = built.state.vertex_flags.numpy()
     flags[[u, v]] |= int(SEAM)
     built.state.vertex_flags = wp.array(flags, dtype=wp.int32, device=device)
-    assert judged(built, [h], middle[None], device)[0] == 0
-    assert 1e-30 < built.state.edge_cost.numpy()[h] < np.inf
+    assert judged(built, [h], middle[None], device, price=cheap)[0] == 0
+    assert cheap < built.state.edge_cost.numpy()[h] < np.inf
 
 
 @pytest.mark.parametrize("name", TOPOLOGIES)

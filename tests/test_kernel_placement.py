@@ -63,7 +63,7 @@ def test_position_solves_the_normal_equation_of_the_cluster(name, members, devic
         total = oracle.zero()
         for m in members:
             total += own[m]
-        np.testing.assert_allclose(x[t], anchor + oracle.minimiser(total, EPSILON), atol=2e-6)
+        np.testing.assert_allclose(x[t], anchor + oracle.tangential_minimiser(total, EPSILON), atol=2e-6)
 
 
 @pytest.mark.parametrize("name", MESHES)

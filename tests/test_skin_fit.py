@@ -78,7 +78,7 @@ def test_fitted_skin_is_nearer_than_an_interpolated_one_in_poses_it_never_saw(re
     unseen = random_poses(8, seed=2)
     fitted = fit_skin(POSES, FACES, result, SKIN, TRANSFORMS, device=device)
     assert error(fitted.skin, result, unseen) < 0.97 * error(interpolated(result), result, unseen)
-    assert fitted.after < 0.7 * fitted.before
+    assert fitted.after < 0.75 * fitted.before
 
 
 @pytest.mark.parametrize("influences", [1, 2, 3, None])
@@ -182,7 +182,7 @@ def test_offsets_of_blend_shapes_come_before_the_joints(device):
     poses = pose_skin(SKIN, TRANSFORMS, lift).astype(np.float32)
     result = warpqem.simplify(poses, FACES, ratio=0.2, device="cpu")
     fitted = fit_skin(poses, FACES, result, SKIN, TRANSFORMS, offsets=lift, device=device)
-    assert fitted.after < 0.7 * fitted.before
+    assert fitted.after < 0.75 * fitted.before
 
 
 def test_size_of_the_mesh_does_not_matter(result, device):

@@ -89,7 +89,7 @@ def test_motion_need_not_be_symmetric(device):
     result = simplified()
     plain = warpqem.simplify(POINTS, FACES, target_faces=len(result.faces), device=device)
     error, plain_error = (rms((POINTS, FACES), item, device) for item in (result, plain))
-    assert error < 1.3 * plain_error
+    assert error < 1.4 * plain_error
 
 
 def test_log_tells_the_whole_story():

@@ -41,7 +41,7 @@ class SimplifyOptions:
     key_frames: int | None = 16
     placement: str = "optimal"
     refit: bool = False
-    hybrid: bool = False
+    memoryless: bool = False
     vertex_weights: Any = None
     quadric_scale: Any = None
     locked: Any = None

@@ -96,7 +96,6 @@ class MemoryNeeds:
         trajectories: the order needs all frames of every vertex.
         refit: the result is refitted.
         keep_frames: the result is kept in memory.
-        hybrid: the order keeps the input's planes beside the present ones.
         keep_nodes: every vertex on the way down is kept, for levels that are placed later.
         source_bytes: what the source of the frames keeps in memory.
     """
@@ -111,7 +110,6 @@ class MemoryNeeds:
     channels: int = 0
     trajectories: bool = False
     refit: bool = False
-    hybrid: bool = False
     keep_frames: bool = True
     keep_nodes: bool = False
     source_bytes: int = 0
@@ -123,9 +121,7 @@ HELD_FACE, HELD_VERTEX = 60, 80
 # masks, flags, stars and the log; for each vertex and key frame: position 12, the same as it was 12, quadric 40, and
 # at first the normals of its two faces 24; for each corner and attribute channel: value, gradient, their fit; for each
 # vertex and frame where the order needs them all: the position, and once more while vertices are put in another order.
-ORDER_FACE, ORDER_VERTEX, ORDER_KEY, ORDER_CHANNEL, ORDER_TRAJECTORY = 350, 150, 88, 200, 24
-# Hybrid quadrics, for each vertex and key frame: those of the input's planes.
-HYBRID_KEY = 40
+ORDER_FACE, ORDER_VERTEX, ORDER_KEY, ORDER_CHANNEL, ORDER_TRAJECTORY = 350, 174, 88, 200, 24
 # For levels that are placed later, for each vertex and key frame: position and quadric of each merged vertex; and while
 # they are placed what ordering left, position before and after and quadric, and those of the level once more.
 NODE_KEY, LEVEL_KEY = 52, 52 + 64 + 52
@@ -208,8 +204,6 @@ def _padded(frame_count: int, device: str) -> int:
 
 def _order(needs: MemoryNeeds, device: str) -> int:
     per_vertex = ORDER_VERTEX + ORDER_KEY * _padded(needs.key_frames, device)
-    if needs.hybrid:
-        per_vertex += HYBRID_KEY * _padded(needs.key_frames, device)
     if needs.keep_nodes:
         per_vertex += NODE_KEY * _padded(needs.key_frames, device)
     if needs.trajectories:

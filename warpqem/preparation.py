@@ -101,8 +101,8 @@ def prepare(
     """
     spec = cost_model(options.metric)
     options.check()
-    if options.hybrid and keep_nodes:
-        raise OptionError("hybrid: not for levels of one ordering, as each level has present faces of its own")
+    if options.memoryless and keep_nodes:
+        raise OptionError("memoryless: not for levels of one ordering, as each level has present faces of its own")
     device = resolve_device(options.device)
     given = read_mesh(points, faces)
     goal = options.goal(len(given.faces))
@@ -138,7 +138,7 @@ def prepare(
             endpoint=endpoint,
             deformation_weight=spec.deformation_weight,
             keep_components=options.keep_components,
-            hybrid=options.hybrid,
+            memoryless=options.memoryless,
         ),
         place_settings=PlaceSettings(_epsilon(coherence), _regularisation(coherence), endpoint),
         device=device,
@@ -175,7 +175,6 @@ def plan_work(
             channels=channel_count(options.attributes),
             trajectories=spec.deformation_weight > 0,
             refit=options.refits,
-            hybrid=options.hybrid,
             keep_frames=keep_frames,
             keep_nodes=keep_nodes,
             source_bytes=held_bytes(mesh.source),
@@ -242,13 +241,13 @@ def _trajectories(mesh: AnimatedMesh) -> np.ndarray:
 
 
 def _epsilon(coherence: float) -> float:
-    """Pull towards the anchor: 1e-3, the least that float32 solves safely, at 0; 0.3 at one half; 100 at 1."""
-    return 10.0 ** (5.0 * coherence - 3.0)
+    """Pull towards the anchor: 1e-3, the least that float32 solves safely, at 0; 0.6 at one half; 360 at 1."""
+    return 0.001 * 600.0 ** (2.0 * coherence)
 
 
 def _regularisation(coherence: float) -> float:
-    """Pull of anchor weights towards equal ones: 0.005 at coherence 0, 0.05 at one half, 0.5 at 1."""
-    return 0.005 * 100.0**coherence
+    """Pull of anchor weights towards equal ones: 0.002 at coherence 0, 0.02 at one half, 0.2 at 1."""
+    return 0.002 * 100.0**coherence
 
 
 def _read_progress(progress: Progress | None, frame_count: int) -> Callable[[int], None] | None:

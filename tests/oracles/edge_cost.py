@@ -4,8 +4,8 @@ import numpy as np
 
 from oracles.quadrics import minimiser, shifted
 
-MIDDLE_PULL = 1e-3
-LENGTH_COST = 1e-6
+MIDDLE_PULL = 1e-5
+LENGTH_COST = 1e-8
 
 
 def merged(qu, qv, pu, pv, anchor):

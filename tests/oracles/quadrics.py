@@ -56,6 +56,11 @@ def minimiser(q: Quadric, epsilon: float) -> np.ndarray:
     return np.linalg.solve(q.A + epsilon * np.trace(q.A) * np.eye(3), -q.b)
 
 
+def tangential_minimiser(q: Quadric, epsilon: float) -> np.ndarray:
+    """``argmin Q(x) + epsilon x^T (tr(A) I - A) x``."""
+    return np.linalg.solve(q.A + epsilon * (np.trace(q.A) * np.eye(3) - q.A), -q.b)
+
+
 def border_half_edges(faces) -> list[tuple[int, int, int]]:
     """(tail, head, opposite corner) of the half-edges without an opposite half-edge."""
     directed = {(int(f[k]), int(f[(k + 1) % 3])) for f in faces for k in range(3)}

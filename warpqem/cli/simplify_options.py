@@ -80,11 +80,11 @@ def simplify_values(
         bool,
         typer.Option("--refit/--no-refit", help="Fit the whole surface once more at the end: better shape, slower."),
     ] = False,
-    hybrid: Annotated[
+    memoryless: Annotated[
         bool,
         typer.Option(
-            "--hybrid/--no-hybrid",
-            help="Order by planes of the present faces, too: better shape, most of all the largest distance, slower.",
+            "--memoryless/--no-memoryless",
+            help="Order by planes of the present faces instead of the input's: better shape, slower.",
         ),
     ] = False,
     placement: Annotated[

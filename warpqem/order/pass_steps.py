@@ -9,9 +9,9 @@ import warp as wp
 
 from warpqem.kernels import collapse as collapse_kernels
 from warpqem.kernels import edge_cost as cost_kernels
-from warpqem.kernels import hybrid_quadric as hybrid_kernels
 from warpqem.kernels import independent_set as set_kernels
 from warpqem.kernels import legality as legality_kernels
+from warpqem.kernels import present_quadric as present_kernels
 from warpqem.kernels.lanes import width_of
 from warpqem.kernels.mesh_state import AnyKeyFrames, CollapseLog, CostModel, MeshState
 from warpqem.kernels.work import EdgeList, Work
@@ -57,8 +57,7 @@ class PassSteps:
         faces_removed: int32, the faces that each winner removes; 0 for an illegal one.
 
     Args:
-        gathered_share: what the planes of the input count in a quadric, those of the present faces count the rest; 1:
-            they are all.
+        memoryless: quadrics are those of the present faces.
     """
 
     def __init__(
@@ -69,10 +68,10 @@ class PassSteps:
         model: CostModel,
         key_count: int,
         device: str,
-        gathered_share: float,
+        memoryless: bool,
     ) -> None:
         self.state, self.frames, self.stars, self.model, self.device = state, frames, stars, model, device
-        self._width, self._gathered_share = width_of(frames.position), gathered_share
+        self._width, self._memoryless = width_of(frames.position), memoryless
         face_count = len(state.corner_vertex) // 3
         vertex_count = len(state.vertex_flags)
         self._flip_tolerance = int(FLIP_FRACTION * key_count)
@@ -88,7 +87,7 @@ class PassSteps:
         self.faces_removed = self._integers(most_winners)
         shape = (most_winners, frames.position.shape[1])
         self._target = wp.empty(shape, dtype=frames.position.dtype, device=device)
-        self._anchor = wp.empty(most_winners, dtype=wp.float32, device=device)
+        self._anchor, self._error = (wp.empty(most_winners, dtype=wp.float32, device=device) for _ in range(2))
         self._gears: dict[int, Gear] = {}
 
     def _integers(self, count: int) -> wp.array:
@@ -193,7 +192,8 @@ class PassSteps:
                 legality_kernels.place_winners[self._width], [state, frames, self.model, winners], work, targets
             )
             judged = [state, frames, self.model, winners, self._target, self._flip_tolerance]
-            self._launch(legality_kernels.judge_winners[self._width], judged, work, [self.faces_removed, legal, space])
+            outputs = [self.faces_removed, self._error, legal, space]
+            self._launch(legality_kernels.judge_winners[self._width], judged, work, outputs)
 
         return [Phase(claim, part_count), Phase(select, part_count), Phase(judge, part_count)]
 
@@ -219,14 +219,15 @@ class PassSteps:
 
         def commit(part: int) -> None:
             work = part_work(part, part_count, self.device)
-            inputs = [state, frames, winners, self.faces_removed, self._target, self._anchor, self.pass_number]
+            judged = [self.faces_removed, self._target, self._anchor, self._error]
+            inputs = [state, frames, winners, *judged, self.pass_number]
             self._launch(
                 collapse_kernels.commit_winners[self._width], inputs, work, [self._mask, self.log, slot, pool_slot]
             )
 
         def shrink(part: int) -> None:
             work = part_work(part, part_count, self.device)
-            inputs = [state, self._mask, self.pass_number, candidates]
+            inputs = [state, self._mask, self.pass_number, self.cap, candidates]
             self._launch(set_kernels.shrink_candidates, inputs, work, [candidates_left])
 
         return [Phase(open_log), Phase(commit, part_count), Phase(shrink, part_count)]
@@ -254,26 +255,24 @@ class PassSteps:
             work = part_work(part, part_count, self.device)
             self._launch(cost_kernels.wake_neighbourhoods, [state, self._mask, self.pass_number], work)
 
-        if self._gathered_share < 1.0:
-            return self._renewing_hybrid()
+        if self._memoryless:
+            return self._renewing_quadrics()
         return [Phase(reprice, self.threads), Phase(wake, part_count)]
 
-    def _renewing_hybrid(self) -> list[Phase]:
-        """Blend the present planes into the quadrics around what moved, and price all edges there."""
-        weights = hybrid_kernels.HybridWeights()
-        weights.gathered = self._gathered_share
+    def _renewing_quadrics(self) -> list[Phase]:
+        """Make the quadrics around what moved anew, and price all edges there."""
+        weights = present_kernels.LineWeights()
         weights.border, weights.seam = CONSTRAINT_WEIGHT[1], CONSTRAINT_WEIGHT[2]
         around = [self._mask, self.pass_number]
 
-        def blend(part: int) -> None:
+        def renew(part: int) -> None:
             work = part_work(part, self.threads, self.device)
-            self._launch(
-                hybrid_kernels.blend_present_planes[self._width], [self.state, self.frames, weights, *around], work
-            )
+            inputs = [self.state, self.frames, weights, *around]
+            self._launch(present_kernels.renew_quadrics[self._width], inputs, work)
 
         def reprice(part: int) -> None:
             work = part_work(part, self.threads, self.device)
             inputs = [self.state, self.frames, self.model, *around]
             self._launch(cost_kernels.reprice_neighbourhoods[self._width], inputs, work)
 
-        return [Phase(blend, self.threads), Phase(reprice, self.threads)]
+        return [Phase(renew, self.threads), Phase(reprice, self.threads)]

@@ -52,11 +52,11 @@ class Orderer:
         model: CostModel,
         key_count: int,
         device: str,
-        gathered_share: float = 1.0,
+        memoryless: bool = False,
     ) -> None:
-        """``gathered_share``: see :class:`warpqem.order.pass_steps.PassSteps`."""
+        """``memoryless``: see :class:`warpqem.order.pass_steps.PassSteps`."""
         self.state, self.frames, self.model, self.device = state, frames, model, device
-        self.steps = PassSteps(state, frames, stars, model, key_count, device, gathered_share)
+        self.steps = PassSteps(state, frames, stars, model, key_count, device, memoryless)
         self.log = self.steps.log
         face_count = len(state.corner_vertex) // 3
         self.face_slots = face_count  # faces in the arrays, dead ones included

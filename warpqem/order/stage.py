@@ -17,6 +17,7 @@ from warpqem.order.arrangement import ARRANGED_FACES, Arrangement, arrange
 from warpqem.order.attributes import build_wedges
 from warpqem.order.drops import Components, DropRecord
 from warpqem.order.log import CollapseRecord, read_log
+from warpqem.order.members import build_members
 from warpqem.order.nodes import NodeRecorder
 from warpqem.order.passes import Orderer
 from warpqem.order.quadrics import given_quadrics, initial_quadrics
@@ -24,10 +25,6 @@ from warpqem.order.stars import build_stars, classify_vertices
 from warpqem.parallel import launch_parts
 
 __all__ = ["OrderInput", "OrderSettings", "OrderedMesh", "faces_left", "order_collapses"]
-
-# What the planes of the input count in a hybrid quadric; those of the present faces count the rest. With 0.25 the
-# largest distance is 7 % larger, as thin parts go; blending at each pass anew, which forgets the input, was worse too.
-HYBRID_GATHERED = 0.5
 
 
 @dataclass(frozen=True)
@@ -41,7 +38,7 @@ class OrderSettings:
         endpoint: the merged vertex goes to one of the edge's ends.
         deformation_weight: factor of the edge-length deformation term; 0 for none.
         keep_components: none vanishes.
-        hybrid: quadrics gather planes of the present faces too.
+        memoryless: quadrics are those of the present faces instead of the input's.
     """
 
     target_faces: int
@@ -50,7 +47,7 @@ class OrderSettings:
     endpoint: bool
     deformation_weight: float
     keep_components: bool = True
-    hybrid: bool = False
+    memoryless: bool = False
 
 
 @dataclass(frozen=True)
@@ -228,7 +225,6 @@ def _collapse(
         frames.quadric = initial_quadrics(corner_vertex, stars, constrained, mesh.key_position, state.quadric_scale)
     else:
         frames.quadric = given_quadrics(mesh.matrices, device)
-    frames.gathered = wp.clone(frames.quadric) if settings.hybrid else wp.empty((0, 0), frames.quadric.dtype, device)
     state.cost_weight = wp.array(mesh.cost_weight, dtype=wp.float32, device=device)
     state.edge_cost = wp.empty(len(corner_vertex), dtype=wp.float32, device=device)
     no_trajectory = wp.empty((0, 0), dtype=wp.vec3, device=device)
@@ -237,8 +233,10 @@ def _collapse(
     else:
         state.trajectory = wp.array(mesh.trajectories, dtype=wp.vec3, device=device, copy=False)
     state.wedges = build_wedges(mesh.faces, mesh.key_position, mesh.attributes, mesh.key_count)
+    state.members = build_members(mesh.faces, mesh.key_position)
 
     model = CostModel()
+    model.key_count = float(mesh.key_count)
     model.epsilon = settings.epsilon
     model.endpoint = int(settings.endpoint)
     model.error_limit = settings.error_limit**2
@@ -246,8 +244,7 @@ def _collapse(
     frame_count = 1 if mesh.trajectories is None else mesh.trajectories.shape[1]
     model.deformation_weight = settings.deformation_weight * mesh.key_count / frame_count
 
-    gathered_share = HYBRID_GATHERED if settings.hybrid else 1.0
-    orderer = Orderer(state, frames, stars, model, mesh.key_count, device, gathered_share)
+    orderer = Orderer(state, frames, stars, model, mesh.key_count, device, settings.memoryless)
     components = None if settings.keep_components else Components(state, model.epsilon, model.error_limit)
     if components is not None and components.count == 1:
         # One always stays.

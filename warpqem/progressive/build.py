@@ -38,7 +38,7 @@ def build_progressive(
         faces: likewise.
         base_faces: where to stop; None for as few faces as legal collapses lead to.
         progress: called with the part done, 0 to 1, and the stage, "read", "order" or "place".
-        options: keyword arguments of :func:`warpqem.simplify`, but for its goals, ``refit``, ``hybrid``,
+        options: keyword arguments of :func:`warpqem.simplify`, but for its goals, ``refit``, ``memoryless``,
             ``keep_components`` and ``sink``.
 
     Raises:

@@ -50,7 +50,7 @@ def simplify_pulled_back(
     Raises:
         The errors of :func:`warpqem.simplify`; OptionError for an option that has no meaning here.
     """
-    unknown = {"metric", "coherence", "key_frames", "placement", "refit", "hybrid", "sink"} & options.keys()
+    unknown = {"metric", "coherence", "key_frames", "placement", "refit", "memoryless", "sink"} & options.keys()
     if unknown:
         raise OptionError(f"{', '.join(sorted(unknown))}: no option of simplifying by pulled back quadrics")
     poses, corner = as_numpy(points), as_numpy(faces)

@@ -169,7 +169,7 @@ class Run:
             "metric": self.options.metric,
             "coherence": self.options.coherence,
             "refit": self.options.refit,
-            "hybrid": self.options.hybrid,
+            "memoryless": self.options.memoryless,
             "placement": self.options.placement,
             "key_frames": self.options.key_frames,
             "attributes": weighted_fields(job.source, self.options.uv_weight, self.options.attribute_weights),

@@ -31,7 +31,7 @@ class SimplifyOptions:
         metric: Cost model, see `warpqem.simplify`.
         coherence: 0 to 1, see `warpqem.simplify`.
         refit: Fit the surface as a whole after placing its vertices, see `warpqem.simplify`.
-        hybrid: Order by quadrics of the input's and the present faces, see `warpqem.simplify`; each level of detail is
+        memoryless: Order by quadrics of the present faces, see `warpqem.simplify`; each level of detail is
             then ordered on its own.
         placement: Vertex placement, see `warpqem.simplify`.
         key_frames: Frames that decide the topology.
@@ -76,7 +76,7 @@ class SimplifyOptions:
     metric: str = "dsd"
     coherence: float = 0.5
     refit: bool = False
-    hybrid: bool = False
+    memoryless: bool = False
     placement: str = "optimal"
     key_frames: int = 16
     uv_weight: float = 0.0
@@ -126,7 +126,7 @@ class SimplifyOptions:
         others = (
             self.symmetry
             or self.refit
-            or self.hybrid
+            or self.memoryless
             or self.bake
             or self.lods
             or self.metric != "dsd"
@@ -134,7 +134,8 @@ class SimplifyOptions:
         )
         if self.pose_independent and others:
             raise OptionError(
-                "pose_independent excludes symmetry, refit, hybrid, bake, lods, another metric and another placement"
+                "pose_independent excludes symmetry, refit, memoryless, bake, lods, another metric and another "
+                "placement"
             )
         if self.lods and self.flatten:
             raise OptionError("lods and flatten exclude each other: every level is a layer over the input")

@@ -1,4 +1,4 @@
-"""Hybrid quadrics: planes of the present faces beside those of the input."""
+"""Quadrics of the present faces."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from oracles import quadrics as oracle
 import warpqem
 from warpqem.errors import OptionError
 from warpqem.kernels.edge_cost import price_all_edges, reprice_neighbourhoods
-from warpqem.kernels.hybrid_quadric import HybridWeights, blend_present_planes
 from warpqem.kernels.lanes import width_of
+from warpqem.kernels.present_quadric import LineWeights, renew_quadrics
 from warpqem.measure import compare
 from warpqem.order.quadrics import CONSTRAINT_WEIGHT
 
@@ -32,13 +32,11 @@ def around(mesh, masked, device):
     return [wp.array(mask, device=device), wp.array([PASS], dtype=wp.int32, device=device)]
 
 
-def blend(mesh, masked, gathered, device):
-    mesh.frames.gathered = wp.clone(mesh.frames.quadric)
-    weights = HybridWeights()
-    weights.gathered = gathered
+def renew(mesh, masked, device):
+    weights = LineWeights()
     weights.border, weights.seam = CONSTRAINT_WEIGHT[1], CONSTRAINT_WEIGHT[2]
     inputs = [mesh.state, mesh.frames, weights, *around(mesh, masked, device), one_part(device)]
-    wp.launch(blend_present_planes[width_of(mesh.frames.position)], dim=1, inputs=inputs, device=device)
+    wp.launch(renew_quadrics[width_of(mesh.frames.position)], dim=1, inputs=inputs, device=device)
 
 
 def expected(points, faces):
@@ -46,12 +44,12 @@ def expected(points, faces):
 
 
 @pytest.mark.parametrize("name", MESHES)
-def test_without_the_gathered_planes_the_present_planes_are_all(name, device):
+def test_quadrics_are_those_of_the_faces_as_they_lie(name, device):
     points, faces = MESHES[name]
     mesh = build_mesh(points, faces, device)
     moved = points + 0.05 * np.random.default_rng(1).normal(size=points.shape)
     wp.copy(mesh.frames.position, packed(moved, device))
-    blend(mesh, slice(None), 0.0, device)
+    renew(mesh, slice(None), device)
     np.testing.assert_allclose(mesh.quadric, expected(moved, faces), rtol=1e-3, atol=1e-5)
 
 
@@ -66,7 +64,7 @@ def test_seams_count_as_where_quadrics_begin(device):
     mesh = build_mesh(points, faces, device)
     before = mesh.quadric.copy()
     mesh.state.seam = wp.array(seam, device=device)
-    blend(mesh, slice(None), 0.0, device)
+    renew(mesh, slice(None), device)
     changed = np.flatnonzero(np.abs(mesh.quadric - before).max(axis=(1, 2)) > 1e-4)
     assert set(changed) == edge
     # The plane stands on the edge, so that it holds what moves across it within the grid; it is met in both faces.
@@ -75,20 +73,11 @@ def test_seams_count_as_where_quadrics_begin(device):
     assert trace == pytest.approx(2 * CONSTRAINT_WEIGHT[2] * length**2, rel=1e-3)
 
 
-def test_gathered_and_present_planes_are_blended(device):
-    points, faces = MESHES["closed"]
-    mesh = build_mesh(points, faces, device)
-    before = mesh.quadric.copy()
-    wp.copy(mesh.frames.position, packed(2 * points, device))
-    blend(mesh, slice(None), 0.75, device)
-    np.testing.assert_allclose(mesh.quadric, 0.75 * before + 0.25 * expected(2 * points, faces), rtol=1e-3, atol=1e-5)
-
-
 def test_scaled_vertices_weigh_their_present_planes_alike(device):
     points, faces = MESHES["closed"]
     mesh = build_mesh(points, faces, device)
     mesh.state.quadric_scale = wp.full(points.shape[1], 3.0, dtype=wp.float32, device=device)
-    blend(mesh, slice(None), 0.0, device)
+    renew(mesh, slice(None), device)
     np.testing.assert_allclose(mesh.quadric, 3 * expected(points, faces), rtol=1e-3, atol=1e-5)
 
 
@@ -97,7 +86,7 @@ def test_vertices_that_the_pass_did_not_mask_keep_their_planes(device):
     mesh = build_mesh(points, faces, device)
     before = mesh.quadric.copy()
     wp.copy(mesh.frames.position, packed(2 * points, device))
-    blend(mesh, [3], 0.5, device)
+    renew(mesh, [3], device)
     assert set(np.flatnonzero((mesh.quadric != before).any(axis=(1, 2)))) == {3}
 
 
@@ -116,29 +105,29 @@ def test_edges_at_masked_vertices_get_the_price_of_all_edges(device):
     np.testing.assert_array_equal(mesh.state.edge_cost.numpy(), np.where(near, prices, np.float32(-7.0)))
 
 
-def test_hybrid_order_fits_a_waving_cloth_better(device):
+def test_memoryless_order_fits_a_waving_cloth_better(device):
     time = np.arange(12)[:, None]
     points, faces = meshes.grid(24, 24)
     waves = np.sin(7 * points[:, 0] + 0.5 * time) * np.cos(5 * points[:, 1]) * 0.1
     cloth = np.repeat(points[None], len(time), axis=0)
     cloth[:, :, 2] += waves
     error = {}
-    for hybrid in (False, True):
-        result = warpqem.simplify(cloth, faces, ratio=0.1, hybrid=hybrid, device=device)
-        error[hybrid] = compare(cloth, faces, result.points, result.faces, samples=3000, device=device).rms
+    for memoryless in (False, True):
+        result = warpqem.simplify(cloth, faces, ratio=0.1, memoryless=memoryless, device=device)
+        error[memoryless] = compare(cloth, faces, result.points, result.faces, samples=3000, device=device).rms
     assert error[True] < 0.97 * error[False]
 
 
-def test_hybrid_order_gives_the_same_bits_again(device):
+def test_memoryless_order_gives_the_same_bits_again(device):
     points, faces = meshes.swaying_sphere(3, 4)
-    first, second = (warpqem.simplify(points, faces, ratio=0.2, hybrid=True, device=device) for _ in range(2))
+    first, second = (warpqem.simplify(points, faces, ratio=0.2, memoryless=True, device=device) for _ in range(2))
     assert np.array_equal(first.points, second.points)
     assert np.array_equal(first.faces, second.faces)
 
 
-def test_levels_of_one_ordering_refuse_hybrid_quadrics(device):
+def test_levels_of_one_ordering_refuse_memoryless_quadrics(device):
     points, faces = meshes.swaying_sphere(2, 2)
-    with pytest.raises(OptionError, match="hybrid: not for levels"):
-        warpqem.simplify_levels(points, faces, ratios=[0.5, 0.2], hybrid=True, device=device)
-    with pytest.raises(OptionError, match="hybrid: not for levels"):
-        warpqem.build_progressive(points, faces, hybrid=True, device=device)
+    with pytest.raises(OptionError, match="memoryless: not for levels"):
+        warpqem.simplify_levels(points, faces, ratios=[0.5, 0.2], memoryless=True, device=device)
+    with pytest.raises(OptionError, match="memoryless: not for levels"):
+        warpqem.build_progressive(points, faces, memoryless=True, device=device)

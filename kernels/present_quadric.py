@@ -1,9 +1,8 @@
-"""Hybrid quadrics: planes of the present faces blended into those gathered from the input.
+"""Quadrics of the present faces, for an order without a memory of the input's planes (Lindstrom & Turk 1998).
 
-A quadric that gathers all planes of the input keeps thin parts, but it also keeps planes that the surface has left for
-good; a quadric of the present faces alone ("memoryless", Lindstrom & Turk 1998) fits compact shapes better and eats
-thin parts. A hybrid quadric is ``gathered`` times the planes of the input and ``1 - gathered`` times those of the
-present faces; after each pass it is made anew at every vertex around a collapse.
+Planes of the input that the surface has left for good hold vertices where nothing is any more; those of the present
+faces alone fit compact shapes better. They would let thin parts go, which the distances of
+:mod:`warpqem.kernels.member_distance` keep.
 """
 
 import warp as wp
@@ -22,16 +21,15 @@ from warpqem.kernels.work import Work, first_item, last_item
 
 
 @wp.struct
-class HybridWeights:
-    """What the planes of the input count against the present ones, and what those on border and seam edges weigh."""
+class LineWeights:
+    """What the planes on border and seam edges weigh."""
 
-    gathered: wp.float32
     border: wp.float32
     seam: wp.float32
 
 
 @wp.func
-def line_weight(state: MeshState, weights: HybridWeights, h: wp.int32) -> wp.float32:
+def line_weight(state: MeshState, weights: LineWeights, h: wp.int32) -> wp.float32:
     """What the plane on half-edge ``h`` weighs: 0 where it is neither on a border nor a seam."""
     if state.seam[h] == 1:
         return weights.seam
@@ -46,7 +44,7 @@ def line_weight(state: MeshState, weights: HybridWeights, h: wp.int32) -> wp.flo
 
 
 @wp.func
-def present_quadric(state: MeshState, frames: AnyKeyFrames, weights: HybridWeights, u: wp.int32, t: wp.int32):
+def present_quadric(state: MeshState, frames: AnyKeyFrames, weights: LineWeights, u: wp.int32, t: wp.int32):
     """Planes of the faces at ``u`` as they are now, and of its border and seam edges, about ``u``."""
     x = frames.position[u, t]
     q = zero_quadric(x)
@@ -67,19 +65,17 @@ def present_quadric(state: MeshState, frames: AnyKeyFrames, weights: HybridWeigh
 
 
 @lane_kernel(frames=KEY_FRAMES)
-def blend_present_planes(
+def renew_quadrics(
     state: MeshState,
     frames: AnyKeyFrames,
-    weights: HybridWeights,
+    weights: LineWeights,
     mask_in: wp.array[wp.int32],
     pass_number_in: wp.array[wp.int32],
     work: Work,
 ):
-    """Blend gathered and present planes at the vertices that this pass masked."""
+    """Make the quadrics of the vertices that this pass masked anew, of the planes around them."""
     vertex_count = state.vertex_flags.shape[0]
     for u in range(first_item(vertex_count, work) + wp.tid(), last_item(vertex_count, work), work.lanes):
         if mask_in[u] == pass_number_in[0] and state.stars.end[u] > state.stars.start[u]:
             for t in range(frames.position.shape[1]):
-                q = present_quadric(state, frames, weights, u, t)
-                share = (1.0 - weights.gathered) * state.quadric_scale[u]
-                frames.quadric[u, t] = weights.gathered * frames.gathered[u, t] + share * q
+                frames.quadric[u, t] = state.quadric_scale[u] * present_quadric(state, frames, weights, u, t)

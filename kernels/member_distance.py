@@ -1,0 +1,63 @@
+"""How far the input vertices that a collapse merges would be from the faces that it leaves around their vertex.
+
+Quadrics measure distances from planes, which go on for ever: a tip that is cut off stays near the planes of its sides.
+This measures distances from faces, at the members of both clusters, in the first key frame. It takes a walk over
+members and faces, so it is done for the edges that are about to collapse, not for all.
+"""
+
+from typing import Any
+
+import warp as wp
+
+from warpqem.kernels.closest_point import closest_barycentric, offset_squared
+from warpqem.kernels.mesh_state import AnyKeyFrames, MeshState
+from warpqem.kernels.topology import half_edge_target, previous_corner
+
+wp.set_module_options({"enable_backward": False})  # no gradients are taken
+
+
+@wp.func
+def lead_point(block: Any) -> wp.vec3:
+    """The point of a block's first frame."""
+    return wp.vec3(block[0, 0], block[1, 0], block[2, 0])
+
+
+@wp.func
+def star_distance_squared(
+    state: MeshState, frames: AnyKeyFrames, u: wp.int32, v: wp.int32, apex: wp.vec3, p: wp.vec3
+) -> wp.float32:
+    """Squared distance of ``p`` from the faces around ``u`` and ``v`` once both are at ``apex``."""
+    best = wp.length_sq(p - apex)
+    for side in range(2):
+        a = wp.where(side == 0, u, v)
+        b = wp.where(side == 0, v, u)
+        for i in range(state.stars.start[a], state.stars.end[a]):
+            h = state.stars.corner[i]
+            x = half_edge_target(state.corner_vertex, h)
+            y = state.corner_vertex[previous_corner(h)]
+            if x != b and y != b:
+                q = lead_point(frames.position[x, 0])
+                r = lead_point(frames.position[y, 0])
+                best = wp.min(best, offset_squared(p, apex, q, r, closest_barycentric(p, apex, q, r)))
+    return best
+
+
+@wp.func
+def member_gap(state: MeshState, frames: AnyKeyFrames, u: wp.int32, v: wp.int32, apex: wp.vec3) -> wp.vec2:
+    """Sum over the members of ``u`` and ``v`` of area times squared distance, and of their areas."""
+    gap = wp.float32(0.0)
+    area = wp.float32(0.0)
+    for side in range(2):
+        m = wp.where(side == 0, u, v)
+        while m >= 0:
+            gap += state.members.area[m] * star_distance_squared(state, frames, u, v, apex, state.members.position[m])
+            area += state.members.area[m]
+            m = state.members.following[m]
+    return wp.vec2(gap, area)
+
+
+@wp.func
+def join_members(state: MeshState, u: wp.int32, v: wp.int32):
+    """Give the members of ``v`` to ``u``, behind its own."""
+    state.members.following[state.members.last[u]] = v
+    state.members.last[u] = state.members.last[v]
