@@ -40,6 +40,12 @@ def test_what_a_dead_process_left_goes(tmp_path, reaped):
     process.wait()
 
 
+def test_what_usd_was_writing_under_a_name_of_its_own_goes_too(tmp_path):
+    path = left_by(tmp_path, 11)
+    path = path.rename(path.with_suffix(".rCuh2N"))
+    assert remove_leftovers(tmp_path, 11) == [path]
+
+
 def test_only_what_one_process_left_goes_where_it_is_named(tmp_path):
     one, other = left_by(tmp_path, 11), left_by(tmp_path, 12)
     assert remove_leftovers(tmp_path, 11) == [one]

@@ -6,6 +6,7 @@ python -m tests.long.kills --points 200 --seconds 500
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import random
 import shutil
@@ -61,16 +62,20 @@ def kill_somewhere(process: subprocess.Popen[str], draw: random.Random) -> str:
     time.sleep(draw.random() * WINDOW_SECONDS * draw.random())
     if process.poll() is not None:
         return "ended"
-    kind = draw.choice(("batch", "group", "worker"))
+    # The command line is a process that watches another one, which does the work with the help of its workers.
+    kind = draw.choice(("watcher", "batch", "group", "worker"))
     if kind == "group":
         os.killpg(process.pid, signal.SIGKILL)
-    elif kind == "batch":
+    elif kind == "watcher":
         process.kill()
     else:
-        workers = children(process.pid)
-        if not workers:
+        found = children(process.pid)
+        if kind == "worker":
+            found = [worker for batch in found for worker in children(batch)]
+        if not found:
             return "ended"
-        os.kill(draw.choice(workers), signal.SIGKILL)
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(draw.choice(found), signal.SIGKILL)
     return kind
 
 
@@ -89,7 +94,7 @@ def main() -> None:
     start(folder).communicate()
     expected = outputs(folder)
     assert len(expected) == given.assets, sorted(expected)
-    counts: dict[str, int] = {"batch": 0, "group": 0, "worker": 0}
+    counts: dict[str, int] = {"watcher": 0, "batch": 0, "group": 0, "worker": 0}
     whole = 0
     shutil.rmtree(folder / "out")
     while sum(counts.values()) < given.points and time.monotonic() - begun < given.seconds:

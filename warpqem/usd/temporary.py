@@ -12,9 +12,10 @@ from pathlib import Path
 
 __all__ = ["remove_leftovers", "temporary_path"]
 
-# Hidden, and with machine and process, so that what a dead one left can be told from what a living one is writing.
+# Hidden, and with machine and process, so that what a dead one left can be told from what a living one is writing. USD
+# itself writes under such a name with another suffix, of letters and digits, before it renames the file.
 HOST = hashlib.sha256(platform.node().encode()).hexdigest()[:8]
-PATTERN = re.compile(rf"\.warpqem\.{HOST}-(\d+)\.[0-9a-f]{{32}}\.[a-z]+")
+PATTERN = re.compile(rf"\.warpqem\.{HOST}-(\d+)\.[0-9a-f]{{32}}\.\w+")
 
 
 def temporary_path(folder: Path, suffix: str) -> Path:
