@@ -31,9 +31,9 @@ class SimplifiedMesh:
         vertex_map: (V,) int32, input vertex to the output vertex it collapsed into; -1 for a vertex without a face.
         face_map: (N',) int32, the input face that each output face goes on from.
         stopped: "target", "max_error" or "no legal collapse".
-        error: % of the bounding-box diagonal, the largest RMS distance, among all collapses, of a merged vertex from the
-            planes of the faces it stands for, over key frames, or of the input vertices it stands for from the faces
-            around it, in the first one.
+        error: % of the bounding-box diagonal, the largest RMS distance, among all collapses, of a merged vertex from
+            the planes of the faces it stands for, over key frames, or of the input vertices it stands for from the
+            faces around it, in the first one.
         flips: (F,) int32, output faces that face away from the input there.
         log: the collapses, for levels of detail.
         key_frames: (K,) int, the frames that decided the order.
