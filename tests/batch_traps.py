@@ -126,10 +126,11 @@ def explode(marker: str) -> None:
 
 def helper_killed(marker: str) -> None:
     """Kill the process that comes to help."""
-    share_with(
-        lambda folder: (folder / "work.pickle").write_bytes(pickle.dumps(Bomb(marker))) and None,
-        lambda folder: Path(marker).exists(),
-    )
+
+    def lay_bomb(folder: Path) -> None:
+        (folder / "work.pickle").write_bytes(pickle.dumps(Bomb(marker)))
+
+    share_with(lay_bomb, lambda folder: Path(marker).exists())
 
 
 TRAPS = {

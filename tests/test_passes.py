@@ -7,6 +7,7 @@ import warp as wp
 from mesh_state import build_mesh, cost_model
 
 import warpqem
+from warpqem.order.pass_steps import PassSteps
 from warpqem.order.passes import CAP_FRACTION, Orderer
 from warpqem.order.stars import build_stars
 
@@ -17,7 +18,7 @@ def orderer(device):
     points, faces = meshes.icosphere(5)
     mesh = build_mesh(points, faces, device)
     stars = build_stars(mesh.state.corner_vertex, len(points), mesh.state.face_count)
-    orderer = Orderer(mesh.state, mesh.frames, stars, cost_model(), 1, device)
+    orderer = Orderer(PassSteps(mesh.state, mesh.frames, stars, cost_model(), device))
     orderer.steps.price_all().run()
     return orderer
 
@@ -77,7 +78,7 @@ def test_stars_are_those_of_the_faces_after_every_pass(spare, threads, device, m
     vertex_count = points.shape[1]
     stars = build_stars(mesh.state.corner_vertex, vertex_count, mesh.state.face_count, spare)
     mesh.state.stars = stars.lists
-    orderer = Orderer(mesh.state, mesh.frames, stars, cost_model(), 3, device)
+    orderer = Orderer(PassSteps(mesh.state, mesh.frames, stars, cost_model(key_count=3), device))
     orderer.steps.price_all().run()
     for _ in range(12):
         orderer._run_pass(200, CAP_FRACTION)

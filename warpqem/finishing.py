@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -15,7 +15,7 @@ from warpqem.place.store import FrameStore
 from warpqem.refit.stage import fit_corrections
 from warpqem.sharing import FrameShare, placed_blocks
 
-__all__ = ["FinishedFrames", "place_frames", "place_refitted"]
+__all__ = ["FinishedFrames", "Placing", "place_frames", "place_refitted"]
 
 Progress = Callable[[int], None] | None
 
@@ -33,13 +33,41 @@ class FinishedFrames:
     first: np.ndarray = field(default_factory=lambda: np.empty((1, 0, 3), dtype=np.float32))
 
 
+@dataclass(frozen=True)
+class Placing:
+    """What it takes to place the frames of a mesh.
+
+    Attributes:
+        mesh: the input.
+        placer: what places its frames.
+        sink: takes them.
+        blocks: frames to work on at once.
+        progress: called with the number of frames placed.
+        share: lets other processes place some of them.
+    """
+
+    mesh: AnimatedMesh
+    placer: Placer
+    sink: FrameSink
+    blocks: Sequence[slice]
+    progress: Progress = None
+    share: FrameShare | None = None
+
+    def placed(self) -> Iterator[tuple[slice, PlacedFrames]]:
+        """All frames, block by block."""
+        for frames, placed in placed_blocks(self.mesh, self.placer, self.blocks, self.share):
+            yield frames, placed
+            if self.progress:
+                self.progress(frames.stop)
+
+
 class _Finish:
     """Counts flips, brings frames back to the caller's coordinates, and hands them to a sink on a thread."""
 
-    def __init__(self, mesh: AnimatedMesh, placer: Placer, sink: FrameSink) -> None:
-        self._mesh, self._placer, self._sink = mesh, placer, sink
-        self.finished = FinishedFrames(np.empty(mesh.frame_count, dtype=np.int32))
-        sink.begin(mesh.frame_count, placer.vertex_count, placer.faces)
+    def __init__(self, work: Placing) -> None:
+        self._mesh, self._placer = work.mesh, work.placer
+        self.finished = FinishedFrames(np.empty(work.mesh.frame_count, dtype=np.int32))
+        work.sink.begin(work.mesh.frame_count, work.placer.vertex_count, work.placer.faces)
 
     def take(self, frames: slice, placed: PlacedFrames, write: FrameWriter) -> None:
         """Finish consecutive frames."""
@@ -50,62 +78,34 @@ class _Finish:
         write(frames, points)
 
 
-def place_frames(
-    mesh: AnimatedMesh,
-    placer: Placer,
-    sink: FrameSink,
-    blocks: Sequence[slice],
-    progress: Progress = None,
-    share: FrameShare | None = None,
-) -> FinishedFrames:
-    """Place all frames straight from the source to the sink; the arguments are those of :func:`place_refitted`."""
-    finish = _Finish(mesh, placer, sink)
-    with FrameWriter(sink.write, len(blocks)) as write:
-        for frames, placed in placed_blocks(mesh, placer, blocks, share):
+def place_frames(work: Placing) -> FinishedFrames:
+    """Place all frames straight from the source to the sink."""
+    finish = _Finish(work)
+    with FrameWriter(work.sink.write, len(work.blocks)) as write:
+        for frames, placed in work.placed():
             finish.take(frames, placed, write)
-            if progress:
-                progress(frames.stop)
     return finish.finished
 
 
-def place_refitted(
-    mesh: AnimatedMesh,
-    placer: Placer,
-    sink: FrameSink,
-    blocks: Sequence[slice],
-    progress: Progress = None,
-    share: FrameShare | None = None,
-    *,
-    key_frames: np.ndarray,
-    error: float,
-    on_disk: bool,
-    device: str,
-) -> FinishedFrames:
+def place_refitted(work: Placing, *, key_frames: np.ndarray, error: float, on_disk: bool) -> FinishedFrames:
     """Place all frames into a store, fit the corrections, and hand the corrected frames to the sink.
 
     Args:
-        mesh: the input.
-        placer: what places its frames.
-        sink: takes them.
-        blocks: frames to work on at once.
-        progress: called with the number of frames placed.
-        share: lets other processes place some of them.
+        work: what to place.
         key_frames: (K,) int, the frames to fit.
         error: the largest error of a collapse, in diagonals.
         on_disk: keep the placed frames in a temporary file.
-        device: Warp device.
     """
-    store = FrameStore(mesh.frame_count, placer.vertex_count, placer.copied_count, on_disk)
+    placer = work.placer
+    store = FrameStore(work.mesh.frame_count, placer.vertex_count, placer.copied_count, on_disk)
     try:
-        with FrameWriter(store.write, len(blocks)) as keep:
-            for frames, placed in placed_blocks(mesh, placer, blocks, share):
+        with FrameWriter(store.write, len(work.blocks)) as keep:
+            for frames, placed in work.placed():
                 keep(frames, placed)
-                if progress:
-                    progress(frames.stop)
-        correct = fit_corrections(mesh, placer, store, key_frames, error, blocks, device)
-        finish = _Finish(mesh, placer, sink)
-        with FrameWriter(sink.write, len(blocks)) as write:
-            for frames, placed in read_ahead(store.read, blocks):
+        correct = fit_corrections(work.mesh, placer, store, key_frames, error, work.blocks, placer.device)
+        finish = _Finish(work)
+        with FrameWriter(work.sink.write, len(work.blocks)) as write:
+            for frames, placed in read_ahead(store.read, work.blocks):
                 finish.take(frames, correct(placed), write)
     finally:
         store.close()

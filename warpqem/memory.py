@@ -118,9 +118,10 @@ class MemoryNeeds:
 # Bytes per face and per vertex for the topology: the caller's faces checked, edges, flags, vertex map, log.
 HELD_FACE, HELD_VERTEX = 60, 80
 # Ordering, for each face: corners, stars, costs and candidate lists, most of them twice; for each vertex: claims,
-# masks, flags, stars and the log; for each vertex and key frame: position 12, the same as it was 12, quadric 40, and
-# at first the normals of its two faces 24; for each corner and attribute channel: value, gradient, their fit; for each
-# vertex and frame where the order needs them all: the position, and once more while vertices are put in another order.
+# masks, flags, stars, members and the log; for each vertex and key frame: position 12, the same as it was 12, quadric
+# 40, and at first the normals of its two faces 24; for each corner and attribute channel: value, gradient, their fit;
+# for each vertex and frame where the order needs them all: the position, and once more while vertices are put in
+# another order.
 ORDER_FACE, ORDER_VERTEX, ORDER_KEY, ORDER_CHANNEL, ORDER_TRAJECTORY = 350, 174, 88, 200, 24
 # For levels that are placed later, for each vertex and key frame: position and quadric of each merged vertex; and while
 # they are placed what ordering left, position before and after and quadric, and those of the level once more.

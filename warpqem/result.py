@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from warpqem.errors import UnreachableTargetError
-from warpqem.finishing import place_frames, place_refitted
+from warpqem.finishing import Placing, place_frames, place_refitted
 from warpqem.frame_stream import ArraySink, FrameSink
 from warpqem.memory import MemoryPlan
 from warpqem.order.drops import DropRecord
@@ -92,12 +92,12 @@ def finish(work: Prepared, placer: Placer, outcome: Outcome, refit: bool, delive
     error = max(float(outcome.log.error.max(initial=0.0)), float(outcome.drops.error.max(initial=0.0)))
     array = ArraySink()
     progress = _place_progress(delivery.progress, mesh.frame_count)
-    common = (mesh, placer, array if sink is None else sink, work.blocks, progress, delivery.share)
+    placing = Placing(mesh, placer, array if sink is None else sink, work.blocks, progress, delivery.share)
     if refit and not work.place_settings.endpoint and placer.free.any():
         on_disk = work.plan.scratch_bytes > 0
-        finished = place_refitted(*common, key_frames=work.key_frames, error=error, on_disk=on_disk, device=work.device)
+        finished = place_refitted(placing, key_frames=work.key_frames, error=error, on_disk=on_disk)
     else:
-        finished = place_frames(*common)
+        finished = place_frames(placing)
     return SimplifiedMesh(
         points=array.points if sink is None else finished.first,
         faces=placer.faces,

@@ -66,15 +66,14 @@ class PassSteps:
         frames: AnyKeyFrames,
         stars: Stars,
         model: CostModel,
-        key_count: int,
         device: str,
-        memoryless: bool,
+        memoryless: bool = False,
     ) -> None:
         self.state, self.frames, self.stars, self.model, self.device = state, frames, stars, model, device
         self._width, self._memoryless = width_of(frames.position), memoryless
         face_count = len(state.corner_vertex) // 3
         vertex_count = len(state.vertex_flags)
-        self._flip_tolerance = int(FLIP_FRACTION * key_count)
+        self._flip_tolerance = int(FLIP_FRACTION * model.key_count)
         self.threads = thread_count(device)
         self.log = self._new_log(vertex_count)
         self.pass_number, self.pass_begin, self.wanted = (self._integers(1) for _ in range(3))

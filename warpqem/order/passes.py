@@ -13,12 +13,10 @@ import warp as wp
 
 from warpqem.kernels import attribute as attribute_kernels
 from warpqem.kernels import collapse as collapse_kernels
-from warpqem.kernels.mesh_state import AnyKeyFrames, CostModel, MeshState
 from warpqem.kernels.topology import LOCKED
 from warpqem.order.drops import ComponentDrop, Components
 from warpqem.order.nodes import NodeRecorder
 from warpqem.order.pass_steps import SAMPLE_STEP, Gear, PassSteps
-from warpqem.order.stars import Stars
 from warpqem.parallel import launch_parts
 
 __all__ = ["Orderer"]
@@ -44,20 +42,11 @@ COMPACTED_FACES = 30_000
 class Orderer:
     """Collapses the edges of one mesh state, pass by pass."""
 
-    def __init__(
-        self,
-        state: MeshState,
-        frames: AnyKeyFrames,
-        stars: Stars,
-        model: CostModel,
-        key_count: int,
-        device: str,
-        memoryless: bool = False,
-    ) -> None:
-        """``memoryless``: see :class:`warpqem.order.pass_steps.PassSteps`."""
-        self.state, self.frames, self.model, self.device = state, frames, model, device
-        self.steps = PassSteps(state, frames, stars, model, key_count, device, memoryless)
+    def __init__(self, steps: PassSteps) -> None:
+        self.steps = steps
+        self.state, self.frames, self.model, self.device = steps.state, steps.frames, steps.model, steps.device
         self.log = self.steps.log
+        state, device = self.state, self.device
         face_count = len(state.corner_vertex) // 3
         self.face_slots = face_count  # faces in the arrays, dead ones included
         self.live_faces = face_count

@@ -19,6 +19,7 @@ from warpqem.order.drops import Components, DropRecord
 from warpqem.order.log import CollapseRecord, read_log
 from warpqem.order.members import build_members
 from warpqem.order.nodes import NodeRecorder
+from warpqem.order.pass_steps import PassSteps
 from warpqem.order.passes import Orderer
 from warpqem.order.quadrics import given_quadrics, initial_quadrics
 from warpqem.order.stars import build_stars, classify_vertices
@@ -244,7 +245,7 @@ def _collapse(
     frame_count = 1 if mesh.trajectories is None else mesh.trajectories.shape[1]
     model.deformation_weight = settings.deformation_weight * mesh.key_count / frame_count
 
-    orderer = Orderer(state, frames, stars, model, mesh.key_count, device, settings.memoryless)
+    orderer = Orderer(PassSteps(state, frames, stars, model, device, settings.memoryless))
     components = None if settings.keep_components else Components(state, model.epsilon, model.error_limit)
     if components is not None and components.count == 1:
         # One always stays.
