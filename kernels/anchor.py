@@ -122,7 +122,7 @@ def fit_anchor_weights(
     key_position_in: Any,
     ordered_position_in: Any,
     quadric_in: Any,
-    regularisation: wp.float32,
+    regularisation_in: wp.array[wp.float32],
     # outputs
     matrix: wp.array[wp.float32],
     weight_out: wp.array[wp.float32],
@@ -150,7 +150,7 @@ def fit_anchor_weights(
     total = wp.float32(0.0)
     for i in range(n):
         total += matrix[o + packed(i, i)]
-    shift = (regularisation * wp.max(total, 0.0) + ROUNDING_PULL * size) / wp.float32(n) + LEAST_DIAGONAL
+    shift = (regularisation_in[cluster] * wp.max(total, 0.0) + ROUNDING_PULL * size) / wp.float32(n) + LEAST_DIAGONAL
     for i in range(n):
         matrix[o + packed(i, i)] = matrix[o + packed(i, i)] + shift
     factorise(matrix, o, n)

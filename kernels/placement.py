@@ -24,6 +24,7 @@ class Clusters:
     border: wp.array[wp.int32]  # border and seam half-edges with an end in the cluster
     border_weight: wp.array[wp.float32]
     solved: wp.array[wp.int32]  # (C,) 0: the vertex is the anchor itself
+    pull: wp.array[wp.float32]  # (C,) towards the anchor, relative to the quadric
 
 
 @lane_kernel(points_in=POINTS_ARRAY, points_out=POINTS_ARRAY, normal_out=POINTS_ARRAY)
@@ -31,7 +32,6 @@ def place_vertices(
     points_in: Any,
     corner_vertex_in: wp.array[wp.int32],
     clusters: Clusters,
-    epsilon: wp.float32,
     first_cluster: wp.int32,
     # outputs
     points_out: Any,
@@ -62,7 +62,7 @@ def place_vertices(
             b = points_in[half_edge_target(corner_vertex_in, h), t]
             opposite = points_in[corner_vertex_in[previous_corner(h)], t]
             q = add_border_plane(q, a, b, opposite, anchor, clusters.border_weight[j])
-        x = anchor + tangential_minimiser(q, epsilon)
+        x = anchor + tangential_minimiser(q, clusters.pull[c])
     points_out[c, t] = x
 
 

@@ -27,9 +27,9 @@ wp.set_module_options({"enable_backward": False})  # no gradients are taken
 # Points whose normals differ by more than 78 degrees belong to different sides of a fold.
 SAME_SIDE = wp.constant(wp.float32(0.2))
 
-# A pair lies ahead of each other when its offset is within 60 degrees of the normal: this is the square of the cosine.
+# A pair lies ahead of each other when its offset is within 73 degrees of the normal: this is the square of the cosine.
 # At the rim of a fold a walk ends beside the surface, and such a pair would pull it along.
-AHEAD = wp.constant(wp.float32(0.25))
+AHEAD = wp.constant(wp.float32(0.08))
 
 # Share of the input's area that its vertices stand for; the middles of its faces stand for the rest. Three quarters
 # for the middles: a triangle's quadrature that is exact for quadratic functions weighs them like this.

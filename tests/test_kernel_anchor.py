@@ -73,7 +73,7 @@ def fitted(members_of, regularisation, device, points=POINTS):
             key_position,
             packed(ordered.transpose(1, 0, 2), device),
             packed_quadrics(quadric, key_position),
-            regularisation,
+            wp.full(len(members_of), regularisation, dtype=wp.float32, device=device),
         ],
         outputs=[matrix, weight],
         device=device,
@@ -157,7 +157,7 @@ def test_nearest_anchor_is_the_member_nearest_to_the_ordered_place(device):
 
 def test_large_cluster_keeps_its_thirty_two_nearest_members(device):
     root = np.zeros(POINTS.shape[1], dtype=np.int32)
-    anchors = fit_anchors(ordered_mesh(device, root), np.array([0]), root, 0.1)
+    anchors = fit_anchors(ordered_mesh(device, root), np.array([0]), root, np.array([0.1]))
     distance = ((POINTS.astype(np.float64) - POINTS[:, :1]) ** 2).sum(axis=(0, 2))
     assert set(anchors.vertex) == set(np.argsort(distance, kind="stable")[:32])
     assert anchors.weight.sum() == pytest.approx(1, abs=1e-5)
@@ -166,7 +166,7 @@ def test_large_cluster_keeps_its_thirty_two_nearest_members(device):
 def test_vertices_without_a_cluster_are_in_no_anchor(device):
     root = np.arange(POINTS.shape[1], dtype=np.int32)
     cluster = np.where(root == 6, -1, root - (root > 6)).astype(np.int32)
-    anchors = fit_anchors(ordered_mesh(device, root), np.delete(root, 6), cluster, 0.1)
+    anchors = fit_anchors(ordered_mesh(device, root), np.delete(root, 6), cluster, np.full(len(root) - 1, 0.1))
     np.testing.assert_array_equal(anchors.vertex, np.delete(root, 6))
 
 
@@ -178,7 +178,9 @@ def test_vertices_on_a_line_or_corners_of_it_alone_anchor_their_cluster(corners,
     line_rank[[12, 15]] = 1
     line_rank[corners] = 2
     kept, cluster = np.unique(root, return_inverse=True)
-    anchors = fit_anchors(ordered_mesh(device, root, line_rank), kept, cluster.astype(np.int32), 0.1)
+    anchors = fit_anchors(
+        ordered_mesh(device, root, line_rank), kept, cluster.astype(np.int32), np.full(len(kept), 0.1)
+    )
     at = int(np.searchsorted(kept, 4))
     assert set(anchors.vertex[anchors.start[at] : anchors.start[at + 1]].tolist()) == expected
 
@@ -202,7 +204,7 @@ def test_anchor_stays_within_its_cluster_where_planes_hardly_meet(device):
         quadric=packed_quadrics(quadrics, position),
         line_rank=np.zeros(12, dtype=np.int32),
     )
-    anchors = fit_anchors(mesh, np.array([0]), np.zeros(12, dtype=np.int32), 0.005)
+    anchors = fit_anchors(mesh, np.array([0]), np.zeros(12, dtype=np.int32), np.array([0.005]))
     offset = points[0] - points[0].mean(axis=0)
     place = anchors.weight.astype(np.float64) @ offset[anchors.vertex]
     assert anchors.weight.sum() == pytest.approx(1, abs=1e-4)
@@ -224,7 +226,7 @@ def test_anchor_stays_near_the_end_of_a_ridge_that_its_planes_share(device):
         quadric=packed_quadrics(quadrics, position),
         line_rank=np.zeros(4, dtype=np.int32),
     )
-    anchors = fit_anchors(mesh, np.array([0]), np.zeros(4, dtype=np.int32), 1e-4)
+    anchors = fit_anchors(mesh, np.array([0]), np.zeros(4, dtype=np.int32), np.array([1e-4]))
     place = anchors.weight.astype(np.float64) @ points[0][anchors.vertex]
     # A quarter of the radius, 3.75 about the mean at 1.25, beyond the member at -1.
     assert place[0] == pytest.approx(-1 - 0.25 * 3.75, abs=0.01)

@@ -47,7 +47,8 @@ def placed(points, faces, clusters, device, epsilon=EPSILON):
     position = packed(points, device)
     out = [wp.empty((1, position.shape[1]), dtype=position.dtype, device=device) for _ in range(2)]
     corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device)
-    inputs = [position, corner_vertex, clusters, epsilon, 0]
+    clusters.pull = wp.full(1, epsilon, dtype=wp.float32, device=device)
+    inputs = [position, corner_vertex, clusters, 0]
     wp.launch(place_vertices[width_of(position)], dim=out[0].shape, inputs=inputs, outputs=out, device=device)
     return blocks(out[0], len(points))[0], blocks(out[1], len(points))[0]
 

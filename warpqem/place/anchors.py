@@ -103,7 +103,7 @@ def fit_anchors(
     ordered: OrderedMesh,
     kept: np.ndarray,
     cluster: np.ndarray,
-    regularisation: float,
+    regularisation: np.ndarray,
 ) -> Anchors:
     """Weights that minimise the cluster's quadrics over all key frames, pulled towards equal weights.
 
@@ -111,7 +111,7 @@ def fit_anchors(
         ordered: result of the order stage.
         kept: (C,) int32, input vertex that each output vertex goes by.
         cluster: (V,) int32, output vertex of each input vertex, -1 where there is none.
-        regularisation: pull towards equal weights, relative to the mean diagonal of the Gram matrix.
+        regularisation: (C,) pull towards equal weights, relative to the mean diagonal of the Gram matrix.
     """
     device = ordered.position.device
     members = nearest_members(ordered, cluster, len(kept), MOST_MEMBERS)
@@ -122,6 +122,7 @@ def fit_anchors(
     member_start, member = (wp.array(a, device=device) for a in (members.start, members.vertex))
     first_entry = wp.array(matrix_start.astype(np.int32), device=device)
     matrix = wp.zeros(int(matrix_start[-1]), dtype=wp.float32, device=device)
+    pull = wp.array(regularisation, dtype=wp.float32, device=device)
     weight = wp.zeros(len(members.vertex), dtype=wp.float32, device=device)
 
     def fit(part: slice) -> None:
@@ -130,7 +131,7 @@ def fit_anchors(
         wp.launch(
             kernel,
             dim=part.stop - part.start,
-            inputs=[row[part], member_start[rows], member, first_entry[rows], *state, regularisation],
+            inputs=[row[part], member_start[rows], member, first_entry[rows], *state, pull[part]],
             outputs=[matrix, weight],
             device=device,
         )

@@ -50,13 +50,11 @@ class ClusterData:
         corner_vertex: (3N,) int32, the input's faces.
         rows: the arrays of :class:`warpqem.kernels.placement.Clusters` by their names.
         copied_from: (M,) int32, the input vertices that are copied.
-        epsilon: pull towards the material anchor, relative to the quadric.
     """
 
     corner_vertex: np.ndarray
     rows: dict[str, np.ndarray]
     copied_from: np.ndarray
-    epsilon: float
 
     @property
     def vertex_count(self) -> int:
@@ -93,7 +91,7 @@ class BlockPlacer:
             wp.launch(
                 kernel,
                 dim=(part.stop - part.start, block_count),
-                inputs=[packed, self._corner_vertex, self._clusters, self._data.epsilon, part.start],
+                inputs=[packed, self._corner_vertex, self._clusters, part.start],
                 outputs=[out, normal],
                 device=device,
             )

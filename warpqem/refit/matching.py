@@ -24,19 +24,16 @@ def _symmetric(a: float) -> list[np.ndarray]:
     return _turned(1 - 2 * a, a, a)
 
 
-# Dunavant's rules of degree 2, 4 and 6 (1985), as the weights of the corners, by number of points: some near the
-# corners and edges, where a coarse face leaves the surface, and some inside. All points weigh the same here.
+# The points of Dunavant's rule of degree 6 (1985), as the weights of the corners: some near the corners and edges,
+# where a coarse face leaves the surface, and some inside. All points weigh the same here. The six points of degree 4
+# fit half the faces 1.6 % worse.
 _SIDE, _EDGE = 0.310352451033785, 0.053145049844816
-OUTPUT_SAMPLES = {
-    3: np.array(_symmetric(1 / 6)),
-    6: np.array(_symmetric(0.091576213509771) + _symmetric(0.445948490915965)),
-    12: np.array(
-        _symmetric(0.249286745170910)
-        + _symmetric(0.063089014491502)
-        + _turned(_SIDE, _EDGE, 1 - _SIDE - _EDGE)
-        + _turned(_EDGE, _SIDE, 1 - _SIDE - _EDGE)
-    ),
-}
+OUTPUT_SAMPLES = np.array(
+    _symmetric(0.249286745170910)
+    + _symmetric(0.063089014491502)
+    + _turned(_SIDE, _EDGE, 1 - _SIDE - _EDGE)
+    + _turned(_EDGE, _SIDE, 1 - _SIDE - _EDGE)
+)
 
 # Points on a border edge. Output edges are long, and the border leaves them anywhere between their ends.
 INPUT_BORDER_SAMPLES = 1
@@ -106,9 +103,8 @@ class Matching:
         # Two pairs at each point of a border.
         border_counts = len(self._borders[0]) * INPUT_BORDER_SAMPLES, len(self._borders[1]) * OUTPUT_BORDER_SAMPLES
         self.input_pairs = _empty_pairs(self._sample_count + 2 * turns * sum(border_counts), device)
-        samples = _fitting_samples(len(faces), len(out_faces))
-        self.output_pairs = _empty_pairs(len(samples) * len(out_faces) * turns, device)
-        self._barycentric = wp.array(samples, dtype=wp.vec3, device=device)
+        self.output_pairs = _empty_pairs(len(OUTPUT_SAMPLES) * len(out_faces) * turns, device)
+        self._barycentric = wp.array(OUTPUT_SAMPLES, dtype=wp.vec3, device=device)
 
     def find(self, reach: float) -> None:
         """Pair the output as it lies now; points further apart than ``reach`` are no pair."""
@@ -183,17 +179,6 @@ def _border_half_edges(surface: Surface) -> wp.array:
     """(B,) int32."""
     half_edge = np.flatnonzero(surface.opposite.numpy() < 0)
     return wp.array(half_edge, dtype=wp.int32, device=surface.opposite.device)
-
-
-SAMPLES = 2.0
-
-
-def _fitting_samples(face_count: int, out_face_count: int) -> np.ndarray:
-    """Points of an output face, so many that the output has no fewer than the input: that has 3 for each 2 faces."""
-    for count, samples in OUTPUT_SAMPLES.items():
-        if count * out_face_count >= SAMPLES * face_count:
-            return samples
-    return OUTPUT_SAMPLES[max(OUTPUT_SAMPLES)]
 
 
 def _empty_pairs(count: int, device: str) -> kernels.Pairs:
