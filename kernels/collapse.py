@@ -14,7 +14,8 @@ from warpqem.kernels.quadric import NO_PLANE, shift_origin, trace
 from warpqem.kernels.topology import (
     BORDER,
     CORNER,
-    LOCKED,
+    OPEN,
+    PINNED,
     SEAM,
     find_half_edge,
     half_edge_target,
@@ -112,8 +113,7 @@ def classify_seams(state: MeshState, u: wp.int32, v: wp.int32):
 def mask_star(state: MeshState, mask: wp.array[wp.int32], pass_index: wp.int32, v: wp.int32):
     """Mask a vertex and its one-ring for the rest of the pass."""
     mask[v] = pass_index
-    # Around an inner vertex the half-edges that leave it meet every neighbour.
-    open_fan = (state.vertex_flags[v] & BORDER) != 0
+    open_fan = (state.vertex_flags[v] & OPEN) != 0
     for i in range(state.stars.start[v], state.stars.end[v]):
         h = state.stars.corner[i]
         mask[half_edge_target(state.corner_vertex, h)] = pass_index
@@ -226,7 +226,7 @@ def commit_winners(
     log_slot: wp.array[wp.int32],
     pool_slot: wp.array[wp.int32],
 ):
-    """Collapse and log the legal winners, those that remove faces. The lower vertex is kept, or the locked one.
+    """Collapse and log the legal winners, those that remove faces. The lower vertex is kept, or the pinned one.
 
     Its star is put together at once: no other collapse of the pass looks at it. Those of the wings stay as they are
     until the pass is over.
@@ -242,8 +242,8 @@ def commit_winners(
             opposite = find_half_edge(state.corner_vertex, state.stars, b, a)
             u = a
             v = b
-            # A locked vertex is the one kept, so that it keeps its index; else the lower index is.
-            if (state.vertex_flags[b] & LOCKED) != 0 or ((state.vertex_flags[a] & LOCKED) == 0 and b < a):
+            # A pinned vertex is the one kept, so that it keeps its index; else the lower index is.
+            if (state.vertex_flags[b] & PINNED) != 0 or ((state.vertex_flags[a] & PINNED) == 0 and b < a):
                 u = b
                 v = a
             slot = wp.atomic_add(log_slot, work.part, 1)

@@ -24,7 +24,7 @@ from warpqem.kernels.topology import (
     BORDER,
     CORNER,
     FROZEN,
-    LOCKED,
+    PINNED,
     SEAM,
     find_half_edge,
     half_edge_target,
@@ -69,13 +69,13 @@ def merged_quadric(frames: AnyKeyFrames, u: wp.int32, v: wp.int32, t: wp.int32, 
 def edge_anchor(state: MeshState, frames: AnyKeyFrames, model: CostModel, u: wp.int32, v: wp.int32) -> wp.float32:
     """``lambda`` of the material anchor ``(1 - lambda) p_u + lambda p_v``: minimises the quadrics' sum over all frames.
 
-    A vertex on the border or a seam, or locked, is the anchor itself when the other end is free; so is the corner of a
+    A vertex on the border or a seam, or pinned, is the anchor itself when the other end is free; so is the corner of a
     seam against the rest of it.
     """
     fu = state.vertex_flags[u]
     fv = state.vertex_flags[v]
-    if (fu & LOCKED) != (fv & LOCKED):
-        return wp.where((fv & LOCKED) != 0, wp.float32(1.0), wp.float32(0.0))
+    if ((fu & PINNED) != 0) != ((fv & PINNED) != 0):
+        return wp.where((fv & PINNED) != 0, wp.float32(1.0), wp.float32(0.0))
     if (fu & BORDER) != (fv & BORDER):
         return wp.where((fv & BORDER) != 0, wp.float32(1.0), wp.float32(0.0))
     if (fu & SEAM) != (fv & SEAM):
@@ -110,8 +110,8 @@ def edge_anchor(state: MeshState, frames: AnyKeyFrames, model: CostModel, u: wp.
 
 @wp.func
 def keeps_anchor(state: MeshState, model: CostModel, u: wp.int32, v: wp.int32) -> wp.bool:
-    """Whether the merged vertex goes to the anchor itself: always to an end, or to a locked vertex."""
-    return model.endpoint == 1 or ((state.vertex_flags[u] | state.vertex_flags[v]) & LOCKED) != 0
+    """Whether the merged vertex goes to the anchor itself: always to an end, or to a pinned vertex."""
+    return model.endpoint == 1 or ((state.vertex_flags[u] | state.vertex_flags[v]) & PINNED) != 0
 
 
 @wp.func
@@ -155,14 +155,24 @@ def breaks_seams(state: MeshState, h: wp.int32) -> wp.bool:
 
 
 @wp.func
+def is_priced(fu: wp.int32, fv: wp.int32) -> wp.bool:
+    """Whether an edge between vertices of these flags may collapse: not between two pinned ones.
+
+    Nor between a frozen vertex and one on a border, where the link condition says nothing.
+    """
+    if (fu & PINNED) != 0 and (fv & PINNED) != 0:
+        return False
+    return ((fu & FROZEN) == 0 or (fv & BORDER) == 0) and ((fv & FROZEN) == 0 or (fu & BORDER) == 0)
+
+
+@wp.func
 def price_edge(state: MeshState, frames: AnyKeyFrames, model: CostModel, h: wp.int32) -> EdgePrice:
     """Cost over key frames of the collapse of half-edge ``h``; an infinite cost where no collapse is allowed."""
     u = state.corner_vertex[h]
     v = half_edge_target(state.corner_vertex, h)
     price = EdgePrice()
     price.cost = INFINITE_COST
-    flags = state.vertex_flags[u] | state.vertex_flags[v]
-    if (flags & FROZEN) != 0 or (state.vertex_flags[u] & state.vertex_flags[v] & LOCKED) != 0:
+    if not is_priced(state.vertex_flags[u], state.vertex_flags[v]):
         return price
     anchor = edge_anchor(state, frames, model, u, v)
     at_anchor = keeps_anchor(state, model, u, v)

@@ -10,7 +10,7 @@ import warp as wp
 
 from warpqem.kernels.mesh_state import MeshState
 from warpqem.kernels.prefetch import prefetch_edges
-from warpqem.kernels.topology import BORDER, half_edge_target, previous_corner
+from warpqem.kernels.topology import OPEN, half_edge_target, previous_corner
 from warpqem.kernels.work import EdgeList, Work, append, first_item, last_item
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
@@ -142,8 +142,7 @@ def holds_star(state: MeshState, claim: wp.array[wp.int64], v: wp.int32, key: wp
     i = state.stars.start[v]
     last = state.stars.end[v]
     holds = claim[v] == key
-    # Around an inner vertex the half-edges that leave it meet every neighbour.
-    open_fan = (state.vertex_flags[v] & BORDER) != 0
+    open_fan = (state.vertex_flags[v] & OPEN) != 0
     while holds and i < last:
         h = state.stars.corner[i]
         if claim[half_edge_target(state.corner_vertex, h)] < key:

@@ -28,7 +28,7 @@ from warpqem.kernels.member_distance import lead_point, member_gap
 from warpqem.kernels.mesh_state import KEY_FRAMES, AnyKeyFrames, CostModel, MeshState
 from warpqem.kernels.prefetch import prefetch_ends, prefetch_winners
 from warpqem.kernels.quadric import NO_PLANE
-from warpqem.kernels.topology import BORDER, MIRROR, find_half_edge, half_edge_target, previous_corner
+from warpqem.kernels.topology import BORDER, FROZEN, MIRROR, OPEN, find_half_edge, half_edge_target, previous_corner
 from warpqem.kernels.work import EdgeList, Work, count_before
 
 # A face may not turn by more than 78 degrees in one collapse: beyond that it folds over its neighbour a few later.
@@ -45,7 +45,7 @@ NO_AREA = wp.constant(wp.float32(1.0e-28))
 @wp.func
 def is_ring_vertex(state: MeshState, u: wp.int32, w: wp.int32) -> wp.bool:
     """Whether ``w`` shares a face with ``u``."""
-    open_fan = (state.vertex_flags[u] & BORDER) != 0
+    open_fan = (state.vertex_flags[u] & OPEN) != 0
     for i in range(state.stars.start[u], state.stars.end[u]):
         h = state.stars.corner[i]
         if half_edge_target(state.corner_vertex, h) == w:
@@ -73,6 +73,21 @@ def keeps_fan(state: MeshState, wing: wp.int32) -> wp.bool:
     if (state.vertex_flags[wing] & BORDER) != 0:
         return degree(state, wing) >= 2
     return degree(state, wing) >= 4
+
+
+@wp.func
+def is_capped(state: MeshState, u: wp.int32, v: wp.int32, left: wp.int32, right: wp.int32) -> wp.bool:
+    """Whether an inner end has three faces where a frozen vertex is near, whose faces do not tell what its fans keep.
+
+    The third face of that end lies between the wings, and may come to lie on one of the other end.
+    """
+    flags = state.vertex_flags[u] | state.vertex_flags[v] | state.vertex_flags[left]
+    if right >= 0:
+        flags = flags | state.vertex_flags[right]
+    if (flags & FROZEN) == 0:
+        return False
+    u_capped = (state.vertex_flags[u] & OPEN) == 0 and degree(state, u) == 3
+    return u_capped or ((state.vertex_flags[v] & OPEN) == 0 and degree(state, v) == 3)
 
 
 @wp.func
@@ -105,13 +120,15 @@ def is_manifold_collapse(state: MeshState, h: wp.int32) -> wp.bool:
             return False
     if not keeps_fan(state, left):
         return False
+    if is_capped(state, u, v, left, right):
+        return False
     if ((state.vertex_flags[u] ^ state.vertex_flags[v]) & MIRROR) != 0 and spans_mirror(state, u, v, left, right):
         return False
     removed = wp.where(opposite >= 0, 2, 1)
     if degree(state, u) + degree(state, v) <= 2 * removed:
         return False
-    # Around an inner vertex the half-edges that leave it meet every neighbour, so those that enter need no look.
-    open_fan = (state.vertex_flags[v] & BORDER) != 0
+    # Those that enter need no look around an inner vertex.
+    open_fan = (state.vertex_flags[v] & OPEN) != 0
     for i in range(state.stars.start[v], state.stars.end[v]):
         g = state.stars.corner[i]
         w = half_edge_target(state.corner_vertex, g)

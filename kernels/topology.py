@@ -14,13 +14,18 @@ wp.set_module_options({"enable_backward": False})  # no gradients are taken
 # SEAM: an edge that values do not cross ends here (UV seam, subset border, hard edge).
 # CORNER: a seam ends, forks or meets a border here. Set along with SEAM.
 # MIRROR: on the plane along which a symmetric mesh was cut; set along with BORDER.
-# FROZEN: the star is not one fan of faces, so the link condition says nothing and no edge here may collapse.
+# FROZEN: the star is not one fan of faces. The vertex keeps its position, and only inner ones may collapse into it: the
+# link condition says nothing of edges between two such vertices, or from one to a border.
 BORDER = wp.constant(wp.int32(1))
 LOCKED = wp.constant(wp.int32(2))
 FROZEN = wp.constant(wp.int32(4))
 SEAM = wp.constant(wp.int32(8))
 CORNER = wp.constant(wp.int32(16))
 MIRROR = wp.constant(wp.int32(32))
+# Vertices that keep their position.
+PINNED = wp.constant(wp.int32(int(LOCKED) | int(FROZEN)))
+# Vertices whose star need not be a closed fan. Around the others the half-edges that leave meet every neighbour.
+OPEN = wp.constant(wp.int32(int(BORDER) | int(FROZEN)))
 
 
 @wp.struct

@@ -150,12 +150,23 @@ def test_edge_between_two_locked_vertices_has_no_price(device):
     assert np.isinf(cost).sum() == faces.size - len(edges(faces)) + 1
 
 
-def test_edges_at_a_frozen_vertex_have_no_price(device):
+def test_edges_from_a_frozen_vertex_to_a_border_have_no_price(device):
     points, faces = meshes.double_cone(6)
     cost = prices(build_mesh(points, faces, device), cost_model(), device)
     at_tip = (faces.ravel() == 0) | (np.roll(faces, -1, axis=1).ravel() == 0)
     assert np.isinf(cost[at_tip]).all()
     assert np.isfinite(cost[~at_tip]).all()
+
+
+def test_edges_from_a_frozen_vertex_inwards_are_priced_to_end_there(device):
+    points, faces = meshes.welded(meshes.joined(meshes.icosphere(1), meshes.icosphere(1), spacing=1.0), {42: 0})
+    mesh = build_mesh(points, faces, device)
+    cost = prices(mesh, cost_model(), device)
+    ends = np.stack([faces.ravel(), np.roll(faces, -1, axis=1).ravel()])
+    half_edge = np.flatnonzero((ends == 0).any(axis=0) & (ends[0] < ends[1]))
+    assert np.isfinite(cost[half_edge]).all()
+    target, _ = placed(mesh, cost_model(), half_edge, device)
+    np.testing.assert_array_equal(target, np.broadcast_to(points[None, 0], target.shape))
 
 
 def test_edges_above_the_error_limit_have_no_price(device):

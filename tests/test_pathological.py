@@ -3,6 +3,7 @@
 import meshes
 import numpy as np
 import pytest
+from oracles.topology import euler
 
 import warpqem
 from warpqem.errors import UnreachableTargetError
@@ -93,6 +94,44 @@ def test_spine_with_three_faces_on_each_edge_stays(device):
     result = assert_not_worse(mesh, device)
     assert frozen_stay(mesh, result, np.flatnonzero(mesh[0][: 9 * 9, 0] == 0))
     assert 191 <= len(result.faces) <= 192
+
+
+def fin(size):
+    """A grid with one triangle standing on an inner edge, and the ends of that edge."""
+    points, faces = meshes.grid(size, size)
+    end = size // 2 * (size + 1) + size // 2
+    tip = points[end] + np.array([0.0, 0.0, 0.3], dtype=np.float32)
+    mesh = np.concatenate([points, tip[None]]), np.concatenate([faces, [[end, end + 1, len(points)]]]).astype(np.int32)
+    return mesh, [end, end + 1]
+
+
+def test_inner_vertices_collapse_into_those_that_are_not_manifold(device):
+    mesh, ends = fin(12)
+    result = assert_not_worse(mesh, device, target_faces=20)
+    assert len(result.faces) <= 20
+    assert frozen_stay(mesh, result, ends)
+    assert (result.vertex_map == result.vertex_map[ends[0]]).sum() > 1
+
+
+def glued(seed):
+    """A sphere or a grid with some vertices welded at random and some triangles stuck to its edges."""
+    random = np.random.default_rng(seed)
+    points, faces = meshes.icosphere(2) if seed % 2 else meshes.grid(9, 9)
+    faces = faces.copy()
+    for a, b in random.choice(len(points), (seed % 3, 2), replace=False):
+        faces[faces == b] = a
+    for _ in range(seed % 5):
+        u, v = random.permutation(faces[random.integers(len(faces))])[:2]
+        faces = np.concatenate([faces, [[u, v, random.integers(len(points))]]]).astype(np.int32)
+    proper = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    return points, faces[proper]
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_glued_meshes_keep_their_euler_number(seed, device):
+    mesh = glued(seed)
+    result = assert_not_worse(mesh, device, target_faces=len(mesh[1]) // 10, keep_components=True)
+    assert euler(result.faces) == euler(mesh[1])
 
 
 def test_moebius_strip(device):

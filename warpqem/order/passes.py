@@ -13,7 +13,7 @@ import warp as wp
 
 from warpqem.kernels import attribute as attribute_kernels
 from warpqem.kernels import collapse as collapse_kernels
-from warpqem.kernels.topology import LOCKED
+from warpqem.kernels.topology import PINNED
 from warpqem.order.drops import ComponentDrop, Components
 from warpqem.order.nodes import NodeRecorder
 from warpqem.order.pass_steps import SAMPLE_STEP, Gear, PassSteps
@@ -181,8 +181,8 @@ class Orderer:
         """The end that each collapse removes, as the commit chooses it."""
         corner_vertex, flags = self.state.corner_vertex.numpy(), self.state.vertex_flags.numpy()
         ends = corner_vertex[np.stack([half_edge, half_edge - half_edge % 3 + (half_edge + 1) % 3])]
-        locked = (flags[ends] & int(LOCKED)) != 0
-        keeps_second = locked[1] | (~locked[0] & (ends[1] < ends[0]))
+        pinned = (flags[ends] & int(PINNED)) != 0
+        keeps_second = pinned[1] | (~pinned[0] & (ends[1] < ends[0]))
         removed: np.ndarray = np.where(keeps_second, ends[0], ends[1])
         return removed
 

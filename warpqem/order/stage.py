@@ -12,7 +12,7 @@ from warpqem.kernels import arrangement as arrangement_kernels
 from warpqem.kernels import attribute as attribute_kernels
 from warpqem.kernels.lanes import width_of
 from warpqem.kernels.mesh_state import KEY_FRAMES, CostModel, MeshState
-from warpqem.kernels.topology import CORNER
+from warpqem.kernels.topology import CORNER, FROZEN
 from warpqem.order.arrangement import ARRANGED_FACES, Arrangement, arrange
 from warpqem.order.attributes import build_wedges
 from warpqem.order.drops import Components, DropRecord
@@ -66,6 +66,7 @@ class OrderedMesh:
             attribute error too.
         constrained: (3N,) int32, 1 at the input's border half-edges, 2 at its seams'.
         line_rank: (V,) int, of input vertices: 2 at corners of seams, 1 elsewhere on a seam or border, 0 inside.
+        frozen: (V,) bool, input vertices whose faces are not one fan; they keep their position.
         stopped: "target", "max_error" or "no legal collapse".
         log: the collapses.
         drops: the components that vanished.
@@ -80,6 +81,7 @@ class OrderedMesh:
     quadric: wp.array
     constrained: np.ndarray
     line_rank: np.ndarray
+    frozen: np.ndarray
     stopped: str
     log: CollapseRecord
     drops: DropRecord
@@ -105,11 +107,12 @@ class OrderInput:
 
 @dataclass(frozen=True)
 class _Collapsed:
-    """What the collapses left: rows of each vertex (V, B), flags of each half-edge (3N,), the log, what vanished."""
+    """What the collapses left: rows of each vertex (V, B), half-edge and vertex flags, the log, what vanished."""
 
     position: wp.array
     quadric: wp.array
     constrained: np.ndarray
+    frozen: np.ndarray
     stopped: str
     log: CollapseRecord
     drops: DropRecord
@@ -153,6 +156,7 @@ def order_collapses(
         line_rank=np.where(
             mesh.vertex_flags & int(CORNER), 2, _ends(mesh.faces, constrained, vertex_count).astype(np.int32)
         ),
+        frozen=collapsed.frozen[row],
         stopped=collapsed.stopped,
         log=log,
         drops=drops,
@@ -217,6 +221,7 @@ def _collapse(
     state.stars = stars.lists
     state.vertex_flags = wp.array(mesh.vertex_flags, dtype=wp.int32, device=device)
     constrained = classify_vertices(corner_vertex, stars, state.vertex_flags).numpy() | 2 * mesh.seam
+    frozen = (state.vertex_flags.numpy() & int(FROZEN)) != 0
     state.seam = wp.array(mesh.seam, dtype=wp.int32, device=device)
     width = width_of(mesh.key_position)
     frames = KEY_FRAMES[width]()
@@ -260,7 +265,7 @@ def _collapse(
             device=device,
         )
     drops = DropRecord.none(vertex_count) if components is None else components.record(orderer.drops)
-    return _Collapsed(frames.position, frames.quadric, constrained, stopped, read_log(orderer.log), drops)
+    return _Collapsed(frames.position, frames.quadric, constrained, frozen, stopped, read_log(orderer.log), drops)
 
 
 def _ends(faces: np.ndarray, half_edge_flags: np.ndarray, vertex_count: int) -> np.ndarray:

@@ -53,7 +53,7 @@ class ClusterPlacer:
         kept: (C,) int32, the input vertex that each cluster goes by.
         cluster: (V,) int32, the cluster of each input vertex, -1 where there is none.
         quadric_scale: (V,) float32, scale of each input vertex's quadric.
-        pinned: (V,) bool, input vertices that keep their position.
+        pinned: (V,) bool, input vertices that keep their position, beside those that are not manifold.
         settings: see :class:`PlaceSettings`.
         device: Warp device.
 
@@ -82,6 +82,7 @@ class ClusterPlacer:
         self._settings, self.device = settings, device
         self._cluster = cluster
         self.vertex_count = len(kept)
+        pinned = pinned | ordered.frozen
         size = np.bincount(cluster[cluster >= 0], minlength=len(kept))
         pull, regularisation = _pulls(size, settings)
         if settings.endpoint:
