@@ -241,8 +241,8 @@ def _trajectories(mesh: AnimatedMesh) -> np.ndarray:
 
 
 def _epsilon(coherence: float) -> float:
-    """Pull towards the anchor: 1e-3, the least that float32 solves safely, at 0; 0.42 at one half; 180 at 1."""
-    return 0.001 * 420.0 ** (2.0 * coherence)
+    """Pull towards the anchor: 1e-3, the least that float32 solves safely, at 0; 0.5 at one half; 250 at 1."""
+    return 0.001 * 500.0 ** (2.0 * coherence)
 
 
 def _regularisation(coherence: float) -> float:

@@ -40,9 +40,9 @@ FRAMES_PER_TURN = 48
 
 # Pull back on corrections, relative to the area they stand for: along the surface, across it; and on the relative
 # change of edge lengths. Twice as much fits 0.6 % worse and changes edges 2 % less.
-TANGENT_PULL = 0.0006
-NORMAL_PULL = 0.00002
-EDGE_PULL = 0.0012
+TANGENT_PULL = 0.001
+NORMAL_PULL = 0.00008
+EDGE_PULL = 0.002
 
 # Distances from the output to the input count twice: without that the input's many samples in sharp places draw the
 # output inwards there.
@@ -51,7 +51,7 @@ OUTPUT_SHARE = 2.0
 # A border counts as a strip beside it, so wide in mean edge lengths of the output.
 BORDER_WIDTH = 0.5
 # Pull along the surface on a vertex of a seam, relative to that on others: values on both sides stay where they are.
-SEAM_STIFFNESS = 400.0
+SEAM_STIFFNESS = 250.0
 
 # Pairs further apart than so many times the largest error of a collapse are left out: there the search for the nearest
 # point got lost. The surfaces themselves are nowhere further apart than about three times that.
