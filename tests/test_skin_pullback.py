@@ -67,3 +67,11 @@ def test_count_that_cannot_be_reached_is_an_error_with_the_result():
     with pytest.raises(UnreachableTargetError, match="1 were asked for") as caught:
         simplify_pulled_back(POSES, FACES, SKIN, TRANSFORMS, target_faces=1, locked=np.arange(656), device="cpu")
     assert len(caught.value.result.faces) == len(FACES)
+
+
+def test_vertices_that_are_not_manifold_stay(device):
+    edge, tip = FACES[100, :2], FACES[300, 0]
+    with_fin = np.concatenate([FACES, [[*edge, tip]]]).astype(FACES.dtype)
+    result = simplify_pulled_back(POSES, with_fin, SKIN, TRANSFORMS, ratio=0.05, device=device)
+    np.testing.assert_array_equal(result.points[0, result.vertex_map[edge]], POSES[0, edge])
+    assert (result.vertex_map[:, None] == result.vertex_map[edge]).sum(axis=0).max() > 1

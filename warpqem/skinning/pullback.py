@@ -63,7 +63,7 @@ def simplify_pulled_back(
     work = replace(work, order_input=replace(work.order_input, matrices=matrices))
     ordered = work.order(progress)
     placer = work.placer(ordered)
-    rest = _place(poses[0].astype(np.float64), placer.vertex_map, matrices, work.pinned)
+    rest = _place(poses[0].astype(np.float64), placer.vertex_map, matrices, work.pinned | ordered.frozen)
     result = SimplifiedMesh(
         points=rest[None].astype(np.float32),
         faces=placer.faces,
