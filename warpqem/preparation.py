@@ -23,7 +23,7 @@ from warpqem.mesh_input import AnimatedMesh, MeshInput, measure_mesh, read_mesh
 from warpqem.motion import MotionWatch
 from warpqem.order.nodes import NodeRecorder
 from warpqem.order.stage import OrderedMesh, OrderInput, OrderSettings, order_collapses
-from warpqem.place.clusters import PlaceSettings
+from warpqem.place.clusters import LEAST_PULL, PlaceSettings
 from warpqem.place.stage import Placer
 from warpqem.seams import Seams, read_seams
 
@@ -241,8 +241,8 @@ def _trajectories(mesh: AnimatedMesh) -> np.ndarray:
 
 
 def _epsilon(coherence: float) -> float:
-    """Pull towards the anchor: 1e-3, the least that float32 solves safely, at 0; 0.5 at one half; 250 at 1."""
-    return 0.001 * 500.0 ** (2.0 * coherence)
+    """Pull towards the anchor: the least there is, 1e-3, at coherence 0; 0.5 at one half; 250 at 1."""
+    return LEAST_PULL * 500.0 ** (2.0 * coherence)
 
 
 def _regularisation(coherence: float) -> float:
