@@ -1,12 +1,14 @@
 """Work shared between CPU threads."""
 
+import time
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import numpy as np
 import pytest
 import warp as wp
 
-from warpqem import parallel
+from warpqem import launches, parallel
 from warpqem.parallel import launch_parts, run_parts, split_range
 
 
@@ -41,15 +43,16 @@ def test_parts_of_a_launch_cover_all_items(three_threads):
     def launch(part):
         wp.launch(square, dim=part.stop - part.start, inputs=[x[part]], outputs=[out[part]], device="cpu")
 
-    launch_parts(square, launch, len(x), "cpu")
+    launch_parts(launch, len(x), "cpu")
     np.testing.assert_array_equal(out.numpy(), np.arange(10.0) ** 2)
 
 
-def test_module_is_loaded_before_the_threads_start(three_threads):
-    square.module.unload()
-    loaded = []
-    launch_parts(square, lambda part: loaded.append(bool(square.module.execs)), 9, "cpu")
-    assert loaded == [True, True, True]
+def test_threads_load_a_module_once(three_threads, monkeypatch):
+    loads = []
+    monkeypatch.setattr(launches, "_loaded", set())
+    monkeypatch.setattr(wp, "load_module", lambda module, *_, **__: (time.sleep(0.01), loads.append(module)))
+    run_parts([partial(launches.load_kernel, square, "cpu")] * 9)
+    assert loads == [square.module]
 
 
 def test_error_of_a_part_is_raised_when_all_have_ended(three_threads):
@@ -66,6 +69,6 @@ def test_error_of_a_part_is_raised_when_all_have_ended(three_threads):
 @pytest.mark.parametrize(("least", "parts"), [(1, 3), (4, 2), (10, 1), (11, 1)])
 def test_parts_have_as_many_items_as_asked_for(least, parts, three_threads):
     seen = []
-    launch_parts(square, seen.append, 10, "cpu", least)
+    launch_parts(seen.append, 10, "cpu", least)
     assert len(seen) == parts
     assert min(part.stop - part.start for part in seen) >= min(least, 10)

@@ -1,12 +1,65 @@
-"""Choice of the Warp device."""
+"""Warp devices: which one to run on, how its kind works, and whose turn it is."""
 
 from __future__ import annotations
+
+import contextlib
+import functools
+import os
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import ParamSpec, TypeVar
 
 import warp as wp
 
 from warpqem.errors import DeviceError
+from warpqem.kernels.lanes import WIDE
 
-__all__ = ["resolve_device"]
+__all__ = ["DeviceTraits", "device_traits", "device_turn", "on_device", "resolve_device", "turns_released"]
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+@dataclass(frozen=True)
+class DeviceTraits:
+    """How launches work on a kind of device. Code asks for these, never for the kind itself.
+
+    Attributes:
+        block_width: frames that one thread works on side by side, see :mod:`warpqem.kernels.lanes`.
+        launch_threads: threads of a launch over a work list, each of which takes every so many of its items.
+        in_order: the threads of a launch run one after the other, in the order of their index.
+        splits_launches: a launch runs on one core, so a long one is split over the cores of the machine.
+        captures: recorded launches are captured as a graph. Nothing else may use the device meanwhile.
+    """
+
+    block_width: int
+    launch_threads: int
+    in_order: bool
+    splits_launches: bool
+    captures: bool
+
+
+# On a CPU, Warp's captures are one for the whole process, and a recorded launch takes 3 microseconds without one.
+CPU = DeviceTraits(block_width=WIDE, launch_threads=1, in_order=True, splits_launches=True, captures=False)
+# 65536 threads are enough to fill any GPU of today.
+GPU = DeviceTraits(block_width=1, launch_threads=65536, in_order=False, splits_launches=False, captures=True)
+
+_TRAITS = {"cpu": CPU, "cuda": GPU}
+
+
+_starting = threading.Lock()
+
+
+def _start_warp() -> None:
+    """Start Warp in one thread: threads that came to it at once would each start it."""
+    with _starting:
+        wp.init()
+
+
+def device_traits(device: str) -> DeviceTraits:
+    """How launches work on a Warp device."""
+    return _TRAITS["cpu" if wp.get_device(device).is_cpu else "cuda"]
 
 
 def resolve_device(device: str | None = None) -> str:
@@ -19,6 +72,7 @@ def resolve_device(device: str | None = None) -> str:
     Raises:
         DeviceError: this machine has no such device; the message names the devices that exist.
     """
+    _start_warp()
     if device is None:
         return "cuda:0" if wp.is_cuda_available() else "cpu"
     try:
@@ -26,3 +80,99 @@ def resolve_device(device: str | None = None) -> str:
     except (ValueError, RuntimeError, TypeError) as error:
         existing = ", ".join(d.alias for d in wp.get_devices())
         raise DeviceError(f"no Warp device {device!r} on this machine; it has: {existing}") from error
+
+
+class _Turn:
+    """A reentrant lock that its thread can let go for a while, however often it holds it."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self.owner: int | None = None
+        self._depth = 0
+
+    def take(self, depth: int = 1) -> None:
+        if self.owner != threading.get_ident():
+            self._lock.acquire()
+            self.owner = threading.get_ident()
+        self._depth += depth
+
+    def give(self, depth: int = 1) -> None:
+        self._depth -= depth
+        if self._depth == 0:
+            self.owner = None
+            self._lock.release()
+
+    @property
+    def depth(self) -> int:
+        return self._depth
+
+
+# By device; filled under _filling.
+_turns: dict[str, _Turn] = {}
+_filling = threading.Lock()
+
+
+def _free_locks() -> None:
+    """Free all locks and turns in a forked process, which has none of the threads that held them."""
+    global _filling, _starting
+    _filling, _starting = threading.Lock(), threading.Lock()
+    _turns.clear()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_free_locks)
+
+
+@contextlib.contextmanager
+def device_turn(device: str | None = None) -> Iterator[str]:
+    """Work on a device within; gives its name.
+
+    A device that captures graphs takes one thread at a time: what another thread did meanwhile would become part of the
+    graph. Other devices take any number.
+
+    Raises:
+        DeviceError: there is no such device, or the caller's own capture of a graph is under way on it.
+    """
+    name = resolve_device(device)
+    if not device_traits(name).captures:
+        _refuse_capture(name)
+        yield name
+        return
+    with _filling:
+        turn = _turns.setdefault(name, _Turn())
+    turn.take()
+    try:
+        _refuse_capture(name)
+        yield name
+    finally:
+        turn.give()
+
+
+def _refuse_capture(name: str) -> None:
+    if wp.get_device(name).is_capturing:
+        raise DeviceError(f"a graph is being captured on {name}: end the capture before calling warpqem")
+
+
+@contextlib.contextmanager
+def turns_released() -> Iterator[None]:
+    """Give this thread's turns away within: for waiting for the caller's code, which may use warpqem on its own."""
+    own = [(turn, turn.depth) for turn in list(_turns.values()) if turn.owner == threading.get_ident()]
+    for turn, depth in own:
+        turn.give(depth)
+    try:
+        yield
+    finally:
+        for turn, depth in own:
+            turn.take(depth)
+
+
+def on_device(function: Callable[P, R]) -> Callable[P, R]:
+    """Run a public function in a turn of the device that its keyword ``device`` names."""
+
+    @functools.wraps(function)
+    def run(*args: P.args, **kwargs: P.kwargs) -> R:
+        device = kwargs.get("device")
+        with device_turn(device if isinstance(device, str) else None if device is None else str(device)):
+            return function(*args, **kwargs)
+
+    return run

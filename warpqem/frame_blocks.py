@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
+from warpqem.device import device_traits
 from warpqem.kernels import lanes as kernels
+from warpqem.launches import launch
 from warpqem.parallel import launch_parts
 
 __all__ = ["block_width", "frame_blocks", "pack_frames", "unpack_frames"]
@@ -24,7 +26,7 @@ def frame_blocks(frame_count: int, vertex_count: int, block_frames: int | None =
 
 def block_width(frame_count: int, device: str) -> int:
     """Frames in a block: as wide as a CPU's vector registers, but one on a GPU and for a single frame."""
-    return kernels.WIDE if frame_count > 1 and wp.get_device(device).is_cpu else 1
+    return device_traits(device).block_width if frame_count > 1 else 1
 
 
 def pack_frames(
@@ -51,7 +53,7 @@ def pack_frames(
     blocks = wp.empty((vertex_count, -(-frame_count // width)), dtype=kernels.POINTS[width], device=device)
 
     def pack(part: slice) -> None:
-        wp.launch(
+        launch(
             kernel,
             dim=(part.stop - part.start, blocks.shape[1]),
             inputs=[source[:, part], wp.vec3(*map(float, centre)), float(scale)],
@@ -59,7 +61,7 @@ def pack_frames(
             device=device,
         )
 
-    launch_parts(kernel, pack, vertex_count, device)
+    launch_parts(pack, vertex_count, device)
     return blocks
 
 
@@ -67,5 +69,5 @@ def unpack_frames(blocks: wp.array, frame_count: int) -> np.ndarray:
     """(F, V, 3) float32 of blocks (V, B) of points."""
     points = wp.empty((frame_count, len(blocks)), dtype=wp.vec3, device=blocks.device)
     unpack = kernels.unpack_frames[kernels.width_of(blocks)]
-    wp.launch(unpack, dim=blocks.shape, inputs=[blocks], outputs=[points], device=blocks.device)
+    launch(unpack, dim=blocks.shape, inputs=[blocks], outputs=[points], device=blocks.device)
     return points.numpy()

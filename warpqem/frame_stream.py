@@ -14,6 +14,8 @@ from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
+from warpqem.device import turns_released
+
 __all__ = [
     "ArrayFrames",
     "ArraySink",
@@ -248,12 +250,15 @@ def read_ahead(read: Callable[[slice], Block], blocks: Sequence[slice]) -> Itera
     """Every block with what ``read`` gives for it; the next one is read on a thread while the caller is at work."""
     if len(blocks) < 2:
         for frames in blocks:
-            yield frames, read(frames)
+            with turns_released():
+                block = read(frames)
+            yield frames, block
         return
     with ThreadPoolExecutor(1, thread_name_prefix="warpqem-read") as pool:
         pending = pool.submit(read, blocks[0])
         for frames, following in zip(blocks, [*blocks[1:], None], strict=True):
-            block = pending.result()
+            with turns_released():
+                block = pending.result()
             if following is not None:
                 pending = pool.submit(read, following)
             yield frames, block
@@ -277,7 +282,8 @@ class FrameWriter:
     def __call__(self, frames: slice, block: Block) -> None:
         """Write a block as soon as the one before is written; until then this call waits."""
         if self._pool is None:
-            self._write(frames, block)
+            with turns_released():
+                self._write(frames, block)
             return
         self._wait()
         self._pending = self._pool.submit(self._write, frames, block)
@@ -285,7 +291,8 @@ class FrameWriter:
     def _wait(self) -> None:
         pending, self._pending = self._pending, None
         if pending is not None:
-            pending.result()
+            with turns_released():
+                pending.result()
 
     def __enter__(self) -> FrameWriter:
         return self
@@ -299,4 +306,5 @@ class FrameWriter:
                 self._wait()
         finally:
             if self._pool is not None:
-                self._pool.shutdown(wait=True)
+                with turns_released():
+                    self._pool.shutdown(wait=True)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from warpqem.arguments import SimplifyOptions, check_ratio, target_count
+from warpqem.device import device_turn, on_device
 from warpqem.errors import OptionError, UnreachableTargetError
 from warpqem.frame_stream import FrameSink
 from warpqem.mesh_input import read_mesh
@@ -54,11 +55,13 @@ class LevelOrder:
             UnreachableTargetError: no legal collapse leads to it; its ``result`` is what there is.
         """
         delivery = Delivery(sink, progress, share)
-        ordered = self._levels.at(self._levels.steps_to(target_faces))
-        result = finish(self._work, self._work.placer(ordered), Outcome.of(ordered), self._refit, delivery)
+        with device_turn(self._work.device):
+            ordered = self._levels.at(self._levels.steps_to(target_faces))
+            result = finish(self._work, self._work.placer(ordered), Outcome.of(ordered), self._refit, delivery)
         return reached(result, target_faces)
 
 
+@on_device
 def order_levels(
     points: Any,
     faces: Any = None,
@@ -90,6 +93,7 @@ def order_levels(
     return LevelOrder(work, asked.refits, progress)
 
 
+@on_device
 def simplify_levels(
     points: Any,
     faces: Any = None,

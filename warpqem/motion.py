@@ -14,9 +14,10 @@ import numpy as np
 import warp as wp
 
 from warpqem.components import lowest_members
-from warpqem.device import resolve_device
+from warpqem.device import on_device, resolve_device
 from warpqem.edges import edge_table
 from warpqem.kernels import motion as kernels
+from warpqem.launches import launch
 from warpqem.mesh_input import MeshInput, measure_mesh, read_mesh
 
 __all__ = ["MotionFeatures", "MotionWatch", "motion_features"]
@@ -49,6 +50,7 @@ class MotionFeatures:
         return int(self.label.max(initial=-1)) + 1
 
 
+@on_device
 def motion_features(points: Any, faces: Any = None, *, device: str | None = None) -> MotionFeatures:
     """Find the motion features over all frames.
 
@@ -91,7 +93,7 @@ class MotionWatch:
         self._last = points[-1:].copy()
 
     def _measure(self, points: np.ndarray) -> None:
-        wp.launch(
+        launch(
             kernels.measure_dihedral_changes,
             dim=len(self._edge),
             inputs=[self._edge, wp.array(points, dtype=wp.vec3, device=self._device, copy=False)],

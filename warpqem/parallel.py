@@ -12,8 +12,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
-import warp as wp
-
+from warpqem.device import device_traits
 from warpqem.errors import OptionError
 
 __all__ = ["launch_parts", "run_parts", "split_range", "thread_count"]
@@ -30,14 +29,20 @@ def _core_count() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+# Shared by all callers. Parts never wait for other parts, so they cannot wait for each other.
 @functools.cache
 def _pool() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(_core_count(), thread_name_prefix="warpqem")
 
 
+# A forked process has none of the pool's threads.
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_pool.cache_clear)
+
+
 def thread_count(device: str) -> int:
     """Threads that long launches on the device are split over: 1 on a GPU."""
-    return _core_count() if wp.get_device(device).is_cpu else 1
+    return _core_count() if device_traits(device).splits_launches else 1
 
 
 def split_range(count: int, parts: int) -> list[slice]:
@@ -62,11 +67,7 @@ def run_parts(parts: Sequence[Callable[[], object]]) -> None:
             raise error
 
 
-def launch_parts(kernel: wp.Kernel, launch: Callable[[slice], object], count: int, device: str, least: int = 1) -> None:
-    """Call ``launch`` for slices of ``count`` items, one for each thread of the device, of ``least`` items or more.
-
-    The kernel's module is loaded before: threads that came to it at the same time would each compile it.
-    """
-    wp.load_module(kernel.module, device, max_workers=0)
+def launch_parts(launch: Callable[[slice], object], count: int, device: str, least: int = 1) -> None:
+    """Call ``launch`` for slices of ``count`` items, one for each thread of the device, of ``least`` items or more."""
     parts = max(1, min(thread_count(device), count // least))
     run_parts([partial(launch, part) for part in split_range(count, parts)])

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warpqem.device import resolve_device
+from warpqem.device import device_turn, resolve_device
 from warpqem.errors import OptionError
 from warpqem.frame_stream import read_ahead
 from warpqem.mesh_input import AnimatedMesh
@@ -176,16 +176,17 @@ def help_place(folder: str | os.PathLike[str], device: str | None = None) -> int
 
 def _place_for_other(folder: _Folder, work: _Work, device: str | None) -> int:
     own = resolve_device(device or work.device)
-    placer = BlockPlacer(work.clusters, own if _is_cpu(own) == _is_cpu(work.device) else work.device)
     delivered = 0
 
     def fetch(frames: slice) -> np.ndarray | None:
         return work.mesh.points(frames) if folder.claim(frames) else None
 
-    for frames, points in read_ahead(fetch, work.blocks[::-1]):
-        if points is not None:
-            folder.deliver(frames, placer.place(work.mesh, points))
-            delivered += 1
+    with device_turn(own if _is_cpu(own) == _is_cpu(work.device) else work.device) as used:
+        placer = BlockPlacer(work.clusters, used)
+        for frames, points in read_ahead(fetch, work.blocks[::-1]):
+            if points is not None:
+                folder.deliver(frames, placer.place(work.mesh, points))
+                delivered += 1
     return delivered
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from warpqem.arguments import SimplifyOptions
 from warpqem.attributes import AttributeField
 from warpqem.cost_models import cost_model
-from warpqem.device import resolve_device
+from warpqem.device import on_device, resolve_device
 from warpqem.frame_stream import FrameSink
 from warpqem.memory import MemoryPlan
 from warpqem.mesh_input import read_mesh
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 __all__ = ["plan", "simplify"]
 
 
+@on_device
 def simplify(
     points: Any,
     faces: Any = None,
@@ -51,7 +52,9 @@ def simplify(
 ) -> SimplifiedMesh:
     """Simplify an animated mesh to one topology that fits all its frames.
 
-    The result is deterministic: the same input gives the same bits on the same device.
+    The result is deterministic: the same input gives the same bits on the same device, also where several threads call
+    at once, ``asyncio.to_thread`` included. On a CPU such calls run side by side, a GPU takes one at a time; that holds
+    for all public functions.
 
     Args:
         points: (F, V, 3) or (V, 3) coordinates in any unit: NumPy, Warp, or anything with the array interface or

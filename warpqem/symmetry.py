@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from warpqem.arguments import SimplifyOptions
+from warpqem.device import on_device
 from warpqem.edges import edge_key
 from warpqem.errors import OptionError
 from warpqem.frame_stream import ArraySink, FrameSink
@@ -169,6 +170,7 @@ def _mirrored_faces(faces: np.ndarray, vertex: np.ndarray) -> np.ndarray:
     return np.where(found, order[place], -1)
 
 
+@on_device
 def simplify_symmetric(
     points: Any,
     faces: Any,

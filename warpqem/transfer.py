@@ -13,9 +13,10 @@ import numpy as np
 import warp as wp
 
 from warpqem.components import lowest_members
-from warpqem.device import resolve_device
+from warpqem.device import on_device, resolve_device
 from warpqem.edges import edge_key
 from warpqem.kernels import transfer as kernels
+from warpqem.launches import launch
 from warpqem.mesh_input import as_numpy
 from warpqem.place.rows import gather_faces, group_rows
 from warpqem.result import SimplifiedMesh
@@ -72,6 +73,7 @@ def blend(values: np.ndarray, weight: np.ndarray) -> np.ndarray:
     return mean
 
 
+@on_device
 def surface_transfer(
     points: Any,
     faces: Any,
@@ -109,7 +111,7 @@ def surface_transfer(
     middle = (pose.min(axis=0) + pose.max(axis=0)) / 2
     source_face = wp.empty(len(wedge_owner), dtype=wp.int32, device=device)
     weight = wp.empty(len(wedge_owner), dtype=wp.vec3, device=device)
-    wp.launch(
+    launch(
         kernels.find_wedge_sources,
         dim=len(wedge_owner),
         inputs=[

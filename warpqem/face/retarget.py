@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from warpqem.device import resolve_device
+from warpqem.device import on_device, resolve_device
 from warpqem.errors import FeaturePointError, MeshShapeError
 from warpqem.face.correspondence import Correspondence, LipLine, correspond
 from warpqem.face.features import FacialFeatures, facial_features
@@ -75,6 +75,7 @@ class RetargetedMotion:
         return shapes
 
 
+@on_device
 def retarget(source: FaceMesh, target: FaceMesh, motion: Any, *, device: str | None = None) -> RetargetedMotion:
     """Move the target as the source moves.
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from warpqem.device import resolve_device
+from warpqem.device import on_device, resolve_device
 from warpqem.errors import OptionError
 from warpqem.measure.distance import Closest, ClosestPointSearch
 from warpqem.measure.inputs import MeshSequence, check_same_frame_count, check_sequence, chosen_frames, frame_scale
@@ -217,6 +217,7 @@ def _measure_frames(
     return per_frame, None if value is None else 100 * value / float(comparison.diagonal.mean())
 
 
+@on_device
 def compare(
     reference_points: npt.ArrayLike,
     reference_faces: npt.ArrayLike,

@@ -10,6 +10,7 @@ import warp as wp
 
 from warpqem.errors import DegenerateMeshError
 from warpqem.kernels.closest_point import find_closest_points
+from warpqem.launches import launch
 
 __all__ = ["Closest", "ClosestPointSearch"]
 
@@ -61,7 +62,7 @@ class ClosestPointSearch:
         distance = wp.zeros(len(queries), dtype=wp.float64, device=device)
         face = wp.zeros(len(queries), dtype=wp.int32, device=device)
         barycentric = wp.zeros(len(queries), dtype=wp.vec3d, device=device)
-        wp.launch(
+        launch(
             find_closest_points,
             dim=len(queries),
             inputs=[mesh.id, exact_points, self._indices, wp.array(queries, dtype=wp.vec3d, device=device)],

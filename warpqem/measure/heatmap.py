@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from warpqem.device import resolve_device
+from warpqem.device import on_device, resolve_device
 from warpqem.errors import OptionError
 from warpqem.measure.distance import ClosestPointSearch
 from warpqem.measure.inputs import check_same_frame_count, check_sequence, frame_scale
@@ -38,6 +38,7 @@ def _colors(fraction: npt.NDArray[np.float64]) -> npt.NDArray[np.float32]:
     return _linear_light(encoded).astype(np.float32)
 
 
+@on_device
 def vertex_distances(
     reference_points: npt.ArrayLike,
     reference_faces: npt.ArrayLike,

@@ -16,6 +16,7 @@ from warpqem.components import lowest_members
 from warpqem.kernels import collapse as kernels
 from warpqem.kernels.mesh_state import AnyKeyFrames, MeshState
 from warpqem.kernels.topology import LOCKED
+from warpqem.launches import launch
 from warpqem.order.nodes import read_rows
 
 __all__ = ["ComponentDrop", "Components", "DropRecord"]
@@ -184,7 +185,7 @@ class Components:
 
     def _remove(self, vertex: np.ndarray) -> None:
         device = self._state.corner_vertex.device
-        wp.launch(
+        launch(
             kernels.remove_stars,
             dim=len(vertex),
             inputs=[self._state, wp.array(vertex, dtype=wp.int32, device=device)],

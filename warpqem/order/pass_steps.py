@@ -14,10 +14,11 @@ from warpqem.kernels import legality as legality_kernels
 from warpqem.kernels import present_quadric as present_kernels
 from warpqem.kernels.lanes import width_of
 from warpqem.kernels.mesh_state import AnyKeyFrames, CollapseLog, CostModel, MeshState
-from warpqem.kernels.work import EdgeList, Work
+from warpqem.kernels.work import EdgeList
+from warpqem.launches import Recorder
 from warpqem.order.quadrics import CONSTRAINT_WEIGHT
 from warpqem.order.stars import Stars
-from warpqem.order.steps import Phase, Step, new_edge_list, part_work
+from warpqem.order.steps import Phase, Step, new_edge_list, part_work, record_shared
 from warpqem.parallel import thread_count
 
 __all__ = ["SAMPLE_STEP", "Gear", "PassSteps"]
@@ -101,15 +102,14 @@ class PassSteps:
             setattr(log, name, wp.empty(capacity, dtype=wp.float32, device=self.device))
         return log
 
-    def _launch(self, kernel: wp.Kernel, inputs: list, work: Work, outputs: Sequence = ()) -> None:
-        wp.launch(kernel, dim=work.lanes, inputs=[*inputs, work], outputs=list(outputs), device=self.device)
-
     def price_all(self) -> Step:
         """Price all edges by the model as it is now."""
 
-        def price(part: int) -> None:
+        def price(recorder: Recorder, part: int) -> None:
             work = part_work(part, self.threads, self.device)
-            self._launch(cost_kernels.price_all_edges[self._width], [self.state, self.frames, self.model], work)
+            record_shared(
+                recorder, cost_kernels.price_all_edges[self._width], [self.state, self.frames, self.model], work
+            )
 
         return self._step([Phase(price, self.threads)])
 
@@ -144,26 +144,20 @@ class PassSteps:
 
     def _collecting(self, candidates: EdgeList, sample_step: int, histogram: wp.array, part_count: int) -> list[Phase]:
         """Fill the list of candidates with the cheapest edges; ``histogram`` is zero between passes."""
-        state, device = self.state, self.device
+        state = self.state
 
-        def count(part: int) -> None:
-            work = part_work(part, part_count, device)
-            self._launch(set_kernels.count_costs, [state, sample_step], work, [histogram])
+        def count(recorder: Recorder, part: int) -> None:
+            work = part_work(part, part_count, self.device)
+            record_shared(recorder, set_kernels.count_costs, [state, sample_step], work, [histogram])
 
-        def find_cap(_: int) -> None:
-            wp.copy(self.pass_begin, self.log.count)
-            wp.launch(
-                set_kernels.find_cap,
-                dim=1,
-                inputs=[self.wanted, sample_step],
-                outputs=[histogram, self.cap],
-                device=device,
-            )
-            candidates.count.zero_()
+        def find_cap(recorder: Recorder, _: int) -> None:
+            recorder.copy(self.pass_begin, self.log.count)
+            recorder.launch(set_kernels.find_cap, 1, [self.wanted, sample_step], [histogram, self.cap])
+            recorder.zero(candidates.count)
 
-        def collect(part: int) -> None:
-            work = part_work(part, part_count, device)
-            self._launch(set_kernels.collect_candidates, [state, self.cap], work, [candidates])
+        def collect(recorder: Recorder, part: int) -> None:
+            work = part_work(part, part_count, self.device)
+            record_shared(recorder, set_kernels.collect_candidates, [state, self.cap], work, [candidates])
 
         return [Phase(count, part_count), Phase(find_cap), Phase(collect, part_count)]
 
@@ -173,26 +167,30 @@ class PassSteps:
         """Claim, select, place and judge."""
         state, frames = self.state, self.frames
 
-        def claim(part: int) -> None:
+        def claim(recorder: Recorder, part: int) -> None:
             if part == 0:
-                winners.count.zero_()
+                recorder.zero(winners.count)
             work = part_work(part, part_count, self.device)
-            self._launch(set_kernels.claim_vertices, [state, candidates], work, [self._claim])
+            record_shared(recorder, set_kernels.claim_vertices, [state, candidates], work, [self._claim])
 
-        def select(part: int) -> None:
+        def select(recorder: Recorder, part: int) -> None:
             work = part_work(part, part_count, self.device)
-            self._launch(set_kernels.select_winners, [state, candidates, self._claim], work, [winners])
+            record_shared(recorder, set_kernels.select_winners, [state, candidates, self._claim], work, [winners])
 
-        def judge(part: int) -> None:
+        def judge(recorder: Recorder, part: int) -> None:
             work = part_work(part, part_count, self.device)
-            self._launch(set_kernels.withdraw_claims, [state, candidates], work, [self._claim])
+            record_shared(recorder, set_kernels.withdraw_claims, [state, candidates], work, [self._claim])
             targets = [self._target, self._anchor]
-            self._launch(
-                legality_kernels.place_winners[self._width], [state, frames, self.model, winners], work, targets
+            record_shared(
+                recorder,
+                legality_kernels.place_winners[self._width],
+                [state, frames, self.model, winners],
+                work,
+                targets,
             )
             judged = [state, frames, self.model, winners, self._target, self._flip_tolerance]
             outputs = [self.faces_removed, self._error, legal, space]
-            self._launch(legality_kernels.judge_winners[self._width], judged, work, outputs)
+            record_shared(recorder, legality_kernels.judge_winners[self._width], judged, work, outputs)
 
         return [Phase(claim, part_count), Phase(select, part_count), Phase(judge, part_count)]
 
@@ -211,33 +209,37 @@ class PassSteps:
         state, frames = self.state, self.frames
         legal, space, slot, pool_slot = reserve
 
-        def open_log(_: int) -> None:
+        def open_log(recorder: Recorder, _: int) -> None:
             outputs = [legal, space, self.log, slot, state.stars.used, pool_slot]
-            wp.launch(collapse_kernels.open_log, dim=1, inputs=[], outputs=outputs, device=self.device)
-            candidates_left.count.zero_()
+            recorder.launch(collapse_kernels.open_log, 1, [], outputs)
+            recorder.zero(candidates_left.count)
 
-        def commit(part: int) -> None:
+        def commit(recorder: Recorder, part: int) -> None:
             work = part_work(part, part_count, self.device)
             judged = [self.faces_removed, self._target, self._anchor, self._error]
             inputs = [state, frames, winners, *judged, self.pass_number]
-            self._launch(
-                collapse_kernels.commit_winners[self._width], inputs, work, [self._mask, self.log, slot, pool_slot]
+            record_shared(
+                recorder,
+                collapse_kernels.commit_winners[self._width],
+                inputs,
+                work,
+                [self._mask, self.log, slot, pool_slot],
             )
 
-        def shrink(part: int) -> None:
+        def shrink(recorder: Recorder, part: int) -> None:
             work = part_work(part, part_count, self.device)
             inputs = [state, self._mask, self.pass_number, self.cap, candidates]
-            self._launch(set_kernels.shrink_candidates, inputs, work, [candidates_left])
+            record_shared(recorder, set_kernels.shrink_candidates, inputs, work, [candidates_left])
 
         return [Phase(open_log), Phase(commit, part_count), Phase(shrink, part_count)]
 
     def _keeping_stars(self, part_count: int) -> list[Phase]:
         """Bring the stars of the wings up to date; those of the vertices that moved are since the commit."""
 
-        def drop(part: int) -> None:
+        def drop(recorder: Recorder, part: int) -> None:
             work = part_work(part, part_count, self.device)
             inputs = [self.state, self.log, self.pass_begin, self.pass_number]
-            self._launch(collapse_kernels.drop_dead_corners, inputs, work, [self._dropped])
+            record_shared(recorder, collapse_kernels.drop_dead_corners, inputs, work, [self._dropped])
 
         return [Phase(drop, part_count)]
 
@@ -245,14 +247,14 @@ class PassSteps:
         """Price what moved, wake what lies around it. Prices are worth all threads on any mesh."""
         state = self.state
 
-        def reprice(part: int) -> None:
+        def reprice(recorder: Recorder, part: int) -> None:
             work = part_work(part, self.threads, self.device)
             inputs = [state, self.frames, self.model, self.log, self.pass_begin]
-            self._launch(cost_kernels.reprice_moved_stars[self._width], inputs, work)
+            record_shared(recorder, cost_kernels.reprice_moved_stars[self._width], inputs, work)
 
-        def wake(part: int) -> None:
+        def wake(recorder: Recorder, part: int) -> None:
             work = part_work(part, part_count, self.device)
-            self._launch(cost_kernels.wake_neighbourhoods, [state, self._mask, self.pass_number], work)
+            record_shared(recorder, cost_kernels.wake_neighbourhoods, [state, self._mask, self.pass_number], work)
 
         if self._memoryless:
             return self._renewing_quadrics()
@@ -264,14 +266,14 @@ class PassSteps:
         weights.border, weights.seam = CONSTRAINT_WEIGHT[1], CONSTRAINT_WEIGHT[2]
         around = [self._mask, self.pass_number]
 
-        def renew(part: int) -> None:
+        def renew(recorder: Recorder, part: int) -> None:
             work = part_work(part, self.threads, self.device)
             inputs = [self.state, self.frames, weights, *around]
-            self._launch(present_kernels.renew_quadrics[self._width], inputs, work)
+            record_shared(recorder, present_kernels.renew_quadrics[self._width], inputs, work)
 
-        def reprice(part: int) -> None:
+        def reprice(recorder: Recorder, part: int) -> None:
             work = part_work(part, self.threads, self.device)
             inputs = [self.state, self.frames, self.model, *around]
-            self._launch(cost_kernels.reprice_neighbourhoods[self._width], inputs, work)
+            record_shared(recorder, cost_kernels.reprice_neighbourhoods[self._width], inputs, work)
 
         return [Phase(renew, self.threads), Phase(reprice, self.threads)]

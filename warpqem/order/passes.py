@@ -14,6 +14,7 @@ import warp as wp
 from warpqem.kernels import attribute as attribute_kernels
 from warpqem.kernels import collapse as collapse_kernels
 from warpqem.kernels.topology import PINNED
+from warpqem.launches import launch
 from warpqem.order.drops import ComponentDrop, Components
 from warpqem.order.nodes import NodeRecorder
 from warpqem.order.pass_steps import SAMPLE_STEP, Gear, PassSteps
@@ -131,7 +132,7 @@ class Orderer:
             self._run_counted_rounds(gear, remaining)
         end = int(self.log.count.numpy()[0])
         if end > begin:
-            self.live_faces -= int(self.log.faces_removed.numpy()[begin:end].sum())
+            self.live_faces -= int(self.log.faces_removed[begin:end].numpy().sum())
             compacted = self._compact()
             overfull = int(self.state.stars.used.numpy()[0]) > len(self.state.stars.corner)
             (gear.build_stars if compacted or overfull else gear.keep_stars).run()
@@ -166,14 +167,13 @@ class Orderer:
     def _trim_winners(self, gear: Gear, remaining: int) -> int:
         """Drop the dearest winners beyond the ``remaining`` faces to remove; the faces that the others remove."""
         count = int(gear.winners.count.numpy()[0])
-        faces = self.steps.faces_removed.numpy()[:count]
-        half_edge = gear.winners.half_edge.numpy()[:count]
+        faces = self.steps.faces_removed[:count].numpy().copy()
+        half_edge = gear.winners.half_edge[:count].numpy()
         # The order of the log, so that what is left is a beginning of it.
         order = np.lexsort((self._removed_vertices(half_edge), self.state.edge_cost.numpy()[half_edge]))
         removed_before = np.cumsum(faces[order]) - faces[order]
         faces[order[removed_before >= remaining]] = 0
-        if not self.steps.faces_removed.device.is_cpu:
-            self.steps.faces_removed[:count].assign(faces)
+        self.steps.faces_removed[:count].assign(faces)
         gear.legal.fill_(int(np.count_nonzero(faces)))
         return int(faces.sum())
 
@@ -194,7 +194,7 @@ class Orderer:
         rank = self._live_rank[: self.face_slots]
 
         def mark(part: slice) -> None:
-            wp.launch(
+            launch(
                 collapse_kernels.mark_live_faces,
                 dim=part.stop - part.start,
                 inputs=[state.corner_vertex[3 * part.start : 3 * part.stop]],
@@ -204,7 +204,7 @@ class Orderer:
 
         def move(part: slice) -> None:
             corners = slice(3 * part.start, 3 * part.stop)
-            wp.launch(
+            launch(
                 collapse_kernels.move_live_faces,
                 dim=part.stop - part.start,
                 inputs=[state.corner_vertex[corners], state.edge_cost[corners], state.seam[corners], rank[part]],
@@ -212,11 +212,11 @@ class Orderer:
                 device=self.device,
             )
 
-        launch_parts(collapse_kernels.mark_live_faces, mark, self.face_slots, self.device, COMPACTED_FACES)
+        launch_parts(mark, self.face_slots, self.device, COMPACTED_FACES)
         wp.utils.array_scan(rank, rank, inclusive=True)
-        launch_parts(collapse_kernels.move_live_faces, move, self.face_slots, self.device, COMPACTED_FACES)
+        launch_parts(move, self.face_slots, self.device, COMPACTED_FACES)
         if state.wedges.channel_count > 0:
-            wp.launch(
+            launch(
                 attribute_kernels.move_corner_wedges,
                 dim=self.face_slots,
                 inputs=[state.corner_vertex, state.wedges.corner_wedge, rank],

@@ -7,6 +7,7 @@ import warp as wp
 
 from warpqem.kernels import plane_quadrics as kernels
 from warpqem.kernels.lanes import POINTS, QUADRIC, width_of
+from warpqem.launches import launch
 from warpqem.order.stars import Stars
 from warpqem.parallel import launch_parts
 
@@ -63,7 +64,7 @@ def initial_quadrics(
     weigh_kernel, gather_kernel = kernels.weigh_face_normals[width], kernels.gather_vertex_quadrics[width]
 
     def weigh(part: slice) -> None:
-        wp.launch(
+        launch(
             weigh_kernel,
             dim=(part.stop - part.start, block_count),
             inputs=[corner_vertex[3 * part.start : 3 * part.stop], position],
@@ -72,7 +73,7 @@ def initial_quadrics(
         )
 
     def gather(part: slice) -> None:
-        wp.launch(
+        launch(
             gather_kernel,
             dim=(part.stop - part.start, block_count),
             inputs=[stars.start[part.start : part.stop + 1], stars.corner, normal, quadric_scale[part]],
@@ -80,13 +81,13 @@ def initial_quadrics(
             device=device,
         )
 
-    launch_parts(weigh_kernel, weigh, face_count, device)
-    launch_parts(gather_kernel, gather, vertex_count, device)
+    launch_parts(weigh, face_count, device)
+    launch_parts(gather, vertex_count, device)
     for kind, weight in CONSTRAINT_WEIGHT.items():
         vertex, start, half_edge = constraint_lists(corner_vertex.numpy(), constrained == kind)
         if not len(vertex):
             continue
-        wp.launch(
+        launch(
             kernels.add_border_planes[width],
             dim=(len(vertex), block_count),
             inputs=[

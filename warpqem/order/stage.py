@@ -13,6 +13,7 @@ from warpqem.kernels import attribute as attribute_kernels
 from warpqem.kernels.lanes import width_of
 from warpqem.kernels.mesh_state import KEY_FRAMES, CostModel, MeshState
 from warpqem.kernels.topology import CORNER, FROZEN
+from warpqem.launches import launch
 from warpqem.order.arrangement import ARRANGED_FACES, Arrangement, arrange
 from warpqem.order.attributes import build_wedges
 from warpqem.order.drops import Components, DropRecord
@@ -181,7 +182,7 @@ def _rearranged(mesh: OrderInput, arrangement: Arrangement) -> OrderInput:
     index = wp.array(vertex, device=device)
 
     def gather(part: slice) -> None:
-        wp.launch(
+        launch(
             kernel,
             dim=(part.stop - part.start, position.shape[1]),
             inputs=[mesh.key_position, index[part]],
@@ -189,7 +190,7 @@ def _rearranged(mesh: OrderInput, arrangement: Arrangement) -> OrderInput:
             device=device,
         )
 
-    launch_parts(kernel, gather, len(vertex), device)
+    launch_parts(gather, len(vertex), device)
     return replace(
         mesh,
         faces=arrangement.rearrange_faces(mesh.faces),
@@ -257,7 +258,7 @@ def _collapse(
         components = None
     stopped = orderer.run(settings.target_faces, progress, recorder, components)
     if mesh.attributes is not None:
-        wp.launch(
+        launch(
             attribute_kernels.add_attribute_quadrics[width],
             dim=vertex_count,
             inputs=[state.wedges.quadric],

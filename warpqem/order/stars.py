@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
+from warpqem.device import device_traits
 from warpqem.kernels import topology as kernels
 from warpqem.kernels.topology import VertexStars
-from warpqem.order.steps import Phase, Step, part_work
+from warpqem.launches import Recorder, launch
+from warpqem.order.steps import Phase, Step, part_work, record_shared
 from warpqem.parallel import launch_parts, thread_count
 
 __all__ = ["Stars", "build_stars", "classify_vertices", "group_items"]
@@ -43,40 +45,38 @@ class Stars:
     def phases(self, part_count: int) -> list[Phase]:
         """What builds the lists, in ``part_count`` parts."""
 
-        def count(part: int) -> None:
-            self._launch(kernels.count_corners, [self._cursor], part, part_count)
+        def count(recorder: Recorder, part: int) -> None:
+            self._record(recorder, kernels.count_corners, [self._cursor], part, part_count)
 
-        def fill(part: int) -> None:
-            self._launch(kernels.fill_stars, [self._cursor, self.corner], part, part_count)
+        def fill(recorder: Recorder, part: int) -> None:
+            self._record(recorder, kernels.fill_stars, [self._cursor, self.corner], part, part_count)
 
         phases = [
-            Phase(lambda _: self._cursor.zero_()),
+            Phase(lambda recorder, _: recorder.zero(self._cursor)),
             Phase(count, part_count),
             Phase(self._scan),
             Phase(fill, part_count),
+            Phase(self._hand_out),
         ]
-        phases.append(Phase(self._hand_out))
-        # One CPU thread fills a list in ascending order; on a GPU threads arrive in any order.
-        return phases if wp.get_device(self._device).is_cpu else [*phases, Phase(self._sort)]
+        # Threads in order fill a list in ascending order.
+        return phases if device_traits(self._device).in_order else [*phases, Phase(self._sort)]
 
-    def _launch(self, kernel: wp.Kernel, outputs: list, part: int, part_count: int) -> None:
+    def _record(self, recorder: Recorder, kernel: wp.Kernel, outputs: list, part: int, part_count: int) -> None:
         work = part_work(part, part_count, self._device)
-        inputs = [self._corner_vertex, self._face_count, work]
-        wp.launch(kernel, dim=work.lanes, inputs=inputs, outputs=outputs, device=self._device)
+        record_shared(recorder, kernel, [self._corner_vertex, self._face_count], work, outputs)
 
-    def _scan(self, _: int) -> None:
-        wp.utils.array_scan(self._cursor, self.start, inclusive=False)
-        wp.copy(self._cursor, self.start)
+    def _scan(self, recorder: Recorder, _: int) -> None:
+        recorder.scan(self.start, self._cursor)
+        recorder.copy(self._cursor, self.start)
 
-    def _hand_out(self, _: int) -> None:
+    def _hand_out(self, recorder: Recorder, _: int) -> None:
         vertex_count = len(self.start) - 1
-        wp.copy(self.lists.start, self.start, count=vertex_count)
-        wp.copy(self.lists.end, self.start, src_offset=1, count=vertex_count)
-        wp.copy(self.lists.used, self.start, src_offset=vertex_count, count=1)
+        recorder.copy(self.lists.start, self.start, count=vertex_count)
+        recorder.copy(self.lists.end, self.start, source_offset=1, count=vertex_count)
+        recorder.copy(self.lists.used, self.start, source_offset=vertex_count, count=1)
 
-    def _sort(self, _: int) -> None:
-        vertex_count = len(self.start) - 1
-        wp.launch(kernels.sort_stars, dim=vertex_count, inputs=[self.start], outputs=[self.corner], device=self._device)
+    def _sort(self, recorder: Recorder, _: int) -> None:
+        recorder.launch(kernels.sort_stars, len(self.start) - 1, [self.start], [self.corner])
 
 
 def build_stars(
@@ -105,7 +105,7 @@ def classify_vertices(corner_vertex: wp.array, stars: Stars, vertex_flags: wp.ar
     border = wp.zeros(len(corner_vertex), dtype=wp.int32, device=device)
 
     def classify(part: slice) -> None:
-        wp.launch(
+        launch(
             kernels.classify_vertices,
             dim=part.stop - part.start,
             inputs=[corner_vertex, stars.lists, part.start],
@@ -113,5 +113,5 @@ def classify_vertices(corner_vertex: wp.array, stars: Stars, vertex_flags: wp.ar
             device=device,
         )
 
-    launch_parts(kernels.classify_vertices, classify, len(vertex_flags), device)
+    launch_parts(classify, len(vertex_flags), device)
     return border

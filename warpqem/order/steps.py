@@ -1,68 +1,74 @@
-"""Steps of a pass: launches recorded once as graphs, and replayed with next to no work on the host."""
+"""Steps of a pass: operations recorded once, and run in every pass with next to no work on the host."""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from typing import Any
 
 import warp as wp
 
+from warpqem.device import device_traits
 from warpqem.kernels.work import EdgeList, Work
+from warpqem.launches import Recorder
 from warpqem.parallel import run_parts
 
-__all__ = ["Phase", "Step", "new_edge_list", "part_work"]
-
-# On a GPU a work list of unknown length is walked by this many lanes: enough to fill any device of today.
-GPU_LANES = 65536
+__all__ = ["Phase", "Step", "new_edge_list", "part_work", "record_shared"]
 
 
 @dataclass(frozen=True)
 class Phase:
-    """Launches that may run at once, one for each part of the work.
+    """Operations that may run at once, one group for each part of the work.
 
     Attributes:
-        launch: makes the launches of one part; it is called while a graph is captured.
+        record: records the operations of one part.
         part_count: parts, each on its own thread; 1 for what one thread does alone.
     """
 
-    launch: Callable[[int], object]
+    record: Callable[[Recorder, int], None]
     part_count: int = 1
 
 
 class Step:
-    """Phases one after another, captured on the device when the step is made, run as often as asked."""
+    """Phases one after another, recorded when the step is made, run as often as asked."""
 
     def __init__(self, phases: Sequence[Phase], device: str) -> None:
         self._device = device
-        self._graphs: list[list[wp.Graph]] = []
+        self._runs: list[list[Callable[[], None]]] = []
         for part_count, group in itertools.groupby(phases, key=lambda phase: phase.part_count):
             phases_alike = list(group)
             if part_count == 1:
-                self._graphs.append([self._capture([partial(phase.launch, 0) for phase in phases_alike])])
+                self._runs.append([self._recorded(phases_alike, 0)])
                 continue
             for phase in phases_alike:
-                self._graphs.append([self._capture([partial(phase.launch, part)]) for part in range(part_count)])
+                self._runs.append([self._recorded([phase], part) for part in range(part_count)])
 
-    def _capture(self, launches: Sequence[Callable[[], object]]) -> wp.Graph:
-        with wp.ScopedCapture(device=self._device) as capture:
-            for launch in launches:
-                launch()
-        return capture.graph
+    def _recorded(self, phases: Sequence[Phase], part: int) -> Callable[[], None]:
+        recorder = Recorder(self._device)
+        for phase in phases:
+            phase.record(recorder, part)
+        return recorder.finish()
 
     def run(self) -> None:
-        """Replay the graphs; on a CPU, done when this returns."""
-        for graphs in self._graphs:
-            run_parts([partial(wp.capture_launch, graph) for graph in graphs])
+        """Run all; on a CPU, done when this returns."""
+        for parts in self._runs:
+            run_parts(parts)
 
 
 def part_work(part: int, part_count: int, device: str) -> Work:
     """The share of one part."""
     work = Work()
     work.part, work.part_count = part, part_count
-    work.lanes = 1 if wp.get_device(device).is_cpu else GPU_LANES
+    work.lanes = device_traits(device).launch_threads
     return work
+
+
+def record_shared(
+    recorder: Recorder, kernel: wp.Kernel, inputs: Sequence[Any], work: Work, outputs: Sequence[Any] = ()
+) -> None:
+    """Record a kernel that deals out its items by ``work``, its last input."""
+    recorder.launch(kernel, work.lanes, [*inputs, work], outputs)
 
 
 def new_edge_list(storage: wp.array, part_count: int) -> EdgeList:

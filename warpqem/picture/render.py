@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 import warp as wp
 
-from warpqem.device import resolve_device
+from warpqem.device import on_device, resolve_device
 from warpqem.errors import OptionError
 from warpqem.kernels import render as kernels
-from warpqem.parallel import run_parts, split_range, thread_count
+from warpqem.launches import launch
+from warpqem.parallel import launch_parts
 
 __all__ = ["View", "fit_view", "render"]
 
@@ -77,6 +77,7 @@ def fit_view(
     return View(azimuth, elevation, (float(middle[0]), float(middle[1]), float(middle[2])), float(height) or 1.0, up)
 
 
+@on_device
 def render(
     points: np.ndarray,
     faces: np.ndarray,
@@ -132,7 +133,7 @@ def render(
         shift = camera.pixel * (0.5 * height - 0.5 * (part.start + part.stop))
         strip.middle = camera.middle + shift * camera.up
         strip.right, strip.up, strip.pixel, strip.reach = camera.right, camera.up, camera.pixel, camera.reach
-        wp.launch(
+        launch(
             kernels.render_pixels,
             dim=(part.stop - part.start, width),
             inputs=[mesh.id, corner_vertex, mesh.points, strip, shading, SAMPLES],
@@ -140,8 +141,7 @@ def render(
             device=device,
         )
 
-    wp.load_module(kernels, device=device)
-    run_parts([partial(draw, part) for part in split_range(height, thread_count(device))])
+    launch_parts(draw, height, device)
     return _encode(image.numpy())
 
 

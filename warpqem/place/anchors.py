@@ -10,6 +10,7 @@ import warp as wp
 from warpqem.kernels import anchor as kernels
 from warpqem.kernels import cluster_rows as row_kernels
 from warpqem.kernels.lanes import width_of
+from warpqem.launches import launch
 from warpqem.order.stage import OrderedMesh
 from warpqem.order.stars import group_items
 from warpqem.parallel import launch_parts
@@ -52,7 +53,7 @@ def nearest_members(ordered: OrderedMesh, cluster: np.ndarray, cluster_count: in
 
     def choose(part: slice) -> None:
         rows = slice(part.start, part.stop + 1)
-        wp.launch(
+        launch(
             row_kernels.choose_nearest,
             dim=part.stop - part.start,
             inputs=[groups.start[rows], groups.corner, distance, chosen_start[rows]],
@@ -60,7 +61,7 @@ def nearest_members(ordered: OrderedMesh, cluster: np.ndarray, cluster_count: in
             device=device,
         )
 
-    launch_parts(row_kernels.choose_nearest, choose, cluster_count, device)
+    launch_parts(choose, cluster_count, device)
     return Anchors(start, vertex.numpy(), np.repeat(1.0 / size, size).astype(np.float32))
 
 
@@ -71,7 +72,7 @@ def _cluster_distances(ordered: OrderedMesh, device: str) -> wp.array:
     distance = wp.empty(len(row), dtype=wp.float32, device=device)
 
     def measure(part: slice) -> None:
-        wp.launch(
+        launch(
             kernel,
             dim=part.stop - part.start,
             inputs=[row[part], ordered.key_position[part], ordered.position],
@@ -79,7 +80,7 @@ def _cluster_distances(ordered: OrderedMesh, device: str) -> wp.array:
             device=device,
         )
 
-    launch_parts(kernel, measure, len(row), device)
+    launch_parts(measure, len(row), device)
     return distance
 
 
@@ -128,7 +129,7 @@ def fit_anchors(
     def fit(part: slice) -> None:
         rows = slice(part.start, part.stop + 1)
         state = [ordered.key_position, ordered.position, ordered.quadric]
-        wp.launch(
+        launch(
             kernel,
             dim=part.stop - part.start,
             inputs=[row[part], member_start[rows], member, first_entry[rows], *state, pull[part]],
@@ -136,5 +137,5 @@ def fit_anchors(
             device=device,
         )
 
-    launch_parts(kernel, fit, len(kept), device)
+    launch_parts(fit, len(kept), device)
     return Anchors(members.start, members.vertex, weight.numpy())

@@ -13,6 +13,7 @@ import warp as wp
 
 from warpqem.frame_blocks import block_width, pack_frames, unpack_frames
 from warpqem.kernels import placement as kernels
+from warpqem.launches import launch
 from warpqem.mesh_input import AnimatedMesh
 from warpqem.parallel import launch_parts
 
@@ -88,7 +89,7 @@ class BlockPlacer:
         normal = wp.empty_like(out)
 
         def place(part: slice) -> None:
-            wp.launch(
+            launch(
                 kernel,
                 dim=(part.stop - part.start, block_count),
                 inputs=[packed, self._corner_vertex, self._clusters, part.start],
@@ -96,7 +97,7 @@ class BlockPlacer:
                 device=device,
             )
 
-        launch_parts(kernel, place, vertex_count, device)
+        launch_parts(place, vertex_count, device)
         return PlacedFrames(
             unpack_frames(out, len(points)), unpack_frames(normal, len(points)), points[:, self._data.copied_from]
         )

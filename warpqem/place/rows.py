@@ -6,6 +6,7 @@ import numpy as np
 import warp as wp
 
 from warpqem.kernels import cluster_rows as kernels
+from warpqem.launches import launch
 from warpqem.order.stars import build_stars
 from warpqem.parallel import launch_parts
 
@@ -62,7 +63,7 @@ def gather_faces(
     count = wp.empty(cluster_count, dtype=wp.int32, device=device)
 
     def count_part(part: slice) -> None:
-        wp.launch(
+        launch(
             kernels.count_faces,
             dim=part.stop - part.start,
             inputs=[stars.start[part.start : part.stop + 1], stars.corner],
@@ -70,7 +71,7 @@ def gather_faces(
             device=device,
         )
 
-    launch_parts(kernels.count_faces, count_part, cluster_count, device)
+    launch_parts(count_part, cluster_count, device)
     start = np.concatenate([[0], np.cumsum(count.numpy())]).astype(np.int32)
     weight_in, start_in = (wp.array(a, device=device) for a in (corner_weight, start))
     face = wp.empty(int(start[-1]), dtype=wp.int32, device=device)
@@ -78,7 +79,7 @@ def gather_faces(
 
     def list_part(part: slice) -> None:
         rows = slice(part.start, part.stop + 1)
-        wp.launch(
+        launch(
             kernels.list_faces,
             dim=part.stop - part.start,
             inputs=[stars.start[rows], stars.corner, weight_in, start_in[rows]],
@@ -86,5 +87,5 @@ def gather_faces(
             device=device,
         )
 
-    launch_parts(kernels.list_faces, list_part, cluster_count, device)
+    launch_parts(list_part, cluster_count, device)
     return start, face.numpy(), weight.numpy()

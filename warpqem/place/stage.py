@@ -7,6 +7,7 @@ import warp as wp
 
 from warpqem.frame_blocks import block_width, pack_frames
 from warpqem.kernels import placement as kernels
+from warpqem.launches import launch
 from warpqem.mesh_input import AnimatedMesh
 from warpqem.order.stage import OrderedMesh
 from warpqem.place.blocks import PlacedFrames
@@ -54,7 +55,7 @@ class Placer(ClusterPlacer):
         width = block_width(mesh.frame_count, self.device)
         points, normals = (pack_frames(a, self.device, width=width) for a in (placed.points, placed.normals))
         count = wp.zeros(points.shape[1] * width, dtype=wp.int32, device=self.device)
-        wp.launch(
+        launch(
             kernels.count_flips[width],
             dim=(len(self.faces), points.shape[1]),
             inputs=[points, normals, self._out_corner_vertex],

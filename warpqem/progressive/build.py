@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from warpqem.arguments import SimplifyOptions
+from warpqem.device import on_device
 from warpqem.errors import OptionError
 from warpqem.frame_stream import read_ahead
 from warpqem.order.levels import OrderedLevels
@@ -19,6 +20,7 @@ from warpqem.progressive.splits import SplitTopology
 __all__ = ["build_progressive"]
 
 
+@on_device
 def build_progressive(
     points: Any,
     faces: Any = None,

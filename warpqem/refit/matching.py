@@ -8,6 +8,7 @@ import warp as wp
 from warpqem.kernels import refit as kernels
 from warpqem.kernels import surface_walk as walk_kernels
 from warpqem.kernels.surface_walk import Surface
+from warpqem.launches import launch
 from warpqem.order.stars import Stars
 from warpqem.parallel import launch_parts
 from warpqem.place.rows import group_rows
@@ -49,7 +50,7 @@ def make_surface(points: wp.array, corner_vertex: wp.array, stars: Stars) -> Sur
     surface.star_start, surface.star_corner = stars.start, stars.corner
     surface.opposite = wp.empty_like(corner_vertex)
     surface.border_out, surface.border_in = (wp.full(vertex_count, -1, dtype=wp.int32, device=device) for _ in range(2))
-    wp.launch(
+    launch(
         walk_kernels.link_half_edges,
         dim=len(corner_vertex),
         inputs=[surface],
@@ -152,9 +153,9 @@ class Matching:
         def match(part: slice) -> None:
             turns = kernels.Turns()
             turns.first, turns.count, turns.key, turns.key_count = part.start, self._turns, key, key_count
-            wp.launch(kernel, dim=part.stop - part.start, inputs=[turns, *inputs], outputs=[pairs], device=self._device)
+            launch(kernel, dim=part.stop - part.start, inputs=[turns, *inputs], outputs=[pairs], device=self._device)
 
-        launch_parts(kernel, match, count, self._device)
+        launch_parts(match, count, self._device)
 
 
 class _Hierarchy:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warp as wp
 
 from warpqem.kernels import element_solve as kernels
+from warpqem.launches import launch
 
 __all__ = ["solve_elements"]
 
@@ -32,7 +33,7 @@ def solve_elements(elements: kernels.Elements, corner_right: wp.array) -> wp.arr
     state.scalar = wp.zeros(3, dtype=wp.float64, device=device)
 
     def run(kernel: wp.Kernel, count: int, *inputs: object) -> None:
-        wp.launch(kernel, dim=count, inputs=[*inputs, state], device=device)
+        launch(kernel, dim=count, inputs=[*inputs, state], device=device)
 
     run(kernels.start_solve, vertex_count, elements, corner_right)
     run(kernels.sum_residual, kernels.SLICES)

@@ -20,6 +20,7 @@ from warpqem.frame_stream import read_ahead
 from warpqem.kernels import material_frame as frame_kernels
 from warpqem.kernels import refit as kernels
 from warpqem.kernels.element_solve import Elements
+from warpqem.launches import launch
 from warpqem.mesh_input import AnimatedMesh
 from warpqem.order.stars import build_stars
 from warpqem.parallel import launch_parts
@@ -163,7 +164,7 @@ class _Refit:
 
     def _measure_frames(self, free: np.ndarray) -> wp.array:
         frames = wp.empty(self._points.shape, dtype=wp.mat33, device=self._device)
-        wp.launch(
+        launch(
             frame_kernels.measure_material_frames,
             dim=self._points.shape,
             inputs=[
@@ -205,7 +206,7 @@ class _Refit:
         elements.star_start, elements.star_corner = self._stars.start, self._stars.corner
         elements.block = wp.empty((face_count, 9), dtype=wp.mat33, device=device)
         right = wp.empty(3 * face_count, dtype=wp.vec3, device=device)
-        wp.launch(
+        launch(
             kernels.assemble_elements,
             dim=face_count,
             inputs=[
@@ -229,7 +230,7 @@ class _Refit:
 
     def _move(self, points: wp.array, normals: wp.array, moved: wp.array) -> None:
         def move(part: slice) -> None:
-            wp.launch(
+            launch(
                 frame_kernels.move_in_material_frame,
                 dim=(part.stop - part.start, self._vertex_count),
                 inputs=[self._rings, points[part], normals[part], self._correction],
@@ -237,7 +238,7 @@ class _Refit:
                 device=self._device,
             )
 
-        launch_parts(frame_kernels.move_in_material_frame, move, len(points), self._device)
+        launch_parts(move, len(points), self._device)
 
     def hold_back(self, placed: FrameStore, blocks: Sequence[slice]) -> None:
         """Hold vertices that turn a face over in some frame back more, and at last do not move them.
@@ -275,7 +276,7 @@ class _Refit:
         moved = wp.empty_like(points)
         self._move(points, normals, moved)
         marked = wp.zeros(self._vertex_count, dtype=wp.int32, device=self._device)
-        wp.launch(
+        launch(
             frame_kernels.mark_new_flips,
             dim=(len(points), len(self._faces)),
             inputs=[points, moved, normals, self._correction, self._corner_vertex],

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from warpqem.device import resolve_device
+from warpqem.device import device_turn
 from warpqem.errors import WarpqemError
 from warpqem.measure import Comparison, compare, vertex_distances
 from warpqem.measure.distance import ClosestPointSearch
@@ -181,8 +181,9 @@ def _carried(
     """Label of the vertex near each new point."""
     faces = np.asarray(faces, dtype=np.int64)
     middle, size = points.mean(axis=0, dtype=np.float64), float(np.ptp(points, axis=0).max()) or 1.0
-    search = ClosestPointSearch(faces, resolve_device(device), "reference")
-    nearest = search.closest((points - middle) / size, (new_points - middle) / size, 0)
+    with device_turn(device) as used:
+        search = ClosestPointSearch(faces, used, "reference")
+        nearest = search.closest((points - middle) / size, (new_points - middle) / size, 0)
     return labels[faces[nearest.face, nearest.barycentric.argmax(axis=1)]]
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from warpqem.device import resolve_device
+from warpqem.device import on_device, resolve_device
 from warpqem.errors import MeshShapeError, OptionError
 from warpqem.mesh_input import as_numpy
 from warpqem.result import SimplifiedMesh
@@ -54,6 +54,7 @@ class FittedSkin:
     after: float
 
 
+@on_device
 def fit_skin(
     points: Any,
     faces: Any,

@@ -10,6 +10,7 @@ import warp as wp
 
 from warpqem.edges import edge_table
 from warpqem.kernels import skin_fit as kernels
+from warpqem.launches import launch
 from warpqem.order.quadrics import CONSTRAINT_WEIGHT
 from warpqem.parallel import launch_parts
 from warpqem.place.rows import sum_repeated
@@ -113,7 +114,7 @@ class ClusterPlanes:
             inputs: list[Any] = []
             for start, (item, weight) in zip(starts, self._rows, strict=True):
                 inputs += [start[part.start : part.stop + 1], item, weight]
-            wp.launch(
+            launch(
                 kernels.gather_planes,
                 dim=(part.stop - part.start, shape[0]),
                 inputs=[*inputs, points, place[:, part], SURFACE_PULL, int(to_planes)],
@@ -121,7 +122,7 @@ class ClusterPlanes:
                 device=self._device,
             )
 
-        launch_parts(kernels.gather_planes, gather, count, self._device)
+        launch_parts(gather, count, self._device)
         return stiffness, goal
 
 
@@ -204,7 +205,7 @@ class SkinFit:
         before, after = (wp.empty(count, dtype=wp.float64, device=device) for _ in range(2))
 
         def fit(part: slice) -> None:
-            wp.launch(
+            launch(
                 kernels.fit_vertices,
                 dim=part.stop - part.start,
                 inputs=[problem, scratch, part.start],
@@ -212,7 +213,7 @@ class SkinFit:
                 device=device,
             )
 
-        launch_parts(kernels.fit_vertices, fit, count, device)
+        launch_parts(fit, count, device)
         return rest.numpy(), weight.numpy(), before.numpy(), after.numpy()
 
     def _scratch(self, size: np.ndarray) -> kernels.SkinScratch:

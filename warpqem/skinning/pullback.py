@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from warpqem.arguments import SimplifyOptions
+from warpqem.device import on_device
 from warpqem.edges import edge_table
 from warpqem.errors import OptionError
 from warpqem.mesh_input import as_numpy
@@ -31,6 +32,7 @@ __all__ = ["pulled_back_matrices", "simplify_pulled_back"]
 MEAN_PULL = 1e-3
 
 
+@on_device
 def simplify_pulled_back(
     points: Any, faces: Any, skin: LinearSkin, transforms: Any, *, progress: Progress | None = None, **options: Any
 ) -> SimplifiedMesh:
