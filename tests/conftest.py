@@ -6,6 +6,12 @@ import hypothesis
 import pytest
 import warp as wp
 
+# The ways of a GPU on the CPU: before any kernel is compiled.
+if "CUDA_SEMANTICS" in os.environ:
+    from tests import cuda_semantics
+
+    cuda_semantics.install(os.environ["CUDA_SEMANTICS"])
+
 # Where a run decides about a change, it tries the same examples every time; elsewhere new ones on every run.
 hypothesis.settings.register_profile("ci", derandomize=True)
 if os.environ.get("CI"):
