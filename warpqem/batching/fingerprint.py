@@ -92,6 +92,7 @@ def _dependencies(path: str) -> list[str]:
     """All files that a USD file needs, itself among them; of those that are missing the path they would have."""
     from pxr import Sdf, Tf, UsdUtils
 
+    from warpqem.usd.input_check import file_of
     from warpqem.usd.usd_errors import first_line
 
     try:
@@ -99,6 +100,5 @@ def _dependencies(path: str) -> list[str]:
     except Tf.ErrorException as error:
         raise StageError(f"{path}: USD cannot read it ({first_line(error)})") from error
     found = [layer.realPath for layer in layers] + [os.fspath(asset) for asset in assets]
-    # A path within a package counts as the package.
-    files = {os.path.abspath(file.split("[", 1)[0]) for file in (path, *found, *missing) if file}
+    files = {os.path.abspath(file_of(file)) for file in (path, *found, *missing) if file}
     return sorted(files)

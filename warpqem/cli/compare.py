@@ -50,6 +50,7 @@ def compare(
     Exit codes: 0 all done; 1 an error, or some pair failed; 2 wrong usage.
     """
     quiet_warp()
+    from warpqem.outputs import named_outputs
     from warpqem.report.page import check_page_path
     from warpqem.usd import CompareOptions, FrameRange, compare_stages
     from warpqem.usd.report_page import write_compare_report
@@ -65,7 +66,8 @@ def compare(
         heatmap_scale=scale,
     )
     with progress_bar("reading") as progress:
-        pairs = compare_stages(reference, test, options, progress)
+        others = named_outputs({"--report": report, "--json": json})
+        pairs = compare_stages(reference, test, options, progress, others)
         if report is not None and any(pair.comparison for pair in pairs):
             write_compare_report(report, reference, test, pairs, options, progress)
     for pair in pairs:

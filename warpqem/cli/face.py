@@ -54,11 +54,13 @@ def detect(
     Exit codes: 0 done; 1 an error; 2 wrong usage.
     """
     quiet_warp()
+    from warpqem.outputs import named_outputs
     from warpqem.usd import FrameRange
-    from warpqem.usd.face import FaceOptions, draw_face, read_face, write_points
+    from warpqem.usd.face import FaceOptions, check_face_outputs, draw_face, read_face, write_points
 
     frame_range = FrameRange.parse(frames) if frames else None
     found = read_face(input_file, FaceOptions(prim, frame_range, find_orientation, points))
+    check_face_outputs(named_outputs({"--output": output, "--picture": picture, "--json": json}), [found])
     if picture is not None:
         draw_face(found, picture, device)
     written = write_points(found)
@@ -115,13 +117,15 @@ def retarget(
     Exit codes: 0 done; 1 an error; 2 wrong usage.
     """
     quiet_warp()
+    from warpqem.outputs import named_outputs
     from warpqem.usd import FrameRange
     from warpqem.usd.face import FaceOptions, read_face, retarget_file
 
     frame_range = FrameRange.parse(frames) if frames else None
     source = read_face(source_file, FaceOptions(source_prim, frame_range, points=source_points))
     target = read_face(target_file, FaceOptions(target_prim, points=target_points))
-    moved = retarget_file(source, target, output, blend_shapes, device)
+    others = named_outputs({"--json": json})
+    moved = retarget_file(source, target, output, blend_shapes, device, others)
     row = {
         "frames": len(moved.points),
         "vertices": moved.points.shape[1],

@@ -29,6 +29,7 @@ def features(
     Exit codes: 0 all done; 1 an error, or some mesh failed; 2 wrong usage.
     """
     quiet_warp()
+    from warpqem.outputs import named_outputs
     from warpqem.usd import FrameRange, color_features
 
     with progress_bar("reading") as progress:
@@ -39,6 +40,7 @@ def features(
             frames=FrameRange.parse(frames) if frames else None,
             device=device,
             progress=progress,
+            other_outputs=named_outputs({"--json": json}),
         )
     table = Table(title=escape(f"{input_file} -> {output}"))
     table.add_column("mesh", overflow="fold")

@@ -22,9 +22,10 @@ def info(input_file: Input, json: JsonReport = None) -> None:
     Exit codes: 0 done, whatever the meshes are like; 1 the file cannot be read; 2 wrong usage.
     """
     quiet_warp()
+    from warpqem.outputs import named_outputs
     from warpqem.usd import inspect_stage
 
-    meshes = inspect_stage(input_file)
+    meshes = inspect_stage(input_file, named_outputs({"--json": json}))
     print_table(_table(input_file, meshes), to_stderr=json == "-")
     for mesh in meshes:
         for problem in mesh.problems:

@@ -60,6 +60,7 @@ def build(
     Exit codes: 0 done; 1 an error; 2 wrong usage.
     """
     quiet_warp()
+    from warpqem.outputs import named_outputs
     from warpqem.usd import FrameRange
     from warpqem.usd.progressive import BuildOptions, build_file
 
@@ -73,7 +74,7 @@ def build(
         device=device,
     )
     with progress_bar("reading") as progress:
-        info = build_file(input_file, output, options, progress)
+        info = build_file(input_file, output, options, progress, named_outputs({"--json": json}))
     _show(f"{input_file} -> {output}", info, json)
 
 
@@ -97,11 +98,13 @@ def extract(
     Exit codes: 0 done; 1 an error; 2 wrong usage.
     """
     quiet_warp()
+    from warpqem.outputs import named_outputs
     from warpqem.usd.option_values import screen_view
     from warpqem.usd.progressive import LevelChoice, extract_level
 
     screen = screen_view(screen_error, distance, field_of_view, image_height)
-    count, error = extract_level(file, output, LevelChoice(ratio, faces, max_error, screen))
+    choice = LevelChoice(ratio, faces, max_error, screen)
+    count, error = extract_level(file, output, choice, named_outputs({"--json": json}))
     table = Table(title=escape(f"{file} -> {output}"))
     for name in ("faces", "error %"):
         table.add_column(name, justify="right")
@@ -119,8 +122,10 @@ def info(file: MeshFile, json: JsonReport = None) -> None:
     """
     quiet_warp()
     from warpqem.errors import StageError
+    from warpqem.outputs import InputFile, check_outputs, named_outputs
     from warpqem.progressive import read_info
 
+    check_outputs(named_outputs({"--json": json}), [InputFile(file)])
     try:
         found = read_info(file)
     except OSError as error:

@@ -39,6 +39,7 @@ def run_simplify(input_file: str, output: str, options: dict[str, Any], page: st
     """Simplify, and say what came of it."""
     quiet_warp()
     from warpqem.memory import parse_bytes
+    from warpqem.outputs import named_outputs
     from warpqem.process_memory import limited_memory
     from warpqem.report.page import check_page_path
     from warpqem.usd import simplify_stage
@@ -50,7 +51,8 @@ def run_simplify(input_file: str, output: str, options: dict[str, Any], page: st
         check_page_path(page)
     limit = None if asked.memory is None else parse_bytes(asked.memory)
     with limited_memory(limit), progress_bar("reading") as progress:
-        report = simplify_stage(input_file, output, asked, progress, _tell_plan)
+        others = named_outputs({"--report": page, "--json": json})
+        report = simplify_stage(input_file, output, asked, progress, _tell_plan, other_outputs=others)
         if page is not None and report.output is not None:
             write_simplify_report(page, report, asked, progress)
     _tell_problems(report)

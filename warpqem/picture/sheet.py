@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import uuid
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -73,7 +74,8 @@ def write_png(picture: np.ndarray, path: str | os.PathLike[str], colors: int | N
 
 def _save(image: Image.Image, path: str | os.PathLike[str], **options: Any) -> None:
     target = Path(path)
-    temporary = target.with_name(f".{target.name}.{os.getpid()}")
+    # A name that no file has, so that nothing is written over.
+    temporary = target.with_name(f".{target.name}.{uuid.uuid4().hex}")
     try:
         image.save(temporary, **options)
         os.replace(temporary, target)

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from warpqem.errors import OptionError, ProgressiveFileError
+from warpqem.outputs import InputFile, OutputFile, check_outputs
 from warpqem.progressive import coding
 from warpqem.progressive.container import ChunkFile, FileInfo, write_chunks
 from warpqem.progressive.mesh import ProgressiveMesh
@@ -36,11 +37,13 @@ def save(mesh: ProgressiveMesh, path: str | os.PathLike[str], extra: dict[str, A
         extra: anything that JSON holds, to be found again in :attr:`FileInfo.extra`.
 
     Raises:
-        OptionError: not all splits of the mesh are loaded.
+        OptionError: not all splits of the mesh are loaded, or it was loaded from this file.
         OSError: the file cannot be written; nothing is left behind.
     """
     if not mesh.is_complete:
         raise OptionError(f"only {mesh.loaded_face_count} of {mesh.face_count} faces are loaded")
+    loaded = [] if mesh.source is None else [InputFile(mesh.source, "the file that the mesh was loaded from")]
+    check_outputs([OutputFile("output", path)], loaded)
     topology, face_counts = mesh.topology, mesh.topology.face_counts()
     bounds = _chunk_bounds(topology.split_count)
     info = FileInfo(
@@ -104,12 +107,14 @@ def stream(path: str | os.PathLike[str]) -> Iterator[ProgressiveMesh]:
             try:
                 if index == 0:
                     decoder.read_base(parts)
-                    yield decoder.mesh(0, file.info.base_face_count)
+                    mesh = decoder.mesh(0, file.info.base_face_count)
                 else:
                     decoder.read_splits(parts, bounds[index][:2], bounds[index + 1][:2])
-                    yield decoder.mesh(*bounds[index + 1][:2])
+                    mesh = decoder.mesh(*bounds[index + 1][:2])
             except ProgressiveFileError as error:
                 raise ProgressiveFileError(f"{file.path}: chunk {index}: {error}") from error
+            mesh.source = os.path.abspath(path)
+            yield mesh
 
 
 def _chunk_bounds(split_count: int) -> list[tuple[int, int]]:

@@ -51,10 +51,14 @@ class ProgressiveMesh:
     Args:
         topology: the base mesh and the splits.
         points: (F, B + 2 C, 3) float32, the rows' positions in all frames, in the input's coordinates.
+
+    Attributes:
+        source: the file it was loaded from; None for a mesh that was built.
     """
 
     def __init__(self, topology: SplitTopology, points: np.ndarray) -> None:
         self.topology, self.points = topology, points
+        self.source: str | None = None
         self._face_counts = topology.face_counts()
 
     @property

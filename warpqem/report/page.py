@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import json
 import os
+import uuid
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -70,7 +71,8 @@ def save_page(path: str | os.PathLike[str], text: str) -> None:
         StageError: the file cannot be written; nothing is left behind.
     """
     target = Path(path)
-    temporary = target.with_name(f".{target.name}.{os.getpid()}")
+    # A name that no file has, so that nothing is written over.
+    temporary = target.with_name(f".{target.name}.{uuid.uuid4().hex}")
     try:
         temporary.write_text(text, encoding="utf-8")
         os.replace(temporary, target)

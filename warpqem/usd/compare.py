@@ -13,7 +13,9 @@ from pxr import Usd
 
 from warpqem.errors import DeviceError, OptionError, StageError, WarpqemError
 from warpqem.measure import Comparison, compare, distance_colors
+from warpqem.outputs import OutputFile, named_outputs
 from warpqem.usd.frames import FrameRange
+from warpqem.usd.input_files import check_stage_outputs
 from warpqem.usd.mesh import MeshSource, StageMesh
 from warpqem.usd.report import name_prim
 from warpqem.usd.skel import StagePoses
@@ -79,6 +81,7 @@ def compare_stages(
     test_path: str | os.PathLike[str],
     options: CompareOptions,
     progress: Callable[[float, str], None] | None = None,
+    other_outputs: Sequence[OutputFile] = (),
 ) -> list[PairReport]:
     """Compare meshes that have the same path in both files, in their local space, at the union of their frames.
 
@@ -87,17 +90,20 @@ def compare_stages(
         test_path: USD file.
         options: What to do.
         progress: Called with the fraction done and what is being done.
+        other_outputs: What else the caller is going to write; see `warpqem.usd.simplify_stage`.
 
     Returns:
         One report for each mesh of either file. A mesh that the other file lacks counts as failed.
 
     Raises:
         StageError: a file cannot be read, or the heat map cannot be written.
-        OptionError: an option is wrong.
+        OptionError: an option or an output path is wrong.
         DeviceError: there is no such device.
     """
     heatmap = check_output_path(options.heatmap, [reference_path, test_path]) if options.heatmap else None
     reference, test = _Side(reference_path, options.prims), _Side(test_path, options.prims)
+    outputs = [*named_outputs({"heatmap": options.heatmap}), *other_outputs]
+    check_stage_outputs(outputs, [reference.stage, test.stage])
     layer = OverLayer(test.stage)
     reports = []
     paths = list(reference.prims) + [path for path in test.prims if path not in reference.prims]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,16 +17,18 @@ from warpqem.errors import OptionError, StageError
 from warpqem.face import FEATURE_NAMES
 from warpqem.face.features import FacialFeatures, facial_features
 from warpqem.face.retarget import FaceMesh, RetargetedMotion, retarget
+from warpqem.outputs import InputFile, OutputFile
 from warpqem.picture import View, fit_view, render, tile, write_png
 from warpqem.picture.marks import mark
 from warpqem.usd.face_output import write_blend_shapes, write_samples
 from warpqem.usd.frames import FrameRange
+from warpqem.usd.input_files import check_stage_outputs
 from warpqem.usd.mesh import MeshSource
 from warpqem.usd.skel import StagePoses
 from warpqem.usd.stage import find_meshes, open_stage
 from warpqem.usd.write import check_output_path, copy_stage_metadata, export_layer
 
-__all__ = ["FaceOptions", "StageFace", "draw_face", "read_face", "retarget_file", "write_points"]
+__all__ = ["FaceOptions", "StageFace", "check_face_outputs", "draw_face", "read_face", "retarget_file", "write_points"]
 
 # Point subsets of this family name feature points: each is named after one and holds it.
 SUBSET_FAMILY = "face"
@@ -64,6 +67,7 @@ class StageFace:
         faces: int32, shape (N, 3), right-handed.
         used: int32, shape (V,), the mesh's own indices of these points.
         features: The feature points, as indices of `points`.
+        points_file: File with points that were given; None for none.
     """
 
     stage: Usd.Stage
@@ -73,6 +77,7 @@ class StageFace:
     faces: npt.NDArray[np.int32]
     used: npt.NDArray[np.int32]
     features: FacialFeatures
+    points_file: str | os.PathLike[str] | None = None
 
 
 def read_face(path: str | os.PathLike[str], options: FaceOptions | None = None) -> StageFace:
@@ -107,7 +112,18 @@ def read_face(path: str | os.PathLike[str], options: FaceOptions | None = None) 
         forward=None if options.find_orientation else forward,
         overrides={name: None if point is None else place[point] for name, point in given.items()},
     )
-    return StageFace(stage, mesh.path, mesh.times, mesh.points, mesh.right_handed_faces, mesh.used_points, features)
+    geometry = (mesh.times, mesh.points, mesh.right_handed_faces, mesh.used_points)
+    return StageFace(stage, mesh.path, *geometry, features, options.points)
+
+
+def check_face_outputs(outputs: Sequence[OutputFile], faces: Sequence[StageFace]) -> None:
+    """Refuse outputs that are a file which a face was read from, and two that are the same file.
+
+    Raises:
+        OptionError: one of them is; see `warpqem.usd.input_files.check_stage_outputs`.
+    """
+    points = [InputFile(face.points_file, "the file of points") for face in faces if face.points_file is not None]
+    check_stage_outputs(outputs, [face.stage for face in faces], points)
 
 
 def _subset_points(prim: Usd.Prim) -> dict[str, int | None]:
@@ -154,11 +170,12 @@ def draw_face(face: StageFace, output: str | os.PathLike[str], device: str | Non
     """Write a picture of the points on the face, from the front, from half the side and from the side.
 
     Raises:
-        OptionError: the output is no .png file.
+        OptionError: the output is no .png file, or a file that the face was read from.
         StageError: it cannot be written.
     """
     if not os.fspath(output).lower().endswith(".png"):
         raise OptionError(f"output {output}: the suffix must be .png")
+    check_face_outputs([OutputFile("picture", output)], [face])
     # In the face's own axes, so that every face looks the same way.
     points = face.points[0].astype(np.float64) @ face.features.axes.T
     marked, pictures = points[face.features.indices], []
@@ -184,18 +201,27 @@ def retarget_file(
     output_path: str | os.PathLike[str],
     blend_shapes: bool = False,
     device: str | None = None,
+    other_outputs: Sequence[OutputFile] = (),
 ) -> RetargetedMotion:
     """Carry the motion of one face to another, and write that one as a file of its own.
 
     Both are at rest in their first frame. The file has the points over time, or a blend shape for each frame.
 
+    Args:
+        source: The face that moves.
+        target: The face to move.
+        output_path: .usd, .usda or .usdc file; replaced if it exists.
+        blend_shapes: Write a blend shape for each frame.
+        device: Warp device; None for the default.
+        other_outputs: What else the caller is going to write; see `warpqem.usd.simplify_stage`.
+
     Raises:
         StageError: the source does not move, or the output cannot be written.
-        OptionError: the output path is wrong.
+        OptionError: an output path is wrong.
         FeaturePointError: the faces share too few points.
     """
-    inputs = [layer.realPath for face in (source, target) for layer in face.stage.GetUsedLayers() if layer.realPath]
-    output = check_output_path(output_path, inputs)
+    output = check_output_path(output_path, [])
+    check_face_outputs([OutputFile("output", output_path), *other_outputs], (source, target))
     if source.times is None or len(source.times) < 2:
         raise StageError(f"{source.path}: the mesh has one pose only, so there is no motion to carry")
     moved = retarget(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import colorsys
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +12,9 @@ import numpy.typing as npt
 
 import warpqem
 from warpqem.errors import DeviceError, OptionError, StageError, WarpqemError
+from warpqem.outputs import OutputFile
 from warpqem.usd.frames import FrameRange
+from warpqem.usd.input_files import check_stage_outputs
 from warpqem.usd.mesh import MeshSource, PoseFrames
 from warpqem.usd.report import name_prim
 from warpqem.usd.skel import StagePoses
@@ -72,6 +74,7 @@ def color_features(
     frames: FrameRange | None = None,
     device: str | None = None,
     progress: Callable[[float, str], None] | None = None,
+    other_outputs: Sequence[OutputFile] = (),
 ) -> list[FeatureReport]:
     """Write a layer over a USD file that colours the vertices of each mesh by motion feature (primvars:displayColor).
 
@@ -82,17 +85,19 @@ def color_features(
         frames: Time codes to read; None for all authored ones.
         device: Warp device; None for the default.
         progress: Called with the fraction done and what is being done.
+        other_outputs: What else the caller is going to write; see `warpqem.usd.simplify_stage`.
 
     Returns:
         One report for each mesh. Nothing is written if all fail.
 
     Raises:
         StageError: the input cannot be read or the output cannot be written.
-        OptionError: an option or the output path is wrong.
+        OptionError: an option or an output path is wrong.
         DeviceError: there is no such device.
     """
     output = check_output_path(output_path, [input_path])
     stage = open_stage(input_path)
+    check_stage_outputs([OutputFile("output", output_path), *other_outputs], [stage])
     selection = find_meshes(stage, prims)
     poses = StagePoses(stage)
     layer = OverLayer(stage)

@@ -20,7 +20,7 @@ from warpqem.errors import StageError
 from warpqem.opening import opening
 from warpqem.usd.usd_errors import first_line, usd_errors_named
 
-__all__ = ["QUOTED", "check_composition", "open_layers"]
+__all__ = ["QUOTED", "check_composition", "file_of", "open_layer", "open_layers"]
 
 # Brackets and prims in each other. Scenes have some dozens; USD's own stack ends between 20 000 and 100 000.
 MOST_NESTED = 1000
@@ -105,8 +105,24 @@ def check_composition(stage: Usd.Stage) -> list[str]:
     return problems
 
 
+def file_of(place: str) -> str:
+    """The file that holds a layer or texture: for what is in a package the package."""
+    while Ar.IsPackageRelativePath(place) and not os.path.exists(place):
+        place = Ar.SplitPackageRelativePathOuter(place)[0]
+    return place
+
+
+def open_layer(place: str) -> Sdf.Layer | None:
+    """Open one layer after a look at its bytes; None for one that is missing or cannot be opened.
+
+    Raises:
+        StageError: it is no regular file, or is nothing USD could read safely.
+    """
+    return _open(place, "", [])
+
+
 def _open(place: str, named_by: str, allowed: list[Path]) -> Sdf.Layer | None:
-    file = place.split("[", 1)[0] if "[" in place and not os.path.exists(place) else place
+    file = file_of(place)
     by = f" (named by {named_by})" if named_by else ""
     if allowed and not any(Path(file).resolve().is_relative_to(root) for root in allowed):
         raise StageError(f"{file}{by}: outside of {', '.join(map(str, allowed))}")
@@ -176,7 +192,7 @@ def _check_places(path: str, allowed: list[Path]) -> None:
     """Look at where textures, clips and all else are that an input names."""
     layers, assets, _ = UsdUtils.ComputeAllDependencies(Sdf.AssetPath(path))
     for place in [layer.realPath for layer in layers] + [os.fspath(asset) for asset in assets]:
-        file = Path(place.split("[", 1)[0])
+        file = Path(file_of(place))
         if place and not any(file.resolve().is_relative_to(root) for root in allowed):
             raise StageError(f"{place} (named by {path}): outside of {', '.join(map(str, allowed))}")
 

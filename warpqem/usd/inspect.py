@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -11,6 +12,8 @@ from pxr import Sdf, Usd, UsdGeom
 
 from warpqem.errors import StageError
 from warpqem.measure import topology
+from warpqem.outputs import OutputFile
+from warpqem.usd.input_files import check_stage_outputs
 from warpqem.usd.mesh import MeshSource
 from warpqem.usd.skel import StagePoses
 from warpqem.usd.stage import find_meshes, open_stage
@@ -71,13 +74,19 @@ class MeshInfo:
         return asdict(self)
 
 
-def inspect_stage(path: str | os.PathLike[str]) -> list[MeshInfo]:
+def inspect_stage(path: str | os.PathLike[str], other_outputs: Sequence[OutputFile] = ()) -> list[MeshInfo]:
     """Describe every mesh of a USD file, instance proxies last.
+
+    Args:
+        path: The file.
+        other_outputs: What the caller is going to write; see `warpqem.usd.simplify_stage`.
 
     Raises:
         StageError: the file cannot be read.
+        OptionError: an output is a file that is read.
     """
     stage = open_stage(path)
+    check_stage_outputs(other_outputs, [stage])
     with usd_errors_named(path, reading=True):
         poses = StagePoses(stage)
         selection = find_meshes(stage)

@@ -11,6 +11,7 @@ from urllib.parse import quote
 import numpy as np
 
 from warpqem.errors import WarpqemError
+from warpqem.outputs import InputFile, OutputFile, check_outputs
 from warpqem.picture import fit_view, render
 from warpqem.report.overview import Asset, overview_page
 from warpqem.report.page import check_page_path, save_page
@@ -44,10 +45,11 @@ def write_overview(
         progress: Called with the fraction done and what is being done.
 
     Raises:
-        OptionError: the suffix of `path` is another one.
+        OptionError: the suffix of `path` is another one, or it is a file that an asset needs or was written to.
         StageError: the page cannot be written.
     """
     check_page_path(path)
+    check_outputs([OutputFile("report", path)], (file for result in results for file in _files_of(result)))
     ordered = sorted(results, key=lambda result: str(result["input"]))
     folder = os.path.commonpath([os.path.dirname(os.path.abspath(result["input"])) for result in ordered] or [os.sep])
     assets = []
@@ -71,6 +73,13 @@ def write_overview(
     if drawn == MOST_PICTURES < len(ordered):
         notes.append(f"The first {MOST_PICTURES} are drawn.")
     save_page(path, overview_page(f"{done} of {len(ordered)} assets are done", assets, notes))
+
+
+def _files_of(result: dict[str, Any]) -> list[InputFile]:
+    """The output of an asset, its input, and the files that this is known to need."""
+    needed = (result.get("fingerprint") or {}).get("files", {})
+    outputs = [InputFile(result["output"], f"the output for {result['input']}")]
+    return outputs + [InputFile(file, f"a file that {result['input']} needs") for file in (result["input"], *needed)]
 
 
 def _asset(name: str, result: dict[str, Any], message: str, pictures: Sequence[np.ndarray], page: Path) -> Asset:

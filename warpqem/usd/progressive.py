@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,10 +13,12 @@ from pxr import Sdf, Usd, UsdGeom, Vt
 
 from warpqem.arguments import target_count
 from warpqem.errors import OptionError, ProgressiveFileError, StageError
+from warpqem.outputs import InputFile, OutputFile, check_outputs
 from warpqem.progressive import ProgressiveMesh, build_progressive, load, read_info, save
 from warpqem.progressive.container import FileInfo
 from warpqem.screen import ScreenView
 from warpqem.usd.frames import FrameRange
+from warpqem.usd.input_files import check_stage_outputs
 from warpqem.usd.job import MeshJob, ReadOptions
 from warpqem.usd.mesh import MeshSource
 from warpqem.usd.skel import StagePoses
@@ -82,17 +83,23 @@ def build_file(
     output_path: str | os.PathLike[str],
     options: BuildOptions,
     progress: Progress | None = None,
+    other_outputs: Sequence[OutputFile] = (),
 ) -> FileInfo:
     """Build the progressive mesh of one mesh of a USD file, in all its poses and in world space, and save it.
 
+    Args:
+        input_path: USD file.
+        output_path: The progressive mesh; replaced if it exists.
+        options: What to do.
+        progress: Called with the fraction done and what is being done.
+        other_outputs: What else the caller is going to write; see `warpqem.usd.simplify_stage`.
+
     Raises:
         StageError: the input cannot be read, or the output cannot be written.
-        OptionError: an option is wrong, or the stage has more than one mesh and none is chosen.
+        OptionError: an option or an output path is wrong, or the stage has more than one mesh and none is chosen.
     """
-    output = Path(output_path)
-    if output.exists() and output.samefile(input_path):
-        raise OptionError(f"output {output_path}: this is the input, which is never overwritten")
     stage = open_stage(input_path)
+    check_stage_outputs([OutputFile("output", output_path), *other_outputs], [stage])
     job = MeshJob.prepare(MeshSource(_one_mesh(stage, options.prim), StagePoses(stage)), _reading(options))
     if not len(job.faces):
         raise StageError(f"{job.mesh.path}: the mesh has no faces")
@@ -121,16 +128,25 @@ def build_file(
         },
     }
     try:
-        save(mesh, output, extra)
+        save(mesh, output_path, extra)
     except OSError as error:
-        raise StageError(f"{output}: cannot be written ({error.strerror})") from error
-    return read_info(output)
+        raise StageError(f"{output_path}: cannot be written ({error.strerror})") from error
+    return read_info(output_path)
 
 
 def extract_level(
-    input_path: str | os.PathLike[str], output_path: str | os.PathLike[str], choice: LevelChoice
+    input_path: str | os.PathLike[str],
+    output_path: str | os.PathLike[str],
+    choice: LevelChoice,
+    other_outputs: Sequence[OutputFile] = (),
 ) -> tuple[int, float]:
     """Write one level of a progressive mesh as a USD file of its own, and read no more of it than that takes.
+
+    Args:
+        input_path: The progressive mesh.
+        output_path: .usd, .usda or .usdc file; replaced if it exists.
+        choice: Which level.
+        other_outputs: What else the caller is going to write; see `warpqem.usd.simplify_stage`.
 
     Returns:
         Its faces, and its error in % of the bounding-box diagonal.
@@ -138,9 +154,10 @@ def extract_level(
     Raises:
         ProgressiveFileError: the input is no progressive mesh, or damaged.
         StageError: a file cannot be read or written.
-        OptionError: an option is wrong, or the base mesh has more faces than asked for.
+        OptionError: an option or an output path is wrong, or the base mesh has more faces than asked for.
     """
     output = check_output_path(output_path, [input_path])
+    check_outputs([OutputFile("output", output_path), *other_outputs], [InputFile(input_path)])
     try:
         info = read_info(input_path)
         mesh, split_count = _find_level(input_path, info, choice)

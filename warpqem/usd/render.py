@@ -11,8 +11,10 @@ import numpy.typing as npt
 
 from warpqem.errors import OptionError, StageError
 from warpqem.measure import distance_colors
+from warpqem.outputs import OutputFile
 from warpqem.picture import caption, fit_view, render, tile, write_png
 from warpqem.usd.frames import FrameRange
+from warpqem.usd.input_files import check_stage_outputs
 from warpqem.usd.world import WorldMeshes, chosen_times
 
 __all__ = ["RenderOptions", "render_sheet"]
@@ -77,7 +79,7 @@ def render_sheet(
 
     Raises:
         StageError: a file cannot be read or written.
-        OptionError: an option is wrong.
+        OptionError: an option or the output path is wrong.
         DeviceError: there is no such device.
     """
     if not os.fspath(output_path).lower().endswith(".png"):
@@ -85,6 +87,7 @@ def render_sheet(
     if options.heatmap and reference_path is None:
         raise OptionError("heatmap needs a reference")
     drawn = [WorldMeshes(path, options.prims) for path in (reference_path, input_path) if path is not None]
+    check_stage_outputs([OutputFile("output", output_path)], [item.stage for item in drawn])
     times = _spread(chosen_times(drawn, options.frames), options)
     meshes = [item.read(times) for item in drawn]
     rows, scale = _rows(meshes, [item.name for item in drawn], options)

@@ -15,7 +15,9 @@ import warpqem
 from warpqem.cost_models import cost_model
 from warpqem.device import resolve_device
 from warpqem.errors import WarpqemError
+from warpqem.outputs import OutputFile
 from warpqem.report import Level, Report, Table, chosen_frames, write_report
+from warpqem.usd.input_files import check_stage_outputs
 from warpqem.usd.lods import LEVEL_NAME, VARIANT_SET, LevelReport
 from warpqem.usd.report import PrimReport, StageReport
 from warpqem.usd.simplify_options import SimplifyOptions
@@ -46,7 +48,7 @@ def write_simplify_report(
         progress: Called with the fraction done and what is being done.
 
     Raises:
-        OptionError: the suffix of `path` is another one.
+        OptionError: the suffix of `path` is another one, or it is a file that is read.
         StageError: one of the files cannot be read, or the page cannot be written.
     """
     output = report.output or ""
@@ -55,6 +57,7 @@ def write_simplify_report(
     names = list(dict.fromkeys(prim.level for prim in report.prims if isinstance(prim, LevelReport)))
     levels = [(name, _open_level(output, name, options.prims, failed)) for name in names]
     levels = levels or [("simplified", WorldMeshes(output, options.prims, passing=failed))]
+    check_stage_outputs([OutputFile("report", path)], [original.stage, *(level.stage for _, level in levels)])
     tables = [_mesh_table(report.prims), _option_table(options)]
     notes = [prim.message for prim in report.prims if prim.message]
     notes += [f"{prim.path}: dropped: {', '.join(prim.dropped)}" for prim in report.prims if prim.dropped]
@@ -88,6 +91,7 @@ def write_compare_report(
     """
     failed = [pair.path for pair in pairs if pair.comparison is None]
     original, level = (WorldMeshes(name, options.prims, passing=failed) for name in (reference, test))
+    check_stage_outputs([OutputFile("report", path)], [original.stage, level.stage])
     notes = [pair.message for pair in pairs if pair.message]
     head = ("mesh", "frames", "RMS %", "Hausdorff %", "flips", "jitter %", "slide %", "edge length %")
     rows = []

@@ -5,14 +5,16 @@ from __future__ import annotations
 import logging
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
+from warpqem.outputs import OutputFile
 from warpqem.sharing import FrameShare
 from warpqem.usd.context import Announce, Context, Progress, SharedOrder
 from warpqem.usd.input_check import check_composition
+from warpqem.usd.input_files import check_stage_outputs
 from warpqem.usd.lods import LevelReport, VariantLevels
 from warpqem.usd.report import PrimReport, StageReport
 from warpqem.usd.run import Run
@@ -37,6 +39,7 @@ def simplify_stage(
     progress: Progress | None = None,
     announce: Announce | None = None,
     share: FrameShare | None = None,
+    other_outputs: Sequence[OutputFile] = (),
 ) -> StageReport:
     """Simplify every mesh of a USD file over all its frames and write the result.
 
@@ -54,6 +57,8 @@ def simplify_stage(
         announce: Called with the name of each mesh and the memory plan for it, before the work on it.
         share: Lets other processes place some of the frames; see `warpqem.simplify`. Meshes that are to stay symmetric
             or are simplified in their rest shape are done alone.
+        other_outputs: What else the caller is going to write. Neither the output nor one of these may be a file that is
+            read, such as a layer or a texture of the input, or the same file as another of them.
 
     Returns:
         A report on every mesh, level after level where `options.lods` is given. Nothing is written if all meshes fail.
@@ -61,14 +66,15 @@ def simplify_stage(
     Raises:
         StageError: the input cannot be read, has no mesh, or the output cannot be written; with `strict`, also a mesh
             that cannot be done.
-        OptionError: an option or the output path is wrong, or the root prims of the input cannot hold levels.
+        OptionError: an option or an output path is wrong, or the root prims of the input cannot hold levels.
         DeviceError: there is no such device.
     """
     output = check_output_path(output_path, [input_path])
     start = time.perf_counter()
     _log.info("%s: reading", input_path)
     stage = open_stage(input_path, options.asset_roots)
-    check_output_path(output_path, [layer.realPath for layer in stage.GetUsedLayers() if layer.realPath])
+    read = [stage] if options.poses is None else [stage, open_stage(options.poses)]
+    check_stage_outputs([OutputFile("output", output_path), *other_outputs], read)
     # What fails while a layer is being written is no matter of one mesh: half of it would be there.
     with usd_errors_named(input_path), ExitStack() as cleanup:
         context = Context(

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from pxr import Sdf, Tf, Usd, UsdGeom, UsdUtils, Vt
 
 from warpqem.errors import OptionError, StageError
+from warpqem.outputs import InputFile, OutputFile, check_outputs
 from warpqem.usd.arrays import anchored
 from warpqem.usd.carrier import Carrier
 from warpqem.usd.drop import Dropped, drop_skin, drop_subdivision
@@ -40,11 +41,11 @@ LAYER_ONLY_METADATA = frozenset({"subLayers", "subLayerOffsets", "primChildren",
 
 
 def check_output_path(output: str | os.PathLike[str], inputs: Iterable[str | os.PathLike[str]]) -> Path:
-    """Check that a file can be written without touching an input.
+    """Check that there can be a USD file of a name, before the inputs are opened.
 
     Args:
         output: The file to write.
-        inputs: Files that must stay as they are.
+        inputs: Files to read, themselves; `warpqem.usd.input_files.check_stage_outputs` looks at all that they name.
 
     Returns:
         The absolute output path.
@@ -59,9 +60,7 @@ def check_output_path(output: str | os.PathLike[str], inputs: Iterable[str | os.
         raise OptionError(f"output {output}: the folder {path.parent} does not exist")
     if path.is_dir():
         raise OptionError(f"output {output}: this is a folder")
-    for source in inputs:
-        if path.resolve() == Path(source).resolve() or (path.exists() and path.samefile(source)):
-            raise OptionError(f"output {output}: this is the input, which is never overwritten")
+    check_outputs([OutputFile("output", output)], map(InputFile, inputs))
     return path
 
 

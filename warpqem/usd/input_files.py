@@ -1,0 +1,165 @@
+"""Files that a stage reads: layers in all variants, value clips, textures and whatever else its layers name.
+
+They are found layer by layer, from the names that are written there, as USD resolves them. Of what is missing the place
+is listed where it would be.
+"""
+
+from __future__ import annotations
+
+import glob
+import os
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from functools import partial
+from urllib.parse import urlsplit
+from urllib.request import url2pathname
+
+from pxr import Ar, Sdf, Tf, Usd, UsdUtils
+
+from warpqem.errors import StageError
+from warpqem.outputs import InputFile, OutputFile, OutputFiles
+from warpqem.usd.input_check import file_of, open_layer
+from warpqem.usd.named_by import role_of
+from warpqem.usd.usd_errors import usd_errors_named
+
+__all__ = ["check_stage_outputs", "stage_files"]
+
+# In a name: one of a set of texture tiles (1001, 1002, ...), and the number of a value clip ("clip.###.usd").
+TILE, NUMBER = "<UDIM>", re.compile(r"#+")
+
+
+def check_stage_outputs(
+    outputs: Iterable[OutputFile], stages: Iterable[Usd.Stage], files: Iterable[InputFile] = ()
+) -> None:
+    """Refuse outputs that a stage reads, and two that are the same file; see `warpqem.outputs.check_outputs`.
+
+    To be called before anything is written.
+
+    Args:
+        outputs: All files that a command is going to write.
+        stages: All stages that it reads, with their layers as they are on disk.
+        files: Other files that it reads.
+
+    Raises:
+        OptionError: an output is an input, a layer, clip or texture of one, is named twice, or is a folder.
+        StageError: USD cannot say what a layer names.
+    """
+    written = OutputFiles(outputs)
+    written.check(files)
+    if written.outputs:
+        for stage in stages:
+            written.check(stage_files(stage, written))
+
+
+def stage_files(stage: Usd.Stage, outputs: OutputFiles) -> list[InputFile]:
+    """The files that a stage reads, in any variant.
+
+    Args:
+        stage: The stage, opened from a file.
+        outputs: What is going to be written. Those that fit the name of a set of tiles or of clips count as files of
+            the stage. If none of them is there yet, none can be a file that only a value clip names, and clips are not
+            opened to see what they name.
+
+    Raises:
+        StageError: USD cannot say what a layer names.
+    """
+    with Ar.ResolverContextBinder(stage.GetPathResolverContext()):
+        return list(_Walk(stage, outputs).files())
+
+
+class _Walk:
+    """From layer to layer, each once."""
+
+    def __init__(self, stage: Usd.Stage, outputs: OutputFiles) -> None:
+        self._root = stage.GetRootLayer()
+        self._used = [layer for layer in stage.GetUsedLayers(includeClipLayers=True) if layer.realPath]
+        self._outputs = outputs
+        self._seen: set[str] = set()
+
+    def files(self) -> Iterator[InputFile]:
+        yield InputFile(file_of(self._root.realPath))
+        yield from self._named_from(self._root)
+        # Layers that no walk finds, such as those of expressions whose variables a reference sets.
+        for layer in self._used:
+            yield InputFile(file_of(layer.realPath), f"a layer of {self._root.realPath}")
+            yield from self._named_from(layer)
+
+    def _named_from(self, first: Sdf.Layer) -> Iterator[InputFile]:
+        waiting = [first]
+        while waiting:
+            layer = waiting.pop()
+            if layer.identifier in self._seen:
+                continue
+            self._seen.add(layer.identifier)
+            arcs = _arcs(layer)
+            for name in {**arcs, **dict.fromkeys(_names(layer))}:
+                place = _place(layer, name)
+                if not place:
+                    continue
+                role = partial(role_of, layer, name)
+                for path in (place, *self._set_of(place)):
+                    yield InputFile(file_of(path), role)
+                if name in arcs or (self._outputs.any_exists and Usd.Stage.IsSupportedFile(place)):
+                    waiting += _opened(place)
+
+    def _set_of(self, place: str) -> list[str]:
+        """The files of a set of tiles or clips: those that are there, and outputs that would become a part of it."""
+        folder, name = os.path.split(place)
+        if TILE in name:
+            parts, digits = name.split(TILE), "[0-9][0-9][0-9][0-9]"
+        elif NUMBER.search(name) and not os.path.exists(place):
+            parts, digits = NUMBER.split(name), "[0-9]*"
+        else:
+            return []
+        pattern = re.compile(re.escape(os.path.realpath(folder) + os.sep) + r"-?\d+".join(map(re.escape, parts)))
+        there = glob.glob(digits.join(map(glob.escape, parts)), root_dir=folder)
+        return [os.path.join(folder, name) for name in there] + self._outputs.matching(pattern)
+
+
+def _names(layer: Sdf.Layer) -> list[str]:
+    """All that a layer names, in variants, metadata and samples too."""
+    with usd_errors_named(layer.identifier):
+        found: Sequence[list[str]] = UsdUtils.ExtractExternalReferences(layer.identifier)
+    return [name for names in found for name in names]
+
+
+def _arcs(layer: Sdf.Layer) -> dict[str, None]:
+    """Names of the layers that it is composed with."""
+    with usd_errors_named(layer.identifier):
+        named = [*layer.GetCompositionAssetDependencies(), *layer.GetExternalAssetDependencies()]
+    variables = layer.expressionVariables
+    return dict.fromkeys(_evaluated(name, variables) for name in named if name)
+
+
+def _evaluated(name: str, variables: dict[str, object]) -> str:
+    if not Sdf.VariableExpression.IsExpression(name):
+        return name
+    value = Sdf.VariableExpression(name).Evaluate(variables).value
+    return value if isinstance(value, str) else ""
+
+
+def _place(layer: Sdf.Layer, name: str) -> str:
+    """Absolute path of what a layer names, or of where it would be; empty for nothing."""
+    path = Sdf.Layer.SplitIdentifier(name)[0]
+    if path.startswith("file:"):
+        # USD leaves these to plugins, which may resolve them.
+        path = url2pathname(urlsplit(path).path)
+    if not path:
+        return ""
+    try:
+        anchored = Sdf.ComputeAssetPathRelativeToLayer(layer, path)
+        resolved = str(Ar.GetResolver().Resolve(anchored))
+    except Tf.ErrorException:
+        anchored = resolved = ""
+    if resolved or os.path.isabs(anchored):
+        return resolved or anchored
+    return os.path.join(os.path.dirname(file_of(layer.realPath)), path)
+
+
+def _opened(place: str) -> list[Sdf.Layer]:
+    """The layer at a place; none where USD could not open it either, so that it cannot name anything."""
+    try:
+        layer = Sdf.Layer.Find(place) or open_layer(place)
+    except (StageError, Tf.ErrorException):
+        return []
+    return [] if layer is None else [layer]
