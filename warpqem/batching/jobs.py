@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from warpqem.errors import OptionError
+from warpqem.outputs import InputFile, OutputFile, OutputFiles
 from warpqem.usd.simplify_options import SimplifyOptions
 
 __all__ = ["BatchJob", "FoundFile", "check_jobs", "find_files", "output_path"]
@@ -115,22 +116,28 @@ def output_path(folder: Path, relative: Path, suffix: str | None = None) -> str:
     return os.fspath((folder / relative.with_suffix(suffix)).absolute())
 
 
-def check_jobs(jobs: Iterable[BatchJob]) -> None:
+def check_jobs(jobs: Iterable[BatchJob], other_outputs: Iterable[OutputFile] = ()) -> OutputFiles:
     """Refuse jobs that would write over an input, or over each other's outputs.
 
+    Args:
+        jobs: The jobs.
+        other_outputs: What else is going to be written.
+
+    Returns:
+        All outputs, to be compared with what the inputs need; see `warpqem.batching.output_check`.
+
     Raises:
-        OptionError: two jobs have the same output, or an output is an input.
+        OptionError: two outputs are the same file, or an output is an input.
     """
-    outputs: dict[str, BatchJob] = {}
-    jobs = list(jobs)
-    inputs = {os.path.realpath(job.input) for job in jobs}
+    jobs, outputs = list(jobs), dict[str, BatchJob]()
     for job in jobs:
-        place = os.path.realpath(job.output)
-        if place in inputs:
-            raise OptionError(f"output {job.output}: this is an input, which is never overwritten")
-        if place in outputs:
+        other = outputs.setdefault(os.path.realpath(job.output), job)
+        if other is not job:
             raise OptionError(
-                f"output {job.output}: both {outputs[place].input} and {job.input} would be written there; "
+                f"output {job.output}: both {other.input} and {job.input} would be written there; "
                 "give the folder they are in, which is kept"
             )
-        outputs[place] = job
+    written = OutputFiles([*(OutputFile("output", job.output) for job in jobs), *other_outputs])
+    written.check(InputFile(job.input, "an input") for job in jobs)
+    written.check(InputFile(job.options.poses, "a file of poses") for job in jobs if job.options.poses is not None)
+    return written

@@ -30,7 +30,7 @@ from warpqem.opening import TIME_IS_UP
 from warpqem.parallel import thread_count
 from warpqem.usd.temporary import remove_leftovers
 
-__all__ = ["LocalEngine"]
+__all__ = ["OUTSIDE_SIGNALS", "LocalEngine", "ending"]
 
 # Workers that die before they are ready, one after another, until a batch gives up.
 MOST_FAILED_STARTS = 3
@@ -272,7 +272,7 @@ class _Pool:
     def _bury(self, worker: _Worker) -> Iterator[Update]:
         """A worker has ended by itself, or by somebody else."""
         worker.process.join()
-        how = self._how_it_ended(worker)
+        how = ending(worker.process.exitcode) + _last_words(worker.output)
         _log.warning("worker %s %s", worker.process.pid, how)
         if not worker.ready:
             self._failed_starts += 1
@@ -323,16 +323,16 @@ class _Pool:
         if worker.task is not None:
             remove_leftovers(Path(worker.task.job.output).parent, worker.process.pid)
 
-    def _how_it_ended(self, worker: _Worker) -> str:
-        code = worker.process.exitcode
-        if code is not None and code < 0:
-            with suppress(ValueError):
-                code = signal.Signals(-code).name
-            late = ": USD does not come to the end of a file, which is damaged" if code == TIME_IS_UP else ""
-            how = f"was ended by {code}{late}"
-        else:
-            how = f"ended with code {code}"
-        return how + _last_words(worker.output)
+
+def ending(code: int | None) -> str:
+    """How a process ended, in words, by its exit code."""
+    if code is None or code >= 0:
+        return f"ended with code {code}"
+    name = str(code)
+    with suppress(ValueError):
+        name = signal.Signals(-code).name
+    late = ": USD does not come to the end of a file, which is damaged" if name == TIME_IS_UP else ""
+    return f"was ended by {name}{late}"
 
 
 def _last_words(path: str) -> str:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from warpqem.batching.fingerprint import take_fingerprint
 from warpqem.batching.jobs import BatchJob
-from warpqem.batching.result import DONE, FAILED, PARTIAL, BatchResult
+from warpqem.batching.result import DONE, FAILED, PARTIAL, BatchResult, named
 from warpqem.device import resolve_device
 from warpqem.errors import StageError, WarpqemError
 from warpqem.memory import DEFAULT_SHARE, available_memory
@@ -63,11 +63,11 @@ def perform(
         result.error = type(error).__name__
         result.message = f"{job.input}: {error}" if isinstance(error, WarpqemError) else f"{job.input}: out of memory"
     except WarpqemError as error:
-        result.error, result.message = type(error).__name__, _named(job, error)
+        result.error, result.message = type(error).__name__, named(job.input, error)
     except Exception as error:
         # Nothing that is wrong with one asset may stop the others, nor go unnamed.
         _log.error("%s", job.input, exc_info=error)
-        result.error, result.message = type(error).__name__, _named(job, error)
+        result.error, result.message = type(error).__name__, named(job.input, error)
     result.seconds = time.perf_counter() - start
     result.peak_memory = peak_memory()
     return result
@@ -113,11 +113,6 @@ def _make_folder(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise StageError(f"{folder}: the folder cannot be made ({error.strerror})") from error
-
-
-def _named(job: BatchJob, error: Exception) -> str:
-    text = " ".join(str(error).split()) or type(error).__name__
-    return text if job.input in text else f"{job.input}: {text}"
 
 
 def _fill(result: BatchResult, report: StageReport) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
-__all__ = ["DONE", "FAILED", "PARTIAL", "SKIPPED", "BatchResult"]
+__all__ = ["DONE", "FAILED", "PARTIAL", "SKIPPED", "BatchResult", "named"]
 
 DONE, PARTIAL, FAILED, SKIPPED = "done", "partial", "failed", "skipped"
 
@@ -55,3 +55,9 @@ class BatchResult:
     def to_dict(self) -> dict[str, Any]:
         """Plain dictionaries, lists, numbers and None, ready for JSON."""
         return asdict(self)
+
+
+def named(source: str, error: Exception) -> str:
+    """What an error says in one line, with the file that it is about."""
+    text = " ".join(str(error).split()) or type(error).__name__
+    return text if source in text else f"{source}: {text}"

@@ -9,11 +9,13 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from warpqem.batching.engine import Engine, Finished, Update
-from warpqem.batching.jobs import BatchJob, check_jobs
+from warpqem.batching.jobs import BatchJob
 from warpqem.batching.local import LocalEngine
+from warpqem.batching.output_check import check_batch_outputs
 from warpqem.batching.result import SKIPPED, BatchResult
 from warpqem.batching.state import Journal
 from warpqem.errors import OptionError
+from warpqem.outputs import OutputFile, named_outputs
 from warpqem.usd.temporary import remove_leftovers
 
 __all__ = ["batch"]
@@ -28,6 +30,7 @@ def batch(
     journal: str | os.PathLike[str] | None = None,
     resume: bool = False,
     on_update: Callable[[Update], None] | None = None,
+    other_outputs: Iterable[OutputFile] = (),
 ) -> Iterator[BatchResult]:
     """Simplify many assets. One that fails, whatever way it does, costs the others nothing.
 
@@ -42,19 +45,22 @@ def batch(
         resume: Leave out jobs that the journal knows as done and whose input, files, options and output have not
             changed since.
         on_update: Called with everything the engine tells.
+        other_outputs: What else the caller is going to write; see `warpqem.usd.simplify_stage`.
 
     Yields:
         A result for each job, as they are done.
 
     Raises:
-        OptionError: two jobs have the same output, an output is an input, or there is no journal to resume from.
+        OptionError: two outputs are the same file, an output is a file that a job reads, or there is no journal to
+            resume from.
         BatchError: the journal is in use or cannot be written, or no worker can be started.
     """
     jobs = list(jobs)
-    check_jobs(jobs)
     if resume and journal is None:
         raise OptionError("resume needs a journal")
-    return _results(jobs, _engine(engine), journal, resume, on_update or (lambda update: None))
+    outputs = [*other_outputs, *named_outputs({"journal": journal})]
+    unread = check_batch_outputs(jobs, outputs)
+    return _results(jobs, unread, _engine(engine), journal, resume, on_update or (lambda update: None))
 
 
 def _engine(engine: Engine | str) -> Engine:
@@ -71,6 +77,7 @@ def _engine(engine: Engine | str) -> Engine:
 
 def _results(
     jobs: list[BatchJob],
+    unread: dict[str, BatchResult],
     engine: Engine,
     journal: str | os.PathLike[str] | None,
     resume: bool,
@@ -83,12 +90,14 @@ def _results(
                 _log.info("%s: removed, left by a process that was killed", path)
         todo = []
         for job in jobs:
+            result = unread.get(job.output)
             if resume and notes is not None and notes.is_done(job):
                 result = BatchResult(job.input, job.output, SKIPPED)
+            if result is None:
+                todo.append(job)
+            else:
                 on_update(Finished(job, result))
                 yield result
-            else:
-                todo.append(job)
         updates = engine.run(todo)
         stack.callback(updates.close)  # type: ignore[attr-defined]
         for update in updates:

@@ -19,7 +19,7 @@ from typing import Any
 
 from warpqem.opening import tell_openings
 
-__all__ = ["WorkerSetup", "run_worker"]
+__all__ = ["WorkerSetup", "end_with_parent", "redirect_output", "run_worker"]
 
 # No more than so many messages a second about progress.
 MESSAGES_PER_SECOND = 5.0
@@ -50,13 +50,13 @@ def run_worker(connection: Connection, setup: WorkerSetup) -> None:
     """Do the jobs that come through a connection until it ends."""
     # The process that started this one answers Ctrl-C.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    _redirect(setup.output)
+    redirect_output(setup.output)
     tell_openings(lambda file, begins: print(f"opening {file}", flush=True) if begins else None)
     for name in THREAD_VARIABLES:
         os.environ[name] = str(setup.threads)
     # What USD splits over threads gives the same on one, and a worker has as many as it has.
     os.environ["PXR_WORK_THREAD_LIMIT"] = str(setup.threads)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    end_with_parent()
     sender = _Sender(connection)
     root = logging.getLogger("warpqem")
     root.setLevel(logging.DEBUG)
@@ -124,7 +124,7 @@ class _Forward(logging.Handler):
         self._sender.send("log", (record.name, record.levelno, self.format(record)))
 
 
-def _redirect(path: str) -> None:
+def redirect_output(path: str) -> None:
     """Let what this process and its libraries print go to a file."""
     file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
     for stream in (sys.stdout, sys.stderr):
@@ -134,7 +134,12 @@ def _redirect(path: str) -> None:
     os.close(file)
 
 
-def _end_with_parent() -> None:
+def end_with_parent() -> None:
+    """Let this process end when the one that started it has, however that was."""
+    threading.Thread(target=_wait_for_parent, daemon=True).start()
+
+
+def _wait_for_parent() -> None:
     parent = parent_process()
     assert parent is not None
     wait([parent.sentinel])

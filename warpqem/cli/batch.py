@@ -108,11 +108,13 @@ def batch(
     Exit codes: 0 all done; 1 an error, or some asset or mesh failed; 2 wrong usage.
     """
     quiet_warp()
-    start_logging(verbose, log_json)
+    start_logging(verbose, None)
     from warpqem.batching.jobs import check_jobs
+    from warpqem.batching.output_check import check_batch_outputs
     from warpqem.batching.run import batch as run_batch
     from warpqem.batching.state import JOURNAL_NAME
     from warpqem.cli.batch_display import BatchDisplay, dry_run_table, summary_table
+    from warpqem.outputs import InputFile, named_outputs
     from warpqem.report.page import check_page_path
 
     if report is not None:
@@ -120,18 +122,23 @@ def batch(
     folder = Path(output)
     work = _find_jobs(inputs, folder, options, None if output_format is None else f".{output_format.value}")
     journal = folder / JOURNAL_NAME
+    others = named_outputs({"--json": json, "--log-json": log_json, "--report": report})
+    check_jobs(work, others).check(InputFile(path, "a manifest") for path in _manifests(inputs))
     if dry_run:
-        check_jobs(work)
+        check_batch_outputs(work, [*others, *named_outputs({"journal": journal})])
         print_table(dry_run_table(work, journal if resume else None), to_stderr=json == "-")
         return
     chosen = _engine(
         engine, options, jobs=jobs, timeout=timeout, retries=retries, spread=spread, ray=(address, cpus, gpus)
     )
+    display = BatchDisplay(work)
+    updates = run_batch(work, chosen, journal=journal, resume=resume, on_update=display.update, other_outputs=others)
+    # Nothing has been written up to here.
+    start_logging(verbose, log_json)
     _make_folder(folder)
     results: list[BatchResult] = []
     interrupted = False
-    with _lines(json) as write, BatchDisplay(work) as display:
-        updates = run_batch(work, chosen, journal=journal, resume=resume, on_update=display.update)
+    with _lines(json) as write, display:
         try:
             for result in updates:
                 results.append(result)
@@ -160,12 +167,18 @@ def _write_overview(path: str, results: list[BatchResult], options: dict[str, An
         write_overview(path, found, tuple(options["prim"] or ()), options["device"], progress)
 
 
+def _manifests(inputs: list[str]) -> list[str]:
+    from warpqem.batching.manifest import MANIFEST_SUFFIXES
+
+    return [text for text in inputs if Path(text).suffix.lower() in MANIFEST_SUFFIXES]
+
+
 def _find_jobs(inputs: list[str], folder: Path, options: dict[str, Any], suffix: str | None) -> list[BatchJob]:
     from warpqem.batching.jobs import BatchJob, find_files, output_path
-    from warpqem.batching.manifest import MANIFEST_SUFFIXES, read_manifest
+    from warpqem.batching.manifest import read_manifest
     from warpqem.usd.option_values import read_options
 
-    lists = [text for text in inputs if Path(text).suffix.lower() in MANIFEST_SUFFIXES]
+    lists = _manifests(inputs)
     files = [text for text in inputs if text not in lists]
     work = [job for path in lists for job in read_manifest(path, folder, options, suffix)]
     if files:

@@ -100,7 +100,8 @@ def compare_stages(
         OptionError: an option or an output path is wrong.
         DeviceError: there is no such device.
     """
-    heatmap = check_output_path(options.heatmap, [reference_path, test_path]) if options.heatmap else None
+    inputs = [reference_path, test_path]
+    heatmap = check_output_path(options.heatmap, inputs, "heatmap") if options.heatmap else None
     reference, test = _Side(reference_path, options.prims), _Side(test_path, options.prims)
     outputs = [*named_outputs({"heatmap": options.heatmap}), *other_outputs]
     check_stage_outputs(outputs, [reference.stage, test.stage])

@@ -106,12 +106,12 @@ class _Walk:
         """The files of a set of tiles or clips: those that are there, and outputs that would become a part of it."""
         folder, name = os.path.split(place)
         if TILE in name:
-            parts, digits = name.split(TILE), "[0-9][0-9][0-9][0-9]"
+            parts, digits, number = name.split(TILE), "[0-9][0-9][0-9][0-9]", r"\d{4}"
         elif NUMBER.search(name) and not os.path.exists(place):
-            parts, digits = NUMBER.split(name), "[0-9]*"
+            parts, digits, number = NUMBER.split(name), "*", r"-?\d+"
         else:
             return []
-        pattern = re.compile(re.escape(os.path.realpath(folder) + os.sep) + r"-?\d+".join(map(re.escape, parts)))
+        pattern = re.compile(re.escape(os.path.realpath(folder) + os.sep) + number.join(map(re.escape, parts)))
         there = glob.glob(digits.join(map(glob.escape, parts)), root_dir=folder)
         return [os.path.join(folder, name) for name in there] + self._outputs.matching(pattern)
 

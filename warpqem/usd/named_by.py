@@ -90,12 +90,14 @@ def _strings(value: Any) -> Iterator[str]:
 
 
 def _is_named(texts: Iterable[str], name: str, layer: Sdf.Layer) -> bool:
-    for text in texts:
-        if text == name:
-            return True
-        if NUMBER.search(text) and re.fullmatch(r"-?\d+".join(map(re.escape, NUMBER.split(text))), name):
-            return True
-        if Sdf.VariableExpression.IsExpression(text):
-            if Sdf.VariableExpression(text).Evaluate(layer.expressionVariables).value == name:
-                return True
-    return False
+    return any(_stands_for(text, name, layer) for text in texts)
+
+
+def _stands_for(text: str, name: str, layer: Sdf.Layer) -> bool:
+    """Whether a text in a layer, perhaps a template or an expression, is or gives a name."""
+    if text == name:
+        return True
+    if Sdf.VariableExpression.IsExpression(text):
+        return bool(Sdf.VariableExpression(text).Evaluate(layer.expressionVariables).value == name)
+    parts = NUMBER.split(text)
+    return len(parts) > 1 and re.fullmatch(r"-?\d+".join(map(re.escape, parts)), name) is not None

@@ -40,12 +40,15 @@ SAMPLE_ENTRY_BYTES, TABLE_SHARE = 16, 4
 LAYER_ONLY_METADATA = frozenset({"subLayers", "subLayerOffsets", "primChildren", "layerRelocates", "hasOwnedSubLayers"})
 
 
-def check_output_path(output: str | os.PathLike[str], inputs: Iterable[str | os.PathLike[str]]) -> Path:
+def check_output_path(
+    output: str | os.PathLike[str], inputs: Iterable[str | os.PathLike[str]], option: str = "output"
+) -> Path:
     """Check that there can be a USD file of a name, before the inputs are opened.
 
     Args:
         output: The file to write.
         inputs: Files to read, themselves; `warpqem.usd.input_files.check_stage_outputs` looks at all that they name.
+        option: Name of the option that names the output, for messages.
 
     Returns:
         The absolute output path.
@@ -55,12 +58,12 @@ def check_output_path(output: str | os.PathLike[str], inputs: Iterable[str | os.
     """
     path = Path(output).absolute()
     if path.suffix.lower() not in OUTPUT_SUFFIXES:
-        raise OptionError(f"output {output}: the suffix must be one of {', '.join(OUTPUT_SUFFIXES)}")
+        raise OptionError(f"{option} {output}: the suffix must be one of {', '.join(OUTPUT_SUFFIXES)}")
     if not path.parent.is_dir():
-        raise OptionError(f"output {output}: the folder {path.parent} does not exist")
+        raise OptionError(f"{option} {output}: the folder {path.parent} does not exist")
     if path.is_dir():
-        raise OptionError(f"output {output}: this is a folder")
-    check_outputs([OutputFile("output", output)], map(InputFile, inputs))
+        raise OptionError(f"{option} {output}: this is a folder")
+    check_outputs([OutputFile(option, output)], map(InputFile, inputs))
     return path
 
 
