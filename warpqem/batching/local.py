@@ -30,10 +30,12 @@ from warpqem.opening import TIME_IS_UP
 from warpqem.parallel import thread_count
 from warpqem.usd.temporary import remove_leftovers
 
-__all__ = ["OUTSIDE_SIGNALS", "LocalEngine", "ending"]
+__all__ = ["MAIN_HINT", "OUTSIDE_SIGNALS", "LocalEngine", "ending"]
 
 # Workers that die before they are ready, one after another, until a batch gives up.
 MOST_FAILED_STARTS = 3
+# Workers import the script that starts them, and must not start a batch again.
+MAIN_HINT = 'a script that runs a batch needs if __name__ == "__main__":'
 # A worker that ends by one of these was stopped from outside, also for want of memory: its job may be tried again. One
 # that crashes by itself would do so again.
 OUTSIDE_SIGNALS = ("SIGKILL", "SIGTERM")
@@ -277,10 +279,7 @@ class _Pool:
         if not worker.ready:
             self._failed_starts += 1
             if self._failed_starts >= MOST_FAILED_STARTS:
-                raise BatchError(
-                    f"no worker can be started: the last one {how} (a script that runs a batch needs "
-                    'if __name__ == "__main__":)'
-                )
+                raise BatchError(f"no worker can be started: the last one {how} ({MAIN_HINT})")
         task = worker.task
         self._end_help(worker)
         yield from self._replace(worker)

@@ -18,10 +18,10 @@ from typing import Any
 
 from warpqem.batching.engine import lost
 from warpqem.batching.jobs import BatchJob, check_jobs
-from warpqem.batching.local import OUTSIDE_SIGNALS, ending
+from warpqem.batching.local import MAIN_HINT, OUTSIDE_SIGNALS, ending
 from warpqem.batching.result import FAILED, BatchResult, named
 from warpqem.batching.worker import end_with_parent, redirect_output
-from warpqem.errors import OptionError
+from warpqem.errors import BatchError, OptionError
 from warpqem.outputs import OutputFile, OutputFiles
 from warpqem.parallel import thread_count
 
@@ -55,6 +55,7 @@ def check_batch_outputs(jobs: Sequence[BatchJob], other_outputs: Iterable[Output
 
     Raises:
         OptionError: an output is an input, a layer, clip or texture of one, or the same file as another output.
+        BatchError: no process can be started.
     """
     written = check_jobs(jobs, other_outputs)
     if not written.any_exists:
@@ -81,11 +82,13 @@ def _find_problems(jobs: Sequence[BatchJob], outputs: Sequence[OutputFile]) -> d
                     problem = process.answer()
                 except (EOFError, OSError):
                     how = process.end()
-                    processes[processes.index(process)] = _Process(outputs)
+                    processes.remove(process)
                     if tries < MOST_TRIES and any(name in how for name in OUTSIDE_SIGNALS):
                         waiting.appendleft((index, tries + 1))
                     else:
                         failed[index] = lost(jobs[index], how, tries, 0.0)
+                    if waiting:
+                        processes.append(_Process(outputs))
                     continue
                 if problem is not None:
                     job, (name, text) = jobs[index], problem
@@ -101,7 +104,8 @@ class _Process:
         self._process = multiprocessing.get_context("spawn").Process(target=_serve, args=(there, outputs), daemon=True)
         self._process.start()
         there.close()
-        # Index of the job that it looks at, and for the how manieth time.
+        self._loaded = False
+        # Index of the job that it looks at, and which try that is; None for no job.
         self.at: tuple[int, int] | None = None
 
     @property
@@ -110,6 +114,16 @@ class _Process:
         return [self._connection, self._process.sentinel]
 
     def begin(self, index: int, tries: int, question: Question) -> None:
+        """Let it look at a job.
+
+        Raises:
+            BatchError: the process could not be started.
+        """
+        if not self._loaded:
+            try:
+                self._loaded = bool(self._connection.recv())
+            except (EOFError, OSError):
+                raise BatchError(f"no process can be started: it {self.end()} ({MAIN_HINT})") from None
         self.at = index, tries
         with suppress(OSError):  # it has just died, which is seen next
             self._connection.send(question)
@@ -131,13 +145,17 @@ class _Process:
         return found
 
     def end(self) -> str:
-        """End it; returns how it ended."""
+        """Wait until it has ended; returns how it ended."""
         # One that has lost its connection is about to end by itself, and shows how.
-        self._process.join(0.0 if self.at is None else ENDING_SECONDS)
+        self._process.join(ENDING_SECONDS)
+        self.kill()
+        return ending(self._process.exitcode)
+
+    def kill(self) -> None:
+        """End it at once."""
         self._process.kill()
         self._process.join()
         self._connection.close()
-        return ending(self._process.exitcode)
 
 
 @contextmanager
@@ -147,8 +165,7 @@ def _processes(count: int, outputs: Sequence[OutputFile]) -> Iterator[list[_Proc
         yield processes
     finally:
         for process in processes:
-            process.at = None
-            process.end()
+            process.kill()
 
 
 def _with_news(processes: Sequence[_Process]) -> list[_Process]:
@@ -175,6 +192,7 @@ def _serve(connection: Connection, outputs: Sequence[OutputFile]) -> None:
 
     tell_openings(lambda file, begins: None)
     written = OutputFiles(outputs)
+    connection.send(True)
     with suppress(EOFError, OSError):
         while True:
             paths, roots = connection.recv()
