@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 
 import pytest
+from pxr import UsdUtils
 from shots import ROLES, cloth_text, file_bytes, write_shot
 
 from warpqem.errors import OptionError
@@ -107,6 +108,8 @@ def test_no_file_of_a_shot_is_left_out(shot):
 def test_what_would_become_a_part_of_a_set_of_tiles_is_refused_and_nothing_else(shot, name):
     outputs = [OutputFile("output", shot.parent / name)]
     if name == "tile.1009.png":
+        if not hasattr(UsdUtils, "ExtractExternalReferencesParams"):
+            pytest.skip("this version of USD lists the tiles that are there, not the name of the set")
         with pytest.raises(OptionError, match=r"a texture of /Root/Props\.tiles"):
             check_stage_outputs(outputs, [open_stage(shot)])
     else:

@@ -64,6 +64,7 @@ class OutputFiles:
         """
         self.outputs = list(outputs)
         self._by_key: dict[Hashable, OutputFile] = {}
+        self._by_folder: dict[str, list[str]] = {}
         self.any_exists = False
         for output in self.outputs:
             if os.path.isdir(output.path):
@@ -74,6 +75,9 @@ class OutputFiles:
                 if key in self._by_key:
                     raise OptionError(f"{output}: {self._by_key[key]} is the same file, and only one can be written")
             self._by_key.update(dict.fromkeys(keys, output))
+            # Where the keys are known the path is one.
+            folder, name = os.path.split(os.path.realpath(output.path)) if keys else ("", "")
+            self._by_folder.setdefault(folder, []).append(name)
             self.any_exists = self.any_exists or os.path.isfile(output.path)
 
     def check(self, inputs: Iterable[InputFile]) -> None:
@@ -89,10 +93,10 @@ class OutputFiles:
                     if role is not None:
                         raise OptionError(f"{self._by_key[key]}: this is {role}, which is never overwritten")
 
-    def matching(self, pattern: re.Pattern[str]) -> list[str]:
-        """Those whose absolute path, without links, matches a pattern as a whole."""
-        paths = [os.path.realpath(output.path) for output in self.outputs]
-        return [path for path in paths if pattern.fullmatch(path)]
+    def matching(self, folder: str, pattern: re.Pattern[str]) -> list[str]:
+        """Those in a folder whose names match a pattern as a whole."""
+        place = os.path.realpath(folder)
+        return [os.path.join(place, name) for name in self._by_folder.get(place, ()) if pattern.fullmatch(name)]
 
 
 def check_outputs(outputs: Iterable[OutputFile], inputs: Iterable[InputFile]) -> None:

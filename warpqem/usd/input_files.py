@@ -111,9 +111,9 @@ class _Walk:
             parts, digits, number = NUMBER.split(name), "*", r"-?\d+"
         else:
             return []
-        pattern = re.compile(re.escape(os.path.realpath(folder) + os.sep) + number.join(map(re.escape, parts)))
+        pattern = re.compile(number.join(map(re.escape, parts)))
         there = glob.glob(digits.join(map(glob.escape, parts)), root_dir=folder)
-        return [os.path.join(folder, name) for name in there] + self._outputs.matching(pattern)
+        return [os.path.join(folder, name) for name in there] + self._outputs.matching(folder, pattern)
 
 
 def _names(layer: Sdf.Layer) -> list[str]:

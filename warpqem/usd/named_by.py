@@ -12,8 +12,8 @@ __all__ = ["role_of"]
 
 # Suffixes of pictures that shaders read; other files that attributes name are just files.
 PICTURES = re.compile(r"\.(bmp|dds|exr|gif|hdr|jpe?g|ktx2?|pic|png|psd|ptx|rat|tex|tga|tiff?|tx|webp)$", re.IGNORECASE)
-# Numbers in the name of a clip that a template gives.
-NUMBER = re.compile(r"#+")
+# Numbers in the name of a clip that a template gives, and of a tile of a texture (some versions of USD list the tiles).
+NUMBER = re.compile(r"#+|<UDIM>")
 # Metadata that is looked at by other names, or is the value itself.
 LOOKED_AT = ("clips", "default", "timeSamples")
 # What an asset is called: nothing is read there, and often it is the very place that an output is meant for.
