@@ -1,4 +1,4 @@
-"""Random hostile cases: arrays, values on a stage, and bytes of files, each from a seed.
+"""Random hostile cases: arrays, values on a stage, bytes of files, and progressive files, each from a seed.
 
 A case ends with a result that is sound, or with a named error. Anything else is a find.
 """
@@ -18,6 +18,7 @@ from typing import Any
 
 import meshes
 import numpy as np
+from progressive_cases import progressive_case
 from pxr import Sdf, Tf, Usd, UsdGeom, UsdUtils
 from rich_stage import rich_stage
 from test_usd_stages import cloth_stage, define_cloth, skinned_stage
@@ -387,4 +388,5 @@ CASES = {
     "values": value_case,
     "bytes": byte_case,
     "program": byte_case_by_program,
+    "progressive": progressive_case,
 }

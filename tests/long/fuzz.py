@@ -2,6 +2,7 @@
 
 python -m tests.long.fuzz arrays --cases 1000000 --seconds 9000 --start 0
 python -m tests.long.fuzz bytes --only 1234
+(ulimit -v 6000000; python -m tests.long.fuzz progressive --cases 10000)
 """
 
 from __future__ import annotations
@@ -109,7 +110,7 @@ def run(kind: str, start: int, seconds: float, wanted: int) -> int:
 
 def main() -> None:
     parser = argparse.ArgumentParser()
-    parser.add_argument("kind", choices=["arrays", "values", "bytes", "program"])
+    parser.add_argument("kind", choices=["arrays", "values", "bytes", "program", "progressive"])
     parser.add_argument("--seconds", type=float, default=300.0)
     parser.add_argument("--cases", type=int, default=10**9)
     parser.add_argument("--start", type=int, default=0)

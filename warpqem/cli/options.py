@@ -19,6 +19,7 @@ __all__ = [
     "Input",
     "JsonReport",
     "KeyFrames",
+    "MeshMemory",
     "Metric",
     "MetricOption",
     "Output",
@@ -93,6 +94,16 @@ Coherence = Annotated[
     typer.Option(
         "--coherence",
         help="0 to 1: 0 fits every frame on its own, 1 lets vertices stick to the surface over time.",
+    ),
+]
+
+MeshMemory = Annotated[
+    str | None,
+    typer.Option(
+        "--memory",
+        metavar="BYTES",
+        help="Memory that a progressive mesh may take, such as 8G or 500M, where the file is trusted; by default 64M, "
+        "or 256 times the size of the file where that is more. Files of this version of warpqem need no more.",
     ),
 ]
 

@@ -20,6 +20,7 @@ from warpqem.cli.options import (
     Input,
     JsonReport,
     KeyFrames,
+    MeshMemory,
     Metric,
     MetricOption,
     Output,
@@ -27,7 +28,7 @@ from warpqem.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from warpqem.progressive.container import FileInfo
+    from warpqem.progressive.header import FileInfo
 
 __all__ = ["progressive"]
 
@@ -91,6 +92,7 @@ def extract(
     distance: Distance = None,
     field_of_view: FieldOfView = 45.0,
     image_height: ImageHeight = 1080,
+    memory: MeshMemory = None,
     json: JsonReport = None,
 ) -> None:
     """Write one level as a USD file. Give one of --ratio, --faces, --max-error and --screen-error.
@@ -104,7 +106,7 @@ def extract(
 
     screen = screen_view(screen_error, distance, field_of_view, image_height)
     choice = LevelChoice(ratio, faces, max_error, screen)
-    count, error = extract_level(file, output, choice, named_outputs({"--json": json}))
+    count, error = extract_level(file, output, choice, memory, named_outputs({"--json": json}))
     table = Table(title=escape(f"{file} -> {output}"))
     for name in ("faces", "error %"):
         table.add_column(name, justify="right")

@@ -10,8 +10,8 @@ from typing import Annotated, Any
 import typer
 
 from warpqem.cli.console import progress_bar, quiet_warp, tell
-from warpqem.cli.options import Device, Frames, Prims
-from warpqem.errors import OptionError, StageError
+from warpqem.cli.options import Device, Frames, MeshMemory, Prims
+from warpqem.errors import MemoryLimitError, OptionError, StageError, WarpqemError
 
 __all__ = ["view"]
 
@@ -30,6 +30,7 @@ def view(
     frames: Frames = None,
     prim: Prims = None,
     device: Device = None,
+    memory: MeshMemory = None,
 ) -> None:
     """Look at meshes in motion in the browser, until interrupted.
 
@@ -46,9 +47,11 @@ def view(
         raise OptionError("a progressive mesh is shown alone: leave OUT away")
     if progressive and (frames or prim):
         raise OptionError("--frames and --prim are for USD files; a progressive mesh holds one mesh and its frames")
+    if memory is not None and not progressive:
+        raise OptionError("--memory is for progressive meshes")
     level = None
     if progressive:
-        data, level = _live_data(input_file, device)
+        data, level = _live_data(input_file, device, memory)
     else:
         data = _stage_data(input_file, other, frames, prim, device)
     server = PageServer(report_page(data), level, port)
@@ -62,15 +65,22 @@ def view(
         tell("note", "stopped")
 
 
-def _live_data(path: str, device: str | None) -> tuple[dict[str, Any], Callable[[int], dict[str, Any]]]:
-    from warpqem.progressive import load, read_info
+def _live_data(
+    path: str, device: str | None, memory: str | None
+) -> tuple[dict[str, Any], Callable[[int], dict[str, Any]]]:
+    from warpqem.progressive.file import ProgressiveFile
     from warpqem.report.live import LiveLevels
 
     try:
-        live = LiveLevels(load(path), Path(path).name, read_info(path).extra, device)
+        with ProgressiveFile(path) as file:
+            live = LiveLevels(file.load(memory=memory), Path(path).name, file.info.extra, device)
+        return live.data(), live.level
     except OSError as error:
         raise StageError(f"{path}: cannot be read ({error.strerror})") from error
-    return live.data(), live.level
+    except MemoryError as error:
+        if isinstance(error, WarpqemError):
+            raise
+        raise MemoryLimitError(f"{path}: there is not enough memory to show it") from error
 
 
 def _stage_data(

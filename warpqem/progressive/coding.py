@@ -7,15 +7,30 @@ together. Predictions are float32 sums and products that every machine rounds al
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import zstandard
 
 from warpqem.errors import ProgressiveFileError
 
-__all__ = ["decode_splits", "decode_tracks", "encode_splits", "encode_tracks", "pack", "split_ratios", "unpack"]
+__all__ = [
+    "LARGEST_RATIO",
+    "Residuals",
+    "decode_splits",
+    "decode_tracks",
+    "encode_splits",
+    "encode_tracks",
+    "pack",
+    "restore_tracks",
+    "split_ratios",
+    "unpack",
+]
 
 # Beyond this level zstandard takes twice the time for a thousandth of the size.
 LEVEL = 9
+# A second vertex that goes farther than this against the first is not predicted by it.
+LARGEST_RATIO = 1e6
 
 
 def pack(values: np.ndarray) -> bytes:
@@ -30,13 +45,47 @@ def unpack(data: bytes | memoryview, count: int, dtype: type = np.int32) -> np.n
     Raises:
         ProgressiveFileError: the data is damaged, or holds another number of them.
     """
+    return Residuals(data, count).rows(slice(None)).view(dtype)
+
+
+class Residuals:
+    """Rows of 32-bit numbers that still lie byte by byte: those that are asked for are put together.
+
+    Args:
+        data: what :func:`pack` made of them.
+        shape: rows, and what is in each.
+
+    Raises:
+        ProgressiveFileError: the data is damaged, or holds another number of them.
+    """
+
+    def __init__(self, data: bytes | memoryview, *shape: int) -> None:
+        self._shape = shape[1:]
+        self._planes = np.frombuffer(_decompress(data, 4 * math.prod(shape)), dtype=np.uint8).reshape(
+            4, shape[0], math.prod(shape[1:])
+        )
+
+    def rows(self, chosen: slice | np.ndarray) -> np.ndarray:
+        """Some of the rows, int32."""
+        planes = self._planes[:, chosen]
+        values = np.empty((*planes.shape[1:], 4), dtype=np.uint8)
+        for place, plane in enumerate(planes):
+            values[..., place] = plane
+        return values.view(np.int32).reshape(planes.shape[1], *self._shape)
+
+
+def _decompress(data: bytes | memoryview, size: int) -> bytes:
+    """Exactly so many bytes. The size that the frame names is checked first: unpacking allocates it at once."""
     try:
-        planes = zstandard.ZstdDecompressor().decompress(bytes(data), max_output_size=max(1, 4 * count))
+        said = zstandard.frame_content_size(data)
+        if said != size:
+            found = "data of unknown size" if said < 0 else f"{said} bytes"
+            raise ProgressiveFileError(f"{found} where {size} belong")
+        values = zstandard.ZstdDecompressor().decompress(data, max_output_size=max(1, size), allow_extra_data=False)
     except zstandard.ZstdError as error:
         raise ProgressiveFileError(f"compressed data is damaged ({error})") from error
-    if len(planes) != 4 * count:
-        raise ProgressiveFileError(f"{len(planes)} bytes where {4 * count} belong")
-    values: np.ndarray = np.frombuffer(planes, dtype=np.uint8).reshape(4, -1).T.copy().view(dtype).ravel()
+    if len(values) != size:
+        raise ProgressiveFileError(f"{len(values)} bytes where {size} belong")
     return values
 
 
@@ -47,12 +96,16 @@ def encode_tracks(points: np.ndarray) -> bytes:
 
 def decode_tracks(data: bytes | memoryview, count: int, frame_count: int) -> np.ndarray:
     """What :func:`encode_tracks` coded."""
-    residual = unpack(data, count * frame_count * 3).reshape(count, frame_count, 3)
-    points = np.empty(residual.shape, dtype=np.float32)
-    before = np.zeros((count, 3), dtype=np.float32)
-    for t in range(frame_count):
-        points[:, t] = before = _restore(residual[:, t], before)
-    return points
+    return restore_tracks(Residuals(data, count, frame_count, 3).rows(slice(None)))
+
+
+def restore_tracks(residual: np.ndarray) -> np.ndarray:
+    """Finite trajectories (n, F, 3) float32 from what their predictions miss, int32.
+
+    The frame before predicts, and is finite, so that the bits are sums over time. Where it is not, a number that is not
+    finite comes out, for the caller to refuse.
+    """
+    return _from_ordered(np.cumsum(_signed(residual), axis=1, dtype=np.int32))
 
 
 def split_ratios(parent: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
@@ -60,7 +113,7 @@ def split_ratios(parent: np.ndarray, first: np.ndarray, second: np.ndarray) -> n
     a, b = (x.astype(np.float64) - parent for x in (first, second))
     length = (a * a).sum(axis=(1, 2))
     ratio = np.divide(-(a * b).sum(axis=(1, 2)), length, out=np.zeros(len(a)), where=length > 0)
-    return np.clip(ratio, -1e6, 1e6).astype(np.float32)
+    return np.clip(ratio, -LARGEST_RATIO, LARGEST_RATIO).astype(np.float32)
 
 
 def encode_splits(parent: np.ndarray, first: np.ndarray, second: np.ndarray, ratio: np.ndarray) -> tuple[bytes, bytes]:
@@ -69,28 +122,35 @@ def encode_splits(parent: np.ndarray, first: np.ndarray, second: np.ndarray, rat
     The first is predicted by its parent and by how it lay to it in the frame before; the second by the first one's
     mirror image about the parent, ``ratio`` times as far, corrected likewise.
     """
-    guess = _mirrored(parent, first, ratio)
-    return (
-        pack(_residual(first, _follow(parent, _before(parent), _before(first)))),
-        pack(_residual(second, _follow(guess, _before(guess), _before(second)))),
-    )
+    # What overflows predicts nothing.
+    with np.errstate(over="ignore", invalid="ignore"):
+        guess = _mirrored(parent, first, ratio)
+        return (
+            pack(_residual(first, _follow(parent, _before(parent), _before(first)))),
+            pack(_residual(second, _follow(guess, _before(guess), _before(second)))),
+        )
 
 
 def decode_splits(
     data: tuple[np.ndarray, np.ndarray], parent: np.ndarray, ratio: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """What :func:`encode_splits` coded, from unpacked residuals (n, F, 3) int32."""
-    first = _decode_following(data[0], parent)
-    return first, _decode_following(data[1], _mirrored(parent, first, ratio))
+    with np.errstate(over="ignore", invalid="ignore"):
+        first = _decode_following(data[0], parent)
+        return first, _decode_following(data[1], _mirrored(parent, first, ratio))
 
 
 def _decode_following(residual: np.ndarray, guide: np.ndarray) -> np.ndarray:
-    points = np.empty(residual.shape, dtype=np.float32)
-    guide_before, before = np.zeros_like(guide[:, 0]), np.zeros_like(guide[:, 0])
-    for t in range(residual.shape[1]):
-        points[:, t] = _restore(residual[:, t], _follow(guide[:, t], guide_before, before))
-        guide_before, before = guide[:, t], points[:, t]
-    return points
+    # What belongs to one frame lies together while it is restored from the frame before.
+    missed = np.ascontiguousarray(_signed(residual).transpose(1, 0, 2))
+    guide = guide.transpose(1, 0, 2)
+    points = np.empty(missed.shape, dtype=np.float32)
+    guide_before = before = np.zeros(points.shape[1:], dtype=np.float32)
+    for t, frame in enumerate(points):
+        predicted = _finite(_follow(guide[t], guide_before, before))
+        frame[...] = _from_ordered(missed[t] + _ordered(predicted))
+        guide_before, before = guide[t], frame
+    return points.transpose(1, 0, 2)
 
 
 def _follow(guide: np.ndarray, guide_before: np.ndarray, before: np.ndarray) -> np.ndarray:
@@ -112,9 +172,20 @@ def _before(points: np.ndarray) -> np.ndarray:
 
 
 def _ordered(values: np.ndarray) -> np.ndarray:
-    """Integers (int32) in the order of float32 numbers, and back: the same operation, on bits."""
-    bits = values.view(np.int32)
-    return bits ^ ((bits >> 31) & np.int32(0x7FFFFFFF))
+    """Integers (int32) in the order of float32 numbers."""
+    return _flipped(values.view(np.int32))
+
+
+def _from_ordered(order: np.ndarray) -> np.ndarray:
+    """The numbers, float32, of such integers."""
+    values: np.ndarray = _flipped(order).view(np.float32)
+    return values
+
+
+def _flipped(bits: np.ndarray) -> np.ndarray:
+    """Sign and magnitude to two's complement, and back: the same operation."""
+    flipped: np.ndarray = bits ^ ((bits >> 31) & np.int32(0x7FFFFFFF))
+    return flipped
 
 
 def _residual(values: np.ndarray, predicted: np.ndarray) -> np.ndarray:
@@ -124,12 +195,10 @@ def _residual(values: np.ndarray, predicted: np.ndarray) -> np.ndarray:
         return (missed << 1) ^ (missed >> 31)
 
 
-def _restore(residual: np.ndarray, predicted: np.ndarray) -> np.ndarray:
-    with np.errstate(over="ignore"):
-        missed = ((residual >> 1) & np.int32(0x7FFFFFFF)) ^ -(residual & 1)
-        bits = missed + _ordered(_finite(predicted))
-    values: np.ndarray = (bits ^ ((bits >> 31) & np.int32(0x7FFFFFFF))).view(np.float32)
-    return values
+def _signed(residual: np.ndarray) -> np.ndarray:
+    """What :func:`_residual` made of a difference, back."""
+    missed: np.ndarray = ((residual >> 1) & np.int32(0x7FFFFFFF)) ^ -(residual & 1)
+    return missed
 
 
 def _finite(predicted: np.ndarray) -> np.ndarray:

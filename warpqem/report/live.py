@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import itertools
+import math
+import statistics
 from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
+from warpqem.errors import DegenerateMeshError, ProgressiveFileError
 from warpqem.measure import vertex_distances
 from warpqem.progressive import ProgressiveMesh
+from warpqem.progressive.stage_notes import StageNotes
 from warpqem.report.content import Report
 from warpqem.report.data import chosen_frames, mesh_data, report_data
 from warpqem.report.encoding import Grid
@@ -39,23 +44,36 @@ class LiveLevels:
             title: heading of the page.
             extra: what a file of `warpqem progressive build` holds beside it: "times" and "stage"; may be empty.
             device: Warp device; None for the default.
+
+        Raises:
+            DegenerateMeshError: there are no faces.
         """
-        self._mesh, self._title, self._extra, self._device = mesh, title, extra, device
+        self._mesh, self._title, self._device = mesh, title, device
+        self._notes = StageNotes(title, extra, mesh.frame_count)
+        if not mesh.face_count:
+            raise DegenerateMeshError(f"{title}: the mesh has no faces to show")
         full = mesh.level(mesh.split_count)
         shown = chosen_frames(mesh.frame_count, 2 * full.points.shape[1])
         self._shown = slice(0, None, shown.step)
         self._points, self._faces = full.points[self._shown], full.faces
         self._grid = Grid.around(self._points)
         faces = np.geomspace(max(mesh.base_face_count, 1), mesh.face_count, STOPS)
-        self.splits = sorted({mesh.splits_for(target_faces=int(np.ceil(count))) for count in faces}, reverse=True)
+        stops = {mesh.splits_for(target_faces=int(np.ceil(count))) for count in faces}
+        # A base mesh may have no faces at all, which no page can show.
+        counts = mesh.topology.face_counts()
+        self.splits = sorted((split for split in stops if counts[split]), reverse=True)
         # One level at a time is cheap to keep and slow to pack.
         self._packed: Callable[[int], dict[str, Any]] = lru_cache(KEPT_LEVELS)(self._pack)
 
     def data(self) -> dict[str, Any]:
-        """The data of the page, see `report_data`; levels have the address ``level/INDEX`` instead of a mesh."""
-        times, stage = self._extra.get("times"), self._extra.get("stage", {})
-        own = None if times is None else times[self._shown]
-        rate = stage.get("time_codes_per_second", 24.0)
+        """The data of the page, see `report_data`; levels have the address ``level/INDEX`` instead of a mesh.
+
+        Raises:
+            ProgressiveFileError: what ``extra`` holds of times and stage is not what a build adds.
+            DegenerateMeshError: the mesh has no extent in some frame, or no face with an area.
+            DeviceError: there is no such device.
+        """
+        own, rate, up = self._times_and_units()
         notes = [f"{len(self._points)} of {self._mesh.frame_count} frames are shown."] if self._shown.step > 1 else []
         report = Report(
             title=self._title,
@@ -63,8 +81,8 @@ class LiveLevels:
             faces=self._faces,
             levels=(),
             times=own,
-            frames_per_second=rate / (float(np.median(np.diff(own))) if own and len(own) > 1 else 1.0),
-            up=str(stage.get("up_axis", "Y")).lower(),
+            frames_per_second=rate,
+            up=up,
             notes=notes,
         )
         found = report_data(report, self._device)
@@ -82,8 +100,28 @@ class LiveLevels:
         ]
         shares = np.array([faces / self._mesh.face_count for faces, _ in levels])
         found["firstLevel"] = int(np.abs(np.log(shares / FIRST_SHARE)).argmin())
+        # The page asks for it at once. All are measured against the finest, so that one that is packed shows that others
+        # can be, too.
+        try:
+            self.level(found["firstLevel"])
+        except DegenerateMeshError as error:
+            raise DegenerateMeshError(f"{self._title}: {error}") from error
         found["curve"] = {"faces": [faces for faces, _ in levels], "error": [error for _, error in levels]}
         return found
+
+    def _times_and_units(self) -> tuple[list[float] | None, float, str]:
+        """Time of each frame that is shown, how many a second, and the axis that points up."""
+        notes = self._notes
+        times = notes.times() if "times" in notes.extra else None
+        units = notes.units() if "stage" in notes.extra else None
+        own = None if times is None else times[self._shown]
+        codes = 24.0 if units is None else units.time_codes_per_second
+        # Python's numbers, which overflow without a warning.
+        steps = [after - before for before, after in itertools.pairwise(own or ())]
+        rate = codes / (statistics.median(steps) if steps else 1.0)
+        if not 0.0 < rate < math.inf:
+            raise ProgressiveFileError(f"{self._title}: times and {codes:g} time codes a second give {rate:g} frames")
+        return own, rate, "y" if units is None else units.up_axis.lower()
 
     def level(self, index: int) -> dict[str, Any]:
         """What the page adds to a level when it is asked for.

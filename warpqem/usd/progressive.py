@@ -3,26 +3,30 @@
 from __future__ import annotations
 
 import os
+import reprlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from pxr import Sdf, Usd, UsdGeom, Vt
 
 from warpqem.arguments import target_count
-from warpqem.errors import OptionError, ProgressiveFileError, StageError
+from warpqem.errors import MemoryLimitError, OptionError, ProgressiveFileError, StageError, WarpqemError
 from warpqem.outputs import InputFile, OutputFile, check_outputs
-from warpqem.progressive import ProgressiveMesh, build_progressive, load, read_info, save
-from warpqem.progressive.container import FileInfo
+from warpqem.progressive import ProgressiveMesh, build_progressive, read_info, save
+from warpqem.progressive.file import ProgressiveFile
+from warpqem.progressive.header import FileInfo
+from warpqem.progressive.stage_notes import StageNotes
 from warpqem.screen import ScreenView
 from warpqem.usd.frames import FrameRange
+from warpqem.usd.input_check import MOST_NESTED
 from warpqem.usd.input_files import check_stage_outputs
 from warpqem.usd.job import MeshJob, ReadOptions
 from warpqem.usd.mesh import MeshSource
 from warpqem.usd.skel import StagePoses
 from warpqem.usd.stage import find_meshes, open_stage
+from warpqem.usd.usd_errors import usd_errors_named
 from warpqem.usd.write import check_output_path, export_layer
 
 __all__ = ["BuildOptions", "LevelChoice", "build_file", "extract_level"]
@@ -138,34 +142,41 @@ def extract_level(
     input_path: str | os.PathLike[str],
     output_path: str | os.PathLike[str],
     choice: LevelChoice,
+    memory: int | str | None = None,
     other_outputs: Sequence[OutputFile] = (),
 ) -> tuple[int, float]:
     """Write one level of a progressive mesh as a USD file of its own, and read no more of it than that takes.
 
     Args:
-        input_path: The progressive mesh.
+        input_path: The progressive mesh; one from anywhere is safe to read.
         output_path: .usd, .usda or .usdc file; replaced if it exists.
         choice: Which level.
+        memory: What the mesh may take, see `warpqem.progressive.load`.
         other_outputs: What else the caller is going to write; see `warpqem.usd.simplify_stage`.
 
     Returns:
         Its faces, and its error in % of the bounding-box diagonal.
 
     Raises:
-        ProgressiveFileError: the input is no progressive mesh, or damaged.
+        ProgressiveFileError: the input is no progressive mesh, damaged, or takes more memory than it may.
+        MemoryLimitError: memory has run out on the way.
         StageError: a file cannot be read or written.
         OptionError: an option or an output path is wrong, or the base mesh has more faces than asked for.
     """
-    output = check_output_path(output_path, [input_path])
-    check_outputs([OutputFile("output", output_path), *other_outputs], [InputFile(input_path)])
     try:
-        info = read_info(input_path)
-        mesh, split_count = _find_level(input_path, info, choice)
+        output = check_output_path(output_path, [input_path])
+        check_outputs([OutputFile("output", output_path), *other_outputs], [InputFile(input_path)])
+        with ProgressiveFile(input_path) as file:
+            notes = StageNotes(file.path, file.info.extra, file.info.frame_count)
+            mesh, split_count = _find_level(file, notes, choice, memory)
+        level = mesh.level(split_count)
+        export_layer(_layer(notes, level.points, level.faces), output)
     except OSError as error:
         raise StageError(f"{input_path}: cannot be read ({error.strerror})") from error
-    level = mesh.level(split_count)
-    layer = _layer(input_path, info, level.points, level.faces)
-    export_layer(layer, output)
+    except MemoryError as error:
+        if isinstance(error, WarpqemError):
+            raise
+        raise MemoryLimitError(f"{input_path}: there is not enough memory to take a level out of it") from error
     return len(level.faces), level.error
 
 
@@ -195,46 +206,53 @@ def _in_world(job: MeshJob) -> npt.NDArray[np.float64]:
     return points
 
 
-def _find_level(path: str | os.PathLike[str], info: FileInfo, choice: LevelChoice) -> tuple[ProgressiveMesh, int]:
+def _find_level(
+    file: ProgressiveFile, notes: StageNotes, choice: LevelChoice, memory: int | str | None
+) -> tuple[ProgressiveMesh, int]:
     max_error = choice.max_error
     if choice.screen is not None:
-        max_error = 100.0 * choice.screen.length / float(_of(info, path, "diagonal"))
+        max_error = 100.0 * choice.screen.length / notes.diagonal()
     if max_error is not None:
         # Errors fall from chunk to chunk, and the first level within is the coarsest.
-        mesh = load(path)
+        mesh = file.load(memory=memory)
         return mesh, mesh.splits_for(max_error=max_error)
-    target = choice.faces if choice.ratio is None else target_count(choice.ratio, info.face_count)
-    mesh = load(path, target_faces=target)
-    return mesh, mesh.splits_for(target_faces=min(target or 0, info.face_count))
+    face_count = file.info.face_count
+    target = choice.faces if choice.ratio is None else target_count(choice.ratio, face_count)
+    mesh = file.load(target_faces=target, memory=memory)
+    return mesh, mesh.splits_for(target_faces=min(target or 0, face_count))
 
 
-def _of(info: FileInfo, path: str | os.PathLike[str], name: str) -> Any:
-    if name not in info.extra:
-        raise ProgressiveFileError(f"{path}: there is no {name} in it; was it built from USD?")
-    return info.extra[name]
+def _prim_path(notes: StageNotes) -> Sdf.Path:
+    """The path of the mesh, which USD can make prims of: it trusts the paths that it is handed."""
+    text = notes.prim()
+    if text.count("/") > MOST_NESTED:
+        raise ProgressiveFileError(f"{notes.where}: the prim path in it has more than {MOST_NESTED} names")
+    path = Sdf.Path(text) if Sdf.Path.IsValidPathString(text) else Sdf.Path()
+    if not (path.IsAbsolutePath() and path.IsPrimPath()) or path.ContainsPrimVariantSelection():
+        raise ProgressiveFileError(f"{notes.where}: prim {reprlib.repr(text)} in it is not the path of a prim")
+    return path
 
 
-def _layer(
-    path: str | os.PathLike[str], info: FileInfo, points: npt.NDArray[np.float32], faces: npt.NDArray[np.int32]
-) -> Sdf.Layer:
+def _layer(notes: StageNotes, points: npt.NDArray[np.float32], faces: npt.NDArray[np.int32]) -> Sdf.Layer:
+    units, times, prim_path = notes.units(), notes.times(), _prim_path(notes)
     layer = Sdf.Layer.CreateAnonymous("level.usdc")
     stage = Usd.Stage.Open(layer)
-    settings, times = _of(info, path, "stage"), _of(info, path, "times")
-    UsdGeom.SetStageUpAxis(stage, settings["up_axis"])
-    UsdGeom.SetStageMetersPerUnit(stage, settings["metres_per_unit"])
-    stage.SetTimeCodesPerSecond(settings["time_codes_per_second"])
-    stage.SetFramesPerSecond(settings["frames_per_second"])
-    prim_path = Sdf.Path(_of(info, path, "prim"))
-    mesh = UsdGeom.Mesh.Define(stage, prim_path)
-    stage.SetDefaultPrim(stage.GetPrimAtPath(prim_path.GetPrefixes()[0]))
-    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
-    mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(faces), 3, dtype=np.int32)))
-    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(np.ascontiguousarray(faces.ravel())))
-    codes = [Usd.TimeCode.Default()] if times is None else [Usd.TimeCode(time) for time in times]
-    if times:
-        stage.SetStartTimeCode(times[0])
-        stage.SetEndTimeCode(times[-1])
-    for code, pose in zip(codes, points, strict=True):
-        mesh.CreatePointsAttr().Set(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(pose)), code)
-        mesh.CreateExtentAttr().Set(Vt.Vec3fArray.FromNumpy(np.stack([pose.min(axis=0), pose.max(axis=0)])), code)
+    with usd_errors_named(f"{notes.where}: prim {prim_path}"):
+        UsdGeom.SetStageUpAxis(stage, units.up_axis)
+        UsdGeom.SetStageMetersPerUnit(stage, units.metres_per_unit)
+        stage.SetTimeCodesPerSecond(units.time_codes_per_second)
+        stage.SetFramesPerSecond(units.frames_per_second)
+        mesh = UsdGeom.Mesh.Define(stage, prim_path)
+        stage.SetDefaultPrim(stage.GetPrimAtPath(prim_path.GetPrefixes()[0]))
+        mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+        mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(faces), 3, dtype=np.int32)))
+        mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(np.ascontiguousarray(faces.ravel())))
+        codes = [Usd.TimeCode.Default()] if times is None else [Usd.TimeCode(time) for time in times]
+        if times:
+            stage.SetStartTimeCode(times[0])
+            stage.SetEndTimeCode(times[-1])
+        for code, pose in zip(codes, points, strict=True):
+            mesh.CreatePointsAttr().Set(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(pose)), code)
+            extent = np.stack([pose.min(axis=0), pose.max(axis=0)])
+            mesh.CreateExtentAttr().Set(Vt.Vec3fArray.FromNumpy(extent), code)
     return layer
