@@ -31,6 +31,24 @@ SMALLEST: Header = {
     "extra": {},
 }
 
+# A fan of seven faces in three frames, as the first version of the format was written at first (base64).
+MADE_BEFORE = """
+V1BRTUVTSDHVAAAAAAAAANlpI9R7InZlcnRleF9jb3VudCI6OCwiZmFjZV9jb3VudCI6NywiZnJhbWVfY291bnQiOjMsImJhc2VfdmVydGV4X2Nv
+dW50IjozLCJiYXNlX2ZhY2VfY291bnQiOjEsInNwbGl0X2NvdW50Ijo1LCJyYW5rX2NvdW50Ijo4LCJjaHVua3MiOltbMCwwLDAsMjU0LDI5MzI3
+ODQ0NThdLFswLDEsMjU0LDY4NSwxNDk5MDMxODY2XV0sImV4dHJhIjp7InRpbWVzIjpbMS4wLDIuMCwzLjBdfX0VAAAAAAAAACi1L/0gDGEAAAAB
+AQAAAAAAAAAAABUAAAAAAAAAKLUv/SAMYQAAAAQCAAAAAAAAAAAAFQAAAAAAAAAotS/9IAxhAAAABAYAAAAAAAAAAAANAAAAAAAAACi1L/0gBCEA
+AAAAAAANAAAAAAAAACi1L/0gBCEAAC+6OT51AAAAAAAAACi1L/0gbGEDAMGz+HdLh7x6cci5gV+BOoeG/MiSgRVltqExHptsbY3QcjeGY5uv4hSR
+IUcA5Wg04l0iT+nhaLGJQCgBHiMPAczON6QMoD0Cbpr5Nw8AyK8Gr318ewAAAgAA8X18eAAA9fgAAHt9eAEA8/UAABkAAAAAAAAAKLUv/SAUhQAA
+UAAD/wL9AAD/AP8BANgKEhkAAAAAAAAAKLUv/SAUhQAAUAQC/QICAAD/AAABANgKEhkAAAAAAAAAKLUv/SAUhQAAUAL/BvwCAP8A/wABANgKEhUA
+AAAAAAAAKLUv/SAUZQAAMAECAQEBAAEAMigCLgAAAAAAAAAotS/9IEgtAQDYAAcCAPz/AP4EAAUCAPz8AAMBAAAAAP//AP8AAwA1MQAMZlbGGwAA
+AAAAAAAotS/9IBiVAABgAgIB/AIDAAAA/wAAAQDhShIdAAAAAAAAACi1L/0gFKEAABME/f0A4opkZAASvYGBAD49PT0AHQAAAAAAAAAotS/9IBSh
+AABYZHjRjHSc8GVD85Y2YUc+Pj8/P70AAAAAAAAAKLUv/SC0oQUATvH4eWTkvcPLdKZEBb9kJwL3RlmCPWb6RzJ0kGCCIwACWAACOLqCMUI+sf/5
+Uey9QIZdGZQeSlkH58e1Foa60ejidiKD5+GzY8HiGwCengD0ZK/ifjAmLUInNxQXhAt5lQlfep7bWFMUmNEApGg3awBMswYdNDY3AABFAQCVM843
+JJI0PwAEAgEBAAAAAAAAe30AAHgAAHUAAQB4AAAB9QAAAN94AAB2AAB2AHx4AHcAAXUAvQAAAAAAAAAotS/9ILShBQB2ODWmQijvn4TAfEO81/Zs
+dKaNZUKw/MOqwL2gf1IHALIoAHJD/PBE9s8cuYO5ctybwwLXMMjY9K7PvXXMWkQh7GHsOhTyy9oxHD4zACcLALBhHVJwLHhex9sn+loEmOdFiroh
+GAjjDTM9AiEmLgssAK9YC5xMNSUAADIDAH1lCxUvC0U+ARsAGPIAdwIAeAAAAHwAAO4AAPABAHkAAAEAAAQAAHkAAHcAAHcAAHkAAAABAAA=
+"""
+
 
 def packed(data: bytes) -> bytes:
     """Bytes as a part of a chunk holds them."""
@@ -44,14 +62,15 @@ def smallest_parts() -> list[bytes]:
 
 def zeros(size: int) -> bytes:
     """A frame of so many zeros, a 30 000th of them long; it says how many they are."""
-    blocks = -(-size // MOST_ZEROS)
-    sizes = [MOST_ZEROS] * (blocks - 1) + [size - MOST_ZEROS * (blocks - 1)]
-    # Magic number; single segment with a size of 8 bytes; for each block its last-block flag, type 1 and size (RFC 8878).
-    body = b"".join(
-        (int(index == blocks - 1) | 1 << 1 | length << 3).to_bytes(3, "little") + b"\0"
-        for index, length in enumerate(sizes)
-    )
-    return b"\x28\xb5\x2f\xfd\xe0" + size.to_bytes(8, "little") + body
+    whole = (max(size, 1) - 1) // MOST_ZEROS
+    rest = size - whole * MOST_ZEROS
+
+    def block(length: int, is_last: int) -> bytes:
+        """Of type 1, the byte and how often it stands there."""
+        return (is_last | 1 << 1 | length << 3).to_bytes(3, "little") + b"\0"
+
+    # Magic number, and a single segment with a size of 8 bytes (RFC 8878).
+    return b"\x28\xb5\x2f\xfd\xe0" + size.to_bytes(8, "little") + block(MOST_ZEROS, 0) * whole + block(rest, 1)
 
 
 def read_file(path: Path) -> tuple[Header, Chunks]:

@@ -68,6 +68,8 @@ def header_bytes(info: FileInfo) -> bytes:
     Raises:
         ValueError: ``extra`` is nothing that :func:`parse_header` would read; the message says why.
     """
+    if not isinstance(info.extra, dict):
+        raise ValueError(f"{type(info.extra).__name__} where a dictionary belongs")
     try:
         text = json.dumps(vars(info), separators=(",", ":"), allow_nan=False)
         header = text.encode()

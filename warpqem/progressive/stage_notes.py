@@ -1,4 +1,4 @@
-"""What a file that was built from USD says of its stage: entries of the header's ``extra``, checked as they are read."""
+"""The stage that a file was built from: entries of the header's ``extra``, checked as they are read."""
 
 from __future__ import annotations
 
@@ -49,7 +49,8 @@ class StageNotes:
         Raises:
             ProgressiveFileError: there is none; as all others.
         """
-        return self._of_type("prim", self._entry("prim"), str)
+        value: str = self._of_type("prim", self._entry("prim"), str, "text")
+        return value
 
     def diagonal(self) -> float:
         """The largest diagonal of a frame's bounding box, in the units of the stage, above 0."""
@@ -63,7 +64,7 @@ class StageNotes:
         value = self._entry("times")
         if value is None and self.frame_count == 1:
             return None
-        found = [self._number("times", one) for one in self._of_type("times", value, list)]
+        found = [self._number("times", one) for one in self._of_type("times", value, list, "a list")]
         if len(found) != self.frame_count:
             raise ProgressiveFileError(f"{self.where}: there are {len(found)} times and {self.frame_count} frames")
         for before, after in itertools.pairwise(found):
@@ -73,7 +74,7 @@ class StageNotes:
 
     def units(self) -> StageUnits:
         """The metadata of the stage."""
-        entries = self._of_type("stage", self._entry("stage"), dict)
+        entries = self._of_type("stage", self._entry("stage"), dict, "an object")
         wanted = ("up_axis", "metres_per_unit", "time_codes_per_second", "frames_per_second")
         missing = [name for name in wanted if name not in entries]
         if missing:
@@ -88,9 +89,9 @@ class StageNotes:
             raise ProgressiveFileError(f"{self.where}: there is no {name} in it; was it built from USD?")
         return self.extra[name]
 
-    def _of_type(self, name: str, value: Any, kind: type) -> Any:
+    def _of_type(self, name: str, value: Any, kind: type, wanted: str) -> Any:
         if not isinstance(value, kind):
-            raise self._error(name, value, {str: "text", list: "a list", dict: "an object"}[kind])
+            raise self._error(name, value, wanted)
         return value
 
     def _number(self, name: str, value: Any) -> float:

@@ -100,8 +100,7 @@ class LiveLevels:
         ]
         shares = np.array([faces / self._mesh.face_count for faces, _ in levels])
         found["firstLevel"] = int(np.abs(np.log(shares / FIRST_SHARE)).argmin())
-        # The page asks for it at once. All are measured against the finest, so that one that is packed shows that others
-        # can be, too.
+        # The page asks for it at once. All are measured against the finest, so that where one can be packed all can.
         try:
             self.level(found["firstLevel"])
         except DegenerateMeshError as error:
