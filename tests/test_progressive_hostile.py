@@ -162,7 +162,7 @@ def unsized(data: bytes, window: int | None = None) -> bytes:
         (b"\x28\xb5\x2f\xfd\xe0" + (2**60).to_bytes(8, "little") + b"\1\0\0", f"{2**60} bytes where 4 belong"),
         (unsized(bytes(4)), "data of unknown size where 4 belong"),
         (unsized(bytes(2**24)), "data of unknown size where 4 belong"),
-        (unsized(b"", 0xFF), "data of unknown size"),
+        (unsized(b"", 0x88), "data of unknown size"),
         # A window of terabytes for four bytes of a known size.
         (b"\x28\xb5\x2f\xfd\x80\xff" + (4).to_bytes(4, "little") + b"\x23\0\0\0", "damaged"),
         (packed(bytes(3)), "3 bytes where 4 belong"),
