@@ -225,7 +225,8 @@ def _grow_in_accord(draw: random.Random, header: Header, chunks: Chunks) -> None
             for index in range(5 if len(parts) == 6 else 8, len(parts)):
                 parts[index] = zeros(min(12 * count * frames, 2**31))
         if draw.random() < 0.5:
-            header["extra"]["times"] = list(range(min(frames, 10**5)))
+            # Few enough that the file stays small: a longer one accounts for a mesh that takes seconds.
+            header["extra"]["times"] = list(range(min(frames, 2000)))
     elif kind == 1:
         header["vertex_count"] = draw.choice([2**31 - 1, header["vertex_count"] * factor])
     else:
