@@ -1,4 +1,4 @@
-"""The stage that a file was built from: entries of the header's ``extra``, checked as they are read."""
+"""What a file that was built from USD says of its stage: entries of the header, checked as they are read."""
 
 from __future__ import annotations
 
