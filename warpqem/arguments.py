@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from warpqem.errors import OptionError
+from warpqem.number_input import flag, real_number, shown, whole_number
 
 if TYPE_CHECKING:
     from warpqem.attributes import AttributeField
     from warpqem.face.protect import FaceProtection
 
 __all__ = ["Goal", "SimplifyOptions", "check_ratio", "read_goal", "target_count"]
+
+# Options that are on or off.
+FLAGS = ("refit", "memoryless", "lock_borders", "keep_components")
 
 
 @dataclass(frozen=True)
@@ -53,24 +57,33 @@ class SimplifyOptions:
     memory: int | str | None = None
     device: str | None = None
 
-    def check(self) -> None:
-        """Raise an OptionError for a number outside its range, or goals that are missing or exclude each other."""
+    def checked(self) -> SimplifyOptions:
+        """The same with Python's own numbers and flags.
+
+        Raises:
+            OptionError: an option of the wrong type or outside its range; goals that are missing or exclude each other.
+        """
         if self.ratio is None and self.target_faces is None and self.max_error is None:
             raise OptionError("one of ratio, target_faces and max_error is needed")
         if self.ratio is not None and self.target_faces is not None:
             raise OptionError(f"ratio {self.ratio} and target_faces {self.target_faces} exclude each other")
-        if self.ratio is not None:
-            check_ratio(self.ratio)
-        if self.target_faces is not None and not _is_count(self.target_faces):
-            raise OptionError(f"target_faces must be a whole number of at least 1, got {self.target_faces}")
-        if self.max_error is not None and not 0.0 < self.max_error < math.inf:
-            raise OptionError(f"max_error must be a positive number of % of the diagonal, got {self.max_error}")
-        if not 0.0 <= self.coherence <= 1.0:
-            raise OptionError(f"coherence must be in [0, 1], got {self.coherence}")
-        if self.key_frames is not None and not _is_count(self.key_frames):
-            raise OptionError(f"key_frames must be a whole number of at least 1, got {self.key_frames}")
-        if self.placement not in ("optimal", "endpoint"):
+        if not isinstance(self.metric, str):
+            raise OptionError(f"metric must be the name of a cost model, got {shown(self.metric)}")
+        if not isinstance(self.placement, str) or self.placement not in ("optimal", "endpoint"):
             raise OptionError(f"placement must be 'optimal' or 'endpoint', got {self.placement!r}")
+        limit = "a positive number of % of the diagonal"
+        return replace(
+            self,
+            ratio=None if self.ratio is None else check_ratio(self.ratio),
+            target_faces=None if self.target_faces is None else whole_number(self.target_faces, "target_faces"),
+            max_error=None
+            if self.max_error is None
+            else real_number(self.max_error, "max_error", limit, lambda value: 0.0 < value < math.inf),
+            coherence=real_number(self.coherence, "coherence", "in [0, 1]", lambda value: 0.0 <= value <= 1.0),
+            key_frames=None if self.key_frames is None else whole_number(self.key_frames, "key_frames"),
+            attributes=_checked_fields(self.attributes),
+            **{name: flag(getattr(self, name), name) for name in FLAGS},
+        )
 
     def goal(self, face_count: int) -> Goal:
         """Where simplifying a mesh of so many faces ends."""
@@ -82,14 +95,23 @@ class SimplifyOptions:
         return bool(self.refit) and self.placement != "endpoint"
 
 
-def _is_count(value: float) -> bool:
-    return math.isfinite(value) and value == int(value) and value >= 1
+def _checked_fields(attributes: Any) -> tuple[AttributeField, ...]:
+    # An iterator would be empty the second time it is looked at.
+    if not isinstance(attributes, (list, tuple)):
+        raise OptionError(f"attributes must be a list of AttributeField, got {shown(attributes)}")
+    for index, field in enumerate(attributes):
+        if not (hasattr(field, "values") and hasattr(field, "weight")):
+            raise OptionError(f"attributes[{index}] must be an AttributeField, got {shown(field)}")
+    return tuple(attributes)
 
 
-def check_ratio(ratio: float) -> None:
-    """Raise an OptionError for a part of the faces that is none."""
-    if not 0.0 < ratio <= 1.0:
-        raise OptionError(f"ratio must be in (0, 1], got {ratio}")
+def check_ratio(ratio: Any) -> float:
+    """The part of the faces that is asked for.
+
+    Raises:
+        OptionError: it is none.
+    """
+    return real_number(ratio, "ratio", "in (0, 1]", lambda value: 0.0 < value <= 1.0)
 
 
 def target_count(ratio: float, face_count: int) -> int:

@@ -8,10 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from warpqem.errors import MeshShapeError, OptionError
-from warpqem.mesh_input import MeshInput, as_numpy
+from warpqem.array_input import FLOAT32_MAX, first_beyond, real_array
+from warpqem.errors import MeshShapeError
+from warpqem.mesh_input import MeshInput
+from warpqem.number_input import real_number
 
-__all__ = ["AttributeField", "channel_count", "weighted_corner_values"]
+__all__ = ["AttributeField", "channel_count", "checked_fields", "field_weight", "weighted_corner_values"]
 
 # Squares of weighted values go into float32 costs, which end at 1e38.
 MOST_WEIGHT = 1e6
@@ -42,36 +44,58 @@ def weighted_corner_values(fields: Sequence[AttributeField], mesh: MeshInput) ->
         OptionError: a weight outside its range.
     """
     channels = []
-    for index, field in enumerate(fields):
-        if not 0.0 <= field.weight <= MOST_WEIGHT:
-            raise OptionError(f"attributes[{index}].weight must be in [0, {MOST_WEIGHT:g}], got {field.weight}")
-        values = _checked(
-            as_numpy(field.values), f"attributes[{index}].values", mesh.vertex_count, mesh.input_face_count
-        )
-        if field.weight > 0.0:
+    for values, weight in zip(*checked_fields(fields, mesh), strict=True):
+        if weight > 0.0:
             at_corners = values[mesh.face_index] if values.ndim == 3 else values[mesh.faces]
-            channels.append(at_corners.astype(np.float64) * field.weight)
+            channels.append(at_corners.astype(np.float64) * weight)
     return np.concatenate(channels, axis=2) if channels else None
 
 
-def channel_count(fields: Sequence[AttributeField]) -> int:
-    """Channels of :func:`weighted_corner_values`, 0 for none."""
-    arrays = [as_numpy(field.values) for field in fields if field.weight > 0.0]
-    return sum(1 if array.ndim == 1 else array.shape[-1] for array in arrays)
+def checked_fields(fields: Sequence[AttributeField], mesh: MeshInput) -> tuple[list[np.ndarray], list[float]]:
+    """Values of each field, (V, C) or (N, 3, C), and its weight.
+
+    Raises:
+        MeshShapeError: values of another shape or dtype, or a value that is not finite.
+        OptionError: a weight outside its range.
+    """
+    values, weights = [], []
+    for index, field in enumerate(fields):
+        weights.append(field_weight(field, index))
+        values.append(_checked(field.values, f"attributes[{index}].values", mesh.vertex_count, mesh.input_face_count))
+    return values, weights
 
 
-def _checked(values: np.ndarray, name: str, vertex_count: int, face_count: int) -> np.ndarray:
-    """``values`` as (V, C) or (N, 3, C)."""
-    if values.ndim == 1:
-        values = values[:, None]
-    at_vertices = values.ndim == 2 and len(values) == vertex_count
-    at_corners = values.ndim == 3 and values.shape[:2] == (face_count, 3)
-    if not (at_vertices or at_corners) or values.dtype.kind not in "fiub" or values.shape[-1] == 0:
-        raise MeshShapeError(
-            f"{name} must be numbers of shape ({vertex_count}, C) at vertices or ({face_count}, 3, C) at corners, "
-            f"got shape {values.shape} dtype {values.dtype}"
-        )
-    if not np.isfinite(values).all():
-        where = tuple(int(i) for i in np.argwhere(~np.isfinite(values))[0])
-        raise MeshShapeError(f"{name} at {where} is {values[where]}")
-    return values
+def field_weight(field: AttributeField, index: int) -> float:
+    """The weight of a field, the index-th of all.
+
+    Raises:
+        OptionError: it is outside its range.
+    """
+    name, expected = f"attributes[{index}].weight", f"in [0, {MOST_WEIGHT:g}]"
+    return real_number(field.weight, name, expected, lambda weight: 0.0 <= weight <= MOST_WEIGHT)
+
+
+def channel_count(fields: Sequence[AttributeField], mesh: MeshInput) -> int:
+    """Channels of :func:`weighted_corner_values`, 0 for none, after the same checks."""
+    values, weights = checked_fields(fields, mesh)
+    return sum(array.shape[-1] for array, weight in zip(values, weights, strict=True) if weight > 0.0)
+
+
+def _checked(values: Any, name: str, vertex_count: int, face_count: int) -> np.ndarray:
+    """Finite ``values`` as (V, C) or (N, 3, C)."""
+    array = real_array(
+        values,
+        name,
+        (vertex_count,),
+        (vertex_count, "C"),
+        (face_count, 3, "C"),
+        expected=f"numbers of shape ({vertex_count}, C) at vertices or ({face_count}, 3, C) at corners",
+        bools=True,
+    )
+    if array.shape[-1] == 0:
+        raise MeshShapeError(f"{name} must be numbers of at least one channel, got shape {array.shape}")
+    array = array[:, None] if array.ndim == 1 else array
+    where = first_beyond(array, FLOAT32_MAX)
+    if where is not None:
+        raise MeshShapeError(f"{name} at {where} is {array[where]}")
+    return array

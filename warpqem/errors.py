@@ -10,6 +10,7 @@ __all__ = [
     "DeviceError",
     "FaceIndexError",
     "FeaturePointError",
+    "FrameSourceError",
     "MemoryLimitError",
     "MeshShapeError",
     "NonFinitePointError",
@@ -27,6 +28,10 @@ class WarpqemError(Exception):
 
 class MeshShapeError(WarpqemError, ValueError):
     """An array has the wrong shape or dtype."""
+
+
+class FrameSourceError(MeshShapeError):
+    """A frame source is incomplete, or its frames are not what it announces or what it gave before."""
 
 
 class NonFinitePointError(WarpqemError, ValueError):

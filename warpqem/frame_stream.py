@@ -83,30 +83,18 @@ class ArrayFrames:
     """The frames of an array.
 
     Args:
-        points: (F, V, 3) float32 or float64.
+        points: (F, V, 3) real numbers. Blocks are float32 where they are, in either byte order, else float64.
     """
 
     def __init__(self, points: np.ndarray) -> None:
         self._points = points
-
-    @property
-    def frame_count(self) -> int:
-        """Frames F."""
-        return len(self._points)
-
-    @property
-    def vertex_count(self) -> int:
-        """Vertices V."""
-        return self._points.shape[1]
-
-    @property
-    def dtype(self) -> np.dtype:
-        """Type of the points."""
-        return self._points.dtype
+        is_single = points.dtype.kind == "f" and points.dtype.itemsize == 4
+        self.frame_count, self.vertex_count = points.shape[:2]
+        self.dtype = np.dtype(np.float32 if is_single else np.float64)
 
     def read(self, frames: slice) -> np.ndarray:
-        """A view of the frames."""
-        return self._points[frames]
+        """A view of the frames, or a copy where their type is another."""
+        return self._points[frames].astype(self.dtype, copy=False)
 
 
 class JoinedFrames:

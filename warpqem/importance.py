@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from warpqem.array_input import as_numpy, first_outside, is_empty, real_array
 from warpqem.edges import edge_table
-from warpqem.errors import OptionError
-from warpqem.mesh_input import MeshInput, as_numpy, as_vertex_values
+from warpqem.errors import MeshShapeError, OptionError
+from warpqem.mesh_input import MeshInput, as_vertex_values
 
 __all__ = ["MOST_WEIGHT", "border_vertices", "lock_mask", "read_model_weights", "read_quadric_scale", "read_weights"]
 
@@ -24,20 +25,24 @@ def read_weights(vertex_weights: Any, mesh: MeshInput) -> tuple[np.ndarray, np.n
     """
     if vertex_weights is None:
         return np.ones(mesh.vertex_count, dtype=np.float32), np.zeros(mesh.vertex_count, dtype=bool)
-    weights = as_numpy(vertex_weights)
-    locked = np.zeros(mesh.vertex_count, dtype=bool)
-    if weights.shape == locked.shape and weights.dtype.kind == "f":
-        locked = np.isposinf(weights)
-        weights = np.where(locked, 1.0, weights)
-    own = as_vertex_values(weights, "vertex_weights", mesh.vertex_count)
-    outside = np.flatnonzero((own < 0) | (own > MOST_WEIGHT))
-    if len(outside):
-        vertex = int(outside[0])
-        raise OptionError(
-            f"vertex_weights must be in [0, {MOST_WEIGHT:g}], got {own[vertex]} at vertex {vertex}; "
-            "use locked, or infinity, for vertices that must not move"
-        )
-    return own, locked
+    weights = real_array(
+        vertex_weights,
+        "vertex_weights",
+        (mesh.vertex_count,),
+        expected=f"{mesh.vertex_count} numbers, one per vertex",
+        bools=True,
+    )
+    locked = np.isposinf(weights)
+    weights = np.where(locked, weights.dtype.type(1), weights)
+    hint = "; use locked, or infinity, for vertices that must not move"
+    return _factors(as_vertex_values(weights, "vertex_weights", mesh.vertex_count), "vertex_weights", hint), locked
+
+
+def read_quadric_scale(quadric_scale: Any, mesh: MeshInput) -> np.ndarray:
+    """Check factors on the initial quadric of each vertex, (V,) numbers or None; (V,) float32."""
+    if quadric_scale is None:
+        return np.ones(mesh.vertex_count, dtype=np.float32)
+    return _factors(as_vertex_values(quadric_scale, "quadric_scale", mesh.vertex_count), "quadric_scale")
 
 
 def read_model_weights(weights: Any, vertex_count: int, metric: str) -> np.ndarray:
@@ -46,48 +51,53 @@ def read_model_weights(weights: Any, vertex_count: int, metric: str) -> np.ndarr
     Raises:
         OptionError: they have another shape, or one is negative, too large or no number.
     """
-    own = np.asarray(weights)
+    name = f"metric {metric!r}: vertex_weight"
+    try:
+        own = as_numpy(weights, f"what {name} gave")
+    except MeshShapeError as error:
+        raise OptionError(str(error)) from error
     if own.shape != (vertex_count,) or own.dtype.kind not in "fiu":
-        raise OptionError(
-            f"metric {metric!r}: vertex_weight gave {own.dtype} of shape {own.shape}, expected {vertex_count} numbers"
-        )
+        raise OptionError(f"{name} gave {own.dtype} of shape {own.shape}, expected {vertex_count} numbers")
     outside = np.flatnonzero(~((own >= 0) & (own <= MOST_WEIGHT)))
     if len(outside):
         vertex = int(outside[0])
-        raise OptionError(
-            f"metric {metric!r}: vertex_weight gave {own[vertex]} at vertex {vertex}, expected 0 to {MOST_WEIGHT:g}"
-        )
+        raise OptionError(f"{name} gave {own[vertex]} at vertex {vertex}, expected 0 to {MOST_WEIGHT:g}")
     return own.astype(np.float32)
 
 
-def read_quadric_scale(quadric_scale: Any, mesh: MeshInput) -> np.ndarray:
-    """Check factors on the initial quadric of each vertex, (V,) numbers or None; (V,) float32."""
-    if quadric_scale is None:
-        return np.ones(mesh.vertex_count, dtype=np.float32)
-    scale = as_vertex_values(quadric_scale, "quadric_scale", mesh.vertex_count)
-    outside = np.flatnonzero((scale < 0) | (scale > MOST_WEIGHT))
+def _factors(values: np.ndarray, name: str, hint: str = "") -> np.ndarray:
+    """Finite numbers (V,) as float32, if all are in the range of a factor."""
+    # Before they are rounded: what is too large would become infinite, and what is hardly negative zero.
+    outside = np.flatnonzero((values < 0) | (values > MOST_WEIGHT))
     if len(outside):
         vertex = int(outside[0])
-        raise OptionError(f"quadric_scale must be in [0, {MOST_WEIGHT:g}], got {scale[vertex]} at vertex {vertex}")
-    return scale
+        raise OptionError(f"{name} must be in [0, {MOST_WEIGHT:g}], got {values[vertex]} at vertex {vertex}{hint}")
+    return values.astype(np.float32)
 
 
 def lock_mask(locked: Any, vertex_count: int) -> np.ndarray:
     """Vertices that keep their position, (V,) bool, from such a mask, from indices, or None for none."""
     mask = np.zeros(vertex_count, dtype=bool)
-    if locked is None:
+    if locked is None or is_empty(locked):
         return mask
-    array = as_numpy(locked)
+    array = as_numpy(locked, "locked")
     if array.dtype == bool:
         if array.shape != (vertex_count,):
             raise OptionError(f"locked must have one entry for each of {vertex_count} vertices, got {array.shape}")
         return array.copy()
     if array.ndim != 1 or (array.size and array.dtype.kind not in "iu"):
         raise OptionError(f"locked must be (V,) bool or vertex indices, got shape {array.shape} dtype {array.dtype}")
-    outside = (array < 0) | (array >= vertex_count)
-    if outside.any():
-        raise OptionError(f"locked names vertex {array[outside][0]}, but there are {vertex_count} vertices")
-    mask[array.astype(np.int64)] = True
+    outside = first_outside(array, vertex_count)
+    if outside is not None:
+        raise OptionError(
+            f"locked names vertex {array[outside]}, but there are {vertex_count} vertices (index {outside[0]})"
+        )
+    # As indices these would lock two vertices, over and over.
+    if len(array) == vertex_count > 2 and array.max() <= 1:
+        raise OptionError(
+            f"locked has {vertex_count} integers, one for each vertex, all 0 or 1: a mask must be bool (astype(bool))"
+        )
+    mask[array] = True
     return mask
 
 

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from functools import partial
 from typing import Any
 
 from warpqem.arguments import SimplifyOptions, check_ratio, target_count
-from warpqem.device import device_turn, on_device
+from warpqem.checked_frames import check_sink
+from warpqem.device import device_turn, on_device, resolve_device
 from warpqem.errors import OptionError, UnreachableTargetError
 from warpqem.frame_stream import FrameSink
+from warpqem.memory import admit_faces
 from warpqem.mesh_input import read_mesh
+from warpqem.number_input import check_function, flag, shown, whole_number
 from warpqem.order.levels import OrderedLevels
 from warpqem.order.nodes import NodeRecorder
 from warpqem.preparation import ORDER_END, Prepared, Progress, prepare
 from warpqem.result import Delivery, Outcome, SimplifiedMesh, finish, reached
-from warpqem.sharing import FrameShare
+from warpqem.sharing import FrameShare, check_share
 
 __all__ = ["LevelOrder", "order_levels", "simplify_levels"]
 
@@ -28,7 +32,7 @@ class LevelOrder:
     def __init__(self, work: Prepared, refit: bool, progress: Progress | None) -> None:
         self._refit, recorder = refit, NodeRecorder()
         self._levels = OrderedLevels(work.mesh.faces, work.order(progress, recorder), recorder)
-        self._work = work.without_input()
+        self._least, self._work = work.goal.target_faces, work.without_input()
 
     @property
     def face_count(self) -> int:
@@ -46,14 +50,20 @@ class LevelOrder:
         """What :func:`warpqem.simplify` gives for so many faces, to the bit.
 
         Args:
-            target_faces: at least as many as were asked for when ordering.
+            target_faces: at least as many as were asked for when ordering, which ended there.
             sink: takes the frames of the result, block by block, in place of an array.
             share: lets other processes place some of the frames.
             progress: called with the part done, 0 to 1, and the stage "place".
 
         Raises:
+            OptionError: fewer faces than the ordering went down to, or an argument of the wrong type.
             UnreachableTargetError: no legal collapse leads to it; its ``result`` is what there is.
         """
+        expected = f"a whole number of at least {self._least}, which edges were collapsed down to"
+        target_faces = whole_number(target_faces, "target_faces", least=self._least, expected=expected)
+        check_sink(sink)
+        check_share(share)
+        check_function(progress, "progress")
         delivery = Delivery(sink, progress, share)
         with device_turn(self._work.device):
             ordered = self._levels.at(self._levels.steps_to(target_faces))
@@ -88,7 +98,8 @@ def order_levels(
     refused = {"ratio", "max_error", "sink", "share"} & set(options)
     if refused:
         raise OptionError(f"{', '.join(sorted(refused))}: not with levels")
-    asked = SimplifyOptions(target_faces=target_faces, **options)
+    asked = SimplifyOptions(target_faces=target_faces, **options).checked()
+    keep_frames = flag(keep_frames, "keep_frames")
     work = prepare(points, faces, asked, keep_frames=keep_frames, keep_nodes=True, progress=progress)
     return LevelOrder(work, asked.refits, progress)
 
@@ -120,23 +131,31 @@ def simplify_levels(
         OptionError: also where there is no ratio, or an option that does not apply.
         WarpqemError: the other errors of :func:`simplify`, but for an unreachable target.
     """
-    if not len(ratios):
-        raise OptionError("levels need ratios")
-    for ratio in ratios:
-        check_ratio(ratio)
+    parts = _checked_ratios(ratios)
     if "target_faces" in options:
         raise OptionError("target_faces: not with ratios")
-    face_count = len(read_mesh(points, faces).faces)
-    targets = [target_count(ratio, face_count) for ratio in ratios]
-    order = order_levels(points, faces, target_faces=min(targets), refit=refit, progress=progress, **options)
+    device = resolve_device(options.get("device"))
+    mesh = read_mesh(points, faces, partial(admit_faces, limit=options.get("memory"), device=device))
+    targets = [target_count(ratio, len(mesh.faces)) for ratio in parts]
+    order = order_levels(mesh, target_faces=min(targets), refit=refit, progress=progress, **options)
     results = []
     for index, target in enumerate(targets):
-        part = None if progress is None else _part_of(progress, index, len(ratios))
+        part = None if progress is None else _part_of(progress, index, len(parts))
         try:
             results.append(order.level(target, progress=part))
         except UnreachableTargetError as error:
             results.append(error.result)
     return results
+
+
+def _checked_ratios(ratios: Any) -> list[float]:
+    # Text is a sequence too, of its letters.
+    if isinstance(ratios, str) or not isinstance(ratios, Iterable):
+        raise OptionError(f"ratios must be a list of numbers, got {shown(ratios)}")
+    parts = [check_ratio(ratio) for ratio in ratios]
+    if not parts:
+        raise OptionError("levels need ratios")
+    return parts
 
 
 def _part_of(progress: Progress, index: int, count: int) -> Progress:

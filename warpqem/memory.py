@@ -21,7 +21,7 @@ from warpqem.frame_blocks import BLOCK_BYTES, block_width
 from warpqem.kernels.lanes import WIDE
 from warpqem.key_frames import pose_bytes
 
-__all__ = ["MemoryNeeds", "MemoryPlan", "available_memory", "format_bytes", "parse_bytes", "plan_memory"]
+__all__ = ["MemoryNeeds", "MemoryPlan", "admit_faces", "available_memory", "format_bytes", "parse_bytes", "plan_memory"]
 
 UNITS = {"": 1, "K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40}
 # Without a limit this part of what is free is used: other programs need some, and the factors are not exact.
@@ -98,6 +98,7 @@ class MemoryNeeds:
         keep_frames: the result is kept in memory.
         keep_nodes: every vertex on the way down is kept, for levels that are placed later.
         source_bytes: what the source of the frames keeps in memory.
+        copied_blocks: blocks of frames are copied when they are read.
     """
 
     frame_count: int
@@ -113,10 +114,13 @@ class MemoryNeeds:
     keep_frames: bool = True
     keep_nodes: bool = False
     source_bytes: int = 0
+    copied_blocks: bool = False
 
 
 # Bytes per face and per vertex for the topology: the caller's faces checked, edges, flags, vertex map, log.
 HELD_FACE, HELD_VERTEX = 60, 80
+# While faces are read: their 32-bit copy, and that of those with three different vertices with the index of each.
+READ_FACE = 28
 # Ordering, for each face: corners, stars, costs and candidate lists, most of them twice; for each vertex: claims,
 # masks, flags, stars, members and the log; for each vertex and key frame: position 12, the same as it was 12, quadric
 # 40, and at first the normals of its two faces 24; for each corner and attribute channel: value, gradient, their fit;
@@ -187,6 +191,26 @@ def plan_memory(needs: MemoryNeeds, limit: int | str | None, device: str) -> Mem
     )
 
 
+def admit_faces(face_count: int, limit: int | str | None, device: str) -> None:
+    """Check that faces can be read at all, before a copy of them is made: the caller's may be one that is broadcast.
+
+    Args:
+        face_count: faces of the caller.
+        limit: as for :func:`plan_memory`.
+        device: likewise.
+
+    Raises:
+        OptionError: the limit is no number of bytes.
+        MemoryLimitError: their copies alone take more.
+    """
+    bytes_allowed = _default_limit(device) if limit is None else parse_bytes(limit)
+    if bytes_allowed is not None and READ_FACE * face_count > bytes_allowed:
+        raise MemoryLimitError(
+            f"{face_count} faces need {format_bytes(READ_FACE * face_count)} of memory to be read, and "
+            f"{format_bytes(bytes_allowed)} may be used"
+        )
+
+
 def _held(needs: MemoryNeeds) -> int:
     held = HELD_FACE * needs.face_count + HELD_VERTEX * needs.vertex_count + needs.source_bytes
     if needs.key_frames < needs.frame_count:
@@ -220,8 +244,10 @@ def _place(needs: MemoryNeeds, device: str) -> tuple[int, int]:
     anchors = 64 * _padded(needs.key_frames, device) * needs.vertex_count
     if needs.keep_nodes:
         fixed += LEVEL_KEY * _padded(needs.key_frames, device) * needs.vertex_count
-    # One block is read while another is packed; a third is about to be let go.
-    per_frame = (3 * 3 * needs.value_bytes + 24) * needs.vertex_count + FRAME_OUTPUT * needs.output_vertices
+    # One block is read, and copied where it is a caller's, while another is packed; one more is about to be let go.
+    per_frame = (
+        (4 if needs.copied_blocks else 3) * 3 * needs.value_bytes + 24
+    ) * needs.vertex_count + FRAME_OUTPUT * needs.output_vertices
     if needs.refit:
         refit = REFIT_KEY * needs.key_frames * needs.vertex_count
         refit += REFIT_FACE * needs.face_count + REFIT_VERTEX * needs.vertex_count

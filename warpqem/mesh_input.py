@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-import warp as wp
 
-from warpqem.errors import DegenerateMeshError, FaceIndexError, MeshShapeError, NonFinitePointError, OptionError
+from warpqem.array_input import FLOAT32_MAX, INDEX_LIMIT, first_beyond, first_outside, index_array, real_array
+from warpqem.checked_frames import BrokenPoints, check_source, frame_bounds
+from warpqem.errors import DegenerateMeshError, FaceIndexError, MeshShapeError, OptionError
 from warpqem.frame_blocks import frame_blocks
 from warpqem.frame_stream import ArrayFrames, FrameSource, read_ahead
 
@@ -18,13 +19,13 @@ __all__ = [
     "AnimatedMesh",
     "FrameObserver",
     "MeshInput",
-    "as_numpy",
     "as_vertex_values",
+    "finite_points",
     "measure_mesh",
+    "read_faces",
     "read_mesh",
+    "read_points",
 ]
-
-FLOAT32_MAX = np.finfo(np.float32).max
 
 
 @dataclass(frozen=True)
@@ -100,22 +101,6 @@ class FrameObserver(Protocol):
         ...
 
 
-def as_numpy(array: Any) -> np.ndarray:
-    """A NumPy view or copy of a NumPy, Warp, array-interface or DLPack array, or a sequence."""
-    if isinstance(array, np.ndarray):
-        return array
-    if isinstance(array, wp.array):
-        return array.numpy()
-    if hasattr(array, "__array_interface__"):
-        return np.asarray(array)
-    if hasattr(array, "__cuda_array_interface__"):
-        return wp.array(array, copy=False).numpy()
-    # Before __array__, which tensors on a GPU have only to raise from it.
-    if hasattr(array, "__dlpack__"):
-        return wp.from_dlpack(array).numpy()
-    return np.asarray(array)
-
-
 def _is_trimesh(value: Any) -> bool:
     """Whether it is a ``trimesh.Trimesh``, which nobody can hold without having imported trimesh.
 
@@ -125,16 +110,20 @@ def _is_trimesh(value: Any) -> bool:
     return trimesh is not None and isinstance(value, trimesh.Trimesh)
 
 
-def read_mesh(points: Any, faces: Any = None) -> MeshInput:
+def read_mesh(points: Any, faces: Any = None, admit: Callable[[int], None] | None = None) -> MeshInput:
     """Check the shape of points (F, V, 3) or (V, 3), or a :class:`FrameSource`, and faces (N, 3).
 
-    A ``trimesh.Trimesh`` as the only argument serves for both.
+    A ``trimesh.Trimesh`` as the only argument serves for both, and so does a mesh that has been read. ``admit`` is
+    called with the number of faces before anything is made of them; it may raise.
 
     Raises:
         MeshShapeError: wrong shape or dtype.
+        FrameSourceError: an incomplete source.
         FaceIndexError: index below 0 or not below V.
         DegenerateMeshError: no point, or no face with three different vertices.
     """
+    if isinstance(points, MeshInput) and faces is None:
+        return points
     if _is_trimesh(points):
         if faces is not None:
             raise OptionError("faces must not be given with a trimesh.Trimesh, which has its own")
@@ -142,11 +131,13 @@ def read_mesh(points: Any, faces: Any = None) -> MeshInput:
     elif faces is None:
         raise OptionError("faces (N, 3) are missing")
     source = _checked_source(points)
-    given_faces = as_numpy(faces)
-    f, face_index = _checked_faces(given_faces, source.vertex_count)
+    given = index_array(faces, "faces", ("N", 3))
+    if admit is not None:
+        admit(len(given))
+    kept, face_index = _proper_faces(read_faces(given, "faces", source.vertex_count))
     used = np.zeros(source.vertex_count, dtype=bool)
-    used[f] = True
-    return MeshInput(source, f, face_index, len(given_faces), used)
+    used[kept] = True
+    return MeshInput(source, kept, face_index, len(given), used)
 
 
 def measure_mesh(
@@ -169,11 +160,11 @@ def measure_mesh(
     """
     lows, highs, everywhere = [], [], bool(mesh.used.all())
     origin = np.zeros(3)
-    broken: _Broken | None = None
+    broken: BrokenPoints | None = None
     for frames, raw in read_ahead(mesh.source.read, frame_blocks(mesh.frame_count, mesh.vertex_count, block_frames)):
-        low, high = _frame_bounds(raw)
+        low, high = frame_bounds(raw)
         if not max(np.abs(low).max(), np.abs(high).max()) <= FLOAT32_MAX:
-            broken = _Broken.add(broken, raw, frames.start)
+            broken = BrokenPoints.add(broken, raw, frames.start)
         if broken is not None:
             # All frames are looked through, for the message to say how many points there are.
             continue
@@ -183,7 +174,7 @@ def measure_mesh(
         points = _about(raw, origin)
         if raw.dtype != np.float32 or not everywhere:
             # A vertex without a face has no say in the mesh's size.
-            low, high = _frame_bounds(points if everywhere else points[:, mesh.used])
+            low, high = frame_bounds(points if everywhere else points[:, mesh.used])
         lows.append(low)
         highs.append(high)
         for observer in observers:
@@ -210,99 +201,80 @@ def _about(points: np.ndarray, origin: np.ndarray) -> np.ndarray:
 
 
 def _checked_source(points: Any) -> FrameSource:
-    if not isinstance(points, FrameSource):
-        return ArrayFrames(_checked_points(as_numpy(points)))
-    if points.frame_count < 1 or points.vertex_count < 1:
-        raise DegenerateMeshError(f"points are empty: {points.frame_count} frames of {points.vertex_count} vertices")
-    if points.dtype not in (np.float32, np.float64):
-        raise MeshShapeError(f"points must be float32 or float64, got a source of {points.dtype}")
+    return check_source(points, "points") or ArrayFrames(read_points(points, "points"))
+
+
+def read_points(points: Any, name: str) -> np.ndarray:
+    """Check points (F, V, 3) or (V, 3): (F, V, 3) real numbers, which may not be finite; not copied if possible.
+
+    Raises:
+        MeshShapeError: another shape or dtype.
+        DegenerateMeshError: there is none.
+    """
+    found = real_array(points, name, ("F", "V", 3), ("V", 3))
+    if 0 in found.shape:
+        raise DegenerateMeshError(f"{name} are empty: shape {found.shape}")
+    if found.shape[-2] > INDEX_LIMIT:
+        raise MeshShapeError(f"{name} have {found.shape[-2]} vertices, more than the {INDEX_LIMIT} that can be")
+    return found[None] if found.ndim == 2 else found
+
+
+def finite_points(points: np.ndarray, prefix: str = "point of") -> np.ndarray:
+    """The same points (F, V, 3), if all of them are finite, in single precision too.
+
+    Raises:
+        NonFinitePointError: one is not; the message names vertex and frame after ``prefix``.
+    """
+    if first_beyond(points, FLOAT32_MAX) is not None:
+        broken = BrokenPoints.add(None, points.astype(np.float64), 0)
+        assert broken is not None
+        raise broken.error(prefix)
     return points
 
 
-def _checked_points(points: np.ndarray) -> np.ndarray:
-    if points.dtype.kind not in "fiu":
-        raise MeshShapeError(f"points must be real numbers, got dtype {points.dtype}")
-    if points.ndim not in (2, 3) or points.shape[-1] != 3:
-        raise MeshShapeError(f"points must have shape (F, V, 3) or (V, 3), got {points.shape}")
-    if 0 in points.shape:
-        raise DegenerateMeshError(f"points are empty: shape {points.shape}")
-    if points.ndim == 2:
-        points = points[None]
-    return points if points.dtype == np.float32 else points.astype(np.float64)
+def read_faces(faces: Any, name: str, vertex_count: int | None) -> np.ndarray:
+    """Check faces (N, 3) of a mesh with so many vertices: (N, 3) int32, C-contiguous; not copied if possible.
+
+    Args:
+        faces: the argument.
+        name: what messages call it.
+        vertex_count: vertices V; None where faces are all that is given.
+
+    Raises:
+        MeshShapeError: another shape or dtype, or more of them than can be.
+        DegenerateMeshError: there is none.
+        FaceIndexError: index below 0 or not below V.
+    """
+    found, prefix = index_array(faces, name, ("N", 3)), "" if name == "faces" else f"{name}: "
+    if len(found) == 0:
+        raise DegenerateMeshError(f"{prefix}there are no faces")
+    outside = first_outside(found, INDEX_LIMIT if vertex_count is None else vertex_count)
+    if outside is not None:
+        vertex = int(found[outside])
+        there = "" if vertex_count is None else f", but there are {vertex_count} vertices"
+        limit = "; indices are not negative" if vertex < 0 else f"; indices are below {vertex_count or INDEX_LIMIT}"
+        raise FaceIndexError(f"{prefix}face {outside[0]} corner {outside[1]} refers to vertex {vertex}{there}{limit}")
+    return np.ascontiguousarray(found, dtype=np.int32)
 
 
-def _checked_faces(faces: np.ndarray, vertex_count: int) -> tuple[np.ndarray, np.ndarray]:
-    if faces.ndim != 2 or faces.shape[1] != 3:
-        raise MeshShapeError(f"faces must have shape (N, 3), got {faces.shape}")
-    if faces.dtype.kind not in "iu":
-        raise MeshShapeError(f"faces must be integers, got dtype {faces.dtype}")
-    if len(faces) == 0:
-        raise DegenerateMeshError("there are no faces")
-    out_of_range = (faces < 0) | (faces >= vertex_count)
-    if out_of_range.any():
-        face, corner = np.argwhere(out_of_range)[0]
-        raise FaceIndexError(
-            f"face {face} corner {corner} refers to vertex {faces[face, corner]}, but there are {vertex_count} vertices"
-        )
-    faces = faces.astype(np.int32)
+def _proper_faces(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Faces with three different vertices, and the index of each."""
     proper = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
     if not proper.any():
         raise DegenerateMeshError(f"none of the {len(faces)} faces has three different vertices")
     return np.ascontiguousarray(faces[proper]), np.flatnonzero(proper).astype(np.int32)
 
 
-def _frame_bounds(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest corner (F, 3) of each frame; NaN and infinity come through.
-
-    Vertices are taken 64 at a time, so that NumPy reduces long contiguous rows instead of rows of three.
-    """
-    frame_count, vertex_count, _ = points.shape
-    whole = vertex_count - vertex_count % 64
-    rows = points[:, :whole].reshape(frame_count, -1, 192)
-    rest = points[:, whole:]
-    bounds = []
-    for reduce in (np.min, np.max):
-        parts = [reduce(rest, axis=1)] if whole < vertex_count else []
-        if whole:
-            parts.append(reduce(reduce(rows, axis=1).reshape(frame_count, 64, 3), axis=1))
-        bounds.append(reduce(np.stack(parts), axis=0))
-    return bounds[0], bounds[1]
-
-
-@dataclass(frozen=True)
-class _Broken:
-    """The first point that is no point, and how many there are."""
-
-    text: str
-    count: int
-
-    @classmethod
-    def add(cls, before: _Broken | None, points: np.ndarray, first_frame: int) -> _Broken:
-        bad = ~(np.abs(points) <= FLOAT32_MAX)
-        count = int(bad.any(axis=2).sum())
-        if before is not None:
-            return cls(before.text, before.count + count)
-        frame, vertex, axis = np.argwhere(bad)[0]
-        where = f"vertex {vertex} in frame {first_frame + frame}"
-        return cls(f"{where} has {'xyz'[axis]} = {points[frame, vertex, axis]}", count)
-
-    def error(self) -> NonFinitePointError:
-        return NonFinitePointError(f"point of {self.text} ({self.count} such points in all)")
-
-
 def as_vertex_values(values: Any, name: str, vertex_count: int) -> np.ndarray:
-    """Check one finite number per vertex, (V,) float32.
+    """Check one finite number per vertex, (V,) in the caller's dtype.
 
     Raises:
         MeshShapeError: another shape or dtype, or a value that is not finite.
     """
-    array = as_numpy(values)
-    if array.shape != (vertex_count,) or array.dtype.kind not in "fiub":
-        raise MeshShapeError(
-            f"{name} must be {vertex_count} numbers, one per vertex, got shape {array.shape} dtype {array.dtype}"
-        )
-    array = array.astype(np.float32)
-    if not np.isfinite(array).all():
-        vertex = int(np.flatnonzero(~np.isfinite(array))[0])
+    expected = f"{vertex_count} numbers, one per vertex"
+    array = real_array(values, name, (vertex_count,), expected=expected, bools=True)
+    finite = np.isfinite(array)
+    if not finite.all():
+        vertex = int(np.flatnonzero(~finite)[0])
         raise MeshShapeError(f"{name} of vertex {vertex} is {array[vertex]}")
     return array

@@ -14,10 +14,12 @@ from typing import Any
 
 import numpy as np
 
+from warpqem.array_input import FLOAT32_MAX, finite_array, first_beyond, real_array
+from warpqem.checked_frames import check_source
 from warpqem.errors import MeshShapeError, OptionError
 from warpqem.frame_blocks import frame_blocks
 from warpqem.frame_stream import ArrayFrames, FrameSource, read_ahead
-from warpqem.mesh_input import as_numpy
+from warpqem.number_input import shown
 
 __all__ = ["LEAST_SCALE", "MORPH_METHODS", "morph_distances", "morph_weights"]
 
@@ -50,18 +52,15 @@ def morph_weights(neutral: Any, targets: Any, method: str | WeightFunction = "th
         MeshShapeError: an array of another shape.
         OptionError: there is no such method, "usage" is without ``usage``, or the function returned no scales.
     """
+    if not (callable(method) or isinstance(method, str)):
+        raise OptionError(f"method must be one of {', '.join(MORPH_METHODS)} or a function, got {shown(method)}")
     if isinstance(method, str) and method not in MORPH_METHODS:
         raise OptionError(f"unknown method {method!r} of morph weights; there are {', '.join(MORPH_METHODS)}")
     if method == "usage" and usage is None:
         raise OptionError("method 'usage' needs usage: the weights of the targets over time")
     distance = morph_distances(neutral, targets, usage)
     if callable(method):
-        scale = as_numpy(method(distance))
-        if scale.shape != distance.shape or scale.dtype.kind not in "fiu":
-            raise OptionError(
-                f"the function for morph weights must return {len(distance)} numbers, one per vertex, "
-                f"got shape {scale.shape} dtype {scale.dtype}"
-            )
+        scale = _own_scale(method(distance), len(distance))
     elif method == "thirds":
         scale = _by_thirds(distance)
     elif method == "rank":
@@ -76,10 +75,10 @@ def morph_distances(neutral: Any, targets: Any, usage: Any = None) -> np.ndarray
 
     Arguments as for :func:`morph_weights`.
     """
-    start = as_numpy(neutral)
-    if start.ndim != 2 or start.shape[1] != 3 or start.dtype.kind not in "fiu":
-        raise MeshShapeError(f"neutral must be (V, 3) numbers, got shape {start.shape} dtype {start.dtype}")
-    ends = targets if isinstance(targets, FrameSource) else _checked_targets(as_numpy(targets), start)
+    start = finite_array(neutral, "neutral", ("V", 3), expected="(V, 3) numbers")
+    ends = check_source(targets, "targets") or _checked_targets(targets, start)
+    if ends.vertex_count != len(start):
+        raise MeshShapeError(f"targets have {ends.vertex_count} vertices, neutral has {len(start)}")
     total, shares = np.zeros(len(start)), _usage(usage, ends.frame_count)
     for frames, block in read_ahead(ends.read, frame_blocks(ends.frame_count, max(1, len(start)))):
         for target, share in zip(block, shares[frames], strict=True):
@@ -90,23 +89,34 @@ def morph_distances(neutral: Any, targets: Any, usage: Any = None) -> np.ndarray
     return total
 
 
-def _checked_targets(targets: np.ndarray, neutral: np.ndarray) -> FrameSource:
-    if targets.ndim != 3 or targets.shape[1:] != neutral.shape or targets.dtype.kind not in "fiu":
-        raise MeshShapeError(
-            f"targets must be (T, {len(neutral)}, 3) numbers, got shape {targets.shape} dtype {targets.dtype}"
-        )
-    return ArrayFrames(targets)
+def _checked_targets(targets: Any, neutral: np.ndarray) -> FrameSource:
+    shape = ("T", len(neutral), 3)
+    found = real_array(targets, "targets", shape, expected=f"(T, {len(neutral)}, 3) numbers")
+    if not len(found):
+        raise MeshShapeError(f"targets must be one shape at least, got {found.shape}")
+    return ArrayFrames(found)
+
+
+def _own_scale(scale: Any, vertex_count: int) -> np.ndarray:
+    """What a caller's function returned."""
+    name = "the function for morph weights"
+    try:
+        found = real_array(scale, name, (vertex_count,))
+    except MeshShapeError as error:
+        raise OptionError(f"{name} must return {vertex_count} numbers, one per vertex: {error}") from error
+    where = first_beyond(found, FLOAT32_MAX)
+    if where is not None:
+        raise OptionError(f"{name} returned {found[where]} for vertex {where[0]}, expected finite numbers")
+    return found
 
 
 def _usage(usage: Any, target_count: int) -> np.ndarray:
     if usage is None:
         return np.ones(target_count)
-    share = as_numpy(usage)
-    if share.ndim not in (1, 2) or share.shape[-1] != target_count or share.dtype.kind not in "fiub":
-        raise MeshShapeError(
-            f"usage must be ({target_count},) or (F, {target_count}) numbers, got shape {share.shape} "
-            f"dtype {share.dtype}"
-        )
+    expected = f"({target_count},) or (F, {target_count}) numbers"
+    share = real_array(usage, "usage", (target_count,), ("F", target_count), expected=expected, bools=True)
+    if not len(share):
+        raise MeshShapeError(f"usage must be of one frame at least, got shape {share.shape}")
     share = np.abs(share.astype(np.float64))
     if not np.isfinite(share).all():
         raise MeshShapeError(f"usage of target {np.argwhere(~np.isfinite(share))[0][-1]} is not finite")

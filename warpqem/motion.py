@@ -62,8 +62,9 @@ def motion_features(points: Any, faces: Any = None, *, device: str | None = None
     Raises:
         WarpqemError: as for :func:`warpqem.simplify`.
     """
+    device = resolve_device(device)
     mesh = read_mesh(points, faces)
-    watch = MotionWatch(mesh, resolve_device(device))
+    watch = MotionWatch(mesh, device)
     measure_mesh(mesh, [watch])
     return watch.features()
 

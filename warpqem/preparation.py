@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from warpqem.arguments import Goal, SimplifyOptions
 from warpqem.attributes import channel_count, weighted_corner_values
+from warpqem.checked_frames import CheckedFrames
 from warpqem.cost_models import CostModelSpec, cost_model
 from warpqem.device import resolve_device
 from warpqem.errors import OptionError
@@ -18,9 +20,10 @@ from warpqem.frame_stream import held_bytes, read_ahead
 from warpqem.importance import border_vertices, lock_mask, read_model_weights, read_quadric_scale, read_weights
 from warpqem.kernels.topology import CORNER, LOCKED, SEAM
 from warpqem.key_frames import KeyFrameChoice
-from warpqem.memory import MemoryNeeds, MemoryPlan, plan_memory
+from warpqem.memory import MemoryNeeds, MemoryPlan, admit_faces, plan_memory
 from warpqem.mesh_input import AnimatedMesh, MeshInput, measure_mesh, read_mesh
 from warpqem.motion import MotionWatch
+from warpqem.number_input import check_function
 from warpqem.order.nodes import NodeRecorder
 from warpqem.order.stage import OrderedMesh, OrderInput, OrderSettings, order_collapses
 from warpqem.place.clusters import LEAST_PULL, PlaceSettings
@@ -99,12 +102,13 @@ def prepare(
 
     ``keep_frames`` says whether the result stays in memory, ``keep_nodes`` whether every vertex on the way down does.
     """
+    options = options.checked()
+    check_function(progress, "progress")
     spec = cost_model(options.metric)
-    options.check()
     if options.memoryless and keep_nodes:
         raise OptionError("memoryless: not for levels of one ordering, as each level has present faces of its own")
     device = resolve_device(options.device)
-    given = read_mesh(points, faces)
+    given = read_mesh(points, faces, partial(admit_faces, limit=options.memory, device=device))
     goal = options.goal(len(given.faces))
     planned = plan_work(given, spec, options, device, keep_frames=keep_frames, keep_nodes=keep_nodes)
     seam = read_seams(options.seams, given.faces, given.vertex_count)
@@ -172,12 +176,13 @@ def plan_work(
             key_frames=key_count,
             output_vertices=output,
             value_bytes=mesh.source.dtype.itemsize,
-            channels=channel_count(options.attributes),
+            channels=channel_count(options.attributes, mesh),
             trajectories=spec.deformation_weight > 0,
             refit=options.refits,
             keep_frames=keep_frames,
             keep_nodes=keep_nodes,
             source_bytes=held_bytes(mesh.source),
+            copied_blocks=isinstance(mesh.source, CheckedFrames),
         ),
         options.memory,
         device,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from warpqem.errors import OptionError
+from warpqem.number_input import real_number
 
 __all__ = ["ScreenView"]
 
@@ -29,10 +29,9 @@ class ScreenView:
     def __post_init__(self) -> None:
         """Refuse views that show nothing."""
         for name in ("error", "distance", "image_height"):
-            if not 0.0 < getattr(self, name) < math.inf:
-                raise OptionError(f"screen {name.replace('_', ' ')} {getattr(self, name):g}: expected a number above 0")
-        if not 0.0 < self.field_of_view < 180.0:
-            raise OptionError(f"field of view {self.field_of_view:g}: expected degrees between 0 and 180")
+            value, what = getattr(self, name), f"screen {name.replace('_', ' ')}"
+            real_number(value, what, "a number above 0", lambda x: 0.0 < x < math.inf)
+        real_number(self.field_of_view, "field of view", "degrees between 0 and 180", lambda x: 0.0 < x < 180.0)
 
     @property
     def length(self) -> float:

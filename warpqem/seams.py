@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from warpqem.array_input import first_outside, index_array, is_empty
 from warpqem.edges import edge_key
-from warpqem.errors import MeshShapeError, OptionError
-from warpqem.mesh_input import as_numpy
+from warpqem.errors import OptionError
 
-__all__ = ["Seams", "read_seams"]
+__all__ = ["Seams", "read_seams", "seam_ends"]
 
 
 @dataclass(frozen=True)
@@ -29,6 +29,22 @@ class Seams:
     corner: np.ndarray
 
 
+def seam_ends(seams: Any, vertex_count: int) -> np.ndarray:
+    """Check seam edges (S, 2): vertices that there are, (S, 2) int64.
+
+    Raises:
+        MeshShapeError: another shape or dtype.
+        OptionError: there is no such vertex.
+    """
+    ends = index_array(seams, "seams", ("S", 2), expected="(S, 2) vertex indices")
+    outside = first_outside(ends, vertex_count)
+    if outside is not None:
+        raise OptionError(
+            f"seams name vertex {ends[outside]}, but there are {vertex_count} vertices (seam {outside[0]})"
+        )
+    return ends.astype(np.int64, copy=False)
+
+
 def read_seams(seams: Any, faces: np.ndarray, vertex_count: int) -> Seams:
     """Check seam edges (S, 2) int, or None for none, and mark them on the faces (N, 3).
 
@@ -38,15 +54,10 @@ def read_seams(seams: Any, faces: np.ndarray, vertex_count: int) -> Seams:
         MeshShapeError: another shape or dtype.
         OptionError: two vertices without an edge between them.
     """
-    if seams is None:
+    if seams is None or is_empty(seams):
         none = np.zeros(vertex_count, dtype=bool)
         return Seams(np.zeros(faces.size, dtype=np.int32), none, none)
-    ends = as_numpy(seams)
-    if ends.ndim != 2 or ends.shape[1] != 2 or ends.dtype.kind not in "iu":
-        raise MeshShapeError(f"seams must be (S, 2) vertex indices, got shape {ends.shape} dtype {ends.dtype}")
-    outside = (ends < 0) | (ends >= vertex_count)
-    if outside.any():
-        raise OptionError(f"seams name vertex {ends[outside][0]}, but there are {vertex_count} vertices")
+    ends = seam_ends(seams, vertex_count)
     tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     key, index, count = np.unique(edge_key(tail, head, vertex_count), return_inverse=True, return_counts=True)
     wanted = np.unique(edge_key(ends[:, 0], ends[:, 1], vertex_count))

@@ -26,10 +26,11 @@ from warpqem.device import device_turn, resolve_device
 from warpqem.errors import OptionError
 from warpqem.frame_stream import read_ahead
 from warpqem.mesh_input import AnimatedMesh
+from warpqem.number_input import shown, whole_number
 from warpqem.place.blocks import BlockPlacer, ClusterData, PlacedFrames
 from warpqem.place.stage import Placer
 
-__all__ = ["FrameShare", "help_place", "placed_blocks"]
+__all__ = ["FrameShare", "check_share", "help_place", "placed_blocks"]
 
 # Meshes with fewer bytes of input are placed before another process has looked: some tenths of a second.
 LEAST_BYTES = 64 * 2**20
@@ -52,6 +53,18 @@ class FrameShare:
     make_folder: Callable[[], Path]
     call: Callable[[Path], None]
     least_bytes: int = LEAST_BYTES
+
+
+def check_share(share: Any) -> None:
+    """Raise an OptionError for what is neither None nor a :class:`FrameShare` with functions and a number of bytes."""
+    if share is None:
+        return
+    if not isinstance(share, FrameShare):
+        raise OptionError(f"share must be a FrameShare or None, got {shown(share)}")
+    for name in ("make_folder", "call"):
+        if not callable(getattr(share, name)):
+            raise OptionError(f"share.{name} must be a function, got {shown(getattr(share, name))}")
+    whole_number(share.least_bytes, "share.least_bytes", least=0)
 
 
 @dataclass(frozen=True)
@@ -162,7 +175,15 @@ def help_place(folder: str | os.PathLike[str], device: str | None = None) -> int
 
     Returns:
         How many blocks of frames were placed; 0 also where all is done already.
+
+    Raises:
+        OptionError: ``folder`` is no path.
+        DeviceError: there is no such device.
     """
+    if not isinstance(folder, (str, os.PathLike)):
+        raise OptionError(f"folder must be a path, got {shown(folder)}")
+    if device is not None:
+        resolve_device(device)
     place = _Folder(Path(folder))
     try:
         work: Any = pickle.loads((place.path / _WORK).read_bytes())

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from warpqem.arguments import SimplifyOptions
 from warpqem.attributes import AttributeField
+from warpqem.checked_frames import check_sink
 from warpqem.cost_models import cost_model
 from warpqem.device import on_device, resolve_device
 from warpqem.frame_stream import FrameSink
-from warpqem.memory import MemoryPlan
+from warpqem.memory import MemoryPlan, admit_faces
 from warpqem.mesh_input import read_mesh
+from warpqem.number_input import flag
 from warpqem.preparation import Progress, plan_work, prepare
 from warpqem.result import Delivery, Outcome, SimplifiedMesh, finish, reached
-from warpqem.sharing import FrameShare
+from warpqem.sharing import FrameShare, check_share
 
 if TYPE_CHECKING:
     from warpqem.face.protect import FaceProtection
@@ -127,6 +130,8 @@ def simplify(
         memory=memory,
         device=device,
     )
+    check_sink(sink)
+    check_share(share)
     work = prepare(points, faces, options, keep_frames=sink is None, progress=progress)
     ordered = work.order(progress)
     placer, outcome = work.placer(ordered), Outcome.of(ordered)
@@ -153,8 +158,9 @@ def plan(
         MemoryLimitError: it cannot be done in that memory.
         OptionError, MeshShapeError, FaceIndexError, DegenerateMeshError, DeviceError: as for :func:`simplify`.
     """
-    asked = SimplifyOptions(**options)
-    spec = cost_model(asked.metric)
-    asked.check()
+    check_sink(sink)
+    asked = SimplifyOptions(**options).checked()
+    spec, levels = cost_model(asked.metric), flag(levels, "levels")
     device = resolve_device(asked.device)
-    return plan_work(read_mesh(points, faces), spec, asked, device, keep_frames=sink is None, keep_nodes=levels)
+    mesh = read_mesh(points, faces, partial(admit_faces, limit=asked.memory, device=device))
+    return plan_work(mesh, spec, asked, device, keep_frames=sink is None, keep_nodes=levels)

@@ -14,22 +14,28 @@ from typing import Any
 import numpy as np
 
 from warpqem.arguments import SimplifyOptions
+from warpqem.array_input import finite_array, is_empty
+from warpqem.attributes import checked_fields
+from warpqem.checked_frames import check_sink
 from warpqem.device import on_device
 from warpqem.edges import edge_key
-from warpqem.errors import OptionError
+from warpqem.errors import MeshShapeError, OptionError
 from warpqem.frame_stream import ArraySink, FrameSink
 from warpqem.importance import border_vertices, lock_mask, read_quadric_scale, read_weights
 from warpqem.kernels.topology import MIRROR
-from warpqem.mesh_input import MeshInput, as_numpy, read_mesh
+from warpqem.mesh_input import MeshInput, finite_points, read_faces, read_mesh, read_points
+from warpqem.number_input import check_function, real_number, shown
 from warpqem.order.log import CollapseRecord
 from warpqem.preparation import Progress, prepare
 from warpqem.result import Delivery, Outcome, SimplifiedMesh, finish, reached
-from warpqem.seams import read_seams
+from warpqem.seams import read_seams, seam_ends
 
 __all__ = ["AXES", "Mirror", "MirrorPlane", "find_mirror", "simplify_symmetric"]
 
 # A vertex may be so far from the mirror image of its partner, in parts of the bounding-box diagonal.
 TOLERANCE = 1e-4
+# A normal may be so far from length one: as far as single precision rounds it.
+NORMAL_TOLERANCE = 1e-5
 # A direction that no regular mesh has many vertices across.
 GENERIC = np.array([0.5345224838248488, 0.2672612419124244, 0.8017837257372732])
 AXES = ("x", "y", "z")
@@ -81,9 +87,14 @@ def find_mirror(points: Any, faces: Any, plane: str | MirrorPlane = "auto") -> M
             of them that the mesh is symmetric about; or the plane itself.
 
     Raises:
-        OptionError: the mesh is not symmetric about the plane, or a face lies across it.
+        OptionError: the mesh is not symmetric about the plane, a face lies across it, or it is no plane.
+        MeshShapeError, NonFinitePointError, FaceIndexError, DegenerateMeshError: see :mod:`warpqem.errors`.
     """
-    pose, corner = as_numpy(points).astype(np.float64), as_numpy(faces).astype(np.int64)
+    pose = finite_points(read_points(points, "points"))
+    if len(pose) != 1:
+        raise MeshShapeError(f"points must be one pose (V, 3), got {len(pose)} frames")
+    pose = pose[0].astype(np.float64)
+    corner = read_faces(faces, "faces", len(pose)).astype(np.int64)
     if isinstance(plane, str) and plane == "auto":
         reasons = []
         for axis in AXES:
@@ -96,10 +107,21 @@ def find_mirror(points: Any, faces: Any, plane: str | MirrorPlane = "auto") -> M
         if plane not in AXES:
             raise OptionError(f"symmetry {plane!r}: expected auto, x, y, z or a plane")
         plane = _axis_plane(pose, corner, plane)
+    plane = _checked_plane(plane)
     try:
         return _mirror(pose, corner, plane)
     except OptionError as error:
         raise OptionError(f"symmetry: {error}") from None
+
+
+def _checked_plane(plane: Any) -> MirrorPlane:
+    if not isinstance(plane, MirrorPlane):
+        raise OptionError(f"symmetry must be auto, x, y, z or a MirrorPlane, got {shown(plane)}")
+    normal = finite_array(plane.normal, "symmetry: normal of the plane", (3,)).astype(np.float64)
+    if not abs(np.linalg.norm(normal) - 1.0) < NORMAL_TOLERANCE:
+        raise OptionError(f"symmetry: normal of the plane {normal.tolist()} must have length 1")
+    offset = real_number(plane.offset, "symmetry: offset of the plane", "a finite number", np.isfinite)
+    return MirrorPlane(normal, offset)
 
 
 def _axis_plane(pose: np.ndarray, faces: np.ndarray, axis: str) -> MirrorPlane:
@@ -199,10 +221,14 @@ def simplify_symmetric(
     Raises:
         OptionError: the mesh is not symmetric; else as for :func:`warpqem.simplify`.
     """
+    check_sink(sink)
+    check_function(progress, "progress")
+    asked = SimplifyOptions(**options).checked()
     given = read_mesh(points, faces)
-    frames = given.source.read(slice(0, given.frame_count))
+    frames = finite_points(given.source.read(slice(0, given.frame_count)))
     mirror = symmetry if isinstance(symmetry, Mirror) else find_mirror(frames[0], given.faces, symmetry)
-    half = _Half(given, frames, mirror, SimplifyOptions(**options))
+    mirror = _of_proper_faces(mirror, given)
+    half = _Half(given, frames, mirror, asked)
     work = prepare(half.frames, half.faces, half.options, progress=progress)
     assert work.order_input is not None
     flags = work.order_input.vertex_flags | np.where(half.on_plane, int(MIRROR), 0).astype(np.int32)
@@ -211,6 +237,22 @@ def simplify_symmetric(
     placed = ArraySink()
     part = finish(work, work.placer(ordered), Outcome.of(ordered), half.options.refits, Delivery(placed, progress))
     return reached(half.whole(part, placed.points, sink), half.target)
+
+
+def _of_proper_faces(mirror: Mirror, given: MeshInput) -> Mirror:
+    """The mirror of the faces with three different vertices, where it was found with the others too."""
+    counts = len(mirror.vertex), len(mirror.face)
+    if counts == (given.vertex_count, len(given.faces)):
+        return mirror
+    if counts != (given.vertex_count, given.input_face_count):
+        raise OptionError(
+            f"symmetry: the mirror is one of {counts[0]} vertices and {counts[1]} faces, the mesh has "
+            f"{given.vertex_count} and {given.input_face_count}"
+        )
+    new = np.full(given.input_face_count, -1, dtype=np.int64)
+    new[given.face_index] = np.arange(len(given.faces))
+    half = new[mirror.half]
+    return replace(mirror, face=new[mirror.face[given.face_index]], half=half[half >= 0])
 
 
 class _Half:
@@ -269,12 +311,16 @@ class _Half:
         """Seams and attributes of the half."""
         given, here = self._given, self._vertex
         rows = given.face_index[self._mirror.half]
-        fields = [replace(field, values=as_numpy(field.values)[rows]) for field in options.attributes]
+        values = checked_fields(options.attributes, given)[0]
+        fields = [
+            replace(field, values=array[rows] if array.ndim == 3 else array[here])
+            for field, array in zip(options.attributes, values, strict=True)
+        ]
         seams = options.seams
-        if seams is None or not len(seams):
+        if seams is None or is_empty(seams):
             return {"attributes": fields, "seams": None}
         read_seams(seams, given.faces, given.vertex_count)
-        pairs = as_numpy(seams).astype(np.int64)
+        pairs = seam_ends(seams, given.vertex_count)
         pairs = np.concatenate([pairs, self._mirror.vertex[pairs]])
         place = np.full(given.vertex_count, -1, dtype=np.int64)
         place[here] = np.arange(len(here))

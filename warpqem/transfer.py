@@ -12,16 +12,20 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from warpqem.array_input import is_empty, real_array
 from warpqem.components import lowest_members
 from warpqem.device import on_device, resolve_device
 from warpqem.edges import edge_key
+from warpqem.errors import MeshShapeError, OptionError
 from warpqem.kernels import transfer as kernels
 from warpqem.launches import launch
-from warpqem.mesh_input import as_numpy
+from warpqem.mesh_input import finite_points, read_faces, read_points
+from warpqem.number_input import shown, whole_number
 from warpqem.place.rows import gather_faces, group_rows
 from warpqem.result import SimplifiedMesh
+from warpqem.seams import seam_ends
 
-__all__ = ["SurfaceTransfer", "blend", "is_proper", "joined_faces", "surface_transfer"]
+__all__ = ["SurfaceTransfer", "blend", "check_fit", "check_result", "is_proper", "joined_faces", "surface_transfer"]
 
 
 @dataclass(frozen=True)
@@ -92,9 +96,25 @@ def surface_transfer(
         reference_frame: the frame of ``result.points`` that ``points`` is the pose of.
         seams: (S, 2) int, ends of the edges that values do not cross, as given to :func:`warpqem.simplify`.
         device: Warp device; None takes cuda:0 if present, else cpu.
+
+    Raises:
+        OptionError: ``result`` is none, has no such frame, or a seam names a vertex that does not exist.
+        MeshShapeError, NonFinitePointError, FaceIndexError, DegenerateMeshError: see :mod:`warpqem.errors`; the first
+            one also where the result is that of another mesh.
     """
     device = resolve_device(device)
-    pose, faces = as_numpy(points).astype(np.float64), np.ascontiguousarray(as_numpy(faces), dtype=np.int32)
+    check_result(result)
+    given = read_points(real_array(points, "points", ("V", 3)), "points")
+    pose = finite_points(given)[0].astype(np.float64)
+    faces = read_faces(faces, "faces", len(pose))
+    check_fit(result, len(pose), len(faces))
+    last = len(result.points) - 1
+    reference_frame = whole_number(
+        reference_frame, "reference_frame", least=0, expected=f"a frame of the result, 0 to {last}"
+    )
+    if reference_frame > last:
+        raise OptionError(f"reference_frame must be a frame of the result, 0 to {last}, got {reference_frame}")
+    ends = None if seams is None or is_empty(seams) else seam_ends(seams, len(pose))
     cluster = result.vertex_map[faces]
     usable = (cluster >= 0).all(axis=1) & is_proper(faces)
     vertex_count = result.points.shape[1]
@@ -103,7 +123,7 @@ def surface_transfer(
     owner = np.repeat(np.arange(vertex_count), np.diff(start))
     # Entry: one input face at one output vertex; (owner, face) ascends over the entries.
     entry_key = owner * len(faces) + face
-    side = _sides(faces, cluster, entry_key, as_numpy(seams)) if seams is not None and len(seams) else owner
+    side = _sides(faces, cluster, entry_key, ends) if ends is not None and len(ends) else owner
     _, wedge = np.unique(side, return_inverse=True)
     order, wedge_start = group_rows(wedge, int(wedge.max()) + 1)
     wedge_owner = owner[order[wedge_start[:-1]]]
@@ -137,6 +157,21 @@ def surface_transfer(
         wedge_vertex=faces[source_face.numpy()],
         face_map=result.face_map,
     )
+
+
+def check_result(result: Any) -> None:
+    """Raise an OptionError for what is no result of simplifying."""
+    if not isinstance(result, SimplifiedMesh):
+        raise OptionError(f"result must be a SimplifiedMesh, as warpqem.simplify returns, got {shown(result)}")
+
+
+def check_fit(result: SimplifiedMesh, vertex_count: int, face_count: int) -> None:
+    """Raise a MeshShapeError where a result is that of a mesh with other counts."""
+    if len(result.vertex_map) != vertex_count or result.face_map.max(initial=-1) >= face_count:
+        raise MeshShapeError(
+            f"the result is that of a mesh with {len(result.vertex_map)} vertices and at least "
+            f"{result.face_map.max(initial=-1) + 1} faces, this one has {vertex_count} and {face_count}"
+        )
 
 
 def is_proper(faces: np.ndarray) -> np.ndarray:

@@ -7,12 +7,14 @@ import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from warpqem.errors import OptionError
+from warpqem.number_input import shown
 from warpqem.outputs import InputFile, OutputFile, OutputFiles
 from warpqem.usd.simplify_options import SimplifyOptions
 
-__all__ = ["BatchJob", "FoundFile", "check_jobs", "find_files", "output_path"]
+__all__ = ["BatchJob", "FoundFile", "check_jobs", "find_files", "output_path", "read_jobs"]
 
 INPUT_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 OUTPUT_SUFFIXES = (".usd", ".usda", ".usdc")
@@ -114,6 +116,26 @@ def output_path(folder: Path, relative: Path, suffix: str | None = None) -> str:
     if suffix is None:
         suffix = relative.suffix if relative.suffix.lower() in OUTPUT_SUFFIXES else SUFFIX_FOR_PACKAGES
     return os.fspath((folder / relative.with_suffix(suffix)).absolute())
+
+
+def read_jobs(jobs: Any) -> list[BatchJob]:
+    """The jobs of a batch, which any iterable gives.
+
+    Raises:
+        OptionError: it is none, or one of them is no :class:`BatchJob` with paths and options.
+    """
+    if isinstance(jobs, (str, bytes)) or not isinstance(jobs, Iterable):
+        raise OptionError(f"jobs must be a list of BatchJob, got {shown(jobs)}")
+    found = list(jobs)
+    for index, job in enumerate(found):
+        if not isinstance(job, BatchJob):
+            raise OptionError(f"jobs[{index}] must be a BatchJob, got {shown(job)}")
+        for name in ("input", "output"):
+            if not isinstance(getattr(job, name), (str, os.PathLike)):
+                raise OptionError(f"jobs[{index}].{name} must be a path, got {shown(getattr(job, name))}")
+        if not isinstance(job.options, SimplifyOptions):
+            raise OptionError(f"jobs[{index}].options must be SimplifyOptions, got {shown(job.options)}")
+    return found
 
 
 def check_jobs(jobs: Iterable[BatchJob], other_outputs: Iterable[OutputFile] = ()) -> OutputFiles:

@@ -9,12 +9,13 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from warpqem.batching.engine import Engine, Finished, Update
-from warpqem.batching.jobs import BatchJob
+from warpqem.batching.jobs import BatchJob, read_jobs
 from warpqem.batching.local import LocalEngine
 from warpqem.batching.output_check import check_batch_outputs
 from warpqem.batching.result import SKIPPED, BatchResult
 from warpqem.batching.state import Journal
 from warpqem.errors import OptionError
+from warpqem.number_input import check_function, flag, shown
 from warpqem.outputs import OutputFile, named_outputs
 from warpqem.usd.temporary import remove_leftovers
 
@@ -55,7 +56,11 @@ def batch(
             resume from.
         BatchError: the journal is in use or cannot be written, or no worker can be started.
     """
-    jobs = list(jobs)
+    jobs = read_jobs(jobs)
+    if journal is not None and not isinstance(journal, (str, os.PathLike)):
+        raise OptionError(f"journal must be a path or None, got {shown(journal)}")
+    resume = flag(resume, "resume")
+    check_function(on_update, "on_update")
     if resume and journal is None:
         raise OptionError("resume needs a journal")
     outputs = [*other_outputs, *named_outputs({"journal": journal})]
@@ -72,6 +77,8 @@ def _engine(engine: Engine | str) -> Engine:
         return RayEngine()
     if isinstance(engine, str):
         raise OptionError(f"engine {engine!r}: there are local and ray")
+    if isinstance(engine, type) or not callable(getattr(engine, "run", None)):
+        raise OptionError(f"engine must be local, ray or an object with a method run, got {shown(engine)}")
     return engine
 
 

@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from warpqem.array_input import finite_array, first_outside
+from warpqem.checked_frames import BrokenPoints
 from warpqem.errors import OptionError
 from warpqem.face.detect import find_spots
 from warpqem.face.names import FEATURE_NAMES
@@ -17,6 +19,7 @@ from warpqem.face.orientation import axes_of, find_face
 from warpqem.face.skin import find_skin
 from warpqem.face.spots import Missing, Spot
 from warpqem.mesh_input import MeshInput, read_mesh
+from warpqem.number_input import shown
 
 __all__ = ["FacialFeatures", "facial_features", "features_of"]
 
@@ -60,7 +63,10 @@ class FacialFeatures:
         """Height of the face from chin to hair in points (V, 3): half as much again as from chin to nose root."""
         if not {"nose_top", "chin"} <= self.vertices.keys():
             return None
-        span = np.asarray(points)[self.vertices["nose_top"]] - np.asarray(points)[self.vertices["chin"]]
+        pose = finite_array(points, "points", ("V", 3))
+        if first_outside(self.indices, len(pose)) is not None:
+            raise OptionError(f"a feature point is vertex {int(self.indices.max())}, points has {len(pose)}")
+        span = pose[self.vertices["nose_top"]] - pose[self.vertices["chin"]]
         return FACE_PER_LOWER * float(np.linalg.norm(span))
 
 
@@ -101,7 +107,7 @@ def features_of(
     need_scipy()
     given = _check_overrides(overrides, mesh.vertex_count)
     chosen = np.unique(np.linspace(0, mesh.frame_count - 1, min(mesh.frame_count, MOST_FRAMES)).round().astype(int))
-    frames = np.concatenate([mesh.source.read(slice(int(i), int(i) + 1)) for i in chosen]).astype(np.float64)
+    frames = np.concatenate([_finite_frame(mesh, int(frame)) for frame in chosen])
     own = mesh.faces.astype(np.int64)
     skin = find_skin(frames[0], own)
     if up is None or forward is None:
@@ -115,11 +121,23 @@ def features_of(
     return _to_vertices(spots, units, frames[0], skin.vertices, axes, given)
 
 
+def _finite_frame(mesh: MeshInput, frame: int) -> np.ndarray:
+    """One frame (1, V, 3) float64."""
+    points = mesh.source.read(slice(frame, frame + 1))
+    broken = BrokenPoints.add(None, points, frame)
+    if broken is not None:
+        raise broken.error()
+    return points.astype(np.float64)
+
+
 def _check_overrides(overrides: Mapping[str, int | None] | None, vertex_count: int) -> dict[str, int | None]:
+    if overrides is not None and not isinstance(overrides, Mapping):
+        raise OptionError(f"overrides must map names of feature points to vertices, got {shown(overrides)}")
     for name, vertex in (overrides or {}).items():
         if name not in FEATURE_NAMES:
             raise OptionError(f"there is no feature point {name!r}; there are {', '.join(FEATURE_NAMES)}")
-        if vertex is not None and not (isinstance(vertex, (int, np.integer)) and 0 <= vertex < vertex_count):
+        is_index = isinstance(vertex, (int, np.integer)) and not isinstance(vertex, bool)
+        if vertex is not None and not (is_index and 0 <= vertex < vertex_count):
             raise OptionError(f"feature point {name}: vertex {vertex!r}, but there are {vertex_count} vertices")
     return {name: None if vertex is None else int(vertex) for name, vertex in (overrides or {}).items()}
 

@@ -11,9 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from warpqem.array_input import first_outside
 from warpqem.errors import FeaturePointError, OptionError
 from warpqem.face.features import FacialFeatures, features_of
 from warpqem.mesh_input import MeshInput
+from warpqem.number_input import flag, real_number, shown, whole_number
 
 __all__ = ["FaceProtection", "face_weights", "protect"]
 
@@ -40,10 +42,11 @@ class FaceProtection:
 
     def __post_init__(self) -> None:
         """Refuse weights that would take importance away."""
-        if not 1.0 <= self.weight < np.inf:
-            raise OptionError(f"weight of feature points {self.weight}: expected 1 or more")
-        if self.ring != int(self.ring) or self.ring < 0:
-            raise OptionError(f"ring of feature points {self.ring}: expected a whole number, 0 or more")
+        if self.features is not None and not isinstance(self.features, FacialFeatures):
+            raise OptionError(f"features must be FacialFeatures or None, got {shown(self.features)}")
+        real_number(self.weight, "weight of feature points", "1 or more", lambda value: 1.0 <= value < np.inf)
+        whole_number(self.ring, "ring of feature points", least=0)
+        flag(self.keep, "keep")
 
 
 def face_weights(faces: np.ndarray, vertex_count: int, protection: FaceProtection) -> np.ndarray:
@@ -82,9 +85,10 @@ def protect(mesh: MeshInput, protection: FaceProtection) -> tuple[np.ndarray, np
             features = features_of(mesh, None, None)
     if not features.vertices:
         raise FeaturePointError("metric 'face': no face was found, and no feature points were given")
-    if int(features.indices.max()) >= mesh.vertex_count:
+    outside = first_outside(features.indices, mesh.vertex_count)
+    if outside is not None:
         raise OptionError(
-            f"metric 'face': a feature point is vertex {int(features.indices.max())}, "
+            f"metric 'face': the feature point {features.names[outside[0]]} is vertex {features.indices[outside]}, "
             f"but there are {mesh.vertex_count} vertices"
         )
     found = FaceProtection(features, protection.weight, protection.ring, protection.keep)

@@ -12,15 +12,17 @@ from typing import Any
 
 import numpy as np
 
+from warpqem.array_input import first_outside, real_array
 from warpqem.device import on_device, resolve_device
-from warpqem.errors import FeaturePointError, MeshShapeError
+from warpqem.errors import FeaturePointError, MeshShapeError, OptionError
 from warpqem.face.correspondence import Correspondence, LipLine, correspond
 from warpqem.face.features import FacialFeatures, facial_features
 from warpqem.face.lips import keep_apart, lip_pairs
 from warpqem.face.morph import VolumeMorph, shared_points
 from warpqem.face.nose import FaceUnits
 from warpqem.face.skin import Skin, find_skin, head_motion
-from warpqem.mesh_input import as_numpy, read_mesh
+from warpqem.mesh_input import finite_points, read_mesh, read_points
+from warpqem.number_input import shown
 
 __all__ = ["FaceMesh", "RetargetedMotion", "retarget"]
 
@@ -91,10 +93,13 @@ def retarget(source: FaceMesh, target: FaceMesh, motion: Any, *, device: str | N
         NonFinitePointError, FaceIndexError, DegenerateMeshError: see :mod:`warpqem.errors`.
     """
     device = resolve_device(device)
-    a, b = _Prepared.of(source), _Prepared.of(target)
-    frames = as_numpy(motion).astype(np.float64)
-    if frames.ndim != 3 or frames.shape[1:] != a.points.shape:
-        raise MeshShapeError(f"motion must be (F, {len(a.points)}, 3) like the source, got {frames.shape}")
+    for face, name in ((source, "source"), (target, "target")):
+        if not isinstance(face, FaceMesh):
+            raise OptionError(f"{name} must be a FaceMesh, got {shown(face)}")
+    # Before features are looked for, which takes seconds.
+    moving = read_points(real_array(motion, "motion", ("F", "V", 3)), "motion")
+    frames = finite_points(moving, "motion:").astype(np.float64)
+    a, b = _Prepared.of(source, frames.shape[1]), _Prepared.of(target)
     shared = shared_points(a.features, b.features)
     at = [[face.features.vertices[name] for name in shared] for face in (a, b)]
     morph = VolumeMorph(a.points[at[0]], b.points[at[1]], a.units.nose)
@@ -157,14 +162,27 @@ class _Prepared:
         return self.units.local(self.points)
 
     @classmethod
-    def of(cls, face: FaceMesh) -> _Prepared:
+    def of(cls, face: FaceMesh, vertex_count: int | None = None) -> _Prepared:
+        """Look at a face, whose motion has so many vertices."""
         mesh = read_mesh(face.points, face.faces)
         if mesh.frame_count != 1:
             raise MeshShapeError(f"a face at rest has one pose, got {mesh.frame_count}")
-        points = mesh.source.read(slice(0, 1))[0].astype(np.float64)
+        if vertex_count not in (None, mesh.vertex_count):
+            raise MeshShapeError(
+                f"motion must be (F, {mesh.vertex_count}, 3) like the source, got {vertex_count} vertices"
+            )
+        points = finite_points(mesh.source.read(slice(0, 1)))[0].astype(np.float64)
         features = face.features
         if features is None:
             features = facial_features(points, mesh.faces)
+        if not isinstance(features, FacialFeatures):
+            raise OptionError(f"features must be FacialFeatures or None, got {shown(features)}")
+        outside = first_outside(features.indices, mesh.vertex_count)
+        if outside is not None:
+            raise OptionError(
+                f"the feature point {features.names[outside[0]]} is vertex {features.indices[outside]}, but there are "
+                f"{mesh.vertex_count} vertices"
+            )
         if features.units is None:
             raise FeaturePointError("retargeting needs faces whose nose was found")
         faces = mesh.faces.astype(np.int64)

@@ -10,12 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from warpqem.device import on_device, resolve_device
-from warpqem.errors import OptionError
 from warpqem.measure.distance import Closest, ClosestPointSearch
 from warpqem.measure.inputs import MeshSequence, check_same_frame_count, check_sequence, chosen_frames, frame_scale
 from warpqem.measure.sampling import MaterialSamples, draw_material_samples, normals_and_areas, place
 from warpqem.measure.temporal import SecondDifference, binding_errors, in_face_frame
 from warpqem.measure.topology import Topology, topology
+from warpqem.number_input import check_function, whole_number
 
 __all__ = ["Comparison", "FrameErrors", "compare"]
 
@@ -257,10 +257,9 @@ def compare(
         OptionError: samples, seed or frames out of range.
         DeviceError: there is no such device.
     """
-    if samples < 1:
-        raise OptionError(f"samples: expected at least 1, got {samples}")
-    if seed < 0:
-        raise OptionError(f"seed: expected at least 0, got {seed}")
+    samples = whole_number(samples, "samples")
+    seed = whole_number(seed, "seed", least=0)
+    check_function(progress, "progress")
     reference = check_sequence(reference_points, reference_faces, "reference")
     test = check_sequence(test_points, test_faces, "test")
     check_same_frame_count(reference, test)

@@ -6,9 +6,9 @@ import numpy as np
 import numpy.typing as npt
 
 from warpqem.device import on_device, resolve_device
-from warpqem.errors import OptionError
 from warpqem.measure.distance import ClosestPointSearch
 from warpqem.measure.inputs import check_same_frame_count, check_sequence, frame_scale
+from warpqem.number_input import real_number
 
 __all__ = ["COLOR_MAP", "distance_colors", "vertex_distances"]
 
@@ -104,8 +104,8 @@ def distance_colors(
         MeshShapeError, NonFinitePointError, FaceIndexError, DegenerateMeshError, DeviceError: as in ``compare``.
         OptionError: scale is not a positive number.
     """
-    if scale is not None and not (np.isfinite(scale) and scale > 0):
-        raise OptionError(f"scale: expected a positive number, got {scale}")
+    if scale is not None:
+        scale = real_number(scale, "scale", "a positive number", lambda value: 0.0 < value < np.inf)
     distance = vertex_distances(reference_points, reference_faces, test_points, test_faces, device=device)
     used = float(distance.max()) if scale is None else float(scale)
     return _colors(distance / used if used > 0 else distance), used

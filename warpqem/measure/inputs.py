@@ -9,15 +9,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from warpqem.errors import (
-    DegenerateMeshError,
-    FaceIndexError,
-    MeshShapeError,
-    NonFinitePointError,
-    OptionError,
-)
+from warpqem.array_input import as_numpy, real_array
+from warpqem.errors import DegenerateMeshError, MeshShapeError, OptionError
+from warpqem.mesh_input import finite_points, read_faces, read_points
+from warpqem.number_input import shown
 
-__all__ = ["MeshSequence", "check_faces", "check_same_frame_count", "check_sequence", "chosen_frames", "frame_scale"]
+__all__ = ["MeshSequence", "check_same_frame_count", "check_sequence", "chosen_frames", "frame_scale"]
 
 
 @dataclass(frozen=True)
@@ -35,25 +32,6 @@ class MeshSequence:
     used: npt.NDArray[np.int64]
 
 
-def check_faces(faces: npt.ArrayLike, name: str) -> npt.NDArray[np.int64]:
-    """Faces as (N, 3) int64.
-
-    Raises:
-        MeshShapeError: not (N, 3) integers.
-        DegenerateMeshError: no face.
-        FaceIndexError: a negative vertex index.
-    """
-    array = np.asarray(faces)
-    if array.ndim != 2 or array.shape[1] != 3 or not np.issubdtype(array.dtype, np.integer):
-        raise MeshShapeError(f"{name} faces: expected (N, 3) integers, got shape {array.shape}, dtype {array.dtype}")
-    if len(array) == 0:
-        raise DegenerateMeshError(f"{name} faces: the mesh has no face")
-    if array.min() < 0:
-        face = int(np.argmax((array < 0).any(axis=1)))
-        raise FaceIndexError(f"{name} faces: face {face} has a negative vertex index: {array[face].tolist()}")
-    return array.astype(np.int64)
-
-
 def check_sequence(points: npt.ArrayLike, faces: npt.ArrayLike, name: str) -> MeshSequence:
     """Mesh sequence with checked shapes, indices and values.
 
@@ -66,26 +44,13 @@ def check_sequence(points: npt.ArrayLike, faces: npt.ArrayLike, name: str) -> Me
         MeshShapeError: an array has the wrong shape or dtype, or there is no frame.
         NonFinitePointError: a point is NaN or infinite.
         FaceIndexError: a face refers to a vertex that does not exist.
-        DegenerateMeshError: no face.
+        DegenerateMeshError: no point or no face.
     """
-    array = np.asarray(points)
-    shape = array.shape
-    if array.ndim == 2:
-        array = array[None]
-    if array.ndim != 3 or array.shape[2] != 3 or array.shape[0] == 0 or array.dtype.kind not in "fiu":
-        raise MeshShapeError(f"{name} points: expected (F, V, 3) or (V, 3) numbers, got {shape}, dtype {array.dtype}")
-    array = array.astype(np.float64)
-    finite = np.isfinite(array).all(axis=2)
-    if not finite.all():
-        frame, vertex = np.argwhere(~finite)[0]
-        value = array[frame, vertex].tolist()
-        raise NonFinitePointError(f"{name} points: vertex {vertex} in frame {frame} is not finite: {value}")
-    face_array = check_faces(faces, name)
-    if face_array.max() >= array.shape[1]:
-        face = int(np.argmax((face_array >= array.shape[1]).any(axis=1)))
-        raise FaceIndexError(
-            f"{name} faces: face {face} is {face_array[face].tolist()}, the mesh has {array.shape[1]} vertices"
-        )
+    given = real_array(points, f"{name} points", ("F", "V", 3), ("V", 3))
+    if not len(given):
+        raise MeshShapeError(f"{name} points: expected at least one frame, got shape {given.shape}")
+    array = finite_points(read_points(given, f"{name} points"), f"{name} points:").astype(np.float64)
+    face_array = read_faces(faces, f"{name} faces", array.shape[1]).astype(np.int64)
     return MeshSequence(array, face_array, np.unique(face_array))
 
 
@@ -105,9 +70,13 @@ def chosen_frames(frames: int | Sequence[int] | None, frame_count: int) -> npt.N
     """
     if frames is None:
         return np.arange(frame_count)
-    given: Any = np.asarray(frames)
+    what = f"frames: expected None, a number or a list of frame indices, got {shown(frames)}"
+    try:
+        given: Any = as_numpy(frames, "frames")
+    except MeshShapeError as error:
+        raise OptionError(f"{what}: {error}") from error
     if given.dtype.kind not in "iu" or given.ndim > 1 or given.size == 0:
-        raise OptionError(f"frames: expected None, a number or a list of frame indices, got {frames!r}")
+        raise OptionError(what)
     if given.ndim == 0:
         if given < 1:
             raise OptionError(f"frames: expected at least 1 frame, got {frames}")

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from warpqem.measure.inputs import check_faces
+from warpqem.mesh_input import read_faces
 
 __all__ = ["Topology", "topology", "unique_edges"]
 
@@ -98,9 +98,9 @@ def topology(faces: npt.ArrayLike) -> Topology:
     Raises:
         MeshShapeError: not (N, 3) integers.
         DegenerateMeshError: no face.
-        FaceIndexError: a negative vertex index.
+        FaceIndexError: a vertex index that is negative, or larger than there can be.
     """
-    checked = check_faces(faces, "mesh")
+    checked = read_faces(faces, "mesh faces", None).astype(np.int64)
     used, compact = np.unique(checked, return_inverse=True)
     compact = compact.reshape(-1, 3)
     edges, edge_of_half_edge, count = unique_edges(compact)

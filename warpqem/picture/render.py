@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import warp as wp
 
+from warpqem.array_input import finite_array, real_array
 from warpqem.device import on_device, resolve_device
 from warpqem.errors import OptionError
 from warpqem.kernels import render as kernels
 from warpqem.launches import launch
+from warpqem.mesh_input import finite_points, read_faces, read_points
+from warpqem.number_input import real_number, shown, whole_number
 from warpqem.parallel import launch_parts
 
 __all__ = ["View", "fit_view", "render"]
@@ -45,14 +49,21 @@ class View:
 
     def __post_init__(self) -> None:
         """Refuse an axis that is none, and a picture without height."""
-        if self.up not in ("y", "z"):
-            raise OptionError(f"up axis {self.up!r}: expected 'y' or 'z'")
-        if not 0.0 < self.height < np.inf:
-            raise OptionError(f"height of the view {self.height:g}: expected a positive number")
+        check_up(self.up)
+        for name in ("azimuth", "elevation"):
+            real_number(getattr(self, name), f"{name} of the view", "a number of degrees", np.isfinite)
+        finite_array(self.middle, "middle of the view", (3,))
+        real_number(self.height, "height of the view", "a positive number, as expected", lambda x: 0.0 < x < np.inf)
 
     def axes(self) -> np.ndarray:
         """(3, 3) float64: unit vectors to the right of the picture, up in it, and towards the viewer."""
         return _axes(self.azimuth, self.elevation, self.up)
+
+
+def check_up(up: Any) -> None:
+    """Raise an OptionError for an up axis that is none."""
+    if not isinstance(up, str) or up not in ("y", "z"):
+        raise OptionError(f"up axis {up!r}: expected 'y' or 'z'")
 
 
 def _axes(azimuth: float, elevation: float, up: str) -> np.ndarray:
@@ -67,8 +78,24 @@ def _axes(azimuth: float, elevation: float, up: str) -> np.ndarray:
 def fit_view(
     points: np.ndarray, *, azimuth: float = 30.0, elevation: float = 12.0, up: str = "y", aspect: float = 4 / 3
 ) -> View:
-    """A view that shows all points (..., 3) in a picture of this ratio of width to height."""
-    flat = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+    """A view that shows all points in a picture of this ratio of width to height.
+
+    Args:
+        points: (F, V, 3) or (V, 3).
+        azimuth: see :class:`View`.
+        elevation: likewise.
+        up: likewise.
+        aspect: width by height.
+
+    Raises:
+        MeshShapeError, NonFinitePointError, DegenerateMeshError: points of another shape or dtype, or not finite; none.
+        OptionError: an angle, axis or aspect that is none.
+    """
+    check_up(up)
+    for angle, name in ((azimuth, "azimuth"), (elevation, "elevation")):
+        real_number(angle, f"{name} of the view", "a number of degrees", np.isfinite)
+    real_number(aspect, "aspect of the view", "a positive number, as expected", lambda x: 0.0 < x < np.inf)
+    flat = finite_points(read_points(points, "points")).astype(np.float64).reshape(-1, 3)
     axes = _axes(azimuth, elevation, up)
     seen = flat @ axes.T
     low, high = seen.min(axis=0), seen.max(axis=0)
@@ -102,15 +129,21 @@ def render(
         device: Warp device; None takes cuda:0 if present, else cpu.
 
     Raises:
-        OptionError: a size below one pixel.
+        OptionError: a size below one pixel, or no view.
+        MeshShapeError, NonFinitePointError, FaceIndexError, DegenerateMeshError: see :mod:`warpqem.errors`.
         DeviceError: there is no such device.
     """
-    width, height = size
-    if width < 1 or height < 1:
-        raise OptionError(f"size {width} x {height}: expected at least one pixel")
+    width, height = _checked_size(size)
+    if not isinstance(view, View):
+        raise OptionError(f"view must be a View, got {shown(view)}")
+    pose = finite_points(read_points(real_array(points, "points", ("V", 3)), "points"))[0]
+    # Rays go to whatever memory an index leads to.
+    faces = read_faces(faces, "faces", len(pose))
+    if colors is not None:
+        colors = finite_array(colors, "colors", (len(pose), 3), single=True)
     device = resolve_device(device)
     # About the middle, where float32 is finest.
-    local = (np.asarray(points, dtype=np.float64) - view.middle).astype(np.float32)
+    local = (pose.astype(np.float64) - view.middle).astype(np.float32)
     corner_vertex = wp.array(np.ascontiguousarray(faces, dtype=np.int32).ravel(), device=device)
     mesh = wp.Mesh(points=wp.array(local, dtype=wp.vec3, device=device), indices=corner_vertex)
     axes = view.axes()
@@ -145,11 +178,21 @@ def render(
     return _encode(image.numpy())
 
 
+def _checked_size(size: Any) -> tuple[int, int]:
+    if not isinstance(size, (list, tuple)) or len(size) != 2:
+        raise OptionError(f"size must be width and height, expected two numbers of pixels, got {shown(size)}")
+    width, height = (
+        whole_number(x, f"{name} of the picture", expected="at least one pixel")
+        for x, name in zip(size, ("width", "height"), strict=True)
+    )
+    return width, height
+
+
 def _vertex_normals(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
     corner = points[faces].astype(np.float64)
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     total = np.zeros(points.shape)
-    np.add.at(total, np.asarray(faces).ravel(), np.repeat(normal, 3, axis=0))
+    np.add.at(total, faces.ravel(), np.repeat(normal, 3, axis=0))
     length = np.linalg.norm(total, axis=1, keepdims=True)
     return np.divide(total, length, out=np.zeros_like(total), where=length > 0).astype(np.float32)
 

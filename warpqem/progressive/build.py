@@ -10,6 +10,7 @@ from warpqem.arguments import SimplifyOptions
 from warpqem.device import on_device
 from warpqem.errors import OptionError
 from warpqem.frame_stream import read_ahead
+from warpqem.number_input import whole_number
 from warpqem.order.levels import OrderedLevels
 from warpqem.order.nodes import NodeRecorder
 from warpqem.place.clusters import ClusterPlacer
@@ -41,18 +42,19 @@ def build_progressive(
         base_faces: where to stop; None for as few faces as legal collapses lead to.
         progress: called with the part done, 0 to 1, and the stage, "read", "order" or "place".
         options: keyword arguments of :func:`warpqem.simplify`, but for its goals, ``refit``, ``memoryless``,
-            ``keep_components`` and ``sink``.
+            ``keep_components``, ``sink`` and ``share``.
 
     Raises:
         OptionError: also for an option that does not apply.
         WarpqemError: the other errors of :func:`warpqem.simplify`, but for an unreachable target: the base mesh then
             has more faces than asked for.
     """
-    refused = {"ratio", "target_faces", "max_error", "refit", "sink", "keep_components"} & set(options)
+    refused = {"ratio", "target_faces", "max_error", "refit", "sink", "share", "keep_components"} & set(options)
     if refused:
         raise OptionError(f"{', '.join(sorted(refused))}: not with a progressive mesh, which has all levels")
     # A mesh of one face is the least there is.
-    asked = SimplifyOptions(target_faces=base_faces or 1, keep_components=True, **options)
+    target = 1 if base_faces is None else whole_number(base_faces, "base_faces")
+    asked = SimplifyOptions(target_faces=target, keep_components=True, **options)
     work = prepare(points, faces, asked, keep_nodes=True, progress=progress)
     recorder = NodeRecorder()
     ordered = work.order(progress, recorder)

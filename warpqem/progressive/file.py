@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from warpqem.errors import MemoryLimitError, OptionError, ProgressiveFileError, WarpqemError
+from warpqem.number_input import shown, whole_number
 from warpqem.outputs import InputFile, OutputFile, check_outputs
 from warpqem.progressive import coding
 from warpqem.progressive.container import ChunkFile, FileInfo, write_chunks
@@ -44,6 +45,8 @@ def save(mesh: ProgressiveMesh, path: str | os.PathLike[str], extra: dict[str, A
             JSON holds.
         OSError: the file cannot be written; nothing is left behind.
     """
+    if not isinstance(mesh, ProgressiveMesh):
+        raise OptionError(f"mesh must be a ProgressiveMesh, got {shown(mesh)}")
     if not mesh.is_complete:
         raise OptionError(f"only {mesh.loaded_face_count} of {mesh.face_count} faces are loaded")
     loaded = [] if mesh.source is None else [InputFile(mesh.source, "the file that the mesh was loaded from")]
@@ -97,6 +100,10 @@ class ProgressiveFile:
         self, *, target_faces: int | None = None, split_count: int | None = None, memory: int | str | None = None
     ) -> ProgressiveMesh:
         """As :func:`load`."""
+        if target_faces is not None:
+            target_faces = whole_number(target_faces, "target_faces")
+        if split_count is not None:
+            split_count = whole_number(split_count, "split_count", least=0)
         chunk_count = len(self.info.chunks)
         for count in range(1, chunk_count):
             splits, faces = self.info.loaded_counts(count)
@@ -180,7 +187,7 @@ def load(
     Raises:
         ProgressiveFileError: the file is no progressive mesh, damaged, or takes more memory than it may or is free.
         MemoryLimitError: memory has run out on the way.
-        OptionError: ``memory`` is no number of bytes.
+        OptionError: a number that is none, or ``memory`` is no number of bytes.
         OSError: it cannot be read.
     """
     with ProgressiveFile(path) as file:

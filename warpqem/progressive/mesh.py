@@ -8,6 +8,7 @@ import numpy as np
 
 from warpqem.arguments import check_ratio, target_count
 from warpqem.errors import OptionError
+from warpqem.number_input import real_number, whole_number
 from warpqem.progressive.splits import SplitTopology
 
 __all__ = ["MeshLevel", "ProgressiveMesh"]
@@ -108,15 +109,15 @@ class ProgressiveMesh:
         if len(given) != 1:
             raise OptionError(f"exactly one of ratio, target_faces and max_error is needed, got {len(given)}")
         if max_error is not None:
+            max_error = real_number(max_error, "max_error", "a number of % of the diagonal", lambda x: x >= 0.0)
             within = np.flatnonzero(100.0 * self.topology.error.astype(np.float64) <= max_error)
             if not len(within):
                 raise OptionError(f"an error of {max_error} % was asked for, that of all levels here is larger")
             return int(within[0])
         if ratio is not None:
-            check_ratio(ratio)
-            target = target_count(ratio, self.face_count)
+            target = target_count(check_ratio(ratio), self.face_count)
         else:
-            target = int(target_faces or 0)
+            target = whole_number(target_faces, "target_faces")
         split_count = int(np.searchsorted(self._face_counts, target, side="right")) - 1
         if split_count < 0:
             raise OptionError(f"{target} faces were asked for, the base mesh has {self.base_face_count}")
@@ -125,8 +126,12 @@ class ProgressiveMesh:
         return split_count
 
     def error(self, split_count: int) -> float:
-        """The error after so many splits, in % of the bounding-box diagonal, as ``SimplifiedMesh.error``."""
-        return 100.0 * float(self.topology.error[split_count])
+        """The error after so many splits, in % of the bounding-box diagonal, as ``SimplifiedMesh.error``.
+
+        Raises:
+            OptionError: there are not so many splits.
+        """
+        return 100.0 * float(self.topology.error[self._checked_count(split_count)])
 
     def level(self, split_count: int) -> MeshLevel:
         """The mesh after so many splits of the base mesh, in time that grows with its size alone.
@@ -134,6 +139,7 @@ class ProgressiveMesh:
         Raises:
             OptionError: there are not so many splits.
         """
+        split_count = self._checked_count(split_count)
         rows = self._rows(split_count)
         face_count = int(self._face_counts[split_count])
         order = np.argsort(self.topology.face_index[:face_count])
@@ -155,7 +161,7 @@ class ProgressiveMesh:
         """
         if not self.is_complete:
             raise OptionError(f"only {self.loaded_face_count} of {self.face_count} faces are loaded")
-        rows = self._rows(split_count)
+        rows = self._rows(self._checked_count(split_count))
         full = self._rows(self.split_count)
         vertex_map = np.full(self.topology.vertex_count, -1, dtype=np.int32)
         vertex_map[self.topology.row_vertex[full.row]] = self._find(rows, self.topology.row_start[full.row])
@@ -176,8 +182,8 @@ class ProgressiveMesh:
         Raises:
             OptionError: ``blend`` is outside its range, or the levels are in the wrong order.
         """
-        if not 0.0 <= blend <= 1.0:
-            raise OptionError(f"blend must be in [0, 1], got {blend}")
+        blend = real_number(blend, "blend", "in [0, 1]", lambda value: 0.0 <= value <= 1.0)
+        coarse, fine = self._checked_count(coarse), self._checked_count(fine)
         if coarse > fine:
             raise OptionError(f"the coarser level has {coarse} splits, the finer one {fine}")
         before, after, level = self._rows(coarse), self._rows(fine), self.level(fine)
@@ -189,9 +195,13 @@ class ProgressiveMesh:
             return level.points, level.faces
         return start + np.float32(blend) * (level.points - start), level.faces
 
+    def _checked_count(self, split_count: int) -> int:
+        most = self.split_count
+        if isinstance(split_count, (int, np.integer, float, np.floating)) and not 0 <= split_count <= most:
+            raise OptionError(f"there are 0 to {most} splits, got {split_count}")
+        return whole_number(split_count, "the number of splits", least=0, expected=f"0 to {most}")
+
     def _rows(self, split_count: int) -> _Rows:
-        if not 0 <= split_count <= self.split_count:
-            raise OptionError(f"there are 0 to {self.split_count} splits, got {split_count}")
         topology = self.topology
         row = np.flatnonzero(topology.row_end[: topology.base_count + 2 * split_count] >= split_count)
         row = row[np.argsort(topology.row_vertex[row])]

@@ -14,7 +14,8 @@ import numpy as np
 
 from warpqem.device import on_device, resolve_device
 from warpqem.errors import MeshShapeError, OptionError
-from warpqem.mesh_input import as_numpy
+from warpqem.mesh_input import read_faces
+from warpqem.number_input import flag, shown, whole_number
 from warpqem.result import SimplifiedMesh
 from warpqem.skinning.problem import CandidateRows, ClusterPlanes, SkinFit
 from warpqem.skinning.skin import (
@@ -24,8 +25,11 @@ from warpqem.skinning.skin import (
     largest_influences,
     normalised_weights,
     pose_skin,
+    read_offsets,
+    read_poses,
+    read_transforms,
 )
-from warpqem.transfer import surface_transfer
+from warpqem.transfer import check_fit, check_result, surface_transfer
 
 __all__ = ["FittedSkin", "fit_skin"]
 
@@ -95,14 +99,23 @@ def fit_skin(
         OptionError: ``influences`` is below 1.
     """
     device = resolve_device(device)
-    poses, corner = as_numpy(points), as_numpy(faces).astype(np.int32)
-    matrices = as_numpy(transforms).astype(np.float64)
-    if matrices.ndim != 4 or matrices.shape[2:] != (3, 4) or len(matrices) != len(poses):
-        raise MeshShapeError(f"transforms must be ({len(poses)}, J, 3, 4), got {matrices.shape}")
+    check_result(result)
+    poses = read_poses(points)
+    corner = read_faces(faces, "faces", poses.shape[1])
+    matrices = read_transforms(transforms, len(poses))
+    check_fit(result, poses.shape[1], len(corner))
     if result.points.shape[0] != len(poses):
         raise MeshShapeError(f"the result has {result.points.shape[0]} frames, there are {len(poses)} poses")
-    if influences is not None and influences < 1:
-        raise OptionError(f"influences must be at least 1, got {influences}")
+    if influences is not None:
+        influences = whole_number(influences, "influences", expected="at least 1")
+    to_planes = flag(to_planes, "to_planes")
+    offsets = read_offsets(offsets, "offsets", len(poses), poses.shape[1])
+    start_offsets = read_offsets(start_offsets, "start_offsets", len(poses), result.points.shape[1])
+    if start is not None and offsets is not None and start_offsets is None:
+        raise OptionError("start_offsets are needed with offsets and start")
+    for given, what in ((skin, "skin"), (start, "start")):
+        if not (isinstance(given, LinearSkin) or (given is None and what == "start")):
+            raise OptionError(f"{what} must be a LinearSkin, got {shown(given)}")
     skin = skin.checked(matrices.shape[1])
     most = skin.joints.shape[1] if influences is None else influences
     diagonal = float(np.linalg.norm(np.ptp(poses[0].astype(np.float64), axis=0)))
@@ -113,7 +126,9 @@ def fit_skin(
         share = transfer.wedge_weight[transfer.vertex_wedge]
         start = blend_skin(skin, index, share, most)
         if offsets is not None:
-            start_offsets = np.stack([transfer.from_vertices(offset) for offset in as_numpy(offsets)])
+            start_offsets = np.stack([transfer.from_vertices(offset) for offset in offsets])
+    if len(start.rest) != result.points.shape[1]:
+        raise MeshShapeError(f"start has {len(start.rest)} points, the result {result.points.shape[1]}")
     start = replace(start.checked(matrices.shape[1]), rest=result.points[0].astype(np.float64))
     fixed, member = _fixed(poses, result, (skin.weights > 0).sum(axis=1) <= most)
     rows = _candidates(skin, start, result.vertex_map, fixed)

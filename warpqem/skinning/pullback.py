@@ -15,14 +15,16 @@ from typing import Any
 import numpy as np
 
 from warpqem.arguments import SimplifyOptions
+from warpqem.array_input import as_numpy, is_empty
 from warpqem.device import on_device
 from warpqem.edges import edge_table
-from warpqem.errors import OptionError
-from warpqem.mesh_input import as_numpy
+from warpqem.errors import MeshShapeError, OptionError
+from warpqem.mesh_input import read_faces
+from warpqem.number_input import shown
 from warpqem.order.quadrics import CONSTRAINT_WEIGHT
 from warpqem.preparation import Progress, prepare
 from warpqem.result import SimplifiedMesh, reached
-from warpqem.skinning.skin import LinearSkin
+from warpqem.skinning.skin import LinearSkin, read_poses, read_transforms
 from warpqem.transfer import is_proper
 
 __all__ = ["pulled_back_matrices", "simplify_pulled_back"]
@@ -55,8 +57,14 @@ def simplify_pulled_back(
     unknown = {"metric", "coherence", "key_frames", "placement", "refit", "memoryless", "sink"} & options.keys()
     if unknown:
         raise OptionError(f"{', '.join(sorted(unknown))}: no option of simplifying by pulled back quadrics")
-    poses, corner = as_numpy(points), as_numpy(faces)
-    asked = SimplifyOptions(metric="qem", coherence=0.0, **options)
+    asked = SimplifyOptions(metric="qem", coherence=0.0, **options).checked()
+    poses = read_poses(points)
+    corner = read_faces(faces, "faces", poses.shape[1])
+    if not isinstance(skin, LinearSkin):
+        raise OptionError(f"skin must be a LinearSkin, got {shown(skin)}")
+    transforms = read_transforms(transforms, len(poses))
+    if len(skin.checked(transforms.shape[1]).rest) != poses.shape[1]:
+        raise MeshShapeError(f"the skin has {len(skin.rest)} points, the mesh {poses.shape[1]}")
     work = prepare(poses[:1], corner, asked, progress=progress)
     matrices = pulled_back_matrices(poses, corner, skin, transforms, asked.seams)
     # On the mesh of unit diagonal that the order works on; the sum over poses becomes a mean, as for one frame.
@@ -95,7 +103,7 @@ def pulled_back_matrices(
         transforms: (P, J, 3, 4).
         seams: (S, 2) vertex pairs, or None; they count as in the order of collapses.
     """
-    matrices = as_numpy(transforms).astype(np.float64)
+    matrices = read_transforms(transforms, len(poses))
     skin = skin.checked(matrices.shape[1])
     faces = faces[is_proper(faces)]
     edges = edge_table(faces)
@@ -113,8 +121,8 @@ def _lines(ends: np.ndarray, wings: np.ndarray, face_count: np.ndarray, seams: A
     """Border and seam edges with a third vertex of each face there, and the weight of their planes."""
     border = face_count == 1
     lines = [(np.column_stack([ends[border], wings[border, 0]]), CONSTRAINT_WEIGHT[1])]
-    if seams is not None and len(seams):
-        wanted = {tuple(sorted(pair)) for pair in np.asarray(seams).tolist()}
+    if seams is not None and not is_empty(seams):
+        wanted = {tuple(sorted(pair)) for pair in as_numpy(seams, "seams").tolist()}
         on_seam = np.array([tuple(pair) in wanted for pair in ends.tolist()]) & (face_count == 2)
         lines += [(np.column_stack([ends[on_seam], wings[on_seam, k]]), CONSTRAINT_WEIGHT[2]) for k in range(2)]
     return lines

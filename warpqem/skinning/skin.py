@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from warpqem.array_input import finite_array, index_array, real_array
 from warpqem.errors import MeshShapeError
-from warpqem.mesh_input import as_numpy
+from warpqem.frame_stream import ArrayFrames
+from warpqem.mesh_input import finite_points, read_points
 from warpqem.transfer import blend
 
 __all__ = [
@@ -17,6 +20,9 @@ __all__ = [
     "largest_influences",
     "normalised_weights",
     "pose_skin",
+    "read_offsets",
+    "read_poses",
+    "read_transforms",
 ]
 
 
@@ -38,20 +44,23 @@ class LinearSkin:
         """The same as contiguous float64 and int32 arrays.
 
         Raises:
-            MeshShapeError: shapes do not go together, or a joint does not exist.
+            MeshShapeError: shapes or dtypes do not go together, a joint does not exist, or a value is not finite.
         """
-        rest, joints, weights = (as_numpy(array) for array in (self.rest, self.joints, self.weights))
-        if rest.ndim != 2 or rest.shape[1] != 3 or joints.ndim != 2 or joints.shape != weights.shape:
+        rest = finite_array(self.rest, "skin.rest", ("V", 3), single=True)
+        joints = index_array(self.joints, "skin.joints", ("V", "K"))
+        weights = real_array(self.weights, "skin.weights", ("V", "K"))
+        if joints.shape != weights.shape:
             raise MeshShapeError(
                 f"a skin needs rest (V, 3), joints (V, K) and weights (V, K), got {rest.shape}, {joints.shape} and "
                 f"{weights.shape}"
             )
         if len(rest) != len(joints):
             raise MeshShapeError(f"the skin has {len(rest)} rest points and joints of {len(joints)}")
-        if joints.dtype.kind not in "iu" or weights.dtype.kind != "f":
+        if weights.dtype.kind != "f":
             raise MeshShapeError(f"joints must be int and weights float, got {joints.dtype} and {weights.dtype}")
-        if not (weights >= 0).all():
-            vertex, influence = np.argwhere(~(weights >= 0))[0]
+        wrong = ~((weights >= 0) & (weights < np.inf))
+        if wrong.any():
+            vertex, influence = np.argwhere(wrong)[0]
             raise MeshShapeError(f"a weight of vertex {vertex} is {weights[vertex, influence]}")
         outside = np.argwhere((weights > 0) & ((joints < 0) | (joints >= joint_count)))
         if len(outside):
@@ -64,15 +73,58 @@ class LinearSkin:
         return LinearSkin(rest.astype(np.float64), joints, weights.astype(np.float64))
 
 
-def pose_skin(skin: LinearSkin, transforms: np.ndarray, offsets: np.ndarray | None = None) -> np.ndarray:
+def read_poses(points: Any) -> np.ndarray:
+    """Check a mesh in P poses: (P, V, 3) float32 or float64, all finite in single precision.
+
+    Raises:
+        MeshShapeError: another shape or dtype.
+        DegenerateMeshError: there is no point.
+        NonFinitePointError: a point is not finite; the message names vertex and pose.
+    """
+    found = real_array(points, "points", ("P", "V", 3))
+    frames = ArrayFrames(read_points(found, "points"))
+    return finite_points(frames.read(slice(0, frames.frame_count)))
+
+
+def read_transforms(transforms: Any, pose_count: int | None = None) -> np.ndarray:
+    """Check what J joints do in P poses: (P, J, 3, 4) float64.
+
+    Args:
+        transforms: the argument.
+        pose_count: poses P; None for any number.
+
+    Raises:
+        MeshShapeError: another shape or dtype, or a number that is not finite in single precision.
+    """
+    poses = "P" if pose_count is None else pose_count
+    expected = f"({poses}, J, 3, 4) numbers"
+    found = finite_array(transforms, "transforms", (poses, "J", 3, 4), expected=expected, single=True)
+    return found.astype(np.float64)
+
+
+def read_offsets(offsets: Any, name: str, pose_count: int, vertex_count: int) -> np.ndarray | None:
+    """Check offsets of points in each pose, (P, V, 3); None for none.
+
+    Raises:
+        MeshShapeError: another shape or dtype, or a number that is not finite in single precision.
+    """
+    return None if offsets is None else finite_array(offsets, name, (pose_count, vertex_count, 3), single=True)
+
+
+def pose_skin(skin: LinearSkin, transforms: Any, offsets: Any = None) -> np.ndarray:
     """The points of a skin in P poses, (P, V, 3) float64.
 
     Args:
         skin: the skin.
         transforms: (P, J, 3, 4) float, what each joint does to rest points, as columns: ``M[:, :3] x + M[:, 3]``.
         offsets: (P, V, 3), added to the rest points first, as blend shapes do; None for none.
+
+    Raises:
+        MeshShapeError: an array of another shape or dtype, a joint that does not exist, or a value that is not finite.
     """
+    transforms = read_transforms(transforms)
     skin = skin.checked(transforms.shape[1])
+    offsets = read_offsets(offsets, "offsets", len(transforms), len(skin.rest))
     poses = np.zeros((len(transforms), *skin.rest.shape))
     for index, transform in enumerate(transforms):
         rest = skin.rest if offsets is None else skin.rest + offsets[index]
