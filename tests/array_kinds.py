@@ -141,17 +141,19 @@ class Slot:
     Attributes:
         array: a sound one.
         call: the function with another one.
-        kind: "indices", "reals" (finite ones), or "weights", of which infinity may mean something.
-        small: a range of values that the argument is held to; beyond it they are refused.
+        kind: "indices", or "reals" (finite ones).
+        taken: kinds that this argument takes although others refuse them.
     """
 
     array: np.ndarray
     call: Callable[[Any], Any]
     kind: str
+    taken: tuple[str, ...] = ()
 
     @property
     def refused(self) -> dict[str, Callable[[np.ndarray], Any]]:
-        return REFUSED | (REFUSED_INDICES if self.kind == "indices" else REFUSED_REALS)
+        own = REFUSED | (REFUSED_INDICES if self.kind == "indices" else REFUSED_REALS)
+        return {name: make for name, make in own.items() if name not in self.taken}
 
     @property
     def accepted(self) -> dict[str, Callable[[np.ndarray], Any]]:
@@ -190,14 +192,15 @@ def _simplify_slots() -> dict[str, Slot]:
     slots = {
         "vertex_weights": Slot(ones, lambda a: simplify(points, faces, vertex_weights=a), "reals"),
         "quadric_scale": Slot(ones, lambda a: simplify(points, faces, quadric_scale=a), "reals"),
-        "locked": Slot(np.array([0, 3, 2]), lambda a: simplify(points, faces, locked=a), "indices"),
+        "locked": Slot(np.array([0, 3, 2]), lambda a: simplify(points, faces, locked=a), "indices", ("rows short",)),
         "seams": Slot(seams, lambda a: simplify(points, faces, seams=a), "indices"),
-        "attributes at vertices": Slot(points[0].copy(), fields, "reals"),
-        "attributes at corners": Slot(points[0][faces], fields, "reals"),
+        "attributes at vertices": Slot(points[0].copy(), fields, "reals", ("rows short",)),
+        "attributes at corners": Slot(points[0][faces], fields, "reals", ("rows short",)),
         "plan attributes": Slot(
             points[0].copy(),
             lambda a: warpqem.plan(points, faces, attributes=[warpqem.AttributeField(a)], memory="1G", **options),
             "reals",
+            ("rows short",),
         ),
     }
     for name, call in {
@@ -205,7 +208,7 @@ def _simplify_slots() -> dict[str, Slot]:
         "plan": functools.partial(warpqem.plan, memory="1G", **options),
         "simplify_levels": functools.partial(warpqem.simplify_levels, ratios=[0.5], device="cpu"),
         "order_levels": functools.partial(warpqem.order_levels, target_faces=40, device="cpu"),
-        "build_progressive": functools.partial(warpqem.build_progressive, device="cpu"),
+        "build_progressive": functools.partial(warpqem.build_progressive, base_faces=70, device="cpu"),
         "motion_features": functools.partial(warpqem.motion_features, device="cpu"),
     }.items():
         if name != "plan":
@@ -216,14 +219,19 @@ def _simplify_slots() -> dict[str, Slot]:
 
 def _skin_slots() -> dict[str, Slot]:
     skin, faces, transforms, poses = _skin()
-    result = warpqem.simplify(poses, faces, ratio=0.5, device="cpu")
-    one = warpqem.simplify(poses[:1], faces, ratio=0.5, device="cpu")
-    still, own_still = np.zeros_like(poses), np.zeros_like(result.points)
-    seam = faces[:1, :2].copy()
-    start = fit_skin(poses, faces, result, skin, transforms, device="cpu").skin
+    still, seam = np.zeros_like(poses), faces[:1, :2].copy()
+
+    # As many vertices as before, so that arrays of theirs have a shape that is known here.
+    @functools.cache
+    def result(count: int) -> warpqem.SimplifiedMesh:
+        return warpqem.simplify(poses[:count], faces, ratio=1.0, device="cpu")
+
+    @functools.cache
+    def start() -> LinearSkin:
+        return fit_skin(poses, faces, result(3), skin, transforms, device="cpu").skin
 
     def fit(**change: Any) -> Any:
-        given = {"points": poses, "faces": faces, "result": result, "skin": skin, "transforms": transforms, **change}
+        given = {"points": poses, "faces": faces, "result": result(3), "skin": skin, "transforms": transforms, **change}
         return fit_skin(**given, device="cpu")
 
     def pull_back(**change: Any) -> Any:
@@ -234,13 +242,15 @@ def _skin_slots() -> dict[str, Slot]:
         "pose_skin transforms": Slot(transforms, lambda a: pose_skin(skin, a), "reals"),
         "pose_skin offsets": Slot(still, lambda a: pose_skin(skin, transforms, a), "reals"),
         "fit_skin offsets": Slot(still, lambda a: fit(offsets=a), "reals"),
-        "fit_skin start_offsets": Slot(own_still, lambda a: fit(offsets=still, start=start, start_offsets=a), "reals"),
+        "fit_skin start_offsets": Slot(still, lambda a: fit(offsets=still, start=start(), start_offsets=a), "reals"),
         "surface_transfer points": Slot(
-            poses[0].copy(), lambda a: surface_transfer(a, faces, one, device="cpu"), "reals"
+            poses[0].copy(), lambda a: surface_transfer(a, faces, result(1), device="cpu"), "reals"
         ),
-        "surface_transfer faces": Slot(faces, lambda a: surface_transfer(poses[0], a, one, device="cpu"), "indices"),
+        "surface_transfer faces": Slot(
+            faces, lambda a: surface_transfer(poses[0], a, result(1), device="cpu"), "indices"
+        ),
         "surface_transfer seams": Slot(
-            seam, lambda a: surface_transfer(poses[0], faces, one, seams=a, device="cpu"), "indices"
+            seam, lambda a: surface_transfer(poses[0], faces, result(1), seams=a, device="cpu"), "indices"
         ),
     }
     for name, call in {"fit_skin": fit, "simplify_pulled_back": pull_back}.items():
@@ -268,7 +278,10 @@ def _other_slots() -> dict[str, Slot]:
         "morph_weights neutral": Slot(rest, lambda a: warpqem.morph_weights(a, targets), "reals"),
         "morph_weights targets": Slot(targets, lambda a: warpqem.morph_weights(rest, a), "reals"),
         "morph_weights usage": Slot(
-            np.ones((5, 3)), lambda a: warpqem.morph_weights(rest, targets, "usage", a), "reals"
+            np.ones((5, 3)),
+            lambda a: warpqem.morph_weights(rest, targets, "usage", a),
+            "reals",
+            ("beyond single",),
         ),
         "morph_weights method": Slot(
             np.ones(len(rest)), lambda a: warpqem.morph_weights(rest, targets, lambda distance: a), "reals"

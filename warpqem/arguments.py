@@ -16,9 +16,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Goal", "SimplifyOptions", "check_ratio", "read_goal", "target_count"]
 
-# Options that are on or off.
-FLAGS = ("refit", "memoryless", "lock_borders", "keep_components")
-
 
 @dataclass(frozen=True)
 class Goal:
@@ -82,7 +79,10 @@ class SimplifyOptions:
             coherence=real_number(self.coherence, "coherence", "in [0, 1]", lambda value: 0.0 <= value <= 1.0),
             key_frames=None if self.key_frames is None else whole_number(self.key_frames, "key_frames"),
             attributes=_checked_fields(self.attributes),
-            **{name: flag(getattr(self, name), name) for name in FLAGS},
+            refit=flag(self.refit, "refit"),
+            memoryless=flag(self.memoryless, "memoryless"),
+            lock_borders=flag(self.lock_borders, "lock_borders"),
+            keep_components=flag(self.keep_components, "keep_components"),
         )
 
     def goal(self, face_count: int) -> Goal:

@@ -85,7 +85,7 @@ def _check_mask(array: Any, name: str) -> None:
     if isinstance(array, (list, tuple)):
         if not any(isinstance(row, np.ma.MaskedArray) for row in array):
             return
-        array = np.ma.array(array) if np.ma.masked in array else np.ma.stack([np.ma.asarray(row) for row in array])
+        array = np.ma.stack([np.ma.asarray(row) for row in array])
     mask = np.ma.getmaskarray(array)
     if mask.dtype != bool or not mask.any():
         return

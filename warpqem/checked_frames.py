@@ -99,12 +99,12 @@ class CheckedFrames:
             FrameSourceError: the source gives no array, or one of another shape or dtype, or frames that are not those
                 it gave before.
             NonFinitePointError: a point that was finite when it was read first is not any more.
+            Exception: what the source raises, as it is.
         """
         name = f"{self._name}.read of frames {frames.start} to {frames.stop - 1}"
+        given = self._source.read(frames)
         try:
-            points = as_numpy(self._source.read(frames), name)
-        except FrameSourceError:
-            raise
+            points = as_numpy(given, name)
         except MeshShapeError as error:
             raise FrameSourceError(str(error)) from error
         wanted = (frames.stop - frames.start, self.vertex_count, 3)

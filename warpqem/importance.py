@@ -68,7 +68,8 @@ def read_model_weights(weights: Any, vertex_count: int, metric: str) -> np.ndarr
 def _factors(values: np.ndarray, name: str, hint: str = "") -> np.ndarray:
     """Finite numbers (V,) as float32, if all are in the range of a factor."""
     # Before they are rounded: what is too large would become infinite, and what is hardly negative zero.
-    outside = np.flatnonzero((values < 0) | (values > MOST_WEIGHT))
+    wide = values.astype(np.float64, copy=False)
+    outside = np.flatnonzero((wide < 0) | (wide > MOST_WEIGHT))
     if len(outside):
         vertex = int(outside[0])
         raise OptionError(f"{name} must be in [0, {MOST_WEIGHT:g}], got {values[vertex]} at vertex {vertex}{hint}")

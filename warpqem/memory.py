@@ -98,7 +98,6 @@ class MemoryNeeds:
         keep_frames: the result is kept in memory.
         keep_nodes: every vertex on the way down is kept, for levels that are placed later.
         source_bytes: what the source of the frames keeps in memory.
-        copied_blocks: blocks of frames are copied when they are read.
     """
 
     frame_count: int
@@ -114,7 +113,6 @@ class MemoryNeeds:
     keep_frames: bool = True
     keep_nodes: bool = False
     source_bytes: int = 0
-    copied_blocks: bool = False
 
 
 # Bytes per face and per vertex for the topology: the caller's faces checked, edges, flags, vertex map, log.
@@ -244,10 +242,8 @@ def _place(needs: MemoryNeeds, device: str) -> tuple[int, int]:
     anchors = 64 * _padded(needs.key_frames, device) * needs.vertex_count
     if needs.keep_nodes:
         fixed += LEVEL_KEY * _padded(needs.key_frames, device) * needs.vertex_count
-    # One block is read, and copied where it is a caller's, while another is packed; one more is about to be let go.
-    per_frame = (
-        (4 if needs.copied_blocks else 3) * 3 * needs.value_bytes + 24
-    ) * needs.vertex_count + FRAME_OUTPUT * needs.output_vertices
+    # One block is packed while another is read, and copied where it is a caller's.
+    per_frame = (3 * 3 * needs.value_bytes + 24) * needs.vertex_count + FRAME_OUTPUT * needs.output_vertices
     if needs.refit:
         refit = REFIT_KEY * needs.key_frames * needs.vertex_count
         refit += REFIT_FACE * needs.face_count + REFIT_VERTEX * needs.vertex_count

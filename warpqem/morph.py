@@ -75,14 +75,15 @@ def morph_distances(neutral: Any, targets: Any, usage: Any = None) -> np.ndarray
 
     Arguments as for :func:`morph_weights`.
     """
-    start = finite_array(neutral, "neutral", ("V", 3), expected="(V, 3) numbers")
+    start = finite_array(neutral, "neutral", ("V", 3), expected="(V, 3) numbers", single=True)
     ends = check_source(targets, "targets") or _checked_targets(targets, start)
     if ends.vertex_count != len(start):
         raise MeshShapeError(f"targets have {ends.vertex_count} vertices, neutral has {len(start)}")
     total, shares = np.zeros(len(start)), _usage(usage, ends.frame_count)
     for frames, block in read_ahead(ends.read, frame_blocks(ends.frame_count, max(1, len(start)))):
         for target, share in zip(block, shares[frames], strict=True):
-            total += share * np.linalg.norm(target.astype(np.float64) - start, axis=1)
+            with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is looked for in the sum
+                total += share * np.linalg.norm(target.astype(np.float64) - start, axis=1)
     bad = np.flatnonzero(~np.isfinite(total))
     if len(bad):
         raise MeshShapeError(f"neutral or a target has a point that is not finite at vertex {bad[0]}")

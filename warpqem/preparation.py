@@ -11,7 +11,6 @@ import numpy as np
 
 from warpqem.arguments import Goal, SimplifyOptions
 from warpqem.attributes import channel_count, weighted_corner_values
-from warpqem.checked_frames import CheckedFrames
 from warpqem.cost_models import CostModelSpec, cost_model
 from warpqem.device import resolve_device
 from warpqem.errors import OptionError
@@ -23,7 +22,7 @@ from warpqem.key_frames import KeyFrameChoice
 from warpqem.memory import MemoryNeeds, MemoryPlan, admit_faces, plan_memory
 from warpqem.mesh_input import AnimatedMesh, MeshInput, measure_mesh, read_mesh
 from warpqem.motion import MotionWatch
-from warpqem.number_input import check_function
+from warpqem.number_input import check_function, shown
 from warpqem.order.nodes import NodeRecorder
 from warpqem.order.stage import OrderedMesh, OrderInput, OrderSettings, order_collapses
 from warpqem.place.clusters import LEAST_PULL, PlaceSettings
@@ -122,6 +121,8 @@ def prepare(
     if spec.keeps_face:
         from warpqem.face.protect import FaceProtection, protect
 
+        if not isinstance(options.face, FaceProtection | None):
+            raise OptionError(f"face must be a FaceProtection or None, got {shown(options.face)}")
         face_scale, kept = protect(given, FaceProtection() if options.face is None else options.face)
         scale, pinned = scale * face_scale, pinned | kept
     values = weighted_corner_values(options.attributes, given)
@@ -182,7 +183,6 @@ def plan_work(
             keep_frames=keep_frames,
             keep_nodes=keep_nodes,
             source_bytes=held_bytes(mesh.source),
-            copied_blocks=isinstance(mesh.source, CheckedFrames),
         ),
         options.memory,
         device,
