@@ -13,9 +13,11 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import warnings
 from pathlib import Path
 from typing import Any
 
+import array_kinds
 import meshes
 import numpy as np
 from progressive_cases import progressive_case
@@ -25,6 +27,7 @@ from test_usd_stages import cloth_stage, define_cloth, skinned_stage
 
 import warpqem
 from warpqem.errors import UnreachableTargetError, WarpqemError
+from warpqem.frame_stream import ArraySink
 from warpqem.usd import SimplifyOptions, inspect_stage, simplify_stage
 from warpqem.usd.stage import open_stage
 
@@ -59,8 +62,12 @@ def _bases() -> list[meshes.Mesh]:
 
 
 def array_case(seed: int) -> str:
-    """Simplify a small mesh with something wrong with it; returns how it ended."""
+    """Simplify a small mesh with something wrong with it, or call another function so; returns how it ended."""
     draw = np.random.default_rng(seed)
+    return _argument_case(draw) if draw.random() < 0.35 else _mesh_case(draw)
+
+
+def _mesh_case(draw: np.random.Generator) -> str:
     points, faces = _bases()[draw.integers(len(_bases()))]
     frames = int(draw.choice([1, 1, 2, 5, 9]))
     moving = points + 0.1 * draw.normal(size=(frames, *points.shape)) * draw.choice([0, 0, 1])
@@ -68,16 +75,104 @@ def array_case(seed: int) -> str:
     for _ in range(draw.integers(0, 4)):
         moving, faces = _change_arrays(draw, moving, faces)
     options = _array_options(draw, moving, faces)
+    given: Any = moving[0] if draw.random() < 0.1 and len(moving) else moving
+    if draw.random() < 0.15 and moving.ndim == 3:
+        given = OddFrames(draw, moving)
+        options["sink"] = draw.choice([None, ArraySink()])
     try:
-        result = warpqem.simplify(moving[0] if draw.random() < 0.1 and len(moving) else moving, faces, **options)
+        result = warpqem.simplify(given, faces, **options)
+    except ReadError:
+        return "what a source raised"
     except UnreachableTargetError as error:
         result = error.result
     except WarpqemError as error:
         if not str(error):
             raise UnsoundError("an error that says nothing") from error
         return type(error).__name__
+    if isinstance(given, OddFrames) and given.must_fail:
+        raise UnsoundError(f"a source that gives {given.kind} was taken")
     _check_arrays(result, moving, faces)
     return "done"
+
+
+def _argument_case(draw: np.random.Generator) -> str:
+    """One array argument of any function, of odd values, in an odd form, or both."""
+    slots = array_kinds.slots()
+    slot = slots[str(draw.choice(sorted(slots)))]
+    array, form = slot.array.copy(), str(draw.choice(["plain", "refused", "refused", "accepted"]))
+    changes = int(draw.integers(0, 3))
+    for _ in range(changes):
+        array = _change_values(draw, array)
+    kinds = {"plain": {"plain": lambda a: a}, "refused": slot.refused, "accepted": slot.accepted}[form]
+    kind = str(draw.choice(sorted(kinds)))
+    try:
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("ignore")
+            value = kinds[kind](array)
+    except (ValueError, TypeError, OverflowError, IndexError):
+        return "no such form of such an array"
+    before = array.copy()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            slot.call(value)
+    except WarpqemError as error:
+        if not str(error):
+            raise UnsoundError("an error that says nothing") from error
+        return f"argument: {type(error).__name__}"
+    if not np.array_equal(array, before, equal_nan=array.dtype.kind == "f"):
+        raise UnsoundError("an argument was written to")
+    if form == "refused" and not changes:
+        raise UnsoundError(f"{kind} was taken")
+    return "argument: done"
+
+
+def _change_values(draw: np.random.Generator, array: np.ndarray) -> np.ndarray:
+    kind, array = draw.integers(6), array.copy()
+    edges = EDGES if array.dtype.kind == "f" else INDEX_EDGES
+    with np.errstate(over="ignore"):
+        if kind <= 1 and array.size:
+            with contextlib.suppress(OverflowError):
+                array.reshape(-1)[draw.integers(array.size)] = draw.choice(np.array(edges, dtype=object))
+        elif kind == 2:
+            array = array[: draw.integers(len(array) + 1)]
+        elif kind == 3:
+            array = np.concatenate([array, array])
+        elif kind == 4:
+            array = np.swapaxes(array, 0, array.ndim - 1)
+        elif kind == 5 and len(array):
+            array = array[draw.integers(len(array), size=len(array))]
+    return array
+
+
+class ReadError(Exception):
+    """What a source of frames raises."""
+
+
+class OddFrames:
+    """A source of frames that may not do what it says."""
+
+    def __init__(self, draw: np.random.Generator, points: np.ndarray) -> None:
+        self._points, self._draw, self._reads = points, draw, 0
+        self.frame_count, self.vertex_count, self.dtype = *points.shape[:2], points.dtype
+        self.kind = str(draw.choice(["nothing odd", "one buffer", "None", "another count", "another type", "an error"]))
+        self.from_read = int(draw.integers(0, 4))
+        self.must_fail = False
+        self._buffer = np.empty_like(points)
+
+    def read(self, frames: slice) -> Any:
+        """Consecutive frames, or something else."""
+        self._reads += 1
+        points = self._points[frames]
+        if self.kind == "one buffer":
+            self._buffer[: len(points)] = points
+            return self._buffer[: len(points)]
+        if self.kind == "nothing odd" or self._reads <= self.from_read:
+            return points
+        self.must_fail = True
+        if self.kind == "an error":
+            raise ReadError
+        return {"None": None, "another count": points[:, 1:], "another type": points.astype(np.int16)}[self.kind]
 
 
 def _change_arrays(draw: np.random.Generator, points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

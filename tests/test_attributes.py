@@ -138,3 +138,19 @@ def test_wrong_values_are_refused(values, message):
 def test_weight_out_of_range_is_refused(weight):
     with pytest.raises(OptionError, match=r"attributes\[0\].weight must be in \[0, 1e\+06\], got"):
         bent_result(weight, "cpu")
+
+
+@pytest.mark.parametrize(("size", "weight"), [(1e20, 1.0), (1e12, 1e4)])
+def test_values_too_far_apart_for_single_precision_are_refused(size, weight):
+    values = np.zeros((441, 2))
+    values[7, 1] = size
+    with pytest.raises(
+        OptionError, match=r"attributes\[0\]: channel 1 spans 1e\+\d+, times its weight, expected at most 1e\+15"
+    ):
+        warpqem.simplify(POINTS, FACES, ratio=0.5, attributes=[AttributeField(values, weight)], device="cpu")
+
+
+def test_values_just_near_enough_for_single_precision_give_a_sound_result(device):
+    values = np.random.default_rng(0).random((441, 2)) * 1e15
+    result = warpqem.simplify(POINTS, FACES, max_error=5.0, attributes=[AttributeField(values)], device=device)
+    assert np.isfinite(result.points).all()

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from warpqem.array_input import FLOAT32_MAX, first_beyond, real_array
-from warpqem.errors import MeshShapeError
+from warpqem.errors import MeshShapeError, OptionError
 from warpqem.mesh_input import MeshInput
 from warpqem.number_input import real_number
 
@@ -17,6 +17,9 @@ __all__ = ["AttributeField", "channel_count", "checked_fields", "field_weight", 
 
 # Squares of weighted values go into float32 costs, which end at 1e38.
 MOST_WEIGHT = 1e6
+# So do squares of their differences, summed over faces and key frames, which end at the same: from 1e18 on costs and
+# positions come out as no numbers.
+MOST_SPAN = 1e15
 
 
 @dataclass(frozen=True)
@@ -25,7 +28,8 @@ class AttributeField:
 
     Attributes:
         values: (V,) or (V, C) at the vertices, or (N, 3, C) at the corners of the faces, real numbers in any unit.
-            Corners of a vertex with other values lie on other sides of a seam, and are not compared.
+            Corners of a vertex with other values lie on other sides of a seam, and are not compared. The values of a
+            channel, times the weight, span 1e15 at most.
         weight: 0 (not looked at) to 1e6. At 1, an error of one in a value counts as much as an error of one
             bounding-box diagonal in position, in every key frame.
     """
@@ -41,14 +45,26 @@ def weighted_corner_values(fields: Sequence[AttributeField], mesh: MeshInput) ->
 
     Raises:
         MeshShapeError: values of another shape or dtype, or a value that is not finite.
-        OptionError: a weight outside its range.
+        OptionError: a weight outside its range, or values too far apart.
     """
     channels = []
-    for values, weight in zip(*checked_fields(fields, mesh), strict=True):
+    for index, (values, weight) in enumerate(zip(*checked_fields(fields, mesh), strict=True)):
         if weight > 0.0:
             at_corners = values[mesh.face_index] if values.ndim == 3 else values[mesh.faces]
-            channels.append(at_corners.astype(np.float64) * weight)
+            weighted = at_corners.astype(np.float64) * weight
+            _check_span(weighted, index)
+            channels.append(weighted)
     return np.concatenate(channels, axis=2) if channels else None
+
+
+def _check_span(weighted: np.ndarray, index: int) -> None:
+    span = np.ptp(weighted, axis=(0, 1))
+    channel = int(span.argmax())
+    if span[channel] > MOST_SPAN:
+        raise OptionError(
+            f"attributes[{index}]: channel {channel} spans {span[channel]:g}, times its weight, expected at most "
+            f"{MOST_SPAN:g}, as costs are in single precision"
+        )
 
 
 def checked_fields(fields: Sequence[AttributeField], mesh: MeshInput) -> tuple[list[np.ndarray], list[float]]:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from warpqem.array_input import as_numpy, first_outside, is_empty, real_array
+from warpqem.array_input import as_numpy, first_outside, real_array
 from warpqem.edges import edge_table
 from warpqem.errors import MeshShapeError, OptionError
 from warpqem.mesh_input import MeshInput, as_vertex_values
@@ -79,14 +79,16 @@ def _factors(values: np.ndarray, name: str, hint: str = "") -> np.ndarray:
 def lock_mask(locked: Any, vertex_count: int) -> np.ndarray:
     """Vertices that keep their position, (V,) bool, from such a mask, from indices, or None for none."""
     mask = np.zeros(vertex_count, dtype=bool)
-    if locked is None or is_empty(locked):
+    if locked is None:
         return mask
     array = as_numpy(locked, "locked")
     if array.dtype == bool:
         if array.shape != (vertex_count,):
             raise OptionError(f"locked must have one entry for each of {vertex_count} vertices, got {array.shape}")
         return array.copy()
-    if array.ndim != 1 or (array.size and array.dtype.kind not in "iu"):
+    if array.shape == (0,):
+        return mask
+    if array.ndim != 1 or array.dtype.kind not in "iu":
         raise OptionError(f"locked must be (V,) bool or vertex indices, got shape {array.shape} dtype {array.dtype}")
     outside = first_outside(array, vertex_count)
     if outside is not None:

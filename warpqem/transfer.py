@@ -107,7 +107,7 @@ def surface_transfer(
     given = read_points(real_array(points, "points", ("V", 3)), "points")
     pose = finite_points(given)[0].astype(np.float64)
     faces = read_faces(faces, "faces", len(pose))
-    check_fit(result, len(pose), len(faces))
+    check_fit(result, faces, len(pose))
     last = len(result.points) - 1
     reference_frame = whole_number(
         reference_frame, "reference_frame", least=0, expected=f"a frame of the result, 0 to {last}"
@@ -165,12 +165,20 @@ def check_result(result: Any) -> None:
         raise OptionError(f"result must be a SimplifiedMesh, as warpqem.simplify returns, got {shown(result)}")
 
 
-def check_fit(result: SimplifiedMesh, vertex_count: int, face_count: int) -> None:
-    """Raise a MeshShapeError where a result is that of a mesh with other counts."""
-    if len(result.vertex_map) != vertex_count or result.face_map.max(initial=-1) >= face_count:
+def check_fit(result: SimplifiedMesh, faces: np.ndarray, vertex_count: int) -> None:
+    """Raise a MeshShapeError where a result is that of another mesh than this one with faces (N, 3)."""
+    if len(result.vertex_map) != vertex_count or result.face_map.max(initial=-1) >= len(faces):
         raise MeshShapeError(
             f"the result is that of a mesh with {len(result.vertex_map)} vertices and at least "
-            f"{result.face_map.max(initial=-1) + 1} faces, this one has {vertex_count} and {face_count}"
+            f"{result.face_map.max(initial=-1) + 1} faces, this one has {vertex_count} and {len(faces)}"
+        )
+    # Every face that is left is one of the input with its vertices merged; a mirrored one starts at another corner.
+    was = np.sort(result.vertex_map[faces[result.face_map]], axis=1)
+    other = np.flatnonzero((was != np.sort(result.faces, axis=1)).any(axis=1))
+    if len(other):
+        raise MeshShapeError(
+            f"the result is that of a mesh with other faces: its face {other[0]} does not go on from face "
+            f"{result.face_map[other[0]]} of this one ({len(other)} do not)"
         )
 
 

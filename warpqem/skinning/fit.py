@@ -103,7 +103,7 @@ def fit_skin(
     poses = read_poses(points)
     corner = read_faces(faces, "faces", poses.shape[1])
     matrices = read_transforms(transforms, len(poses))
-    check_fit(result, poses.shape[1], len(corner))
+    check_fit(result, corner, poses.shape[1])
     if result.points.shape[0] != len(poses):
         raise MeshShapeError(f"the result has {result.points.shape[0]} frames, there are {len(poses)} poses")
     if influences is not None:
