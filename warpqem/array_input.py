@@ -47,6 +47,8 @@ def as_numpy(array: Any, name: str) -> np.ndarray:
         MeshShapeError: it is no array and cannot be made one, or some of its values are masked.
     """
     try:
+        if isinstance(array, (list, tuple)) and any(isinstance(row, np.ma.MaskedArray) for row in array):
+            array = np.ma.stack([np.ma.asarray(row) for row in array])
         found = _converted(array)
     except (MemoryError, MeshShapeError):
         raise
@@ -58,7 +60,7 @@ def as_numpy(array: Any, name: str) -> np.ndarray:
         ) from error
     if found.ndim == 0 and found.dtype.kind == "O":
         raise MeshShapeError(f"{name} must be an array, got {_described(array)}")
-    if isinstance(array, (np.ma.MaskedArray, list, tuple)):
+    if isinstance(array, np.ma.MaskedArray):
         _check_mask(array, name)
     return found
 
@@ -76,16 +78,13 @@ def _converted(array: Any) -> np.ndarray:
         return wp.array(array, copy=False).numpy()
     # Before __array__, which tensors on a GPU have only to raise from it.
     if hasattr(array, "__dlpack__"):
-        return wp.from_dlpack(array).numpy()
+        imported: np.ndarray = wp.from_dlpack(array).numpy()  # type: ignore[union-attr]
+        return imported
     return np.asarray(array)
 
 
-def _check_mask(array: Any, name: str) -> None:
+def _check_mask(array: np.ma.MaskedArray[Any, Any], name: str) -> None:
     """Refuse masked values, which NumPy hands over as if they were not masked."""
-    if isinstance(array, (list, tuple)):
-        if not any(isinstance(row, np.ma.MaskedArray) for row in array):
-            return
-        array = np.ma.stack([np.ma.asarray(row) for row in array])
     mask = np.ma.getmaskarray(array)
     if mask.dtype != bool or not mask.any():
         return

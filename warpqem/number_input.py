@@ -79,4 +79,5 @@ def _number(value: Any) -> float | None:
     try:
         return float(value)
     except OverflowError:
-        return math.inf if value > type(value)(0) else -math.inf
+        # An integer or a fraction beyond double precision.
+        return math.copysign(math.inf, -1 if str(value).startswith("-") else 1)
