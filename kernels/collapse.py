@@ -11,6 +11,7 @@ from warpqem.kernels.member_distance import join_members
 from warpqem.kernels.mesh_state import KEY_FRAMES, AnyKeyFrames, CollapseLog, MeshState
 from warpqem.kernels.prefetch import prefetch_stars, prefetch_winners
 from warpqem.kernels.quadric import NO_PLANE, shift_origin, trace
+from warpqem.kernels.quadric_sums import merge_sums
 from warpqem.kernels.topology import (
     BORDER,
     CORNER,
@@ -34,6 +35,8 @@ def merge_vertex(
     """Move ``u`` to the target in every frame, with the quadrics of both; the mean squared error is returned."""
     total = wp.float32(0.0)
     area = wp.float32(0.0)
+    if state.sum_row.shape[0] > 0:
+        merge_sums(state, frames, u, v, target, slot)
     for t in range(frames.position.shape[1]):
         x = target[slot, t]
         p = frames.position[u, t]

@@ -51,6 +51,7 @@ class MeshState:
     vertex_flags: wp.array[wp.int32]  # (V,) BORDER | LOCKED | FROZEN | SEAM | CORNER
     cost_weight: wp.array[wp.float32]  # (V,) multiplies the cost; averaged when two vertices merge
     quadric_scale: wp.array[wp.float32]  # (V,) what planes at a vertex count; averaged when two vertices merge
+    sum_row: wp.array[wp.int32]  # (V,) row of ``kept_sum``, -1 for none; empty where no sums are kept
     seam: wp.array[wp.int32]  # (3N,) 1 at both half-edges of a seam edge
     edge_cost: wp.array[wp.float32]  # (3N,) at canonical half-edges; inf: no collapse here; negative: asleep
     trajectory: wp.array2d[wp.vec3]  # (V, F) every frame's position, only where a deformation term needs it
@@ -67,6 +68,7 @@ def _key_frames(width: int) -> type:
 
         position: POINTS_ARRAY[width]  # (V, B) in units of the bounding-box diagonal
         quadric: QUADRIC_ARRAY[width]  # (V, B) origin at the vertex's position in that frame
+        kept_sum: QUADRIC_ARRAY[width]  # (R, B) what memoryless quadrics get besides the present faces' planes
 
     return KeyFrames
 

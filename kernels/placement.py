@@ -20,6 +20,9 @@ class Clusters:
     face_start: wp.array[wp.int32]  # (C+1,)
     face: wp.array[wp.vec3i]  # corners of the input faces with a corner in the cluster
     face_weight: wp.array[wp.float32]  # corners in the cluster, each times its vertex's quadric scale
+    other_start: wp.array[wp.int32]  # (C+1,)
+    other: wp.array[wp.vec3i]  # corners of the input faces at vertices whose quadrics count in the cluster too
+    other_weight: wp.array[wp.float32]
     border_start: wp.array[wp.int32]  # (C+1,)
     border: wp.array[wp.int32]  # border and seam half-edges with an end in the cluster
     border_weight: wp.array[wp.float32]
@@ -56,6 +59,13 @@ def place_vertices(
     normal_out[c, t] = normal
     x = anchor
     if clusters.solved[c] == 1:
+        # Planes of other vertices: they are no part of the surface here, and have no share in its normal.
+        for j in range(clusters.other_start[c], clusters.other_start[c + 1]):
+            f = clusters.other[j]
+            p = points_in[f[0], t]
+            cross = lane_cross(points_in[f[1], t] - p, points_in[f[2], t] - p)
+            weight = lane_inverse_length(cross) * (0.5 * clusters.other_weight[j])
+            q = add_plane(q, cross, lane_dot(cross, anchor - p), weight)
         for j in range(clusters.border_start[c], clusters.border_start[c + 1]):
             h = clusters.border[j]
             a = points_in[corner_vertex_in[h], t]

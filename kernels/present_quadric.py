@@ -73,9 +73,14 @@ def renew_quadrics(
     pass_number_in: wp.array[wp.int32],
     work: Work,
 ):
-    """Make the quadrics of the vertices that this pass masked anew, of the planes around them."""
+    """Make the quadrics of the vertices that this pass masked anew: of the planes around them, and the sums kept."""
     vertex_count = state.vertex_flags.shape[0]
     for u in range(first_item(vertex_count, work) + wp.tid(), last_item(vertex_count, work), work.lanes):
         if mask_in[u] == pass_number_in[0] and state.stars.end[u] > state.stars.start[u]:
             for t in range(frames.position.shape[1]):
                 frames.quadric[u, t] = state.quadric_scale[u] * present_quadric(state, frames, weights, u, t)
+            if state.sum_row.shape[0] > 0:
+                row = state.sum_row[u]
+                if row >= 0:
+                    for t in range(frames.position.shape[1]):
+                        frames.quadric[u, t] = frames.quadric[u, t] + frames.kept_sum[row, t]

@@ -24,6 +24,7 @@ from warpqem.mesh_input import AnimatedMesh, MeshInput, measure_mesh, read_mesh
 from warpqem.motion import MotionWatch
 from warpqem.number_input import check_function, shown
 from warpqem.order.nodes import NodeRecorder
+from warpqem.order.quadric_sums import QuadricSums
 from warpqem.order.stage import OrderedMesh, OrderInput, OrderSettings, order_collapses
 from warpqem.place.clusters import LEAST_PULL, PlaceSettings
 from warpqem.place.stage import Placer
@@ -51,6 +52,7 @@ class Prepared:
         plan: blocks of frames, and the memory for them.
         pinned: (V,) bool, input vertices that keep their position.
         quadric_scale: (V,) float32, scale of each input vertex's quadric.
+        quadric_sums: quadrics of other vertices that count at a vertex too; None for none.
         order_input: the mesh on the device; None where it was ordered and let go.
         order_settings: how to order.
         place_settings: how to place.
@@ -63,6 +65,7 @@ class Prepared:
     plan: MemoryPlan
     pinned: np.ndarray
     quadric_scale: np.ndarray
+    quadric_sums: QuadricSums | None
     order_input: OrderInput | None
     order_settings: OrderSettings
     place_settings: PlaceSettings
@@ -76,7 +79,15 @@ class Prepared:
 
     def placer(self, ordered: OrderedMesh) -> Placer:
         """What places the vertices that ordering left."""
-        return Placer(self.mesh.faces, ordered, self.quadric_scale, self.pinned, self.place_settings, self.device)
+        return Placer(
+            self.mesh.faces,
+            ordered,
+            self.quadric_scale,
+            self.pinned,
+            self.place_settings,
+            self.device,
+            self.quadric_sums,
+        )
 
     def without_input(self) -> Prepared:
         """The same without what only ordering needs."""
@@ -118,13 +129,14 @@ def prepare(
     scale = read_quadric_scale(options.quadric_scale, given)
     if options.face is not None and not spec.keeps_face:
         raise OptionError(f"face= needs metric 'face', not {options.metric!r}")
+    sums = None
     if spec.keeps_face:
         from warpqem.face.protect import FaceProtection, protect
 
         if not isinstance(options.face, FaceProtection | None):
             raise OptionError(f"face must be a FaceProtection or None, got {shown(options.face)}")
-        face_scale, kept = protect(given, FaceProtection() if options.face is None else options.face)
-        scale, pinned = scale * face_scale, pinned | kept
+        sums, kept = protect(given, FaceProtection() if options.face is None else options.face)
+        pinned |= kept
     values = weighted_corner_values(options.attributes, given)
     mesh, keys, weights = _look_through(given, spec, planned, factors, progress, device)
     endpoint, coherence = options.placement == "endpoint", options.coherence
@@ -135,7 +147,8 @@ def prepare(
         plan=planned,
         pinned=pinned,
         quadric_scale=scale,
-        order_input=_order_input(spec, mesh, keys, weights, scale, seam, pinned, values, device),
+        quadric_sums=sums,
+        order_input=_order_input(spec, mesh, keys, weights, scale, sums, seam, pinned, values, device),
         order_settings=OrderSettings(
             target_faces=goal.target_faces,
             error_limit=goal.max_error / 100.0,
@@ -217,6 +230,7 @@ def _order_input(
     keys: np.ndarray,
     weights: np.ndarray,
     scale: np.ndarray,
+    sums: QuadricSums | None,
     seam: Seams,
     pinned: np.ndarray,
     attributes: np.ndarray | None,
@@ -234,6 +248,7 @@ def _order_input(
         seam=seam.half_edge,
         trajectories=_trajectories(mesh) if spec.deformation_weight > 0 else None,
         attributes=attributes,
+        sums=sums,
     )
 
 

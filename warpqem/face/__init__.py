@@ -6,7 +6,7 @@ cloning (Noh & Neumann 2001).
 
 from warpqem.face.features import FacialFeatures, facial_features
 from warpqem.face.names import FEATURE_NAMES, MIDLINE, PAIRS
-from warpqem.face.protect import FaceProtection, face_weights
+from warpqem.face.protect import FaceProtection, face_sums
 from warpqem.face.retarget import FaceMesh, RetargetedMotion, retarget
 
 __all__ = [
@@ -17,7 +17,7 @@ __all__ = [
     "FaceProtection",
     "FacialFeatures",
     "RetargetedMotion",
-    "face_weights",
+    "face_sums",
     "facial_features",
     "retarget",
 ]

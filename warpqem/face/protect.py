@@ -1,27 +1,28 @@
 """Keep the feature points of a face through simplification.
 
-Equation 1 of the source paper weights the quadric of a feature point and those of its neighbours up,
-``e_i = w_i Q(v_i) + sum_j w_j Q(v_j)``, so that collapses around it come late. The weights are scales of the vertices'
-own quadrics here (Kho & Garland 2003). Late is not never: what must be there in every level keeps its position besides.
+The initial quadric of a feature point is equation 1 of "feature-preserving levels of faces" (the source paper of this
+package): ``e_i = w_i Q(v_i) + sum_j w_j Q(v_j)`` over its neighbours ``v_j``. The neighbours' planes go into the
+point's own quadric. It does not lie on them, so that every collapse there has a cost, however flat the surface is, and
+the point stays where it is until all else costs as much.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from warpqem.array_input import first_outside
+from warpqem.edges import edge_table
 from warpqem.errors import FeaturePointError, OptionError
 from warpqem.face.features import FacialFeatures, features_of
 from warpqem.mesh_input import MeshInput
 from warpqem.number_input import flag, real_number, shown, whole_number
+from warpqem.order.quadric_sums import QuadricSums
 
-__all__ = ["FaceProtection", "face_weights", "protect"]
+__all__ = ["FaceProtection", "face_sums", "protect"]
 
-# The quadric of a feature point counts this often by default. The points are kept in place besides; weights of 100
-# alone lose a third of them at half the faces.
-WEIGHT = 10.0
+WEIGHT = 100.0
 
 
 @dataclass(frozen=True)
@@ -30,8 +31,8 @@ class FaceProtection:
 
     Attributes:
         features: the points; None finds them, with +y up and +z out of the face, or else any way round.
-        weight: factor on the quadrics of feature points, 1 or more.
-        ring: neighbours up to so many edges away are weighted too, linearly less the farther they are.
+        weight: ``w`` of equation 1, of the points and of their neighbours alike, 1 or more.
+        ring: neighbours up to so many edges away are summed.
         keep: whether the points stay vertices, with the position they have in every frame.
     """
 
@@ -48,50 +49,65 @@ class FaceProtection:
         whole_number(self.ring, "ring of feature points", least=0)
         flag(self.keep, "keep")
 
+    def located(self, mesh: MeshInput) -> FaceProtection:
+        """The same with its points, found on the mesh where none are given.
 
-def face_weights(faces: np.ndarray, vertex_count: int, protection: FaceProtection) -> np.ndarray:
-    """Quadric scales of the vertices, (V,) float32: the weight at feature points, falling to 1 beyond their rings.
+        Raises:
+            FeaturePointError: no feature point was found.
+            OptionError: a feature point is no vertex of the mesh.
+        """
+        features = self.features
+        if features is None:
+            features = features_of(mesh, "+y", "+z")
+            if not features.vertices:
+                features = features_of(mesh, None, None)
+        if not features.vertices:
+            raise FeaturePointError("metric 'face': no face was found, and no feature points were given")
+        outside = first_outside(features.indices, mesh.vertex_count)
+        if outside is not None:
+            raise OptionError(
+                f"metric 'face': the feature point {features.names[outside[0]]} is vertex {features.indices[outside]}, "
+                f"but there are {mesh.vertex_count} vertices"
+            )
+        return replace(self, features=features)
+
+
+def face_sums(faces: np.ndarray, protection: FaceProtection) -> QuadricSums:
+    """Equation 1, as what feature points get on top of their own quadrics, which count once already.
 
     Args:
         faces: (N, 3) int.
-        vertex_count: vertices V.
         protection: with features.
     """
     assert protection.features is not None
-    ring = int(protection.ring)
-    away = np.full(vertex_count, ring + 1)
-    away[protection.features.indices] = 0
-    sides = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    for step in range(ring):
-        nearest = away.copy()
-        for a, b in ((0, 1), (1, 0)):
-            np.minimum.at(nearest, sides[:, a], np.where(away[sides[:, b]] == step, step + 1, ring + 1))
-        away = nearest
-    share = 1.0 - away / (ring + 1)
-    return (1.0 + (protection.weight - 1.0) * share).astype(np.float32)
+    edges = edge_table(faces).ends
+    tail, head = np.concatenate([edges, edges[:, ::-1]]).T
+    head = head[np.argsort(tail, kind="stable")]
+    start = np.append(0, np.cumsum(np.bincount(tail)))
+    row: list[int] = []
+    vertex: list[int] = []
+    points = np.unique(protection.features.indices).tolist()
+    for point in points:
+        reached, newest = {point}, {point}
+        for _ in range(int(protection.ring)):
+            newest = {near for last in newest for near in head[start[last] : start[last + 1]].tolist()} - reached
+            reached |= newest
+        row += [point] * len(reached)
+        vertex += sorted(reached)
+    rows, vertices = np.array(row, dtype=np.int32), np.array(vertex, dtype=np.int32)
+    weight = np.where(rows == vertices, protection.weight - 1.0, protection.weight)
+    return QuadricSums.of_entries(rows, vertices, weight)
 
 
-def protect(mesh: MeshInput, protection: FaceProtection) -> tuple[np.ndarray, np.ndarray]:
-    """Quadric scales (V,) float32, and which vertices keep their position, (V,) bool.
+def protect(mesh: MeshInput, protection: FaceProtection) -> tuple[QuadricSums, np.ndarray]:
+    """What the quadrics of the feature points get, and which vertices keep their position, (V,) bool.
 
     Raises:
         FeaturePointError: no feature point was found.
-        OptionError: a feature point is no vertex of the mesh.
+        OptionError: a feature point is no vertex of the mesh, or one without a face.
     """
-    features = protection.features
-    if features is None:
-        features = features_of(mesh, "+y", "+z")
-        if not features.vertices:
-            features = features_of(mesh, None, None)
-    if not features.vertices:
-        raise FeaturePointError("metric 'face': no face was found, and no feature points were given")
-    outside = first_outside(features.indices, mesh.vertex_count)
-    if outside is not None:
-        raise OptionError(
-            f"metric 'face': the feature point {features.names[outside[0]]} is vertex {features.indices[outside]}, "
-            f"but there are {mesh.vertex_count} vertices"
-        )
-    found = FaceProtection(features, protection.weight, protection.ring, protection.keep)
+    located = protection.located(mesh)
+    assert located.features is not None
     kept = np.zeros(mesh.vertex_count, dtype=bool)
-    kept[features.indices] = protection.keep
-    return face_weights(mesh.faces, mesh.vertex_count, found), kept
+    kept[located.features.indices] = located.keep
+    return face_sums(mesh.faces, located), kept

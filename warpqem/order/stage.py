@@ -22,6 +22,7 @@ from warpqem.order.members import build_members
 from warpqem.order.nodes import NodeRecorder
 from warpqem.order.pass_steps import PassSteps
 from warpqem.order.passes import Orderer
+from warpqem.order.quadric_sums import QuadricSums, add_quadric_sums
 from warpqem.order.quadrics import given_quadrics, initial_quadrics
 from warpqem.order.stars import build_stars, classify_vertices
 from warpqem.parallel import launch_parts
@@ -104,6 +105,7 @@ class OrderInput:
     matrices: np.ndarray | None = (
         None  # (V, 3, 3), of one key frame: quadrics about the vertices in place of the faces'
     )
+    sums: QuadricSums | None = None  # quadrics of other vertices that count at a vertex too
 
 
 @dataclass(frozen=True)
@@ -202,6 +204,7 @@ def _rearranged(mesh: OrderInput, arrangement: Arrangement) -> OrderInput:
         trajectories=None if mesh.trajectories is None else mesh.trajectories[vertex],
         attributes=None if mesh.attributes is None else mesh.attributes[arrangement.face],
         matrices=None if mesh.matrices is None else mesh.matrices[vertex],
+        sums=None if mesh.sums is None else mesh.sums.renumbered(arrangement.place),
     )
 
 
@@ -232,6 +235,12 @@ def _collapse(
         frames.quadric = initial_quadrics(corner_vertex, stars, constrained, mesh.key_position, state.quadric_scale)
     else:
         frames.quadric = given_quadrics(mesh.matrices, device)
+    if mesh.sums is not None:
+        added = add_quadric_sums(mesh.sums, mesh.key_position, frames.quadric)
+        if settings.memoryless:
+            rows = np.full(vertex_count, -1, dtype=np.int32)
+            rows[mesh.sums.row] = np.arange(len(mesh.sums.row))
+            state.sum_row, frames.kept_sum = wp.array(rows, device=device), added
     state.cost_weight = wp.array(mesh.cost_weight, dtype=wp.float32, device=device)
     state.edge_cost = wp.empty(len(corner_vertex), dtype=wp.float32, device=device)
     no_trajectory = wp.empty((0, 0), dtype=wp.vec3, device=device)

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from warpqem.mesh_input import AnimatedMesh
+from warpqem.order.quadric_sums import QuadricSums
 from warpqem.order.quadrics import CONSTRAINT_WEIGHT
 from warpqem.order.stage import OrderedMesh
 from warpqem.place.anchors import Anchors, fit_anchors, nearest_anchors
 from warpqem.place.blocks import BlockPlacer, ClusterData, PlacedFrames
-from warpqem.place.rows import gather_faces, sum_repeated
+from warpqem.place.rows import gather_faces, match_keys, sum_repeated
 
 __all__ = ["ClusterPlacer", "PlaceSettings"]
 
@@ -56,6 +57,7 @@ class ClusterPlacer:
         pinned: (V,) bool, input vertices that keep their position, beside those that are not manifold.
         settings: see :class:`PlaceSettings`.
         device: Warp device.
+        sums: quadrics of other vertices that count at a vertex too; None for none.
 
     Attributes:
         vertex_count: clusters C.
@@ -78,6 +80,7 @@ class ClusterPlacer:
         pinned: np.ndarray,
         settings: PlaceSettings,
         device: str,
+        sums: QuadricSums | None = None,
     ) -> None:
         self._settings, self.device = settings, device
         self._cluster = cluster
@@ -106,7 +109,7 @@ class ClusterPlacer:
         self.clusters = ClusterData(
             corner_vertex=faces.ravel(),
             rows={
-                **self._gather_clusters(faces, ordered.constrained, quadric_scale, anchors),
+                **self._gather_clusters(faces, ordered.constrained, quadric_scale, anchors, sums),
                 "solved": solved,
                 "pull": pull,
             },
@@ -120,8 +123,12 @@ class ClusterPlacer:
         constrained: np.ndarray,
         quadric_scale: np.ndarray,
         anchors: Anchors,
+        sums: QuadricSums | None,
     ) -> dict[str, np.ndarray]:
-        """Faces, border and seam edges of each cluster, each once, weighted by its corners there."""
+        """Faces, border and seam edges of each cluster, each once, weighted by its corners there.
+
+        Those at other vertices that ``sums`` names are apart, or have a larger weight.
+        """
         corner_vertex = faces.ravel()
         face_start, face, face_weight = gather_faces(
             self._cluster[corner_vertex], quadric_scale[corner_vertex], self.vertex_count, self.device
@@ -129,12 +136,23 @@ class ClusterPlacer:
         half_edge = np.flatnonzero(constrained)
         weight = np.where(constrained[half_edge] == 1, CONSTRAINT_WEIGHT[1], CONSTRAINT_WEIGHT[2])
         ends = np.concatenate([half_edge, half_edge - half_edge % 3 + (half_edge + 1) % 3])
-        border_start, border_half_edge, border_weight = sum_repeated(
-            self._cluster[corner_vertex[ends]],
+        end_vertex = corner_vertex[ends]
+        # Cluster, half-edge and weight.
+        border = (
+            self._cluster[end_vertex],
             np.concatenate([half_edge, half_edge]),
-            np.concatenate([weight, weight]) * quadric_scale[corner_vertex[ends]],
-            self.vertex_count,
+            np.concatenate([weight, weight]) * quadric_scale[end_vertex],
         )
+        other: tuple[np.ndarray, ...] = (np.empty(0, dtype=np.int32), np.empty(0, dtype=np.int64), np.empty(0))
+        if sums is not None:
+            owner = self._cluster[sums.entry_row]
+            entry, corner = match_keys(sums.vertex, corner_vertex)
+            other = (owner[entry], corner // 3, sums.weight[entry] * quadric_scale[corner_vertex[corner]])
+            entry, end = match_keys(sums.vertex, end_vertex)
+            joined = (owner[entry], border[1][end], sums.weight[entry] * border[2][end])
+            border = tuple(np.concatenate(pair) for pair in zip(border, joined, strict=True))
+        other_start, other_face, other_weight = sum_repeated(*other, self.vertex_count)
+        border_start, border_half_edge, border_weight = sum_repeated(*border, self.vertex_count)
         return {
             "member_start": anchors.start,
             "member": anchors.vertex,
@@ -142,6 +160,9 @@ class ClusterPlacer:
             "face_start": face_start,
             "face": faces[face],
             "face_weight": face_weight,
+            "other_start": other_start,
+            "other": faces[other_face],
+            "other_weight": other_weight,
             "border_start": border_start,
             "border": border_half_edge,
             "border_weight": border_weight,

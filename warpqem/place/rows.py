@@ -10,7 +10,7 @@ from warpqem.launches import launch
 from warpqem.order.stars import build_stars
 from warpqem.parallel import launch_parts
 
-__all__ = ["gather_faces", "group_rows", "sum_repeated"]
+__all__ = ["gather_faces", "group_rows", "match_keys", "sum_repeated"]
 
 
 def group_rows(row: np.ndarray, row_count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -43,6 +43,17 @@ def sum_repeated(
     summed = np.bincount(np.cumsum(first) - 1, weight[order]) if len(order) else np.empty(0)
     start = np.concatenate([[0], np.cumsum(np.bincount(row[first], minlength=row_count))])
     return start.astype(np.int32), item[first].astype(np.int32), summed.astype(np.float32)
+
+
+def match_keys(wanted: np.ndarray, key: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Every pair of a wanted key (M,) int and an item of that ``key`` (N,) int: their indices, (P,) int64 each."""
+    chosen = np.flatnonzero(np.isin(key, wanted))
+    order = chosen[np.argsort(key[chosen], kind="stable")]
+    first, last = (np.searchsorted(key[order], wanted, side=side) for side in ("left", "right"))
+    count = last - first
+    entry = np.repeat(np.arange(len(wanted)), count)
+    within = np.arange(len(entry)) - np.repeat(np.cumsum(count) - count, count)
+    return entry, order[first[entry] + within]
 
 
 def gather_faces(

@@ -9,6 +9,7 @@ from warpqem.frame_blocks import block_width, pack_frames
 from warpqem.kernels import placement as kernels
 from warpqem.launches import launch
 from warpqem.mesh_input import AnimatedMesh
+from warpqem.order.quadric_sums import QuadricSums
 from warpqem.order.stage import OrderedMesh
 from warpqem.place.blocks import PlacedFrames
 from warpqem.place.clusters import ClusterPlacer, PlaceSettings
@@ -26,6 +27,7 @@ class Placer(ClusterPlacer):
         pinned: (V,) bool, input vertices that keep their position.
         settings: see :class:`PlaceSettings`.
         device: Warp device.
+        sums: quadrics of other vertices that count at a vertex too; None for none.
 
     Attributes:
         vertex_map: (V,) int32, input vertex to output vertex, -1 for a vertex without a face.
@@ -40,6 +42,7 @@ class Placer(ClusterPlacer):
         pinned: np.ndarray,
         settings: PlaceSettings,
         device: str,
+        sums: QuadricSums | None = None,
     ) -> None:
         # Output vertices keep the order of the input vertices they go by.
         kept, out_faces = np.unique(ordered.faces, return_inverse=True)
@@ -47,7 +50,7 @@ class Placer(ClusterPlacer):
         index[kept] = np.arange(len(kept), dtype=np.int32)
         self.vertex_map = index[ordered.root]
         self.faces = out_faces.reshape(-1, 3).astype(np.int32)
-        super().__init__(faces, ordered, kept, self.vertex_map, quadric_scale, pinned, settings, device)
+        super().__init__(faces, ordered, kept, self.vertex_map, quadric_scale, pinned, settings, device, sums)
         self._out_corner_vertex = wp.array(self.faces.ravel(), dtype=wp.int32, device=device)
 
     def count_flips(self, mesh: AnimatedMesh, placed: PlacedFrames) -> np.ndarray:

@@ -82,6 +82,7 @@ def _place_all(work: Prepared, levels: OrderedLevels, topology: SplitTopology, p
                 work.pinned,
                 work.place_settings,
                 work.device,
+                work.quadric_sums,
             ),
         )
         for merged in levels.merged_clusters()
