@@ -7,13 +7,14 @@ from functools import partial
 
 import numpy as np
 
+from warpqem.face.contact_line import ContactLine, find_contact_line
 from warpqem.face.lids import closing_lid
 from warpqem.face.midline import ProfileSpots, find_profile, find_throat
 from warpqem.face.mouth import LipMotion, find_parting, follow_dent
 from warpqem.face.names import FEATURE_NAMES
 from warpqem.face.nose import FaceUnits, find_units
 from warpqem.face.relief import Relief, make_relief
-from warpqem.face.sides import CornerFinder, find_side
+from warpqem.face.sides import CornerFinder, LidFinder, find_side
 from warpqem.face.skin import Skin, without_head_motion
 from warpqem.face.spots import Missing, Spot
 
@@ -86,7 +87,7 @@ def find_spots(points: np.ndarray, skin: Skin, axes: np.ndarray) -> FoundFace | 
     """Find the feature points in the first frame.
 
     Args:
-        points: (F, V, 3) float64; later frames tell where lips part and lids close.
+        points: (F, V, 3) float64; later frames tell where lids close, and where lips part that are not cut apart.
         skin: of the mesh.
         axes: (3, 3), unit vectors to the person's left, up and forward.
 
@@ -99,13 +100,16 @@ def find_spots(points: np.ndarray, skin: Skin, axes: np.ndarray) -> FoundFace | 
     units, relief, first = middle.units, middle.relief, middle.profile
     local = units.local(points[0])
     bottom = first.up("nose_bottom")
-    lips, lids = None, (None, None)
+    lips: ContactLine | LipMotion | None = None
+    lids: tuple[LidFinder | None, LidFinder | None] = (None, None)
     if bottom is not None and len(points) > 1:
         still = without_head_motion(points, skin.vertices)[:, skin.vertices]
         rise = units.local_vectors(still - still[:1])[..., 1]
         place = local[skin.vertices]
         lips = find_parting(place, rise, relief, bottom)
         lids = (partial(closing_lid, place, rise), partial(closing_lid, place * (-1.0, 1.0, 1.0), rise))
+    if bottom is not None:
+        lips = find_contact_line(local, skin.faces, relief, bottom) or lips
     profile = first if lips is None else find_profile(relief, (lips.up, lips.confidence))
     spots: Found = dict(profile.spots)
     spots.update(_outline(local, skin, profile.up("nose_bottom"), profile.up("nose_top")))
@@ -128,7 +132,7 @@ def _edge_length(local: np.ndarray, faces: np.ndarray) -> float:
     return float(np.median(np.linalg.norm(sides, axis=2))) if len(around) else 0.0
 
 
-def _corner(lips: LipMotion | None) -> CornerFinder:
+def _corner(lips: ContactLine | LipMotion | None) -> CornerFinder:
     return follow_dent if lips is None else lips.corner
 
 
