@@ -17,6 +17,7 @@ from warpqem.arguments import SimplifyOptions
 from warpqem.array_input import finite_array, is_empty
 from warpqem.attributes import checked_fields
 from warpqem.checked_frames import check_sink
+from warpqem.cost_models import cost_model
 from warpqem.device import on_device
 from warpqem.edges import edge_key
 from warpqem.errors import MeshShapeError, OptionError
@@ -298,11 +299,21 @@ class _Half:
             # Of the whole mesh: the cut along the plane is no border.
             locked |= border_vertices(given)
         scale = read_quadric_scale(options.quadric_scale, given)
+        # Points are found on the whole face.
+        face = options.face
+        if cost_model(options.metric).keeps_face:
+            from warpqem.face.protect import FaceProtection
+
+            place = np.full(given.vertex_count, -1, dtype=np.int64)
+            place[self._image], place[here] = np.arange(len(here)), np.arange(len(here))
+            face = (FaceProtection() if face is None else face).located(given)
+            face = replace(face, features=face.features and face.features.moved(place))
         return {
             "vertex_weights": np.maximum(weights[here], weights[self._image]),
             "quadric_scale": np.maximum(scale[here], scale[self._image]),
             "locked": locked[here] | locked[self._image],
             "lock_borders": False,
+            "face": face,
             # One that vanished could not be glued to its image.
             "keep_components": True,
         }

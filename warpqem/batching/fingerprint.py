@@ -51,12 +51,15 @@ def take_fingerprint(job: BatchJob, begun: float = math.inf) -> dict[str, Any] |
     Raises:
         StageError: the input, or the file with poses, cannot be read.
     """
+    stages = [path for path in (job.input, job.options.poses) if path is not None]
+    read = [file for path in stages for file in _dependencies(os.fspath(path))]
+    if job.options.face_points is not None:
+        read.append(os.path.abspath(job.options.face_points))
     files: dict[str, str | None] = {}
-    for path in (job.input, *([job.options.poses] if job.options.poses is not None else [])):
-        for file in _dependencies(os.fspath(path)):
-            files[file] = file_hash(file)
-            if files[file] is not None and os.path.getmtime(file) >= begun:
-                return None
+    for file in read:
+        files[file] = file_hash(file)
+        if files[file] is not None and os.path.getmtime(file) >= begun:
+            return None
     return {"recipe": recipe(job), "files": files}
 
 

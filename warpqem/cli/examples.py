@@ -24,7 +24,10 @@ EXAMPLES = {
     "extract": ("warpqem progressive extract cape.wpqm -o level.usda --faces 700",),
     "progressive info": ("warpqem progressive info cape.wpqm",),
     "face detect": ("warpqem face detect talking_head.usdc -o points.json --picture points.png",),
-    "face simplify": ("warpqem face simplify talking_head.usdc -o head_2000.usda --faces 2000",),
+    "face simplify": (
+        "warpqem face simplify talking_head.usdc -o head_2000.usda --faces 2000",
+        "warpqem face simplify talking_head.usdc -o head_620.usda --faces 620 --points points.json --ring 2",
+    ),
     "face retarget": ("warpqem face retarget talking_head.usdc head_2000.usda -o talking_2000.usdc",),
 }
 

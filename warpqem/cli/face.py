@@ -25,7 +25,9 @@ FacePrim = Annotated[
 Points = Annotated[
     str | None,
     typer.Option(
-        metavar="FILE", help="JSON file with points by name, such as detect writes: they are taken as they are."
+        metavar="FILE",
+        help="JSON file with points by name, such as detect writes: they are taken as they are. Without it, point "
+        "subsets of the family face and primvars such as face:chin on the mesh are.",
     ),
 ]
 FindOrientation = Annotated[
@@ -78,15 +80,43 @@ def detect(
 
 
 @face.command(epilog=epilog("face simplify"))
-@partial(takes_simplify_options, without=("metric",))
+@partial(takes_simplify_options, without=("metric", "face_points", "face_weight", "face_ring", "face_keep"))
 def simplify(
-    input_file: Input, output: Output, options: dict[str, Any], report: ReportPage = None, json: JsonReport = None
+    input_file: Input,
+    output: Output,
+    options: dict[str, Any],
+    points: Points = None,
+    weight: Annotated[
+        float | None,
+        typer.Option(
+            metavar="FLOAT",
+            help="Weight of the quadrics of a feature point and of its neighbours, which are summed at it (equation 1 "
+            "of multiresolution facial animation); 100 by default.",
+        ),
+    ] = None,
+    ring: Annotated[
+        int | None,
+        typer.Option(metavar="EDGES", help="Neighbours up to so many edges away are summed; 1 by default."),
+    ] = None,
+    keep: Annotated[
+        bool,
+        typer.Option(
+            "--keep/--no-keep",
+            help="Feature points stay as they are at any face count; or as long as the weight holds.",
+        ),
+    ] = True,
+    report: ReportPage = None,
+    json: JsonReport = None,
 ) -> None:
     """Simplify and keep the feature points of the face as vertices: what simplify does with --metric face.
 
+    Points come from --points, from point subsets of the family face and primvars such as face:chin on the mesh, and
+    are found otherwise. The error of texture coordinates counts too, see --uv-weight.
+
     Exit codes: 0 all done; 1 an error, or some mesh failed; 2 wrong usage.
     """
-    run_simplify(input_file, output, {**options, "metric": "face"}, report, json)
+    chosen = {"face_points": points, "face_weight": weight, "face_ring": ring, "face_keep": keep}
+    run_simplify(input_file, output, {**options, "metric": "face", **chosen}, report, json)
 
 
 @face.command(epilog=epilog("face retarget"))

@@ -85,7 +85,7 @@ MetricOption = Annotated[
     typer.Option(
         "--metric",
         help="Cost model: dsd sums the error over frames, qem takes the first pose only, dod adds stretching "
-        "edges, aqem keeps joints. Installed packages may offer more.",
+        "edges, aqem keeps joints, face the feature points of a face. Installed packages may offer more.",
     ),
 ]
 

@@ -27,6 +27,37 @@ from warpqem.cli.options import (
 __all__ = ["takes_simplify_options"]
 
 
+FacePoints = Annotated[
+    str | None,
+    typer.Option(
+        metavar="FILE",
+        help="With --metric face: JSON file with feature points by name, such as face detect writes. They take "
+        "precedence over point subsets of the family face and primvars such as face:chin, these over what is found.",
+    ),
+]
+FaceWeight = Annotated[
+    float | None,
+    typer.Option(
+        metavar="FLOAT",
+        help="With --metric face: weight of the quadrics of a feature point and of its neighbours, which are summed at "
+        "it (equation 1 of multiresolution facial animation); 100 by default.",
+    ),
+]
+FaceRing = Annotated[
+    int | None,
+    typer.Option(
+        metavar="EDGES", help="With --metric face: neighbours up to so many edges away are summed; 1 by default."
+    ),
+]
+FaceKeep = Annotated[
+    bool,
+    typer.Option(
+        "--face-keep/--no-face-keep",
+        help="With --metric face: feature points stay as they are at any face count; or as long as their weight holds.",
+    ),
+]
+
+
 class MorphWeights(str, Enum):
     """Ways from the distances of morph targets to weights."""
 
@@ -92,13 +123,13 @@ def simplify_values(
     ] = Placement.optimal,
     key_frames: KeyFrames = 16,
     uv_weight: Annotated[
-        float,
+        float | None,
         typer.Option(
             metavar="FLOAT",
             help="Weight of texture-coordinate error in the choice of collapses: at 1 the whole UV square counts as "
-            "much as the bounding-box diagonal; 0 does not look at UVs.",
+            "much as the bounding-box diagonal; 0 does not look at UVs. By default 0.1 with --metric face, else 0.",
         ),
-    ] = 0.0,
+    ] = None,
     attribute_weight: Annotated[
         list[str] | None,
         typer.Option(metavar="NAME=FLOAT", help="The same for the primvar NAME; may be given several times."),
@@ -118,6 +149,10 @@ def simplify_values(
             "by rank, by distance, or by distance as an animation uses the shapes."
         ),
     ] = None,
+    face_points: FacePoints = None,
+    face_weight: FaceWeight = None,
+    face_ring: FaceRing = None,
+    face_keep: FaceKeep = True,
     symmetry: Annotated[
         str | None,
         typer.Option(

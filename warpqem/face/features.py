@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from warpqem.face.spots import Missing, Spot
 from warpqem.mesh_input import MeshInput, read_mesh
 from warpqem.number_input import shown
 
-__all__ = ["FacialFeatures", "facial_features", "features_of"]
+__all__ = ["FacialFeatures", "facial_features", "features_any_way", "features_of"]
 
 # Frames beyond these tell no more about how lips part; they are spread over the animation.
 MOST_FRAMES = 64
@@ -58,6 +58,10 @@ class FacialFeatures:
     def indices(self) -> np.ndarray:
         """(n,) int32, the vertices of :attr:`names`."""
         return np.array([self.vertices[name] for name in self.names], dtype=np.int32)
+
+    def moved(self, vertex: np.ndarray) -> FacialFeatures:
+        """The same points on a mesh where vertices have other numbers, ``vertex`` (V,): a level's ``vertex_map``."""
+        return replace(self, vertices={name: int(vertex[index]) for name, index in self.vertices.items()})
 
     def face_height(self, points: Any) -> float | None:
         """Height of the face from chin to hair in points (V, 3): half as much again as from chin to nose root."""
@@ -98,6 +102,17 @@ def facial_features(
     if (up is None) != (forward is None):
         raise OptionError(f"up {up!r} and forward {forward!r}: both or none must be given")
     return features_of(read_mesh(points, faces), up, forward, overrides)
+
+
+def features_any_way(
+    mesh: MeshInput, up: str, forward: str, overrides: Mapping[str, int | None] | None = None
+) -> FacialFeatures:
+    """The same where the face may look another way: along these axes, or any way round if no nose is found so."""
+    features = features_of(mesh, up, forward, overrides)
+    if features.units is not None:
+        return features
+    turned = features_of(mesh, None, None, overrides)
+    return features if turned.units is None else turned
 
 
 def features_of(

@@ -38,13 +38,16 @@ def parse_attribute_weight(text: str) -> tuple[str, float]:
     raise OptionError(f"attribute weight '{text}': expected NAME=WEIGHT, such as st=0.1")
 
 
-def check_weights(uv_weight: float, weights: AttributeWeights) -> None:
+def check_weights(uv_weight: float | None, weights: AttributeWeights) -> None:
     """Check that all weights are in range.
 
     Raises:
         OptionError: one is not.
     """
-    for name, weight in (("uv_weight", uv_weight), *((f"attribute_weights of {name}", w) for name, w in weights)):
+    for name, weight in (
+        ("uv_weight", uv_weight or 0.0),
+        *((f"attribute_weights of {name}", w) for name, w in weights),
+    ):
         if not (math.isfinite(weight) and 0.0 <= weight <= MOST_WEIGHT):
             raise OptionError(f"{name}: expected a number from 0 to {MOST_WEIGHT:g}, not {weight:g}")
 

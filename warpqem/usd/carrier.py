@@ -11,6 +11,7 @@ from pxr import UsdGeom
 
 from warpqem.result import SimplifiedMesh
 from warpqem.transfer import SurfaceTransfer, blend, surface_transfer
+from warpqem.usd.feature_subsets import FAMILY
 from warpqem.usd.mesh import MeshSource
 from warpqem.usd.seams import MeshSeams
 
@@ -63,7 +64,11 @@ class Rows:
 
 
 class Carrier:
-    """Rows for the points, faces and corners of one simplified mesh."""
+    """Rows for the points, faces and corners of one simplified mesh.
+
+    Attributes:
+        feature_points: Points of it that are feature points of a face, by name.
+    """
 
     def __init__(
         self,
@@ -92,8 +97,14 @@ class Carrier:
         self.vertex_count: int = result.points.shape[1]
         self.face_polygon = source.topology.triangle_polygons[result.face_map].astype(np.int64)
         self._input = (reference_points, faces, result)
+        self.feature_points: dict[str, int] = {}
         self._device = device
         self._transfers: dict[bytes, SurfaceTransfer] = {}
+
+    def names_feature_point(self, subset: UsdGeom.Subset) -> bool:
+        """True of a point subset that names one of `feature_points`."""
+        family = subset.GetFamilyNameAttr().Get()
+        return family == FAMILY and subset.GetPrim().GetName() in self.feature_points
 
     def input_count(self, interpolation: str) -> int | None:
         """Elements of an array of this interpolation on the input; None for those without one per element."""

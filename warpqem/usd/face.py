@@ -2,36 +2,31 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from pxr import Usd, UsdGeom
+from pxr import Usd
 
 from warpqem.errors import OptionError, StageError
-from warpqem.face import FEATURE_NAMES
 from warpqem.face.features import FacialFeatures, facial_features
 from warpqem.face.retarget import FaceMesh, RetargetedMotion, retarget
 from warpqem.outputs import InputFile, OutputFile
 from warpqem.picture import View, fit_view, render, tile, write_png
 from warpqem.picture.marks import mark
 from warpqem.usd.face_output import write_blend_shapes, write_samples
+from warpqem.usd.face_points import FacePoints, face_axes, largest_mesh
 from warpqem.usd.frames import FrameRange
 from warpqem.usd.input_files import check_stage_outputs
-from warpqem.usd.mesh import MeshSource
 from warpqem.usd.skel import StagePoses
 from warpqem.usd.stage import find_meshes, open_stage
 from warpqem.usd.write import check_output_path, copy_stage_metadata, export_layer
 
 __all__ = ["FaceOptions", "StageFace", "check_face_outputs", "draw_face", "read_face", "retarget_file", "write_points"]
 
-# Point subsets of this family name feature points: each is named after one and holds it.
-SUBSET_FAMILY = "face"
 # Views of a picture, in degrees about the up axis, and the size of one.
 AZIMUTHS, SIZE = (0.0, 45.0, 90.0), (640, 720)
 # A picture shows this many noses.
@@ -83,8 +78,8 @@ class StageFace:
 def read_face(path: str | os.PathLike[str], options: FaceOptions | None = None) -> StageFace:
     """Read a mesh and find its feature points.
 
-    Points of a JSON file take precedence over point subsets of the family `face` on the mesh, and those over what is
-    found.
+    Points of a JSON file take precedence over those that the mesh names itself, see `warpqem.usd.face_points`, and
+    these over what is found.
 
     Raises:
         StageError: the file cannot be read, or has no mesh.
@@ -95,22 +90,16 @@ def read_face(path: str | os.PathLike[str], options: FaceOptions | None = None) 
     selection = find_meshes(stage, () if options.prim is None else (options.prim,))
     if not selection.prims:
         raise StageError(f"{path}: there is no mesh on the stage")
-    poses = StagePoses(stage)
-    source = max((MeshSource(prim, poses) for prim in selection.prims), key=lambda mesh: mesh.point_count)
+    source = largest_mesh(selection.prims, StagePoses(stage))
     mesh = source.read(source.frame_times(options.frames))
-    place = {int(point): index for index, point in enumerate(mesh.used_points)}
-    given = {**_subset_points(source.prim), **({} if options.points is None else _read_points(options.points))}
-    unused = [name for name, point in given.items() if point is not None and point not in place]
-    if unused:
-        raise OptionError(f"feature point {unused[0]}: {mesh.path} has no point {given[unused[0]]} in a face")
-    z_up = UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z
-    up, forward = ("+z", "-y") if z_up else ("+y", "+z")
+    given = FacePoints() if options.points is None else FacePoints.read(options.points)
+    up, forward = face_axes(stage)
     features = facial_features(
         mesh.points,
         mesh.right_handed_faces,
         up=None if options.find_orientation else up,
         forward=None if options.find_orientation else forward,
-        overrides={name: None if point is None else place[point] for name, point in given.items()},
+        overrides=given.over(FacePoints.authored(source.prim)).on_vertices(mesh),
     )
     geometry = (mesh.times, mesh.points, mesh.right_handed_faces, mesh.used_points)
     return StageFace(stage, mesh.path, *geometry, features, options.points)
@@ -124,32 +113,6 @@ def check_face_outputs(outputs: Sequence[OutputFile], faces: Sequence[StageFace]
     """
     points = [InputFile(face.points_file, "the file of points") for face in faces if face.points_file is not None]
     check_stage_outputs(outputs, [face.stage for face in faces], points)
-
-
-def _subset_points(prim: Usd.Prim) -> dict[str, int | None]:
-    found: dict[str, int | None] = {}
-    for subset in UsdGeom.Subset.GetGeomSubsets(UsdGeom.Imageable(prim), UsdGeom.Tokens.point, SUBSET_FAMILY):
-        name, indices = subset.GetPrim().GetName(), subset.GetIndicesAttr().Get()
-        if name not in FEATURE_NAMES or not indices:
-            raise OptionError(f"{subset.GetPath()}: expected the name of a feature point, and the point")
-        found[name] = int(indices[0])
-    return found
-
-
-def _read_points(path: str | os.PathLike[str]) -> dict[str, int | None]:
-    """Points by name: a number, null for a point that is not there, or what `write_points` wrote."""
-    try:
-        value: Any = json.loads(Path(path).read_text("utf-8"))
-    except (OSError, ValueError) as error:
-        raise OptionError(f"points {path}: cannot be read ({error})") from error
-    value = value.get("points", value) if isinstance(value, dict) else None
-    if not isinstance(value, dict):
-        raise OptionError(f"points {path}: expected an object with points by name")
-    found = {name: entry.get("point") if isinstance(entry, dict) else entry for name, entry in value.items()}
-    for name, point in found.items():
-        if point is not None and (isinstance(point, bool) or not isinstance(point, int)):
-            raise OptionError(f"points {path}: {name} is {point!r}, expected a point's index or null")
-    return found
 
 
 def write_points(face: StageFace) -> dict[str, Any]:

@@ -9,10 +9,11 @@ from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-from pxr import Sdf, Usd
+from pxr import Sdf, Usd, UsdGeom
 
 import warpqem
 from warpqem.arguments import target_count
+from warpqem.cost_models import cost_model
 from warpqem.errors import DeviceError, MeshShapeError, OptionError, StageError, UnreachableTargetError, WarpqemError
 from warpqem.frame_blocks import frame_blocks
 from warpqem.frame_stream import LaterFrames, NoFrames, read_ahead
@@ -24,6 +25,8 @@ from warpqem.usd.blend_shapes import count_shape_users
 from warpqem.usd.budget import CostCurve, split_budget
 from warpqem.usd.context import Context, Progress, SharedOrder
 from warpqem.usd.example_poses import ExamplePoses
+from warpqem.usd.face_points import FacePoints, face_protection, points_on_level
+from warpqem.usd.feature_subsets import write_feature_points
 from warpqem.usd.job import MeshJob, ReadOptions
 from warpqem.usd.mesh import MeshSource
 from warpqem.usd.morph import check_morph, morph_scale
@@ -58,6 +61,8 @@ class Run:
         self.layer = OverLayer(self.stage, context.folder)
         context.cleanup.callback(self.layer.close)
         self.reports: dict[str, PrimReport] = {}
+        self.face_points: FacePoints | None = None
+        self.faces: dict[str, warpqem.FaceProtection] = {}
 
     def simplify(self) -> None:
         """Simplify all meshes into the layer."""
@@ -81,6 +86,8 @@ class Run:
         check_names(selection.prims, self.options.attribute_weights)
         check_weight_primvar(selection.prims, self.options.weight_primvar)
         check_morph(selection.prims, self.options.morph_weights, self.examples is not None)
+        if self.options.face_points is not None:
+            self.face_points = FacePoints.read(self.options.face_points).on_one_of(selection.prims, self.poses)
         for prim in selection.prims:
             self.reports[str(prim.GetPath())] = PrimReport(str(prim.GetPath()), "simplified")
         for path, error in selection.refused:
@@ -172,7 +179,7 @@ class Run:
             "memoryless": self.options.memoryless,
             "placement": self.options.placement,
             "key_frames": self.options.key_frames,
-            "attributes": weighted_fields(job.source, self.options.uv_weight, self.options.attribute_weights),
+            "attributes": weighted_fields(job.source, self.options.texture_weight, self.options.attribute_weights),
             "memory": self.options.memory,
             "device": self.options.device,
         }
@@ -218,7 +225,18 @@ class Run:
             "quadric_scale": morph_scale(job, self.options.morph_weights, self._examples_of(job.source)),
             "lock_borders": self.options.lock_borders,
             "keep_components": self.options.keep_components,
+            **self._face(job),
         }
+
+    def _face(self, job: MeshJob) -> dict[str, Any]:
+        """How the feature points of a mesh are kept, found once for each mesh; nothing for other cost models."""
+        if not cost_model(self.options.metric).keeps_face:
+            return {}
+        path = job.mesh.path
+        if path not in self.faces:
+            given = FacePoints() if self.face_points is None or self.face_points.prim != path else self.face_points
+            self.faces[path] = face_protection(job, self.options, given)
+        return {"face": self.faces[path]}
 
     def _as_far_as_it_goes(
         self,
@@ -342,6 +360,8 @@ class Run:
         report: PrimReport,
     ) -> None:
         carrier = job.carrier(result, self.options.device)
+        protection = self._face(job).get("face")
+        carrier.feature_points = points_on_level(job, protection, result.vertex_map)
         skin = job.skin
         if skin is not None:
             rest = job.rest_shape(result)
@@ -355,6 +375,8 @@ class Run:
             samples.begin(1, result.points.shape[1], result.faces)
             samples.write(slice(0, 1), rest)
         report.dropped = self.layer.replace_mesh(job.mesh.path, samples, job.written_times, result.faces, carrier, skin)
+        mesh = UsdGeom.Mesh(self.layer.stage.GetPrimAtPath(job.mesh.path))
+        write_feature_points(mesh, carrier.feature_points, create=protection is not None)
         if job.unskinned_because is not None:
             report.dropped = [
                 f"{name} ({job.unskinned_because})" if name.startswith("skin binding") else name

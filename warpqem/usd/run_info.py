@@ -23,7 +23,7 @@ def run_info(options: SimplifyOptions, seconds: float) -> dict[str, Any]:
     """Versions, machine, device, options, wall-clock seconds and peak memory in bytes, ready for JSON."""
     device = wp.get_device(resolve_device(options.device))
     given = asdict(options)
-    given["poses"] = None if options.poses is None else os.fspath(options.poses)
+    given |= {name: None if given[name] is None else os.fspath(given[name]) for name in ("poses", "face_points")}
     return {
         "versions": {
             "warpqem": warpqem.__version__,

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
+from warpqem.cost_models import cost_model
 from warpqem.errors import OptionError
 from warpqem.memory import parse_bytes
 from warpqem.screen import ScreenView
@@ -12,6 +14,9 @@ from warpqem.symmetry import AXES
 from warpqem.usd.attributes import AttributeWeights, check_weights
 from warpqem.usd.frames import FrameRange
 from warpqem.usd.lods import check_lods
+
+if TYPE_CHECKING:
+    from warpqem.face import FaceProtection, FacialFeatures
 
 __all__ = ["SimplifyOptions"]
 
@@ -37,12 +42,19 @@ class SimplifyOptions:
         key_frames: Frames that decide the topology.
         uv_weight: Weight of the error of texture coordinates in the order of collapses: at 1 an error of the whole UV
             square counts as much as one bounding-box diagonal, see `warpqem.AttributeField`; 0 does not look at them.
+            None for the weight of the metric: 0.1 of "face", 0 of the others.
         attribute_weights: Names of primvars and the weights of their error; for a texture coordinate it takes the place
             of `uv_weight`.
         weight_primvar: Name of a primvar of numbers that scale the cost of collapses where it is painted; infinity
             locks. None for none.
         morph_weights: Scale the error of what moves more between the shapes of a mesh, see `warpqem.morph_weights`:
             "thirds", "rank", "distance" or "usage"; None for no weights.
+        face_points: JSON file with feature points by name for the metric "face", such as `warpqem face detect` writes;
+            they take precedence over those that the mesh names itself, see `warpqem.usd.face_points`, and these over
+            those that are found. They are of the mesh that the file names, or of the largest one.
+        face_weight: Weight of the feature points, see `warpqem.FaceProtection`; None for its default.
+        face_ring: Neighbours up to so many edges away count at a feature point; None for the default.
+        face_keep: Feature points stay where they are, as points, whatever the face count.
         lock_borders: Points at edges with one face keep their position.
         keep_components: No small component vanishes, see `warpqem.simplify`.
         symmetry: "x", "y" or "z": a mesh whose first pose, or rest shape, is its own mirror image across that local
@@ -79,10 +91,14 @@ class SimplifyOptions:
     memoryless: bool = False
     placement: str = "optimal"
     key_frames: int = 16
-    uv_weight: float = 0.0
+    uv_weight: float | None = None
     attribute_weights: AttributeWeights = ()
     weight_primvar: str | None = None
     morph_weights: str | None = None
+    face_points: str | os.PathLike[str] | None = None
+    face_weight: float | None = None
+    face_ring: int | None = None
+    face_keep: bool = True
     lock_borders: bool = False
     keep_components: bool = False
     symmetry: str | None = None
@@ -121,6 +137,7 @@ class SimplifyOptions:
             parse_bytes(self.memory)
         check_lods(self.lods)
         check_weights(self.uv_weight, self.attribute_weights)
+        self._check_face()
         if self.symmetry not in (None, "auto", *AXES):
             raise OptionError(f"symmetry {self.symmetry!r}: expected auto, {', '.join(AXES)}")
         others = (
@@ -141,3 +158,27 @@ class SimplifyOptions:
             raise OptionError("lods and flatten exclude each other: every level is a layer over the input")
         if self.usd_lod and not self.lods:
             raise OptionError("usd_lod needs lods: the ratios of the levels")
+
+    def _check_face(self) -> None:
+        given = [name for name in ("face_points", "face_weight", "face_ring") if getattr(self, name) is not None]
+        given += [] if self.face_keep else ["face_keep"]
+        if given and not cost_model(self.metric).keeps_face:
+            raise OptionError(f"{given[0]}: needs metric 'face', not {self.metric!r}")
+        if given:
+            self.face_protection()
+
+    def face_protection(self, features: FacialFeatures | None = None) -> FaceProtection:
+        """How these feature points are kept.
+
+        Raises:
+            OptionError: the weight or the ring is out of range.
+        """
+        from warpqem.face import FaceProtection
+
+        chosen: dict[str, Any] = {"weight": self.face_weight, "ring": self.face_ring, "keep": self.face_keep}
+        return FaceProtection(features, **{name: value for name, value in chosen.items() if value is not None})
+
+    @property
+    def texture_weight(self) -> float:
+        """Weight of texture coordinates that `attribute_weights` does not name."""
+        return cost_model(self.metric).uv_weight if self.uv_weight is None else self.uv_weight

@@ -20,6 +20,8 @@ def carry_subsets(mesh: UsdGeom.Mesh, carrier: Carrier, dropped: Dropped) -> Non
     lost = 0
     for subset in UsdGeom.Subset.GetAllGeomSubsets(mesh):
         if subset.GetElementTypeAttr().Get() != UsdGeom.Tokens.face:
+            if carrier.names_feature_point(subset):
+                continue
             subset.GetPrim().SetActive(False)
             dropped.deactivated.append(subset.GetPath())
             lost += 1
