@@ -4,7 +4,16 @@ import meshes
 import numpy as np
 import pytest
 import warp as wp
-from mesh_state import blocks, build_mesh, collapse_log, cost_model, edge_list, half_edge_between, one_part
+from mesh_state import (
+    blocks,
+    build_mesh,
+    collapse_log,
+    cost_model,
+    edge_list,
+    half_edge_between,
+    one_part,
+    packed_quadrics,
+)
 from oracles import quadrics as quadric_oracle
 from oracles import topology as oracle
 
@@ -23,7 +32,17 @@ class Commit:
     """One committed edge of a mesh: state, log, mask, target (K, 3) and anchor."""
 
     def __init__(
-        self, points, faces, edge, device, faces_removed=2, seam=None, flags=None, member_error=0.0, **options
+        self,
+        points,
+        faces,
+        edge,
+        device,
+        faces_removed=2,
+        seam=None,
+        flags=None,
+        member_error=0.0,
+        kept_sums=None,
+        **options,
     ):
         self.faces, self.edge, self.half_edge = faces, edge, half_edge_between(faces, *edge)
         self.mesh = build_mesh(points, faces, device, **options)
@@ -31,6 +50,11 @@ class Commit:
         if seam is not None:
             self.state.seam = wp.array(seam, device=device)
             self.state.vertex_flags = wp.array(self.state.vertex_flags.numpy() | flags, device=device)
+        if kept_sums is not None:
+            rows = np.full(points.shape[1], -1, dtype=np.int32)
+            rows[list(kept_sums)] = np.arange(len(kept_sums))
+            self.state.sum_row = wp.array(rows, device=device)
+            frames.kept_sum = packed_quadrics(list(kept_sums.values()), frames.position)
         self.before = self.mesh.quadric.astype(np.float64)
         self.state.edge_cost.fill_(3.0)
         winners = edge_list([self.half_edge], device)
@@ -102,6 +126,30 @@ def test_stars_built_after_a_commit_hold_each_live_corner_once(device):
     count = stars.start.numpy()[-1]
     np.testing.assert_array_equal(np.sort(stars.corner.numpy()[:count]), corners)
     assert stars.start.numpy()[commit.edge[1]] == stars.start.numpy()[commit.edge[1] + 1]
+
+
+@pytest.mark.parametrize("with_sums", ["kept", "removed", "both", "neither"])
+def test_merged_vertex_has_the_sums_of_both_about_where_it_is(with_sums, device):
+    points, faces = MESHES["closed"]
+    edge = sorted(faces[0, :2].tolist())
+    chosen = {"kept": edge[:1], "removed": edge[1:], "both": edge, "neither": []}[with_sums]
+    own = np.array([[quadric_oracle.pack(q) for q in quadric_oracle.vertex_quadrics(x, faces)] for x in points])
+    # Sums of other vertices are not zero at the vertex.
+    sums = {v: own[:, (v + 7) % points.shape[1]] + np.arange(10) * 0.01 for v in [*chosen, 40]}
+    commit = closed_commit(device, kept_sums=sums)
+    row = commit.state.sum_row.numpy()
+    if not chosen:
+        assert row[edge[0]] == -1
+        return
+    found = blocks(commit.mesh.frames.kept_sum, len(points))[row[edge[0]]]
+    for frame, x in enumerate(points.astype(np.float64)):
+        expected = quadric_oracle.zero()
+        for v in chosen:
+            quadric = quadric_oracle.unpack(sums[v][frame])
+            expected += quadric_oracle.shifted(quadric, commit.target[frame] - x[v])
+        np.testing.assert_allclose(found[frame], quadric_oracle.pack(expected), rtol=1e-3, atol=1e-4)
+    untouched = blocks(commit.mesh.frames.kept_sum, len(points))[row[40]]
+    np.testing.assert_allclose(untouched, sums[40], rtol=1e-6)
 
 
 def star(lists, v):
