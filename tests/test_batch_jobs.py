@@ -180,6 +180,16 @@ def test_file_with_poses_counts(layered, tmp_path):
     assert not is_current(job, known)
 
 
+def test_file_with_feature_points_counts(layered, tmp_path):
+    (tmp_path / "points.json").write_text("{}")
+    options = SimplifyOptions(ratio=0.5, metric="face", face_points=str(tmp_path / "points.json"))
+    job = BatchJob(layered.input, layered.output, options)
+    known = record(job, tmp_path)
+    assert is_current(job, known)
+    (tmp_path / "points.json").write_text('{"chin": 3}')
+    assert not is_current(job, known)
+
+
 @pytest.mark.parametrize("text", ["", "x", '{"output": "out.usda"}', '{"output": "out.usda", "fingerprint": 3}', "[]"])
 def test_damaged_journal_is_nothing_done(layered, tmp_path, text):
     (tmp_path / "journal").write_text(text)

@@ -11,7 +11,10 @@ import warpqem
 from tests.faces import FACE_HEIGHT, REFERENCE, talking_head
 from warpqem.errors import OptionError
 from warpqem.face import FEATURE_NAMES, PAIRS, FacialFeatures
+from warpqem.face.contact_line import find_contact_line
 from warpqem.face.lids import closing_lid
+from warpqem.face.relief import Relief, make_relief
+from warpqem.face.skin import find_skin
 from warpqem.face.walks import from_chord, walk_to_extremum
 
 
@@ -159,3 +162,73 @@ def test_a_lid_that_closes_tells_where_the_eye_is() -> None:
     assert found is not None
     assert abs(found - 0.55) < 0.01
     assert closing_lid(place, rise[:2], (0.62, 0.67), 0.15) is None
+
+
+def test_lips_of_a_still_head_are_found_as_those_of_one_that_moves() -> None:
+    points, faces = talking_head()
+    still = warpqem.facial_features(points[0], faces)
+    mouth = [name for name in found().names if "lip" in name or "mouth" in name]
+    assert len(mouth) == 10
+    for name in mouth:
+        assert np.linalg.norm(points[0][still.vertices[name]] - points[0][found().vertices[name]]) < 0.01 * FACE_HEIGHT
+
+
+def test_corners_of_the_mouth_are_where_the_cut_between_the_lips_ends() -> None:
+    points, faces = talking_head()
+    at = errors(warpqem.facial_features(points[0], faces))
+    assert at["mouth_corner_left"] < 1.0
+    assert at["mouth_corner_right"] < 1.0
+
+
+def outside_of_lips(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """The head's faces without the pocket behind the lips: an open slit."""
+    local = found().units.local(points.astype(np.float64))
+    line = find_contact_line(local, find_skin(points, faces).faces, relief_of(local, faces), NOSE_FOOT)
+    assert line is not None
+    middle = local[faces].mean(axis=1)
+    inside = (middle[:, 1] > -0.9) & (middle[:, 1] < -0.4) & (np.abs(middle[:, 0]) < 0.6)
+    # The pocket lies behind the line and opens downwards and upwards into the head.
+    depth = np.interp(middle[:, 0], line.place[:, 0], line.place[:, 2])
+    return faces[~(inside & (middle[:, 2] < depth - 0.03))]
+
+
+def relief_of(local: np.ndarray, faces: np.ndarray) -> Relief:
+    return make_relief(local, faces, (-1.75, -2.2), (1.75, 2.2), 0.0125)
+
+
+# Height of the foot of the nose of the talking head, in noses.
+NOSE_FOOT = -0.24
+
+
+@pytest.mark.parametrize("scale", [0.01, 1.0, 300.0])
+def test_a_slit_without_a_pocket_is_found_at_any_size(scale: float) -> None:
+    points, faces = talking_head()
+    open_faces = outside_of_lips(points[0], faces)
+    assert len(open_faces) < len(faces)
+    features = warpqem.facial_features(points[0] * np.float32(scale), open_faces)
+    at = errors(features)
+    assert at["mouth_corner_left"] < 1.0
+    assert at["mouth_corner_right"] < 1.0
+
+
+def test_lips_that_are_not_cut_apart_have_no_contact_line() -> None:
+    points, faces = talking_head()
+    local = found().units.local(points[0].astype(np.float64))
+    _, first, joined = np.unique(local, axis=0, return_index=True, return_inverse=True)
+    welded = joined.ravel()[faces]
+    assert find_contact_line(local[first], welded, relief_of(local, faces), NOSE_FOOT) is None
+
+
+def test_points_split_along_the_profile_are_no_contact_line() -> None:
+    points, faces = talking_head()
+    local = found().units.local(points[0].astype(np.float64))
+    _, first, joined = np.unique(local, axis=0, return_index=True, return_inverse=True)
+    local, welded = local[first], joined.ravel()[faces]
+    # As exporters split points at a UV seam: each side of the face has its own along the midline.
+    left = local[welded].mean(axis=1)[:, 0] > 0.0
+    shared = np.intersect1d(welded[left], welded[~left])
+    place = np.arange(len(local))
+    place[shared] = len(local) + np.arange(len(shared))
+    split = np.where(left[:, None], place[welded], welded)
+    relief = relief_of(local, welded)
+    assert find_contact_line(np.concatenate([local, local[shared]]), split, relief, NOSE_FOOT) is None

@@ -11,7 +11,9 @@ import warpqem
 from tests.faces import FACE_HEIGHT, talking_head
 from warpqem import FaceProtection, FacialFeatures
 from warpqem.errors import FeaturePointError, OptionError
-from warpqem.face import face_weights
+from warpqem.face import face_sums
+from warpqem.measure import compare
+from warpqem.symmetry import simplify_symmetric
 
 LEVELS = (1420, 1120, 820, 620)
 
@@ -35,23 +37,82 @@ def survivors(level: warpqem.SimplifiedMesh) -> int:
     return int((gaps.max(axis=0).min(axis=1) <= 0.01 * FACE_HEIGHT).sum())
 
 
+def level_of(face_count: int, **protection: object) -> warpqem.SimplifiedMesh:
+    points, faces, features = head_of_2000()
+    face = FaceProtection(features=features, **protection)
+    return warpqem.simplify(points, faces, target_faces=face_count, metric="face", face=face)
+
+
+def rms(level: warpqem.SimplifiedMesh) -> float:
+    points, faces, _ = head_of_2000()
+    return compare(points, faces, level.points, level.faces, samples=4000).rms
+
+
 @pytest.mark.parametrize("face_count", LEVELS)
-def test_at_least_23_points_survive_and_plain_quadrics_lose_more(face_count: int) -> None:
+def test_all_points_survive_by_equation_one_alone(face_count: int) -> None:
     points, faces, features = head_of_2000()
-    level = warpqem.simplify(
-        points, faces, target_faces=face_count, metric="face", face=FaceProtection(features=features)
-    )
+    unpinned = level_of(face_count, keep=False)
     plain = warpqem.simplify(points, faces, target_faces=face_count, metric="qem")
-    assert face_count - 1 <= len(level.faces) <= face_count
-    assert survivors(level) >= 23
-    assert survivors(plain) < survivors(level)
+    assert face_count - 1 <= len(unpinned.faces) <= face_count
+    assert survivors(unpinned) >= len(features.vertices) - 2
+    assert survivors(plain) < 10
 
 
-def test_weights_alone_keep_more_points_than_none() -> None:
-    points, faces, features = head_of_2000()
-    weighted = FaceProtection(features=features, weight=100.0, keep=False)
-    level = warpqem.simplify(points, faces, target_faces=1120, metric="face", face=weighted)
-    assert survivors(level) > survivors(warpqem.simplify(points, faces, target_faces=1120))
+@pytest.mark.parametrize("face_count", LEVELS)
+def test_the_default_keeps_every_point_at_no_more_error(face_count: int) -> None:
+    level = level_of(face_count)
+    assert survivors(level) == len(head_of_2000()[2].vertices)
+    assert rms(level) <= rms(level_of(face_count, keep=False)) * 1.0001
+
+
+def test_points_that_are_kept_are_there_where_weights_alone_give_way() -> None:
+    points, faces = talking_head()
+    features = warpqem.facial_features(points, faces)
+    levels = [
+        warpqem.simplify(
+            points, faces, target_faces=220, metric="face", face=FaceProtection(features, weight=10.0, keep=keep)
+        )
+        for keep in (True, False)
+    ]
+    near = [np.linalg.norm(x.points[0][:, None] - points[0, features.indices], axis=2).min(axis=0) for x in levels]
+    assert (near[0] < 1e-5).all()
+    assert (near[1] > 0.01 * FACE_HEIGHT).any()
+
+
+def test_larger_rings_hold_longer() -> None:
+    points, faces = talking_head()
+    features = warpqem.facial_features(points, faces)
+    kept = []
+    for ring in (0, 1, 2):
+        face = FaceProtection(features, weight=10.0, ring=ring, keep=False)
+        level = warpqem.simplify(points, faces, ratio=0.1, metric="face", face=face)
+        gaps = np.linalg.norm(level.points[0][:, None] - points[0, features.indices], axis=2).min(axis=0)
+        kept.append(int((gaps <= 0.01 * FACE_HEIGHT).sum()))
+    assert kept[0] < kept[1] < kept[2]
+
+
+def test_a_symmetric_face_keeps_its_points_on_both_sides() -> None:
+    points, faces, features = mirrored_face()
+    level = simplify_symmetric(points, faces, "x", ratio=0.2, metric="face", face=FaceProtection(features, keep=False))
+    for vertex in features.indices:
+        for side in ((1.0, 1.0, 1.0), (-1.0, 1.0, 1.0)):
+            gap = np.linalg.norm(level.points[0] - points[0, vertex] * side, axis=1).min()
+            assert gap < 1e-5
+
+
+def mirrored_face() -> tuple[NDArray[np.float32], NDArray[np.int32], FacialFeatures]:
+    """A sheet with bumps that is its own mirror image across x, with a point off the plane and one on it."""
+    x, y = np.meshgrid(np.linspace(-1.0, 1.0, 21), np.linspace(-1.0, 1.0, 21))
+    z = 0.2 * np.cos(4.0 * x) * np.cos(3.0 * y + 1.0)
+    points = np.stack([x, y, z], axis=2).reshape(1, -1, 3).astype(np.float32)
+    corner = (np.arange(20)[:, None] * 21 + np.arange(20)).ravel()
+    right = (corner % 21) >= 10
+    a, b, c, d = corner, corner + 1, corner + 22, corner + 21
+    one = np.where(right[:, None], np.stack([a, b, c], axis=1), np.stack([a, b, d], axis=1))
+    two = np.where(right[:, None], np.stack([a, c, d], axis=1), np.stack([b, c, d], axis=1))
+    names = {"mouth_corner_left": 5 * 21 + 15, "chin": 3 * 21 + 10}
+    features = FacialFeatures(names, dict.fromkeys(names, 1.0), {}, np.eye(3))
+    return points, np.concatenate([one, two]).astype(np.int32), features
 
 
 def test_points_are_found_where_none_are_given() -> None:
@@ -62,18 +123,18 @@ def test_points_are_found_where_none_are_given() -> None:
     np.testing.assert_allclose(level.points[:, level.vertex_map[features.indices]], kept, atol=1e-4)
 
 
-def test_weights_fall_linearly_over_the_rings() -> None:
+def test_rings_hold_the_neighbours_so_many_edges_away() -> None:
     # A strip of squares, two faces each: columns of two vertices.
     column = np.arange(9)[:, None] * 2
     faces = np.concatenate([column + np.array(corner) for corner in ([0, 2, 1], [1, 2, 3])])
     features = FacialFeatures({"chin": 8}, {"chin": 1.0}, {}, np.eye(3))
-    weights = face_weights(faces, 20, FaceProtection(features=features, weight=7.0, ring=2))
     # Vertex 8 is the lower one of column 4; the diagonals lead from lower right to upper left.
-    expected = np.ones(20)
-    expected[8] = 7.0
-    expected[[6, 7, 9, 10]] = 5.0
-    expected[[4, 5, 11, 12]] = 3.0
-    np.testing.assert_allclose(weights, expected)
+    for ring, expected in enumerate(([8], [6, 7, 8, 9, 10], [4, 5, 6, 7, 8, 9, 10, 11, 12])):
+        sums = face_sums(faces, FaceProtection(features=features, weight=7.0, ring=ring))
+        assert sums.row.tolist() == [8]
+        assert sums.vertex.tolist() == expected
+        # The point's own quadric counts once already.
+        np.testing.assert_array_equal(sums.weight, np.where(sums.vertex == 8, 6.0, 7.0))
 
 
 def test_texture_coordinates_count_beside_the_points() -> None:
@@ -91,8 +152,9 @@ def test_wrong_use_is_refused() -> None:
     points, faces, features = head_of_2000()
     with pytest.raises(OptionError, match="needs metric 'face'"):
         warpqem.simplify(points, faces, ratio=0.5, face=FaceProtection(features=features))
-    with pytest.raises(OptionError, match="weight"):
-        FaceProtection(weight=0.5)
+    for weight in (0.5, float("nan"), float("inf")):
+        with pytest.raises(OptionError, match="weight"):
+            FaceProtection(weight=weight)
     with pytest.raises(OptionError, match="ring"):
         FaceProtection(ring=-1)
     far = replace(features, vertices={"chin": 10**6})

@@ -116,8 +116,10 @@ def retarget(source: FaceMesh, target: FaceMesh, motion: Any, *, device: str | N
     away = np.zeros(len(b.points))
     away[skin] = found.distance
     nearest = _nearest_skin(b.points, skin)
-    scale = b.units.nose / a.units.nose
-    tip, own = a.units.tip, b.units.tip
+    # By the points that both have: on a level of the source they are the same, and so is then the head's motion.
+    scale = _spread(b.points[at[1]]) / _spread(a.points[at[0]])
+    tip = a.units.tip
+    own = morph(tip[None])[0]
     turn = b.axes.T @ a.axes
     lips = _lip_pairs(b)
     points = np.empty((len(frames), *b.points.shape), dtype=np.float32)
@@ -204,6 +206,11 @@ def _match(a: _Prepared, b: _Prepared, morphed: np.ndarray, device: str) -> Corr
         sides = [lines[0].sides(a.local, a.skin.faces)[used], lines[1].sides(target, b.skin.faces)]
     found = correspond(local, number[a.skin.faces], sides[0], target[skin], sides[1][skin], device)
     return Correspondence(used[found.vertex], found.weight, found.distance)
+
+
+def _spread(points: np.ndarray) -> float:
+    """RMS distance of points (n, 3) from their mean: the size of a face."""
+    return float(np.linalg.norm(points - points.mean(axis=0)) / np.sqrt(len(points)))
 
 
 def _nearest_skin(points: np.ndarray, skin: np.ndarray) -> np.ndarray:
