@@ -1,6 +1,6 @@
 """Faces: named feature points, levels that keep them, and expressions carried to other faces.
 
-After the multiresolution facial animation of the source paper, whose points and retargeting are those of expression
+After "multiresolution facial animation" (here: the face paper), whose points and retargeting are those of expression
 cloning (Noh & Neumann 2001).
 """
 

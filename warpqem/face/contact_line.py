@@ -1,6 +1,6 @@
 """The line where lips that are cut apart meet: vertices that lie on each other, one of each lip.
 
-"Vertices of lip contact line are duplicated vertices" (the source paper, after Noh & Neumann 2001): they are taken as
+"Vertices of lip contact line are duplicated vertices" (the face paper, after Noh & Neumann 2001): they are taken as
 such, whether the face moves or not.
 """
 

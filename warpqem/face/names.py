@@ -1,6 +1,7 @@
 """The 32 feature points of a face by name.
 
-Left and right are the person's: with +y up and +z out of the face, left is +x.
+Left and right are the person's: with +y up and +z out of the face, left is +x. The face paper calls +x the right side,
+that of a picture from the front: its right is our left.
 
 | on the midline | where |
 |---|---|

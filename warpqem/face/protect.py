@@ -1,9 +1,9 @@
 """Keep the feature points of a face through simplification.
 
-The initial quadric of a feature point is equation 1 of "feature-preserving levels of faces" (the source paper of this
-package): ``e_i = w_i Q(v_i) + sum_j w_j Q(v_j)`` over its neighbours ``v_j``. The neighbours' planes go into the
-point's own quadric. It does not lie on them, so that every collapse there has a cost, however flat the surface is, and
-the point stays where it is until all else costs as much.
+The initial quadric of a feature point is equation 1 of "multiresolution facial animation", the face paper:
+``e_i = w_i Q(v_i) + sum_j w_j Q(v_j)`` over its neighbours ``v_j``. The neighbours' planes go into the point's own
+quadric. The point does not lie on them, so that every collapse there has a cost, and it stays where it is until all
+else costs as much.
 """
 
 from __future__ import annotations
