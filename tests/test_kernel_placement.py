@@ -16,8 +16,11 @@ EPSILON = 0.3
 MESHES = {"closed": meshes.swaying_sphere(1, 3), "open": meshes.waving_grid(5, 3)}
 
 
-def gathered(faces, members, device, solved=1) -> Clusters:
-    """One cluster with equal weights of ``members``: face and border terms counted as in the ordering's quadrics."""
+def gathered(faces, members, device, solved=1, other=(), other_weight=0.0) -> Clusters:
+    """One cluster with equal weights of ``members``: face and border terms counted as in the ordering's quadrics.
+
+    The faces at the vertices ``other`` count too, with a weight for each corner there.
+    """
     corner_in = np.isin(faces, members).sum(axis=1)
     half_edges, weights = [], []
     directed = set(zip(faces.ravel().tolist(), np.roll(faces, -1, axis=1).ravel().tolist(), strict=True))
@@ -35,6 +38,10 @@ def gathered(faces, members, device, solved=1) -> Clusters:
     clusters.face_start = whole([0, (corner_in > 0).sum()], wp.int32)
     clusters.face = wp.array(faces[corner_in > 0], dtype=wp.vec3i, device=device)
     clusters.face_weight = whole(corner_in[corner_in > 0], wp.float32)
+    other_in = np.isin(faces, list(other)).sum(axis=1)
+    clusters.other_start = whole([0, (other_in > 0).sum()], wp.int32)
+    clusters.other = wp.array(faces[other_in > 0], dtype=wp.vec3i, device=device)
+    clusters.other_weight = whole(other_weight * other_in[other_in > 0], wp.float32)
     clusters.border_start = whole([0, len(half_edges)], wp.int32)
     clusters.border = whole(np.array(half_edges, dtype=np.int32), wp.int32)
     clusters.border_weight = whole(np.array(weights, dtype=np.float32), wp.float32)
@@ -65,6 +72,20 @@ def test_position_solves_the_normal_equation_of_the_cluster(name, members, devic
         for m in members:
             total += own[m]
         np.testing.assert_allclose(x[t], anchor + oracle.tangential_minimiser(total, EPSILON), atol=2e-6)
+
+
+def test_planes_of_other_vertices_count_but_are_no_part_of_the_normal(device):
+    points, faces = MESHES["closed"]
+    members, other = [0, 1], [5, 7]
+    plain = placed(points, faces, gathered(faces, members, device), device)
+    x, normal = placed(points, faces, gathered(faces, members, device, other=other, other_weight=3.0), device)
+    np.testing.assert_array_equal(normal, plain[1])
+    for t, frame in enumerate(points.astype(np.float64)):
+        anchor = frame[members].mean(axis=0)
+        own = oracle.vertex_quadrics(frame, faces, origin=np.repeat(anchor[None], len(frame), axis=0))
+        total = own[0] + own[1] + own[5].scaled(3.0) + own[7].scaled(3.0)
+        np.testing.assert_allclose(x[t], anchor + oracle.tangential_minimiser(total, EPSILON), atol=2e-6)
+    assert np.abs(x - plain[0]).max() > 1e-3
 
 
 @pytest.mark.parametrize("name", MESHES)
