@@ -15,6 +15,7 @@ from warpqem.kernels.mesh_state import KEY_FRAMES, CostModel, MeshState
 from warpqem.kernels.topology import CORNER, FROZEN
 from warpqem.order.arrangement import ARRANGED_FACES, Arrangement, arrange
 from warpqem.order.attributes import build_wedges
+from warpqem.order.deformation import build_deformation
 from warpqem.order.drops import Components, DropRecord
 from warpqem.order.log import CollapseRecord, read_log
 from warpqem.order.members import build_members
@@ -233,11 +234,7 @@ def _collapse(
         frames.quadric = given_quadrics(mesh.matrices, device)
     state.cost_weight = wp.array(mesh.cost_weight, dtype=wp.float32, device=device)
     state.edge_cost = wp.empty(len(corner_vertex), dtype=wp.float32, device=device)
-    no_trajectory = wp.empty((0, 0), dtype=wp.vec3, device=device)
-    if mesh.trajectories is None:
-        state.trajectory = no_trajectory
-    else:
-        state.trajectory = wp.array(mesh.trajectories, dtype=wp.vec3, device=device, copy=False)
+    state.trajectory, state.deformation = build_deformation(mesh.trajectories, len(mesh.faces), device)
     state.wedges = build_wedges(mesh.faces, mesh.key_position, mesh.attributes, mesh.key_count)
     state.members = build_members(mesh.faces, mesh.key_position)
 
