@@ -1,12 +1,14 @@
 """The tables of the source papers, on the shipped scenes.
 
-python examples/paper_tables.py [levels] [morph] [face] [articulated] [joints]
+python examples/paper_tables.py [levels] [stretch] [morph] [face] [articulated] [joints] [reductions]
 
 levels        any level from one run, and its error (progressive deforming meshes)
+stretch       vertices where the surface stretches most (the same: deformation oriented decimation)
 morph         ten levels of a face with and without weights (morph-target-based surface simplification)
 face          feature points that survive (feature-preserving simplification for expression retargeting)
 articulated   poses that the fit of a skin has not seen (simplification of articulated meshes)
 joints        vertices that joints keep (animated meshes with motion features, AQEM)
+reductions    errors at the reductions of that paper, by the weights of joints
 """
 
 from __future__ import annotations
@@ -25,7 +27,7 @@ from rich.table import Table
 sys.path.insert(0, str(Path(__file__).parent.parent))  # the scenes are not part of the installed package
 
 import warpqem
-from scenes import head, quadruped
+from scenes import cape, head, quadruped
 from scenes.scene import Scene
 from warpqem.measure import compare, vertex_distances
 from warpqem.usd import CompareOptions, FrameRange, SimplifyOptions, compare_stages, simplify_stage
@@ -54,6 +56,47 @@ def levels() -> Table:
         rms = compare(points, scene.faces, level.points, level.faces, samples=4000).rms
         _add(table, len(level.faces), level.points.shape[1], level.error, rms)
     return table
+
+
+def stretch() -> Table:
+    """Share of the vertices that lie in the fifth of the surface that stretches most."""
+    scenes = {"gallop": _gallop(), "cape": cape.build(), "head": _head()}
+    table = _table("Vertices in the fifth of the surface that stretches most, %", "clip", "faces", "DSD", "DOD")
+    for name, scene in scenes.items():
+        points = scene.baked()
+        inside = stretching_fifth(points, scene.faces)
+        for ratio in (0.25, 0.1, 0.05):
+            results = [warpqem.simplify(points, scene.faces, ratio=ratio, metric=metric) for metric in ("dsd", "dod")]
+            shares = [100.0 * _share_inside(result, inside) for result in results]
+            _add(table, name, len(results[0].faces), *shares)
+    return table
+
+
+def stretching_fifth(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """(V,) bool, vertices with most of their area among the faces whose edges change most, a fifth of the area.
+
+    A face changes by the mean step of its edges' lengths from frame to frame, relative to the mean length.
+    """
+    x = points.astype(np.float64)
+    sides = x[:, np.roll(faces, -1, axis=1)] - x[:, faces]
+    length = np.linalg.norm(sides, axis=3)
+    change = (np.abs(np.diff(length, axis=0)).mean(axis=0) / length.mean(axis=0)).mean(axis=1)
+    area = 0.5 * np.linalg.norm(np.cross(sides[:, :, 0], sides[:, :, 1]), axis=2).mean(axis=0)
+    order = np.argsort(-change, kind="stable")
+    inside = np.zeros(len(faces), dtype=bool)
+    inside[order[np.cumsum(area[order]) <= 0.2 * area.sum()]] = True
+    corner_area, corner_inside = np.repeat(area, 3), np.repeat(inside, 3)
+    around = np.bincount(faces.ravel(), corner_area, minlength=points.shape[1])
+    within = np.bincount(faces.ravel(), corner_area * corner_inside, minlength=points.shape[1])
+    return within > 0.5 * around
+
+
+def _share_inside(result: warpqem.SimplifiedMesh, inside: np.ndarray) -> float:
+    """Mean over the vertices left of the part of the vertices they stand for that is inside."""
+    count = result.points.shape[1]
+    kept = result.vertex_map >= 0
+    of_all = np.bincount(result.vertex_map[kept], minlength=count)
+    return float((np.bincount(result.vertex_map[kept], inside[kept], minlength=count) / of_all).mean())
 
 
 def morph() -> Table:
@@ -125,12 +168,33 @@ def joints() -> Table:
     return table
 
 
+def reductions() -> Table:
+    """Errors of a gallop, and vertices in its joints, with the weights of the paper and with milder ones."""
+    scene = _gallop()
+    points = scene.baked()
+    inside = warpqem.motion_features(points, scene.faces).label >= 0
+    ways = {"dsd": {}, "aqem": {"metric": "aqem"}}
+    ways["log"] = {"metric": "aqem", "motion": warpqem.MotionWeighting(weight="log")}
+    columns = [f"{name} {figure}" for name in ways for figure in ("RMS %", "in joints")]
+    table = _table("A gallop at the reductions of the paper", "reduction %", "faces", *columns)
+    for reduction in (39, 58, 68, 86):
+        cells: list[object] = []
+        for options in ways.values():
+            result = warpqem.simplify(points, scene.faces, ratio=1 - reduction / 100, **options)
+            rms = compare(points, scene.faces, result.points, result.faces, samples=4000, frames=8).rms
+            cells += [rms, len(np.unique(result.vertex_map[inside]))]
+        _add(table, reduction, len(result.faces), *cells)
+    return table
+
+
 TABLES: dict[str, Callable[[], Table]] = {
     "levels": levels,
+    "stretch": stretch,
     "morph": morph,
     "face": face,
     "articulated": articulated,
     "joints": joints,
+    "reductions": reductions,
 }
 
 

@@ -259,8 +259,8 @@ def reprice_moved_stars(
     for i in range(first_item(moved_count, work) + wp.tid(), last_item(moved_count, work), work.lanes):
         prefetch_moved(state, frames, log.kept, pass_begin[0] + i, log.count[0], work)
         u = log.kept[pass_begin[0] + i]
-        # The edges of a face at the vertex in one loop: a loop of two or three would be unrolled, and an edge's price is
-        # most of what there is to compile.
+        # The edges of a face in one loop: a loop of two or three would be unrolled, and an edge's price is most of what
+        # there is to compile.
         for j in range(sides * state.stars.start[u], sides * state.stars.end[u]):
             h = state.stars.corner[j // sides]
             side = j % sides

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from rich.table import Table
 
@@ -37,3 +38,22 @@ def test_joints_keep_their_vertices():
     table = paper_tables.joints()
     counts = dict(zip(table.columns[0].cells, column(table, 1), strict=True))
     assert counts["aqem"] > 1.2 * counts["dsd"] > counts["qem"]
+
+
+def test_deformation_oriented_decimation_keeps_vertices_where_the_surface_stretches():
+    table = paper_tables.stretch()
+    plain, oriented = np.array(column(table, 2)), np.array(column(table, 3))
+    gallop = np.array([cell == "gallop" for cell in table.columns[0].cells])
+    assert (oriented > plain)[gallop].all()
+    # One row of nine is even: the head at a twentieth.
+    assert (oriented > plain).sum() >= 8
+
+
+def test_weights_by_size_cost_the_rest_of_the_shape_and_milder_ones_less():
+    table = paper_tables.reductions()
+    dsd, aqem, log = (np.array(column(table, index)) for index in (2, 4, 6))
+    in_dsd, in_aqem, in_log = (np.array(column(table, index)) for index in (3, 5, 7))
+    assert (aqem > log).all()
+    assert (log < 1.3 * dsd).all()
+    assert (in_aqem > in_log).all()
+    assert (in_log > in_dsd).all()

@@ -12,6 +12,7 @@ from warpqem.errors import OptionError
 if TYPE_CHECKING:
     from warpqem.attributes import AttributeField
     from warpqem.face.protect import FaceProtection
+    from warpqem.motion import MotionWeighting
 
 __all__ = ["Goal", "SimplifyOptions", "check_ratio", "read_goal", "target_count"]
 
@@ -50,6 +51,7 @@ class SimplifyOptions:
     seams: Any = None
     attributes: Sequence[AttributeField] = ()
     face: FaceProtection | None = None
+    motion: MotionWeighting | None = None
     memory: int | str | None = None
     device: str | None = None
 

@@ -13,8 +13,8 @@ __all__ = ["block_width", "chunk_frames", "frame_blocks", "pack_frames", "unpack
 # Frames are worked on in blocks of so many bytes of input: ten milliseconds of work on a CPU core, so that starting it
 # costs nothing to speak of, and small beside what a program takes anyway. Larger blocks are no faster.
 BLOCK_BYTES = 8 * 2**20
-# Frames that a GPU thread sums for the deformation term: a moved vertex then has F / 32 threads, and the sums of a chunk
-# take a fifth of the memory that its trajectories do.
+# Frames that a GPU thread sums for the deformation term: a moved vertex then has F / 32 threads, and the sums take a
+# fifth of the memory that the trajectories do.
 CHUNK_FRAMES = 32
 
 

@@ -10,7 +10,7 @@ from warpqem.edges import edge_table
 from warpqem.errors import OptionError
 from warpqem.mesh_input import MeshInput, as_numpy, as_vertex_values
 
-__all__ = ["MOST_WEIGHT", "border_vertices", "lock_mask", "read_model_weights", "read_quadric_scale", "read_weights"]
+__all__ = ["MOST_WEIGHT", "border_vertices", "check_factors", "lock_mask", "read_quadric_scale", "read_weights"]
 
 # Weights above this would leave float32 no room for costs, which then count as forbidden.
 MOST_WEIGHT = 1e12
@@ -40,23 +40,19 @@ def read_weights(vertex_weights: Any, mesh: MeshInput) -> tuple[np.ndarray, np.n
     return own, locked
 
 
-def read_model_weights(weights: Any, vertex_count: int, metric: str) -> np.ndarray:
-    """Check the factors of a cost model, (V,) float32.
+def check_factors(weights: Any, vertex_count: int, origin: str) -> np.ndarray:
+    """Check factors that a function gave, (V,) float32; ``origin`` begins the message.
 
     Raises:
         OptionError: they have another shape, or one is negative, too large or no number.
     """
     own = np.asarray(weights)
     if own.shape != (vertex_count,) or own.dtype.kind not in "fiu":
-        raise OptionError(
-            f"metric {metric!r}: vertex_weight gave {own.dtype} of shape {own.shape}, expected {vertex_count} numbers"
-        )
+        raise OptionError(f"{origin} {own.dtype} of shape {own.shape}, expected {vertex_count} numbers")
     outside = np.flatnonzero(~((own >= 0) & (own <= MOST_WEIGHT)))
     if len(outside):
         vertex = int(outside[0])
-        raise OptionError(
-            f"metric {metric!r}: vertex_weight gave {own[vertex]} at vertex {vertex}, expected 0 to {MOST_WEIGHT:g}"
-        )
+        raise OptionError(f"{origin} {own[vertex]} at vertex {vertex}, expected 0 to {MOST_WEIGHT:g}")
     return own.astype(np.float32)
 
 

@@ -13,6 +13,8 @@ __all__ = [
     "Coherence",
     "Device",
     "Distance",
+    "FeatureFloor",
+    "FeatureThreshold",
     "FieldOfView",
     "Frames",
     "ImageHeight",
@@ -85,6 +87,23 @@ MetricOption = Annotated[
         "--metric",
         help="Cost model: dsd sums the error over frames, qem takes the first pose only, dod adds stretching "
         "edges, aqem keeps joints. Installed packages may offer more.",
+    ),
+]
+
+FeatureThreshold = Annotated[
+    float | None,
+    typer.Option(
+        "--feature-threshold",
+        metavar="DEG",
+        help="Joints: degrees that an edge bends by between two frames to be part of one; by default the mean over all "
+        "edges. Less finds finer ones.",
+    ),
+]
+
+FeatureFloor = Annotated[
+    float | None,
+    typer.Option(
+        "--feature-floor", metavar="DEG", help="Joints: degrees that an edge bends by in any case; by default 1."
     ),
 ]
 

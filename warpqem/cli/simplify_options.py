@@ -14,6 +14,8 @@ from warpqem.cli.options import (
     Coherence,
     Device,
     Distance,
+    FeatureFloor,
+    FeatureThreshold,
     FieldOfView,
     Frames,
     ImageHeight,
@@ -34,6 +36,15 @@ class MorphWeights(str, Enum):
     rank = "rank"
     distance = "distance"
     usage = "usage"
+
+
+class FeatureWeight(str, Enum):
+    """What motion features weigh."""
+
+    size = "size"
+    root = "root"
+    log = "log"
+    bend = "bend"
 
 
 class Placement(str, Enum):
@@ -116,6 +127,15 @@ def simplify_values(
         typer.Option(
             help="Keep more detail where blend shapes or poses move the surface more: weights by thirds of the points, "
             "by rank, by distance, or by distance as an animation uses the shapes."
+        ),
+    ] = None,
+    feature_threshold: FeatureThreshold = None,
+    feature_floor: FeatureFloor = None,
+    feature_weight: Annotated[
+        FeatureWeight | None,
+        typer.Option(
+            help="With --metric aqem: what a joint weighs: its size in points (the default, Yang et al. 2019), the "
+            "root or one plus the logarithm of that, or how far it bends. All but size cost the rest less shape."
         ),
     ] = None,
     symmetry: Annotated[

@@ -10,6 +10,7 @@ from warpqem.kernels.mesh_state import Deformation
 
 __all__ = ["build_deformation"]
 
+
 def build_deformation(
     trajectories: np.ndarray | None, face_count: int, device: str, size: int | None = None
 ) -> tuple[wp.array, Deformation]:

@@ -172,6 +172,7 @@ class Run:
             "memoryless": self.options.memoryless,
             "placement": self.options.placement,
             "key_frames": self.options.key_frames,
+            "motion": self.options.motion,
             "attributes": weighted_fields(job.source, self.options.uv_weight, self.options.attribute_weights),
             "memory": self.options.memory,
             "device": self.options.device,

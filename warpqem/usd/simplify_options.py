@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from warpqem.errors import OptionError
 from warpqem.memory import parse_bytes
+from warpqem.motion import MotionWeighting, motion_weighting
 from warpqem.screen import ScreenView
 from warpqem.symmetry import AXES
 from warpqem.usd.attributes import AttributeWeights, check_weights
@@ -43,6 +44,10 @@ class SimplifyOptions:
             locks. None for none.
         morph_weights: Scale the error of what moves more between the shapes of a mesh, see `warpqem.morph_weights`:
             "thirds", "rank", "distance" or "usage"; None for no weights.
+        feature_threshold: With a metric that keeps motion features, such as "aqem": degrees that an edge bends by
+            between two frames to be part of one, see `warpqem.MotionWeighting`; None for the mean over all edges.
+        feature_floor: Degrees that it bends by in any case; None for 1.
+        feature_weight: What a vertex in a motion feature weighs: "size", "root", "log" or "bend"; None for "size".
         lock_borders: Points at edges with one face keep their position.
         keep_components: No small component vanishes, see `warpqem.simplify`.
         symmetry: "x", "y" or "z": a mesh whose first pose, or rest shape, is its own mirror image across that local
@@ -83,6 +88,9 @@ class SimplifyOptions:
     attribute_weights: AttributeWeights = ()
     weight_primvar: str | None = None
     morph_weights: str | None = None
+    feature_threshold: float | None = None
+    feature_floor: float | None = None
+    feature_weight: str | None = None
     lock_borders: bool = False
     keep_components: bool = False
     symmetry: str | None = None
@@ -121,6 +129,8 @@ class SimplifyOptions:
             parse_bytes(self.memory)
         check_lods(self.lods)
         check_weights(self.uv_weight, self.attribute_weights)
+        # It checks its values when it is made.
+        _ = self.motion
         if self.symmetry not in (None, "auto", *AXES):
             raise OptionError(f"symmetry {self.symmetry!r}: expected auto, {', '.join(AXES)}")
         others = (
@@ -131,13 +141,19 @@ class SimplifyOptions:
             or self.lods
             or self.metric != "dsd"
             or self.placement != "optimal"
+            or self.motion is not None
         )
         if self.pose_independent and others:
             raise OptionError(
-                "pose_independent excludes symmetry, refit, memoryless, bake, lods, another metric and another "
-                "placement"
+                "pose_independent excludes symmetry, refit, memoryless, bake, lods, another metric, its options and "
+                "another placement"
             )
         if self.lods and self.flatten:
             raise OptionError("lods and flatten exclude each other: every level is a layer over the input")
         if self.usd_lod and not self.lods:
             raise OptionError("usd_lod needs lods: the ratios of the levels")
+
+    @property
+    def motion(self) -> MotionWeighting | None:
+        """How motion features are found and weighted, for `warpqem.simplify`; None where nothing is asked for."""
+        return motion_weighting(self.feature_threshold, self.feature_floor, self.feature_weight)
