@@ -47,6 +47,13 @@ class FeatureWeight(str, Enum):
     bend = "bend"
 
 
+class WeightScales(str, Enum):
+    """What painted weights scale."""
+
+    cost = "cost"
+    quadrics = "quadrics"
+
+
 class Placement(str, Enum):
     """Vertex placements."""
 
@@ -118,15 +125,22 @@ def simplify_values(
         str | None,
         typer.Option(
             metavar="NAME",
-            help="Primvar of numbers, painted on the meshes, that scale the cost: 10 is ten times as important as 1, "
-            "infinity locks.",
+            help="Primvar of numbers, painted on the meshes: 10 is ten times as important as 1, infinity locks.",
         ),
     ] = None,
+    weight_scales: Annotated[
+        WeightScales,
+        typer.Option(
+            help="What --weight-primvar scales: the cost of collapses, or the quadrics (Kho & Garland 2003), which "
+            "also draw merged vertices to what counts more."
+        ),
+    ] = WeightScales.cost,
     morph_weights: Annotated[
         MorphWeights | None,
         typer.Option(
-            help="Keep more detail where blend shapes or poses move the surface more: weights by thirds of the points, "
-            "by rank, by distance, or by distance as an animation uses the shapes."
+            help="Keep more detail where blend shapes or poses move the surface more: scale quadrics by thirds of the "
+            "points (morph-target-based surface simplification), by rank, by distance, or by distance as an animation "
+            "uses the shapes."
         ),
     ] = None,
     feature_threshold: FeatureThreshold = None,

@@ -13,6 +13,7 @@ from warpqem.symmetry import AXES
 from warpqem.usd.attributes import AttributeWeights, check_weights
 from warpqem.usd.frames import FrameRange
 from warpqem.usd.lods import check_lods
+from warpqem.usd.weights import WEIGHT_SCALES
 
 __all__ = ["SimplifyOptions"]
 
@@ -40,8 +41,11 @@ class SimplifyOptions:
             square counts as much as one bounding-box diagonal, see `warpqem.AttributeField`; 0 does not look at them.
         attribute_weights: Names of primvars and the weights of their error; for a texture coordinate it takes the place
             of `uv_weight`.
-        weight_primvar: Name of a primvar of numbers that scale the cost of collapses where it is painted; infinity
+        weight_primvar: Name of a primvar of numbers that say how much the surface counts where it is painted; infinity
             locks. None for none.
+        weight_scales: What those numbers scale: "cost", that of collapses, or "quadrics" (Kho & Garland 2003), so that
+            merged vertices go nearer to what counts more, too; see `vertex_weights` and `quadric_scale` of
+            `warpqem.simplify`.
         morph_weights: Scale the error of what moves more between the shapes of a mesh, see `warpqem.morph_weights`:
             "thirds", "rank", "distance" or "usage"; None for no weights.
         feature_threshold: With a metric that keeps motion features, such as "aqem": degrees that an edge bends by
@@ -87,6 +91,7 @@ class SimplifyOptions:
     uv_weight: float = 0.0
     attribute_weights: AttributeWeights = ()
     weight_primvar: str | None = None
+    weight_scales: str = "cost"
     morph_weights: str | None = None
     feature_threshold: float | None = None
     feature_floor: float | None = None
@@ -129,6 +134,8 @@ class SimplifyOptions:
             parse_bytes(self.memory)
         check_lods(self.lods)
         check_weights(self.uv_weight, self.attribute_weights)
+        if self.weight_scales not in WEIGHT_SCALES:
+            raise OptionError(f"weight_scales {self.weight_scales!r}: expected one of {', '.join(WEIGHT_SCALES)}")
         # It checks its values when it is made.
         _ = self.motion
         if self.symmetry not in (None, "auto", *AXES):
