@@ -2,8 +2,12 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 from meshes import bumpy_sphere
 from moving_meshes import kept_near
+from oracles import morph as oracle
 
 import warpqem
 from warpqem.errors import MeshShapeError, OptionError
@@ -90,3 +94,16 @@ def test_part_that_a_target_moves_keeps_more_vertices(device):
 def test_wrong_arguments_are_named(arguments, error, message):
     with pytest.raises(error, match=message):
         morph_weights(*arguments)
+
+
+SHAPES = st.integers(1, 40).flatmap(
+    lambda count: arrays(np.float32, (3, count, 3), elements=st.floats(-10, 10, width=32))
+)
+
+
+@given(shapes=SHAPES)
+def test_thirds_match_the_oracle(shapes):
+    np.testing.assert_allclose(morph_distances(shapes[0], shapes[1:]), oracle.distance_sums(shapes[0], shapes[1:]))
+    np.testing.assert_array_equal(
+        morph_weights(shapes[0], shapes[1:]), oracle.thirds(shapes[0], shapes[1:]).astype(np.float32)
+    )
