@@ -116,7 +116,7 @@ def joints(path: Path) -> None:
 
 
 def morph(path: Path) -> None:
-    """A head at the ratio of morph-target-based surface simplification, without and with its weights.
+    """A head at the ratio of surface simplification guided by morph-targets, without and with its weights.
 
     The neutral shape, coloured by its distance from the result: what MESH draws in that paper.
     """

@@ -4,7 +4,7 @@ python examples/paper_tables.py [levels] [stretch] [morph] [rest] [face] [articu
 
 levels        any level from one run, and its error (progressive deforming meshes)
 stretch       vertices where the surface stretches most (the same: deformation oriented decimation)
-morph         ten levels of a face with and without weights (morph-target-based surface simplification)
+morph         ten levels of a face with and without weights (surface simplification guided by morph-targets)
 rest          the same with weights for what rests but matters (its outlook)
 face          feature points that survive (feature-preserving simplification for expression retargeting)
 articulated   poses that the fit of a skin has not seen (simplification of articulated meshes)
@@ -34,7 +34,7 @@ from warpqem.face.protect import face_weights
 from warpqem.measure import compare, vertex_distances
 from warpqem.usd import CompareOptions, FrameRange, SimplifyOptions, compare_stages, simplify_stage
 
-# The head of morph-target-based surface simplification: 3128 triangles to 878.
+# The head of surface simplification guided by morph-targets: 3128 triangles to 878.
 PAPER_RATIO = 878 / 3128
 SCENES = Path(__file__).parent.parent / "scenes"
 

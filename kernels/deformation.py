@@ -1,8 +1,8 @@
 """Edge-length deformation over frames: the extra cost of deformation oriented decimation.
 
-"Progressive deforming meshes based on deformation oriented decimation", equation 2: ``xi = w A (mean dl)^2`` with
-``dl^t = |l^{t+1} - l^t|`` over the F - 1 steps, ``A`` the sum over frames of the area of the edge's two faces and
-``w = (max dl - mean dl) / std dl`` (0/0 counts as 1).
+"Progressive deforming meshes based on deformation oriented decimation" (Huang, Chen & Chuang), equation 2:
+``xi = w A (mean dl)^2`` with ``dl^t = |l^{t+1} - l^t|`` over the F - 1 steps, ``A`` the sum over frames of the area of
+the edge's two faces and ``w = (max dl - mean dl) / std dl`` (0/0 counts as 1).
 
 A face's area and an edge's steps are summed once where they changed, over chunks of frames: a GPU gives each chunk a
 thread, a CPU has one chunk. The price of an edge puts the chunks together in their order.

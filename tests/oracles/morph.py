@@ -1,4 +1,4 @@
-"""Weights of morph targets, as equation 8 and table 1 of morph-target-based surface simplification print them."""
+"""Weights of morph targets, as equation 8 and table 1 of surface simplification guided by morph-targets print them."""
 
 import numpy as np
 

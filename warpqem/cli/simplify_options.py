@@ -102,7 +102,8 @@ def simplify_values(
         bool,
         typer.Option(
             "--memoryless/--no-memoryless",
-            help="Order by planes of the present faces instead of the input's: better shape, slower.",
+            help="Order by planes of the present faces instead of the input's (Lindstrom & Turk 1998): better shape, "
+            "slower.",
         ),
     ] = False,
     placement: Annotated[
@@ -114,7 +115,7 @@ def simplify_values(
         typer.Option(
             metavar="FLOAT",
             help="Weight of texture-coordinate error in the choice of collapses: at 1 the whole UV square counts as "
-            "much as the bounding-box diagonal; 0 does not look at UVs.",
+            "much as the bounding-box diagonal; 0 does not look at UVs (Hoppe 1999).",
         ),
     ] = 0.0,
     attribute_weight: Annotated[
@@ -139,8 +140,7 @@ def simplify_values(
         MorphWeights | None,
         typer.Option(
             help="Keep more detail where blend shapes or poses move the surface more: scale quadrics by thirds of the "
-            "points (morph-target-based surface simplification), by rank, by distance, or by distance as an animation "
-            "uses the shapes."
+            "points (Berner & Rieger 2006), by rank, by distance, or by distance as an animation uses the shapes."
         ),
     ] = None,
     feature_threshold: FeatureThreshold = None,
@@ -192,7 +192,8 @@ def simplify_values(
         bool,
         typer.Option(
             "--skin-fit/--no-skin-fit",
-            help="Fit rest points and joint influences of skinned meshes together to their poses; or interpolate them.",
+            help="Fit rest points and joint influences of skinned meshes together to their poses (Landreneau & "
+            "Schaefer 2009); or interpolate them.",
         ),
     ] = True,
     pose_independent: Annotated[
@@ -200,7 +201,7 @@ def simplify_values(
         typer.Option(
             "--pose-independent",
             help="To compare with: simplify skinned meshes in their rest shape, by the errors of all poses pulled back "
-            "to it, and interpolate their skin.",
+            "to it, and interpolate their skin (DeCoro & Rusinkiewicz 2005).",
         ),
     ] = False,
     asset_root: Annotated[
