@@ -21,6 +21,7 @@ from warpqem.sharing import FrameShare, check_share
 
 if TYPE_CHECKING:
     from warpqem.face.protect import FaceProtection
+    from warpqem.motion import MotionWeighting
 
 __all__ = ["plan", "simplify"]
 
@@ -47,6 +48,7 @@ def simplify(
     seams: Any = None,
     attributes: Sequence[AttributeField] = (),
     face: FaceProtection | None = None,
+    motion: MotionWeighting | None = None,
     memory: int | str | None = None,
     sink: FrameSink | None = None,
     share: FrameShare | None = None,
@@ -93,6 +95,8 @@ def simplify(
             see :class:`warpqem.AttributeField`. ``max_error`` and ``SimplifiedMesh.error`` stay errors of the shape.
         face: how ``metric="face"`` keeps the feature points of a face, see :class:`warpqem.FaceProtection`; None for
             its defaults.
+        motion: how ``metric="aqem"`` finds the joints and what they weigh, see :class:`warpqem.MotionWeighting`; None
+            for the ways of its paper.
         memory: bytes that the work may take, beside what the process holds already, or text such as "8G"; None for
             most of what is free. It decides how many frames are in memory at once, and no bit of the result.
         sink: takes the frames of the result, block by block, in place of an array.
@@ -127,6 +131,7 @@ def simplify(
         seams=seams,
         attributes=attributes,
         face=face,
+        motion=motion,
         memory=memory,
         device=device,
     )
