@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from warpqem.cli.console import EXIT_FAILED, print_table, progress_bar, quiet_warp, tell
+from warpqem.cli.console import EXIT_FAILED, print_table, progress_bar, quiet_libraries, tell
 from warpqem.cli.logs import LogJson, Verbose, start_logging
 from warpqem.cli.simplify_options import takes_simplify_options
 from warpqem.errors import OptionError, StageError
@@ -107,7 +107,7 @@ def batch(
 
     Exit codes: 0 all done; 1 an error, or some asset or mesh failed; 2 wrong usage.
     """
-    quiet_warp()
+    quiet_libraries()
     start_logging(verbose, log_json)
     from warpqem.batching.jobs import check_jobs
     from warpqem.batching.run import batch as run_batch

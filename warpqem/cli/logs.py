@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 
 from warpqem.errors import StageError
+from warpqem.printable import printable, printable_lines
 
 __all__ = ["LogJson", "Verbose", "start_logging"]
 
@@ -24,6 +25,12 @@ LogJson = Annotated[
     str | None,
     typer.Option("--log-json", metavar="FILE", help="Append a line of JSON for everything that is being done to FILE."),
 ]
+
+
+class _PrintableLines(logging.Formatter):
+    def format(self, record: logging.LogRecord) -> str:
+        text = f"{record.levelname}: {printable(record.getMessage())}"
+        return text if not record.exc_info else f"{text}\n{printable_lines(self.formatException(record.exc_info))}"
 
 
 class _JsonLines(logging.Formatter):
@@ -54,7 +61,7 @@ def start_logging(verbose: int, path: str | None) -> None:
         logger.removeHandler(handler)
     to_stderr = logging.StreamHandler(sys.stderr)
     to_stderr.setLevel(LEVELS[min(verbose, len(LEVELS) - 1)])
-    to_stderr.setFormatter(logging.Formatter("%(levelname)s: %(message)s"))
+    to_stderr.setFormatter(_PrintableLines())
     handlers: list[logging.Handler] = [to_stderr]
     if path is not None:
         try:

@@ -5,10 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.markup import escape
-from rich.table import Table
 
-from warpqem.cli.console import print_table, progress_bar, quiet_warp, write_json
+from warpqem.cli.console import PlainTable, print_table, progress_bar, quiet_libraries, write_json
 from warpqem.cli.examples import epilog
 from warpqem.cli.options import (
     Coherence,
@@ -59,7 +57,7 @@ def build(
 
     Exit codes: 0 done; 1 an error; 2 wrong usage.
     """
-    quiet_warp()
+    quiet_libraries()
     from warpqem.usd import FrameRange
     from warpqem.usd.progressive import BuildOptions, build_file
 
@@ -96,13 +94,13 @@ def extract(
 
     Exit codes: 0 done; 1 an error; 2 wrong usage.
     """
-    quiet_warp()
+    quiet_libraries()
     from warpqem.usd.option_values import screen_view
     from warpqem.usd.progressive import LevelChoice, extract_level
 
     screen = screen_view(screen_error, distance, field_of_view, image_height)
     count, error = extract_level(file, output, LevelChoice(ratio, faces, max_error, screen))
-    table = Table(title=escape(f"{file} -> {output}"))
+    table = PlainTable(f"{file} -> {output}")
     for name in ("faces", "error %"):
         table.add_column(name, justify="right")
     table.add_row(str(count), f"{error:.4f}")
@@ -117,7 +115,7 @@ def info(file: MeshFile, json: JsonReport = None) -> None:
 
     Exit codes: 0 done; 1 the file cannot be read; 2 wrong usage.
     """
-    quiet_warp()
+    quiet_libraries()
     from warpqem.errors import StageError
     from warpqem.progressive import read_info
 
@@ -129,7 +127,7 @@ def info(file: MeshFile, json: JsonReport = None) -> None:
 
 
 def _show(title: str, info: FileInfo, json: str | None) -> None:
-    table = Table(title=escape(title))
+    table = PlainTable(title)
     rows = {
         "frames": info.frame_count,
         "vertices": info.vertex_count,
