@@ -54,11 +54,11 @@ def perform(
         options = _with_defaults(job.options, device, memory)
         _make_folder(Path(job.output).parent)
         # Held, so that USD reads no layer twice.
-        layers = [open_layers(path, options.asset_roots) for path in (job.input, options.poses) if path is not None]
-        result.fingerprint = take_fingerprint(job, begun)
+        opened = [open_layers(path, options.asset_roots) for path in (job.input, options.poses) if path is not None]
+        result.fingerprint = take_fingerprint(job, begun, [file for each in opened for file in each.files])
         share = None if call is None else FrameShare(lambda: temporary_path(Path(job.output).parent, ".share"), call)
         _fill(result, simplify_stage(job.input, job.output, options, progress, share=share))
-        del layers
+        del opened
     except MemoryError as error:
         result.error = type(error).__name__
         result.message = f"{job.input}: {error}" if isinstance(error, WarpqemError) else f"{job.input}: out of memory"
@@ -116,7 +116,9 @@ def _make_folder(folder: Path) -> None:
 
 
 def _named(job: BatchJob, error: Exception) -> str:
-    text = " ".join(str(error).split()) or type(error).__name__
+    # What is not of warpqem may come on many lines.
+    text = str(error) if isinstance(error, WarpqemError) else " ".join(str(error).split())
+    text = text or type(error).__name__
     return text if job.input in text else f"{job.input}: {text}"
 
 

@@ -19,15 +19,17 @@ def info(input_file: Input, json: JsonReport = None) -> None:
     Exit codes: 0 done, whatever the meshes are like; 1 the file cannot be read; 2 wrong usage.
     """
     quiet_libraries()
-    from warpqem.usd import inspect_stage
+    from warpqem.usd.inspect import inspect_with_problems
 
-    meshes = inspect_stage(input_file)
+    meshes, problems = inspect_with_problems(input_file)
     print_table(_table(input_file, meshes), to_stderr=json == "-")
+    for problem in problems:
+        tell("note", problem)
     for mesh in meshes:
         for problem in mesh.problems:
             tell("note", problem if problem.startswith(mesh.path) else f"{mesh.path}: {problem}")
     if json is not None:
-        write_json(json, {"input": input_file, "meshes": [mesh.to_dict() for mesh in meshes]})
+        write_json(json, {"input": input_file, "meshes": [mesh.to_dict() for mesh in meshes], "problems": problems})
 
 
 def _table(input_file: str, meshes: list[MeshInfo]) -> PlainTable:

@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from warpqem.errors import ProgressiveFileError
+from warpqem.file_kinds import check_regular
 from warpqem.memory import available_memory, format_bytes
 
 __all__ = ["ChunkFile", "FileInfo", "write_chunks"]
@@ -107,6 +108,7 @@ class ChunkFile:
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = os.fspath(path)
+        check_regular(path, ProgressiveFileError)
         with open(path, "rb") as file:
             try:
                 self._map = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)

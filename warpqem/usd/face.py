@@ -16,6 +16,7 @@ from warpqem.errors import OptionError, StageError
 from warpqem.face import FEATURE_NAMES
 from warpqem.face.features import FacialFeatures, facial_features
 from warpqem.face.retarget import FaceMesh, RetargetedMotion, retarget
+from warpqem.file_kinds import check_regular
 from warpqem.picture import View, fit_view, render, tile, write_png
 from warpqem.picture.marks import mark
 from warpqem.usd.face_output import write_blend_shapes, write_samples
@@ -122,9 +123,10 @@ def _subset_points(prim: Usd.Prim) -> dict[str, int | None]:
 
 def _read_points(path: str | os.PathLike[str]) -> dict[str, int | None]:
     """Points by name: a number, null for a point that is not there, or what `write_points` wrote."""
+    check_regular(path, OptionError, f"points {os.fspath(path)}")
     try:
         value: Any = json.loads(Path(path).read_text("utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise OptionError(f"points {path}: cannot be read ({error})") from error
     value = value.get("points", value) if isinstance(value, dict) else None
     if not isinstance(value, dict):

@@ -13,7 +13,7 @@ from warpqem.errors import StageError
 from warpqem.measure import topology
 from warpqem.usd.mesh import MeshSource
 from warpqem.usd.skel import StagePoses
-from warpqem.usd.stage import find_meshes, open_stage
+from warpqem.usd.stage import find_meshes, open_with_problems
 from warpqem.usd.usd_errors import usd_errors_named
 
 __all__ = ["MeshInfo", "inspect_stage"]
@@ -77,13 +77,22 @@ def inspect_stage(path: str | os.PathLike[str]) -> list[MeshInfo]:
     Raises:
         StageError: the file cannot be read.
     """
-    stage = open_stage(path)
+    return inspect_with_problems(path)[0]
+
+
+def inspect_with_problems(path: str | os.PathLike[str]) -> tuple[list[MeshInfo], list[str]]:
+    """Describe every mesh of a USD file, and what is wrong with the files that it names; one line each.
+
+    Raises:
+        StageError: the file cannot be read.
+    """
+    stage, problems = open_with_problems(path)
     with usd_errors_named(path, reading=True):
         poses = StagePoses(stage)
         selection = find_meshes(stage)
         infos = [_inspect(prim, poses) for prim in selection.prims]
     infos += [MeshInfo(proxy, problems=[str(error)]) for proxy, error in selection.refused]
-    return infos
+    return infos, problems
 
 
 def _inspect(prim: Usd.Prim, poses: StagePoses) -> MeshInfo:

@@ -12,13 +12,12 @@ from pathlib import Path
 
 from warpqem.sharing import FrameShare
 from warpqem.usd.context import Announce, Context, Progress, SharedOrder
-from warpqem.usd.input_check import check_composition
 from warpqem.usd.lods import LevelReport, VariantLevels
 from warpqem.usd.report import PrimReport, StageReport
 from warpqem.usd.run import Run
 from warpqem.usd.run_info import run_info
 from warpqem.usd.simplify_options import SimplifyOptions
-from warpqem.usd.stage import open_stage
+from warpqem.usd.stage import open_with_problems
 from warpqem.usd.usd_errors import usd_errors_named
 from warpqem.usd.usd_lod import UsdLodLevels
 from warpqem.usd.write import check_output_path
@@ -67,7 +66,7 @@ def simplify_stage(
     output = check_output_path(output_path, [input_path])
     start = time.perf_counter()
     _log.info("%s: reading", input_path)
-    stage = open_stage(input_path, options.asset_roots)
+    stage, problems = open_with_problems(input_path, options.asset_roots)
     check_output_path(output_path, [layer.realPath for layer in stage.GetUsedLayers() if layer.realPath])
     # What fails while a layer is being written is no matter of one mesh: half of it would be there.
     with usd_errors_named(input_path), ExitStack() as cleanup:
@@ -81,6 +80,7 @@ def simplify_stage(
             share,
         )
         report = _simplify(context, input_path, output)
+    report.problems = problems
     if report.output is not None:
         report.output = os.fspath(output_path)
     report.run = run_info(options, time.perf_counter() - start)
@@ -90,7 +90,6 @@ def simplify_stage(
 def _simplify(context: Context, input_path: str | os.PathLike[str], output: Path) -> StageReport:
     report, save = (_simplify_levels if context.options.lods else _simplify_once)(context)
     report.input = os.fspath(input_path)
-    report.problems = check_composition(context.stage)
     if len(report.failed) < len(report.prims):
         save(output)
         report.output = os.fspath(output)
