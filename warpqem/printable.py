@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import unicodedata
 
-__all__ = ["printable", "printable_lines"]
+__all__ = ["FIRST_BYTE", "LAST_BYTE", "printable", "printable_lines"]
 
 # Categories that Python calls not printable although they only take room on the line: other spaces, private glyphs.
 HARMLESS_CATEGORIES = ("Zs", "Co")

@@ -15,8 +15,8 @@ class BatchResult:
     """The outcome for one asset.
 
     Attributes:
-        input: USD file that was read.
-        output: USD file that was to be written.
+        input: USD file that was read; the manifest, for a line of it that names none.
+        output: USD file that was to be written; empty for a line of a manifest that is wrong.
         status: "done"; "partial" where the file was written but a mesh on it failed; "failed" where nothing was
             written; "skipped" where the file is there already, from the same input and options.
         error: Name of the error, such as "StageError"; None without one.

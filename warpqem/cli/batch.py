@@ -8,6 +8,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from enum import Enum
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -21,6 +22,7 @@ from warpqem.errors import OptionError, StageError
 if TYPE_CHECKING:
     from warpqem.batching.engine import Engine
     from warpqem.batching.jobs import BatchJob
+    from warpqem.batching.manifest import Manifest, WrongLine
     from warpqem.batching.result import BatchResult
 
 __all__ = ["batch"]
@@ -118,11 +120,15 @@ def batch(
     if report is not None:
         check_page_path(report)
     folder = Path(output)
-    work = _find_jobs(inputs, folder, options, None if output_format is None else f".{output_format.value}")
+    work, wrong = _find_jobs(inputs, folder, options, None if output_format is None else f".{output_format.value}")
     journal = folder / JOURNAL_NAME
     if dry_run:
         check_jobs(work)
+        for line in wrong:
+            tell("error", line.message)
         print_table(dry_run_table(work, journal if resume else None), to_stderr=json == "-")
+        if wrong:
+            raise typer.Exit(EXIT_FAILED)
         return
     chosen = _engine(
         engine, options, jobs=jobs, timeout=timeout, retries=retries, spread=spread, ray=(address, cpus, gpus)
@@ -133,7 +139,7 @@ def batch(
     with _lines(json) as write, BatchDisplay(work) as display:
         updates = run_batch(work, chosen, journal=journal, resume=resume, on_update=display.update)
         try:
-            for result in updates:
+            for result in chain((line.result() for line in wrong), updates):
                 results.append(result)
                 write(result)
                 if not result.ok:
@@ -143,11 +149,11 @@ def batch(
         finally:
             updates.close()
         seconds = display.seconds
-    print_table(summary_table(results, len(work), seconds), to_stderr=json == "-")
+    print_table(summary_table(results, len(work) + len(wrong), seconds), to_stderr=json == "-")
     if report is not None:
         _write_overview(report, results, options)
     if interrupted:
-        tell("error", f"interrupted after {len(results)} of {len(work)} assets; go on with --resume")
+        tell("error", f"interrupted after {len(results)} of {len(work) + len(wrong)} assets; go on with --resume")
     if interrupted or not all(result.ok for result in results):
         raise typer.Exit(EXIT_FAILED)
 
@@ -160,19 +166,46 @@ def _write_overview(path: str, results: list[BatchResult], options: dict[str, An
         write_overview(path, found, tuple(options["prim"] or ()), options["device"], progress)
 
 
-def _find_jobs(inputs: list[str], folder: Path, options: dict[str, Any], suffix: str | None) -> list[BatchJob]:
+def _find_jobs(
+    inputs: list[str], folder: Path, options: dict[str, Any], suffix: str | None
+) -> tuple[list[BatchJob], list[WrongLine]]:
+    """The jobs, and the lines of manifests without one."""
     from warpqem.batching.jobs import BatchJob, find_files, output_path
-    from warpqem.batching.manifest import MANIFEST_SUFFIXES, read_manifest
+    from warpqem.batching.manifest import MANIFEST_SUFFIXES, read_lines
     from warpqem.usd.option_values import read_options
 
     lists = [text for text in inputs if Path(text).suffix.lower() in MANIFEST_SUFFIXES]
     files = [text for text in inputs if text not in lists]
-    work = [job for path in lists for job in read_manifest(path, folder, options, suffix)]
+    work: list[BatchJob] = []
+    wrong: list[WrongLine] = []
+    for path in lists:
+        manifest = read_lines(path, folder, options, suffix)
+        _check_wrong(manifest, options)
+        work += manifest.jobs
+        wrong += manifest.wrong
     if files:
         shared = read_options(options)
         for file in find_files(files, leave_out=folder):
             work.append(BatchJob(str(file.path), output_path(folder, file.relative, suffix), shared))
-    return work
+    return work, wrong
+
+
+def _check_wrong(manifest: Manifest, options: dict[str, Any]) -> None:
+    """Refuse a manifest whose lines are wrong by the options of the command line, and with --strict any wrong line.
+
+    Raises:
+        OptionError: see above.
+    """
+    from warpqem.usd.option_values import read_options
+
+    if manifest.wrong and options["strict"]:
+        raise OptionError(manifest.wrong[0].message)
+    if not manifest.jobs:
+        try:
+            read_options(options)
+        except OptionError as error:
+            if all(line.reason == str(error) for line in manifest.wrong):
+                raise OptionError(manifest.wrong[0].message) from error
 
 
 def _engine(

@@ -17,6 +17,7 @@ from warpqem.batching.jobs import BatchJob
 from warpqem.batching.result import DONE, FAILED, PARTIAL, SKIPPED, BatchResult
 from warpqem.batching.state import Journal
 from warpqem.cli.console import PlainTable
+from warpqem.file_kinds import kind_of
 from warpqem.printable import printable
 
 __all__ = ["BatchDisplay", "dry_run_table", "summary_table"]
@@ -99,9 +100,13 @@ def dry_run_table(jobs: Sequence[BatchJob], journal: Path | None) -> PlainTable:
     for name in ("input", "output", ""):
         table.add_column(name, overflow="fold")
     for job in jobs:
-        state = "is done" if job.output in done else "" if os.path.isfile(job.input) else "no such file"
+        state = "is done" if job.output in done else _why_not(job.input)
         table.add_row(job.input, job.output, state)
     return table
+
+
+def _why_not(path: str) -> str:
+    return "" if os.path.isfile(path) else kind_of(path) or "no such file"
 
 
 def summary_table(results: Sequence[BatchResult], job_count: int, seconds: float) -> PlainTable:

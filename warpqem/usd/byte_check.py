@@ -53,7 +53,7 @@ def check_bytes(file: str, by: str = "") -> None:
         with open(file, "rb") as stream:
             start = stream.read(8)
             if not start:
-                raise StageError(f"{file}{by}: an empty file")
+                raise StageError(f"{file}{by}: an empty file, which USD cannot open")
             if start.startswith(TEXT):
                 if os.path.getsize(file) > MOST_TEXT_BYTES:
                     raise StageError(
