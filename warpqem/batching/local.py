@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import multiprocessing
 import os
+import re
 import shutil
 import signal
 import tempfile
@@ -28,6 +29,7 @@ from warpqem.errors import BatchError, OptionError
 from warpqem.memory import DEFAULT_SHARE, available_memory, parse_bytes
 from warpqem.opening import TIME_IS_UP
 from warpqem.parallel import thread_count
+from warpqem.process_limits import limit_behind_signal
 from warpqem.usd.temporary import remove_leftovers
 
 __all__ = ["LocalEngine"]
@@ -329,7 +331,8 @@ class _Pool:
             with suppress(ValueError):
                 code = signal.Signals(-code).name
             late = ": USD does not come to the end of a file, which is damaged" if code == TIME_IS_UP else ""
-            how = f"was ended by {code}{late}"
+            limit = limit_behind_signal(str(code))
+            how = f"was ended by {code}{late}" + (f", for which this is the likely reason: {limit}" if limit else "")
         else:
             how = f"ended with code {code}"
         return how + _last_words(worker.output)
@@ -340,7 +343,9 @@ def _last_words(path: str) -> str:
     try:
         with open(path, "rb") as file:
             file.seek(max(0, os.path.getsize(path) - TAIL_BYTES))
-            lines = [line.strip() for line in file.read().decode("utf-8", "replace").splitlines() if line.strip()]
+            lines = [
+                line.strip() for line in file.read().decode("utf-8", "replace").splitlines() if re.search(r"\w", line)
+            ]
     except OSError:
         return ""
     return f" ({lines[-1][:TAIL_TEXT]})" if lines else ""

@@ -16,6 +16,7 @@ from warpqem.batching.result import DONE, FAILED, PARTIAL, BatchResult
 from warpqem.device import resolve_device
 from warpqem.errors import StageError, WarpqemError
 from warpqem.memory import DEFAULT_SHARE, available_memory
+from warpqem.process_limits import with_limit
 from warpqem.process_memory import peak_memory, reset_peak
 from warpqem.sharing import FrameShare, help_place
 from warpqem.usd.input_check import open_layers
@@ -61,13 +62,14 @@ def perform(
         del opened
     except MemoryError as error:
         result.error = type(error).__name__
-        result.message = f"{job.input}: {error}" if isinstance(error, WarpqemError) else f"{job.input}: out of memory"
+        text = f"{job.input}: {error}" if isinstance(error, WarpqemError) else f"{job.input}: out of memory"
+        result.message = with_limit(text, error)
     except WarpqemError as error:
-        result.error, result.message = type(error).__name__, _named(job, error)
+        result.error, result.message = type(error).__name__, with_limit(_named(job, error), error)
     except Exception as error:
         # Nothing that is wrong with one asset may stop the others, nor go unnamed.
         _log.error("%s", job.input, exc_info=error)
-        result.error, result.message = type(error).__name__, _named(job, error)
+        result.error, result.message = type(error).__name__, with_limit(_named(job, error), error)
     result.seconds = time.perf_counter() - start
     result.peak_memory = peak_memory()
     return result

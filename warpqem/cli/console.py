@@ -20,6 +20,7 @@ from rich.text import Text
 
 from warpqem.errors import OptionError, StageError, WarpqemError
 from warpqem.printable import printable, printable_lines
+from warpqem.process_limits import limit_behind_error, with_limit
 
 if TYPE_CHECKING:
     from warpqem.usd.usd_errors import UsdMessages
@@ -88,7 +89,9 @@ class OneLineErrors(typer.core.TyperGroup):
             tell("error", str(error))
             return EXIT_USAGE
         except WarpqemError as error:
-            tell("error", str(error))
+            tell("error", with_limit(str(error), error))
+        except MemoryError as error:
+            tell("error", with_limit("out of memory", error))
         except typer.Abort:
             tell("error", "interrupted")
         except Exception as error:
@@ -96,10 +99,14 @@ class OneLineErrors(typer.core.TyperGroup):
             if hasattr(error, "format_message"):
                 tell("error", f"{error.format_message()} (see warpqem --help)")
                 return EXIT_USAGE
+            limit = limit_behind_error(error)
             if os.environ.get(TRACEBACK_VARIABLE):
                 print(printable_lines(traceback.format_exc()), file=sys.stderr)
             else:
                 text = " ".join(str(error).split())
+                if limit:
+                    tell("error", f"{limit}: {text}")
+                    return EXIT_FAILED
                 tell("error", f"{type(error).__name__}: {text} (set {TRACEBACK_VARIABLE}=1 for a traceback)")
         return EXIT_FAILED
 
