@@ -256,9 +256,9 @@ class _Pool:
         if worker.task is not None:
             yield Progressed(worker.task.job, *value)
 
-    def _take_log(self, worker: _Worker, value: tuple[str, int, str]) -> Iterator[Update]:
-        name, level, text = value
-        logging.getLogger(name).log(level, "%s", text)
+    def _take_log(self, worker: _Worker, value: tuple[str, int, str, str]) -> Iterator[Update]:
+        name, level, text, traceback = value
+        logging.getLogger(name).log(level, "%s", text, extra={"traceback": traceback})
         yield from ()
 
     def _take_result(self, worker: _Worker, result: BatchResult) -> Iterator[Update]:

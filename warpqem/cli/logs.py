@@ -30,7 +30,13 @@ LogJson = Annotated[
 class _PrintableLines(logging.Formatter):
     def format(self, record: logging.LogRecord) -> str:
         text = f"{record.levelname}: {printable(record.getMessage())}"
-        return text if not record.exc_info else f"{text}\n{printable_lines(self.formatException(record.exc_info))}"
+        return "\n".join([text, *filter(None, [printable_lines(_traceback_of(record))])])
+
+
+def _traceback_of(record: logging.LogRecord) -> str:
+    """The traceback of a record, also of one from a worker of a batch; empty for none."""
+    own = logging.Formatter().formatException(record.exc_info) if record.exc_info else ""
+    return own or getattr(record, "traceback", "")
 
 
 class _JsonLines(logging.Formatter):
@@ -41,8 +47,9 @@ class _JsonLines(logging.Formatter):
             "logger": record.name,
             "message": record.getMessage(),
         }
-        if record.exc_info:
-            value["traceback"] = self.formatException(record.exc_info)
+        traceback = _traceback_of(record)
+        if traceback:
+            value["traceback"] = traceback
         return json.dumps(value)
 
 
