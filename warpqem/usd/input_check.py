@@ -179,7 +179,7 @@ def _check_clip(clip: NamedAsset, layer: str, allowed: list[Path]) -> list[str]:
 
 
 def _check_place(file: str, by: str, allowed: list[Path]) -> None:
-    if allowed and not any(Path(file).resolve().is_relative_to(root) for root in allowed):
+    if allowed and not any(Path(os.path.realpath(file)).is_relative_to(root) for root in allowed):
         raise StageError(f"{file}{by}: outside of {', '.join(map(str, allowed))}")
 
 
