@@ -15,6 +15,7 @@ __all__ = [
     "MeshShapeError",
     "NonFinitePointError",
     "OptionError",
+    "ProcessLimitError",
     "ProgressiveFileError",
     "StageError",
     "UnreachableTargetError",
@@ -76,6 +77,10 @@ class BatchError(WarpqemError, RuntimeError):
 
 class MemoryLimitError(WarpqemError, MemoryError):
     """The work cannot be done in the memory it may take; the message says what is needed and what would help."""
+
+
+class ProcessLimitError(WarpqemError, RuntimeError):
+    """A limit of the process (ulimit) leaves too little to work with; the message names the limit."""
 
 
 class ProgressiveFileError(WarpqemError, ValueError):

@@ -8,6 +8,7 @@ checked against the memory that processes took (benchmarks/NOTES.md).
 
 from __future__ import annotations
 
+import math
 import os
 import re
 from dataclasses import asdict, dataclass
@@ -278,7 +279,8 @@ def parse_bytes(value: int | str) -> int:
         OptionError: it is no positive number of bytes.
     """
     found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?\s*", str(value), re.IGNORECASE)
-    count = int(float(found[1]) * UNITS[found[2].upper()]) if found else 0
+    size = float(found[1]) * UNITS[found[2].upper()] if found else 0.0
+    count = int(size) if math.isfinite(size) else 0
     if count < 1:
         raise OptionError(f"memory {value!r}: expected bytes above 0, such as 8G or 500M")
     return count

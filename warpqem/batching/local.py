@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import multiprocessing
 import os
+import re
 import shutil
 import signal
 import tempfile
@@ -28,6 +29,7 @@ from warpqem.errors import BatchError, OptionError
 from warpqem.memory import DEFAULT_SHARE, available_memory, parse_bytes
 from warpqem.opening import TIME_IS_UP
 from warpqem.parallel import thread_count
+from warpqem.process_limits import limit_behind_signal
 from warpqem.usd.temporary import remove_leftovers
 
 __all__ = ["MAIN_HINT", "OUTSIDE_SIGNALS", "LocalEngine", "ending"]
@@ -256,9 +258,9 @@ class _Pool:
         if worker.task is not None:
             yield Progressed(worker.task.job, *value)
 
-    def _take_log(self, worker: _Worker, value: tuple[str, int, str]) -> Iterator[Update]:
-        name, level, text = value
-        logging.getLogger(name).log(level, "%s", text)
+    def _take_log(self, worker: _Worker, value: tuple[str, int, str, str]) -> Iterator[Update]:
+        name, level, text, traceback = value
+        logging.getLogger(name).log(level, "%s", text, extra={"traceback": traceback})
         yield from ()
 
     def _take_result(self, worker: _Worker, result: BatchResult) -> Iterator[Update]:
@@ -331,7 +333,8 @@ def ending(code: int | None) -> str:
     with suppress(ValueError):
         name = signal.Signals(-code).name
     late = ": USD does not come to the end of a file, which is damaged" if name == TIME_IS_UP else ""
-    return f"was ended by {name}{late}"
+    limit = limit_behind_signal(name)
+    return f"was ended by {name}{late}" + (f", for which this is the likely reason: {limit}" if limit else "")
 
 
 def _last_words(path: str) -> str:
@@ -339,7 +342,9 @@ def _last_words(path: str) -> str:
     try:
         with open(path, "rb") as file:
             file.seek(max(0, os.path.getsize(path) - TAIL_BYTES))
-            lines = [line.strip() for line in file.read().decode("utf-8", "replace").splitlines() if line.strip()]
+            lines = [
+                line.strip() for line in file.read().decode("utf-8", "replace").splitlines() if re.search(r"\w", line)
+            ]
     except OSError:
         return ""
     return f" ({lines[-1][:TAIL_TEXT]})" if lines else ""

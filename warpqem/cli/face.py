@@ -6,10 +6,8 @@ from functools import partial
 from typing import Annotated, Any
 
 import typer
-from rich.markup import escape
-from rich.table import Table
 
-from warpqem.cli.console import print_table, quiet_warp, write_json
+from warpqem.cli.console import PlainTable, print_table, quiet_libraries, write_json
 from warpqem.cli.examples import epilog
 from warpqem.cli.options import Device, Frames, Input, JsonReport, Output, ReportPage
 from warpqem.cli.simplify import run_simplify
@@ -55,7 +53,7 @@ def detect(
 
     Exit codes: 0 done; 1 an error; 2 wrong usage.
     """
-    quiet_warp()
+    quiet_libraries()
     from warpqem.outputs import named_outputs
     from warpqem.usd import FrameRange
     from warpqem.usd.face import FaceOptions, check_face_outputs, draw_face, read_face, write_points
@@ -69,13 +67,13 @@ def detect(
     for target in (output, json):
         if target is not None:
             write_json(target, written)
-    table = Table(title=escape(f"{found.path}: {len(written['points'])} points"))
+    table = PlainTable(f"{found.path}: {len(written['points'])} points")
     for name in ("point", "index", "confidence"):
         table.add_column(name, justify="left" if name == "point" else "right", overflow="fold")
     for name, entry in written["points"].items():
         table.add_row(name, str(entry["point"]), f"{entry['confidence']:.2f}")
     for name, reason in written["missing"].items():
-        table.add_row(name, "-", escape(reason))
+        table.add_row(name, "-", reason)
     print_table(table, to_stderr="-" in (json, output))
 
 
@@ -146,7 +144,7 @@ def retarget(
 
     Exit codes: 0 done; 1 an error; 2 wrong usage.
     """
-    quiet_warp()
+    quiet_libraries()
     from warpqem.outputs import named_outputs
     from warpqem.usd import FrameRange
     from warpqem.usd.face import FaceOptions, read_face, retarget_file
@@ -162,7 +160,7 @@ def retarget(
         "shared points": len(moved.shared),
         "vertices that fade": int((moved.share < 1.0).sum()),
     }
-    table = Table(title=escape(f"{source_file}, {target_file} -> {output}"))
+    table = PlainTable(f"{source_file}, {target_file} -> {output}")
     for name in row:
         table.add_column(name, justify="right")
     table.add_row(*map(str, row.values()))

@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import asdict
 
 import typer
-from rich.markup import escape
-from rich.table import Table
 
-from warpqem.cli.console import EXIT_FAILED, print_table, progress_bar, quiet_warp, tell, write_json
+from warpqem.cli.console import EXIT_FAILED, PlainTable, print_table, progress_bar, quiet_libraries, tell, write_json
 from warpqem.cli.options import Device, FeatureFloor, FeatureThreshold, Frames, Input, JsonReport, Output, Prims
 
 __all__ = ["features"]
@@ -33,7 +31,7 @@ def features(
 
     Exit codes: 0 all done; 1 an error, or some mesh failed; 2 wrong usage.
     """
-    quiet_warp()
+    quiet_libraries()
     from warpqem.motion import motion_weighting
     from warpqem.outputs import named_outputs
     from warpqem.usd import FrameRange, color_features
@@ -49,7 +47,7 @@ def features(
             progress=progress,
             other_outputs=named_outputs({"--json": json}),
         )
-    table = Table(title=escape(f"{input_file} -> {output}"))
+    table = PlainTable(f"{input_file} -> {output}")
     table.add_column("mesh", overflow="fold")
     for name in ("frames", "features", "vertices in features", "vertices"):
         table.add_column(name, justify="right")

@@ -18,6 +18,7 @@ from types import FrameType
 
 from warpqem.cli.console import EXIT_FAILED, tell
 from warpqem.opening import TIME_IS_UP, tell_openings
+from warpqem.process_limits import limit_behind_signal
 
 __all__ = ["guarded"]
 
@@ -111,6 +112,9 @@ def _watch(child: int, opened: mmap.mmap) -> int:
 def _reason(name: str, file: str, is_opening: bool) -> str:
     """Why the work ended by a signal; ``file`` is the last that was opened, empty for none."""
     before = f"{file}: " if file else ""
+    limit = limit_behind_signal(name)
+    if limit:
+        return f"{before}ended by {name}, for which this is the likely reason: {limit}"
     if name == "SIGKILL":
         return f"{before}stopped from outside (SIGKILL), as systems do when memory runs out (--memory limits it)"
     if is_opening and name == TIME_IS_UP:

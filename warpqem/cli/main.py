@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import sys
 from typing import Annotated
 
 import typer
@@ -9,7 +11,7 @@ import typer
 import warpqem
 from warpqem.cli.batch import batch
 from warpqem.cli.compare import compare
-from warpqem.cli.console import OneLineErrors
+from warpqem.cli.console import EXIT_FAILED, OneLineErrors, tell
 from warpqem.cli.examples import epilog
 from warpqem.cli.face import face
 from warpqem.cli.features import features
@@ -20,6 +22,8 @@ from warpqem.cli.progressive import progressive
 from warpqem.cli.render import render
 from warpqem.cli.simplify import simplify
 from warpqem.cli.view import view
+from warpqem.errors import ProcessLimitError
+from warpqem.process_limits import check_limits
 
 __all__ = ["app", "run"]
 
@@ -58,4 +62,13 @@ def run() -> None:
     Raises:
         SystemExit: always.
     """
+    for stream in (sys.stdout, sys.stderr):
+        # A terminal of another encoding gets escapes for what it cannot show.
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+    try:
+        check_limits()
+    except ProcessLimitError as error:
+        tell("error", str(error))
+        sys.exit(EXIT_FAILED)
     guarded(lambda: app(prog_name="warpqem"))

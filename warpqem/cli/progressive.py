@@ -5,10 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.markup import escape
-from rich.table import Table
 
-from warpqem.cli.console import print_table, progress_bar, quiet_warp, write_json
+from warpqem.cli.console import PlainTable, print_table, progress_bar, quiet_libraries, write_json
 from warpqem.cli.examples import epilog
 from warpqem.cli.options import (
     Coherence,
@@ -60,7 +58,7 @@ def build(
 
     Exit codes: 0 done; 1 an error; 2 wrong usage.
     """
-    quiet_warp()
+    quiet_libraries()
     from warpqem.outputs import named_outputs
     from warpqem.usd import FrameRange
     from warpqem.usd.progressive import BuildOptions, build_file
@@ -99,7 +97,7 @@ def extract(
 
     Exit codes: 0 done; 1 an error; 2 wrong usage.
     """
-    quiet_warp()
+    quiet_libraries()
     from warpqem.outputs import named_outputs
     from warpqem.usd.option_values import screen_view
     from warpqem.usd.progressive import LevelChoice, extract_level
@@ -107,7 +105,7 @@ def extract(
     screen = screen_view(screen_error, distance, field_of_view, image_height)
     choice = LevelChoice(ratio, faces, max_error, screen)
     count, error = extract_level(file, output, choice, memory, named_outputs({"--json": json}))
-    table = Table(title=escape(f"{file} -> {output}"))
+    table = PlainTable(f"{file} -> {output}")
     for name in ("faces", "error %"):
         table.add_column(name, justify="right")
     table.add_row(str(count), f"{error:.4f}")
@@ -122,7 +120,7 @@ def info(file: MeshFile, json: JsonReport = None) -> None:
 
     Exit codes: 0 done; 1 the file cannot be read; 2 wrong usage.
     """
-    quiet_warp()
+    quiet_libraries()
     from warpqem.errors import StageError
     from warpqem.outputs import InputFile, check_outputs, named_outputs
     from warpqem.progressive import read_info
@@ -136,7 +134,7 @@ def info(file: MeshFile, json: JsonReport = None) -> None:
 
 
 def _show(title: str, info: FileInfo, json: str | None) -> None:
-    table = Table(title=escape(title))
+    table = PlainTable(title)
     rows = {
         "frames": info.frame_count,
         "vertices": info.vertex_count,

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from warpqem.cli.console import progress_bar, quiet_warp, tell
+from warpqem.cli.console import progress_bar, quiet_libraries, tell
 from warpqem.cli.options import Device, Frames, Input, Prims
 from warpqem.errors import OptionError
 
@@ -36,7 +36,7 @@ def render(
 
     Exit codes: 0 done; 1 an error; 2 wrong usage.
     """
-    quiet_warp()
+    quiet_libraries()
     from warpqem.usd import FrameRange
     from warpqem.usd.render import RenderOptions, render_sheet
 

@@ -5,10 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import typer
-from rich.markup import escape
-from rich.table import Table
 
-from warpqem.cli.console import EXIT_FAILED, print_table, progress_bar, quiet_warp, tell, write_json
+from warpqem.cli.console import EXIT_FAILED, PlainTable, print_table, progress_bar, quiet_libraries, tell, write_json
 from warpqem.cli.options import Input, JsonReport, Output, ReportPage
 from warpqem.cli.simplify_options import takes_simplify_options
 
@@ -37,7 +35,7 @@ def simplify(
 
 def run_simplify(input_file: str, output: str, options: dict[str, Any], page: str | None, json: str | None) -> None:
     """Simplify, and say what came of it."""
-    quiet_warp()
+    quiet_libraries()
     from warpqem.memory import parse_bytes
     from warpqem.outputs import named_outputs
     from warpqem.process_memory import limited_memory
@@ -93,8 +91,8 @@ def _tell_problems(report: StageReport) -> None:
         tell("error", f"nothing written: no mesh of {report.input} could be simplified")
 
 
-def _table(report: StageReport) -> Table:
-    table = Table(title=escape(f"{report.input} -> {report.output or 'nothing written'}"))
+def _table(report: StageReport) -> PlainTable:
+    table = PlainTable(f"{report.input} -> {report.output or 'nothing written'}")
     levels = {_level(prim): [other for other in report.prims if _level(other) == _level(prim)] for prim in report.prims}
     if any(levels):
         table.add_column("level")

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from warpqem.cli.console import progress_bar, quiet_warp, tell
+from warpqem.cli.console import progress_bar, quiet_libraries, tell
 from warpqem.cli.options import Device, Frames, MeshMemory, Prims
 from warpqem.errors import MemoryLimitError, OptionError, StageError, WarpqemError
 
@@ -38,7 +38,7 @@ def view(
 
     Exit codes: 0 interrupted; 1 an error; 2 wrong usage.
     """
-    quiet_warp()
+    quiet_libraries()
     from warpqem.report.page import report_page
     from warpqem.report.server import PageServer
 

@@ -23,6 +23,7 @@ import zlib
 from pathlib import Path
 
 from warpqem.errors import OptionError, ProgressiveFileError
+from warpqem.file_kinds import check_regular
 from warpqem.progressive.header import MOST_HEADER_BYTES, FileInfo, header_bytes, parse_header
 from warpqem.progressive.limits import least_file_bytes
 
@@ -91,8 +92,7 @@ class ChunkFile:
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = os.fsdecode(path)
-        if os.path.exists(self.path) and not os.path.isfile(self.path):
-            raise ProgressiveFileError(f"{self.path}: no regular file")
+        check_regular(path, ProgressiveFileError)
         self._file = os.fdopen(os.open(self.path, OPEN_FLAGS), "rb")
         try:
             found = os.fstat(self._file.fileno())

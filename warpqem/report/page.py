@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from warpqem.errors import OptionError, StageError
+from warpqem.printable import printable
 from warpqem.report.content import Report
 from warpqem.report.data import Progress, report_data
 
-__all__ = ["asset_text", "check_page_path", "report_page", "save_page", "script_text", "write_report"]
+__all__ = ["asset_text", "check_page_path", "page_json", "report_page", "save_page", "script_text", "write_report"]
 
 SUFFIXES = (".html", ".htm")
 
@@ -54,14 +55,27 @@ def report_page(data: dict[str, Any]) -> str:
     text = asset_text("template.html")
     # Each mark is replaced once, and what it is replaced by is not looked at again.
     parts = {
-        "TITLE": html.escape(data["title"]),
+        "TITLE": html.escape(printable(data["title"])),
         "STYLE": asset_text("page.css"),
-        "DATA": json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"),
+        "DATA": page_json(data),
         "THREE": script_text("three.min.js"),
         "PAGE": "".join(script_text(name) for name in ("decode.js", "plots.js", "scene.js", "page.js")),
     }
     pieces = text.split("%%")
     return "".join(parts[piece] if index % 2 else piece for index, piece in enumerate(pieces))
+
+
+def page_json(value: Any) -> str:
+    """JSON as the inside of a script element, with every text made safe to show."""
+    return json.dumps(_printable(value), allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+
+
+def _printable(value: Any) -> Any:
+    if isinstance(value, str):
+        return printable(value)
+    if isinstance(value, dict):
+        return {_printable(name): _printable(entry) for name, entry in value.items()}
+    return [_printable(entry) for entry in value] if isinstance(value, (list, tuple)) else value
 
 
 def save_page(path: str | os.PathLike[str], text: str) -> None:

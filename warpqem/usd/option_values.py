@@ -84,7 +84,7 @@ def _plain(value: Any) -> Any:
 def _read(name: str, value: Any) -> Any:
     try:
         return _READERS[name](value)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         if isinstance(error, OptionError):
             raise
         raise OptionError(f"{name} {value!r}: {error}") from None

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from pxr import Sdf, Tf, Usd, UsdGeom, UsdUtils, Vt
+from pxr import Ar, Sdf, Tf, Usd, UsdGeom, UsdUtils, Vt
 
 from warpqem.errors import OptionError, StageError
 from warpqem.outputs import InputFile, OutputFile, check_outputs
@@ -231,7 +231,7 @@ class OverLayer:
             # A copy, because an anonymous layer that a stage is open on cannot resolve a relative path.
             layer = Sdf.Layer.CreateAnonymous("save.usda")
             layer.TransferContent(self._layer)
-            layer.subLayerPaths[0] = relative_path(self._source.realPath, output.parent)
+            layer.subLayerPaths[0] = _named_from(output, self._source.realPath)
         move_asset_paths(layer, self._source, output.parent)
         export_layer(layer, output)
 
@@ -303,6 +303,19 @@ def relative_path(target: str, folder: Path) -> str:
         return Path(target).as_posix()
     relative = Path(relative).as_posix()
     return relative if relative.startswith("../") else f"./{relative}"
+
+
+def _named_from(output: Path, target: str) -> str:
+    """How a layer names a file.
+
+    Raises:
+        StageError: USD would not find the file by this name, such as one with a backslash, which it takes for a slash.
+    """
+    path = relative_path(target, output.parent)
+    found = Ar.GetResolver().CreateIdentifier(path, Ar.ResolvedPath(os.fspath(output)))
+    if os.path.realpath(found) != os.path.realpath(target):
+        raise StageError(f"{target!r}: no layer can name a file of this name (USD would look for {found!r})")
+    return path
 
 
 def move_asset_paths(layer: Sdf.Layer, source: Sdf.Layer, folder: Path) -> None:
