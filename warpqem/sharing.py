@@ -13,7 +13,6 @@ from __future__ import annotations
 import logging
 import os
 import pickle
-import shutil
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,6 +27,7 @@ from warpqem.frame_stream import read_ahead
 from warpqem.mesh_input import AnimatedMesh
 from warpqem.place.blocks import BlockPlacer, ClusterData, PlacedFrames
 from warpqem.place.stage import Placer
+from warpqem.temporary import remove_path
 
 __all__ = ["FrameShare", "help_place", "placed_blocks"]
 
@@ -118,7 +118,7 @@ def placed_blocks(
         share.call(folder.path)
         yield from _place_own(folder, mesh, placer, blocks)
     finally:
-        shutil.rmtree(folder.path, ignore_errors=True)
+        remove_path(folder.path)
 
 
 def _place_own(

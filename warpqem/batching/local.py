@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import atexit
 import logging
 import multiprocessing
 import os
-import shutil
 import signal
 import tempfile
 import time
 from collections import deque
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
@@ -28,7 +29,8 @@ from warpqem.errors import BatchError, OptionError
 from warpqem.memory import DEFAULT_SHARE, available_memory, parse_bytes
 from warpqem.opening import TIME_IS_UP
 from warpqem.parallel import thread_count
-from warpqem.usd.temporary import remove_leftovers
+from warpqem.processes import note_process
+from warpqem.temporary import note_folder, remove_leftovers, remove_path, temporary_path
 
 __all__ = ["LocalEngine"]
 
@@ -36,7 +38,7 @@ __all__ = ["LocalEngine"]
 MOST_FAILED_STARTS = 3
 # A worker that ends by one of these was stopped from outside, also for want of memory: its job may be tried again. One
 # that crashes by itself would do so again.
-OUTSIDE_SIGNALS = ("SIGKILL", "SIGTERM")
+OUTSIDE_SIGNALS = ("SIGKILL", "SIGTERM", "SIGHUP", "SIGQUIT")
 # How much of what a worker printed last is looked at for a reason of its death, and how much of that is told.
 TAIL_BYTES, TAIL_TEXT = 4096, 200
 
@@ -141,8 +143,11 @@ class _Pool:
         self._failed_starts = 0
         # Kernels are compiled by one worker, and found by the others.
         self._warm = False
-        self._folder = tempfile.mkdtemp(prefix="warpqem-batch-")
-        self._started = 0
+        self._folder = temporary_path(Path(tempfile.gettempdir()), ".batch")
+        self._folder.mkdir(mode=0o700)
+        self._started, self._owner = 0, os.getpid()
+        # Where an error keeps the iterator of a batch from being closed, the end of the process does it.
+        atexit.register(self.close)
 
     def run(self) -> Iterator[Update]:
         for number in range(self._size):
@@ -155,10 +160,13 @@ class _Pool:
 
     def close(self) -> None:
         """End all workers at once, and remove what they were writing."""
-        for worker in self.workers:
-            self._kill(worker)
-        self.workers.clear()
-        shutil.rmtree(self._folder, ignore_errors=True)
+        if os.getpid() != self._owner:  # a process that was forked from this one ends
+            return
+        while self.workers:
+            self._kill(self.workers[-1])
+            self.workers.pop()
+        remove_path(self._folder)
+        atexit.unregister(self.close)
 
     def _start(self, device: str) -> None:
         self._started += 1
@@ -167,9 +175,12 @@ class _Pool:
         process = multiprocessing.get_context("spawn").Process(
             target=run_worker, args=(there, self.engine.setup(self._size, device, output)), daemon=True
         )
-        process.start()
-        there.close()
+        # Before it starts, so that one whose start is interrupted is not forgotten.
         self.workers.append(_Worker(process, here, output, device))
+        with _signals_held():
+            process.start()
+        note_process(process.pid)
+        there.close()
         _log.debug("worker %s started", process.pid)
 
     def _assign(self) -> Iterator[Update]:
@@ -178,6 +189,7 @@ class _Pool:
                 task = self._waiting.popleft()
                 task.attempts += 1
                 worker.task, worker.started = task, time.monotonic()
+                note_folder(Path(task.job.output).parent)
                 with suppress(OSError):  # it has just died, which is seen next
                     worker.connection.send(task.job)
                 _log.info("%s: begun by worker %s", task.job.input, worker.process.pid)
@@ -317,8 +329,9 @@ class _Pool:
         yield from ()
 
     def _kill(self, worker: _Worker) -> None:
-        worker.process.kill()
-        worker.process.join()
+        if worker.process.pid is not None:
+            worker.process.kill()
+            worker.process.join()
         worker.connection.close()
         if worker.task is not None:
             remove_leftovers(Path(worker.task.job.output).parent, worker.process.pid)
@@ -333,6 +346,21 @@ class _Pool:
         else:
             how = f"ended with code {code}"
         return how + _last_words(worker.output)
+
+
+@contextmanager
+def _signals_held() -> Iterator[None]:
+    """A process that is started within does not get Ctrl-C before it can ignore it; see `run_worker`."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    # Its own start would let signals in.
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _last_words(path: str) -> str:

@@ -14,7 +14,7 @@ from warpqem.batching.local import LocalEngine
 from warpqem.batching.result import SKIPPED, BatchResult
 from warpqem.batching.state import Journal
 from warpqem.errors import OptionError
-from warpqem.usd.temporary import remove_leftovers
+from warpqem.temporary import note_folder, remove_leftovers
 
 __all__ = ["batch"]
 
@@ -81,6 +81,7 @@ def _results(
         for folder in sorted({Path(job.output).parent for job in jobs}):
             for path in remove_leftovers(folder):
                 _log.info("%s: removed, left by a process that was killed", path)
+            note_folder(folder)
         todo = []
         for job in jobs:
             if resume and notes is not None and notes.is_done(job):

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from warpqem.cli.console import EXIT_FAILED, print_table, progress_bar, quiet_warp, tell
+from warpqem.cli.console import EXIT_FAILED, EXIT_INTERRUPTED, print_table, progress_bar, quiet_warp, tell
+from warpqem.cli.guard import interruptible
 from warpqem.cli.logs import LogJson, Verbose, start_logging
 from warpqem.cli.simplify_options import takes_simplify_options
 from warpqem.errors import OptionError, StageError
@@ -130,7 +131,7 @@ def batch(
     _make_folder(folder)
     results: list[BatchResult] = []
     interrupted = False
-    with _lines(json) as write, BatchDisplay(work) as display:
+    with interruptible(), _lines(json) as write, BatchDisplay(work) as display:
         updates = run_batch(work, chosen, journal=journal, resume=resume, on_update=display.update)
         try:
             for result in updates:
@@ -144,11 +145,12 @@ def batch(
             updates.close()
         seconds = display.seconds
     print_table(summary_table(results, len(work), seconds), to_stderr=json == "-")
-    if report is not None:
-        _write_overview(report, results, options)
     if interrupted:
         tell("error", f"interrupted after {len(results)} of {len(work)} assets; go on with --resume")
-    if interrupted or not all(result.ok for result in results):
+        raise typer.Exit(EXIT_INTERRUPTED)
+    if report is not None:
+        _write_overview(report, results, options)
+    if not all(result.ok for result in results):
         raise typer.Exit(EXIT_FAILED)
 
 

@@ -16,10 +16,13 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from warpqem.cli.messages import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_USAGE, tell
 from warpqem.errors import OptionError, StageError, WarpqemError
+from warpqem.temporary import replacing
 
 __all__ = [
     "EXIT_FAILED",
+    "EXIT_INTERRUPTED",
     "EXIT_USAGE",
     "OneLineErrors",
     "print_table",
@@ -35,12 +38,17 @@ WIDEST = 1000
 # Set to anything, an error that is a defect of warpqem or of the machine comes with its traceback.
 TRACEBACK_VARIABLE = "WARPQEM_TRACEBACK"
 
-EXIT_FAILED = 1
-EXIT_USAGE = 2
-
 
 class OneLineErrors(typer.core.TyperGroup):
     """A command group that prints errors as one line `error: ...` on stderr and exits with 1, or 2 for wrong usage."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run a command; versions of Typer differ in what they make of Ctrl-C."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            tell("error", "interrupted")
+            raise typer.Exit(EXIT_INTERRUPTED) from None
 
     def main(
         self,
@@ -64,7 +72,7 @@ class OneLineErrors(typer.core.TyperGroup):
             code = EXIT_FAILED
         except typer.Abort:
             tell("error", "interrupted")
-            code = EXIT_FAILED
+            code = EXIT_INTERRUPTED
         except Exception as error:
             # Typer has carried its own copy of click since 0.26, so its usage errors are known by what they offer.
             if hasattr(error, "format_message"):
@@ -76,11 +84,6 @@ class OneLineErrors(typer.core.TyperGroup):
                 tell("error", f"{type(error).__name__}: {error} (set {TRACEBACK_VARIABLE}=1 for a traceback)")
                 code = EXIT_FAILED
         sys.exit(code if isinstance(code, int) else 0)
-
-
-def tell(kind: str, message: str) -> None:
-    """Print one line, such as `error: ...` or `warning: ...`, on stderr."""
-    print(f"{kind}: {' '.join(message.split())}", file=sys.stderr)
 
 
 class _WarpMessages:
@@ -145,7 +148,13 @@ def write_json(target: str, value: Any) -> None:
     if target == "-":
         sys.stdout.write(text)
         return
+    path = Path(target)
     try:
-        Path(target).write_text(text, encoding="utf-8")
+        if path.exists() and not path.is_file():  # a pipe or a device
+            path.write_text(text, encoding="utf-8")
+            return
+        # Where the file is a link, what it leads to is replaced.
+        with replacing(path.resolve()) as temporary:
+            temporary.write_text(text, encoding="utf-8")
     except OSError as error:
         raise StageError(f"{target}: cannot be written ({error.strerror})") from error

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from warpqem.cli.console import progress_bar, quiet_warp, tell
+from warpqem.cli.guard import interruptible
 from warpqem.cli.options import Device, Frames, Prims
 from warpqem.errors import OptionError, StageError
 
@@ -57,7 +58,8 @@ def view(
     if browser:
         webbrowser.open(server.address)
     try:
-        server.serve()
+        with interruptible():
+            server.serve()
     except KeyboardInterrupt:
         tell("note", "stopped")
 

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from warpqem.temporary import replacing
+
 __all__ = ["caption", "tile", "write_gif", "write_png"]
 
 # Of captions, in pixels.
@@ -72,10 +74,5 @@ def write_png(picture: np.ndarray, path: str | os.PathLike[str], colors: int | N
 
 
 def _save(image: Image.Image, path: str | os.PathLike[str], **options: Any) -> None:
-    target = Path(path)
-    temporary = target.with_name(f".{target.name}.{os.getpid()}")
-    try:
+    with replacing(Path(path)) as temporary:
         image.save(temporary, **options)
-        os.replace(temporary, target)
-    finally:
-        temporary.unlink(missing_ok=True)

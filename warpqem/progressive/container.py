@@ -17,7 +17,6 @@ import json
 import mmap
 import os
 import struct
-import uuid
 import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -25,6 +24,7 @@ from typing import Any
 
 from warpqem.errors import ProgressiveFileError
 from warpqem.memory import available_memory, format_bytes
+from warpqem.temporary import replacing
 
 __all__ = ["ChunkFile", "FileInfo", "write_chunks"]
 
@@ -81,17 +81,11 @@ def write_chunks(path: str | os.PathLike[str], info: FileInfo, chunks: list[list
         entry[2:] = [offset, len(payload), zlib.crc32(payload)]
         offset += len(payload)
     header = json.dumps(vars(info), separators=(",", ":")).encode()
-    path = Path(path)
-    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
-    try:
-        with open(temporary, "xb") as file:
-            file.write(MAGIC + HEADER.pack(len(header), zlib.crc32(header)) + header)
-            file.writelines(payloads)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with replacing(Path(path)) as temporary, open(temporary, "xb") as file:
+        file.write(MAGIC + HEADER.pack(len(header), zlib.crc32(header)) + header)
+        file.writelines(payloads)
+        file.flush()
+        os.fsync(file.fileno())
 
 
 class ChunkFile:

@@ -12,6 +12,7 @@ from typing import Any
 from warpqem.errors import OptionError, StageError
 from warpqem.report.content import Report
 from warpqem.report.data import Progress, report_data
+from warpqem.temporary import replacing
 
 __all__ = ["asset_text", "check_page_path", "report_page", "save_page", "script_text", "write_report"]
 
@@ -69,15 +70,11 @@ def save_page(path: str | os.PathLike[str], text: str) -> None:
     Raises:
         StageError: the file cannot be written; nothing is left behind.
     """
-    target = Path(path)
-    temporary = target.with_name(f".{target.name}.{os.getpid()}")
     try:
-        temporary.write_text(text, encoding="utf-8")
-        os.replace(temporary, target)
+        with replacing(Path(path)) as temporary:
+            temporary.write_text(text, encoding="utf-8")
     except OSError as error:
         raise StageError(f"{path}: cannot be written ({error.strerror or error})") from error
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def asset_text(name: str) -> str:

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from warpqem.usd.temporary import remove_leftovers, temporary_path
+from warpqem.temporary import remove_leftovers, temporary_path
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="processes are not asked elsewhere")
 
