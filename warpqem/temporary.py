@@ -20,6 +20,7 @@ from pathlib import Path
 from warpqem.processes import ProcessId, own_id
 
 __all__ = [
+    "MARK_LENGTH",
     "mark_temporary",
     "note_folder",
     "record_folders",
@@ -33,6 +34,7 @@ __all__ = [
 # machine-boot-process-start.unique; USD itself writes under such a name with another suffix, of letters and digits,
 # before it renames the file.
 PATTERN = re.compile(r"\.warpqem\.([0-9a-f]{8})-([0-9a-f]{8})-(\d+)-(\d+)\.([0-9a-f]{32})\.\w+")
+# Digits of the unique part by which the files of one job are known on all machines.
 MARK_LENGTH = 16
 # The inode of the first process id namespace of a Linux kernel: processes in any other one are in a container.
 FIRST_NAMESPACE = "pid:[4026531836]"

@@ -286,7 +286,9 @@ def main() -> None:
             sys.exit(1)
     shutil.rmtree(inputs)
     total = sum(counts.values())
-    print(f"{total} signals in {time.monotonic() - begun:.0f} s, {sum(problems.values())} problems, longest {longest:.1f} s")
+    print(
+        f"{total} signals in {time.monotonic() - begun:.0f} s, {sum(problems.values())} problems, longest {longest:.1f} s"
+    )
     for key, count in sorted(counts.items()):
         print(f"  {key}: {count}, {problems[key]} wrong")
 
