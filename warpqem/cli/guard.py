@@ -26,6 +26,7 @@ from warpqem.cli.record import WorkRecord
 from warpqem.cli.signals import STOP_SIGNALS, handle_signals, ignore_signals
 from warpqem.cli.streams import ToleratedOutput
 from warpqem.opening import TIME_IS_UP, tell_openings
+from warpqem.processes import own_id
 
 __all__ = ["guarded", "interruptible"]
 
@@ -126,8 +127,7 @@ def _work(work: Callable[[], None], page: _Page, record: WorkRecord, alive: int)
 
     def end_with_watcher() -> None:
         os.read(alive, 1)  # ends when the watcher has, however that was
-        record.clear()
-        os._exit(EXIT_FAILED)
+        _end_by_fork(record)
 
     threading.Thread(target=end_with_watcher, daemon=True).start()
     handle_signals(_end_work)
@@ -143,6 +143,25 @@ def _work(work: Callable[[], None], page: _Page, record: WorkRecord, alive: int)
         ignore_signals()
         lost = output.finish(quiet=bool(code))
     sys.exit(code or lost)
+
+
+def _end_by_fork(record: WorkRecord) -> NoReturn:
+    """End this process at once, and remove what it leaves, which only another one can that outlives it."""
+    work = own_id()
+    try:
+        is_other = os.fork() == 0
+    except OSError:  # no memory, or no more processes
+        os._exit(EXIT_FAILED)
+    if not is_other:
+        # The other threads go on until it comes.
+        time.sleep(END_SECONDS)
+        os._exit(EXIT_FAILED)
+    with contextlib.suppress(OSError):
+        os.kill(work.number, signal.SIGKILL)
+    while work.is_alive():
+        time.sleep(0.001)
+    record.clear()
+    os._exit(EXIT_FAILED)
 
 
 def _end_work(number: int, frame: FrameType | None) -> None:

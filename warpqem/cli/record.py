@@ -61,8 +61,6 @@ class WorkRecord:
             time.sleep(LOOK_SECONDS)
         for folder in folders:
             remove_leftovers(folder)
-            # The process that clears may be the one that has begun: nothing of it is needed any more.
-            remove_leftovers(folder, os.getpid())
 
     def _read(self) -> tuple[list[Path], list[ProcessId]]:
         folders, processes = [], []
