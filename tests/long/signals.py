@@ -293,9 +293,8 @@ def main() -> None:
             sys.exit(1)
     shutil.rmtree(inputs)
     total = sum(counts.values())
-    print(
-        f"{total} signals in {time.monotonic() - begun:.0f} s, {sum(problems.values())} problems, longest {longest:.1f} s"
-    )
+    took = time.monotonic() - begun
+    print(f"{total} signals in {took:.0f} s, {sum(problems.values())} problems, longest {longest:.1f} s")
     for key, count in sorted(counts.items()):
         print(f"  {key}: {count}, {problems[key]} wrong")
 

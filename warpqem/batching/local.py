@@ -11,7 +11,8 @@ import tempfile
 import time
 from collections import deque
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, field
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
@@ -177,8 +178,7 @@ class _Pool:
         )
         # Before it starts, so that one whose start is interrupted is not forgotten.
         self.workers.append(_Worker(process, here, output, device))
-        with _signals_held():
-            process.start()
+        _start_undisturbed(process)
         note_process(process.pid)
         there.close()
         _log.debug("worker %s started", process.pid)
@@ -348,19 +348,20 @@ class _Pool:
         return how + _last_words(worker.output)
 
 
-@contextmanager
-def _signals_held() -> Iterator[None]:
-    """A process that is started within does not get Ctrl-C before it can ignore it; see `run_worker`."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    # Its own start would let signals in.
-    resource_tracker.ensure_running()
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+def _start_undisturbed(process: Any) -> None:
+    """Start a process that does not get Ctrl-C before it can ignore it; see `run_worker`."""
+
+    def start() -> None:
+        if hasattr(signal, "pthread_sigmask"):
+            # Its own start, the first time, would let signals in.
+            resource_tracker.ensure_running()
+            signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
+        process.start()
+
+    # On a thread, where no KeyboardInterrupt cuts the start short; a process that is half started says so with a
+    # traceback. The signal mask is that of the thread, and the process inherits it.
+    with ThreadPoolExecutor(1, thread_name_prefix="warpqem-start") as pool:
+        pool.submit(start).result()
 
 
 def _last_words(path: str) -> str:

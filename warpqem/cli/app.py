@@ -27,7 +27,8 @@ app = typer.Typer(
     cls=OneLineErrors,
     pretty_exceptions_enable=False,
     help="Simplify animated meshes in USD files: one topology for all frames, least error over all frames.",
-    epilog="Exit codes: 0 all done; 1 an error, or some mesh failed; 2 wrong usage.",
+    epilog="Exit codes: 0 all done; 1 an error, or some mesh failed; 2 wrong usage; 130 interrupted (Ctrl-C); "
+    "128 + N ended by another signal N.",
 )
 
 for command in (simplify, batch, info, compare, features, render, view, levels):

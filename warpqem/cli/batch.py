@@ -106,7 +106,7 @@ def batch(
 
     Give one of --ratio, --faces, --max-error, --screen-error and --lods, here or in the manifest.
 
-    Exit codes: 0 all done; 1 an error, or some asset or mesh failed; 2 wrong usage.
+    Exit codes: 0 all done; 1 an error, or some asset or mesh failed; 2 wrong usage; 130 interrupted.
     """
     quiet_warp()
     start_logging(verbose, log_json)

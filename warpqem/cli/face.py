@@ -51,7 +51,7 @@ def detect(
 ) -> None:
     """Find the named feature points of a face, each with its confidence, or why it is missing.
 
-    Exit codes: 0 done; 1 an error; 2 wrong usage.
+    Exit codes: 0 done; 1 an error; 2 wrong usage; 130 interrupted.
     """
     quiet_warp()
     from warpqem.usd import FrameRange
@@ -82,7 +82,7 @@ def simplify(
 ) -> None:
     """Simplify and keep the feature points of the face as vertices: what simplify does with --metric face.
 
-    Exit codes: 0 all done; 1 an error, or some mesh failed; 2 wrong usage.
+    Exit codes: 0 all done; 1 an error, or some mesh failed; 2 wrong usage; 130 interrupted.
     """
     run_simplify(input_file, output, {**options, "metric": "face"}, report, json)
 
@@ -112,7 +112,7 @@ def retarget(
     Both are taken to be at rest in their first frame. OUT is a file of its own with the points of the mesh over time,
     or with blend shapes.
 
-    Exit codes: 0 done; 1 an error; 2 wrong usage.
+    Exit codes: 0 done; 1 an error; 2 wrong usage; 130 interrupted.
     """
     quiet_warp()
     from warpqem.usd import FrameRange

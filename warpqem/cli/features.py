@@ -26,7 +26,7 @@ def features(
 
     OUT is a layer over IN with primvars:displayColor on each mesh; switch materials off to see it.
 
-    Exit codes: 0 all done; 1 an error, or some mesh failed; 2 wrong usage.
+    Exit codes: 0 all done; 1 an error, or some mesh failed; 2 wrong usage; 130 interrupted.
     """
     quiet_warp()
     from warpqem.usd import FrameRange, color_features

@@ -36,7 +36,7 @@ def view(
 
     The page is that of --report. It is served to this machine only, at an address that nobody can guess.
 
-    Exit codes: 0 interrupted; 1 an error; 2 wrong usage.
+    Exit codes: 0 interrupted while it serves; 1 an error; 2 wrong usage; 130 interrupted before.
     """
     quiet_warp()
     from warpqem.report.page import report_page
