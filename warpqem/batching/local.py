@@ -179,7 +179,8 @@ class _Pool:
         # Before it starts, so that one whose start is interrupted is not forgotten.
         self.workers.append(_Worker(process, here, output, device))
         _start_undisturbed(process)
-        note_process(process.pid)
+        if process.pid is not None:
+            note_process(process.pid)
         there.close()
         _log.debug("worker %s started", process.pid)
 

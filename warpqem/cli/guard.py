@@ -134,7 +134,7 @@ def _work(work: Callable[[], None], page: _Page, record: WorkRecord, alive: int)
     record.begin()
     tell_openings(page.note_file)
     output = ToleratedOutput()
-    code: object = 0
+    code: str | int | None = 0
     try:
         work()
     except SystemExit as stop:
