@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import atexit
 import logging
 import multiprocessing
 import os
 import re
-import shutil
 import signal
 import tempfile
 import time
 from collections import deque
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
@@ -30,7 +32,8 @@ from warpqem.memory import DEFAULT_SHARE, available_memory, parse_bytes
 from warpqem.opening import TIME_IS_UP
 from warpqem.parallel import thread_count
 from warpqem.process_limits import limit_behind_signal
-from warpqem.usd.temporary import remove_leftovers
+from warpqem.processes import note_process
+from warpqem.temporary import note_folder, remove_leftovers, remove_path, temporary_path
 
 __all__ = ["MAIN_HINT", "OUTSIDE_SIGNALS", "LocalEngine", "ending"]
 
@@ -40,7 +43,7 @@ MOST_FAILED_STARTS = 3
 MAIN_HINT = 'a script that runs a batch needs if __name__ == "__main__":'
 # A worker that ends by one of these was stopped from outside, also for want of memory: its job may be tried again. One
 # that crashes by itself would do so again.
-OUTSIDE_SIGNALS = ("SIGKILL", "SIGTERM")
+OUTSIDE_SIGNALS = ("SIGKILL", "SIGTERM", "SIGHUP", "SIGQUIT")
 # How much of what a worker printed last is looked at for a reason of its death, and how much of that is told.
 TAIL_BYTES, TAIL_TEXT = 4096, 200
 
@@ -145,8 +148,11 @@ class _Pool:
         self._failed_starts = 0
         # Kernels are compiled by one worker, and found by the others.
         self._warm = False
-        self._folder = tempfile.mkdtemp(prefix="warpqem-batch-")
-        self._started = 0
+        self._folder = temporary_path(Path(tempfile.gettempdir()), ".batch")
+        self._folder.mkdir(mode=0o700)
+        self._started, self._owner = 0, os.getpid()
+        # Where an error keeps the iterator of a batch from being closed, the end of the process does it.
+        atexit.register(self.close)
 
     def run(self) -> Iterator[Update]:
         for number in range(self._size):
@@ -159,10 +165,13 @@ class _Pool:
 
     def close(self) -> None:
         """End all workers at once, and remove what they were writing."""
-        for worker in self.workers:
-            self._kill(worker)
-        self.workers.clear()
-        shutil.rmtree(self._folder, ignore_errors=True)
+        if os.getpid() != self._owner:  # a process that was forked from this one ends
+            return
+        while self.workers:
+            self._kill(self.workers[-1])
+            self.workers.pop()
+        remove_path(self._folder)
+        atexit.unregister(self.close)
 
     def _start(self, device: str) -> None:
         self._started += 1
@@ -171,9 +180,12 @@ class _Pool:
         process = multiprocessing.get_context("spawn").Process(
             target=run_worker, args=(there, self.engine.setup(self._size, device, output)), daemon=True
         )
-        process.start()
-        there.close()
+        # Before it starts, so that one whose start is interrupted is not forgotten.
         self.workers.append(_Worker(process, here, output, device))
+        _start_undisturbed(process)
+        if process.pid is not None:
+            note_process(process.pid)
+        there.close()
         _log.debug("worker %s started", process.pid)
 
     def _assign(self) -> Iterator[Update]:
@@ -182,6 +194,7 @@ class _Pool:
                 task = self._waiting.popleft()
                 task.attempts += 1
                 worker.task, worker.started = task, time.monotonic()
+                note_folder(Path(task.job.output).parent)
                 with suppress(OSError):  # it has just died, which is seen next
                     worker.connection.send(task.job)
                 _log.info("%s: begun by worker %s", task.job.input, worker.process.pid)
@@ -318,8 +331,9 @@ class _Pool:
         yield from ()
 
     def _kill(self, worker: _Worker) -> None:
-        worker.process.kill()
-        worker.process.join()
+        if worker.process.pid is not None:
+            worker.process.kill()
+            worker.process.join()
         worker.connection.close()
         if worker.task is not None:
             remove_leftovers(Path(worker.task.job.output).parent, worker.process.pid)
@@ -335,6 +349,22 @@ def ending(code: int | None) -> str:
     late = ": USD does not come to the end of a file, which is damaged" if name == TIME_IS_UP else ""
     limit = limit_behind_signal(name)
     return f"was ended by {name}{late}" + (f", for which this is the likely reason: {limit}" if limit else "")
+
+
+def _start_undisturbed(process: Any) -> None:
+    """Start a process that does not get Ctrl-C before it can ignore it; see `run_worker`."""
+
+    def start() -> None:
+        if hasattr(signal, "pthread_sigmask"):
+            # Its own start, the first time, would let signals in.
+            resource_tracker.ensure_running()
+            signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
+        process.start()
+
+    # On a thread, where no KeyboardInterrupt cuts the start short; a process that is half started says so with a
+    # traceback. The signal mask is that of the thread, and the process inherits it.
+    with ThreadPoolExecutor(1, thread_name_prefix="warpqem-start") as pool:
+        pool.submit(start).result()
 
 
 def _last_words(path: str) -> str:

@@ -19,11 +19,11 @@ from warpqem.memory import DEFAULT_SHARE, available_memory
 from warpqem.process_limits import with_limit
 from warpqem.process_memory import peak_memory, reset_peak
 from warpqem.sharing import FrameShare, help_place
+from warpqem.temporary import temporary_path
 from warpqem.usd.input_check import open_layers
 from warpqem.usd.report import StageReport
 from warpqem.usd.simplify import simplify_stage
 from warpqem.usd.simplify_options import SimplifyOptions
-from warpqem.usd.temporary import temporary_path
 
 __all__ = ["assist", "perform", "warm_up"]
 

@@ -52,6 +52,8 @@ def run_worker(connection: Connection, setup: WorkerSetup) -> None:
     """Do the jobs that come through a connection until it ends."""
     # The process that started this one answers Ctrl-C.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT,))
     redirect_output(setup.output)
     tell_openings(lambda file, begins: print(f"opening {file}", flush=True) if begins else None)
     for name in THREAD_VARIABLES:

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from warpqem.cli.console import EXIT_FAILED, print_table, progress_bar, quiet_libraries, tell
+from warpqem.cli.console import EXIT_FAILED, EXIT_INTERRUPTED, print_table, progress_bar, quiet_libraries, tell
+from warpqem.cli.guard import interruptible
 from warpqem.cli.logs import LogJson, Verbose, start_logging
 from warpqem.cli.simplify_options import takes_simplify_options
 from warpqem.errors import OptionError, StageError
@@ -107,7 +108,7 @@ def batch(
 
     Give one of --ratio, --faces, --max-error, --screen-error and --lods, here or in the manifest.
 
-    Exit codes: 0 all done; 1 an error, or some asset or mesh failed; 2 wrong usage.
+    Exit codes: 0 all done; 1 an error, or some asset or mesh failed; 2 wrong usage; 130 interrupted.
     """
     quiet_libraries()
     start_logging(verbose, None)
@@ -144,7 +145,7 @@ def batch(
     _make_folder(folder)
     results: list[BatchResult] = []
     interrupted = False
-    with _lines(json) as write, display:
+    with interruptible(), _lines(json) as write, display:
         try:
             for result in chain((line.result() for line in wrong), updates):
                 results.append(result)
@@ -157,11 +158,12 @@ def batch(
             updates.close()
         seconds = display.seconds
     print_table(summary_table(results, len(work) + len(wrong), seconds), to_stderr=json == "-")
-    if report is not None:
-        _write_overview(report, results, options)
     if interrupted:
         tell("error", f"interrupted after {len(results)} of {len(work) + len(wrong)} assets; go on with --resume")
-    if interrupted or not all(result.ok for result in results):
+        raise typer.Exit(EXIT_INTERRUPTED)
+    if report is not None:
+        _write_overview(report, results, options)
+    if not all(result.ok for result in results):
         raise typer.Exit(EXIT_FAILED)
 
 

@@ -45,7 +45,7 @@ def compare(
     Distances are in % of the reference's bounding-box diagonal in the frame, angles in degrees. Jitter and slide
     are second differences over time: how much the surface trembles, and how much vertices swim on it.
 
-    Exit codes: 0 all done; 1 an error, or some pair failed; 2 wrong usage.
+    Exit codes: 0 all done; 1 an error, or some pair failed; 2 wrong usage; 130 interrupted.
     """
     quiet_libraries()
     from warpqem.outputs import named_outputs

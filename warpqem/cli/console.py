@@ -18,15 +18,18 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 from rich.table import Table
 from rich.text import Text
 
+from warpqem.cli.messages import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_USAGE, tell, told_messages
 from warpqem.errors import OptionError, StageError, WarpqemError
 from warpqem.printable import printable, printable_lines
 from warpqem.process_limits import limit_behind_error, with_limit
 
 if TYPE_CHECKING:
     from warpqem.usd.usd_errors import UsdMessages
+from warpqem.temporary import replacing
 
 __all__ = [
     "EXIT_FAILED",
+    "EXIT_INTERRUPTED",
     "EXIT_USAGE",
     "OneLineErrors",
     "PlainTable",
@@ -43,19 +46,22 @@ WIDEST = 1000
 # Set to anything, an error that is a defect of warpqem or of the machine comes with its traceback.
 TRACEBACK_VARIABLE = "WARPQEM_TRACEBACK"
 
-EXIT_FAILED = 1
-EXIT_USAGE = 2
-
 # Warnings of USD that a command shows at its end; a clip that is missing gives one for each frame.
 MOST_WARNINGS = 20
 
 _usd_messages: UsdMessages | None = None
-# What has been told since USD's warnings were shown last.
-_told: list[str] = []
 
 
 class OneLineErrors(typer.core.TyperGroup):
     """A command group that prints errors as one line `error: ...` on stderr and exits with 1, or 2 for wrong usage."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run a command; versions of Typer differ in what they make of Ctrl-C."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            tell("error", "interrupted")
+            raise typer.Exit(EXIT_INTERRUPTED) from None
 
     def main(
         self,
@@ -94,6 +100,7 @@ class OneLineErrors(typer.core.TyperGroup):
             tell("error", with_limit("out of memory", error))
         except typer.Abort:
             tell("error", "interrupted")
+            return EXIT_INTERRUPTED
         except Exception as error:
             # Typer has carried its own copy of click since 0.26, so its usage errors are known by what they offer.
             if hasattr(error, "format_message"):
@@ -111,22 +118,16 @@ class OneLineErrors(typer.core.TyperGroup):
         return EXIT_FAILED
 
 
-def tell(kind: str, message: str) -> None:
-    """Print one line, such as `error: ...` or `warning: ...`, on stderr."""
-    _told.append(message)
-    print(f"{kind}: {printable(message.strip())}", file=sys.stderr)
-
-
 def tell_usd_warnings() -> None:
     """Print what USD has warned of, but for what the command has told itself."""
     warnings = [] if _usd_messages is None else _usd_messages.take()
-    warnings = [text for text in warnings if not any(text in told or told in text for told in _told)]
-    _told.clear()
+    warnings = [text for text in warnings if not any(text in told or told in text for told in told_messages)]
+    told_messages.clear()
     for text in warnings[:MOST_WARNINGS]:
         tell("warning", text)
     if len(warnings) > MOST_WARNINGS:
         tell("warning", f"and {len(warnings) - MOST_WARNINGS} more of USD")
-    _told.clear()
+    told_messages.clear()
 
 
 class _WarpMessages:
@@ -214,7 +215,13 @@ def write_json(target: str, value: Any) -> None:
     if target == "-":
         sys.stdout.write(text)
         return
+    path = Path(target)
     try:
-        Path(target).write_text(text, encoding="utf-8")
+        if path.exists() and not path.is_file():  # a pipe or a device
+            path.write_text(text, encoding="utf-8")
+            return
+        # Where the file is a link, what it leads to is replaced.
+        with replacing(path.resolve()) as temporary:
+            temporary.write_text(text, encoding="utf-8")
     except OSError as error:
         raise StageError(f"{target}: cannot be written ({error.strerror})") from error

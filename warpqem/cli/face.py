@@ -51,7 +51,7 @@ def detect(
 ) -> None:
     """Find the named feature points of a face, each with its confidence, or why it is missing.
 
-    Exit codes: 0 done; 1 an error; 2 wrong usage.
+    Exit codes: 0 done; 1 an error; 2 wrong usage; 130 interrupted.
     """
     quiet_libraries()
     from warpqem.outputs import named_outputs
@@ -111,7 +111,7 @@ def simplify(
     Points come from --points, from point subsets of the family face and primvars such as face:chin on the mesh, and
     are found otherwise. The error of texture coordinates counts too, see --uv-weight.
 
-    Exit codes: 0 all done; 1 an error, or some mesh failed; 2 wrong usage.
+    Exit codes: 0 all done; 1 an error, or some mesh failed; 2 wrong usage; 130 interrupted.
     """
     chosen = {"face_points": points, "face_weight": weight, "face_ring": ring, "face_keep": keep}
     run_simplify(input_file, output, {**options, "metric": "face", **chosen}, report, json)
@@ -142,7 +142,7 @@ def retarget(
     Both are taken to be at rest in their first frame. OUT is a file of its own with the points of the mesh over time,
     or with blend shapes.
 
-    Exit codes: 0 done; 1 an error; 2 wrong usage.
+    Exit codes: 0 done; 1 an error; 2 wrong usage; 130 interrupted.
     """
     quiet_libraries()
     from warpqem.outputs import named_outputs

@@ -29,7 +29,7 @@ def features(
 
     OUT is a layer over IN with primvars:displayColor on each mesh; switch materials off to see it.
 
-    Exit codes: 0 all done; 1 an error, or some mesh failed; 2 wrong usage.
+    Exit codes: 0 all done; 1 an error, or some mesh failed; 2 wrong usage; 130 interrupted.
     """
     quiet_libraries()
     from warpqem.motion import motion_weighting

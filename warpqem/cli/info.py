@@ -16,7 +16,7 @@ __all__ = ["info"]
 def info(input_file: Input, json: JsonReport = None) -> None:
     """Describe every mesh: frames, vertices, faces, edges, skin, blend shapes, UV sets, subsets, problems.
 
-    Exit codes: 0 done, whatever the meshes are like; 1 the file cannot be read; 2 wrong usage.
+    Exit codes: 0 done, whatever the meshes are like; 1 the file cannot be read; 2 wrong usage; 130 interrupted.
     """
     quiet_libraries()
     from warpqem.outputs import named_outputs

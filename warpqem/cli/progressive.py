@@ -56,7 +56,7 @@ def build(
 ) -> None:
     """Build the progressive mesh of one mesh of a USD file: its poses in world space, without primvars and skin.
 
-    Exit codes: 0 done; 1 an error; 2 wrong usage.
+    Exit codes: 0 done; 1 an error; 2 wrong usage; 130 interrupted.
     """
     quiet_libraries()
     from warpqem.outputs import named_outputs
@@ -95,7 +95,7 @@ def extract(
 ) -> None:
     """Write one level as a USD file. Give one of --ratio, --faces, --max-error and --screen-error.
 
-    Exit codes: 0 done; 1 an error; 2 wrong usage.
+    Exit codes: 0 done; 1 an error; 2 wrong usage; 130 interrupted.
     """
     quiet_libraries()
     from warpqem.outputs import named_outputs
@@ -118,7 +118,7 @@ def extract(
 def info(file: MeshFile, json: JsonReport = None) -> None:
     """Say what is in a progressive mesh.
 
-    Exit codes: 0 done; 1 the file cannot be read; 2 wrong usage.
+    Exit codes: 0 done; 1 the file cannot be read; 2 wrong usage; 130 interrupted.
     """
     quiet_libraries()
     from warpqem.errors import StageError

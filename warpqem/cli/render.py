@@ -34,7 +34,7 @@ def render(
 ) -> None:
     """Draw a contact sheet: the meshes of IN at several times, beside those of a reference, without a browser.
 
-    Exit codes: 0 done; 1 an error; 2 wrong usage.
+    Exit codes: 0 done; 1 an error; 2 wrong usage; 130 interrupted.
     """
     quiet_libraries()
     from warpqem.usd import FrameRange

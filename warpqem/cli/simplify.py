@@ -28,7 +28,7 @@ def simplify(
     OUT is a small layer over IN that holds the new meshes; keep the two files together, or use --flatten. Primvars,
     normals, subsets, skins and blend shapes come along. What does not fit the new meshes is dropped, with a warning.
 
-    Exit codes: 0 all done; 1 an error, or some mesh failed; 2 wrong usage.
+    Exit codes: 0 all done; 1 an error, or some mesh failed; 2 wrong usage; 130 interrupted.
     """
     run_simplify(input_file, output, options, report, json)
 

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from warpqem.cli.console import progress_bar, quiet_libraries, tell
+from warpqem.cli.guard import interruptible
 from warpqem.cli.options import Device, Frames, MeshMemory, Prims
 from warpqem.errors import MemoryLimitError, OptionError, StageError, WarpqemError
 
@@ -36,7 +37,7 @@ def view(
 
     The page is that of --report. It is served to this machine only, at an address that nobody can guess.
 
-    Exit codes: 0 interrupted; 1 an error; 2 wrong usage.
+    Exit codes: 0 interrupted while it serves; 1 an error; 2 wrong usage; 130 interrupted before.
     """
     quiet_libraries()
     from warpqem.report.page import report_page
@@ -60,7 +61,8 @@ def view(
     if browser:
         webbrowser.open(server.address)
     try:
-        server.serve()
+        with interruptible():
+            server.serve()
     except KeyboardInterrupt:
         tell("note", "stopped")
 

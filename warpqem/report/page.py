@@ -5,7 +5,6 @@ from __future__ import annotations
 import html
 import json
 import os
-import uuid
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from warpqem.errors import OptionError, StageError
 from warpqem.printable import printable
 from warpqem.report.content import Report
 from warpqem.report.data import Progress, report_data
+from warpqem.temporary import replacing
 
 __all__ = ["asset_text", "check_page_path", "page_json", "report_page", "save_page", "script_text", "write_report"]
 
@@ -84,16 +84,11 @@ def save_page(path: str | os.PathLike[str], text: str) -> None:
     Raises:
         StageError: the file cannot be written; nothing is left behind.
     """
-    target = Path(path)
-    # A name that no file has, so that nothing is written over.
-    temporary = target.with_name(f".{target.name}.{uuid.uuid4().hex}")
     try:
-        temporary.write_text(text, encoding="utf-8")
-        os.replace(temporary, target)
+        with replacing(Path(path)) as temporary:
+            temporary.write_text(text, encoding="utf-8")
     except OSError as error:
         raise StageError(f"{path}: cannot be written ({error.strerror or error})") from error
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def asset_text(name: str) -> str:

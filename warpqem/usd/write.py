@@ -13,6 +13,7 @@ from pxr import Ar, Sdf, Tf, Usd, UsdGeom, UsdUtils, Vt
 
 from warpqem.errors import OptionError, StageError
 from warpqem.outputs import InputFile, OutputFile, check_outputs
+from warpqem.temporary import replacing, temporary_path
 from warpqem.usd.arrays import anchored
 from warpqem.usd.carrier import Carrier
 from warpqem.usd.drop import Dropped, drop_skin, drop_subdivision
@@ -21,7 +22,6 @@ from warpqem.usd.primvars import carry_arrays, carry_motion, carry_normals, carr
 from warpqem.usd.skin import Skin
 from warpqem.usd.skin_output import write_skin
 from warpqem.usd.subsets import carry_subsets
-from warpqem.usd.temporary import temporary_path
 from warpqem.usd.text_numbers import make_readable
 from warpqem.usd.usd_errors import first_line
 
@@ -370,13 +370,10 @@ def export_layer(layer: Sdf.Layer, output: Path) -> None:
     Raises:
         StageError: the file cannot be written; nothing is left behind.
     """
-    temporary = temporary_path(output.parent, output.suffix)
     try:
-        if not layer.Export(os.fspath(temporary)):
-            raise StageError(f"{output}: USD cannot write it")
-        make_readable(temporary)
-        os.replace(temporary, output)
+        with replacing(output) as temporary:
+            if not layer.Export(os.fspath(temporary)):
+                raise StageError(f"{output}: USD cannot write it")
+            make_readable(temporary)
     except (OSError, Tf.ErrorException) as error:
         raise StageError(f"{output}: cannot be written ({first_line(error)})") from error
-    finally:
-        temporary.unlink(missing_ok=True)
