@@ -11,13 +11,14 @@ from types import TracebackType
 
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, TaskID, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from warpqem.batching.engine import Finished, Progressed, Started, Update
 from warpqem.batching.jobs import BatchJob
 from warpqem.batching.result import DONE, FAILED, PARTIAL, SKIPPED, BatchResult
 from warpqem.batching.state import Journal
+from warpqem.cli.console import QuietProgress
 
 __all__ = ["BatchDisplay", "dry_run_table", "summary_table"]
 
@@ -33,7 +34,7 @@ class BatchDisplay:
     def __init__(self, jobs: Sequence[BatchJob]) -> None:
         console = Console(stderr=True)
         columns = [BarColumn(), TaskProgressColumn(), TimeRemainingColumn(), TextColumn("{task.description}")]
-        self._progress = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+        self._progress = QuietProgress(*columns, console=console, transient=True, disable=not console.is_terminal)
         self._weights = {job.output: _weight(job) for job in jobs}
         self._count, self._done, self._failed, self._face_frames = len(jobs), 0, 0, 0
         self._all = self._progress.add_task("", total=sum(self._weights.values()) or 1)

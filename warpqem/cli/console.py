@@ -22,6 +22,7 @@ __all__ = [
     "EXIT_FAILED",
     "EXIT_USAGE",
     "OneLineErrors",
+    "QuietProgress",
     "print_table",
     "progress_bar",
     "quiet_warp",
@@ -113,6 +114,15 @@ def quiet_warp() -> None:
     warp.set_logger(_WarpMessages())
 
 
+class QuietProgress(Progress):
+    """A progress display that writes nothing where it is disabled; before rich 14.3 its end is an empty line."""
+
+    def stop(self) -> None:
+        """Stop the display, if there is one."""
+        if not self.disable:
+            super().stop()
+
+
 @contextmanager
 def progress_bar(first_text: str) -> Iterator[Callable[[float, str], None]]:
     """Show a progress bar on stderr; nothing if stderr is not a terminal.
@@ -122,7 +132,7 @@ def progress_bar(first_text: str) -> Iterator[Callable[[float, str], None]]:
     """
     console = Console(stderr=True)
     columns = [BarColumn(), TaskProgressColumn(), TimeElapsedColumn(), TextColumn("{task.description}", markup=False)]
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+    with QuietProgress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task(first_text, total=1.0)
         yield lambda fraction, text: progress.update(task, completed=fraction, description=text)
 
