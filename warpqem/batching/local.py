@@ -28,6 +28,7 @@ from warpqem.errors import BatchError, OptionError
 from warpqem.memory import DEFAULT_SHARE, available_memory, parse_bytes
 from warpqem.opening import TIME_IS_UP
 from warpqem.parallel import thread_count
+from warpqem.usd.library import need_usd
 from warpqem.usd.temporary import remove_leftovers
 
 __all__ = ["LocalEngine"]
@@ -91,7 +92,9 @@ class LocalEngine:
         Raises:
             OptionError: a value is out of range.
             DeviceError: there is no such device.
+            UsdLibraryError: USD is missing, broken or too old.
         """
+        need_usd()
         if workers is not None and workers < 1:
             raise OptionError(f"jobs {workers}: expected at least 1 process")
         if timeout is not None and not timeout > 0:

@@ -49,6 +49,7 @@ def batch(
     Raises:
         OptionError: two jobs have the same output, an output is an input, or there is no journal to resume from.
         BatchError: the journal is in use or cannot be written, or no worker can be started.
+        UsdLibraryError: USD is missing, broken or too old on this machine, for the local engine.
     """
     jobs = list(jobs)
     check_jobs(jobs)

@@ -8,7 +8,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from warpqem.cli.console import EXIT_FAILED, print_table, progress_bar, quiet_warp, tell, write_json
+from warpqem.cli.console import EXIT_FAILED, load_usd, print_table, progress_bar, quiet_warp, tell, write_json
 from warpqem.cli.options import Device, Frames, JsonReport, Prims, ReportPage
 
 if TYPE_CHECKING:
@@ -50,6 +50,7 @@ def compare(
     Exit codes: 0 all done; 1 an error, or some pair failed; 2 wrong usage.
     """
     quiet_warp()
+    load_usd()
     from warpqem.report.page import check_page_path
     from warpqem.usd import CompareOptions, FrameRange, compare_stages
     from warpqem.usd.report_page import write_compare_report

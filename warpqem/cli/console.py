@@ -23,6 +23,7 @@ __all__ = [
     "EXIT_USAGE",
     "OneLineErrors",
     "QuietProgress",
+    "load_usd",
     "print_table",
     "progress_bar",
     "quiet_warp",
@@ -104,6 +105,17 @@ class _WarpMessages:
 
     def error(self, message: str) -> None:
         tell("error", message)
+
+
+def load_usd() -> None:
+    """Load USD for a command that reads or writes stages.
+
+    Raises:
+        UsdLibraryError: it is missing, broken or too old.
+    """
+    from warpqem.usd.library import need_usd
+
+    need_usd()
 
 
 def quiet_warp() -> None:

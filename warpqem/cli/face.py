@@ -9,7 +9,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from warpqem.cli.console import print_table, quiet_warp, write_json
+from warpqem.cli.console import load_usd, print_table, quiet_warp, write_json
 from warpqem.cli.examples import epilog
 from warpqem.cli.options import Device, Frames, Input, JsonReport, Output, ReportPage
 from warpqem.cli.simplify import run_simplify
@@ -54,6 +54,7 @@ def detect(
     Exit codes: 0 done; 1 an error; 2 wrong usage.
     """
     quiet_warp()
+    load_usd()
     from warpqem.usd import FrameRange
     from warpqem.usd.face import FaceOptions, draw_face, read_face, write_points
 
@@ -115,6 +116,7 @@ def retarget(
     Exit codes: 0 done; 1 an error; 2 wrong usage.
     """
     quiet_warp()
+    load_usd()
     from warpqem.usd import FrameRange
     from warpqem.usd.face import FaceOptions, read_face, retarget_file
 

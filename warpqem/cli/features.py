@@ -8,7 +8,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from warpqem.cli.console import EXIT_FAILED, print_table, progress_bar, quiet_warp, tell, write_json
+from warpqem.cli.console import EXIT_FAILED, load_usd, print_table, progress_bar, quiet_warp, tell, write_json
 from warpqem.cli.options import Device, Frames, Input, JsonReport, Output, Prims
 
 __all__ = ["features"]
@@ -29,6 +29,7 @@ def features(
     Exit codes: 0 all done; 1 an error, or some mesh failed; 2 wrong usage.
     """
     quiet_warp()
+    load_usd()
     from warpqem.usd import FrameRange, color_features
 
     with progress_bar("reading") as progress:

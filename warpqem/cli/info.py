@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from rich.markup import escape
 from rich.table import Table
 
-from warpqem.cli.console import print_table, quiet_warp, tell, write_json
+from warpqem.cli.console import load_usd, print_table, quiet_warp, tell, write_json
 from warpqem.cli.options import Input, JsonReport
 
 if TYPE_CHECKING:
@@ -22,6 +22,7 @@ def info(input_file: Input, json: JsonReport = None) -> None:
     Exit codes: 0 done, whatever the meshes are like; 1 the file cannot be read; 2 wrong usage.
     """
     quiet_warp()
+    load_usd()
     from warpqem.usd import inspect_stage
 
     meshes = inspect_stage(input_file)

@@ -8,7 +8,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from warpqem.cli.console import print_table, progress_bar, quiet_warp, write_json
+from warpqem.cli.console import load_usd, print_table, progress_bar, quiet_warp, write_json
 from warpqem.cli.examples import epilog
 from warpqem.cli.options import (
     Coherence,
@@ -60,6 +60,7 @@ def build(
     Exit codes: 0 done; 1 an error; 2 wrong usage.
     """
     quiet_warp()
+    load_usd()
     from warpqem.usd import FrameRange
     from warpqem.usd.progressive import BuildOptions, build_file
 
@@ -97,6 +98,7 @@ def extract(
     Exit codes: 0 done; 1 an error; 2 wrong usage.
     """
     quiet_warp()
+    load_usd()
     from warpqem.usd.option_values import screen_view
     from warpqem.usd.progressive import LevelChoice, extract_level
 

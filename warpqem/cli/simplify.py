@@ -8,7 +8,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from warpqem.cli.console import EXIT_FAILED, print_table, progress_bar, quiet_warp, tell, write_json
+from warpqem.cli.console import EXIT_FAILED, load_usd, print_table, progress_bar, quiet_warp, tell, write_json
 from warpqem.cli.options import Input, JsonReport, Output, ReportPage
 from warpqem.cli.simplify_options import takes_simplify_options
 
@@ -38,6 +38,7 @@ def simplify(
 def run_simplify(input_file: str, output: str, options: dict[str, Any], page: str | None, json: str | None) -> None:
     """Simplify, and say what came of it."""
     quiet_warp()
+    load_usd()
     from warpqem.memory import parse_bytes
     from warpqem.process_memory import limited_memory
     from warpqem.report.page import check_page_path

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from warpqem.cli.console import progress_bar, quiet_warp, tell
+from warpqem.cli.console import load_usd, progress_bar, quiet_warp, tell
 from warpqem.cli.options import Device, Frames, Prims
 from warpqem.errors import OptionError, StageError
 
@@ -76,6 +76,7 @@ def _live_data(path: str, device: str | None) -> tuple[dict[str, Any], Callable[
 def _stage_data(
     path: str, other: str | None, frames: str | None, prim: list[str] | None, device: str | None
 ) -> dict[str, Any]:
+    load_usd()
     from warpqem.report import report_data
     from warpqem.usd import FrameRange
     from warpqem.usd.report_page import stage_report

@@ -9,9 +9,8 @@ from warpqem.errors import OptionError
 from warpqem.memory import parse_bytes
 from warpqem.screen import ScreenView
 from warpqem.symmetry import AXES
-from warpqem.usd.attributes import AttributeWeights, check_weights
 from warpqem.usd.frames import FrameRange
-from warpqem.usd.lods import check_lods
+from warpqem.usd.option_checks import AttributeWeights, check_lods, check_weights
 
 __all__ = ["SimplifyOptions"]
 

@@ -12,6 +12,7 @@ from warpqem.errors import OptionError, StageError
 from warpqem.importance import MOST_WEIGHT
 from warpqem.usd.arrays import primvar_samples
 from warpqem.usd.job import MeshJob
+from warpqem.usd.option_checks import bare_name
 
 __all__ = ["check_weight_primvar", "painted_weights"]
 
@@ -24,7 +25,7 @@ def check_weight_primvar(prims: Iterable[Usd.Prim], name: str | None) -> None:
     """
     prims = list(prims)
     if name is not None and prims and not any(_find(prim, name) for prim in prims):
-        raise OptionError(f"weight_primvar: none of the {len(prims)} meshes has a primvar {_bare(name)}")
+        raise OptionError(f"weight_primvar: none of the {len(prims)} meshes has a primvar {bare_name(name)}")
 
 
 def painted_weights(job: MeshJob, name: str | None) -> npt.NDArray[np.float64] | None:
@@ -77,9 +78,5 @@ def painted_weights(job: MeshJob, name: str | None) -> npt.NDArray[np.float64] |
 
 def _find(prim: Usd.Prim, name: str) -> UsdGeom.Primvar | None:
     """The primvar on the mesh, or a constant one that it inherits."""
-    primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance(_bare(name))
+    primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance(bare_name(name))
     return primvar if primvar and primvar.HasAuthoredValue() else None
-
-
-def _bare(name: str) -> str:
-    return name.removeprefix("primvars:")
