@@ -15,8 +15,9 @@ from warpqem.usd import SimplifyOptions, simplify_stage
 from warpqem.usd.job import MeshJob
 from warpqem.usd.mesh import MeshSource
 from warpqem.usd.morph import morph_scale
+from warpqem.usd.option_checks import WEIGHT_SCALES
 from warpqem.usd.skel import StagePoses
-from warpqem.usd.weights import WEIGHT_SCALES, painted_weights
+from warpqem.usd.weights import painted_weights
 
 CLOTH = "/Root/Cloth"
 NAME = "importance"

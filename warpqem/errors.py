@@ -19,6 +19,7 @@ __all__ = [
     "ProgressiveFileError",
     "StageError",
     "UnreachableTargetError",
+    "UsdLibraryError",
     "WarpqemError",
 ]
 
@@ -89,3 +90,7 @@ class ProgressiveFileError(WarpqemError, ValueError):
 
 class StageError(WarpqemError):
     """A USD stage, prim or attribute cannot be read or written; the message names prim, attribute and time."""
+
+
+class UsdLibraryError(WarpqemError, ImportError):
+    """USD's Python library is missing, cannot be loaded or is too old; the message says what to install."""

@@ -34,6 +34,7 @@ from warpqem.parallel import thread_count
 from warpqem.process_limits import limit_behind_signal
 from warpqem.processes import note_process
 from warpqem.temporary import note_folder, remove_leftovers, remove_path, temporary_path
+from warpqem.usd.library import need_usd
 
 __all__ = ["MAIN_HINT", "OUTSIDE_SIGNALS", "LocalEngine", "ending"]
 
@@ -98,7 +99,9 @@ class LocalEngine:
         Raises:
             OptionError: a value is out of range.
             DeviceError: there is no such device.
+            UsdLibraryError: USD is missing, broken or too old.
         """
+        need_usd()
         if workers is not None and workers < 1:
             raise OptionError(f"jobs {workers}: expected at least 1 process")
         if timeout is not None and not timeout > 0:

@@ -19,10 +19,11 @@ from typing import Any
 
 from warpqem.batching.engine import Finished, Started, Update, lost, timed_out
 from warpqem.batching.jobs import BatchJob
-from warpqem.batching.result import BatchResult
-from warpqem.errors import BatchError, OptionError
+from warpqem.batching.result import FAILED, BatchResult
+from warpqem.errors import BatchError, OptionError, UsdLibraryError
 from warpqem.memory import parse_bytes
 from warpqem.temporary import MARK_LENGTH, mark_temporary, remove_marked
+from warpqem.usd.library import need_usd
 
 __all__ = ["RayEngine"]
 
@@ -212,6 +213,10 @@ def _handlers_kept() -> Iterator[None]:
 def _perform(job: BatchJob, needs: dict[str, float], spread: bool, mark: str) -> BatchResult:
     """The task of a job."""
     _begin(needs)
+    try:
+        need_usd()
+    except UsdLibraryError as error:
+        return BatchResult(job.input, job.output, FAILED, type(error).__name__, f"{job.input}: {error}")
     from warpqem.batching.perform import perform
 
     memory = int(needs["memory"]) or None

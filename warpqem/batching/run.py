@@ -55,6 +55,7 @@ def batch(
         OptionError: two outputs are the same file, an output is a file that a job reads, or there is no journal to
             resume from.
         BatchError: the journal is in use or cannot be written, or no worker can be started.
+        UsdLibraryError: USD is missing, broken or too old on this machine, for the local engine.
     """
     jobs = read_jobs(jobs)
     if journal is not None and not isinstance(journal, (str, os.PathLike)):

@@ -10,13 +10,13 @@ from pathlib import Path
 from types import TracebackType
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, TaskID, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from warpqem.batching.engine import Finished, Progressed, Started, Update
 from warpqem.batching.jobs import BatchJob
 from warpqem.batching.result import DONE, FAILED, PARTIAL, SKIPPED, BatchResult
 from warpqem.batching.state import Journal
-from warpqem.cli.console import PlainTable
+from warpqem.cli.console import PlainTable, QuietProgress
 from warpqem.file_kinds import kind_of
 from warpqem.printable import printable
 
@@ -39,7 +39,7 @@ class BatchDisplay:
             TimeRemainingColumn(),
             TextColumn("{task.description}", markup=False),
         ]
-        self._progress = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+        self._progress = QuietProgress(*columns, console=console, transient=True, disable=not console.is_terminal)
         self._weights = {job.output: _weight(job) for job in jobs}
         self._count, self._done, self._failed, self._face_frames = len(jobs), 0, 0, 0
         self._all = self._progress.add_task("", total=sum(self._weights.values()) or 1)

@@ -6,7 +6,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from warpqem.cli.console import EXIT_FAILED, PlainTable, print_table, progress_bar, quiet_libraries, tell, write_json
+from warpqem.cli.console import (
+    EXIT_FAILED,
+    PlainTable,
+    load_usd,
+    print_table,
+    progress_bar,
+    quiet_libraries,
+    tell,
+    write_json,
+)
 from warpqem.cli.options import Device, Frames, JsonReport, Prims, ReportPage
 
 if TYPE_CHECKING:
@@ -48,6 +57,7 @@ def compare(
     Exit codes: 0 all done; 1 an error, or some pair failed; 2 wrong usage; 130 interrupted.
     """
     quiet_libraries()
+    load_usd()
     from warpqem.outputs import named_outputs
     from warpqem.report.page import check_page_path
     from warpqem.usd import CompareOptions, FrameRange, compare_stages

@@ -33,6 +33,8 @@ __all__ = [
     "EXIT_USAGE",
     "OneLineErrors",
     "PlainTable",
+    "QuietProgress",
+    "load_usd",
     "print_table",
     "progress_bar",
     "quiet_libraries",
@@ -152,6 +154,17 @@ class _WarpMessages:
         tell("error", " ".join(message.split()))
 
 
+def load_usd() -> None:
+    """Load USD for a command that reads or writes stages.
+
+    Raises:
+        UsdLibraryError: it is missing, broken or too old.
+    """
+    from warpqem.usd.library import need_usd
+
+    need_usd()
+
+
 def quiet_libraries() -> None:
     """Keep messages of Warp and USD off stdout, which belongs to the command's result, and make lines of them.
 
@@ -167,6 +180,15 @@ def quiet_libraries() -> None:
     _usd_messages = _usd_messages or UsdMessages()
 
 
+class QuietProgress(Progress):
+    """A progress display that writes nothing where it is disabled; before rich 14.3 its end is an empty line."""
+
+    def stop(self) -> None:
+        """Stop the display, if there is one."""
+        if not self.disable:
+            super().stop()
+
+
 @contextmanager
 def progress_bar(first_text: str) -> Iterator[Callable[[float, str], None]]:
     """Show a progress bar on stderr; nothing if stderr is not a terminal.
@@ -176,7 +198,7 @@ def progress_bar(first_text: str) -> Iterator[Callable[[float, str], None]]:
     """
     console = Console(stderr=True)
     columns = [BarColumn(), TaskProgressColumn(), TimeElapsedColumn(), TextColumn("{task.description}", markup=False)]
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+    with QuietProgress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task(first_text, total=1.0)
         yield lambda fraction, text: progress.update(task, completed=fraction, description=printable(text))
 

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from warpqem.cli.console import PlainTable, print_table, quiet_libraries, write_json
+from warpqem.cli.console import PlainTable, load_usd, print_table, quiet_libraries, write_json
 from warpqem.cli.examples import epilog
 from warpqem.cli.options import Device, Frames, Input, JsonReport, Output, ReportPage
 from warpqem.cli.simplify import run_simplify
@@ -54,6 +54,7 @@ def detect(
     Exit codes: 0 done; 1 an error; 2 wrong usage; 130 interrupted.
     """
     quiet_libraries()
+    load_usd()
     from warpqem.outputs import named_outputs
     from warpqem.usd import FrameRange
     from warpqem.usd.face import FaceOptions, check_face_outputs, draw_face, read_face, write_points
@@ -145,6 +146,7 @@ def retarget(
     Exit codes: 0 done; 1 an error; 2 wrong usage; 130 interrupted.
     """
     quiet_libraries()
+    load_usd()
     from warpqem.outputs import named_outputs
     from warpqem.usd import FrameRange
     from warpqem.usd.face import FaceOptions, read_face, retarget_file

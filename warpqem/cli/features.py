@@ -6,7 +6,16 @@ from dataclasses import asdict
 
 import typer
 
-from warpqem.cli.console import EXIT_FAILED, PlainTable, print_table, progress_bar, quiet_libraries, tell, write_json
+from warpqem.cli.console import (
+    EXIT_FAILED,
+    PlainTable,
+    load_usd,
+    print_table,
+    progress_bar,
+    quiet_libraries,
+    tell,
+    write_json,
+)
 from warpqem.cli.options import Device, FeatureFloor, FeatureThreshold, Frames, Input, JsonReport, Output, Prims
 
 __all__ = ["features"]
@@ -32,6 +41,7 @@ def features(
     Exit codes: 0 all done; 1 an error, or some mesh failed; 2 wrong usage; 130 interrupted.
     """
     quiet_libraries()
+    load_usd()
     from warpqem.motion import motion_weighting
     from warpqem.outputs import named_outputs
     from warpqem.usd import FrameRange, color_features

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from warpqem.cli.console import PlainTable, print_table, quiet_libraries, tell, write_json
+from warpqem.cli.console import PlainTable, load_usd, print_table, quiet_libraries, tell, write_json
 from warpqem.cli.options import Input, JsonReport
 
 if TYPE_CHECKING:
@@ -19,6 +19,7 @@ def info(input_file: Input, json: JsonReport = None) -> None:
     Exit codes: 0 done, whatever the meshes are like; 1 the file cannot be read; 2 wrong usage; 130 interrupted.
     """
     quiet_libraries()
+    load_usd()
     from warpqem.outputs import named_outputs
     from warpqem.usd.inspect import inspect_with_problems
 

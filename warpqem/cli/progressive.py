@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from warpqem.cli.console import PlainTable, print_table, progress_bar, quiet_libraries, write_json
+from warpqem.cli.console import PlainTable, load_usd, print_table, progress_bar, quiet_libraries, write_json
 from warpqem.cli.examples import epilog
 from warpqem.cli.options import (
     Coherence,
@@ -59,6 +59,7 @@ def build(
     Exit codes: 0 done; 1 an error; 2 wrong usage; 130 interrupted.
     """
     quiet_libraries()
+    load_usd()
     from warpqem.outputs import named_outputs
     from warpqem.usd import FrameRange
     from warpqem.usd.progressive import BuildOptions, build_file
@@ -98,6 +99,7 @@ def extract(
     Exit codes: 0 done; 1 an error; 2 wrong usage; 130 interrupted.
     """
     quiet_libraries()
+    load_usd()
     from warpqem.outputs import named_outputs
     from warpqem.usd.option_values import screen_view
     from warpqem.usd.progressive import LevelChoice, extract_level

@@ -6,7 +6,16 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from warpqem.cli.console import EXIT_FAILED, PlainTable, print_table, progress_bar, quiet_libraries, tell, write_json
+from warpqem.cli.console import (
+    EXIT_FAILED,
+    PlainTable,
+    load_usd,
+    print_table,
+    progress_bar,
+    quiet_libraries,
+    tell,
+    write_json,
+)
 from warpqem.cli.options import Input, JsonReport, Output, ReportPage
 from warpqem.cli.simplify_options import takes_simplify_options
 
@@ -36,6 +45,7 @@ def simplify(
 def run_simplify(input_file: str, output: str, options: dict[str, Any], page: str | None, json: str | None) -> None:
     """Simplify, and say what came of it."""
     quiet_libraries()
+    load_usd()
     from warpqem.memory import parse_bytes
     from warpqem.outputs import named_outputs
     from warpqem.process_memory import limited_memory

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from warpqem.cli.console import progress_bar, quiet_libraries, tell
+from warpqem.cli.console import load_usd, progress_bar, quiet_libraries, tell
 from warpqem.cli.guard import interruptible
 from warpqem.cli.options import Device, Frames, MeshMemory, Prims
 from warpqem.errors import MemoryLimitError, OptionError, StageError, WarpqemError
@@ -88,6 +88,7 @@ def _live_data(
 def _stage_data(
     path: str, other: str | None, frames: str | None, prim: list[str] | None, device: str | None
 ) -> dict[str, Any]:
+    load_usd()
     from warpqem.report import report_data
     from warpqem.usd import FrameRange
     from warpqem.usd.report_page import stage_report

@@ -134,7 +134,7 @@ def check_composition(stage: Usd.Stage) -> list[str]:
         StageError: a layer or prim refers to itself, which leaves out what it stands for.
     """
     problems = []
-    for error in getattr(stage, "GetCompositionErrors", list)():
+    for error in _composition_errors(stage):
         try:
             text = " ".join(str(error).split())
         except UnicodeDecodeError:
@@ -143,6 +143,17 @@ def check_composition(stage: Usd.Stage) -> list[str]:
             raise StageError(f"{stage.GetRootLayer().realPath}: {text}")
         problems.append(text)
     return problems
+
+
+def _composition_errors(stage: Usd.Stage) -> list[Pcp.ErrorBase]:
+    """The composition errors of all prims of a stage, as ``GetCompositionErrors`` gives them from USD 24.08 on."""
+    if hasattr(stage, "GetCompositionErrors"):
+        return list(stage.GetCompositionErrors())
+    root = stage.GetPseudoRoot()
+    errors = list(root.GetPrimIndex().rootNode.layerStack.localErrors)
+    for prim in Usd.PrimRange(root, Usd.TraverseInstanceProxies(Usd.PrimAllPrimsPredicate)):
+        errors += prim.GetPrimIndex().localErrors
+    return errors
 
 
 def open_layer(place: str) -> Sdf.Layer | None:

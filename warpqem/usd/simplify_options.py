@@ -12,10 +12,8 @@ from warpqem.memory import parse_bytes
 from warpqem.motion import MotionWeighting, motion_weighting
 from warpqem.screen import ScreenView
 from warpqem.symmetry import AXES
-from warpqem.usd.attributes import AttributeWeights, check_weights
 from warpqem.usd.frames import FrameRange
-from warpqem.usd.lods import check_lods
-from warpqem.usd.weights import WEIGHT_SCALES
+from warpqem.usd.option_checks import WEIGHT_SCALES, AttributeWeights, check_lods, check_weights
 
 if TYPE_CHECKING:
     from warpqem.face import FaceProtection, FacialFeatures

@@ -18,10 +18,9 @@ from warpqem.errors import OptionError, StageError
 from warpqem.importance import MOST_WEIGHT
 from warpqem.usd.arrays import primvar_samples
 from warpqem.usd.job import MeshJob
+from warpqem.usd.option_checks import bare_name
 
-__all__ = ["WEIGHT_SCALES", "check_weight_primvar", "painted_options", "painted_weights"]
-
-WEIGHT_SCALES = ("cost", "quadrics")
+__all__ = ["check_weight_primvar", "painted_options", "painted_weights"]
 
 
 def check_weight_primvar(prims: Iterable[Usd.Prim], name: str | None) -> None:
@@ -32,7 +31,7 @@ def check_weight_primvar(prims: Iterable[Usd.Prim], name: str | None) -> None:
     """
     prims = list(prims)
     if name is not None and prims and not any(_find(prim, name) for prim in prims):
-        raise OptionError(f"weight_primvar: none of the {len(prims)} meshes has a primvar {_bare(name)}")
+        raise OptionError(f"weight_primvar: none of the {len(prims)} meshes has a primvar {bare_name(name)}")
 
 
 def painted_options(job: MeshJob, name: str | None, scales: str) -> dict[str, npt.NDArray[Any]]:
@@ -41,7 +40,7 @@ def painted_options(job: MeshJob, name: str | None, scales: str) -> dict[str, np
     Args:
         job: The mesh.
         name: Name of the primvar; None for no weights.
-        scales: What the weights scale, one of `WEIGHT_SCALES`.
+        scales: What the weights scale, one of `warpqem.usd.option_checks.WEIGHT_SCALES`.
 
     Raises:
         StageError: as for `painted_weights`.
@@ -105,9 +104,5 @@ def painted_weights(job: MeshJob, name: str | None) -> npt.NDArray[np.float64] |
 
 def _find(prim: Usd.Prim, name: str) -> UsdGeom.Primvar | None:
     """The primvar on the mesh, or a constant one that it inherits."""
-    primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance(_bare(name))
+    primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance(bare_name(name))
     return primvar if primvar and primvar.HasAuthoredValue() else None
-
-
-def _bare(name: str) -> str:
-    return name.removeprefix("primvars:")
