@@ -118,8 +118,8 @@ class PassSteps:
     def _measuring(self, kernel: wp.Kernel, inputs: list) -> list[Phase]:
         """Measure anew what the deformation term sums over all frames; nothing where there is none."""
 
-        def measure(part: int) -> None:
-            self._launch(kernel, inputs, part_work(part, self.threads, self.device))
+        def measure(recorder: Recorder, part: int) -> None:
+            record_shared(recorder, kernel, inputs, part_work(part, self.threads, self.device))
 
         return [Phase(measure, self.threads)] if self.model.deformation_weight > 0 else []
 

@@ -244,7 +244,7 @@ class Orderer:
         chunk_count = measured.steps.shape[1]
 
         def move(part: slice) -> None:
-            wp.launch(
+            launch(
                 deformation_kernels.move_deformation,
                 dim=(part.stop - part.start, chunk_count),
                 inputs=[
