@@ -54,14 +54,16 @@ def check_bytes(file: str, by: str = "") -> None:
             start = stream.read(8)
             if not start:
                 raise StageError(f"{file}{by}: an empty file, which USD cannot open")
+            size = os.fstat(stream.fileno()).st_size
             if start.startswith(TEXT):
-                if os.path.getsize(file) > MOST_TEXT_BYTES:
+                if size > MOST_TEXT_BYTES:
                     raise StageError(
                         f"{file}{by}: text of more than {MOST_TEXT_BYTES} bytes; binary files may be larger"
                     )
-                _check_nesting(start + stream.read(MOST_TEXT_BYTES), file + by)
+                # No more than there was: a file may grow for ever.
+                _check_nesting(start + stream.read(size), file + by)
             elif start.startswith(PACKAGE):
-                _check_package(stream, os.path.getsize(file), file, by)
+                _check_package(stream, size, file, by)
     except OSError as error:
         raise StageError(f"{file}{by}: cannot be read ({error.strerror or error})") from error
 
