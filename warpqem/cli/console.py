@@ -123,7 +123,7 @@ class OneLineErrors(typer.core.TyperGroup):
 def tell_usd_warnings() -> None:
     """Print what USD has warned of, but for what the command has told itself."""
     warnings = [] if _usd_messages is None else _usd_messages.take()
-    warnings = [text for text in warnings if not any(text in told or told in text for told in told_messages)]
+    warnings = [text for text in warnings if not any(t and (text in t or t in text) for t in told_messages)]
     told_messages.clear()
     for text in warnings[:MOST_WARNINGS]:
         tell("warning", text)

@@ -257,6 +257,6 @@ class Orderer:
                 device=self.device,
             )
 
-        launch_parts(deformation_kernels.move_deformation, move, self.face_slots, self.device, COMPACTED_FACES)
+        launch_parts(move, self.face_slots, self.device, COMPACTED_FACES)
         wp.copy(measured.face_area, self._spare_area, count=self.live_faces * chunk_count)
         wp.copy(measured.steps, self._spare_steps, count=3 * self.live_faces * chunk_count)

@@ -14,7 +14,7 @@ from pxr import Ar
 from warpqem.errors import StageError
 from warpqem.usd.usd_errors import first_line
 
-__all__ = ["CRATE", "QUOTED", "check_bytes"]
+__all__ = ["CRATE", "MOST_NESTED", "QUOTED", "check_bytes"]
 
 # Brackets and prims in each other. Scenes have some dozens; USD's own stack ends between 20 000 and 100 000.
 MOST_NESTED = 1000
