@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 import typer.core
-from rich.console import Console
+from rich.console import Console, RenderableType
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+from rich.style import StyleType
 from rich.table import Table
 from rich.text import Text
 
@@ -208,15 +209,19 @@ class PlainTable(Table):
 
     def __init__(self, title: str) -> None:
         super().__init__(title=Text(printable(title)))
+        self._notes: list[str] = []
 
-    def add_row(self, *cells: str, end_section: bool = False) -> None:
+    def add_row(
+        self, *renderables: RenderableType | None, style: StyleType | None = None, end_section: bool = False
+    ) -> None:
         """Add a row of plain text."""
-        super().add_row(*(Text(printable(cell)) for cell in cells), end_section=end_section)
+        cells = [Text(printable(cell)) if isinstance(cell, str) else cell for cell in renderables]
+        super().add_row(*cells, style=style, end_section=end_section)
 
     def add_note(self, text: str) -> None:
         """Add a line below the table."""
-        before = [] if self.caption is None else [self.caption]
-        self.caption = Text("\n").join([*before, Text(printable(text))])
+        self._notes.append(printable(text))
+        self.caption = Text("\n".join(self._notes))
 
 
 def print_table(table: PlainTable, to_stderr: bool = False) -> None:
