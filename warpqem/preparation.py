@@ -89,6 +89,10 @@ class Prepared:
             self.quadric_sums,
         )
 
+    def with_target(self, face_count: int) -> Prepared:
+        """The same with so many faces as its goal."""
+        return replace(self, order_settings=replace(self.order_settings, target_faces=face_count))
+
     def without_input(self) -> Prepared:
         """The same without what only ordering needs."""
         return replace(self, order_input=None)

@@ -102,7 +102,11 @@ def simplify_values(
     ] = None,
     max_error: Annotated[
         float | None,
-        typer.Option(metavar="PCT", help="Largest error of each mesh, in % of its bounding-box diagonal."),
+        typer.Option(
+            metavar="PCT",
+            help="Largest distance of each mesh from the input, in % of its bounding-box diagonal: proved for every "
+            "point and pose (of a mesh with a skin, before the skin is fitted), with about the fewest faces that hold it.",
+        ),
     ] = None,
     screen_error: ScreenError = None,
     distance: Distance = None,

@@ -28,7 +28,9 @@ class SimplifyOptions:
     Attributes:
         ratio: Share of its triangles that each mesh keeps, above 0 and at most 1.
         faces: Triangles of all meshes together, split so that a face saves the same error on each.
-        max_error: Largest error of each mesh, in % of its bounding-box diagonal.
+        max_error: Largest distance of each mesh from the input, at every point and in every pose, in % of its
+            bounding-box diagonal there, see `warpqem.simplify`. Where a skin is fitted, of the points that it is fitted
+            to.
         screen: Largest error of each mesh on a screen, at a distance in world units.
         lods: Ratios of levels of detail, each smaller than the one before, between 0 and 1. The output offers the input
             and one level for each ratio as variants LOD0, LOD1, ... of the root prim that holds the default prim.
