@@ -104,8 +104,8 @@ def simplify_values(
         float | None,
         typer.Option(
             metavar="PCT",
-            help="Largest distance of each mesh from the input, in % of its bounding-box diagonal: proved for every "
-            "point and pose (of a mesh with a skin, before the skin is fitted), with about the fewest faces that hold it.",
+            help="Largest distance of each mesh from the input, in % of its bounding-box diagonal, proved for every "
+            "point and pose (of a skinned mesh before its skin is fitted); takes about the fewest faces that hold it.",
         ),
     ] = None,
     screen_error: ScreenError = None,
