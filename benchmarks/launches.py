@@ -7,7 +7,7 @@ part after part on one thread.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from math import prod
@@ -17,6 +17,7 @@ from unittest.mock import patch
 import warp as wp
 
 from benchmarks.floor import Demand, count_demand
+from warpqem.launches import Recorder
 from warpqem.order.steps import Phase, Step
 
 __all__ = ["LaunchProfile", "profile_launches"]
@@ -68,6 +69,21 @@ class LaunchProfile:
         entry.events = (before, after)
 
 
+class _AtOnce(Recorder):
+    """Does what it is to record, each operation as it comes."""
+
+    def __init__(self, device: str) -> None:
+        super().__init__(device)
+        self._launch_device = device
+
+    def launch(self, kernel: wp.Kernel, dim: int, inputs: Sequence[Any], outputs: Sequence[Any] = ()) -> None:
+        """Launch a kernel now."""
+        wp.launch(kernel, dim, inputs, outputs, device=self._launch_device)
+
+    def _add(self, operation: Callable[[], object], *arguments: Any) -> None:
+        operation()
+
+
 def _thread_count(dim: int | Sequence[int]) -> int:
     return dim if isinstance(dim, int) else prod(dim)
 
@@ -86,12 +102,12 @@ def profile_launches() -> Iterator[LaunchProfile]:
         profile.time(plain_launch(kernel, dim, inputs, outputs, record_cmd=True, **options), _thread_count(dim))
 
     def keep_phases(self: Any, phases: Sequence[Phase], device: str) -> None:
-        self.phases = list(phases)
+        self.phases, self.device = list(phases), device
 
     def run_phases(self: Any) -> None:
         for phase in self.phases:
             for part in range(phase.part_count):
-                phase.launch(part)
+                phase.record(_AtOnce(self.device), part)
 
     stand_ins = (
         patch.object(wp, "launch", launch),

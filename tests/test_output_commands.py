@@ -33,9 +33,9 @@ HALF = SimplifyOptions(ratio=0.5, device="cpu")
 # Options that take text and name no file that is written. Any other is taken for an output here: a new one that names
 # an output needs no change, and one that does not is added.
 NO_OUTPUTS = {
-    "--address", "--asset-root", "--attribute-weight", "--device", "--frames", "--lods", "--memory", "--points",
-    "--poses", "--prim", "--ratios", "--reference", "--size", "--source-points", "--source-prim", "--symmetry",
-    "--target-points", "--target-prim", "--weight-primvar",
+    "--address", "--asset-root", "--attribute-weight", "--device", "--face-points", "--frames", "--lods",
+    "--memory", "--points", "--poses", "--prim", "--ratios", "--reference", "--size", "--source-points",
+    "--source-prim", "--symmetry", "--target-points", "--target-prim", "--weight-primvar",
 }  # fmt: skip
 # Arguments of each command beside its output, which comes last.
 COMMANDS = {
@@ -174,6 +174,16 @@ def test_poses_and_their_layers_are_kept(folder, option, name):
     before = file_bytes(folder)
     result = run([*f"simplify {COMMANDS['simplify']} --poses poses.usda".split(), option, name])
     assert result.exit_code == 2, result.output
+    assert file_bytes(folder) == before
+
+
+@pytest.mark.parametrize("command", ["simplify", "batch"])
+def test_points_of_a_face_are_kept(folder, command):
+    (folder / "points.json").write_text("{}")
+    before = file_bytes(folder)
+    result = run([*f"{command} {COMMANDS[command]} --metric face --face-points points.json --json points.json".split()])
+    assert result.exit_code == 2, result.output
+    assert "this is the file of points" in result.output or "this is a file of points" in result.output
     assert file_bytes(folder) == before
 
 

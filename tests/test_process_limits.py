@@ -6,6 +6,7 @@ import errno
 import os
 import subprocess
 import sys
+from signal import Signals
 
 import pytest
 from test_usd_stages import cloth_stage
@@ -74,7 +75,7 @@ def test_other_errors_have_no_limit_behind_them(limits, error):
 @pytest.mark.parametrize("opening", [True, False])
 def test_signal_is_laid_to_its_limit_and_not_to_the_file(limits, limit, signal, flag, opening):
     limits.update(limit)
-    text = _reason(signal, "a.usdc", opening)
+    text = _reason(Signals[signal].value, "a.usdc", opening)
     assert text.startswith(f"a.usdc: ended by {signal}")
     assert f"(ulimit {flag})" in text
     assert "damaged" not in text
@@ -83,7 +84,7 @@ def test_signal_is_laid_to_its_limit_and_not_to_the_file(limits, limit, signal, 
 def test_usual_limits_are_no_reason(limits):
     limits.update(STACK=8 * MIB, NOFILE=1024, AS=2**36)
     assert limit_behind_signal("SIGSEGV") == ""
-    assert "damaged" in _reason("SIGSEGV", "a.usdc", True)
+    assert "damaged" in _reason(Signals.SIGSEGV.value, "a.usdc", True)
 
 
 @pytest.mark.parametrize(

@@ -136,7 +136,7 @@ def test_pixel_at_a_distance_covers_its_share_of_the_picture():
     ],
 )
 def test_views_that_show_nothing_are_refused(view):
-    with pytest.raises(OptionError, match="expected"):
+    with pytest.raises(OptionError, match="must be"):
         ScreenView(**view)
 
 

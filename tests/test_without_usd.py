@@ -120,7 +120,8 @@ try:
 except ImportError as error:
     print(error)
 from warpqem.batching.ray_engine import _perform
-result = _perform(warpqem.BatchJob("in.usda", "out.usda", warpqem.usd.SimplifyOptions(ratio=0.5)), {"CPU": 1.0}, False)
+job = warpqem.BatchJob("in.usda", "out.usda", warpqem.usd.SimplifyOptions(ratio=0.5))
+result = _perform(job, {"CPU": 1.0}, False, "mark")
 assert (result.status, result.error) == ("failed", "UsdLibraryError")
 print(result.message.removeprefix("in.usda: "))
 """

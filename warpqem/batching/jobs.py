@@ -170,5 +170,7 @@ def check_jobs(jobs: Iterable[BatchJob], other_outputs: Iterable[OutputFile] = (
             )
     written = OutputFiles([*(OutputFile("output", job.output) for job in jobs), *other_outputs])
     written.check(InputFile(job.input, "an input") for job in jobs)
-    written.check(InputFile(job.options.poses, "a file of poses") for job in jobs if job.options.poses is not None)
+    for job in jobs:
+        named = {"a file of poses": job.options.poses, "a file of points": job.options.face_points}
+        written.check(InputFile(path, what) for what, path in named.items() if path is not None)
     return written

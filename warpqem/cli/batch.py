@@ -14,7 +14,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from warpqem.cli.console import EXIT_FAILED, EXIT_INTERRUPTED, print_table, progress_bar, quiet_libraries, tell
+from warpqem.cli.console import (
+    EXIT_FAILED,
+    EXIT_INTERRUPTED,
+    load_usd,
+    print_table,
+    progress_bar,
+    quiet_libraries,
+    tell,
+)
 from warpqem.cli.guard import interruptible
 from warpqem.cli.logs import LogJson, Verbose, start_logging
 from warpqem.cli.simplify_options import takes_simplify_options
@@ -111,6 +119,7 @@ def batch(
     Exit codes: 0 all done; 1 an error, or some asset or mesh failed; 2 wrong usage; 130 interrupted.
     """
     quiet_libraries()
+    load_usd()
     start_logging(verbose, None)
     from warpqem.batching.jobs import check_jobs
     from warpqem.batching.output_check import check_batch_outputs

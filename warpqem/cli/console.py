@@ -156,29 +156,26 @@ class _WarpMessages:
 
 
 def load_usd() -> None:
-    """Load USD for a command that reads or writes stages.
+    """Load USD for a command that reads or writes stages, and make lines of its messages at the command's end.
 
     Raises:
         UsdLibraryError: it is missing, broken or too old.
     """
+    global _usd_messages
     from warpqem.usd.library import need_usd
 
     need_usd()
+    from warpqem.usd.usd_errors import UsdMessages
+
+    _usd_messages = _usd_messages or UsdMessages()
 
 
 def quiet_libraries() -> None:
-    """Keep messages of Warp and USD off stdout, which belongs to the command's result, and make lines of them.
-
-    Warp's say when it compiles; USD's come at the end of the command.
-    """
-    global _usd_messages
+    """Keep Warp's messages off stdout, which belongs to the command's result, and make lines of those that compile."""
     import warp
-
-    from warpqem.usd.usd_errors import UsdMessages
 
     warp.config.log_level = warp.LOG_INFO
     warp.set_logger(_WarpMessages())
-    _usd_messages = _usd_messages or UsdMessages()
 
 
 class QuietProgress(Progress):

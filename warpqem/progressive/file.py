@@ -100,10 +100,6 @@ class ProgressiveFile:
         self, *, target_faces: int | None = None, split_count: int | None = None, memory: int | str | None = None
     ) -> ProgressiveMesh:
         """As :func:`load`."""
-        if target_faces is not None:
-            target_faces = whole_number(target_faces, "target_faces")
-        if split_count is not None:
-            split_count = whole_number(split_count, "split_count", least=0)
         chunk_count = len(self.info.chunks)
         for count in range(1, chunk_count):
             splits, faces = self.info.loaded_counts(count)
@@ -190,6 +186,10 @@ def load(
         OptionError: a number that is none, or ``memory`` is no number of bytes.
         OSError: it cannot be read.
     """
+    if target_faces is not None:
+        target_faces = whole_number(target_faces, "target_faces")
+    if split_count is not None:
+        split_count = whole_number(split_count, "split_count", least=0)
     with ProgressiveFile(path) as file:
         return file.load(target_faces=target_faces, split_count=split_count, memory=memory)
 

@@ -10,7 +10,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
-from warpqem.outputs import OutputFile
+from warpqem.outputs import InputFile, OutputFile
 from warpqem.sharing import FrameShare
 from warpqem.usd.context import Announce, Context, Progress, SharedOrder
 from warpqem.usd.input_files import check_stage_outputs
@@ -73,7 +73,8 @@ def simplify_stage(
     _log.info("%s: reading", input_path)
     stage, problems = open_with_problems(input_path, options.asset_roots)
     read = [stage] if options.poses is None else [stage, open_stage(options.poses)]
-    check_stage_outputs([OutputFile("output", output_path), *other_outputs], read)
+    points = [] if options.face_points is None else [InputFile(options.face_points, "the file of points")]
+    check_stage_outputs([OutputFile("output", output_path), *other_outputs], read, points)
     # What fails while a layer is being written is no matter of one mesh: half of it would be there.
     with usd_errors_named(input_path), ExitStack() as cleanup:
         context = Context(
