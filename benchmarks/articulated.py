@@ -32,6 +32,9 @@ CAP_FRACTION, LEAST_CANDIDATES = 0.05, 32
 TURN_COSINE = 0.2
 # What an edge's squared length counts beside its cost, relative to the quadric: the order where the surface is flat.
 LENGTH_COST = 1e-6
+# As in warpqem.kernels.legality: what the squared distance of merged vertices from the faces left costs, and how much
+# more than its cost an edge may turn out to cost.
+GAP_COST, DEARER = 2.0, 1.2
 TINY = 1e-30
 
 
@@ -53,48 +56,53 @@ class PoseQuadrics:
         total: np.ndarray = square + 2.0 * (self.b * points).sum(axis=(1, 2)) + self.c.sum(axis=1)
         return np.maximum(total, 0.0)
 
-    def least(self, near: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """``H`` (n, P, 3, 3) and where the quadric pulled towards ``near`` is least, at most the fit's reach from it."""
+    def least(self, near: np.ndarray, most: float) -> tuple[np.ndarray, np.ndarray]:
+        """``H`` (n, P, 3, 3) and where the quadric pulled towards ``near`` is least, at most so many radii from it."""
         trace = np.trace(self.A, axis1=2, axis2=3)
         H = self.A + (SURFACE_PULL * trace + TINY)[..., None, None] * np.eye(3)
         slope = np.einsum("npij,npj->npi", self.A, near) + self.b
         away = np.linalg.solve(H, slope[..., None])[..., 0]
-        reach = float(REACH) * np.sqrt(trace / (3.0 * np.pi))
+        reach = most * np.sqrt(trace / (3.0 * np.pi))
         share = np.minimum(1.0, reach / np.maximum(np.linalg.norm(away, axis=2), TINY))
         return H, near - share[..., None] * away
 
 
-def pose_quadrics(poses: np.ndarray, faces: np.ndarray) -> PoseQuadrics:
-    """Planes of faces by area and of border edges by squared length, at their vertices, of points (P, V, 3)."""
-    pose_count, vertex_count = poses.shape[:2]
+def pose_quadrics(poses: np.ndarray, faces: np.ndarray, only: int | None = None) -> PoseQuadrics:
+    """Planes of faces by area and of border edges by squared length at their vertices, of points (P, V, 3).
+
+    ``only`` names the one vertex that is wanted, all of whose faces are given.
+    """
     edges = edge_table(faces)
     border = np.column_stack([edges.ends, edges.wings[:, 0]])[edges.face_count == 1]
-    sums = PoseQuadrics(
-        np.zeros((vertex_count, pose_count, 3, 3)),
-        np.zeros((vertex_count, pose_count, 3)),
-        np.zeros((vertex_count, pose_count)),
-    )
-    for pose, point in enumerate(poses.astype(np.float64)):
-        cross = np.cross(point[faces[:, 1]] - point[faces[:, 0]], point[faces[:, 2]] - point[faces[:, 0]])
-        edge = point[border[:, 1]] - point[border[:, 0]]
-        across = np.cross(edge, np.cross(edge, point[border[:, 2]] - point[border[:, 0]]))
-        for vertices, normal, weight in (
-            (faces, cross, 0.5 * np.linalg.norm(cross, axis=1)),
-            (border[:, :2], across, (edge**2).sum(axis=1)),
-        ):
-            n = normal / np.maximum(np.linalg.norm(normal, axis=1), TINY)[:, None]
-            d = -(n * point[vertices[:, 0]]).sum(axis=1)
+    if only is not None:
+        border = border[(border[:, :2] == only).any(axis=1)]
+    x = poses.astype(np.float64)
+    cross = np.cross(x[:, faces[:, 1]] - x[:, faces[:, 0]], x[:, faces[:, 2]] - x[:, faces[:, 0]])
+    edge = x[:, border[:, 1]] - x[:, border[:, 0]]
+    across = np.cross(edge, np.cross(edge, x[:, border[:, 2]] - x[:, border[:, 0]]))
+    count = x.shape[1] if only is None else 1
+    total = PoseQuadrics(*(np.zeros((count, len(x), *shape)) for shape in ((3, 3), (3,), ())))
+    for vertices, normal, weight in (
+        (faces, cross, 0.5 * np.linalg.norm(cross, axis=2)),
+        (border[:, :2], across, (edge**2).sum(axis=2)),
+    ):
+        n = (normal / np.maximum(np.linalg.norm(normal, axis=2), TINY)[..., None]).transpose(1, 0, 2)
+        d, w = -(n * x[:, vertices[:, 0]].transpose(1, 0, 2)).sum(axis=2), weight.T
+        planes = (w[..., None, None] * n[..., None] * n[..., None, :], (w * d)[..., None] * n, w * d * d)
+        for name, values in zip(("A", "b", "c"), planes, strict=True):
             for corner in vertices.T:
-                np.add.at(sums.A[:, pose], corner, np.einsum("f,fi,fj->fij", weight, n, n))
-                np.add.at(sums.b[:, pose], corner, (weight * d)[:, None] * n)
-                np.add.at(sums.c[:, pose], corner, weight * d * d)
-    return sums
+                if only is None:
+                    np.add.at(getattr(total, name), corner, values)
+                else:
+                    getattr(total, name)[0] += values[corner == only].sum(axis=0)
+    return total
 
 
 class Order(Protocol):
     """What merged vertices are, and what they cost."""
 
     posed: np.ndarray  # (V, P, 3)
+    memoryless: bool
 
     def merged(self, u: np.ndarray, v: np.ndarray) -> dict[str, np.ndarray]:
         """For pairs of vertices, (n, ...): "cost" and "posed" of what they become, and what else it has."""
@@ -106,14 +114,17 @@ class Order(Protocol):
 class PoseOrder:
     """Merged vertices are free in every pose (``dsd``)."""
 
-    def __init__(self, poses: np.ndarray, faces: np.ndarray) -> None:
+    reach = np.inf
+
+    def __init__(self, poses: np.ndarray, faces: np.ndarray, memoryless: bool = False) -> None:
         self.quadrics = pose_quadrics(poses, faces)
+        self.memoryless = memoryless
         self.posed = np.ascontiguousarray(poses.transpose(1, 0, 2), dtype=np.float64)
 
     def merged(self, u: np.ndarray, v: np.ndarray) -> dict[str, np.ndarray]:
         """See :class:`Order`."""
         pair = self.quadrics.pair(u, v)
-        _, posed = pair.least(0.5 * (self.posed[u] + self.posed[v]))
+        _, posed = pair.least(0.5 * (self.posed[u] + self.posed[v]), self.reach)
         return {"cost": pair.at(posed) + self._length_cost(pair, u, v), "posed": posed}
 
     def commit(self, u: int, v: int, row: dict[str, np.ndarray]) -> None:
@@ -121,6 +132,14 @@ class PoseOrder:
         for of_pose in (self.quadrics.A, self.quadrics.b, self.quadrics.c):
             of_pose[u] += of_pose[v]
         self.posed[u] = row["posed"]
+
+    def renew(self, vertex: int, star: np.ndarray) -> None:
+        """Make the quadric of a vertex that of its faces (n, 3)."""
+        used, index = np.unique(star, return_inverse=True)
+        own = int(np.searchsorted(used, vertex))
+        around = pose_quadrics(self.posed[used].transpose(1, 0, 2), index.reshape(-1, 3), own)
+        for name in ("A", "b", "c"):
+            getattr(self.quadrics, name)[vertex] = getattr(around, name)[0]
 
     def _length_cost(self, pair: PoseQuadrics, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         square = ((self.posed[u] - self.posed[v]) ** 2).sum(axis=2)
@@ -139,14 +158,22 @@ class JointOrder(PoseOrder):
         device: Warp device.
     """
 
+    reach = float(REACH)
+
     def __init__(
-        self, skin: LinearSkin, transforms: np.ndarray, faces: np.ndarray, influences: int, device: str
+        self,
+        skin: LinearSkin,
+        transforms: np.ndarray,
+        faces: np.ndarray,
+        influences: int,
+        device: str,
+        memoryless: bool = False,
     ) -> None:
         self._transforms, self._influences, self._device = transforms, influences, device
         self.rest = skin.rest.copy()
         self.weights = np.zeros((len(skin.rest), transforms.shape[1]))
         np.add.at(self.weights, (np.arange(len(skin.rest))[:, None], skin.joints), skin.weights)
-        super().__init__(self._pose(self.rest, self.weights).transpose(1, 0, 2), faces)
+        super().__init__(self._pose(self.rest, self.weights).transpose(1, 0, 2), faces, memoryless)
 
     def _pose(self, rest: np.ndarray, weights: np.ndarray) -> np.ndarray:
         """(n, P, 3)."""
@@ -166,7 +193,7 @@ class JointOrder(PoseOrder):
         t = np.where(bend > TINY, -(along * slope).sum(axis=(1, 2)) / np.maximum(bend, TINY), 0.5).clip(0.0, 1.0)[:, None]
         rest = (1.0 - t) * self.rest[u] + t * self.rest[v]
         weights = (1.0 - t) * self.weights[u] + t * self.weights[v]
-        stiffness, goal = pair.least(self._pose(rest, weights))
+        stiffness, goal = pair.least(self._pose(rest, weights), self.reach)
         row, joint = np.nonzero((self.weights[u] > 0) | (self.weights[v] > 0))
         start = np.searchsorted(row, np.arange(len(u) + 1)).astype(np.int32)
         rows = CandidateRows(start, joint.astype(np.int32), weights[row, joint])
@@ -209,8 +236,14 @@ class Collapsed:
 class _Mesh:
     """Faces with stars, and the rules of :mod:`warpqem.kernels.legality` that need no more than them."""
 
-    def __init__(self, faces: np.ndarray, vertex_count: int) -> None:
+    def __init__(self, faces: np.ndarray, points: np.ndarray) -> None:
+        vertex_count = len(points)
         self.faces = faces.copy()
+        self.members = [[vertex] for vertex in range(vertex_count)]
+        self.points = points.copy()
+        corner = points[faces]
+        area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1) / 6.0
+        self.area = np.bincount(faces.ravel(), np.repeat(area, 3), minlength=vertex_count)
         self.alive = np.ones(len(faces), dtype=bool)
         self.star: list[set[int]] = [set() for _ in range(vertex_count)]
         for face, corners in enumerate(faces.tolist()):
@@ -245,6 +278,13 @@ class _Mesh:
         turned = (n * m).sum(axis=2) <= TURN_COSINE * np.linalg.norm(n, axis=2) * np.linalg.norm(m, axis=2)
         return not (turned & (np.linalg.norm(n, axis=2) > 1e-14)).any()
 
+    def gap(self, u: int, v: int, posed: np.ndarray, target: np.ndarray) -> float:
+        """Area times squared distance of the merged vertices from the faces left around them, in the first pose."""
+        corners = self.faces[list((self.star[u] | self.star[v]) - (self.star[u] & self.star[v]))]
+        triangles = np.where(((corners == u) | (corners == v))[..., None], target[0], posed[corners, 0])
+        members = self.members[u] + self.members[v]
+        return float((self.area[members] * squared_distances(self.points[members], triangles).min(axis=1)).sum())
+
     def collapse(self, u: int, v: int) -> int:
         """Let v become u; the faces removed."""
         shared = self.star[u] & self.star[v]
@@ -256,6 +296,7 @@ class _Mesh:
             self.faces[face][self.faces[face] == v] = u
         self.star[u] |= self.star[v]
         self.star[v] = set()
+        self.members[u] += self.members[v]
         return len(shared)
 
     def left(self, parent: np.ndarray) -> Collapsed:
@@ -280,7 +321,7 @@ def collapse_edges(order: Order, faces: np.ndarray, targets: list[int]) -> Itera
         what is left at each target, or where no edge is legal.
     """
     vertex_count = len(order.posed)
-    mesh = _Mesh(faces, vertex_count)
+    mesh = _Mesh(faces, order.posed[:, 0])
     parent = np.arange(vertex_count)
     known = np.zeros(0, dtype=np.int64)
     rows: dict[str, np.ndarray] = {}
@@ -301,7 +342,7 @@ def collapse_edges(order: Order, faces: np.ndarray, targets: list[int]) -> Itera
             cost = np.where(asleep, np.inf, rows["cost"])
             count = min(max(LEAST_CANDIDATES, int(fraction * len(key))), int(np.isfinite(cost).sum()))
             taken: set[int] = set()
-            collapsed = 0
+            collapsed = collapsed_or_dearer = 0
             for edge in np.argsort(cost, kind="stable")[:count].tolist():
                 u, v = ends[edge].tolist()
                 star = mesh.star[u] | mesh.star[v]
@@ -311,17 +352,42 @@ def collapse_edges(order: Order, faces: np.ndarray, targets: list[int]) -> Itera
                 if not mesh.is_legal(u, v, order.posed, row["posed"]):
                     asleep[edge] = True
                     continue
+                price = GAP_COST * len(order.posed[0]) * mesh.gap(u, v, order.posed, row["posed"])
+                if price > DEARER * rows["cost"][edge]:
+                    rows["cost"][edge] = price
+                    collapsed_or_dearer += 1
+                    continue
                 taken |= star
                 live -= mesh.collapse(u, v)
                 order.commit(u, v, row)
                 parent[v] = u
-                changed[u] = True
-                near[[u, *mesh.ring(u)]] = True
+                ring = [u, *mesh.ring(u)]
+                near[ring] = True
+                changed[ring if order.memoryless else u] = True
+                if order.memoryless:
+                    for w in ring:
+                        order.renew(w, mesh.faces[list(mesh.star[w])])
                 collapsed += 1
-            if not collapsed and count == int(np.isfinite(cost).sum()):
+            if not collapsed + collapsed_or_dearer and count == int(np.isfinite(cost).sum()):
                 break
             fraction = CAP_FRACTION if collapsed else min(1.0, 4 * fraction)
         yield mesh.left(parent)
+
+
+def squared_distances(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """(n, m), of points (n, 3) from triangles (m, 3, 3)."""
+    best = np.full((len(points), len(triangles)), np.inf)
+    inside = np.ones(best.shape, dtype=bool)
+    normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    for k in range(3):
+        a, edge = triangles[:, k], triangles[:, (k + 1) % 3] - triangles[:, k]
+        away = points[:, None] - a
+        t = ((away * edge).sum(axis=2) / np.maximum((edge**2).sum(axis=1), TINY)).clip(0.0, 1.0)
+        best = np.minimum(best, ((away - t[..., None] * edge) ** 2).sum(axis=2))
+        inside &= (np.cross(edge, away) * normal).sum(axis=2) > 0.0
+    height = ((points[:, None] - triangles[:, 0]) * normal).sum(axis=2)
+    square = np.maximum((normal**2).sum(axis=1), TINY)
+    return np.where(inside, height**2 / square, best)
 
 
 def _spliced(old: np.ndarray | None, index: np.ndarray, kept: np.ndarray, fresh: np.ndarray) -> np.ndarray:
