@@ -1,7 +1,7 @@
 """``articulated``: is it worth to order the collapses of a skinned mesh by ``E(v, a)``, which the fit minimises?
 
 Ordered and fitted on the first half of a clip's poses, measured on the second. Every order goes through the placing,
-the refit and the fit of warpqem, so that rows differ in the order alone. The mesh is read without UV seams.
+the refit and the fit of warpqem, so that rows differ in the order alone. UV seams are left aside.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from benchmarks.skin_collapse import Collapsed, collapse_edges
 from benchmarks.skin_order import JointOrder, PoseOrder
 from warpqem.arguments import SimplifyOptions
 from warpqem.device import resolve_device
+from warpqem.errors import UnreachableTargetError
 from warpqem.frame_blocks import pack_frames
 from warpqem.kernels.lanes import QUADRIC, width_of
 from warpqem.key_frames import KeyFrameChoice
@@ -77,7 +78,11 @@ class SkinnedClip:
 
 
 def read_clip(path: Path, prim: str | None = None) -> SkinnedClip:
-    """Read a mesh with a linear skin; the one with the most faces, if not named. Blend shapes are left aside."""
+    """Read a mesh with a linear skin and no blend shapes, the one with the most faces if none is named.
+
+    Raises:
+        ValueError: it has another skin, or blend shapes.
+    """
     from pxr import Usd
 
     from warpqem.usd.job import MeshJob
@@ -98,6 +103,8 @@ def read_clip(path: Path, prim: str | None = None) -> SkinnedClip:
     times = job.source.frame_times(None)
     codes = [Usd.TimeCode.Default()] if times is None else [Usd.TimeCode(time) for time in times]
     given = SkinPoses(job, job.source, times)
+    if given.poser.blend_shape_query is not None:
+        raise ValueError(f"{path}: {job.mesh.path} has blend shapes, which this benchmark does not know")
     transforms = given.fit.moved(joint_transforms(given.poser, codes))
     faces = job.faces[is_proper(job.faces)]
     used, index = np.unique(faces, return_inverse=True)
@@ -149,19 +156,18 @@ class _Study:
     def _of_product(self, target: int, memoryless: bool) -> Row:
         row: dict[str, float | int] = {}
         for refit in (False, True):
-            result = warpqem.simplify(
-                self._poses,
-                self._clip.faces,
-                target_faces=target,
-                key_frames=None,
-                keep_components=True,
-                refit=refit,
-                memoryless=memoryless,
-                device=self._device,
-            )
+            result = self._simplified(target, refit=refit, memoryless=memoryless)
             self._error[target] = result.error / 100.0
             row |= {"faces": len(result.faces), "refit" if refit else "fit": self._fitted_error(result, refit)}
         return row
+
+    def _simplified(self, target: int, **options: bool) -> SimplifiedMesh:
+        goal = {"target_faces": target, "key_frames": None, "keep_components": True, "device": self._device}
+        try:
+            return warpqem.simplify(self._poses, self._clip.faces, **goal, **options)
+        except UnreachableTargetError as error:
+            # Pieces of a mesh none of which may go.
+            return error.result
 
     def _of_order(self, order: PoseOrder, left: Collapsed, target: int) -> Row:
         row: dict[str, float | int] = {"faces": len(left.faces)}

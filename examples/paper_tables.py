@@ -35,6 +35,8 @@ from warpqem.measure import compare, vertex_distances
 from warpqem.usd import CompareOptions, FrameRange, SimplifyOptions, compare_stages, simplify_stage
 
 SCENES = Path(__file__).parent.parent / "scenes"
+# Shares of the faces that skins are fitted at.
+SKIN_RATIOS = (0.25, 0.1, 0.05)
 
 
 @cache
@@ -159,7 +161,7 @@ def _unseen_poses(title: str, kinds: dict[str, dict[str, object]]) -> Table:
     scene = SCENES / "quadruped_gallop.usdc"
     table = _table(title, "share", *kinds)
     with tempfile.TemporaryDirectory() as folder:
-        for ratio in (0.25, 0.1, 0.05):
+        for ratio in SKIN_RATIOS:
             errors = []
             for options in kinds.values():
                 output = Path(folder) / "out.usdc"

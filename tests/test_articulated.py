@@ -5,14 +5,18 @@ import pytest
 import warp as wp
 from meshes import rotation, tube
 from oracles import articulated as oracle
+from pxr import Usd, UsdGeom
 
-from benchmarks import skin_order
+from benchmarks import articulated, skin_order
+from benchmarks.settings import Settings
 from benchmarks.skin_collapse import collapse_edges, squared_distances
 from benchmarks.skin_order import JointOrder, PoseOrder
 from warpqem.kernels.skin_fit import REACH
 from warpqem.measure import topology
 from warpqem.skinning.problem import SURFACE_PULL, CandidateRows, ClusterPlanes, SkinFit
 from warpqem.skinning.skin import LinearSkin, pose_skin
+from warpqem.usd.mesh import MeshSource
+from warpqem.usd.skel import StagePoses
 
 POSES, JOINTS = 5, 4
 
@@ -134,3 +138,28 @@ def test_distances_from_triangles_are_those_of_a_dense_sampling():
     nearest = ((points[:, None, None] - samples) ** 2).sum(axis=3).min(axis=2)
     np.testing.assert_allclose(squared_distances(points, triangles), nearest, atol=0.02)
     assert (squared_distances(points, triangles) <= nearest + 1e-12).all()
+
+
+def test_benchmark_measures_every_order_on_unseen_poses(tmp_path, monkeypatch):
+    clip = articulated.SkinnedClip(SKIN, FACES, TRANSFORMS)
+    monkeypatch.setattr(articulated, "read_clip", lambda path, prim: clip)
+    monkeypatch.setattr(articulated, "QUICK_RATIOS", (0.4,))
+    [table] = articulated.run(Settings(tmp_path, quick=True, device="cpu")).tables
+    assert [row["order"] for row in table.rows] == ["warpqem", "poses", "E(v, a)"] * 2
+    for row in table.rows:
+        assert 0 <= int(0.4 * len(FACES)) - row["faces"] <= 1
+        assert ("own" in row) == (row["order"] == "E(v, a)")
+        assert all(0.0 < row[name] < 10.0 for name in ("fit", "refit", "own") if name in row)
+
+
+def test_clip_of_a_file_has_the_poses_of_its_stage():
+    clip = articulated.read_clip(articulated.SCENE)
+    assert np.linalg.norm(np.ptp(clip.skin.rest, axis=0)) == pytest.approx(1.0)
+    stage = Usd.Stage.Open(str(articulated.SCENE))
+    [mesh] = (prim for prim in stage.Traverse() if prim.IsA(UsdGeom.Mesh))
+    source = MeshSource(mesh, StagePoses(stage))
+    used = np.unique(source.topology.triangles)
+    expected = np.stack([source.points_at(time)[used] for time in (1.0, 20.0)])
+    poses = clip.poses(clip.transforms[[0, 19]])
+    poses *= np.linalg.norm(np.ptp(expected[0], axis=0)) / np.linalg.norm(np.ptp(poses[0], axis=0))
+    np.testing.assert_allclose(poses, expected, atol=1e-4)
