@@ -16,7 +16,8 @@ from pathlib import Path
 import numpy as np
 
 import warpqem
-from examples import before_after
+from examples import before_after, paper_tables
+from scenes import head
 from scenes.generate import SCENES, VIEWS
 from scenes.generate import picture as scenes_picture
 from warpqem.measure import vertex_distances
@@ -33,6 +34,8 @@ SIZE = (390, 250)
 COLORS = 128
 # A frame in which the legs of the quadruped are far apart.
 STRIDE = 11
+# The face of the head, from the front.
+HEAD_VIEW = View(16.0, 2.0, (0.0, 0.5, 1.0), 27.0)
 
 Pixels = np.ndarray
 
@@ -112,6 +115,32 @@ def joints(path: Path) -> None:
     write_png(tile(pictures, 2), path, colors=COLORS)
 
 
+def morph(path: Path) -> None:
+    """A head at the ratio of surface simplification guided by morph-targets, without and with its weights.
+
+    The neutral shape, coloured by its distance from the result: what MESH draws in that paper.
+    """
+    # As many triangles as there, or nearly.
+    scene = head.build(face_count=3128)
+    frames = paper_tables.shapes_of(scene)
+    thirds = warpqem.morph_weights(frames[0], frames[1:], method="thirds")
+    options = {"ratio": paper_tables.PAPER_RATIO, "metric": "qem"}
+    results = {
+        "qem": warpqem.simplify(frames, scene.faces, **options),
+        "qem, thirds": warpqem.simplify(frames, scene.faces, quadric_scale=thirds, **options),
+    }
+    pairs = [(result.points[0], result.faces, frames[0], scene.faces) for result in results.values()]
+    # The few farthest vertices would leave all others dark.
+    scale = max(float(np.quantile(vertex_distances(*pair), 0.99)) for pair in pairs)
+    pictures = []
+    for (name, result), pair in zip(results.items(), pairs, strict=True):
+        colors, _ = distance_colors(*pair, scale=scale)
+        text = f"{name}: {len(result.faces)} of {len(scene.faces)} faces, yellow is {scale:.2f} %"
+        drawn = render(frames[0], scene.faces, HEAD_VIEW, size=SIZE, colors=colors[0], smooth=True)
+        pictures.append(caption(drawn, text))
+    write_png(tile(pictures, 2), path, colors=COLORS)
+
+
 def scenes(path: Path) -> None:
     """The shipped scenes."""
     scenes_picture({name: build() for name, build in SCENES.items()}, path)
@@ -152,6 +181,7 @@ FIGURES: dict[str, Callable[[Path], None]] = {
     "levels.png": levels,
     "metrics.png": metrics,
     "joints.png": joints,
+    "morph.png": morph,
     "report.png": report,
     "scenes.png": scenes,
 }

@@ -1,14 +1,17 @@
 """The tables of the source papers, on the shipped scenes.
 
-python examples/paper_tables.py [levels] [morph] [face] [retarget] [articulated] [influences] [joints]
+python examples/paper_tables.py [TABLE...]
 
 levels        any level from one run, and its error (progressive deforming meshes)
-morph         ten levels of a face with and without weights (morph-target-based surface simplification)
+stretch       vertices where the surface stretches most (the same: deformation oriented decimation)
+morph         ten levels of a face with and without weights (surface simplification guided by morph-targets)
+rest          the same with weights for what rests but matters (its outlook)
 face          feature points that survive (multiresolution facial animation)
 retarget      expressions carried to levels (the same; expression cloning, Noh & Neumann 2001)
 articulated   poses that the fit of a skin has not seen (simplification of articulated meshes)
 influences    the same with fewer joints for each vertex
 joints        vertices that joints keep (animated meshes with motion features, AQEM)
+reductions    errors at the reductions of that paper, by the weights of joints
 """
 
 from __future__ import annotations
@@ -23,17 +26,21 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 from rich.table import Table
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import dijkstra
 
 sys.path.insert(0, str(Path(__file__).parent.parent))  # the scenes are not part of the installed package
 
 import warpqem
-from scenes import head, quadruped
+from scenes import cape, head, quadruped
 from scenes.scene import Scene
 from warpqem.face import FaceMesh
 from warpqem.face import retarget as carry_expressions
 from warpqem.measure import compare, vertex_distances
 from warpqem.usd import CompareOptions, FrameRange, SimplifyOptions, compare_stages, simplify_stage
 
+# The head of surface simplification guided by morph-targets: 3128 triangles to 878.
+PAPER_RATIO = 878 / 3128
 SCENES = Path(__file__).parent.parent / "scenes"
 # Shares of the faces that skins are fitted at.
 SKIN_RATIOS = (0.25, 0.1, 0.05)
@@ -62,21 +69,110 @@ def levels() -> Table:
     return table
 
 
+def stretch() -> Table:
+    """Share of the vertices that lie in the fifth of the surface that stretches most."""
+    scenes = {"gallop": _gallop(), "cape": cape.build(), "head": _head()}
+    table = _table("Vertices in the fifth of the surface that stretches most, %", "clip", "faces", "DSD", "DOD")
+    for name, scene in scenes.items():
+        points = scene.baked()
+        inside = stretching_fifth(points, scene.faces)
+        for ratio in (0.25, 0.1, 0.05):
+            results = [warpqem.simplify(points, scene.faces, ratio=ratio, metric=metric) for metric in ("dsd", "dod")]
+            shares = [100.0 * _share_inside(result, inside) for result in results]
+            _add(table, name, len(results[0].faces), *shares)
+    return table
+
+
+def stretching_fifth(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """(V,) bool, vertices with most of their area among the faces whose edges change most, a fifth of the area.
+
+    A face changes by the mean step of its edges' lengths from frame to frame, relative to the mean length.
+    """
+    x = points.astype(np.float64)
+    sides = x[:, np.roll(faces, -1, axis=1)] - x[:, faces]
+    length = np.linalg.norm(sides, axis=3)
+    change = (np.abs(np.diff(length, axis=0)).mean(axis=0) / length.mean(axis=0)).mean(axis=1)
+    area = 0.5 * np.linalg.norm(np.cross(sides[:, :, 0], sides[:, :, 1]), axis=2).mean(axis=0)
+    order = np.argsort(-change, kind="stable")
+    inside = np.zeros(len(faces), dtype=bool)
+    inside[order[np.cumsum(area[order]) <= 0.2 * area.sum()]] = True
+    corner_area, corner_inside = np.repeat(area, 3), np.repeat(inside, 3)
+    around = np.bincount(faces.ravel(), corner_area, minlength=points.shape[1])
+    within = np.bincount(faces.ravel(), corner_area * corner_inside, minlength=points.shape[1])
+    return within > 0.5 * around
+
+
+def _share_inside(result: warpqem.SimplifiedMesh, inside: np.ndarray) -> float:
+    """Mean over the vertices left of the part of the vertices they stand for that is inside."""
+    count = result.points.shape[1]
+    kept = result.vertex_map >= 0
+    of_all = np.bincount(result.vertex_map[kept], minlength=count)
+    return float((np.bincount(result.vertex_map[kept], inside[kept], minlength=count) / of_all).mean())
+
+
 def morph() -> Table:
-    """Ten levels of a head with blend shapes: RMS over all targets, with the weights of the paper and without."""
+    """Ten levels of a head with blend shapes, by the first shape alone and by all, with the weights and without."""
     scene = _head()
-    rest = scene.points.astype(np.float64)
-    targets = np.stack([_with_shape(rest, shape) for shape in scene.blend.shapes])
-    frames = np.concatenate([rest[None], targets])
-    weights = warpqem.morph_weights(rest, targets, method="thirds")
-    ratios = tuple(np.geomspace(0.6, 0.03, 10))
-    plain = warpqem.simplify_levels(frames, scene.faces, ratios=ratios, metric="qem")
-    weighted = warpqem.simplify_levels(frames, scene.faces, ratios=ratios, quadric_scale=weights)
+    frames = shapes_of(scene)
+    weights = warpqem.morph_weights(frames[0], frames[1:], method="thirds")
     moved = weights >= 1.0
-    table = _table("A head and its morph targets: the most animated third, mean distance %", "faces", "QEM", "weighted")
-    for first, second in zip(plain, weighted, strict=True):
-        distances = [_mean_distance(frames, scene.faces, moved, level) for level in (first, second)]
-        _add(table, len(second.faces), *distances)
+    table = _table("A head and its targets: the most animated third, mean distance %", "faces", *MORPH_WAYS)
+    columns = []
+    for options in MORPH_WAYS.values():
+        scale = weights if options["weighted"] else None
+        ratios = tuple(np.geomspace(0.6, 0.03, 10))
+        levels = warpqem.simplify_levels(
+            frames, scene.faces, ratios=ratios, metric=options["metric"], quadric_scale=scale
+        )
+        columns.append([(len(level.faces), _mean_distance(frames, scene.faces, moved, level)) for level in levels])
+    for cells in zip(*columns, strict=True):
+        _add(table, cells[0][0], *(distance for _, distance in cells))
+    return table
+
+
+# Like beside like: what decides the order, and whether the quadrics of what moves are weighted up.
+MORPH_WAYS = {
+    "qem": {"metric": "qem", "weighted": False},
+    "qem, thirds": {"metric": "qem", "weighted": True},
+    "dsd": {"metric": "dsd", "weighted": False},
+    "dsd, thirds": {"metric": "dsd", "weighted": True},
+}
+
+
+def shapes_of(scene: Scene) -> np.ndarray:
+    """(1 + T, V, 3), the neutral shape of a scene and its targets."""
+    rest = scene.points.astype(np.float64)
+    return np.stack([rest, *(_with_shape(rest, shape) for shape in scene.blend.shapes)])
+
+
+def _weights_around(faces: np.ndarray, vertices: np.ndarray, vertex_count: int) -> np.ndarray:
+    """Ten at some vertices, falling to one beyond four edges: as far as wings of noses and rims of ears."""
+    ends = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    graph = coo_array((np.ones(len(ends)), ends.T), shape=(vertex_count, vertex_count)).tocsr()
+    away = dijkstra(graph, directed=False, indices=vertices, unweighted=True, min_only=True, limit=4)
+    return 1.0 + 9.0 * (1.0 - np.minimum(away, 5.0) / 5.0)
+
+
+def rest() -> Table:
+    """Weights for what moves and for what rests but matters: errors where a head moves, at nose and ears, of all."""
+    scene = _head()
+    frames = shapes_of(scene)
+    neutral, height = frames[0], np.ptp(frames[0][:, 1])
+    thirds = warpqem.morph_weights(neutral, frames[1:], method="thirds")
+    found = warpqem.facial_features(frames[:1], scene.faces)
+    features = _weights_around(scene.faces, found.indices, len(neutral))
+    marks = neutral[[vertex for name, vertex in found.vertices.items() if name.startswith(("nose", "head_side"))]]
+    moved = thirds >= 1.0
+    # A twentieth of the head's height around them is what they look like.
+    resting = (np.linalg.norm(neutral[:, None] - marks, axis=2).min(axis=1) < 0.05 * height) & ~moved
+    table = _table("A head and its targets, mean distance %", "faces", "weights", "moves most", "nose and ears", "all")
+    scales = {"none": None, "thirds": thirds, "features": features, "both": thirds * features}
+    for ratio in (PAPER_RATIO, 0.1):
+        for name, scale in scales.items():
+            level = warpqem.simplify(frames, scene.faces, ratio=ratio, quadric_scale=scale)
+            parts = (moved, resting, np.ones(len(neutral), dtype=bool))
+            distances = [_mean_distance(frames, scene.faces, part, level) for part in parts]
+            _add(table, len(level.faces), name, *distances)
     return table
 
 
@@ -185,14 +281,36 @@ def joints() -> Table:
     return table
 
 
+def reductions() -> Table:
+    """Errors of a gallop, and vertices in its joints, with the weights of the paper and with milder ones."""
+    scene = _gallop()
+    points = scene.baked()
+    inside = warpqem.motion_features(points, scene.faces).label >= 0
+    ways = {"dsd": {}, "aqem": {"metric": "aqem"}}
+    ways["log"] = {"metric": "aqem", "motion": warpqem.MotionWeighting(weight="log")}
+    columns = [f"{name} {figure}" for name in ways for figure in ("RMS %", "in joints")]
+    table = _table("A gallop at the reductions of the paper", "reduction %", "faces", *columns)
+    for reduction in (39, 58, 68, 86):
+        cells: list[object] = []
+        for options in ways.values():
+            result = warpqem.simplify(points, scene.faces, ratio=1 - reduction / 100, **options)
+            rms = compare(points, scene.faces, result.points, result.faces, samples=4000, frames=8).rms
+            cells += [rms, len(np.unique(result.vertex_map[inside]))]
+        _add(table, reduction, len(result.faces), *cells)
+    return table
+
+
 TABLES: dict[str, Callable[[], Table]] = {
     "levels": levels,
+    "stretch": stretch,
     "morph": morph,
+    "rest": rest,
     "face": face,
     "retarget": retarget,
     "articulated": articulated,
     "influences": influences,
     "joints": joints,
+    "reductions": reductions,
 }
 
 

@@ -199,9 +199,7 @@ def price_edge(state: MeshState, frames: AnyKeyFrames, model: CostModel, h: wp.i
         total += attribute_error(state, u, v, first_frame(x))
     price.cost = weight * (total + LENGTH_COST * spread) + LEAST_COST
     if model.deformation_weight > 0.0:
-        price.cost += model.deformation_weight * length_deformation(
-            state.corner_vertex, state.stars, state.trajectory, h
-        )
+        price.cost += model.deformation_weight * length_deformation(state, h)
     return price
 
 
@@ -231,6 +229,16 @@ def price_all_edges(
         state.edge_cost[h] = cost
 
 
+@wp.func
+def opposite_edge(state: MeshState, h: wp.int32) -> wp.int32:
+    """The half-edge that stands for the edge across the face of ``h`` from the vertex where ``h`` begins."""
+    across = next_corner(h)
+    if is_canonical(state.corner_vertex, state.stars, state.vertex_flags, across):
+        return across
+    a = state.corner_vertex[across]
+    return find_half_edge(state.corner_vertex, state.stars, half_edge_target(state.corner_vertex, across), a)
+
+
 @lane_kernel(frames=KEY_FRAMES)
 def reprice_moved_stars(
     state: MeshState,
@@ -242,19 +250,27 @@ def reprice_moved_stars(
 ):
     """Price again the edges at each vertex that the last pass moved.
 
-    Winners of one pass are never neighbours, so each such edge has exactly one moved end.
+    Winners of one pass are never neighbours, so each such edge has exactly one moved end. The deformation term weighs
+    an edge by the area of its faces, so with it the edges opposite a moved vertex cost something else too. Their ends
+    stay; two moved vertices may share one, and both then write the same cost.
     """
     moved_count = log.count[0] - pass_begin[0]
+    sides = wp.where(model.deformation_weight > 0.0, 3, 2)
     for i in range(first_item(moved_count, work) + wp.tid(), last_item(moved_count, work), work.lanes):
         prefetch_moved(state, frames, log.kept, pass_begin[0] + i, log.count[0], work)
         u = log.kept[pass_begin[0] + i]
-        # Both half-edges of a face at the vertex in one loop: a loop of two would be unrolled, and an edge's price is
-        # most of what there is to compile.
-        for j in range(2 * state.stars.start[u], 2 * state.stars.end[u]):
-            h = state.stars.corner[j // 2]
-            if j % 2 == 1:
+        # The edges of a face in one loop: a loop of two or three would be unrolled, and an edge's price is most of what
+        # there is to compile.
+        for j in range(sides * state.stars.start[u], sides * state.stars.end[u]):
+            h = state.stars.corner[j // sides]
+            side = j % sides
+            if side == 1:
                 h = previous_corner(h)
-            state.edge_cost[h] = cost_at(state, frames, model, h)
+            elif side == 2:
+                h = opposite_edge(state, h)
+            # An edge where orientations differ may have none; it stays between two pinned ends, without a price.
+            if h >= 0:
+                state.edge_cost[h] = cost_at(state, frames, model, h)
 
 
 @lane_kernel(frames=KEY_FRAMES)

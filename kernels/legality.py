@@ -8,7 +8,7 @@
 | mirror          | an inner edge between two vertices of a mirror plane would be one edge of both halves            |
 | vanish          | the merged vertex keeps a face, also where the wing is a bow tie that says nothing of this fan   |
 | flip, any frame | a face may turn past ``TURN_COSINE`` in a few frames only (crumpling motion does so by itself)   |
-| flip, the whole | ``sum over frames of n.n' sqrt(A A' w w')`` must stay positive (seed paper of aqem, equation 7)  |
+| flip, the whole | ``sum over frames of n.n' sqrt(A A' w w')`` must stay positive (Yang et al. 2019, equation 7)    |
 """
 
 from typing import Any

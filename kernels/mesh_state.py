@@ -42,6 +42,18 @@ class Members:
 
 
 @wp.struct
+class Deformation:
+    """What the deformation term sums over chunks of frames (C chunks), only where there is one.
+
+    See :mod:`warpqem.kernels.deformation`.
+    """
+
+    chunk_frames: wp.int32  # frames in a chunk
+    face_area: wp.array2d[wp.float32]  # (N, C) sum of the areas, in diagonals squared
+    steps: wp.array2d[wp.vec3]  # (3N, C) at canonical half-edges: mean, squared deviations, largest above mean
+
+
+@wp.struct
 class MeshState:
     """Faces, stars, flags and prices (V vertices, N faces, F frames)."""
 
@@ -55,6 +67,7 @@ class MeshState:
     seam: wp.array[wp.int32]  # (3N,) 1 at both half-edges of a seam edge
     edge_cost: wp.array[wp.float32]  # (3N,) at canonical half-edges; inf: no collapse here; negative: asleep
     trajectory: wp.array2d[wp.vec3]  # (V, F) every frame's position, only where a deformation term needs it
+    deformation: Deformation
     wedges: Wedges  # attributes, only where they have a weight
     members: Members
 

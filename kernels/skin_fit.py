@@ -1,4 +1,6 @@
-"""Rest position and skin weights of an output vertex, fitted together over poses ("Articulated meshes", the slides).
+"""Rest position and skin weights of an output vertex, fitted together over poses.
+
+"Simplification of articulated meshes" (Landreneau & Schaefer 2009), with quadrics about their least.
 
 Pose ``j`` takes the rest position ``v`` to ``p_j = sum_k a_k (R_k^j (v + o_j) + t_k^j)`` with the transforms of its
 joints, its skin weights ``a`` and the offset ``o_j`` of blend shapes. With the cluster's quadric matrix ``A_j`` and its

@@ -70,6 +70,35 @@ def full_disk(marker: str) -> None:
     module.os.replace = full
 
 
+def stop_while_writing(stop: Callable[[], None]) -> None:
+    """Do something when the next output lies under its temporary name."""
+    import warpqem.usd.write as module
+
+    module.make_readable = lambda path: stop()
+
+
+def kill_itself() -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def killed_while_writing(marker: str) -> None:
+    stop_while_writing(kill_itself)
+
+
+def killed_while_writing_once(marker: str) -> None:
+    if not Path(marker).exists():
+        Path(marker).touch()
+        stop_while_writing(kill_itself)
+
+
+def hang_while_writing(marker: str) -> None:
+    def stop() -> None:
+        Path(marker).touch()
+        time.sleep(600)
+
+    stop_while_writing(stop)
+
+
 def wait_for(found: Callable[[], bool]) -> None:
     end = time.monotonic() + 60
     while not found() and time.monotonic() < end:
@@ -137,6 +166,9 @@ TRAPS = {
     "hang": hang,
     "crash": crash,
     "killed once": killed_once,
+    "killed while writing": killed_while_writing,
+    "killed while writing once": killed_while_writing_once,
+    "hang while writing": hang_while_writing,
     "memory": take_memory,
     "full disk": full_disk,
     "helped": helped,

@@ -4,10 +4,12 @@ import numpy as np
 import warp as wp
 
 from warpqem.frame_blocks import pack_frames
+from warpqem.kernels.deformation import measure_all_deformation
 from warpqem.kernels.lanes import QUADRIC, width_of
 from warpqem.kernels.mesh_state import KEY_FRAMES, CollapseLog, CostModel, MeshState
 from warpqem.kernels.work import EdgeList, Work
 from warpqem.order.attributes import build_wedges
+from warpqem.order.deformation import build_deformation
 from warpqem.order.members import build_members
 from warpqem.order.quadrics import initial_quadrics
 from warpqem.order.stars import build_stars, classify_vertices
@@ -41,11 +43,6 @@ class DeviceMesh:
         return blocks(self.frames.quadric, self.key_count)
 
 
-def vertex_major(points, device) -> wp.array:
-    """(V, F) vec3 from (F, V, 3)."""
-    return wp.array(np.ascontiguousarray(points.transpose(1, 0, 2)), dtype=wp.vec3, device=device)
-
-
 def packed(points, device) -> wp.array:
     """Blocks of points (F, V, 3)."""
     return pack_frames(np.ascontiguousarray(points, dtype=np.float32), device)
@@ -61,7 +58,9 @@ def packed_quadrics(quadrics, like) -> wp.array:
     return wp.array(np.ascontiguousarray(filled), dtype=QUADRIC[width], device=like.device)
 
 
-def build_mesh(points, faces, device, locked=(), cost_weight=None, with_trajectory=False, spare=None) -> DeviceMesh:
+def build_mesh(
+    points, faces, device, locked=(), cost_weight=None, with_trajectory=False, spare=None, chunk_frames=None
+) -> DeviceMesh:
     """Points (K, V, 3) or (V, 3), taken as they are, and faces; every frame is a key frame.
 
     The pool of stars has room for ``spare`` corners more than the mesh has, by default as many again.
@@ -91,8 +90,10 @@ def build_mesh(points, faces, device, locked=(), cost_weight=None, with_trajecto
     state.seam = wp.zeros(faces.size, dtype=wp.int32, device=device)
     state.wedges = build_wedges(faces, position, None, len(points))
     state.members = build_members(faces, position)
-    none = wp.empty((0, 0), dtype=wp.vec3, device=device)
-    state.trajectory = vertex_major(points, device) if with_trajectory else none
+    trajectories = np.ascontiguousarray(points.transpose(1, 0, 2), dtype=np.float32) if with_trajectory else None
+    state.trajectory, state.deformation = build_deformation(trajectories, len(faces), device, chunk_frames)
+    if with_trajectory:
+        wp.launch(measure_all_deformation, dim=1, inputs=[state, one_part(device)], device=device)
     return DeviceMesh(state, frames, len(points))
 
 

@@ -77,3 +77,37 @@ def test_unknown_device_is_an_error(folder):
     result = run("batch", folder / "in", "-o", folder / "out", "--ratio", 0.5, "--device", "tpu")
     assert result.exit_code == 1
     assert "no Warp device 'tpu'" in result.stderr
+
+
+def test_wrong_lines_of_a_manifest_fail_and_the_others_are_done(folder):
+    rows = ['{"input": "in/deep/good.usda"}', "nonsense", '{"input": "in/bad.usda", "rotio": 1}']
+    (folder / "list.jsonl").write_text("\n".join(rows))
+    options = ("--ratio", 0.5, "--device", "cpu", "--jobs", 1, "--json", folder / "lines.jsonl")
+    result = run("batch", folder / "list.jsonl", "-o", folder / "out", *options, "--report", folder / "page.html")
+    assert result.exit_code == 1
+    assert f"error: OptionError: manifest {folder / 'list.jsonl'}, line 2: no JSON" in result.stderr
+    assert "3 of 3 assets" in result.stdout
+    lines = [json.loads(line) for line in (folder / "lines.jsonl").open()]
+    assert [(line["status"], line["error"]) for line in lines] == [
+        ("failed", "OptionError"),
+        ("failed", "OptionError"),
+        ("done", None),
+    ]
+    assert "line 3: there is no option 'rotio'" in lines[1]["message"]
+    assert "1 of 3 assets are done" in (folder / "page.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("rows", "options", "code"),
+    [
+        (["nonsense", '{"input": "in/deep/good.usda"}'], ["--ratio", "0.5", "--strict"], 2),
+        (["nonsense", '{"input": "in/deep/good.usda"}'], ["--ratio", "0.5", "--dry-run"], 1),
+        (['{"input": "in/deep/good.usda"}'] * 2, [], 2),
+        (["nonsense"], ["--ratio", "0.5"], 1),
+    ],
+)
+def test_manifest_is_refused_as_a_whole_where_it_is_to_be(folder, rows, options, code):
+    (folder / "list.jsonl").write_text("\n".join(rows))
+    result = run("batch", folder / "list.jsonl", "-o", folder / "out", *options)
+    assert result.exit_code == code
+    assert "line 1: " in result.stderr

@@ -12,7 +12,7 @@ from test_usd_stages import cloth_stage
 
 from warpqem.batching.fingerprint import is_current, take_fingerprint
 from warpqem.batching.jobs import BatchJob, check_jobs, find_files, output_path
-from warpqem.batching.manifest import read_manifest
+from warpqem.batching.manifest import read_lines, read_manifest
 from warpqem.batching.result import DONE, FAILED, BatchResult
 from warpqem.batching.run import batch
 from warpqem.batching.state import Journal
@@ -124,6 +124,62 @@ def test_manifest_that_is_no_text_is_refused(tree):
     (tree / "list.csv").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(OptionError, match="cannot be read"):
         read_manifest(tree / "list.csv", tree / "out", {})
+
+
+def wrong_lines(path: Path, content: bytes) -> tuple[list[str], dict[int, str]]:
+    """Names of the inputs of a manifest, and what is wrong with its other lines."""
+    path.write_bytes(content)
+    manifest = read_lines(path, path.parent / "out", {"ratio": 0.5})
+    return [Path(job.input).name for job in manifest.jobs], {line.line: line.reason for line in manifest.wrong}
+
+
+def test_wrong_lines_of_json_are_named_and_the_others_stay(tmp_path):
+    lines = [
+        b'{"input": "a.usda"}', b"{", b'{"input": "b\xff.usda"}', b"", b'{"input": "c.usda", "ratio": 1e999}',
+        b'{"input": "\\u0000"}', b'{"input": "\\ud800"}', b'{"input": "d.usda", "faces": ' + b"9" * 5000 + b"}",
+        b'{"input": "e.usda", "ratio": ' + b"9" * 400 + b"}", '{"input": "f\u2028\x85.usda"}'.encode(),
+        b'{"input": "g.usda"}',
+    ]  # fmt: skip
+    inputs, wrong = wrong_lines(tmp_path / "list.jsonl", b"\xef\xbb\xbf" + b"\r\n".join(lines))
+    assert inputs == ["a.usda", "f\u2028\x85.usda", "g.usda"]
+    assert list(wrong) == [2, 3, 5, 6, 7, 8, 9]
+    assert (wrong[3], wrong[6]) == (
+        "bytes that are no UTF-8",
+        "input '\\x00': no name of a file (it holds a zero byte)",
+    )
+
+
+def test_wrong_rows_of_csv_are_named_and_the_others_stay(tmp_path):
+    rows = b'input,ratio\n a.usda,0.5\n"b.usda,0.5\nc.usda,"0.5"x\n\xff.usda,1\nd.usda,1,2\n\n,1\n"e\nf.usda",1\n'
+    rows += b"g.usda,7\nh.usda\n"
+    inputs, wrong = wrong_lines(tmp_path / "list.csv", rows)
+    assert inputs == [" a.usda", "e\nf.usda", "h.usda"]
+    assert list(wrong) == [3, 4, 5, 6, 8, 11]
+    assert wrong[6] == "more values than the header has names"
+
+
+def test_line_that_would_write_over_another_is_wrong(tmp_path):
+    rows = [
+        {"input": "a.usda"},
+        {"input": "x/a.usda", "output": "a.usda"},
+        {"input": "out/b.usda"},
+        {"input": "b.usda"},
+    ]
+    inputs, wrong = wrong_lines(tmp_path / "list.jsonl", "\n".join(map(json.dumps, rows)).encode())
+    assert inputs == ["a.usda", "b.usda"]
+    assert wrong == {
+        2: f"output {tmp_path / 'out/a.usda'}: line 1 writes it, too",
+        4: f"output {tmp_path / 'out/b.usda'}: this is an input, which is never overwritten",
+    }
+
+
+@pytest.mark.skipif(os.name != "posix", reason="pipes in folders")
+@pytest.mark.parametrize("name", ["pipe", "/proc/self/mem", "/dev/zero", "."])
+def test_manifest_without_an_end_is_refused(tmp_path, name):
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "list.csv").symlink_to(tmp_path / name)
+    with pytest.raises(OptionError, match=r"list\.csv: no regular file, but"):
+        read_lines(tmp_path / "list.csv", tmp_path, {"ratio": 0.5})
 
 
 @pytest.fixture

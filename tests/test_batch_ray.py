@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -120,6 +121,50 @@ def test_worker_that_is_killed_costs_nothing(cluster, folder, local):
             os.kill(int(results[0].process.split(":")[1]), signal.SIGKILL)
     assert sorted(result.status for result in results) == ["done"] * COUNT + ["failed"]
     assert outputs(folder, "killed") == local
+
+
+def trap(folder: Path, name: str) -> warpqem.BatchJob:
+    from batch_traps import TrapOptions
+
+    options = TrapOptions(ratio=0.3, device="cpu", trap=name, marker=str(folder / f"{name} marker"))
+    return warpqem.BatchJob(str(folder / "0.usda"), str(folder / name / "o.usdc"), options)
+
+
+def test_attempts_are_counted_and_a_killed_one_leaves_nothing(cluster, folder):
+    job = trap(folder, "killed while writing once")
+    [result] = warpqem.batch([job], RayEngine())
+    assert (result.status, result.attempts) == ("done", 2)
+    assert set(outputs(folder, "killed while writing once")) == {"o.usdc"}
+
+
+def test_job_whose_every_process_is_killed_is_lost_and_leaves_nothing(cluster, folder):
+    [result] = warpqem.batch([trap(folder, "killed while writing")], RayEngine(retries=1))
+    assert (result.error, result.attempts) == ("WorkerLost", 2)
+    assert outputs(folder, "killed while writing") == {}
+
+
+def test_batch_that_is_closed_leaves_nothing(cluster, folder):
+    marker = folder / "hang while writing marker"
+    updates = warpqem.batch([trap(folder, "hang while writing"), *jobs(folder, "hang while writing")], RayEngine())
+    next(updates)
+    while not marker.exists():
+        time.sleep(0.05)
+    assert any(name.startswith(".warpqem.") for name in outputs(folder, "hang while writing"))
+    updates.close()
+    assert not any(name.startswith(".warpqem.") for name in outputs(folder, "hang while writing"))
+
+
+def test_handler_of_the_program_for_sigterm_stays():
+    code = (
+        "import ray, signal\n"
+        "from warpqem.batching.ray_engine import RayEngine\n"
+        "handler = lambda *_: None\n"
+        "signal.signal(signal.SIGTERM, handler)\n"
+        "RayEngine()._connect()\n"
+        "assert ray.is_initialized()\n"
+        "assert signal.getsignal(signal.SIGTERM) is handler\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
 
 
 def test_frames_of_one_asset_are_placed_on_both_nodes(cluster, tmp_path):

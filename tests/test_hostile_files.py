@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import socket
 import sys
 import zipfile
 from pathlib import Path
@@ -12,6 +13,8 @@ from pxr import Sdf, Usd, UsdGeom, Vt
 from test_cli import run
 from test_usd_stages import cloth_stage, define_cloth
 
+from warpqem.batching.fingerprint import take_fingerprint
+from warpqem.batching.jobs import BatchJob
 from warpqem.errors import OptionError, StageError
 from warpqem.usd import SimplifyOptions, simplify_stage
 from warpqem.usd import input_check as checks
@@ -122,6 +125,168 @@ def test_layer_that_never_ends_is_refused(tmp_path):
     os.mkfifo(tmp_path / "pipe.usda")
     refused(text_file(tmp_path, f"(subLayers = [@./pipe.usda@])\n{MESH}"), r"pipe\.usda \(named by .*: no regular file")
     refused(tmp_path / "pipe.usda", "no regular file")
+
+
+CLOTH_CLIP = "int[] faceVertexCounts = [3]\nint[] faceVertexIndices = [0, 1, 2]\n"
+
+
+def clip_file(folder: Path, clips: str, name: str = "in.usda") -> Path:
+    """A mesh whose points come from value clips; clip.usda holds such points, and manifest.usda says so."""
+    samples = "{1: [(0,0,0),(1,0,0),(0,1,0)], 2: [(0,0,0),(1,0,0),(0,2,0)]}"
+    text_file(folder, f'over "M"\n{{\npoint3f[] points.timeSamples = {samples}\n}}\n', "clip.usda")
+    text_file(folder, 'over "M"\n{\npoint3f[] points\n}\n', "manifest.usda")
+    times = "double2[] active = [(1, 0)]\ndouble2[] times = [(1, 1), (2, 2)]\n"
+    settings = f'dictionary default = {{\n{clips}\nstring primPath = "/M"\n{times}}}'
+    return text_file(folder, f'def Mesh "M" (\nclips = {{\n{settings}\n}}\n)\n{{\n{CLOTH_CLIP}}}\n', name)
+
+
+MANIFEST = "asset manifestAssetPath = @./manifest.usda@\n"
+
+
+def odd_files(folder: Path) -> dict[str, str]:
+    """Paths of what is no regular file, and what an error calls it."""
+    os.mkfifo(folder / "pipe.usda")
+    (folder / "folder.usda").mkdir()
+    with socket.socket(socket.AF_UNIX) as server:
+        # The path of a socket may have no more than some hundred characters.
+        before = os.getcwd()
+        os.chdir(folder)
+        server.bind("socket.usda")
+        os.chdir(before)
+    (folder / "round.usda").symlink_to("round.usda")
+    (folder / "device.usda").symlink_to("/dev/zero")
+    (folder / "memory.usda").symlink_to("/proc/self/mem")
+    kinds = {"pipe": "a pipe", "folder": "a folder", "socket": "a socket", "round": "a path that leads nowhere"}
+    kinds |= {"device": "a device", "memory": "made up by the system"}
+    return {f"{name}.usda": kind for name, kind in kinds.items()}
+
+
+ODD_NAMES = ["pipe.usda", "folder.usda", "socket.usda", "round.usda", "device.usda", "memory.usda"]
+only_linux = pytest.mark.skipif(sys.platform != "linux", reason="pipes, devices and /proc")
+
+
+@only_linux
+@pytest.mark.parametrize("name", ODD_NAMES)
+@pytest.mark.parametrize(
+    "role", ["input", "layer", "layer with arguments", "expression", "clip", "manifest", "template"]
+)
+def test_what_is_no_regular_file_is_named_with_who_names_it(tmp_path, name, role):
+    kind = odd_files(tmp_path)[name]
+    stem = name.removesuffix(".usda")
+    if role == "input":
+        refused(tmp_path / name, f"{name}: no regular file, but {kind}")
+        return
+    if role in ("clip", "manifest", "template"):
+        (tmp_path / "c.1.usda").symlink_to(name)
+        template = 'string templateAssetPath = "./c.#.usda"\ndouble templateStartTime = 1\n'
+        template += "double templateEndTime = 3\ndouble templateStride = 1\n"
+        clips = {
+            "clip": f"asset[] assetPaths = [@./{name}@]",
+            "manifest": f"asset manifestAssetPath = @./{name}@\nasset[] assetPaths = [@./clip.usda@]",
+            "template": template,
+        }[role]
+        by = r"value clip of /M, clips 'default' in .*in\.usda"
+        refused(
+            clip_file(tmp_path, clips), rf"{'c.1.usda' if role == 'template' else name} \({by}\): no regular .*{kind}"
+        )
+        return
+    layer = {"layer": name, "layer with arguments": f"{name}:SDF_FORMAT_ARGS:a=b", "expression": '`"${N}.usda"`'}[role]
+    layer = layer if role == "expression" else f"./{layer}"
+    head = f'expressionVariables = {{\nstring N = "./{stem}"\n}}\n' if role == "expression" else ""
+    path = text_file(tmp_path, f"({head}subLayers = [@{layer}@])\n{MESH}")
+    refused(path, rf"{name} \(named by .*in\.usda\): no regular file, but {kind}")
+
+
+@only_linux
+def test_texture_that_is_no_regular_file_is_noted_with_prim_and_attribute(tmp_path):
+    kinds = odd_files(tmp_path)
+    stage = cloth_stage(tmp_path / "in.usda")
+    prim = stage.GetPrimAtPath("/Root/Cloth")
+    for index, name in enumerate(kinds):
+        attribute = prim.CreateAttribute(f"a{index}", Sdf.ValueTypeNames.Asset)
+        attribute.Set(f"./{name}", *([1.0] if index % 2 else []))
+    prim.CreateAttribute("tiles", Sdf.ValueTypeNames.AssetArray).Set([Sdf.AssetPath("./t.<UDIM>.png")])
+    os.mkfifo(tmp_path / "t.1001.png")
+    stage.Save()
+    report = simplify_stage(tmp_path / "in.usda", tmp_path / "o.usda", SimplifyOptions(ratio=0.5, device="cpu"))
+    assert report.prims[0].status == "simplified"
+    assert len(report.problems) == len(kinds) + 1
+    for index, kind in enumerate(kinds.values()):
+        assert any(f"/Root/Cloth.a{index} in " in text and f"but {kind}" in text for text in report.problems)
+    assert any("/Root/Cloth.tiles" in text and "a pipe" in text for text in report.problems)
+    assert "note: /Root/Cloth.tiles in" in run("info", tmp_path / "in.usda").stderr
+    # Neither does the fingerprint of a batch, nor the look at where files are, open them.
+    job = BatchJob(str(tmp_path / "in.usda"), str(tmp_path / "o.usda"), SimplifyOptions(ratio=0.5))
+    files = take_fingerprint(job)["files"]
+    assert {files[str(tmp_path / name)] for name in ("pipe.usda", "memory.usda", "t.1001.png")} == {None}
+    refused(tmp_path / "in.usda", "/dev/zero|outside of", roots=[tmp_path])
+
+
+def test_clips_count_as_files_of_the_input(tmp_path):
+    path = clip_file(tmp_path, MANIFEST + "asset[] assetPaths = [@./clip.usda@, @./gone.usda@]")
+    files = take_fingerprint(BatchJob(str(path), str(tmp_path / "o.usda"), SimplifyOptions(ratio=0.5)))["files"]
+    assert [Path(name).name for name in files] == ["clip.usda", "gone.usda", "in.usda", "manifest.usda"]
+    assert files[str(tmp_path / "gone.usda")] is None
+    assert "gone.usda (value clip of /M, clips 'default' in" in run("info", path).stderr
+
+
+@pytest.mark.parametrize("times", ["1, 1e9, 1", "0, 1, 1e-9", "1, inf, 1", "-inf, 1, 1", "1e17, 1e17, 1", "1, 2, nan"])
+def test_template_of_clips_without_an_end_is_refused(tmp_path, times):
+    start, end, stride = times.split(", ")
+    clips = f'string templateAssetPath = "./c.###.usda"\ndouble templateStartTime = {start}\n'
+    path = clip_file(tmp_path, clips + f"double templateEndTime = {end}\ndouble templateStride = {stride}")
+    refused(path, r"in\.usda: /M, clips 'default': a template with times from .* more than 1000000 files")
+
+
+def test_damaged_clip_is_named_before_a_value_is_read(tmp_path):
+    (tmp_path / "bad.usdc").write_bytes(b"PXR-USDC" + b"\xff" * 200)
+    path = clip_file(tmp_path, MANIFEST + "asset[] assetPaths = [@./bad.usdc@]")
+    refused(path, r"bad\.usdc \(value clip of /M, clips 'default' in .*in\.usda\): USD cannot open it")
+    text_file(tmp_path, NESTED["prims"], "deep.usda")
+    refused(clip_file(tmp_path, MANIFEST + "asset[] assetPaths = [@./deep.usda@]"), "brackets nested")
+
+
+def packed(path: Path, **files: bytes) -> bytes:
+    """A package as USD writes it, with the files by the part of their name before the suffix."""
+    writer = (
+        Sdf.ZipFileWriter.CreateNew(str(path))
+        if hasattr(Sdf, "ZipFileWriter")
+        else Usd.ZipFileWriter.CreateNew(str(path))
+    )
+    for name, data in files.items():
+        suffix = "usdz" if data.startswith(b"PK") else "usda"
+        (path.parent / f"{name}.tmp").write_bytes(data)
+        writer.AddFile(str(path.parent / f"{name}.tmp"), f"{name}.{suffix}")
+    writer.Save()
+    return path.read_bytes()
+
+
+ROOT = b"#usda 1.0\n(subLayers = [@./inner.usdz@])\n"
+
+
+def test_package_in_a_package_is_read(tmp_path):
+    inner = packed(tmp_path / "p.usdz", g=f"#usda 1.0\n{MESH}".encode())
+    packed(tmp_path / "in.usdz", root=ROOT, inner=inner)
+    assert open_stage(tmp_path / "in.usdz").GetPrimAtPath("/M")
+    path = text_file(tmp_path, "(subLayers = [@./in.usdz[inner.usdz[g.usda]]@])\n")
+    assert open_stage(path).GetPrimAtPath("/M")
+
+
+def test_what_is_wrong_in_a_package_in_a_package_is_named(tmp_path):
+    deep = packed(tmp_path / "p.usdz", g=b"#usda 1.0\n" + NESTED["prims"].encode())
+    packed(tmp_path / "in.usdz", root=ROOT, inner=deep)
+    refused(tmp_path / "in.usdz", r"in\.usdz\[inner\.usdz\[g\.usda\]\]: brackets nested")
+    packed(tmp_path / "in.usdz", root=ROOT, inner=deep[: len(deep) // 2])
+    refused(tmp_path / "in.usdz", r"in\.usdz\[inner\.usdz\]: no package that could be read")
+    text_file(tmp_path, "(subLayers = [@./in.usdz@])\n")
+    refused(tmp_path / "in.usda", r"in\.usdz\[inner\.usdz\] \(named by .*in\.usda\): no package that could be read")
+
+
+def test_packages_in_each_other_end(tmp_path):
+    data = packed(tmp_path / "in.usdz", g=f"#usda 1.0\n{MESH}".encode())
+    for _ in range(20):
+        data = packed(tmp_path / "in.usdz", inner=data)
+    refused(tmp_path / "in.usdz", "more than 16 packages in each other")
 
 
 def write_package(path: Path, **info: object) -> None:

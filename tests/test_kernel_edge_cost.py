@@ -298,3 +298,18 @@ def test_corner_of_a_seam_is_the_anchor_against_the_rest_of_it(device):
     built = with_seams(faces, [(6, 7), (7, 8)], (6,), device)
     _, anchor = placed(built, cost_model(), [half_edge_between(faces, 6, 7), half_edge_between(faces, 7, 6)], device)
     assert anchor.tolist() == [0.0, 1.0]
+
+
+def test_cost_of_one_frame_is_its_quadric_error_and_that_of_several_their_sum(device):
+    # QEM (Garland & Heckbert 1997) and DSD (Mohr & Gleicher 2003): v^T Q v about the world's origin.
+    points, faces = MESHES["closed"]
+    picked = inner_edges(faces)[::5]
+    half_edges = [h for *_, h in picked]
+    for frames in (points[:1], points):
+        mesh, model = build_mesh(frames, faces, device), cost_model(1e-3)
+        cost = prices(mesh, model, device)
+        target, _ = placed(mesh, model, half_edges, device)
+        quadrics = [vertex_quadrics(x, faces, origin=np.zeros_like(x, dtype=np.float64)) for x in frames]
+        for i, (u, v, h) in enumerate(picked):
+            expected = sum((q[u] + q[v])(target[i, t].astype(np.float64)) for t, q in enumerate(quadrics))
+            assert cost[h] == pytest.approx(expected, rel=2e-3, abs=1e-7)

@@ -6,6 +6,7 @@ import pytest
 import warp as wp
 from mesh_state import build_mesh, cost_model, edge_list, half_edge_between, one_part, packed
 from oracles import topology as oracle
+from oracles.inversion import inversion_sum
 
 from warpqem.kernels.lanes import width_of
 from warpqem.kernels.legality import judge_winners
@@ -220,3 +221,29 @@ def test_verdict_without_flips_is_that_of_the_result_staying_manifold(name, devi
     built = build_mesh(np.zeros_like(points), faces, device)
     legal = judged(built, half_edges, np.zeros((len(edges), 1, 3)), device) > 0
     assert legal.tolist() == [oracle.keeps_manifold(faces, u, v) for u, v in edges]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_flip_of_the_whole_is_equation_7(seed, device):
+    # All frames may flip, so that the sum over them alone decides. Weights of the vertices do not change its sign.
+    points, faces = meshes.swaying_sphere(1, 5)
+    rng = np.random.default_rng(seed)
+    weight = rng.uniform(1, 50, points.shape[1])
+    half_edge = np.flatnonzero(faces.ravel() < np.roll(faces, -1, axis=1).ravel())
+    ends = np.stack([faces.ravel(), np.roll(faces, -1, axis=1).ravel()])[:, half_edge]
+    middle = points[:, ends].mean(axis=1).transpose(1, 0, 2)
+    target = middle + rng.normal(scale=0.3, size=middle.shape)
+    built = build_mesh(points, faces, device)
+    manifold = judged(built, half_edge, middle, device, len(points)) > 0
+    found = judged(built, half_edge, target.astype(np.float32), device, len(points)) > 0
+    refused = []
+    for (u, v), place in zip(ends.T, target.astype(np.float32), strict=True):
+        sums = []
+        for face in faces[((faces == u) | (faces == v)).sum(axis=1) == 1]:
+            moved = (face == u) | (face == v)
+            after = np.where(moved[None, :, None], place[:, None], points[:, face])
+            merged = np.where(moved, 0.5 * (weight[u] + weight[v]), weight[face])
+            sums.append(inversion_sum(points[:, face], after, weight[face], merged))
+        refused.append(min(sums) < 0)
+    np.testing.assert_array_equal(found[manifold], ~np.array(refused)[manifold])
+    assert 5 < found[manifold].sum() < manifold.sum() - 5

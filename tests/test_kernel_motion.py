@@ -7,6 +7,7 @@ import warp as wp
 from oracles import motion as oracle
 
 import warpqem
+from warpqem.errors import OptionError
 from warpqem.kernels.motion import dihedral_angle, measure_dihedral_changes, wrapped
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
@@ -130,3 +131,69 @@ def test_mesh_without_an_inner_edge_has_features_of_border_edges_only(device):
     result = warpqem.motion_features(*meshes.triangle(), device=device)
     np.testing.assert_array_equal(result.factor, 0)
     np.testing.assert_array_equal(result.label, 0)
+
+
+BAR = meshes.bending_bar(8, 12, 5)
+
+
+@pytest.mark.parametrize("threshold", [0.0, 3.0, 20.0])
+def test_threshold_and_floor_are_what_is_asked_for(threshold, device):
+    points, faces = BAR
+    weighting = warpqem.MotionWeighting(threshold=threshold, floor=2.0)
+    result = warpqem.motion_features(points, faces, weighting=weighting, device=device)
+    assert result.threshold == max(threshold, 2.0)
+    label, weight = oracle.features(points, faces, points.shape[1], threshold, 2.0)
+    np.testing.assert_array_equal(result.label, label)
+    np.testing.assert_array_equal(result.weight, weight)
+
+
+@pytest.mark.parametrize("method", ["root", "log", "bend"])
+def test_other_weights_match_the_oracle(method, device):
+    points, faces = BAR
+    result = warpqem.motion_features(points, faces, weighting=warpqem.MotionWeighting(weight=method), device=device)
+    expected = oracle.feature_weights(points, faces, points.shape[1], method)
+    np.testing.assert_allclose(result.weight, expected, rtol=2e-3)
+    assert (result.weight >= 1).all()
+    assert (result.weight[result.label < 0] == 1).all()
+    assert (result.weight > 1).any()
+
+
+def test_function_gets_the_features_and_gives_the_weights(device):
+    def outside(features):
+        return np.where(features.label < 0, 5.0, features.weight)
+
+    points, faces = BAR
+    result = warpqem.motion_features(points, faces, weighting=warpqem.MotionWeighting(weight=outside), device=device)
+    plain = warpqem.motion_features(points, faces, device=device)
+    np.testing.assert_array_equal(result.weight, np.where(plain.label < 0, 5.0, plain.weight))
+
+
+@pytest.mark.parametrize("given", [np.ones(3), np.full(104, -1.0), np.full(104, np.nan), ["a"] * 104])
+def test_function_that_gives_no_weights_is_refused(given, device):
+    points, faces = BAR
+    assert points.shape[1] == 104
+    with pytest.raises(OptionError, match="weights of motion features"):
+        warpqem.motion_features(points, faces, weighting=warpqem.MotionWeighting(weight=lambda _: given), device=device)
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"threshold": -1}, {"threshold": 181}, {"threshold": np.nan}, {"floor": -0.1}, {"weight": "area"}]
+)
+def test_weighting_that_is_none_is_refused(wrong):
+    with pytest.raises(OptionError, match=f"{next(iter(wrong))} of motion features"):
+        warpqem.MotionWeighting(**wrong)
+
+
+def test_weights_of_one_make_aqem_dsd(device):
+    points, faces = BAR
+    motion = warpqem.MotionWeighting(weight=lambda features: np.ones(len(features.label)))
+    even = warpqem.simplify(points, faces, ratio=0.4, metric="aqem", motion=motion, device=device)
+    dsd = warpqem.simplify(points, faces, ratio=0.4, device=device)
+    aqem = warpqem.simplify(points, faces, ratio=0.4, metric="aqem", device=device)
+    np.testing.assert_array_equal(even.log.removed, dsd.log.removed)
+    assert not np.array_equal(aqem.log.removed, dsd.log.removed)
+
+
+def test_weighting_needs_a_metric_that_keeps_features(device):
+    with pytest.raises(OptionError, match="not 'dsd'"):
+        warpqem.simplify(*BAR, ratio=0.5, motion=warpqem.MotionWeighting(), device=device)

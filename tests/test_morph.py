@@ -2,8 +2,11 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from meshes import bumpy_sphere
 from moving_meshes import kept_near
+from oracles import morph as oracle
 
 import warpqem
 from warpqem.errors import MeshShapeError, OptionError
@@ -90,3 +93,13 @@ def test_part_that_a_target_moves_keeps_more_vertices(device):
 def test_wrong_arguments_are_named(arguments, error, message):
     with pytest.raises(error, match=message):
         morph_weights(*arguments)
+
+
+@given(count=st.integers(1, 40), seed=st.integers(0, 2**16))
+def test_thirds_match_the_oracle(count, seed):
+    # Whole numbers, so that distances are equal now and then.
+    shapes = np.random.default_rng(seed).integers(-2, 3, (3, count, 3)).astype(np.float32)
+    np.testing.assert_allclose(morph_distances(shapes[0], shapes[1:]), oracle.distance_sums(shapes[0], shapes[1:]))
+    np.testing.assert_array_equal(
+        morph_weights(shapes[0], shapes[1:]), oracle.thirds(shapes[0], shapes[1:]).astype(np.float32)
+    )

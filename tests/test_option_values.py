@@ -9,6 +9,7 @@ import pytest
 
 from warpqem.cli.simplify_options import simplify_values
 from warpqem.errors import OptionError
+from warpqem.motion import MotionWeighting
 from warpqem.screen import ScreenView
 from warpqem.usd import FrameRange, SimplifyOptions
 from warpqem.usd.option_values import OPTION_NAMES, override_options, read_options
@@ -16,10 +17,12 @@ from warpqem.usd.option_values import OPTION_NAMES, override_options, read_optio
 TEXT = {
     "faces": "40", "metric": "dod", "coherence": "0.2", "refit": "yes", "key-frames": "4", "uv_weight": "1",
     "attribute-weight": "st=1 map2=0.5", "memory": "2G", "frames": "1:9:2", "prim": "/A /B", "weld": "false",
+    "feature-threshold": "3", "feature-weight": "log",
 }  # fmt: skip
 VALUES = {
     "faces": 40, "metric": "dod", "coherence": 0.2, "refit": True, "key_frames": 4, "uv_weight": 1.0,
     "attribute_weight": ["st=1", "map2=0.5"], "memory": "2G", "frames": "1:9:2", "prim": ["/A", "/B"], "weld": False,
+    "feature_threshold": 3.0, "feature_weight": "log",
 }  # fmt: skip
 
 
@@ -28,7 +31,7 @@ def test_options_come_from_text_and_from_values(values):
     assert read_options(values) == SimplifyOptions(
         faces=40, metric="dod", coherence=0.2, refit=True, key_frames=4, uv_weight=1.0,
         attribute_weights=(("st", 1.0), ("map2", 0.5)), memory="2G", frames=FrameRange(1, 9, 2), prims=("/A", "/B"),
-        weld=False,
+        weld=False, feature_threshold=3.0, feature_weight="log",
     )  # fmt: skip
 
 
@@ -73,3 +76,14 @@ def test_wrong_values_are_named(values, message):
 def test_a_goal_takes_the_place_of_another():
     merged = override_options({"screen_error": 1.0, "distance": 5.0, "refit": True}, {"max-error": 2, "ratio": ""})
     assert read_options(merged) == SimplifyOptions(max_error=2.0, refit=True)
+
+
+def test_options_of_motion_features_are_one_for_the_core_and_none_where_nothing_is_asked():
+    asked = read_options({"ratio": 0.1, "metric": "aqem", "feature_floor": "0.5", "feature_weight": "bend"})
+    assert asked.motion == MotionWeighting(floor=0.5, weight="bend")
+    assert read_options({"ratio": 0.1}).motion is None
+
+
+def test_threshold_of_motion_features_that_is_no_angle_is_refused():
+    with pytest.raises(OptionError, match="threshold of motion features 200"):
+        read_options({"ratio": 0.1, "feature-threshold": "200"})

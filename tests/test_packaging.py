@@ -141,6 +141,14 @@ def loaded_by(statement) -> set[str]:
     return set(done.stdout.split())
 
 
+@pytest.mark.parametrize("path", CORE_FILES, ids=lambda p: p.stem)
+def test_kernels_are_launched_through_one_module(path):
+    # Which loads their modules in one thread, and holds what captured graphs use.
+    own = {"launch", "launch_tiled", "load_module", "force_load", "ScopedCapture", "capture_begin", "capture_launch"}
+    calls = {node.attr for node in ast.walk(ast.parse(path.read_text("utf-8"))) if isinstance(node, ast.Attribute)}
+    assert path.name == "launches.py" or not calls & own or not any(f"wp.{n}(" in path.read_text("utf-8") for n in own)
+
+
 def test_importing_the_package_loads_neither_usd_nor_warp():
     assert loaded_by("import warpqem") & {"pxr", "warp", "numpy", "typer", "rich"} == set()
 

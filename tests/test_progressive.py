@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
+
 import meshes
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from oracles.topology import collapsed
 
 import warpqem
 from warpqem.errors import OptionError
@@ -201,3 +204,18 @@ def test_wrong_questions_are_named(sphere, call, message):
 def test_options_of_one_level_are_refused(option, device):
     with pytest.raises(OptionError, match=option):
         warpqem.build_progressive(*SPHERE, device=device, **{option: 0.5})
+
+
+def test_levels_follow_each_other_by_vertex_splits(built):
+    # Hoppe 1996: a split undone is the collapse of the vertex that it adds.
+    _, _, mesh = built
+
+    def faces_of(level):
+        return {tuple(np.roll(face, -int(np.argmin(face)))) for face in level}
+
+    levels = [mesh.level(split_count) for split_count in range(mesh.split_count + 1)]
+    for split_count, (coarse, fine) in enumerate(itertools.pairwise(levels)):
+        [added] = set(fine.vertex.tolist()) - set(coarse.vertex.tolist())
+        kept = int(coarse.vertex[mesh.vertex_map(split_count)[added]])
+        expected = collapsed(fine.vertex[fine.faces], kept, added)
+        assert faces_of(coarse.vertex[coarse.faces]) == faces_of(expected)

@@ -11,8 +11,9 @@ from test_usd_stages import cloth_stage, define_cloth
 
 from warpqem.errors import OptionError
 from warpqem.usd import SimplifyOptions, simplify_stage
-from warpqem.usd.attributes import parse_attribute_weight, weighted_fields
+from warpqem.usd.attributes import weighted_fields
 from warpqem.usd.mesh import MeshSource
+from warpqem.usd.option_checks import parse_attribute_weight
 from warpqem.usd.skel import StagePoses
 
 TYPES = Sdf.ValueTypeNames

@@ -11,6 +11,7 @@ from test_usd_stages import FRAMES, cloth_stage, define_cloth, quad_grid, waves
 from usd_checks import check_stage, compare_properties
 
 from warpqem.usd import SimplifyOptions, simplify_stage
+from warpqem.usd.input_check import check_composition
 from warpqem.usd.report import StageReport
 
 CLOTH = "/Root/Cloth"
@@ -133,6 +134,8 @@ def clip_stage(folder: Path) -> Path:
 
 @pytest.mark.parametrize("form", ["layer", "flat", "lods", "usd_lod"])
 def test_points_from_value_clips_are_simplified_at_every_time(form, tmp_path):
+    if form == "usd_lod":
+        pytest.importorskip("pxr.UsdLod", reason="UsdLod is part of USD from 26.08 on")
     source = clip_stage(tmp_path)
     before = Usd.Stage.Open(str(source))
     assert UsdGeom.Mesh(before.GetPrimAtPath(CLOTH)).GetPointsAttr().GetTimeSamples() == [0.0, 1.0, 2.0, 3.0]
@@ -162,7 +165,7 @@ def test_flat_file_of_value_clips_needs_no_clips(tmp_path):
     for clip in range(2):
         (tmp_path / f"clip{clip}.usda").unlink()
     stage = Usd.Stage.Open(str(tmp_path / "out.usda"))
-    assert stage.GetCompositionErrors() == []
+    assert check_composition(stage) == []
     assert not stage.GetPrimAtPath("/Root").HasAuthoredMetadata("clips")
     assert UsdGeom.Mesh(stage.GetPrimAtPath(CLOTH)).GetPointsAttr().GetTimeSamples() == [0.0, 1.0, 2.0, 3.0]
 

@@ -14,7 +14,7 @@ from typer.testing import CliRunner, Result
 from warpqem.cli.main import app
 from warpqem.errors import OptionError
 from warpqem.usd import FrameRange, SimplifyOptions, simplify_stage
-from warpqem.usd.lods import parse_lods
+from warpqem.usd.option_checks import parse_lods
 from warpqem.usd.report import StageReport
 from warpqem.usd.stage import open_stage
 

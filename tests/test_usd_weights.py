@@ -9,14 +9,18 @@ import pytest
 from pxr import Sdf, Usd, UsdGeom
 from test_usd_stages import cloth_stage, define_cloth
 
+import warpqem
 from warpqem.errors import OptionError
 from warpqem.usd import SimplifyOptions, simplify_stage
 from warpqem.usd.job import MeshJob
 from warpqem.usd.mesh import MeshSource
+from warpqem.usd.morph import morph_scale
+from warpqem.usd.option_checks import WEIGHT_SCALES
 from warpqem.usd.skel import StagePoses
 from warpqem.usd.weights import painted_weights
 
 CLOTH = "/Root/Cloth"
+NAME = "importance"
 SIZE = 8
 TIMES = [1.0, 2.0, 3.0]
 
@@ -75,25 +79,66 @@ def test_largest_of_all_samples_counts():
     assert weights_of(stage).tolist() == [3.0] + [2.0] * 80
 
 
-def test_painted_half_keeps_more_points(tmp_path):
+@pytest.mark.parametrize("scales", WEIGHT_SCALES)
+def test_painted_half_keeps_more_points(scales, tmp_path):
     stage = cloth_stage(tmp_path / "in.usda", size=SIZE, times=TIMES)
     x = np.array(UsdGeom.Mesh(stage.GetPrimAtPath(CLOTH)).GetPointsAttr().Get(TIMES[0]))[:, 0]
     paint(stage, np.where(x < 4, 100.0, 1.0).astype(np.float32))
     stage.Save()
-    points, _ = simplified(tmp_path)
+    points, _ = simplified(tmp_path, weight_scales=scales)
     plain, _ = simplified(tmp_path, weight_primvar=None)
     assert (points[:, 0] < 4).sum() > 1.2 * (plain[:, 0] < 4).sum()
 
 
-def test_points_with_infinite_weight_stay(tmp_path):
+@pytest.mark.parametrize("scales", WEIGHT_SCALES)
+def test_points_with_infinite_weight_stay(scales, tmp_path):
     stage = cloth_stage(tmp_path / "in.usda", size=SIZE, times=TIMES)
     before = np.array(UsdGeom.Mesh(stage.GetPrimAtPath(CLOTH)).GetPointsAttr().Get(TIMES[0]))
     values = np.ones(81, dtype=np.float32)
     values[[30, 40]] = np.inf
     paint(stage, values)
     stage.Save()
-    points, _ = simplified(tmp_path)
+    points, _ = simplified(tmp_path, weight_scales=scales)
     assert all((points == point).all(axis=1).any() for point in before[[30, 40]])
+
+
+def bumpy_stage(path: Path) -> Usd.Stage:
+    """A cloth whose planes meet nowhere in a point, with weights painted on it."""
+    stage = cloth_stage(path, size=SIZE, times=TIMES)
+    attribute = UsdGeom.Mesh(stage.GetPrimAtPath(CLOTH)).GetPointsAttr()
+    noise = np.random.default_rng(5).normal(scale=0.3, size=(81, 3))
+    for time in TIMES:
+        attribute.Set(np.array(attribute.Get(time)) + noise.astype(np.float32), time)
+    paint(stage, np.linspace(1, 20, 81, dtype=np.float32))
+    stage.Save()
+    return stage
+
+
+@pytest.mark.parametrize(
+    ("scales", "option"), [("cost", "vertex_weights"), ("quadrics", "quadric_scale")], ids=["cost", "quadrics"]
+)
+def test_painted_weights_scale_what_is_asked_for(scales, option, tmp_path):
+    stage = bumpy_stage(tmp_path / "in.usda")
+    job = MeshJob.prepare(MeshSource(stage.GetPrimAtPath(CLOTH), StagePoses(stage)))
+    expected = warpqem.simplify(job.frames, job.faces, ratio=0.3, device="cpu", **{option: painted_weights(job, NAME)})
+    points, _ = simplified(tmp_path, weight_scales=scales)
+    np.testing.assert_array_equal(points, expected.points[0])
+    other, _ = simplified(tmp_path, weight_scales="cost" if scales == "quadrics" else "quadrics")
+    assert not np.array_equal(points, other)
+
+
+def test_painted_quadrics_and_morph_weights_multiply(tmp_path):
+    stage = bumpy_stage(tmp_path / "in.usda")
+    job = MeshJob.prepare(MeshSource(stage.GetPrimAtPath(CLOTH), StagePoses(stage)))
+    scale = painted_weights(job, NAME) * morph_scale(job, "thirds")
+    expected = warpqem.simplify(job.frames, job.faces, ratio=0.3, device="cpu", quadric_scale=scale)
+    points, _ = simplified(tmp_path, weight_scales="quadrics", morph_weights="thirds")
+    np.testing.assert_array_equal(points, expected.points[0])
+
+
+def test_weights_that_scale_something_else_are_refused():
+    with pytest.raises(OptionError, match="weight_scales 'area': expected one of cost, quadrics"):
+        SimplifyOptions(ratio=0.5, weight_scales="area")
 
 
 def test_borders_stay_where_asked_for(tmp_path):

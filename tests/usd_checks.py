@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
+from warpqem.usd.input_check import check_composition
+
 # Composition, which the comparison of composed stages looks through, and what flattening resolves.
 ARCS = {
     "active", "apiSchemas", "clips", "clipSets", "inheritPaths", "instanceable", "payload", "references", "specializes",
@@ -82,7 +84,7 @@ def _compare(first: Usd.Property, second: Usd.Property) -> str | None:
 
 def check_stage(stage: Usd.Stage, before: Usd.Stage | None = None) -> None:
     """Lengths, index ranges, finite values and time samples of every mesh; samples against the input, if given."""
-    assert stage.GetCompositionErrors() == []
+    assert check_composition(stage) == []
     for prim in all_prims(stage):
         if prim.IsActive() and prim.IsA(UsdGeom.Mesh) and UsdGeom.Mesh(prim).GetPointsAttr().HasAuthoredValue():
             check_mesh(UsdGeom.Mesh(prim))

@@ -13,6 +13,7 @@ from warpqem.number_input import flag, real_number, shown, whole_number
 if TYPE_CHECKING:
     from warpqem.attributes import AttributeField
     from warpqem.face.protect import FaceProtection
+    from warpqem.motion import MotionWeighting
 
 __all__ = ["Goal", "SimplifyOptions", "check_ratio", "read_goal", "target_count"]
 
@@ -51,6 +52,7 @@ class SimplifyOptions:
     seams: Any = None
     attributes: Sequence[AttributeField] = ()
     face: FaceProtection | None = None
+    motion: MotionWeighting | None = None
     memory: int | str | None = None
     device: str | None = None
 

@@ -4,7 +4,7 @@
 |--------|----------------------------------------------------|---------------------------------------------|
 | `qem`  | the first frame's quadrics                         | Garland & Heckbert 1997                     |
 | `dsd`  | the sum of the frames' quadrics                    | Mohr & Gleicher 2003                        |
-| `dod`  | that sum plus the edges' change of length          | deformation oriented decimation             |
+| `dod`  | that sum plus the edges' change of length          | Huang, Chen & Chuang, a poster              |
 | `aqem` | that sum times the size of the motion feature      | Yang, Zhou, Lin, Lin & Lin 2019, equation 6 |
 | `face` | that sum, feature points with neighbours' planes | multiresolution facial animation, eq. 1     |
 
@@ -65,7 +65,7 @@ COST_MODELS = {
     for spec in (
         CostModelSpec("qem", single_frame=True, source="Garland & Heckbert 1997"),
         CostModelSpec("dsd", source="Mohr & Gleicher 2003"),
-        CostModelSpec("dod", deformation_weight=1.0, source="deformation oriented decimation"),
+        CostModelSpec("dod", deformation_weight=1.0, source="Huang, Chen & Chuang, deformation oriented decimation"),
         CostModelSpec("aqem", uses_motion_features=True, source="Yang et al. 2019"),
         CostModelSpec(
             "face",

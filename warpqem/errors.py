@@ -15,9 +15,11 @@ __all__ = [
     "MeshShapeError",
     "NonFinitePointError",
     "OptionError",
+    "ProcessLimitError",
     "ProgressiveFileError",
     "StageError",
     "UnreachableTargetError",
+    "UsdLibraryError",
     "WarpqemError",
 ]
 
@@ -78,9 +80,17 @@ class MemoryLimitError(WarpqemError, MemoryError):
     """The work cannot be done in the memory it may take; the message says what is needed and what would help."""
 
 
+class ProcessLimitError(WarpqemError, RuntimeError):
+    """A limit of the process (ulimit) leaves too little to work with; the message names the limit."""
+
+
 class ProgressiveFileError(WarpqemError, ValueError):
     """A file holds no progressive mesh, or a damaged one; the message names the file and the chunk."""
 
 
 class StageError(WarpqemError):
     """A USD stage, prim or attribute cannot be read or written; the message names prim, attribute and time."""
+
+
+class UsdLibraryError(WarpqemError, ImportError):
+    """USD's Python library is missing, cannot be loaded or is too old; the message says what to install."""

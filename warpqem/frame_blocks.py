@@ -10,11 +10,14 @@ from warpqem.kernels import lanes as kernels
 from warpqem.launches import launch
 from warpqem.parallel import launch_parts
 
-__all__ = ["block_width", "frame_blocks", "pack_frames", "unpack_frames"]
+__all__ = ["block_width", "chunk_frames", "frame_blocks", "pack_frames", "unpack_frames"]
 
 # Frames are worked on in blocks of so many bytes of input: ten milliseconds of work on a CPU core, so that starting it
 # costs nothing to speak of, and small beside what a program takes anyway. Larger blocks are no faster.
 BLOCK_BYTES = 8 * 2**20
+# Frames that a GPU thread sums for the deformation term: a moved vertex then has F / 32 threads, and the sums take a
+# fifth of the memory that the trajectories do.
+CHUNK_FRAMES = 32
 
 
 def frame_blocks(frame_count: int, vertex_count: int, block_frames: int | None = None) -> list[slice]:
@@ -27,6 +30,11 @@ def frame_blocks(frame_count: int, vertex_count: int, block_frames: int | None =
 def block_width(frame_count: int, device: str) -> int:
     """Frames in a block: as wide as a CPU's vector registers, but one on a GPU and for a single frame."""
     return device_traits(device).block_width if frame_count > 1 else 1
+
+
+def chunk_frames(frame_count: int, device: str) -> int:
+    """Frames that one thread sums for the deformation term: all of them on a CPU, which has no thread to spare."""
+    return max(1, frame_count) if wp.get_device(device).is_cpu else CHUNK_FRAMES
 
 
 def pack_frames(

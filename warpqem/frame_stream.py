@@ -7,6 +7,7 @@ the one before is written, each on a thread of its own.
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from types import TracebackType
@@ -26,6 +27,7 @@ __all__ = [
     "KeptFrames",
     "LaterFrames",
     "NoFrames",
+    "SharedFrames",
     "SomeFrames",
     "held_bytes",
     "read_ahead",
@@ -177,6 +179,24 @@ class KeptFrames:
         if self._points is None:
             self._points = self._source.read(slice(0, self.frame_count))
         return self._points[frames]
+
+
+class SharedFrames:
+    """Frames that several threads read, one at a time.
+
+    Args:
+        source: the frames.
+    """
+
+    def __init__(self, source: FrameSource) -> None:
+        self._source, self._reading = source, threading.Lock()
+        self.frame_count, self.vertex_count, self.dtype = source.frame_count, source.vertex_count, source.dtype
+        self.held_bytes = held_bytes(source)
+
+    def read(self, frames: slice) -> np.ndarray:
+        """Consecutive frames."""
+        with self._reading:
+            return self._source.read(frames)
 
 
 def held_bytes(source: FrameSource) -> int:

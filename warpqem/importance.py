@@ -11,7 +11,7 @@ from warpqem.edges import edge_table
 from warpqem.errors import MeshShapeError, OptionError
 from warpqem.mesh_input import MeshInput, as_vertex_values
 
-__all__ = ["MOST_WEIGHT", "border_vertices", "lock_mask", "read_model_weights", "read_quadric_scale", "read_weights"]
+__all__ = ["MOST_WEIGHT", "border_vertices", "check_factors", "lock_mask", "read_quadric_scale", "read_weights"]
 
 # Weights above this would leave float32 no room for costs, which then count as forbidden.
 MOST_WEIGHT = 1e12
@@ -45,23 +45,22 @@ def read_quadric_scale(quadric_scale: Any, mesh: MeshInput) -> np.ndarray:
     return _factors(as_vertex_values(quadric_scale, "quadric_scale", mesh.vertex_count), "quadric_scale")
 
 
-def read_model_weights(weights: Any, vertex_count: int, metric: str) -> np.ndarray:
-    """Check the factors of a cost model, (V,) float32.
+def check_factors(weights: Any, vertex_count: int, origin: str) -> np.ndarray:
+    """Check factors that a function gave, (V,) float32; ``origin`` begins the message.
 
     Raises:
         OptionError: they have another shape, or one is negative, too large or no number.
     """
-    name = f"metric {metric!r}: vertex_weight"
     try:
-        own = as_numpy(weights, f"what {name} gave")
+        own = as_numpy(weights, origin)
     except MeshShapeError as error:
         raise OptionError(str(error)) from error
     if own.shape != (vertex_count,) or own.dtype.kind not in "fiu":
-        raise OptionError(f"{name} gave {own.dtype} of shape {own.shape}, expected {vertex_count} numbers")
+        raise OptionError(f"{origin} {own.dtype} of shape {own.shape}, expected {vertex_count} numbers")
     outside = np.flatnonzero(~((own >= 0) & (own <= MOST_WEIGHT)))
     if len(outside):
         vertex = int(outside[0])
-        raise OptionError(f"{name} gave {own[vertex]} at vertex {vertex}, expected 0 to {MOST_WEIGHT:g}")
+        raise OptionError(f"{origin} {own[vertex]} at vertex {vertex}, expected 0 to {MOST_WEIGHT:g}")
     return own.astype(np.float32)
 
 

@@ -8,6 +8,7 @@ checked against the memory that processes took (benchmarks/NOTES.md).
 
 from __future__ import annotations
 
+import math
 import os
 import re
 from dataclasses import asdict, dataclass
@@ -17,7 +18,7 @@ from typing import Any
 import warp as wp
 
 from warpqem.errors import MemoryLimitError, OptionError
-from warpqem.frame_blocks import BLOCK_BYTES, block_width
+from warpqem.frame_blocks import BLOCK_BYTES, block_width, chunk_frames
 from warpqem.kernels.lanes import WIDE
 from warpqem.key_frames import pose_bytes
 
@@ -123,8 +124,9 @@ READ_FACE = 28
 # masks, flags, stars, members and the log; for each vertex and key frame: position 12, the same as it was 12, quadric
 # 40, and at first the normals of its two faces 24; for each corner and attribute channel: value, gradient, their fit;
 # for each vertex and frame where the order needs them all: the position, and once more while vertices are put in
-# another order.
-ORDER_FACE, ORDER_VERTEX, ORDER_KEY, ORDER_CHANNEL, ORDER_TRAJECTORY = 350, 174, 88, 200, 24
+# another order; then for each face and chunk of frames: area 4 and steps of the three edges 36, and as much to move
+# them along.
+ORDER_FACE, ORDER_VERTEX, ORDER_KEY, ORDER_CHANNEL, ORDER_TRAJECTORY, ORDER_CHUNK = 350, 174, 88, 200, 24, 80
 # For levels that are placed later, for each vertex and key frame: position and quadric of each merged vertex; and while
 # they are placed what ordering left, position before and after and quadric, and those of the level once more.
 NODE_KEY, LEVEL_KEY = 52, 52 + 64 + 52
@@ -232,6 +234,8 @@ def _order(needs: MemoryNeeds, device: str) -> int:
     if needs.trajectories:
         per_vertex += ORDER_TRAJECTORY * needs.frame_count
     per_face = ORDER_FACE + 3 * ORDER_CHANNEL * needs.channels
+    if needs.trajectories:
+        per_face += ORDER_CHUNK * -(-needs.frame_count // chunk_frames(needs.frame_count, device))
     return per_vertex * needs.vertex_count + per_face * needs.face_count
 
 
@@ -275,7 +279,8 @@ def parse_bytes(value: int | str) -> int:
         OptionError: it is no positive number of bytes.
     """
     found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?\s*", str(value), re.IGNORECASE)
-    count = int(float(found[1]) * UNITS[found[2].upper()]) if found else 0
+    size = float(found[1]) * UNITS[found[2].upper()] if found else 0.0
+    count = int(size) if math.isfinite(size) else 0
     if count < 1:
         raise OptionError(f"memory {value!r}: expected bytes above 0, such as 8G or 500M")
     return count

@@ -1,10 +1,10 @@
 """Quadric scales for a neutral shape and its morph targets: what moves more keeps more detail.
 
-Morph-target-based surface simplification puts the distances between shapes in the place of the paint of user-guided
-simplification (Kho & Garland 2003): those of a vertex between the neutral shape and every target add up,
-``DS = sum |target - neutral|`` (equation 8); the third of the vertices with the least of it has its quadrics scaled by
-0.33, the middle one by 0.66, the last by 1 (table 1). The other ways are what that paper leaves for later: functions of
-the rank or of the distance itself, and of how far an animation really moves the targets.
+"Surface simplification guided by morph-targets" (Berner & Rieger 2006) puts the distances between shapes in the place
+of the paint of user-guided simplification (Kho & Garland 2003): those of a vertex between the neutral shape and every
+target add up, ``DS = sum |target - neutral|`` (equation 8); the third of the vertices with the least of it has its
+quadrics scaled by 0.33, the middle one by 0.66, the last by 1 (table 1). The other ways are what that paper leaves for
+later: functions of the rank or of the distance itself, and of how far an animation really moves the targets.
 """
 
 from __future__ import annotations

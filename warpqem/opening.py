@@ -6,6 +6,7 @@ batch or the command line's, limits the time for it and says which file it opens
 
 from __future__ import annotations
 
+import os
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -40,7 +41,8 @@ def opening(file: str) -> Iterator[None]:
         yield
         return
     _told(file, True)
-    path = Path(file.split("[", 1)[0])
+    # Of a file in a package the package counts; the name of any file may hold a bracket, too.
+    path = Path(file if os.path.exists(file) else file.split("[", 1)[0])
     size = path.stat().st_size if path.is_file() else 0
     signal.setitimer(signal.ITIMER_PROF, LEAST_SECONDS + size / BYTES_A_SECOND)
     try:

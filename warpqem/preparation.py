@@ -16,12 +16,12 @@ from warpqem.device import resolve_device
 from warpqem.errors import OptionError
 from warpqem.frame_blocks import frame_blocks, pack_frames
 from warpqem.frame_stream import held_bytes, read_ahead
-from warpqem.importance import border_vertices, lock_mask, read_model_weights, read_quadric_scale, read_weights
+from warpqem.importance import border_vertices, check_factors, lock_mask, read_quadric_scale, read_weights
 from warpqem.kernels.topology import CORNER, LOCKED, SEAM
 from warpqem.key_frames import KeyFrameChoice
 from warpqem.memory import MemoryNeeds, MemoryPlan, admit_faces, plan_memory
 from warpqem.mesh_input import AnimatedMesh, MeshInput, measure_mesh, read_mesh
-from warpqem.motion import MotionWatch
+from warpqem.motion import MotionWatch, MotionWeighting
 from warpqem.number_input import check_function, shown
 from warpqem.order.nodes import NodeRecorder
 from warpqem.order.quadric_sums import QuadricSums
@@ -89,6 +89,10 @@ class Prepared:
             self.quadric_sums,
         )
 
+    def with_target(self, face_count: int) -> Prepared:
+        """The same with so many faces as its goal."""
+        return replace(self, order_settings=replace(self.order_settings, target_faces=face_count))
+
     def without_input(self) -> Prepared:
         """The same without what only ordering needs."""
         return replace(self, order_input=None)
@@ -130,6 +134,8 @@ def prepare(
     if options.face is not None and not spec.keeps_face:
         raise OptionError(f"face= needs metric 'face', not {options.metric!r}")
     sums = None
+    if options.motion is not None and not spec.uses_motion_features:
+        raise OptionError(f"motion= needs a metric that keeps motion features, such as 'aqem', not {options.metric!r}")
     if spec.keeps_face:
         from warpqem.face.protect import FaceProtection, protect
 
@@ -138,7 +144,7 @@ def prepare(
         sums, kept = protect(given, FaceProtection() if options.face is None else options.face)
         pinned |= kept
     values = weighted_corner_values(options.attributes, given)
-    mesh, keys, weights = _look_through(given, spec, planned, factors, progress, device)
+    mesh, keys, weights = _look_through(given, spec, planned, factors, options.motion, progress, device)
     endpoint, coherence = options.placement == "endpoint", options.coherence
     return Prepared(
         mesh=mesh,
@@ -207,12 +213,13 @@ def _look_through(
     spec: CostModelSpec,
     planned: MemoryPlan,
     factors: np.ndarray,
+    weighting: MotionWeighting | None,
     progress: Progress | None,
     device: str,
 ) -> tuple[AnimatedMesh, np.ndarray, np.ndarray]:
     """Read all frames once: the mesh's size, its key frames (K,), and the weight of the cost at each vertex (V,)."""
     choice = KeyFrameChoice(given, planned.key_frames)
-    motion = MotionWatch(given, device) if spec.uses_motion_features else None
+    motion = MotionWatch(given, device, weighting) if spec.uses_motion_features else None
     observers = [choice] if motion is None else [choice, motion]
     mesh = measure_mesh(given, observers, planned.block_frames, _read_progress(progress, given.frame_count))
     keys = choice.choose()
@@ -220,7 +227,7 @@ def _look_through(
         factors = motion.features().weight * factors
     if spec.vertex_weight is not None:
         own = spec.vertex_weight(mesh.chosen_points(keys), mesh.faces)
-        factors = read_model_weights(own, mesh.vertex_count, spec.name) * factors
+        factors = check_factors(own, mesh.vertex_count, f"metric {spec.name!r}: vertex_weight gave") * factors
     return mesh, keys, factors
 
 

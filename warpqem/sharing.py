@@ -13,7 +13,6 @@ from __future__ import annotations
 import logging
 import os
 import pickle
-import shutil
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,6 +28,7 @@ from warpqem.mesh_input import AnimatedMesh
 from warpqem.number_input import shown, whole_number
 from warpqem.place.blocks import BlockPlacer, ClusterData, PlacedFrames
 from warpqem.place.stage import Placer
+from warpqem.temporary import remove_path
 
 __all__ = ["FrameShare", "check_share", "help_place", "placed_blocks"]
 
@@ -131,7 +131,7 @@ def placed_blocks(
         share.call(folder.path)
         yield from _place_own(folder, mesh, placer, blocks)
     finally:
-        shutil.rmtree(folder.path, ignore_errors=True)
+        remove_path(folder.path)
 
 
 def _place_own(

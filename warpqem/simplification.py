@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from warpqem.arguments import SimplifyOptions
 from warpqem.attributes import AttributeField
+from warpqem.bounded import simplify_within
 from warpqem.checked_frames import check_sink
 from warpqem.cost_models import cost_model
 from warpqem.device import on_device, resolve_device
@@ -21,6 +22,7 @@ from warpqem.sharing import FrameShare, check_share
 
 if TYPE_CHECKING:
     from warpqem.face.protect import FaceProtection
+    from warpqem.motion import MotionWeighting
 
 __all__ = ["plan", "simplify"]
 
@@ -47,6 +49,7 @@ def simplify(
     seams: Any = None,
     attributes: Sequence[AttributeField] = (),
     face: FaceProtection | None = None,
+    motion: MotionWeighting | None = None,
     memory: int | str | None = None,
     sink: FrameSink | None = None,
     share: FrameShare | None = None,
@@ -66,8 +69,11 @@ def simplify(
         faces: (N, 3) vertex indices.
         ratio: part of the faces to keep, in (0, 1].
         target_faces: faces to keep, at least 1. The result has as many, or one fewer.
-        max_error: stop before an edge collapse whose error (see ``SimplifiedMesh.error``) exceeds this, in % of the
-            bounding-box diagonal. At least one of the three is needed; with a count, whichever comes first stops.
+        max_error: the largest distance between the input and the result, both ways, at every point and in every frame,
+            in % of the diagonal of the input's bounding box in that frame. It is proved, not sampled
+            (:mod:`warpqem.kernels.distance_bound`), for the result as it is returned; the number of faces is searched
+            for (:mod:`warpqem.bounded`), which takes several times as long as a result by count. At least one of the
+            three is needed; with a count, whichever comes first stops.
         metric: "dsd" (default), "qem", "dod", "aqem" or "face"; see :mod:`warpqem.cost_models`.
         coherence: 0 (every frame its own best fit) to 1 (vertices stay on the material).
         key_frames: how many frames decide the order, chosen by their pose; None for all.
@@ -93,6 +99,8 @@ def simplify(
             see :class:`warpqem.AttributeField`. ``max_error`` and ``SimplifiedMesh.error`` stay errors of the shape.
         face: how ``metric="face"`` keeps the feature points of a face, see :class:`warpqem.FaceProtection`; None for
             its defaults.
+        motion: how ``metric="aqem"`` finds the joints and what they weigh, see :class:`warpqem.MotionWeighting`; None
+            for the ways of its paper.
         memory: bytes that the work may take, beside what the process holds already, or text such as "8G"; None for
             most of what is free. It decides how many frames are in memory at once, and no bit of the result.
         sink: takes the frames of the result, block by block, in place of an array.
@@ -127,12 +135,17 @@ def simplify(
         seams=seams,
         attributes=attributes,
         face=face,
+        motion=motion,
         memory=memory,
         device=device,
     )
     check_sink(sink)
     check_share(share)
-    work = prepare(points, faces, options, keep_frames=sink is None, progress=progress)
+    bounded = max_error is not None
+    keep_nodes = bounded and not memoryless
+    work = prepare(points, faces, options, keep_frames=sink is None, keep_nodes=keep_nodes, progress=progress)
+    if bounded:
+        return simplify_within(work, options.refits, Delivery(sink, progress, share))
     ordered = work.order(progress)
     placer, outcome = work.placer(ordered), Outcome.of(ordered)
     # Placing has its own use for the memory of ordering.

@@ -16,11 +16,12 @@ import numpy as np
 from warpqem.arguments import SimplifyOptions
 from warpqem.array_input import finite_array, is_empty
 from warpqem.attributes import checked_fields
+from warpqem.bounded import BoundSink, ExceededError, find_coarsest
 from warpqem.checked_frames import check_sink
 from warpqem.cost_models import cost_model
-from warpqem.device import on_device
+from warpqem.device import on_device, resolve_device
 from warpqem.edges import edge_key
-from warpqem.errors import MeshShapeError, OptionError
+from warpqem.errors import MeshShapeError, OptionError, UnreachableTargetError
 from warpqem.frame_stream import ArraySink, FrameSink
 from warpqem.importance import border_vertices, lock_mask, read_quadric_scale, read_weights
 from warpqem.kernels.topology import MIRROR
@@ -229,7 +230,49 @@ def simplify_symmetric(
     frames = finite_points(given.source.read(slice(0, given.frame_count)))
     mirror = symmetry if isinstance(symmetry, Mirror) else find_mirror(frames[0], given.faces, symmetry)
     mirror = _of_proper_faces(mirror, given)
-    half = _Half(given, frames, mirror, asked)
+    if asked.max_error is None:
+        return _simplify_half(_Half(given, frames, mirror, asked), sink, progress)
+    return _simplify_within(given, frames, mirror, asked, sink, progress)
+
+
+def _simplify_within(
+    given: MeshInput,
+    frames: np.ndarray,
+    mirror: Mirror,
+    asked: SimplifyOptions,
+    sink: FrameSink | None,
+    progress: Progress | None,
+) -> SimplifiedMesh:
+    """The fewest faces that hold the distance asked for, see :mod:`warpqem.bounded`."""
+    goal, device = asked.goal(len(given.faces)), resolve_device(asked.device)
+
+    def options(count: int) -> SimplifyOptions:
+        return replace(asked, ratio=None, target_faces=count, max_error=None)
+
+    def attempt(count: int) -> SimplifiedMesh | None:
+        array = ArraySink()
+        checked = BoundSink(array, given, goal.max_error / 100.0, device)
+        try:
+            result = _simplify_half(_Half(given, frames, mirror, options(count)), checked, None)
+        except ExceededError:
+            return None
+        except UnreachableTargetError as error:
+            result = error.result
+        return replace(result, points=array.points)
+
+    face_count, least = len(given.faces), max(2, goal.target_faces)
+    result = find_coarsest(
+        attempt, face_count, start=face_count // 2, least=least, limit=goal.max_error / 100.0, progress=progress
+    )
+    if sink is not None:
+        sink.begin(given.frame_count, result.points.shape[1], result.faces)
+        sink.write(slice(0, given.frame_count), result.points)
+        result = replace(result, points=result.points[:1])
+    return replace(result, stopped="max_error") if len(result.faces) > least else result
+
+
+def _simplify_half(half: _Half, sink: FrameSink | None, progress: Progress | None) -> SimplifiedMesh:
+    """Simplify one half, and put both together."""
     work = prepare(half.frames, half.faces, half.options, progress=progress)
     assert work.order_input is not None
     flags = work.order_input.vertex_flags | np.where(half.on_plane, int(MIRROR), 0).astype(np.int32)
@@ -282,13 +325,8 @@ class _Half:
         self.options = replace(options, **self._goal(options), **self._importance(options), **self._values(options))
 
     def _goal(self, options: SimplifyOptions) -> dict[str, Any]:
-        """Half of the faces, and the error limit as a part of the half's own diagonal."""
-        limit = options.max_error
-        return {
-            "ratio": None,
-            "target_faces": max(1, self.target // 2) if self.target else options.target_faces,
-            "max_error": None if limit is None else limit * self._diagonal / self._own_diagonal,
-        }
+        """Half of the faces."""
+        return {"ratio": None, "target_faces": max(1, self.target // 2) if self.target else options.target_faces}
 
     def _importance(self, options: SimplifyOptions) -> dict[str, Any]:
         """Weights and locks at the half's vertices: of two images the larger."""

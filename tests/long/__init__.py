@@ -1,4 +1,6 @@
-"""Trials that take minutes, run by hand: `python -m tests.long.kills`, `.many`, `.fuzz`. Each prints its counts."""
+"""Trials that take minutes, run by hand: `python -m tests.long.kills`, `.many`, `.fuzz`, `.other_usd`.
+
+Each prints its counts."""
 
 import sys
 from pathlib import Path

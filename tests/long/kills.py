@@ -1,4 +1,4 @@
-"""Kill a batch, or one of its workers, at random moments; resume it; compare what is there with an undisturbed run.
+"""Kill a batch, or one of its workers, at random moments by any signal; resume it; compare with an undisturbed run.
 
 python -m tests.long.kills --points 200 --seconds 500
 """
@@ -21,6 +21,7 @@ from test_usd_stages import cloth_stage, skinned_stage
 
 # Batches take about as long as this from the first asset to the last; moments are drawn from it.
 WINDOW_SECONDS = 2.0
+SIGNALS = (signal.SIGKILL, signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 
 
 def make_inputs(folder: Path, count: int) -> None:
@@ -64,18 +65,21 @@ def kill_somewhere(process: subprocess.Popen[str], draw: random.Random) -> str:
         return "ended"
     # The command line is a process that watches another one, which does the work with the help of its workers.
     kind = draw.choice(("watcher", "batch", "group", "worker"))
+    number = draw.choice(SIGNALS)
     if kind == "group":
-        os.killpg(process.pid, signal.SIGKILL)
+        os.killpg(process.pid, number)
     elif kind == "watcher":
-        process.kill()
+        process.send_signal(number)
     else:
         found = children(process.pid)
         if kind == "worker":
             found = [worker for batch in found for worker in children(batch)]
         if not found:
             return "ended"
+        if kind == "worker" and number == signal.SIGINT:
+            number = signal.SIGKILL  # workers leave Ctrl-C to the batch
         with contextlib.suppress(ProcessLookupError):
-            os.kill(draw.choice(found), signal.SIGKILL)
+            os.kill(draw.choice(found), number)
     return kind
 
 

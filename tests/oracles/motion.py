@@ -41,10 +41,15 @@ def dihedral_changes(points, faces) -> dict[tuple[int, int], float]:
     return result
 
 
-def features(points, faces, vertex_count):
-    """(label (V,), weight (V,)): components of edges above the mean change and one degree; border edges connect."""
+def threshold_of(change, threshold=None, floor=1.0) -> float:
+    """The mean change of all edges where no threshold is given, and the floor at least."""
+    return max(np.mean(list(change.values())) if threshold is None else threshold, floor)
+
+
+def features(points, faces, vertex_count, threshold=None, floor=1.0):
+    """(label (V,), weight (V,)): components of edges above the threshold; border edges connect."""
     change = dihedral_changes(points, faces)
-    threshold = max(np.mean(list(change.values())), 1.0)
+    threshold = threshold_of(change, threshold, floor)
     count = {edge: len(sides) for edge, sides in edge_wings(faces).items()}
     linked = np.array([e for e, c in change.items() if c > threshold or count[e] == 1]).reshape(-1, 2)
     graph = coo_matrix((np.ones(len(linked)), (linked[:, 0], linked[:, 1])), shape=(vertex_count, vertex_count))
@@ -56,6 +61,17 @@ def features(points, faces, vertex_count):
         label[v] = numbers.setdefault(component[v], len(numbers))
         weight[v] = (component == component[v]).sum()
     return label, weight
+
+
+def feature_weights(points, faces, vertex_count, method):
+    """(V,): the root or one plus the logarithm of the size, or the mean change of the edges in thresholds."""
+    size = features(points, faces, vertex_count)[1]
+    if method != "bend":
+        return {"root": np.sqrt, "log": lambda n: 1 + np.log(n)}[method](size)
+    change = dihedral_changes(points, faces)
+    threshold = threshold_of(change)
+    at = [[c / threshold for e, c in change.items() if v in e and c > threshold] for v in range(vertex_count)]
+    return np.array([np.mean(shares) if shares else 1.0 for shares in at])
 
 
 def length_deformation(points, faces, u, v) -> float:

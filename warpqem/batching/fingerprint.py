@@ -1,7 +1,7 @@
 """What an output was made from: the bytes of the input and of all files it needs, the options, the version.
 
-Finding the files needs USD; looking whether they have changed does not, so that files of any kind can be looked at in
-the process that runs a batch.
+USD finds the files; looking whether they have changed needs none, so that files of any kind can be looked at in the
+process that runs a batch.
 """
 
 from __future__ import annotations
@@ -10,12 +10,13 @@ import hashlib
 import json
 import math
 import os
+from collections.abc import Iterable
 from dataclasses import asdict
 from typing import Any
 
 import warpqem
 from warpqem.batching.jobs import BatchJob
-from warpqem.errors import StageError
+from warpqem.file_kinds import kind_of
 
 __all__ = ["file_hash", "is_current", "take_fingerprint"]
 
@@ -27,7 +28,7 @@ NOT_IN_OUTPUT = ("memory",)
 def file_hash(path: str | os.PathLike[str]) -> str | None:
     """SHA-256 of a file's bytes; None if it cannot be read."""
     digest = hashlib.sha256()
-    if not os.path.isfile(path):
+    if not os.path.isfile(path) or kind_of(path) is not None:
         return None  # nor does what never ends, such as a device, have a hash
     try:
         with open(path, "rb") as file:
@@ -38,12 +39,15 @@ def file_hash(path: str | os.PathLike[str]) -> str | None:
     return digest.hexdigest()
 
 
-def take_fingerprint(job: BatchJob, begun: float = math.inf) -> dict[str, Any] | None:
+def take_fingerprint(
+    job: BatchJob, begun: float = math.inf, files: Iterable[str] | None = None
+) -> dict[str, Any] | None:
     """The fingerprint of a job, before it is done.
 
     Args:
-        job: The job, whose input can be read safely; see `warpqem.usd.input_check.open_layers`.
-        begun: When USD began to read it, in seconds since 1970.
+        job: The job.
+        begun: When USD began to read its files, in seconds since 1970.
+        files: All files that it needs; see `warpqem.usd.input_check.OpenedLayers`. None to look for them.
 
     Returns:
         The fingerprint; None where a file has changed since, so that it is not known which bytes were read.
@@ -51,16 +55,20 @@ def take_fingerprint(job: BatchJob, begun: float = math.inf) -> dict[str, Any] |
     Raises:
         StageError: the input, or the file with poses, cannot be read.
     """
-    stages = [path for path in (job.input, job.options.poses) if path is not None]
-    read = [file for path in stages for file in _dependencies(os.fspath(path))]
+    if files is None:
+        from warpqem.usd.input_check import open_layers
+
+        opened = [open_layers(path) for path in (job.input, job.options.poses) if path is not None]
+        files = [file for each in opened for file in each.files]
+    read = list(files)
     if job.options.face_points is not None:
         read.append(os.path.abspath(job.options.face_points))
-    files: dict[str, str | None] = {}
-    for file in read:
-        files[file] = file_hash(file)
-        if files[file] is not None and os.path.getmtime(file) >= begun:
+    hashes: dict[str, str | None] = {}
+    for file in sorted(set(read)):
+        hashes[file] = file_hash(file)
+        if hashes[file] is not None and os.path.getmtime(file) >= begun:
             return None
-    return {"recipe": recipe(job), "files": files}
+    return {"recipe": recipe(job), "files": hashes}
 
 
 def recipe(job: BatchJob) -> str:
@@ -89,19 +97,3 @@ def is_current(job: BatchJob, record: dict[str, Any]) -> bool:
     except (KeyError, TypeError, AttributeError):
         # Written by another version, or by hand.
         return False
-
-
-def _dependencies(path: str) -> list[str]:
-    """All files that a USD file needs, itself among them; of those that are missing the path they would have."""
-    from pxr import Sdf, Tf, UsdUtils
-
-    from warpqem.usd.input_check import file_of
-    from warpqem.usd.usd_errors import first_line
-
-    try:
-        layers, assets, missing = UsdUtils.ComputeAllDependencies(Sdf.AssetPath(os.path.abspath(path)))
-    except Tf.ErrorException as error:
-        raise StageError(f"{path}: USD cannot read it ({first_line(error)})") from error
-    found = [layer.realPath for layer in layers] + [os.fspath(asset) for asset in assets]
-    files = {os.path.abspath(file_of(file)) for file in (path, *found, *missing) if file}
-    return sorted(files)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import glob
+import logging
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from warpqem.batching.search import files_below, fixed_part, is_usd_name, match_pattern, same_file_key
 from warpqem.errors import OptionError
 from warpqem.number_input import shown
 from warpqem.outputs import InputFile, OutputFile, OutputFiles
@@ -16,10 +18,11 @@ from warpqem.usd.simplify_options import SimplifyOptions
 
 __all__ = ["BatchJob", "FoundFile", "check_jobs", "find_files", "output_path", "read_jobs"]
 
-INPUT_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 OUTPUT_SUFFIXES = (".usd", ".usda", ".usdc")
 # A package is read, never written; a binary layer stands in for it.
 SUFFIX_FOR_PACKAGES = ".usdc"
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -51,7 +54,10 @@ class FoundFile:
 
 
 def find_files(inputs: Sequence[str | os.PathLike[str]], leave_out: Path | None = None) -> list[FoundFile]:
-    """The USD files that inputs name.
+    """The USD files that inputs name, each once, whatever links lead to it.
+
+    What has the name of a USD file and is none, such as a pipe or a link to nothing, is found as well: it is named when
+    its turn comes, and costs the others nothing.
 
     Args:
         inputs: Files, also missing ones, folders (all USD files below them, but not what is hidden) and patterns such
@@ -61,54 +67,57 @@ def find_files(inputs: Sequence[str | os.PathLike[str]], leave_out: Path | None 
     Raises:
         OptionError: an input names nothing.
     """
-    found: dict[Path, FoundFile] = {}
+    found: list[FoundFile] = []
     for text in map(os.fspath, inputs):
         files = _files_of(text, leave_out)
         if not files:
             raise OptionError(f"{text}: no such file, and no folder or pattern with a USD file in it")
-        for file in files:
-            found.setdefault(file.path, file)
-    return list(found.values())
+        found += files
+    return _each_once(found)
+
+
+def _each_once(files: list[FoundFile]) -> list[FoundFile]:
+    """Of several paths to one file the first that is no link stays."""
+    kept: dict[tuple[object, ...], FoundFile] = {}
+    for file in files:
+        key = same_file_key(file.path)
+        other = kept.setdefault(key, file)
+        if other.path == file.path:
+            continue
+        if _is_link(other.path) and not _is_link(file.path):
+            kept[key], file, other = file, other, file
+        _log.info("%s: left out, the same file as %s", file.path, other.path)
+    return list(kept.values())
+
+
+def _is_link(path: Path) -> bool:
+    return os.path.realpath(path) != os.fspath(path)
 
 
 def _files_of(text: str, leave_out: Path | None) -> list[FoundFile]:
     path = Path(text).absolute()
-    if path.is_file() or (path.suffix.lower() in INPUT_SUFFIXES and not path.exists() and not glob.has_magic(text)):
+    if not path.is_dir() and (os.path.lexists(path) or (is_usd_name(path.name) and not glob.has_magic(text))):
         # One that is missing is found missing when its turn comes: it must not cost the others.
         return [FoundFile(path, Path(path.name))]
     if path.is_dir():
-        return [FoundFile(file, file.relative_to(path)) for file in _walk(path, leave_out)]
-    base = _fixed_part(text)
+        return [FoundFile(file, file.relative_to(path)) for file in files_below(path) if _is_wanted(file, leave_out)]
+    base = fixed_part(text)
     files = []
-    for match in sorted(glob.glob(text, recursive=True)):
-        below = Path(match).absolute()
-        below_files = _walk(below, leave_out) if below.is_dir() else [below] if _is_usd(below, leave_out) else []
-        files += [FoundFile(file, file.relative_to(base)) for file in below_files]
+    for match in match_pattern(text):
+        below = files_below(match) if match.is_dir() else [match] if is_usd_name(match.name) else []
+        files += [FoundFile(file, _place(file, base)) for file in below if _is_wanted(file, leave_out)]
     return list({file.path: file for file in files}.values())
 
 
-def _fixed_part(pattern: str) -> Path:
-    """The folder that all matches of a pattern lie in, as far as it is written out."""
-    parts = []
-    for part in Path(pattern).parts[:-1]:
-        if glob.has_magic(part):
-            break
-        parts.append(part)
-    return Path(*parts).absolute() if parts else Path.cwd()
+def _place(file: Path, base: Path) -> Path:
+    """The place of a file below a folder; one that a pattern finds outside of it has its name alone."""
+    relative = Path(os.path.relpath(file, base))
+    return Path(file.name) if ".." in relative.parts else relative
 
 
-def _walk(folder: Path, leave_out: Path | None) -> list[Path]:
-    files = []
-    for where, folders, names in os.walk(folder):
-        folders[:] = sorted(name for name in folders if not name.startswith("."))
-        files += [Path(where, name) for name in sorted(names)]
-    return [file for file in files if _is_usd(file, leave_out)]
-
-
-def _is_usd(file: Path, leave_out: Path | None) -> bool:
-    if file.name.startswith(".") or file.suffix.lower() not in INPUT_SUFFIXES:
-        return False
-    return file.is_file() and not (leave_out is not None and file.resolve().is_relative_to(leave_out.resolve()))
+def _is_wanted(file: Path, leave_out: Path | None) -> bool:
+    real = Path(os.path.realpath(file))
+    return not file.is_dir() and not (leave_out is not None and real.is_relative_to(os.path.realpath(leave_out)))
 
 
 def output_path(folder: Path, relative: Path, suffix: str | None = None) -> str:

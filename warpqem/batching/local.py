@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import atexit
 import logging
 import multiprocessing
 import os
-import shutil
+import re
 import signal
 import tempfile
 import time
 from collections import deque
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
@@ -28,7 +31,10 @@ from warpqem.errors import BatchError, OptionError
 from warpqem.memory import DEFAULT_SHARE, available_memory, parse_bytes
 from warpqem.opening import TIME_IS_UP
 from warpqem.parallel import thread_count
-from warpqem.usd.temporary import remove_leftovers
+from warpqem.process_limits import limit_behind_signal
+from warpqem.processes import note_process
+from warpqem.temporary import note_folder, remove_leftovers, remove_path, temporary_path
+from warpqem.usd.library import need_usd
 
 __all__ = ["MAIN_HINT", "OUTSIDE_SIGNALS", "LocalEngine", "ending"]
 
@@ -38,7 +44,7 @@ MOST_FAILED_STARTS = 3
 MAIN_HINT = 'a script that runs a batch needs if __name__ == "__main__":'
 # A worker that ends by one of these was stopped from outside, also for want of memory: its job may be tried again. One
 # that crashes by itself would do so again.
-OUTSIDE_SIGNALS = ("SIGKILL", "SIGTERM")
+OUTSIDE_SIGNALS = ("SIGKILL", "SIGTERM", "SIGHUP", "SIGQUIT")
 # How much of what a worker printed last is looked at for a reason of its death, and how much of that is told.
 TAIL_BYTES, TAIL_TEXT = 4096, 200
 
@@ -93,7 +99,9 @@ class LocalEngine:
         Raises:
             OptionError: a value is out of range.
             DeviceError: there is no such device.
+            UsdLibraryError: USD is missing, broken or too old.
         """
+        need_usd()
         if workers is not None and workers < 1:
             raise OptionError(f"jobs {workers}: expected at least 1 process")
         if timeout is not None and not timeout > 0:
@@ -143,8 +151,11 @@ class _Pool:
         self._failed_starts = 0
         # Kernels are compiled by one worker, and found by the others.
         self._warm = False
-        self._folder = tempfile.mkdtemp(prefix="warpqem-batch-")
-        self._started = 0
+        self._folder = temporary_path(Path(tempfile.gettempdir()), ".batch")
+        self._folder.mkdir(mode=0o700)
+        self._started, self._owner = 0, os.getpid()
+        # Where an error keeps the iterator of a batch from being closed, the end of the process does it.
+        atexit.register(self.close)
 
     def run(self) -> Iterator[Update]:
         for number in range(self._size):
@@ -157,10 +168,13 @@ class _Pool:
 
     def close(self) -> None:
         """End all workers at once, and remove what they were writing."""
-        for worker in self.workers:
-            self._kill(worker)
-        self.workers.clear()
-        shutil.rmtree(self._folder, ignore_errors=True)
+        if os.getpid() != self._owner:  # a process that was forked from this one ends
+            return
+        while self.workers:
+            self._kill(self.workers[-1])
+            self.workers.pop()
+        remove_path(self._folder)
+        atexit.unregister(self.close)
 
     def _start(self, device: str) -> None:
         self._started += 1
@@ -169,9 +183,12 @@ class _Pool:
         process = multiprocessing.get_context("spawn").Process(
             target=run_worker, args=(there, self.engine.setup(self._size, device, output)), daemon=True
         )
-        process.start()
-        there.close()
+        # Before it starts, so that one whose start is interrupted is not forgotten.
         self.workers.append(_Worker(process, here, output, device))
+        _start_undisturbed(process)
+        if process.pid is not None:
+            note_process(process.pid)
+        there.close()
         _log.debug("worker %s started", process.pid)
 
     def _assign(self) -> Iterator[Update]:
@@ -180,6 +197,7 @@ class _Pool:
                 task = self._waiting.popleft()
                 task.attempts += 1
                 worker.task, worker.started = task, time.monotonic()
+                note_folder(Path(task.job.output).parent)
                 with suppress(OSError):  # it has just died, which is seen next
                     worker.connection.send(task.job)
                 _log.info("%s: begun by worker %s", task.job.input, worker.process.pid)
@@ -256,9 +274,9 @@ class _Pool:
         if worker.task is not None:
             yield Progressed(worker.task.job, *value)
 
-    def _take_log(self, worker: _Worker, value: tuple[str, int, str]) -> Iterator[Update]:
-        name, level, text = value
-        logging.getLogger(name).log(level, "%s", text)
+    def _take_log(self, worker: _Worker, value: tuple[str, int, str, str]) -> Iterator[Update]:
+        name, level, text, traceback = value
+        logging.getLogger(name).log(level, "%s", text, extra={"traceback": traceback})
         yield from ()
 
     def _take_result(self, worker: _Worker, result: BatchResult) -> Iterator[Update]:
@@ -316,8 +334,9 @@ class _Pool:
         yield from ()
 
     def _kill(self, worker: _Worker) -> None:
-        worker.process.kill()
-        worker.process.join()
+        if worker.process.pid is not None:
+            worker.process.kill()
+            worker.process.join()
         worker.connection.close()
         if worker.task is not None:
             remove_leftovers(Path(worker.task.job.output).parent, worker.process.pid)
@@ -331,7 +350,24 @@ def ending(code: int | None) -> str:
     with suppress(ValueError):
         name = signal.Signals(-code).name
     late = ": USD does not come to the end of a file, which is damaged" if name == TIME_IS_UP else ""
-    return f"was ended by {name}{late}"
+    limit = limit_behind_signal(name)
+    return f"was ended by {name}{late}" + (f", for which this is the likely reason: {limit}" if limit else "")
+
+
+def _start_undisturbed(process: Any) -> None:
+    """Start a process that does not get Ctrl-C before it can ignore it; see `run_worker`."""
+
+    def start() -> None:
+        if hasattr(signal, "pthread_sigmask"):
+            # Its own start, the first time, would let signals in.
+            resource_tracker.ensure_running()
+            signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
+        process.start()
+
+    # On a thread, where no KeyboardInterrupt cuts the start short; a process that is half started says so with a
+    # traceback. The signal mask is that of the thread, and the process inherits it.
+    with ThreadPoolExecutor(1, thread_name_prefix="warpqem-start") as pool:
+        pool.submit(start).result()
 
 
 def _last_words(path: str) -> str:
@@ -339,7 +375,9 @@ def _last_words(path: str) -> str:
     try:
         with open(path, "rb") as file:
             file.seek(max(0, os.path.getsize(path) - TAIL_BYTES))
-            lines = [line.strip() for line in file.read().decode("utf-8", "replace").splitlines() if line.strip()]
+            lines = [
+                line.strip() for line in file.read().decode("utf-8", "replace").splitlines() if re.search(r"\w", line)
+            ]
     except OSError:
         return ""
     return f" ({lines[-1][:TAIL_TEXT]})" if lines else ""

@@ -16,13 +16,14 @@ from warpqem.batching.result import DONE, FAILED, PARTIAL, BatchResult, named
 from warpqem.device import resolve_device
 from warpqem.errors import StageError, WarpqemError
 from warpqem.memory import DEFAULT_SHARE, available_memory
+from warpqem.process_limits import with_limit
 from warpqem.process_memory import peak_memory, reset_peak
 from warpqem.sharing import FrameShare, help_place
+from warpqem.temporary import temporary_path
 from warpqem.usd.input_check import open_layers
 from warpqem.usd.report import StageReport
 from warpqem.usd.simplify import simplify_stage
 from warpqem.usd.simplify_options import SimplifyOptions
-from warpqem.usd.temporary import temporary_path
 
 __all__ = ["assist", "perform", "warm_up"]
 
@@ -54,20 +55,21 @@ def perform(
         options = _with_defaults(job.options, device, memory)
         _make_folder(Path(job.output).parent)
         # Held, so that USD reads no layer twice.
-        layers = [open_layers(path, options.asset_roots) for path in (job.input, options.poses) if path is not None]
-        result.fingerprint = take_fingerprint(job, begun)
+        opened = [open_layers(path, options.asset_roots) for path in (job.input, options.poses) if path is not None]
+        result.fingerprint = take_fingerprint(job, begun, [file for each in opened for file in each.files])
         share = None if call is None else FrameShare(lambda: temporary_path(Path(job.output).parent, ".share"), call)
         _fill(result, simplify_stage(job.input, job.output, options, progress, share=share))
-        del layers
+        del opened
     except MemoryError as error:
         result.error = type(error).__name__
-        result.message = f"{job.input}: {error}" if isinstance(error, WarpqemError) else f"{job.input}: out of memory"
+        text = f"{job.input}: {error}" if isinstance(error, WarpqemError) else f"{job.input}: out of memory"
+        result.message = with_limit(text, error)
     except WarpqemError as error:
-        result.error, result.message = type(error).__name__, named(job.input, error)
+        result.error, result.message = type(error).__name__, with_limit(named(job.input, error), error)
     except Exception as error:
         # Nothing that is wrong with one asset may stop the others, nor go unnamed.
         _log.error("%s", job.input, exc_info=error)
-        result.error, result.message = type(error).__name__, named(job.input, error)
+        result.error, result.message = type(error).__name__, with_limit(named(job.input, error), error)
     result.seconds = time.perf_counter() - start
     result.peak_memory = peak_memory()
     return result

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from warpqem.errors import WarpqemError
+
 __all__ = ["DONE", "FAILED", "PARTIAL", "SKIPPED", "BatchResult", "named"]
 
 DONE, PARTIAL, FAILED, SKIPPED = "done", "partial", "failed", "skipped"
@@ -15,8 +17,8 @@ class BatchResult:
     """The outcome for one asset.
 
     Attributes:
-        input: USD file that was read.
-        output: USD file that was to be written.
+        input: USD file that was read; the manifest, for a line of it that names none.
+        output: USD file that was to be written; empty for a line of a manifest that is wrong.
         status: "done"; "partial" where the file was written but a mesh on it failed; "failed" where nothing was
             written; "skipped" where the file is there already, from the same input and options.
         error: Name of the error, such as "StageError"; None without one.
@@ -59,5 +61,7 @@ class BatchResult:
 
 def named(source: str, error: Exception) -> str:
     """What an error says in one line, with the file that it is about."""
-    text = " ".join(str(error).split()) or type(error).__name__
+    # What is not of warpqem may come on many lines.
+    text = str(error) if isinstance(error, WarpqemError) else " ".join(str(error).split())
+    text = text or type(error).__name__
     return text if source in text else f"{source}: {text}"

@@ -17,7 +17,7 @@ from warpqem.batching.state import Journal
 from warpqem.errors import OptionError
 from warpqem.number_input import check_function, flag, shown
 from warpqem.outputs import OutputFile, named_outputs
-from warpqem.usd.temporary import remove_leftovers
+from warpqem.temporary import note_folder, remove_leftovers
 
 __all__ = ["batch"]
 
@@ -55,6 +55,7 @@ def batch(
         OptionError: two outputs are the same file, an output is a file that a job reads, or there is no journal to
             resume from.
         BatchError: the journal is in use or cannot be written, or no worker can be started.
+        UsdLibraryError: USD is missing, broken or too old on this machine, for the local engine.
     """
     jobs = read_jobs(jobs)
     if journal is not None and not isinstance(journal, (str, os.PathLike)):
@@ -95,6 +96,7 @@ def _results(
         for folder in sorted({Path(job.output).parent for job in jobs}):
             for path in remove_leftovers(folder):
                 _log.info("%s: removed, left by a process that was killed", path)
+            note_folder(folder)
         todo = []
         for job in jobs:
             result = unread.get(job.output)

@@ -18,6 +18,7 @@ from warpqem.batching.fingerprint import file_hash, is_current
 from warpqem.batching.jobs import BatchJob
 from warpqem.batching.result import DONE, BatchResult
 from warpqem.errors import BatchError
+from warpqem.file_kinds import check_regular
 
 __all__ = ["JOURNAL_NAME", "Journal"]
 
@@ -39,6 +40,7 @@ class Journal:
             BatchError: it cannot be written, or another batch has it.
         """
         self.path = Path(path)
+        check_regular(path, BatchError)
         try:
             self._file = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
         except OSError as error:

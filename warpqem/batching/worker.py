@@ -26,6 +26,8 @@ MESSAGES_PER_SECOND = 5.0
 # How libraries are told how many threads to use.
 THREAD_VARIABLES = ("WARPQEM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
+_log = logging.getLogger(__name__)
+
 
 @dataclass(frozen=True)
 class WorkerSetup:
@@ -50,6 +52,8 @@ def run_worker(connection: Connection, setup: WorkerSetup) -> None:
     """Do the jobs that come through a connection until it ends."""
     # The process that started this one answers Ctrl-C.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT,))
     redirect_output(setup.output)
     tell_openings(lambda file, begins: print(f"opening {file}", flush=True) if begins else None)
     for name in THREAD_VARIABLES:
@@ -74,8 +78,10 @@ def _serve(connection: Connection, sender: _Sender, setup: WorkerSetup) -> None:
     from warpqem.batching.perform import assist, perform, warm_up
     from warpqem.memory import parse_bytes
     from warpqem.process_memory import limited_memory
+    from warpqem.usd.usd_errors import UsdMessages
 
     wp.config.log_level = wp.LOG_WARNING
+    usd_messages = UsdMessages()
     sender.send("loaded", None)
     # Its turn to look for kernels that are not compiled yet.
     connection.recv()
@@ -93,6 +99,8 @@ def _serve(connection: Connection, sender: _Sender, setup: WorkerSetup) -> None:
         limit = setup.memory if own is None else parse_bytes(own)
         with limited_memory(limit):
             result = perform(job, sender.progress, setup.device, setup.memory, call)
+        for text in usd_messages.take():
+            _log.info("%s: USD: %s", job.input, text)
         sender.send("result", result)
 
 
@@ -114,14 +122,15 @@ class _Sender:
 
 
 class _Forward(logging.Handler):
-    """Sends log records to the process that started this one, as name, level and text."""
+    """Sends log records to the process that started this one: name, level, text and traceback, empty for none."""
 
     def __init__(self, sender: _Sender) -> None:
         super().__init__()
         self._sender = sender
 
     def emit(self, record: logging.LogRecord) -> None:
-        self._sender.send("log", (record.name, record.levelno, self.format(record)))
+        traceback = "" if record.exc_info is None else logging.Formatter().formatException(record.exc_info)
+        self._sender.send("log", (record.name, record.levelno, record.getMessage(), traceback))
 
 
 def redirect_output(path: str) -> None:

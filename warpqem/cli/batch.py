@@ -8,12 +8,14 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from enum import Enum
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from warpqem.cli.console import EXIT_FAILED, print_table, progress_bar, quiet_warp, tell
+from warpqem.cli.console import EXIT_FAILED, EXIT_INTERRUPTED, print_table, progress_bar, quiet_libraries, tell
+from warpqem.cli.guard import interruptible
 from warpqem.cli.logs import LogJson, Verbose, start_logging
 from warpqem.cli.simplify_options import takes_simplify_options
 from warpqem.errors import OptionError, StageError
@@ -21,6 +23,7 @@ from warpqem.errors import OptionError, StageError
 if TYPE_CHECKING:
     from warpqem.batching.engine import Engine
     from warpqem.batching.jobs import BatchJob
+    from warpqem.batching.manifest import Manifest, WrongLine
     from warpqem.batching.result import BatchResult
 
 __all__ = ["batch"]
@@ -105,9 +108,9 @@ def batch(
 
     Give one of --ratio, --faces, --max-error, --screen-error and --lods, here or in the manifest.
 
-    Exit codes: 0 all done; 1 an error, or some asset or mesh failed; 2 wrong usage.
+    Exit codes: 0 all done; 1 an error, or some asset or mesh failed; 2 wrong usage; 130 interrupted.
     """
-    quiet_warp()
+    quiet_libraries()
     start_logging(verbose, None)
     from warpqem.batching.jobs import check_jobs
     from warpqem.batching.output_check import check_batch_outputs
@@ -120,13 +123,17 @@ def batch(
     if report is not None:
         check_page_path(report)
     folder = Path(output)
-    work = _find_jobs(inputs, folder, options, None if output_format is None else f".{output_format.value}")
+    work, wrong = _find_jobs(inputs, folder, options, None if output_format is None else f".{output_format.value}")
     journal = folder / JOURNAL_NAME
     others = named_outputs({"--json": json, "--log-json": log_json, "--report": report})
     check_jobs(work, others).check(InputFile(path, "a manifest") for path in _manifests(inputs))
     if dry_run:
         check_batch_outputs(work, [*others, *named_outputs({"journal": journal})])
+        for line in wrong:
+            tell("error", line.message)
         print_table(dry_run_table(work, journal if resume else None), to_stderr=json == "-")
+        if wrong:
+            raise typer.Exit(EXIT_FAILED)
         return
     chosen = _engine(
         engine, options, jobs=jobs, timeout=timeout, retries=retries, spread=spread, ray=(address, cpus, gpus)
@@ -138,9 +145,9 @@ def batch(
     _make_folder(folder)
     results: list[BatchResult] = []
     interrupted = False
-    with _lines(json) as write, display:
+    with interruptible(), _lines(json) as write, display:
         try:
-            for result in updates:
+            for result in chain((line.result() for line in wrong), updates):
                 results.append(result)
                 write(result)
                 if not result.ok:
@@ -150,12 +157,13 @@ def batch(
         finally:
             updates.close()
         seconds = display.seconds
-    print_table(summary_table(results, len(work), seconds), to_stderr=json == "-")
+    print_table(summary_table(results, len(work) + len(wrong), seconds), to_stderr=json == "-")
+    if interrupted:
+        tell("error", f"interrupted after {len(results)} of {len(work) + len(wrong)} assets; go on with --resume")
+        raise typer.Exit(EXIT_INTERRUPTED)
     if report is not None:
         _write_overview(report, results, options)
-    if interrupted:
-        tell("error", f"interrupted after {len(results)} of {len(work)} assets; go on with --resume")
-    if interrupted or not all(result.ok for result in results):
+    if not all(result.ok for result in results):
         raise typer.Exit(EXIT_FAILED)
 
 
@@ -173,19 +181,46 @@ def _manifests(inputs: list[str]) -> list[str]:
     return [text for text in inputs if Path(text).suffix.lower() in MANIFEST_SUFFIXES]
 
 
-def _find_jobs(inputs: list[str], folder: Path, options: dict[str, Any], suffix: str | None) -> list[BatchJob]:
+def _find_jobs(
+    inputs: list[str], folder: Path, options: dict[str, Any], suffix: str | None
+) -> tuple[list[BatchJob], list[WrongLine]]:
+    """The jobs, and the lines of manifests without one."""
     from warpqem.batching.jobs import BatchJob, find_files, output_path
-    from warpqem.batching.manifest import read_manifest
+    from warpqem.batching.manifest import read_lines
     from warpqem.usd.option_values import read_options
 
     lists = _manifests(inputs)
     files = [text for text in inputs if text not in lists]
-    work = [job for path in lists for job in read_manifest(path, folder, options, suffix)]
+    work: list[BatchJob] = []
+    wrong: list[WrongLine] = []
+    for path in lists:
+        manifest = read_lines(path, folder, options, suffix)
+        _check_wrong(manifest, options)
+        work += manifest.jobs
+        wrong += manifest.wrong
     if files:
         shared = read_options(options)
         for file in find_files(files, leave_out=folder):
             work.append(BatchJob(str(file.path), output_path(folder, file.relative, suffix), shared))
-    return work
+    return work, wrong
+
+
+def _check_wrong(manifest: Manifest, options: dict[str, Any]) -> None:
+    """Refuse a manifest whose lines are wrong by the options of the command line, and with --strict any wrong line.
+
+    Raises:
+        OptionError: see above.
+    """
+    from warpqem.usd.option_values import read_options
+
+    if manifest.wrong and options["strict"]:
+        raise OptionError(manifest.wrong[0].message)
+    if not manifest.jobs:
+        try:
+            read_options(options)
+        except OptionError as error:
+            if all(line.reason == str(error) for line in manifest.wrong):
+                raise OptionError(manifest.wrong[0].message) from error
 
 
 def _engine(

@@ -10,14 +10,15 @@ from pathlib import Path
 from types import TracebackType
 
 from rich.console import Console
-from rich.markup import escape
-from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn, TimeRemainingColumn
-from rich.table import Table
+from rich.progress import BarColumn, TaskID, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from warpqem.batching.engine import Finished, Progressed, Started, Update
 from warpqem.batching.jobs import BatchJob
 from warpqem.batching.result import DONE, FAILED, PARTIAL, SKIPPED, BatchResult
 from warpqem.batching.state import Journal
+from warpqem.cli.console import PlainTable, QuietProgress
+from warpqem.file_kinds import kind_of
+from warpqem.printable import printable
 
 __all__ = ["BatchDisplay", "dry_run_table", "summary_table"]
 
@@ -32,8 +33,13 @@ class BatchDisplay:
 
     def __init__(self, jobs: Sequence[BatchJob]) -> None:
         console = Console(stderr=True)
-        columns = [BarColumn(), TaskProgressColumn(), TimeRemainingColumn(), TextColumn("{task.description}")]
-        self._progress = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+        columns = [
+            BarColumn(),
+            TaskProgressColumn(),
+            TimeRemainingColumn(),
+            TextColumn("{task.description}", markup=False),
+        ]
+        self._progress = QuietProgress(*columns, console=console, transient=True, disable=not console.is_terminal)
         self._weights = {job.output: _weight(job) for job in jobs}
         self._count, self._done, self._failed, self._face_frames = len(jobs), 0, 0, 0
         self._all = self._progress.add_task("", total=sum(self._weights.values()) or 1)
@@ -59,9 +65,9 @@ class BatchDisplay:
         output = update.job.output
         if isinstance(update, Started):
             if output not in self._running:
-                self._running[output] = self._progress.add_task(escape(Path(output).name), total=1.0)
+                self._running[output] = self._progress.add_task(printable(Path(output).name), total=1.0)
         elif isinstance(update, Progressed):
-            text = escape(f"{Path(output).name}: {update.text}")
+            text = printable(f"{Path(output).name}: {update.text}")
             if output in self._running:
                 self._progress.update(self._running[output], completed=update.fraction, description=text)
         elif isinstance(update, Finished):
@@ -79,7 +85,7 @@ class BatchDisplay:
         self._progress.update(self._all, advance=self._weights[output], description=text)
 
 
-def dry_run_table(jobs: Sequence[BatchJob], journal: Path | None) -> Table:
+def dry_run_table(jobs: Sequence[BatchJob], journal: Path | None) -> PlainTable:
     """What would be done.
 
     Args:
@@ -90,19 +96,23 @@ def dry_run_table(jobs: Sequence[BatchJob], journal: Path | None) -> Table:
     if journal is not None and journal.exists():
         with Journal(journal) as notes:
             done = {job.output for job in jobs if notes.is_done(job)}
-    table = Table(title=f"{len(jobs) - len(done)} of {len(jobs)} assets to be done")
+    table = PlainTable(f"{len(jobs) - len(done)} of {len(jobs)} assets to be done")
     for name in ("input", "output", ""):
         table.add_column(name, overflow="fold")
     for job in jobs:
-        state = "is done" if job.output in done else "" if os.path.isfile(job.input) else "no such file"
-        table.add_row(escape(job.input), escape(job.output), state)
+        state = "is done" if job.output in done else _why_not(job.input)
+        table.add_row(job.input, job.output, state)
     return table
 
 
-def summary_table(results: Sequence[BatchResult], job_count: int, seconds: float) -> Table:
+def _why_not(path: str) -> str:
+    return "" if os.path.isfile(path) else kind_of(path) or "no such file"
+
+
+def summary_table(results: Sequence[BatchResult], job_count: int, seconds: float) -> PlainTable:
     """How a batch ended, with the assets that failed first."""
     counts = Counter(result.status for result in results)
-    table = Table(title=f"{len(results)} of {job_count} assets in {seconds:.1f} s")
+    table = PlainTable(f"{len(results)} of {job_count} assets in {seconds:.1f} s")
     table.add_column("")
     for name in ("assets", "faces before", "faces after", "faces x frames", "process seconds", "most memory MB"):
         table.add_column(name, justify="right")
@@ -121,9 +131,9 @@ def summary_table(results: Sequence[BatchResult], job_count: int, seconds: float
             )
     bad = [result for result in results if not result.ok]
     for result in bad[:MOST_NAMED]:
-        table.caption = "\n".join(filter(None, [str(table.caption or ""), escape(f"{result.error}: {result.input}")]))
+        table.add_note(f"{result.error}: {result.input}")
     if len(bad) > MOST_NAMED:
-        table.caption = f"{table.caption}\nand {len(bad) - MOST_NAMED} more, all named above"
+        table.add_note(f"and {len(bad) - MOST_NAMED} more, all named above")
     return table
 
 

@@ -5,10 +5,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.markup import escape
-from rich.table import Table
 
-from warpqem.cli.console import EXIT_FAILED, print_table, progress_bar, quiet_warp, tell, write_json
+from warpqem.cli.console import (
+    EXIT_FAILED,
+    PlainTable,
+    load_usd,
+    print_table,
+    progress_bar,
+    quiet_libraries,
+    tell,
+    write_json,
+)
 from warpqem.cli.options import Device, Frames, JsonReport, Prims, ReportPage
 
 if TYPE_CHECKING:
@@ -47,9 +54,10 @@ def compare(
     Distances are in % of the reference's bounding-box diagonal in the frame, angles in degrees. Jitter and slide
     are second differences over time: how much the surface trembles, and how much vertices swim on it.
 
-    Exit codes: 0 all done; 1 an error, or some pair failed; 2 wrong usage.
+    Exit codes: 0 all done; 1 an error, or some pair failed; 2 wrong usage; 130 interrupted.
     """
-    quiet_warp()
+    quiet_libraries()
+    load_usd()
     from warpqem.outputs import named_outputs
     from warpqem.report.page import check_page_path
     from warpqem.usd import CompareOptions, FrameRange, compare_stages
@@ -82,8 +90,8 @@ def compare(
         raise typer.Exit(EXIT_FAILED)
 
 
-def _table(reference: str, test: str, pairs: list[PairReport]) -> Table:
-    table = Table(title=escape(f"{reference} - {test}"))
+def _table(reference: str, test: str, pairs: list[PairReport]) -> PlainTable:
+    table = PlainTable(f"{reference} - {test}")
     table.add_column("mesh", overflow="fold")
     names = ("frames", "faces", "RMS %", "mean %", "Hausdorff %", "normals deg", "flips", "jitter %", "slide %")
     for name in (*names, "edge length %"):

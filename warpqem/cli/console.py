@@ -5,26 +5,40 @@ from __future__ import annotations
 import json
 import os
 import sys
+import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 import typer.core
-from rich.console import Console
+from rich.console import Console, RenderableType
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+from rich.style import StyleType
 from rich.table import Table
+from rich.text import Text
 
+from warpqem.cli.messages import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_USAGE, tell, told_messages
 from warpqem.errors import OptionError, StageError, WarpqemError
+from warpqem.printable import printable, printable_lines
+from warpqem.process_limits import limit_behind_error, with_limit
+
+if TYPE_CHECKING:
+    from warpqem.usd.usd_errors import UsdMessages
+from warpqem.temporary import replacing
 
 __all__ = [
     "EXIT_FAILED",
+    "EXIT_INTERRUPTED",
     "EXIT_USAGE",
     "OneLineErrors",
+    "PlainTable",
+    "QuietProgress",
+    "load_usd",
     "print_table",
     "progress_bar",
-    "quiet_warp",
+    "quiet_libraries",
     "tell",
     "write_json",
 ]
@@ -35,12 +49,22 @@ WIDEST = 1000
 # Set to anything, an error that is a defect of warpqem or of the machine comes with its traceback.
 TRACEBACK_VARIABLE = "WARPQEM_TRACEBACK"
 
-EXIT_FAILED = 1
-EXIT_USAGE = 2
+# Warnings of USD that a command shows at its end; a clip that is missing gives one for each frame.
+MOST_WARNINGS = 20
+
+_usd_messages: UsdMessages | None = None
 
 
 class OneLineErrors(typer.core.TyperGroup):
     """A command group that prints errors as one line `error: ...` on stderr and exits with 1, or 2 for wrong usage."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run a command; versions of Typer differ in what they make of Ctrl-C."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            tell("error", "interrupted")
+            raise typer.Exit(EXIT_INTERRUPTED) from None
 
     def main(
         self,
@@ -55,32 +79,58 @@ class OneLineErrors(typer.core.TyperGroup):
         if not standalone_mode:
             return super().main(args, prog_name, complete_var, False, windows_expand_args, **extra)
         try:
-            code = super().main(args, prog_name, complete_var, False, windows_expand_args, **extra)
+            code = self._run(args, prog_name, complete_var, windows_expand_args, **extra)
+        finally:
+            tell_usd_warnings()
+        sys.exit(code if isinstance(code, int) else 0)
+
+    def _run(
+        self,
+        args: Sequence[str] | None,
+        prog_name: str | None,
+        complete_var: str | None,
+        windows_expand_args: bool,
+        **extra: Any,
+    ) -> Any:
+        try:
+            return super().main(args, prog_name, complete_var, False, windows_expand_args, **extra)
         except OptionError as error:
             tell("error", str(error))
-            code = EXIT_USAGE
+            return EXIT_USAGE
         except WarpqemError as error:
-            tell("error", str(error))
-            code = EXIT_FAILED
+            tell("error", with_limit(str(error), error))
+        except MemoryError as error:
+            tell("error", with_limit("out of memory", error))
         except typer.Abort:
             tell("error", "interrupted")
-            code = EXIT_FAILED
+            return EXIT_INTERRUPTED
         except Exception as error:
             # Typer has carried its own copy of click since 0.26, so its usage errors are known by what they offer.
             if hasattr(error, "format_message"):
                 tell("error", f"{error.format_message()} (see warpqem --help)")
-                code = EXIT_USAGE
-            elif os.environ.get(TRACEBACK_VARIABLE):
-                raise
+                return EXIT_USAGE
+            limit = limit_behind_error(error)
+            if os.environ.get(TRACEBACK_VARIABLE):
+                print(printable_lines(traceback.format_exc()), file=sys.stderr)
             else:
-                tell("error", f"{type(error).__name__}: {error} (set {TRACEBACK_VARIABLE}=1 for a traceback)")
-                code = EXIT_FAILED
-        sys.exit(code if isinstance(code, int) else 0)
+                text = " ".join(str(error).split())
+                if limit:
+                    tell("error", f"{limit}: {text}")
+                    return EXIT_FAILED
+                tell("error", f"{type(error).__name__}: {text} (set {TRACEBACK_VARIABLE}=1 for a traceback)")
+        return EXIT_FAILED
 
 
-def tell(kind: str, message: str) -> None:
-    """Print one line, such as `error: ...` or `warning: ...`, on stderr."""
-    print(f"{kind}: {' '.join(message.split())}", file=sys.stderr)
+def tell_usd_warnings() -> None:
+    """Print what USD has warned of, but for what the command has told itself."""
+    warnings = [] if _usd_messages is None else _usd_messages.take()
+    warnings = [text for text in warnings if not any(t and (text in t or t in text) for t in told_messages)]
+    told_messages.clear()
+    for text in warnings[:MOST_WARNINGS]:
+        tell("warning", text)
+    if len(warnings) > MOST_WARNINGS:
+        tell("warning", f"and {len(warnings) - MOST_WARNINGS} more of USD")
+    told_messages.clear()
 
 
 class _WarpMessages:
@@ -99,18 +149,45 @@ class _WarpMessages:
             tell("note", "compiling the kernels, which takes some seconds the first time on a device")
 
     def warning(self, message: str, category: type[Warning] | None = None, stacklevel: int = 1) -> None:
-        tell("warning", message)
+        tell("warning", " ".join(message.split()))
 
     def error(self, message: str) -> None:
-        tell("error", message)
+        tell("error", " ".join(message.split()))
 
 
-def quiet_warp() -> None:
-    """Keep Warp's messages off stdout, which belongs to the command's result; say when it compiles."""
+def load_usd() -> None:
+    """Load USD for a command that reads or writes stages.
+
+    Raises:
+        UsdLibraryError: it is missing, broken or too old.
+    """
+    from warpqem.usd.library import need_usd
+
+    need_usd()
+
+
+def quiet_libraries() -> None:
+    """Keep messages of Warp and USD off stdout, which belongs to the command's result, and make lines of them.
+
+    Warp's say when it compiles; USD's come at the end of the command.
+    """
+    global _usd_messages
     import warp
+
+    from warpqem.usd.usd_errors import UsdMessages
 
     warp.config.log_level = warp.LOG_INFO
     warp.set_logger(_WarpMessages())
+    _usd_messages = _usd_messages or UsdMessages()
+
+
+class QuietProgress(Progress):
+    """A progress display that writes nothing where it is disabled; before rich 14.3 its end is an empty line."""
+
+    def stop(self) -> None:
+        """Stop the display, if there is one."""
+        if not self.disable:
+            super().stop()
 
 
 @contextmanager
@@ -122,12 +199,32 @@ def progress_bar(first_text: str) -> Iterator[Callable[[float, str], None]]:
     """
     console = Console(stderr=True)
     columns = [BarColumn(), TaskProgressColumn(), TimeElapsedColumn(), TextColumn("{task.description}", markup=False)]
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+    with QuietProgress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task(first_text, total=1.0)
-        yield lambda fraction, text: progress.update(task, completed=fraction, description=text)
+        yield lambda fraction, text: progress.update(task, completed=fraction, description=printable(text))
 
 
-def print_table(table: Table, to_stderr: bool = False) -> None:
+class PlainTable(Table):
+    """A table whose title and cells are shown as they are: no markup, and nothing that drives a terminal."""
+
+    def __init__(self, title: str) -> None:
+        super().__init__(title=Text(printable(title)))
+        self._notes: list[str] = []
+
+    def add_row(
+        self, *renderables: RenderableType | None, style: StyleType | None = None, end_section: bool = False
+    ) -> None:
+        """Add a row of plain text."""
+        cells = [Text(printable(cell)) if isinstance(cell, str) else cell for cell in renderables]
+        super().add_row(*cells, style=style, end_section=end_section)
+
+    def add_note(self, text: str) -> None:
+        """Add a line below the table."""
+        self._notes.append(printable(text))
+        self.caption = Text("\n".join(self._notes))
+
+
+def print_table(table: PlainTable, to_stderr: bool = False) -> None:
     """Print a table, by default on stdout; where that is not a terminal, as wide as it needs to be."""
     console = Console(stderr=to_stderr)
     if not console.is_terminal:
@@ -145,7 +242,13 @@ def write_json(target: str, value: Any) -> None:
     if target == "-":
         sys.stdout.write(text)
         return
+    path = Path(target)
     try:
-        Path(target).write_text(text, encoding="utf-8")
+        if path.exists() and not path.is_file():  # a pipe or a device
+            path.write_text(text, encoding="utf-8")
+            return
+        # Where the file is a link, what it leads to is replaced.
+        with replacing(path.resolve()) as temporary:
+            temporary.write_text(text, encoding="utf-8")
     except OSError as error:
         raise StageError(f"{target}: cannot be written ({error.strerror})") from error

@@ -6,10 +6,8 @@ from functools import partial
 from typing import Annotated, Any
 
 import typer
-from rich.markup import escape
-from rich.table import Table
 
-from warpqem.cli.console import print_table, quiet_warp, write_json
+from warpqem.cli.console import PlainTable, load_usd, print_table, quiet_libraries, write_json
 from warpqem.cli.examples import epilog
 from warpqem.cli.options import Device, Frames, Input, JsonReport, Output, ReportPage
 from warpqem.cli.simplify import run_simplify
@@ -53,9 +51,10 @@ def detect(
 ) -> None:
     """Find the named feature points of a face, each with its confidence, or why it is missing.
 
-    Exit codes: 0 done; 1 an error; 2 wrong usage.
+    Exit codes: 0 done; 1 an error; 2 wrong usage; 130 interrupted.
     """
-    quiet_warp()
+    quiet_libraries()
+    load_usd()
     from warpqem.outputs import named_outputs
     from warpqem.usd import FrameRange
     from warpqem.usd.face import FaceOptions, check_face_outputs, draw_face, read_face, write_points
@@ -69,13 +68,13 @@ def detect(
     for target in (output, json):
         if target is not None:
             write_json(target, written)
-    table = Table(title=escape(f"{found.path}: {len(written['points'])} points"))
+    table = PlainTable(f"{found.path}: {len(written['points'])} points")
     for name in ("point", "index", "confidence"):
         table.add_column(name, justify="left" if name == "point" else "right", overflow="fold")
     for name, entry in written["points"].items():
         table.add_row(name, str(entry["point"]), f"{entry['confidence']:.2f}")
     for name, reason in written["missing"].items():
-        table.add_row(name, "-", escape(reason))
+        table.add_row(name, "-", reason)
     print_table(table, to_stderr="-" in (json, output))
 
 
@@ -113,7 +112,7 @@ def simplify(
     Points come from --points, from point subsets of the family face and primvars such as face:chin on the mesh, and
     are found otherwise. The error of texture coordinates counts too, see --uv-weight.
 
-    Exit codes: 0 all done; 1 an error, or some mesh failed; 2 wrong usage.
+    Exit codes: 0 all done; 1 an error, or some mesh failed; 2 wrong usage; 130 interrupted.
     """
     chosen = {"face_points": points, "face_weight": weight, "face_ring": ring, "face_keep": keep}
     run_simplify(input_file, output, {**options, "metric": "face", **chosen}, report, json)
@@ -144,9 +143,10 @@ def retarget(
     Both are taken to be at rest in their first frame. OUT is a file of its own with the points of the mesh over time,
     or with blend shapes.
 
-    Exit codes: 0 done; 1 an error; 2 wrong usage.
+    Exit codes: 0 done; 1 an error; 2 wrong usage; 130 interrupted.
     """
-    quiet_warp()
+    quiet_libraries()
+    load_usd()
     from warpqem.outputs import named_outputs
     from warpqem.usd import FrameRange
     from warpqem.usd.face import FaceOptions, read_face, retarget_file
@@ -162,7 +162,7 @@ def retarget(
         "shared points": len(moved.shared),
         "vertices that fade": int((moved.share < 1.0).sum()),
     }
-    table = Table(title=escape(f"{source_file}, {target_file} -> {output}"))
+    table = PlainTable(f"{source_file}, {target_file} -> {output}")
     for name in row:
         table.add_column(name, justify="right")
     table.add_row(*map(str, row.values()))

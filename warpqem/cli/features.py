@@ -5,11 +5,18 @@ from __future__ import annotations
 from dataclasses import asdict
 
 import typer
-from rich.markup import escape
-from rich.table import Table
 
-from warpqem.cli.console import EXIT_FAILED, print_table, progress_bar, quiet_warp, tell, write_json
-from warpqem.cli.options import Device, Frames, Input, JsonReport, Output, Prims
+from warpqem.cli.console import (
+    EXIT_FAILED,
+    PlainTable,
+    load_usd,
+    print_table,
+    progress_bar,
+    quiet_libraries,
+    tell,
+    write_json,
+)
+from warpqem.cli.options import Device, FeatureFloor, FeatureThreshold, Frames, Input, JsonReport, Output, Prims
 
 __all__ = ["features"]
 
@@ -18,17 +25,24 @@ def features(
     input_file: Input,
     output: Output,
     frames: Frames = None,
+    feature_threshold: FeatureThreshold = None,
+    feature_floor: FeatureFloor = None,
     prim: Prims = None,
     device: Device = None,
     json: JsonReport = None,
 ) -> None:
     """Colour the motion features, the parts that bend while a mesh moves: one colour for each, grey for the rest.
 
+    After Yang et al. 2019: edges that bend more than the mean hang together in features, see --metric aqem of
+    `warpqem simplify`.
+
     OUT is a layer over IN with primvars:displayColor on each mesh; switch materials off to see it.
 
-    Exit codes: 0 all done; 1 an error, or some mesh failed; 2 wrong usage.
+    Exit codes: 0 all done; 1 an error, or some mesh failed; 2 wrong usage; 130 interrupted.
     """
-    quiet_warp()
+    quiet_libraries()
+    load_usd()
+    from warpqem.motion import motion_weighting
     from warpqem.outputs import named_outputs
     from warpqem.usd import FrameRange, color_features
 
@@ -38,11 +52,12 @@ def features(
             output,
             prims=tuple(prim or ()),
             frames=FrameRange.parse(frames) if frames else None,
+            weighting=motion_weighting(feature_threshold, feature_floor),
             device=device,
             progress=progress,
             other_outputs=named_outputs({"--json": json}),
         )
-    table = Table(title=escape(f"{input_file} -> {output}"))
+    table = PlainTable(f"{input_file} -> {output}")
     table.add_column("mesh", overflow="fold")
     for name in ("frames", "features", "vertices in features", "vertices"):
         table.add_column(name, justify="right")

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rich.markup import escape
-from rich.table import Table
-
-from warpqem.cli.console import print_table, quiet_warp, tell, write_json
+from warpqem.cli.console import PlainTable, load_usd, print_table, quiet_libraries, tell, write_json
 from warpqem.cli.options import Input, JsonReport
 
 if TYPE_CHECKING:
@@ -19,23 +16,26 @@ __all__ = ["info"]
 def info(input_file: Input, json: JsonReport = None) -> None:
     """Describe every mesh: frames, vertices, faces, edges, skin, blend shapes, UV sets, subsets, problems.
 
-    Exit codes: 0 done, whatever the meshes are like; 1 the file cannot be read; 2 wrong usage.
+    Exit codes: 0 done, whatever the meshes are like; 1 the file cannot be read; 2 wrong usage; 130 interrupted.
     """
-    quiet_warp()
+    quiet_libraries()
+    load_usd()
     from warpqem.outputs import named_outputs
-    from warpqem.usd import inspect_stage
+    from warpqem.usd.inspect import inspect_with_problems
 
-    meshes = inspect_stage(input_file, named_outputs({"--json": json}))
+    meshes, problems = inspect_with_problems(input_file, named_outputs({"--json": json}))
     print_table(_table(input_file, meshes), to_stderr=json == "-")
+    for problem in problems:
+        tell("note", problem)
     for mesh in meshes:
         for problem in mesh.problems:
             tell("note", problem if problem.startswith(mesh.path) else f"{mesh.path}: {problem}")
     if json is not None:
-        write_json(json, {"input": input_file, "meshes": [mesh.to_dict() for mesh in meshes]})
+        write_json(json, {"input": input_file, "meshes": [mesh.to_dict() for mesh in meshes], "problems": problems})
 
 
-def _table(input_file: str, meshes: list[MeshInfo]) -> Table:
-    table = Table(title=escape(f"{input_file}: {len(meshes)} mesh{'' if len(meshes) == 1 else 'es'}"))
+def _table(input_file: str, meshes: list[MeshInfo]) -> PlainTable:
+    table = PlainTable(f"{input_file}: {len(meshes)} mesh{'' if len(meshes) == 1 else 'es'}")
     table.add_column("mesh", overflow="fold")
     names = ("frames", "vertices", "faces", "triangles", "border edges", "non-manifold edges", "joints", "blend shapes")
     for name in names:

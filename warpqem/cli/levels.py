@@ -34,6 +34,6 @@ def levels(
 
     OUT offers IN as LOD0 and the levels as LOD1, LOD2, ... in the variant set LOD of its default prim.
 
-    Exit codes: 0 all done; 1 an error, or some mesh failed; 2 wrong usage.
+    Exit codes: 0 all done; 1 an error, or some mesh failed; 2 wrong usage; 130 interrupted.
     """
     run_simplify(input_file, output, {**options, "lods": ratios}, report, json)

@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 
 from warpqem.errors import StageError
+from warpqem.printable import printable, printable_lines
 
 __all__ = ["LogJson", "Verbose", "start_logging"]
 
@@ -26,6 +27,18 @@ LogJson = Annotated[
 ]
 
 
+class _PrintableLines(logging.Formatter):
+    def format(self, record: logging.LogRecord) -> str:
+        text = f"{record.levelname}: {printable(record.getMessage())}"
+        return "\n".join([text, *filter(None, [printable_lines(_traceback_of(record))])])
+
+
+def _traceback_of(record: logging.LogRecord) -> str:
+    """The traceback of a record, also of one from a worker of a batch; empty for none."""
+    own = logging.Formatter().formatException(record.exc_info) if record.exc_info else ""
+    return own or getattr(record, "traceback", "")
+
+
 class _JsonLines(logging.Formatter):
     def format(self, record: logging.LogRecord) -> str:
         value = {
@@ -34,8 +47,9 @@ class _JsonLines(logging.Formatter):
             "logger": record.name,
             "message": record.getMessage(),
         }
-        if record.exc_info:
-            value["traceback"] = self.formatException(record.exc_info)
+        traceback = _traceback_of(record)
+        if traceback:
+            value["traceback"] = traceback
         return json.dumps(value)
 
 
@@ -54,7 +68,7 @@ def start_logging(verbose: int, path: str | None) -> None:
         logger.removeHandler(handler)
     to_stderr = logging.StreamHandler(sys.stderr)
     to_stderr.setLevel(LEVELS[min(verbose, len(LEVELS) - 1)])
-    to_stderr.setFormatter(logging.Formatter("%(levelname)s: %(message)s"))
+    to_stderr.setFormatter(_PrintableLines())
     handlers: list[logging.Handler] = [to_stderr]
     if path is not None:
         try:

@@ -1,55 +1,12 @@
-"""The `warpqem` command line: one file for each command, Warp and USD loaded only when a command runs."""
+"""The `warpqem` program. Nothing is loaded before it knows what to do with signals."""
 
 from __future__ import annotations
 
-from typing import Annotated
+import io
+import sys
+from typing import Any
 
-import typer
-
-import warpqem
-from warpqem.cli.batch import batch
-from warpqem.cli.compare import compare
-from warpqem.cli.console import OneLineErrors
-from warpqem.cli.examples import epilog
-from warpqem.cli.face import face
-from warpqem.cli.features import features
-from warpqem.cli.guard import guarded
-from warpqem.cli.info import info
-from warpqem.cli.levels import levels
-from warpqem.cli.progressive import progressive
-from warpqem.cli.render import render
-from warpqem.cli.simplify import simplify
-from warpqem.cli.view import view
-
-__all__ = ["app", "run"]
-
-app = typer.Typer(
-    name="warpqem",
-    cls=OneLineErrors,
-    pretty_exceptions_enable=False,
-    help="Simplify animated meshes in USD files: one topology for all frames, least error over all frames.",
-    epilog="Exit codes: 0 all done; 1 an error, or some mesh failed; 2 wrong usage.",
-)
-
-for command in (simplify, batch, info, compare, features, render, view, levels):
-    app.command(epilog=epilog(command.__name__))(command)
-app.add_typer(progressive)
-app.add_typer(face)
-
-
-def _print_version(wanted: bool) -> None:
-    if wanted:
-        print(f"warpqem {warpqem.__version__}")
-        raise typer.Exit
-
-
-@app.callback()
-def _common(
-    version: Annotated[
-        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
-    ] = False,
-) -> None:
-    pass
+__all__ = ["run"]
 
 
 def run() -> None:
@@ -58,4 +15,36 @@ def run() -> None:
     Raises:
         SystemExit: always.
     """
-    guarded(lambda: app(prog_name="warpqem"))
+    from warpqem.cli.signals import hold_signals
+
+    hold_signals()
+    for stream in (sys.stdout, sys.stderr):
+        # A terminal of another encoding gets escapes for what it cannot show.
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+    from warpqem.cli.guard import guarded
+    from warpqem.cli.messages import EXIT_FAILED, tell
+    from warpqem.errors import ProcessLimitError
+    from warpqem.process_limits import check_limits
+
+    try:
+        check_limits()
+    except ProcessLimitError as error:
+        tell("error", str(error))
+        sys.exit(EXIT_FAILED)
+    guarded(_work)
+
+
+def _work() -> None:
+    from warpqem.cli.app import app
+
+    app(prog_name="warpqem")
+
+
+def __getattr__(name: str) -> Any:
+    """The app, loaded when somebody asks for it."""
+    if name == "app":
+        from warpqem.cli.app import app
+
+        return app
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -13,6 +13,8 @@ __all__ = [
     "Coherence",
     "Device",
     "Distance",
+    "FeatureFloor",
+    "FeatureThreshold",
     "FieldOfView",
     "Frames",
     "ImageHeight",
@@ -84,8 +86,26 @@ MetricOption = Annotated[
     Metric,
     typer.Option(
         "--metric",
-        help="Cost model: dsd sums the error over frames, qem takes the first pose only, dod adds stretching "
-        "edges, aqem keeps joints, face the feature points of a face. Installed packages may offer more.",
+        help="Cost model: dsd sums the error over frames (Mohr & Gleicher 2003), qem takes the first pose only "
+        "(Garland & Heckbert 1997), dod adds stretching edges (Huang, Chen & Chuang), aqem keeps joints (Yang et al. "
+        "2019), face keeps the feature points of a face. Installed packages may offer more.",
+    ),
+]
+
+FeatureThreshold = Annotated[
+    float | None,
+    typer.Option(
+        "--feature-threshold",
+        metavar="DEG",
+        help="Joints: degrees that an edge bends by between two frames to be part of one; by default the mean over all "
+        "edges. Less finds finer ones.",
+    ),
+]
+
+FeatureFloor = Annotated[
+    float | None,
+    typer.Option(
+        "--feature-floor", metavar="DEG", help="Joints: degrees that an edge bends by in any case; by default 1."
     ),
 ]
 

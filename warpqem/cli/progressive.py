@@ -5,10 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.markup import escape
-from rich.table import Table
 
-from warpqem.cli.console import print_table, progress_bar, quiet_warp, write_json
+from warpqem.cli.console import PlainTable, load_usd, print_table, progress_bar, quiet_libraries, write_json
 from warpqem.cli.examples import epilog
 from warpqem.cli.options import (
     Coherence,
@@ -58,9 +56,10 @@ def build(
 ) -> None:
     """Build the progressive mesh of one mesh of a USD file: its poses in world space, without primvars and skin.
 
-    Exit codes: 0 done; 1 an error; 2 wrong usage.
+    Exit codes: 0 done; 1 an error; 2 wrong usage; 130 interrupted.
     """
-    quiet_warp()
+    quiet_libraries()
+    load_usd()
     from warpqem.outputs import named_outputs
     from warpqem.usd import FrameRange
     from warpqem.usd.progressive import BuildOptions, build_file
@@ -97,9 +96,10 @@ def extract(
 ) -> None:
     """Write one level as a USD file. Give one of --ratio, --faces, --max-error and --screen-error.
 
-    Exit codes: 0 done; 1 an error; 2 wrong usage.
+    Exit codes: 0 done; 1 an error; 2 wrong usage; 130 interrupted.
     """
-    quiet_warp()
+    quiet_libraries()
+    load_usd()
     from warpqem.outputs import named_outputs
     from warpqem.usd.option_values import screen_view
     from warpqem.usd.progressive import LevelChoice, extract_level
@@ -107,7 +107,7 @@ def extract(
     screen = screen_view(screen_error, distance, field_of_view, image_height)
     choice = LevelChoice(ratio, faces, max_error, screen)
     count, error = extract_level(file, output, choice, memory, named_outputs({"--json": json}))
-    table = Table(title=escape(f"{file} -> {output}"))
+    table = PlainTable(f"{file} -> {output}")
     for name in ("faces", "error %"):
         table.add_column(name, justify="right")
     table.add_row(str(count), f"{error:.4f}")
@@ -120,9 +120,9 @@ def extract(
 def info(file: MeshFile, json: JsonReport = None) -> None:
     """Say what is in a progressive mesh.
 
-    Exit codes: 0 done; 1 the file cannot be read; 2 wrong usage.
+    Exit codes: 0 done; 1 the file cannot be read; 2 wrong usage; 130 interrupted.
     """
-    quiet_warp()
+    quiet_libraries()
     from warpqem.errors import StageError
     from warpqem.outputs import InputFile, check_outputs, named_outputs
     from warpqem.progressive import read_info
@@ -136,7 +136,7 @@ def info(file: MeshFile, json: JsonReport = None) -> None:
 
 
 def _show(title: str, info: FileInfo, json: str | None) -> None:
-    table = Table(title=escape(title))
+    table = PlainTable(title)
     rows = {
         "frames": info.frame_count,
         "vertices": info.vertex_count,

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from warpqem.cli.console import progress_bar, quiet_warp, tell
+from warpqem.cli.console import load_usd, progress_bar, quiet_libraries, tell
 from warpqem.cli.options import Device, Frames, Input, Prims
 from warpqem.errors import OptionError
 
@@ -34,9 +34,10 @@ def render(
 ) -> None:
     """Draw a contact sheet: the meshes of IN at several times, beside those of a reference, without a browser.
 
-    Exit codes: 0 done; 1 an error; 2 wrong usage.
+    Exit codes: 0 done; 1 an error; 2 wrong usage; 130 interrupted.
     """
-    quiet_warp()
+    quiet_libraries()
+    load_usd()
     from warpqem.usd import FrameRange
     from warpqem.usd.render import RenderOptions, render_sheet
 

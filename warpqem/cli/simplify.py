@@ -5,10 +5,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import typer
-from rich.markup import escape
-from rich.table import Table
 
-from warpqem.cli.console import EXIT_FAILED, print_table, progress_bar, quiet_warp, tell, write_json
+from warpqem.cli.console import (
+    EXIT_FAILED,
+    PlainTable,
+    load_usd,
+    print_table,
+    progress_bar,
+    quiet_libraries,
+    tell,
+    write_json,
+)
 from warpqem.cli.options import Input, JsonReport, Output, ReportPage
 from warpqem.cli.simplify_options import takes_simplify_options
 
@@ -30,14 +37,15 @@ def simplify(
     OUT is a small layer over IN that holds the new meshes; keep the two files together, or use --flatten. Primvars,
     normals, subsets, skins and blend shapes come along. What does not fit the new meshes is dropped, with a warning.
 
-    Exit codes: 0 all done; 1 an error, or some mesh failed; 2 wrong usage.
+    Exit codes: 0 all done; 1 an error, or some mesh failed; 2 wrong usage; 130 interrupted.
     """
     run_simplify(input_file, output, options, report, json)
 
 
 def run_simplify(input_file: str, output: str, options: dict[str, Any], page: str | None, json: str | None) -> None:
     """Simplify, and say what came of it."""
-    quiet_warp()
+    quiet_libraries()
+    load_usd()
     from warpqem.memory import parse_bytes
     from warpqem.outputs import named_outputs
     from warpqem.process_memory import limited_memory
@@ -93,8 +101,8 @@ def _tell_problems(report: StageReport) -> None:
         tell("error", f"nothing written: no mesh of {report.input} could be simplified")
 
 
-def _table(report: StageReport) -> Table:
-    table = Table(title=escape(f"{report.input} -> {report.output or 'nothing written'}"))
+def _table(report: StageReport) -> PlainTable:
+    table = PlainTable(f"{report.input} -> {report.output or 'nothing written'}")
     levels = {_level(prim): [other for other in report.prims if _level(other) == _level(prim)] for prim in report.prims}
     if any(levels):
         table.add_column("level")

@@ -14,6 +14,8 @@ from warpqem.cli.options import (
     Coherence,
     Device,
     Distance,
+    FeatureFloor,
+    FeatureThreshold,
     FieldOfView,
     Frames,
     ImageHeight,
@@ -67,6 +69,22 @@ class MorphWeights(str, Enum):
     usage = "usage"
 
 
+class FeatureWeight(str, Enum):
+    """What motion features weigh."""
+
+    size = "size"
+    root = "root"
+    log = "log"
+    bend = "bend"
+
+
+class WeightScales(str, Enum):
+    """What painted weights scale."""
+
+    cost = "cost"
+    quadrics = "quadrics"
+
+
 class Placement(str, Enum):
     """Vertex placements."""
 
@@ -84,7 +102,11 @@ def simplify_values(
     ] = None,
     max_error: Annotated[
         float | None,
-        typer.Option(metavar="PCT", help="Largest error of each mesh, in % of its bounding-box diagonal."),
+        typer.Option(
+            metavar="PCT",
+            help="Largest distance of each mesh from the input, in % of its bounding-box diagonal, proved for every "
+            "point and pose (of a skinned mesh before its skin is fitted); takes about the fewest faces that hold it.",
+        ),
     ] = None,
     screen_error: ScreenError = None,
     distance: Distance = None,
@@ -115,7 +137,8 @@ def simplify_values(
         bool,
         typer.Option(
             "--memoryless/--no-memoryless",
-            help="Order by planes of the present faces instead of the input's: better shape, slower.",
+            help="Order by planes of the present faces instead of the input's (Lindstrom & Turk 1998): better shape, "
+            "slower.",
         ),
     ] = False,
     placement: Annotated[
@@ -127,7 +150,8 @@ def simplify_values(
         typer.Option(
             metavar="FLOAT",
             help="Weight of texture-coordinate error in the choice of collapses: at 1 the whole UV square counts as "
-            "much as the bounding-box diagonal; 0 does not look at UVs. By default 0.1 with --metric face, else 0.",
+            "much as the bounding-box diagonal; 0 does not look at UVs (Hoppe 1999). By default 0.1 with --metric "
+            "face, else 0.",
         ),
     ] = None,
     attribute_weight: Annotated[
@@ -138,15 +162,30 @@ def simplify_values(
         str | None,
         typer.Option(
             metavar="NAME",
-            help="Primvar of numbers, painted on the meshes, that scale the cost: 10 is ten times as important as 1, "
-            "infinity locks.",
+            help="Primvar of numbers, painted on the meshes: 10 is ten times as important as 1, infinity locks.",
         ),
     ] = None,
+    weight_scales: Annotated[
+        WeightScales,
+        typer.Option(
+            help="What --weight-primvar scales: the cost of collapses, or the quadrics (Kho & Garland 2003), which "
+            "also draw merged vertices to what counts more."
+        ),
+    ] = WeightScales.cost,
     morph_weights: Annotated[
         MorphWeights | None,
         typer.Option(
-            help="Keep more detail where blend shapes or poses move the surface more: weights by thirds of the points, "
-            "by rank, by distance, or by distance as an animation uses the shapes."
+            help="Keep more detail where blend shapes or poses move the surface more: scale quadrics by thirds of the "
+            "points (Berner & Rieger 2006), by rank, by distance, or by distance as an animation uses the shapes."
+        ),
+    ] = None,
+    feature_threshold: FeatureThreshold = None,
+    feature_floor: FeatureFloor = None,
+    feature_weight: Annotated[
+        FeatureWeight | None,
+        typer.Option(
+            help="With --metric aqem: what a joint weighs: its size in points (the default, Yang et al. 2019), the "
+            "root or one plus the logarithm of that, or how far it bends. All but size cost the rest less shape."
         ),
     ] = None,
     face_points: FacePoints = None,
@@ -193,7 +232,8 @@ def simplify_values(
         bool,
         typer.Option(
             "--skin-fit/--no-skin-fit",
-            help="Fit rest points and joint influences of skinned meshes together to their poses; or interpolate them.",
+            help="Fit rest points and joint influences of skinned meshes together to their poses (Landreneau & "
+            "Schaefer 2009); or interpolate them.",
         ),
     ] = True,
     pose_independent: Annotated[
@@ -201,7 +241,7 @@ def simplify_values(
         typer.Option(
             "--pose-independent",
             help="To compare with: simplify skinned meshes in their rest shape, by the errors of all poses pulled back "
-            "to it, and interpolate their skin.",
+            "to it, and interpolate their skin (DeCoro & Rusinkiewicz 2005).",
         ),
     ] = False,
     asset_root: Annotated[

@@ -9,7 +9,8 @@ from typing import Annotated, Any
 
 import typer
 
-from warpqem.cli.console import progress_bar, quiet_warp, tell
+from warpqem.cli.console import load_usd, progress_bar, quiet_libraries, tell
+from warpqem.cli.guard import interruptible
 from warpqem.cli.options import Device, Frames, MeshMemory, Prims
 from warpqem.errors import MemoryLimitError, OptionError, StageError, WarpqemError
 
@@ -36,9 +37,9 @@ def view(
 
     The page is that of --report. It is served to this machine only, at an address that nobody can guess.
 
-    Exit codes: 0 interrupted; 1 an error; 2 wrong usage.
+    Exit codes: 0 interrupted while it serves; 1 an error; 2 wrong usage; 130 interrupted before.
     """
-    quiet_warp()
+    quiet_libraries()
     from warpqem.report.page import report_page
     from warpqem.report.server import PageServer
 
@@ -60,7 +61,8 @@ def view(
     if browser:
         webbrowser.open(server.address)
     try:
-        server.serve()
+        with interruptible():
+            server.serve()
     except KeyboardInterrupt:
         tell("note", "stopped")
 
@@ -86,6 +88,7 @@ def _live_data(
 def _stage_data(
     path: str, other: str | None, frames: str | None, prim: list[str] | None, device: str | None
 ) -> dict[str, Any]:
+    load_usd()
     from warpqem.report import report_data
     from warpqem.usd import FrameRange
     from warpqem.usd.report_page import stage_report

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import warp as wp
 
 from warpqem.kernels import collapse as collapse_kernels
+from warpqem.kernels import deformation as deformation_kernels
 from warpqem.kernels import edge_cost as cost_kernels
 from warpqem.kernels import independent_set as set_kernels
 from warpqem.kernels import legality as legality_kernels
@@ -111,7 +112,16 @@ class PassSteps:
                 recorder, cost_kernels.price_all_edges[self._width], [self.state, self.frames, self.model], work
             )
 
-        return self._step([Phase(price, self.threads)])
+        measured = self._measuring(deformation_kernels.measure_all_deformation, [self.state])
+        return self._step([*measured, Phase(price, self.threads)])
+
+    def _measuring(self, kernel: wp.Kernel, inputs: list) -> list[Phase]:
+        """Measure anew what the deformation term sums over all frames; nothing where there is none."""
+
+        def measure(recorder: Recorder, part: int) -> None:
+            record_shared(recorder, kernel, inputs, part_work(part, self.threads, self.device))
+
+        return [Phase(measure, self.threads)] if self.model.deformation_weight > 0 else []
 
     def gear(self, part_count: int) -> Gear:
         """The steps for so many parts, recorded when they are first asked for."""
@@ -256,9 +266,11 @@ class PassSteps:
             work = part_work(part, part_count, self.device)
             record_shared(recorder, cost_kernels.wake_neighbourhoods, [state, self._mask, self.pass_number], work)
 
+        moved = [state, self.log, self.pass_begin]
+        measured = self._measuring(deformation_kernels.measure_moved_deformation, moved)
         if self._memoryless:
-            return self._renewing_quadrics()
-        return [Phase(reprice, self.threads), Phase(wake, part_count)]
+            return [*measured, *self._renewing_quadrics()]
+        return [*measured, Phase(reprice, self.threads), Phase(wake, part_count)]
 
     def _renewing_quadrics(self) -> list[Phase]:
         """Make the quadrics around what moved anew, and price all edges there."""

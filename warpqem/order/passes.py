@@ -13,6 +13,7 @@ import warp as wp
 
 from warpqem.kernels import attribute as attribute_kernels
 from warpqem.kernels import collapse as collapse_kernels
+from warpqem.kernels import deformation as deformation_kernels
 from warpqem.kernels.topology import PINNED
 from warpqem.launches import launch
 from warpqem.order.drops import ComponentDrop, Components
@@ -58,6 +59,8 @@ class Orderer:
         self._spare_edge_cost = wp.empty_like(state.edge_cost)
         self._spare_seam = wp.empty_like(state.seam)
         self._spare_wedge = wp.empty_like(state.wedges.corner_wedge)
+        self._spare_area = wp.empty_like(state.deformation.face_area)
+        self._spare_steps = wp.empty_like(state.deformation.steps)
 
     def run(
         self,
@@ -224,6 +227,8 @@ class Orderer:
                 device=self.device,
             )
             wp.copy(state.wedges.corner_wedge, self._spare_wedge, count=3 * self.live_faces)
+        if self.model.deformation_weight > 0:
+            self._move_deformation(rank)
         self.face_slots = self.live_faces
         state.face_count.fill_(self.face_slots)
         # Copied back, not swapped: the recorded launches hold these arrays.
@@ -232,3 +237,26 @@ class Orderer:
         wp.copy(state.edge_cost, self._spare_edge_cost, count=half_edge_count)
         wp.copy(state.seam, self._spare_seam, count=half_edge_count)
         return True
+
+    def _move_deformation(self, rank: wp.array) -> None:
+        """Close the gaps in what the deformation term has measured; ``rank`` as for the faces, which still stand."""
+        measured = self.state.deformation
+        chunk_count = measured.steps.shape[1]
+
+        def move(part: slice) -> None:
+            launch(
+                deformation_kernels.move_deformation,
+                dim=(part.stop - part.start, chunk_count),
+                inputs=[
+                    self.state.corner_vertex[3 * part.start : 3 * part.stop],
+                    measured.face_area[part],
+                    measured.steps[3 * part.start : 3 * part.stop],
+                    rank[part],
+                ],
+                outputs=[self._spare_area, self._spare_steps],
+                device=self.device,
+            )
+
+        launch_parts(move, self.face_slots, self.device, COMPACTED_FACES)
+        wp.copy(measured.face_area, self._spare_area, count=self.live_faces * chunk_count)
+        wp.copy(measured.steps, self._spare_steps, count=3 * self.live_faces * chunk_count)

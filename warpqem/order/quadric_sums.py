@@ -9,6 +9,7 @@ import warp as wp
 
 from warpqem.kernels import quadric_sums as kernels
 from warpqem.kernels.lanes import width_of
+from warpqem.launches import launch
 
 __all__ = ["QuadricSums", "add_quadric_sums"]
 
@@ -64,12 +65,12 @@ def add_quadric_sums(sums: QuadricSums, position: wp.array, quadric: wp.array) -
     device, width = quadric.device, width_of(position)
     row, start, vertex = (wp.array(a, device=device) for a in (sums.row, sums.start, sums.vertex))
     added = wp.empty((len(sums.row), position.shape[1]), dtype=quadric.dtype, device=device)
-    wp.launch(
+    launch(
         kernels.gather_sums[width],
         dim=added.shape,
         inputs=[row, start, vertex, wp.array(sums.weight, device=device), position, quadric],
         outputs=[added],
         device=device,
     )
-    wp.launch(kernels.add_sums[width], dim=added.shape, inputs=[row, added], outputs=[quadric], device=device)
+    launch(kernels.add_sums[width], dim=added.shape, inputs=[row, added], outputs=[quadric], device=device)
     return added

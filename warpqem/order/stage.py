@@ -16,6 +16,7 @@ from warpqem.kernels.topology import CORNER, FROZEN
 from warpqem.launches import launch
 from warpqem.order.arrangement import ARRANGED_FACES, Arrangement, arrange
 from warpqem.order.attributes import build_wedges
+from warpqem.order.deformation import build_deformation
 from warpqem.order.drops import Components, DropRecord
 from warpqem.order.log import CollapseRecord, read_log
 from warpqem.order.members import build_members
@@ -243,11 +244,7 @@ def _collapse(
             state.sum_row, frames.kept_sum = wp.array(rows, device=device), added
     state.cost_weight = wp.array(mesh.cost_weight, dtype=wp.float32, device=device)
     state.edge_cost = wp.empty(len(corner_vertex), dtype=wp.float32, device=device)
-    no_trajectory = wp.empty((0, 0), dtype=wp.vec3, device=device)
-    if mesh.trajectories is None:
-        state.trajectory = no_trajectory
-    else:
-        state.trajectory = wp.array(mesh.trajectories, dtype=wp.vec3, device=device, copy=False)
+    state.trajectory, state.deformation = build_deformation(mesh.trajectories, len(mesh.faces), device)
     state.wedges = build_wedges(mesh.faces, mesh.key_position, mesh.attributes, mesh.key_count)
     state.members = build_members(mesh.faces, mesh.key_position)
 

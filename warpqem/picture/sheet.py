@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
-import uuid
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
+
+from warpqem.temporary import replacing
 
 __all__ = ["caption", "tile", "write_gif", "write_png"]
 
@@ -73,11 +74,5 @@ def write_png(picture: np.ndarray, path: str | os.PathLike[str], colors: int | N
 
 
 def _save(image: Image.Image, path: str | os.PathLike[str], **options: Any) -> None:
-    target = Path(path)
-    # A name that no file has, so that nothing is written over.
-    temporary = target.with_name(f".{target.name}.{uuid.uuid4().hex}")
-    try:
+    with replacing(Path(path)) as temporary:
         image.save(temporary, **options)
-        os.replace(temporary, target)
-    finally:
-        temporary.unlink(missing_ok=True)

@@ -25,8 +25,9 @@ MOST_PULLED = 4.0
 # Weights of anchors are pulled by the fourth power of the size, as those of small clusters hardly slide at all; no more
 # than so many times as set.
 MOST_EVENED = 2.0
-# The least pull that float32 solves safely.
+# The least pulls that float32 solves safely, of vertices to their anchors and of the weights of anchors to equal ones.
 LEAST_PULL = 1e-3
+LEAST_REGULARISATION = 1e-5
 
 
 @dataclass(frozen=True)
@@ -38,11 +39,14 @@ class PlaceSettings:
             higher is steadier.
         regularisation: pull of its anchor's weights towards equal ones.
         endpoint: every output vertex is an input vertex.
+        loose: (V,) bool, input vertices whose clusters are placed by their quadrics, with the least pulls; None for
+            none.
     """
 
     epsilon: float
     regularisation: float
     endpoint: bool
+    loose: np.ndarray | None = None
 
 
 class ClusterPlacer:
@@ -88,6 +92,9 @@ class ClusterPlacer:
         pinned = pinned | ordered.frozen
         size = np.bincount(cluster[cluster >= 0], minlength=len(kept))
         pull, regularisation = _pulls(size, settings)
+        if settings.loose is not None:
+            loose = np.unique(cluster[settings.loose & (cluster >= 0)])
+            pull[loose], regularisation[loose] = LEAST_PULL, LEAST_REGULARISATION
         if settings.endpoint:
             anchors = nearest_anchors(ordered, cluster, len(kept))
             solved = np.zeros(len(kept), dtype=np.int32)

@@ -18,13 +18,14 @@ from __future__ import annotations
 import os
 import stat
 import struct
-import uuid
 import zlib
 from pathlib import Path
 
 from warpqem.errors import OptionError, ProgressiveFileError
+from warpqem.file_kinds import check_regular
 from warpqem.progressive.header import MOST_HEADER_BYTES, FileInfo, header_bytes, parse_header
 from warpqem.progressive.limits import least_file_bytes
+from warpqem.temporary import replacing
 
 __all__ = ["ChunkFile", "FileInfo", "write_chunks"]
 
@@ -56,19 +57,13 @@ def write_chunks(path: str | os.PathLike[str], info: FileInfo, chunks: list[list
         header = header_bytes(info)
     except ValueError as error:
         raise OptionError(f"extra: {error}") from error
-    path = Path(path)
-    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
-    try:
-        with open(temporary, "xb") as file:
-            file.write(MAGIC + HEADER.pack(len(header), zlib.crc32(header)) + header)
-            file.writelines(payloads)
-            # Zeros at the end, which take no space where the file system knows holes.
-            file.truncate(max(file.tell(), least_file_bytes(info)))
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with replacing(Path(path)) as temporary, open(temporary, "xb") as file:
+        file.write(MAGIC + HEADER.pack(len(header), zlib.crc32(header)) + header)
+        file.writelines(payloads)
+        # Zeros at the end, which take no space where the file system knows holes.
+        file.truncate(max(file.tell(), least_file_bytes(info)))
+        file.flush()
+        os.fsync(file.fileno())
 
 
 class ChunkFile:
@@ -91,8 +86,7 @@ class ChunkFile:
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = os.fsdecode(path)
-        if os.path.exists(self.path) and not os.path.isfile(self.path):
-            raise ProgressiveFileError(f"{self.path}: no regular file")
+        check_regular(path, ProgressiveFileError)
         self._file = os.fdopen(os.open(self.path, OPEN_FLAGS), "rb")
         try:
             found = os.fstat(self._file.fileno())

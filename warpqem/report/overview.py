@@ -5,14 +5,14 @@ from __future__ import annotations
 import base64
 import html
 import io
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from PIL import Image
 
-from warpqem.report.page import asset_text, script_text
+from warpqem.printable import printable
+from warpqem.report.page import asset_text, page_json, script_text
 
 __all__ = ["Asset", "overview_page"]
 
@@ -53,11 +53,9 @@ def overview_page(title: str, assets: Sequence[Asset], notes: Sequence[str] = ()
     """The HTML text; equal arguments give equal text."""
     rows = [{**vars(asset), "pictures": [_as_address(picture) for picture in asset.pictures]} for asset in assets]
     parts = {
-        "TITLE": html.escape(title),
+        "TITLE": html.escape(printable(title)),
         "STYLE": asset_text("page.css"),
-        "DATA": json.dumps({"assets": rows, "notes": list(notes)}, allow_nan=False, separators=(",", ":")).replace(
-            "<", "\\u003c"
-        ),
+        "DATA": page_json({"assets": rows, "notes": list(notes)}),
         "PAGE": script_text("overview.js"),
     }
     pieces = asset_text("overview.html").split("%%")

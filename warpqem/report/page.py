@@ -5,16 +5,17 @@ from __future__ import annotations
 import html
 import json
 import os
-import uuid
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 from warpqem.errors import OptionError, StageError
+from warpqem.printable import printable
 from warpqem.report.content import Report
 from warpqem.report.data import Progress, report_data
+from warpqem.temporary import replacing
 
-__all__ = ["asset_text", "check_page_path", "report_page", "save_page", "script_text", "write_report"]
+__all__ = ["asset_text", "check_page_path", "page_json", "report_page", "save_page", "script_text", "write_report"]
 
 SUFFIXES = (".html", ".htm")
 
@@ -54,14 +55,27 @@ def report_page(data: dict[str, Any]) -> str:
     text = asset_text("template.html")
     # Each mark is replaced once, and what it is replaced by is not looked at again.
     parts = {
-        "TITLE": html.escape(data["title"]),
+        "TITLE": html.escape(printable(data["title"])),
         "STYLE": asset_text("page.css"),
-        "DATA": json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"),
+        "DATA": page_json(data),
         "THREE": script_text("three.min.js"),
         "PAGE": "".join(script_text(name) for name in ("decode.js", "plots.js", "scene.js", "page.js")),
     }
     pieces = text.split("%%")
     return "".join(parts[piece] if index % 2 else piece for index, piece in enumerate(pieces))
+
+
+def page_json(value: Any) -> str:
+    """JSON as the inside of a script element, with every text made safe to show."""
+    return json.dumps(_printable(value), allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+
+
+def _printable(value: Any) -> Any:
+    if isinstance(value, str):
+        return printable(value)
+    if isinstance(value, dict):
+        return {_printable(name): _printable(entry) for name, entry in value.items()}
+    return [_printable(entry) for entry in value] if isinstance(value, (list, tuple)) else value
 
 
 def save_page(path: str | os.PathLike[str], text: str) -> None:
@@ -70,16 +84,11 @@ def save_page(path: str | os.PathLike[str], text: str) -> None:
     Raises:
         StageError: the file cannot be written; nothing is left behind.
     """
-    target = Path(path)
-    # A name that no file has, so that nothing is written over.
-    temporary = target.with_name(f".{target.name}.{uuid.uuid4().hex}")
     try:
-        temporary.write_text(text, encoding="utf-8")
-        os.replace(temporary, target)
+        with replacing(Path(path)) as temporary:
+            temporary.write_text(text, encoding="utf-8")
     except OSError as error:
         raise StageError(f"{path}: cannot be written ({error.strerror or error})") from error
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def asset_text(name: str) -> str:

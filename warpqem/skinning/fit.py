@@ -1,4 +1,4 @@
-"""Fit rest positions and skin weights of a simplified mesh to its poses ("Articulated meshes").
+"""Fit rest positions and skin weights of a simplified mesh to its poses (Landreneau & Schaefer 2009).
 
 A skin whose weights are only blended from the input's leaves the simplified surface where the poses of a rest mesh take
 it. Here every output vertex gets the rest position and the weights that together take it nearest to where placement

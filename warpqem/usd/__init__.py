@@ -29,7 +29,13 @@ __all__ = [
 ]
 
 
+# Options can be made where no USD is, such as a machine that sends jobs to a cluster.
+_WITHOUT_USD = {"FrameRange", "SimplifyOptions"}
+
+
 def __getattr__(name: str) -> Any:
     if name in _HOMES:
+        if name not in _WITHOUT_USD:
+            importlib.import_module("warpqem.usd.library").need_usd()
         return getattr(importlib.import_module(_HOMES[name]), name)
     raise AttributeError(f"module 'warpqem.usd' has no attribute {name!r}")

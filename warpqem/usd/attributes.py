@@ -2,54 +2,22 @@
 
 from __future__ import annotations
 
-import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 from pxr import Usd, UsdGeom
 
-from warpqem.attributes import MOST_WEIGHT, AttributeField
+from warpqem.attributes import AttributeField
 from warpqem.errors import OptionError, StageError
 from warpqem.usd.mesh import MeshSource
+from warpqem.usd.option_checks import AttributeWeights, bare_name
 from warpqem.usd.seams import corner_values
 
-__all__ = ["AttributeWeights", "check_names", "check_weights", "parse_attribute_weight", "weighted_fields"]
-
-# Weights by primvar name, without "primvars:".
-AttributeWeights = Sequence[tuple[str, float]]
+__all__ = ["check_names", "weighted_fields"]
 
 # What exporters call texture coordinates that they author as plain pairs of floats.
 PAIR_TYPES = ("VtArray<GfVec2h>", "VtArray<GfVec2f>", "VtArray<GfVec2d>")
 UV_NAME = re.compile(r"(st|uv|uvmap|uvset|map|texcoord)[_:]?\d*", re.IGNORECASE)
-
-
-def parse_attribute_weight(text: str) -> tuple[str, float]:
-    """Read `NAME=WEIGHT`.
-
-    Raises:
-        OptionError: it is something else.
-    """
-    name, _, weight = text.rpartition("=")
-    try:
-        if name:
-            return _bare(name), float(weight)
-    except ValueError:
-        pass
-    raise OptionError(f"attribute weight '{text}': expected NAME=WEIGHT, such as st=0.1")
-
-
-def check_weights(uv_weight: float | None, weights: AttributeWeights) -> None:
-    """Check that all weights are in range.
-
-    Raises:
-        OptionError: one is not.
-    """
-    for name, weight in (
-        ("uv_weight", uv_weight or 0.0),
-        *((f"attribute_weights of {name}", w) for name, w in weights),
-    ):
-        if not (math.isfinite(weight) and 0.0 <= weight <= MOST_WEIGHT):
-            raise OptionError(f"{name}: expected a number from 0 to {MOST_WEIGHT:g}, not {weight:g}")
 
 
 def check_names(prims: Iterable[Usd.Prim], weights: AttributeWeights) -> None:
@@ -60,8 +28,8 @@ def check_names(prims: Iterable[Usd.Prim], weights: AttributeWeights) -> None:
     """
     prims = list(prims)
     for name, _ in weights:
-        if not any(UsdGeom.PrimvarsAPI(prim).GetPrimvar(_bare(name)).HasAuthoredValue() for prim in prims):
-            raise OptionError(f"attribute_weights: none of the {len(prims)} meshes has a primvar {_bare(name)}")
+        if not any(UsdGeom.PrimvarsAPI(prim).GetPrimvar(bare_name(name)).HasAuthoredValue() for prim in prims):
+            raise OptionError(f"attribute_weights: none of the {len(prims)} meshes has a primvar {bare_name(name)}")
 
 
 def weighted_fields(source: MeshSource, uv_weight: float, weights: AttributeWeights) -> list[AttributeField]:
@@ -77,7 +45,7 @@ def weighted_fields(source: MeshSource, uv_weight: float, weights: AttributeWeig
     Raises:
         StageError: a primvar that `weights` names has no real numbers at points or corners.
     """
-    named = {_bare(name): weight for name, weight in weights}
+    named = {bare_name(name): weight for name, weight in weights}
     api = UsdGeom.PrimvarsAPI(source.prim)
     wanted = {}
     for primvar in api.GetPrimvarsWithAuthoredValues():
@@ -93,7 +61,7 @@ def weighted_fields(source: MeshSource, uv_weight: float, weights: AttributeWeig
     for name, weight in wanted.items():
         if name in values and values[name].dtype.kind == "f":
             fields.append(AttributeField(values[name].reshape(len(source.topology.triangles), 3, -1), weight))
-        elif _bare(name) in named:
+        elif bare_name(name) in named:
             raise StageError(f"{source.path}.{name}: has no real numbers at points or corners that could be weighed")
     return fields
 
@@ -104,7 +72,3 @@ def _is_uv(primvar: UsdGeom.Primvar) -> bool:
         return True
     is_pair = kind.cppTypeName in PAIR_TYPES
     return is_pair and UV_NAME.fullmatch(str(primvar.GetPrimvarName())) is not None
-
-
-def _bare(name: str) -> str:
-    return name.removeprefix("primvars:")

@@ -16,6 +16,7 @@ from pxr import Usd, UsdGeom
 from warpqem.errors import OptionError
 from warpqem.face import FEATURE_NAMES, FaceProtection
 from warpqem.face.features import features_any_way
+from warpqem.file_kinds import check_regular
 from warpqem.mesh_input import read_mesh
 from warpqem.usd.feature_subsets import feature_primvars, feature_subsets
 from warpqem.usd.job import MeshJob
@@ -57,9 +58,10 @@ class FacePoints:
         Raises:
             OptionError: the file cannot be read, or holds something else.
         """
+        check_regular(path, OptionError, f"points {os.fspath(path)}")
         try:
             value: Any = json.loads(Path(path).read_text("utf-8"))
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, RecursionError) as error:
             raise OptionError(f"points {path}: cannot be read ({error})") from error
         prim = value.get("prim") if isinstance(value, dict) and isinstance(value.get("points"), dict) else None
         value = value.get("points", value) if isinstance(value, dict) else None

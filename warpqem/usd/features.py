@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 import warpqem
 from warpqem.errors import DeviceError, OptionError, StageError, WarpqemError
+from warpqem.motion import MotionWeighting
 from warpqem.outputs import OutputFile
 from warpqem.usd.frames import FrameRange
 from warpqem.usd.input_files import check_stage_outputs
@@ -72,6 +73,7 @@ def color_features(
     *,
     prims: tuple[str, ...] = (),
     frames: FrameRange | None = None,
+    weighting: MotionWeighting | None = None,
     device: str | None = None,
     progress: Callable[[float, str], None] | None = None,
     other_outputs: Sequence[OutputFile] = (),
@@ -83,6 +85,7 @@ def color_features(
         output_path: .usd, .usda or .usdc file; replaced if it exists.
         prims: Prim paths; meshes at and below them are coloured. Empty for all.
         frames: Time codes to read; None for all authored ones.
+        weighting: Threshold of the features, see `warpqem.MotionWeighting`; None for that of the paper.
         device: Warp device; None for the default.
         progress: Called with the fraction done and what is being done.
         other_outputs: What else the caller is going to write; see `warpqem.usd.simplify_stage`.
@@ -106,7 +109,7 @@ def color_features(
         report = FeatureReport(str(prim.GetPath()))
         reports.append(report)
         try:
-            _color_mesh(report, MeshSource(prim, poses), layer, frames, device)
+            _color_mesh(report, MeshSource(prim, poses), layer, frames, weighting, device)
         except WarpqemError as error:
             if isinstance(error, (OptionError, DeviceError)):
                 raise
@@ -120,14 +123,19 @@ def color_features(
 
 
 def _color_mesh(
-    report: FeatureReport, source: MeshSource, layer: OverLayer, frames: FrameRange | None, device: str | None
+    report: FeatureReport,
+    source: MeshSource,
+    layer: OverLayer,
+    frames: FrameRange | None,
+    weighting: MotionWeighting | None,
+    device: str | None,
 ) -> None:
     times = source.frame_times(frames)
     if times is None or len(times) < 2:
         raise StageError(f"{report.path}: the mesh has one pose only, so nothing moves")
     mesh = source.layout(times)
     frames = PoseFrames(source, mesh.times, mesh.used_points)
-    found = warpqem.motion_features(frames, mesh.faces, device=device)
+    found = warpqem.motion_features(frames, mesh.faces, weighting=weighting, device=device)
     labels = np.full(source.point_count, -1, dtype=np.int32)
     labels[mesh.used_points] = found.label
     layer.set_vertex_colors(report.path, None, feature_colors(labels)[None])

@@ -8,65 +8,72 @@ instead. Files that no layer of the input names are not looked at.
 from __future__ import annotations
 
 import os
-import re
-import zipfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from pxr import Ar, Pcp, Sdf, Tf, Usd, UsdUtils
+from pxr import Pcp, Sdf, Tf, Usd
 
 from warpqem.errors import StageError
+from warpqem.file_kinds import check_regular, kind_of
 from warpqem.opening import opening
-from warpqem.usd.usd_errors import first_line, usd_errors_named
+from warpqem.usd.byte_check import CRATE, check_bytes
+from warpqem.usd.named_assets import ASSET_TYPES, CLIPS, NamedAsset, clips_of, layers_of, outer_file, textures_of
+from warpqem.usd.usd_errors import first_line
 
-__all__ = ["QUOTED", "check_composition", "file_of", "open_layer", "open_layers"]
+__all__ = ["OpenedLayers", "check_composition", "open_layer", "open_layers"]
 
-# Brackets and prims in each other. Scenes have some dozens; USD's own stack ends between 20 000 and 100 000.
-MOST_NESTED = 1000
 # Layers of one input. Large sets have some thousands.
 MOST_LAYERS = 20_000
 # Prims that references make of the ones that are written, each counted where it is seen (those of instances once).
 # USD takes some minutes for so many.
 MOST_PRIMS = 20_000_000
-# Text is looked at as a whole, so it must fit in memory several times over; larger scenes are binary.
-MOST_TEXT_BYTES = 4 * 2**30
-# A package is a zip archive of files that are stored as they are; a directory of more of them is no asset.
-MOST_PACKAGE_FILES = 100_000
-
-CRATE, TEXT, PACKAGE = b"PXR-USDC", (b"#usda", b"#sdf"), b"PK\x03\x04"
-# What brackets may stand in without being any: strings, asset paths, comments.
-QUOTED = re.compile(
-    rb'"""(?:[^"\\]|\\.|"(?!""))*"""|\'\'\'(?:[^\'\\]|\\.|\'(?!\'\'))*\'\'\'|"(?:[^"\\\n]|\\.)*"|\'(?:[^\'\\\n]|\\.)*\''
-    rb"|@@@.*?@@@|@[^@\n]*@|#[^\n]*|//[^\n]*|/\*.*?\*/",
-    re.DOTALL,
-)
-_STEPS = np.zeros(256, dtype=np.int8)
-_STEPS[list(b"([{")] = 1
-_STEPS[list(b")]}")] = -1
-# Bytes whose nesting is counted at a time.
-_BLOCK = 2**24
 
 
-def open_layers(path: str | os.PathLike[str], roots: Sequence[str | os.PathLike[str]] = ()) -> list[Sdf.Layer]:
-    """Open a file and all layers that it needs, each after a look at its bytes.
+@dataclass
+class OpenedLayers:
+    """The layers of an input. A stage that is opened while they are held does not read them again.
+
+    Attributes:
+        layers: The layers, the one of the file first.
+        files: All files that are needed: those of the layers, value clips and textures, also such as are missing.
+        problems: What is wrong with other files that they name, such as a texture that is a pipe; one line each.
+    """
+
+    layers: list[Sdf.Layer] = field(default_factory=list)
+    files: list[str] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
+
+
+@dataclass
+class _Specs:
+    """What a layer names files in beside its arcs: prims with value clips, and attributes of type asset."""
+
+    clips: list[Sdf.Path] = field(default_factory=list)
+    assets: list[Sdf.Path] = field(default_factory=list)
+
+
+def open_layers(path: str | os.PathLike[str], roots: Sequence[str | os.PathLike[str]] = ()) -> OpenedLayers:
+    """Open a file and all layers that it needs, each after a look at its bytes; value clips are looked at, too.
 
     Args:
         path: The file.
-        roots: Folders that all layers must be in, or in that of the input; empty for anywhere.
-
-    Returns:
-        The layers, the one of the file first. A stage that is opened while they are held does not read them again.
+        roots: Folders that all files it names must be in, or in that of the input; empty for anywhere.
 
     Raises:
         StageError: a file is missing, is no regular file, lies elsewhere, or is nothing USD could read safely.
     """
     first = os.path.abspath(path)
-    if not Path(first).is_file():
-        kind = "no regular file" if Path(first).exists() else "no such file"
-        raise StageError(f"{path}: {kind}")
+    _check_name(path)
+    check_regular(first, StageError, os.fspath(path))
+    if not Path(first).exists():
+        raise StageError(f"{path}: no such file")
     allowed = [Path(root).resolve() for root in (*roots, Path(first).parent)] if roots else []
     layers: dict[str, Sdf.Layer] = {}
+    named = _NamedFiles(allowed)
+    variables: dict[str, Any] = {}
     waiting = [(first, "")]
     while waiting:
         place, named_by = waiting.pop()
@@ -74,17 +81,50 @@ def open_layers(path: str | os.PathLike[str], roots: Sequence[str | os.PathLike[
             continue
         if len(layers) >= MOST_LAYERS:
             raise StageError(f"{path}: more than {MOST_LAYERS} layers")
-        layer = _open(place, named_by, allowed)
+        named.files[outer_file(place)] = None
+        layer, specs = _open(place, f" (named by {named_by})" if named_by else "", allowed)
         if layer is None:
             if place == first:
                 raise StageError(f"{path}: USD cannot open it")
             continue
+        variables = variables if layers else dict(layer.expressionVariables)
         layers[place] = layer
-        waiting += [(file, place) for file in _layers_of(layer)]
+        named.add(layer, specs)
+        waiting += [(file, place) for file in layers_of(layer, variables)]
     _check_prim_count(first, layers)
-    if allowed:
-        _check_places(first, allowed)
-    return list(layers.values())
+    return OpenedLayers(list(layers.values()), list(named.files), named.problems)
+
+
+class _NamedFiles:
+    """The files that layers name, and what is wrong with those that are no layers."""
+
+    def __init__(self, allowed: list[Path]) -> None:
+        self.files: dict[str, None] = {}
+        self.problems: list[str] = []
+        self._allowed = allowed
+
+    def add(self, layer: Sdf.Layer, specs: _Specs) -> None:
+        """Look at the value clips and textures of a layer.
+
+        Raises:
+            StageError: a clip is nothing USD could read safely, or a file lies outside of the folders allowed.
+        """
+        for clip in clips_of(layer, specs.clips):
+            if self._is_new(clip):
+                self.problems += _check_clip(clip, layer.identifier, self._allowed)
+        for texture in textures_of(layer, specs.assets):
+            file = outer_file(texture.place)
+            if self._is_new(texture):
+                _check_place(file, f" (named by {texture.owner} in {layer.identifier})", self._allowed)
+            kind = kind_of(file)
+            if kind is not None:
+                name = f"{texture.owner} in {layer.identifier}: {texture.path}"
+                self.problems.append(f"{name} is no regular file, but {kind}")
+
+    def _is_new(self, asset: NamedAsset) -> bool:
+        count = len(self.files)
+        self.files[outer_file(asset.place)] = None
+        return len(self.files) > count
 
 
 def check_composition(stage: Usd.Stage) -> list[str]:
@@ -94,7 +134,7 @@ def check_composition(stage: Usd.Stage) -> list[str]:
         StageError: a layer or prim refers to itself, which leaves out what it stands for.
     """
     problems = []
-    for error in getattr(stage, "GetCompositionErrors", list)():
+    for error in _composition_errors(stage):
         try:
             text = " ".join(str(error).split())
         except UnicodeDecodeError:
@@ -105,11 +145,15 @@ def check_composition(stage: Usd.Stage) -> list[str]:
     return problems
 
 
-def file_of(place: str) -> str:
-    """The file that holds a layer or texture: for what is in a package the package."""
-    while Ar.IsPackageRelativePath(place) and not os.path.exists(place):
-        place = Ar.SplitPackageRelativePathOuter(place)[0]
-    return place
+def _composition_errors(stage: Usd.Stage) -> list[Pcp.ErrorBase]:
+    """The composition errors of all prims of a stage, as ``GetCompositionErrors`` gives them from USD 24.08 on."""
+    if hasattr(stage, "GetCompositionErrors"):
+        return list(stage.GetCompositionErrors())
+    root = stage.GetPseudoRoot()
+    errors = list(root.GetPrimIndex().rootNode.layerStack.localErrors)
+    for prim in Usd.PrimRange(root, Usd.TraverseInstanceProxies(Usd.PrimAllPrimsPredicate)):
+        errors += prim.GetPrimIndex().localErrors
+    return errors
 
 
 def open_layer(place: str) -> Sdf.Layer | None:
@@ -118,34 +162,63 @@ def open_layer(place: str) -> Sdf.Layer | None:
     Raises:
         StageError: it is no regular file, or is nothing USD could read safely.
     """
-    return _open(place, "", [])
+    return _open(place, "", [])[0]
 
 
-def _open(place: str, named_by: str, allowed: list[Path]) -> Sdf.Layer | None:
-    file = file_of(place)
-    by = f" (named by {named_by})" if named_by else ""
-    if allowed and not any(Path(file).resolve().is_relative_to(root) for root in allowed):
-        raise StageError(f"{file}{by}: outside of {', '.join(map(str, allowed))}")
-    if not Path(file).exists():
-        return None  # the stage reports it, with the prim that it is missing for
-    if not Path(file).is_file():
-        raise StageError(f"{file}{by}: no regular file")
-    _check_bytes(file, by)
+def _check_name(path: str | os.PathLike[str]) -> None:
+    try:
+        os.fspath(path).encode("utf-8")
+    except UnicodeEncodeError as error:
+        raise StageError(f"{os.fspath(path)}: USD reads no file whose name is not UTF-8") from error
+
+
+def _open(place: str, by: str, allowed: list[Path]) -> tuple[Sdf.Layer | None, _Specs]:
+    specs = _Specs()
+    if not _check_file(place, by, allowed):
+        return None, specs  # the stage reports it, with the prim that it is missing for
     try:
         with opening(place):
             layer = Sdf.Layer.FindOrOpen(place)
             if layer is not None:
-                _check_specs(layer, place + by)
-        return layer
+                _check_specs(layer, place + by, specs)
+        return layer, specs
     except (Tf.ErrorException, UnicodeDecodeError) as error:
-        raise StageError(f"{place}{by}: USD cannot open it ({first_line(error)})") from error
+        raise StageError(f"{place}{by}: USD cannot open it ({first_line(error, place)})") from error
 
 
-def _check_specs(layer: Sdf.Layer, name: str) -> None:
+def _check_clip(clip: NamedAsset, layer: str, allowed: list[Path]) -> list[str]:
+    """Look at a value clip as at a layer, but let go of it again: an animation may have thousands."""
+    by = f" (value clip of {clip.owner} in {layer})"
+    if not _check_file(clip.place, by, allowed):
+        return [f"{clip.place}{by}: no such file"]
+    with open(outer_file(clip.place), "rb") as file:
+        # Text has been looked at, and its parser does not crash; to parse it twice would take long.
+        if file.read(len(CRATE)) == CRATE:
+            _open(clip.place, by, allowed)
+    return []
+
+
+def _check_place(file: str, by: str, allowed: list[Path]) -> None:
+    if allowed and not any(Path(os.path.realpath(file)).is_relative_to(root) for root in allowed):
+        raise StageError(f"{file}{by}: outside of {', '.join(map(str, allowed))}")
+
+
+def _check_file(place: str, by: str, allowed: list[Path]) -> bool:
+    """Look at a file before USD reads it; false if there is none."""
+    file = outer_file(place)
+    _check_place(file, by, allowed)
+    check_regular(file, StageError, file + by)
+    if not os.path.exists(file):
+        return False
+    check_bytes(file, by)
+    return True
+
+
+def _check_specs(layer: Sdf.Layer, name: str, found: _Specs) -> None:
     """Look for what a damaged file lists but does not hold, and for times that are no number: USD crashes there.
 
     Only through lookups by path, which give None for what is missing or of another kind, and never through lists of
-    specs.
+    specs. On the way, what names files is found.
     """
     waiting = [(Sdf.Path.absoluteRootPath, Sdf.PrimSpec)]
     while waiting:
@@ -153,6 +226,8 @@ def _check_specs(layer: Sdf.Layer, name: str) -> None:
         spec = layer.GetObjectAtPath(path)
         if not isinstance(spec, kind):
             raise StageError(f"{name}: damaged: {path} is listed, but is not there")
+        if spec.HasInfo(CLIPS):
+            found.clips.append(path)
         waiting += [(path.AppendChild(child), Sdf.PrimSpec) for child in _listed(spec, "primChildren", name)]
         for group in _listed(spec, "variantSetChildren", name):
             waiting.append((path.AppendVariantSelection(group, ""), Sdf.VariantSetSpec))
@@ -161,8 +236,11 @@ def _check_specs(layer: Sdf.Layer, name: str) -> None:
             waiting.append((place, Sdf.VariantSpec))
         for child in _listed(spec, "properties", name):
             place = path.AppendProperty(child)
-            if not isinstance(layer.GetObjectAtPath(place), Sdf.PropertySpec):
+            item = layer.GetObjectAtPath(place)
+            if not isinstance(item, Sdf.PropertySpec):
                 raise StageError(f"{name}: damaged: {place} is listed, but is not there")
+            if isinstance(item, Sdf.AttributeSpec) and item.typeName in ASSET_TYPES:
+                found.assets.append(place)
             if layer.GetNumTimeSamplesForPath(place) and np.isnan(layer.ListTimeSamplesForPath(place)).any():
                 raise StageError(f"{name}: {place} has a sample at time nan")
 
@@ -173,71 +251,6 @@ def _listed(spec: Sdf.Spec, key: str, name: str) -> list[str]:
     if not isinstance(names, list) or not all(isinstance(child, str) for child in names):
         raise StageError(f"{name}: damaged: {key} of {spec.path} is {type(names).__name__}, no list of names")
     return names
-
-
-def _layers_of(layer: Sdf.Layer) -> Iterator[str]:
-    """Where the layers are that a layer names, in any variant; not value clips, which are opened when they are read."""
-    with usd_errors_named(layer.identifier):
-        named = layer.GetCompositionAssetDependencies()
-    for asset in named:
-        if not asset:
-            continue
-        resolved = Ar.GetResolver().Resolve(Sdf.ComputeAssetPathRelativeToLayer(layer, asset))
-        place = str(resolved) or layer.ComputeAbsolutePath(asset)
-        if os.path.isabs(place):
-            yield place
-
-
-def _check_places(path: str, allowed: list[Path]) -> None:
-    """Look at where textures, clips and all else are that an input names."""
-    layers, assets, _ = UsdUtils.ComputeAllDependencies(Sdf.AssetPath(path))
-    for place in [layer.realPath for layer in layers] + [os.fspath(asset) for asset in assets]:
-        file = Path(file_of(place))
-        if place and not any(file.resolve().is_relative_to(root) for root in allowed):
-            raise StageError(f"{place} (named by {path}): outside of {', '.join(map(str, allowed))}")
-
-
-def _check_bytes(file: str, by: str) -> None:
-    with open(file, "rb") as stream:
-        start = stream.read(8)
-        if start.startswith(TEXT):
-            if os.path.getsize(file) > MOST_TEXT_BYTES:
-                raise StageError(f"{file}{by}: text of more than {MOST_TEXT_BYTES} bytes; binary files may be larger")
-            _check_nesting(start + stream.read(), file + by)
-        elif start.startswith(PACKAGE):
-            _check_package(file, by)
-
-
-def _check_nesting(text: bytes, name: str) -> None:
-    steps = _STEPS[np.frombuffer(QUOTED.sub(b" ", text), dtype=np.uint8)]
-    depth = 0
-    for start in range(0, len(steps), _BLOCK):
-        depths = depth + np.cumsum(steps[start : start + _BLOCK], dtype=np.int32)
-        if depths.max() > MOST_NESTED:
-            raise StageError(f"{name}: brackets nested more than {MOST_NESTED} deep")
-        depth = int(depths[-1])
-
-
-def _check_package(file: str, by: str) -> None:
-    try:
-        with zipfile.ZipFile(file) as package:
-            entries = package.infolist()
-            if len(entries) > MOST_PACKAGE_FILES:
-                raise StageError(f"{file}{by}: a package of more than {MOST_PACKAGE_FILES} files")
-            size = os.path.getsize(file)
-            for entry in entries:
-                if entry.compress_type != zipfile.ZIP_STORED or entry.file_size != entry.compress_size:
-                    raise StageError(f"{file}{by}: {entry.filename} in the package is compressed, which USD forbids")
-                if entry.file_size > size:
-                    raise StageError(f"{file}{by}: {entry.filename} in the package is said to be larger than it")
-                if entry.filename.startswith(("/", "\\")) or ".." in Path(entry.filename).parts:
-                    raise StageError(f"{file}{by}: {entry.filename} in the package names a place outside of it")
-                with package.open(entry) as stream:
-                    start = stream.read(8)
-                    if start.startswith(TEXT):
-                        _check_nesting(start + stream.read(), f"{file}[{entry.filename}]{by}")
-    except (zipfile.BadZipFile, NotImplementedError, EOFError, OSError, ValueError, RuntimeError) as error:
-        raise StageError(f"{file}{by}: no package that could be read ({error})") from error
 
 
 def _check_prim_count(first: str, layers: dict[str, Sdf.Layer]) -> None:

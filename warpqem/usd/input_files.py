@@ -18,7 +18,8 @@ from pxr import Ar, Sdf, Tf, Usd, UsdUtils
 
 from warpqem.errors import StageError
 from warpqem.outputs import InputFile, OutputFile, OutputFiles
-from warpqem.usd.input_check import file_of, open_layer
+from warpqem.usd.input_check import open_layer
+from warpqem.usd.named_assets import outer_file
 from warpqem.usd.named_by import role_of
 from warpqem.usd.usd_errors import usd_errors_named
 
@@ -77,11 +78,11 @@ class _Walk:
         self._seen: set[str] = set()
 
     def files(self) -> Iterator[InputFile]:
-        yield InputFile(file_of(self._root.realPath))
+        yield InputFile(outer_file(self._root.realPath))
         yield from self._named_from(self._root)
         # Layers that no walk finds, such as those of expressions whose variables a reference sets.
         for layer in self._used:
-            yield InputFile(file_of(layer.realPath), f"a layer of {self._root.realPath}")
+            yield InputFile(outer_file(layer.realPath), f"a layer of {self._root.realPath}")
             yield from self._named_from(layer)
 
     def _named_from(self, first: Sdf.Layer) -> Iterator[InputFile]:
@@ -98,7 +99,7 @@ class _Walk:
                     continue
                 role = partial(role_of, layer, name)
                 for path in (place, *self._set_of(place)):
-                    yield InputFile(file_of(path), role)
+                    yield InputFile(outer_file(path), role)
                 if name in arcs or (self._outputs.any_exists and Usd.Stage.IsSupportedFile(place)):
                     waiting += _opened(place)
 
@@ -153,7 +154,7 @@ def _place(layer: Sdf.Layer, name: str) -> str:
         anchored = resolved = ""
     if resolved or os.path.isabs(anchored):
         return resolved or anchored
-    return os.path.join(os.path.dirname(file_of(layer.realPath)), path)
+    return os.path.join(os.path.dirname(outer_file(layer.realPath)), path)
 
 
 def _opened(place: str) -> list[Sdf.Layer]:

@@ -16,7 +16,7 @@ from warpqem.outputs import OutputFile
 from warpqem.usd.input_files import check_stage_outputs
 from warpqem.usd.mesh import MeshSource
 from warpqem.usd.skel import StagePoses
-from warpqem.usd.stage import find_meshes, open_stage
+from warpqem.usd.stage import find_meshes, open_with_problems
 from warpqem.usd.usd_errors import usd_errors_named
 
 __all__ = ["MeshInfo", "inspect_stage"]
@@ -85,14 +85,26 @@ def inspect_stage(path: str | os.PathLike[str], other_outputs: Sequence[OutputFi
         StageError: the file cannot be read.
         OptionError: an output is a file that is read.
     """
-    stage = open_stage(path)
+    return inspect_with_problems(path, other_outputs)[0]
+
+
+def inspect_with_problems(
+    path: str | os.PathLike[str], other_outputs: Sequence[OutputFile] = ()
+) -> tuple[list[MeshInfo], list[str]]:
+    """Describe every mesh of a USD file, and what is wrong with the files that it names; one line each.
+
+    Raises:
+        StageError: the file cannot be read.
+        OptionError: an output is a file that is read.
+    """
+    stage, problems = open_with_problems(path)
     check_stage_outputs(other_outputs, [stage])
     with usd_errors_named(path, reading=True):
         poses = StagePoses(stage)
         selection = find_meshes(stage)
         infos = [_inspect(prim, poses) for prim in selection.prims]
     infos += [MeshInfo(proxy, problems=[str(error)]) for proxy, error in selection.refused]
-    return infos
+    return infos, problems
 
 
 def _inspect(prim: Usd.Prim, poses: StagePoses) -> MeshInfo:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,43 +15,13 @@ from warpqem.usd.report import PrimReport
 from warpqem.usd.stage import find_meshes
 from warpqem.usd.write import OverLayer, copy_stage_metadata, export_layer, move_asset_paths, relative_path
 
-__all__ = ["LevelLayer", "LevelReport", "VariantLevels", "check_lods", "define_root", "parse_lods"]
+__all__ = ["LevelLayer", "LevelReport", "VariantLevels", "define_root"]
 
 # The variant set that usdview, Omniverse and others show for levels of detail.
 VARIANT_SET = "LOD"
 
 # Levels count up from the original.
 LEVEL_NAME = "LOD"
-
-
-def parse_lods(text: str) -> tuple[float, ...]:
-    """Read ratios such as "0.5,0.25,0.1".
-
-    Raises:
-        OptionError: one of them is no number.
-    """
-    ratios = []
-    for part in text.split(","):
-        try:
-            ratios.append(float(part))
-        except ValueError:
-            raise OptionError(f"lods '{text}': '{part}' is no number; expected ratios such as 0.5,0.25,0.1") from None
-    return tuple(ratios)
-
-
-def check_lods(ratios: Sequence[float]) -> None:
-    """Check the ratios of the levels below the original.
-
-    Raises:
-        OptionError: one is not between 0 and 1, or not smaller than the one before it.
-    """
-    before = math.inf
-    for ratio in ratios:
-        if not 0 < ratio < 1:
-            raise OptionError(f"lods: ratio {ratio:g}: expected a share above 0 and below 1")
-        if ratio >= before:
-            raise OptionError(f"lods: ratio {ratio:g} after {before:g}: each level must be smaller than the one before")
-        before = ratio
 
 
 @dataclass

@@ -9,9 +9,8 @@ from typing import Any
 
 from warpqem.errors import OptionError
 from warpqem.screen import ScreenView
-from warpqem.usd.attributes import parse_attribute_weight
 from warpqem.usd.frames import FrameRange
-from warpqem.usd.lods import parse_lods
+from warpqem.usd.option_checks import parse_attribute_weight, parse_lods
 from warpqem.usd.simplify_options import SimplifyOptions
 
 __all__ = ["GOALS", "OPTION_NAMES", "override_options", "read_options", "screen_view"]
@@ -84,7 +83,7 @@ def _plain(value: Any) -> Any:
 def _read(name: str, value: Any) -> Any:
     try:
         return _READERS[name](value)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         if isinstance(error, OptionError):
             raise
         raise OptionError(f"{name} {value!r}: {error}") from None

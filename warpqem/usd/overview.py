@@ -95,8 +95,13 @@ def _asset(name: str, result: dict[str, Any], message: str, pictures: Sequence[n
         seconds=round(result["seconds"], 2),
         message=message,
         pictures=pictures,
-        link=quote(os.path.relpath(result["output"], page.resolve().parent).replace(os.sep, "/")) if written else "",
+        link=_address(os.path.relpath(result["output"], page.resolve().parent)) if written else "",
     )
+
+
+def _address(path: str) -> str:
+    """A relative path as an address; a name need be no text."""
+    return quote(os.fsencode(path.replace(os.sep, "/")))
 
 
 def _pictures(before: str, after: str, prims: Sequence[str], device: str | None) -> list[np.ndarray]:

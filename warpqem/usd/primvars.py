@@ -72,8 +72,8 @@ def carry_primvars(prim: Usd.Prim, carrier: Carrier, dropped: Dropped, saved: Sa
             carried, corner_row = _merge_equal(carried, corner_row)
         _write_values(primvar.GetAttr(), carried, saved, size)
         if corner_row is not None:
-            indices = primvar.CreateIndicesAttr()
-            indices.Set(Vt.IntArray.FromNumpy(np.ascontiguousarray(corner_row.ravel())))
+            # CreateIndicesAttr gives an invalid attribute for the first indices before USD 25.02.
+            primvar.SetIndices(Vt.IntArray.FromNumpy(np.ascontiguousarray(corner_row.ravel())))
             primvar.SetInterpolation(UsdGeom.Tokens.faceVarying)
         else:
             block(primvar.GetIndicesAttr(), dropped)

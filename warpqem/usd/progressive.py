@@ -19,8 +19,8 @@ from warpqem.progressive.file import ProgressiveFile
 from warpqem.progressive.header import FileInfo
 from warpqem.progressive.stage_notes import StageNotes
 from warpqem.screen import ScreenView
+from warpqem.usd.byte_check import MOST_NESTED
 from warpqem.usd.frames import FrameRange
-from warpqem.usd.input_check import MOST_NESTED
 from warpqem.usd.input_files import check_stage_outputs
 from warpqem.usd.job import MeshJob, ReadOptions
 from warpqem.usd.mesh import MeshSource

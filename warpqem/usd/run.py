@@ -37,7 +37,7 @@ from warpqem.usd.skel import StagePoses
 from warpqem.usd.skin_fit import SkinFitter, SkinPoses, simplify_by_pullback, why_not_fitted
 from warpqem.usd.stage import find_meshes
 from warpqem.usd.usd_errors import usd_errors_named
-from warpqem.usd.weights import check_weight_primvar, painted_weights
+from warpqem.usd.weights import check_weight_primvar, painted_options
 from warpqem.usd.write import OverLayer
 
 __all__ = ["Run"]
@@ -179,6 +179,7 @@ class Run:
             "memoryless": self.options.memoryless,
             "placement": self.options.placement,
             "key_frames": self.options.key_frames,
+            "motion": self.options.motion,
             "attributes": weighted_fields(job.source, self.options.texture_weight, self.options.attribute_weights),
             "memory": self.options.memory,
             "device": self.options.device,
@@ -220,9 +221,12 @@ class Run:
 
     def _importance(self, job: MeshJob) -> dict[str, Any]:
         """Options of the core that say what matters on a mesh."""
+        painted = painted_options(job, self.options.weight_primvar, self.options.weight_scales)
+        scale = morph_scale(job, self.options.morph_weights, self._examples_of(job.source))
+        if scale is not None:
+            painted["quadric_scale"] = scale * painted.get("quadric_scale", np.ones_like(scale))
         return {
-            "vertex_weights": painted_weights(job, self.options.weight_primvar),
-            "quadric_scale": morph_scale(job, self.options.morph_weights, self._examples_of(job.source)),
+            **painted,
             "lock_borders": self.options.lock_borders,
             "keep_components": self.options.keep_components,
             **self._face(job),

@@ -13,14 +13,13 @@ from pathlib import Path
 from warpqem.outputs import OutputFile
 from warpqem.sharing import FrameShare
 from warpqem.usd.context import Announce, Context, Progress, SharedOrder
-from warpqem.usd.input_check import check_composition
 from warpqem.usd.input_files import check_stage_outputs
 from warpqem.usd.lods import LevelReport, VariantLevels
 from warpqem.usd.report import PrimReport, StageReport
 from warpqem.usd.run import Run
 from warpqem.usd.run_info import run_info
 from warpqem.usd.simplify_options import SimplifyOptions
-from warpqem.usd.stage import open_stage
+from warpqem.usd.stage import open_stage, open_with_problems
 from warpqem.usd.usd_errors import usd_errors_named
 from warpqem.usd.usd_lod import UsdLodLevels
 from warpqem.usd.write import check_output_path
@@ -72,7 +71,7 @@ def simplify_stage(
     output = check_output_path(output_path, [input_path])
     start = time.perf_counter()
     _log.info("%s: reading", input_path)
-    stage = open_stage(input_path, options.asset_roots)
+    stage, problems = open_with_problems(input_path, options.asset_roots)
     read = [stage] if options.poses is None else [stage, open_stage(options.poses)]
     check_stage_outputs([OutputFile("output", output_path), *other_outputs], read)
     # What fails while a layer is being written is no matter of one mesh: half of it would be there.
@@ -87,6 +86,7 @@ def simplify_stage(
             share,
         )
         report = _simplify(context, input_path, output)
+    report.problems = problems
     if report.output is not None:
         report.output = os.fspath(output_path)
     report.run = run_info(options, time.perf_counter() - start)
@@ -96,7 +96,6 @@ def simplify_stage(
 def _simplify(context: Context, input_path: str | os.PathLike[str], output: Path) -> StageReport:
     report, save = (_simplify_levels if context.options.lods else _simplify_once)(context)
     report.input = os.fspath(input_path)
-    report.problems = check_composition(context.stage)
     if len(report.failed) < len(report.prims):
         save(output)
         report.output = os.fspath(output)

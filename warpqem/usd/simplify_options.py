@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 from warpqem.cost_models import cost_model
 from warpqem.errors import OptionError
 from warpqem.memory import parse_bytes
+from warpqem.motion import MotionWeighting, motion_weighting
 from warpqem.screen import ScreenView
 from warpqem.symmetry import AXES
-from warpqem.usd.attributes import AttributeWeights, check_weights
 from warpqem.usd.frames import FrameRange
-from warpqem.usd.lods import check_lods
+from warpqem.usd.option_checks import WEIGHT_SCALES, AttributeWeights, check_lods, check_weights
 
 if TYPE_CHECKING:
     from warpqem.face import FaceProtection, FacialFeatures
@@ -28,7 +28,9 @@ class SimplifyOptions:
     Attributes:
         ratio: Share of its triangles that each mesh keeps, above 0 and at most 1.
         faces: Triangles of all meshes together, split so that a face saves the same error on each.
-        max_error: Largest error of each mesh, in % of its bounding-box diagonal.
+        max_error: Largest distance of each mesh from the input, at every point and in every pose, in % of its
+            bounding-box diagonal there, see `warpqem.simplify`. Where a skin is fitted, of the points that it is fitted
+            to.
         screen: Largest error of each mesh on a screen, at a distance in world units.
         lods: Ratios of levels of detail, each smaller than the one before, between 0 and 1. The output offers the input
             and one level for each ratio as variants LOD0, LOD1, ... of the root prim that holds the default prim.
@@ -45,8 +47,11 @@ class SimplifyOptions:
             None for the weight of the metric: 0.1 of "face", 0 of the others.
         attribute_weights: Names of primvars and the weights of their error; for a texture coordinate it takes the place
             of `uv_weight`.
-        weight_primvar: Name of a primvar of numbers that scale the cost of collapses where it is painted; infinity
+        weight_primvar: Name of a primvar of numbers that say how much the surface counts where it is painted; infinity
             locks. None for none.
+        weight_scales: What those numbers scale: "cost", that of collapses, or "quadrics" (Kho & Garland 2003), so that
+            merged vertices go nearer to what counts more, too; see `vertex_weights` and `quadric_scale` of
+            `warpqem.simplify`.
         morph_weights: Scale the error of what moves more between the shapes of a mesh, see `warpqem.morph_weights`:
             "thirds", "rank", "distance" or "usage"; None for no weights.
         face_points: JSON file with feature points by name for the metric "face", such as `warpqem face detect` writes;
@@ -55,6 +60,10 @@ class SimplifyOptions:
         face_weight: Weight of the feature points, see `warpqem.FaceProtection`; None for its default.
         face_ring: Neighbours up to so many edges away count at a feature point; None for the default.
         face_keep: Feature points stay where they are, as points, whatever the face count.
+        feature_threshold: With a metric that keeps motion features, such as "aqem": degrees that an edge bends by
+            between two frames to be part of one, see `warpqem.MotionWeighting`; None for the mean over all edges.
+        feature_floor: Degrees that it bends by in any case; None for 1.
+        feature_weight: What a vertex in a motion feature weighs: "size", "root", "log" or "bend"; None for "size".
         lock_borders: Points at edges with one face keep their position.
         keep_components: No small component vanishes, see `warpqem.simplify`.
         symmetry: "x", "y" or "z": a mesh whose first pose, or rest shape, is its own mirror image across that local
@@ -94,11 +103,15 @@ class SimplifyOptions:
     uv_weight: float | None = None
     attribute_weights: AttributeWeights = ()
     weight_primvar: str | None = None
+    weight_scales: str = "cost"
     morph_weights: str | None = None
     face_points: str | os.PathLike[str] | None = None
     face_weight: float | None = None
     face_ring: int | None = None
     face_keep: bool = True
+    feature_threshold: float | None = None
+    feature_floor: float | None = None
+    feature_weight: str | None = None
     lock_borders: bool = False
     keep_components: bool = False
     symmetry: str | None = None
@@ -138,6 +151,10 @@ class SimplifyOptions:
         check_lods(self.lods)
         check_weights(self.uv_weight, self.attribute_weights)
         self._check_face()
+        if self.weight_scales not in WEIGHT_SCALES:
+            raise OptionError(f"weight_scales {self.weight_scales!r}: expected one of {', '.join(WEIGHT_SCALES)}")
+        # It checks its values when it is made.
+        _ = self.motion
         if self.symmetry not in (None, "auto", *AXES):
             raise OptionError(f"symmetry {self.symmetry!r}: expected auto, {', '.join(AXES)}")
         others = (
@@ -148,11 +165,12 @@ class SimplifyOptions:
             or self.lods
             or self.metric != "dsd"
             or self.placement != "optimal"
+            or self.motion is not None
         )
         if self.pose_independent and others:
             raise OptionError(
-                "pose_independent excludes symmetry, refit, memoryless, bake, lods, another metric and another "
-                "placement"
+                "pose_independent excludes symmetry, refit, memoryless, bake, lods, another metric, its options and "
+                "another placement"
             )
         if self.lods and self.flatten:
             raise OptionError("lods and flatten exclude each other: every level is a layer over the input")
@@ -182,3 +200,8 @@ class SimplifyOptions:
     def texture_weight(self) -> float:
         """Weight of texture coordinates that `attribute_weights` does not name."""
         return cost_model(self.metric).uv_weight if self.uv_weight is None else self.uv_weight
+
+    @property
+    def motion(self) -> MotionWeighting | None:
+        """How motion features are found and weighted, for `warpqem.simplify`; None where nothing is asked for."""
+        return motion_weighting(self.feature_threshold, self.feature_floor, self.feature_weight)

@@ -12,7 +12,7 @@ from warpqem.errors import StageError
 from warpqem.usd.input_check import check_composition, open_layers
 from warpqem.usd.usd_errors import first_line
 
-__all__ = ["MeshSelection", "SavedStage", "find_meshes", "open_stage", "world_scale"]
+__all__ = ["MeshSelection", "SavedStage", "find_meshes", "open_stage", "open_with_problems", "world_scale"]
 
 
 @dataclass
@@ -40,16 +40,26 @@ def open_stage(path: str | os.PathLike[str], roots: Sequence[str | os.PathLike[s
         StageError: the file does not exist, USD cannot read it, or could not read it safely; a file it needs lies
             elsewhere; or a layer or prim refers to itself.
     """
-    layers = open_layers(path, roots)
+    return open_with_problems(path, roots)[0]
+
+
+def open_with_problems(
+    path: str | os.PathLike[str], roots: Sequence[str | os.PathLike[str]] = ()
+) -> tuple[Usd.Stage, list[str]]:
+    """Open a USD file as `open_stage` does, and say what is wrong with files that it names; one line each.
+
+    Raises:
+        StageError: see `open_stage`.
+    """
+    opened = open_layers(path, roots)
     try:
         stage = Usd.Stage.Open(os.fspath(path))
     except (Tf.ErrorException, UnicodeDecodeError) as error:
-        raise StageError(f"{path}: USD cannot open it ({first_line(error)})") from error
+        raise StageError(f"{path}: USD cannot open it ({first_line(error, path)})") from error
     if stage is None:
         raise StageError(f"{path}: USD cannot open it")
-    del layers  # which the stage holds now
-    check_composition(stage)
-    return stage
+    # The stage holds the layers now.
+    return stage, [*check_composition(stage), *opened.problems]
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import mmap
 import re
 from pathlib import Path
 
-from warpqem.usd.input_check import QUOTED
+from warpqem.usd.byte_check import QUOTED
 
 __all__ = ["make_readable"]
 

@@ -1,8 +1,14 @@
-"""Importance painted on a mesh: a primvar that scales the cost of collapses at each vertex."""
+"""Importance painted on a mesh: a primvar that scales the cost of collapses at each vertex, or its quadric.
+
+User-guided simplification (Kho & Garland 2003) scales quadrics: the weights stay with the planes as they add up, and
+merged vertices go nearer to those that count more. A scaled cost changes the order of collapses alone, and a merged
+vertex gets the mean of both weights.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -12,8 +18,9 @@ from warpqem.errors import OptionError, StageError
 from warpqem.importance import MOST_WEIGHT
 from warpqem.usd.arrays import primvar_samples
 from warpqem.usd.job import MeshJob
+from warpqem.usd.option_checks import bare_name
 
-__all__ = ["check_weight_primvar", "painted_weights"]
+__all__ = ["check_weight_primvar", "painted_options", "painted_weights"]
 
 
 def check_weight_primvar(prims: Iterable[Usd.Prim], name: str | None) -> None:
@@ -24,11 +31,31 @@ def check_weight_primvar(prims: Iterable[Usd.Prim], name: str | None) -> None:
     """
     prims = list(prims)
     if name is not None and prims and not any(_find(prim, name) for prim in prims):
-        raise OptionError(f"weight_primvar: none of the {len(prims)} meshes has a primvar {_bare(name)}")
+        raise OptionError(f"weight_primvar: none of the {len(prims)} meshes has a primvar {bare_name(name)}")
+
+
+def painted_options(job: MeshJob, name: str | None, scales: str) -> dict[str, npt.NDArray[Any]]:
+    """Options of `warpqem.simplify` for painted weights: vertex_weights, or quadric_scale and locked.
+
+    Args:
+        job: The mesh.
+        name: Name of the primvar; None for no weights.
+        scales: What the weights scale, one of `warpqem.usd.option_checks.WEIGHT_SCALES`.
+
+    Raises:
+        StageError: as for `painted_weights`.
+    """
+    weights = painted_weights(job, name)
+    if weights is None:
+        return {}
+    if scales == "cost":
+        return {"vertex_weights": weights}
+    locked = np.isposinf(weights)
+    return {"quadric_scale": np.where(locked, 1.0, weights), "locked": locked}
 
 
 def painted_weights(job: MeshJob, name: str | None) -> npt.NDArray[np.float64] | None:
-    """Factors on the cost at the vertices of a mesh, (V,), infinite where they are locked; None without the primvar.
+    """Factors at the vertices of a mesh, (V,), infinite where they are locked; None without the primvar.
 
     A vertex gets the largest value of its samples, points, faces or corners: what is important at one of them is there.
     A constant one, which may be inherited, says how much the mesh counts beside others.
@@ -77,9 +104,5 @@ def painted_weights(job: MeshJob, name: str | None) -> npt.NDArray[np.float64] |
 
 def _find(prim: Usd.Prim, name: str) -> UsdGeom.Primvar | None:
     """The primvar on the mesh, or a constant one that it inherits."""
-    primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance(_bare(name))
+    primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance(bare_name(name))
     return primvar if primvar and primvar.HasAuthoredValue() else None
-
-
-def _bare(name: str) -> str:
-    return name.removeprefix("primvars:")

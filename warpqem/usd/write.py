@@ -9,10 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from pxr import Sdf, Tf, Usd, UsdGeom, UsdUtils, Vt
+from pxr import Ar, Sdf, Tf, Usd, UsdGeom, UsdUtils, Vt
 
 from warpqem.errors import OptionError, StageError
 from warpqem.outputs import InputFile, OutputFile, check_outputs
+from warpqem.temporary import replacing, temporary_path
 from warpqem.usd.arrays import anchored
 from warpqem.usd.carrier import Carrier
 from warpqem.usd.drop import Dropped, drop_skin, drop_subdivision
@@ -21,7 +22,6 @@ from warpqem.usd.primvars import carry_arrays, carry_motion, carry_normals, carr
 from warpqem.usd.skin import Skin
 from warpqem.usd.skin_output import write_skin
 from warpqem.usd.subsets import carry_subsets
-from warpqem.usd.temporary import temporary_path
 from warpqem.usd.text_numbers import make_readable
 from warpqem.usd.usd_errors import first_line
 
@@ -231,7 +231,7 @@ class OverLayer:
             # A copy, because an anonymous layer that a stage is open on cannot resolve a relative path.
             layer = Sdf.Layer.CreateAnonymous("save.usda")
             layer.TransferContent(self._layer)
-            layer.subLayerPaths[0] = relative_path(self._source.realPath, output.parent)
+            layer.subLayerPaths[0] = _named_from(output, self._source.realPath)
         move_asset_paths(layer, self._source, output.parent)
         export_layer(layer, output)
 
@@ -305,6 +305,19 @@ def relative_path(target: str, folder: Path) -> str:
     return relative if relative.startswith("../") else f"./{relative}"
 
 
+def _named_from(output: Path, target: str) -> str:
+    """How a layer names a file.
+
+    Raises:
+        StageError: USD would not find the file by this name, such as one with a backslash, which it takes for a slash.
+    """
+    path = relative_path(target, output.parent)
+    found = Ar.GetResolver().CreateIdentifier(path, Ar.ResolvedPath(os.fspath(output)))
+    if os.path.realpath(found) != os.path.realpath(target):
+        raise StageError(f"{target!r}: no layer can name a file of this name (USD would look for {found!r})")
+    return path
+
+
 def move_asset_paths(layer: Sdf.Layer, source: Sdf.Layer, folder: Path) -> None:
     """Make absolute asset paths relative to a folder, if the files exist or lie with the input.
 
@@ -357,13 +370,10 @@ def export_layer(layer: Sdf.Layer, output: Path) -> None:
     Raises:
         StageError: the file cannot be written; nothing is left behind.
     """
-    temporary = temporary_path(output.parent, output.suffix)
     try:
-        if not layer.Export(os.fspath(temporary)):
-            raise StageError(f"{output}: USD cannot write it")
-        make_readable(temporary)
-        os.replace(temporary, output)
+        with replacing(output) as temporary:
+            if not layer.Export(os.fspath(temporary)):
+                raise StageError(f"{output}: USD cannot write it")
+            make_readable(temporary)
     except (OSError, Tf.ErrorException) as error:
         raise StageError(f"{output}: cannot be written ({first_line(error)})") from error
-    finally:
-        temporary.unlink(missing_ok=True)

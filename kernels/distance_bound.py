@@ -1,0 +1,317 @@
+"""Whether every point of a triangle lies within a limit of a mesh: proved, not sampled.
+
+The distance to one triangle is convex, so over a piece of another triangle it is largest at a corner of the piece. A
+piece is within the limit where one triangle of the mesh is within it at all three corners, or where its middle is
+nearer by more than its corners are away (the distance to a mesh changes by no more than one moves). Other pieces are
+cut where the triangle nearest to their middle ends, so that what lies over it is a piece of its own; where that does
+not cut them, in half.
+"""
+
+import warp as wp
+
+from warpqem.kernels.closest_point import closest_barycentric, offset_squared
+
+wp.set_module_options({"enable_backward": False})  # no gradients are taken
+
+WITHIN = wp.constant(wp.int32(0))
+BEYOND = wp.constant(wp.int32(1))  # a point beyond the limit was found
+UNDECIDED = wp.constant(wp.int32(2))  # neither, down to the smallest pieces
+# Pieces of a triangle that are looked at, and that may wait, before it is given up as undecided.
+MAX_PIECES = wp.constant(wp.int32(4096))
+MAX_WAITING = wp.constant(wp.int32(40))
+Pieces = wp.types.matrix(shape=(int(MAX_WAITING), 9), dtype=wp.float64)
+# Corners as near to a plane as that, in areas, lie on it.
+ON_PLANE = wp.constant(wp.float64(1.0e-13))
+# Faces kept for each triangle that covered pieces of it before: a triangle across a vertex of the other mesh meets some
+# four. Trying one takes a twentieth of a search.
+HINTS = wp.constant(wp.int32(4))
+Faces = wp.types.vector(length=int(HINTS), dtype=wp.int32)
+# The search is in single precision, which places points of a mesh of unit diagonal to some 1e-7.
+SEARCH_MARGIN = wp.constant(wp.float64(1.0e-6))
+
+
+@wp.struct
+class Surface:
+    """A mesh of about unit size around the origin, in one frame."""
+
+    points: wp.array[wp.vec3d]
+    corner_vertex: wp.array[wp.int32]
+    mesh: wp.uint64  # its hierarchy, in single precision
+
+
+@wp.func
+def corner_point(surface: Surface, face: wp.int32, k: wp.int32) -> wp.vec3d:
+    """A corner of a face."""
+    return surface.points[surface.corner_vertex[3 * face + k]]
+
+
+@wp.func
+def squared_distance(surface: Surface, face: wp.int32, p: wp.vec3d) -> wp.float64:
+    """Squared distance of a point from a face."""
+    a = corner_point(surface, face, 0)
+    b = corner_point(surface, face, 1)
+    c = corner_point(surface, face, 2)
+    return offset_squared(p, a, b, c, closest_barycentric(p, a, b, c))
+
+
+@wp.func
+def is_near(
+    p: wp.vec3d,
+    a: wp.vec3d,
+    b: wp.vec3d,
+    c: wp.vec3d,
+    normal: wp.vec3d,
+    normal_squared: wp.float64,
+    squared: wp.float64,
+) -> wp.bool:
+    """Whether a point is within a distance, given squared, of triangle abc; ``normal`` is (b - a) x (c - a)."""
+    ap = p - a
+    height = wp.dot(ap, normal)
+    # No point of the triangle is nearer than its plane.
+    if height * height > squared * normal_squared:
+        return False
+    v = wp.dot(wp.cross(ap, c - a), normal)
+    w = wp.dot(wp.cross(b - a, ap), normal)
+    if v >= wp.float64(0.0) and w >= wp.float64(0.0) and v + w < normal_squared:
+        return True
+    return offset_squared(p, a, b, c, closest_barycentric(p, a, b, c)) <= squared
+
+
+@wp.func
+def covers(surface: Surface, face: wp.int32, p: wp.vec3d, q: wp.vec3d, r: wp.vec3d, limit: wp.float64) -> wp.bool:
+    """Whether a face is within the limit of all points of a piece."""
+    squared = limit * limit
+    a = corner_point(surface, face, 0)
+    b = corner_point(surface, face, 1)
+    c = corner_point(surface, face, 2)
+    normal = wp.cross(b - a, c - a)
+    normal_squared = wp.length_sq(normal)
+    if not is_near(p, a, b, c, normal, normal_squared, squared):
+        return False
+    if not is_near(q, a, b, c, normal, normal_squared, squared):
+        return False
+    return is_near(r, a, b, c, normal, normal_squared, squared)
+
+
+@wp.func
+def nearest_face(surface: Surface, p: wp.vec3d, limit: wp.float64) -> wp.int32:
+    """The face nearest to a point, -1 where none is within the limit."""
+    radius = wp.float32(limit + SEARCH_MARGIN)
+    found = wp.mesh_query_point_no_sign(
+        surface.mesh, wp.vec3(wp.float32(p[0]), wp.float32(p[1]), wp.float32(p[2])), radius
+    )
+    if found.result:
+        return found.face
+    return -1
+
+
+@wp.struct
+class Piece:
+    """A part of a triangle, by its corners."""
+
+    p: wp.vec3d
+    q: wp.vec3d
+    r: wp.vec3d
+
+
+@wp.struct
+class Cut:
+    """Where a plane cuts a piece: its corners in order from the one alone on its side, and how far along both edges."""
+
+    piece: Piece
+    first: wp.float64
+    second: wp.float64
+    found: wp.bool
+
+
+@wp.func
+def cut_at_edges(surface: Surface, face: wp.int32, piece: Piece) -> Cut:
+    """The cut at the plane over that edge of a face beyond which the piece reaches furthest."""
+    cut = Cut()
+    cut.piece = piece
+    cut.found = wp.bool(False)
+    a = corner_point(surface, face, 0)
+    normal = wp.cross(corner_point(surface, face, 1) - a, corner_point(surface, face, 2) - a)
+    furthest = ON_PLANE
+    for k in range(3):
+        start = corner_point(surface, face, k)
+        outward = wp.normalize(wp.cross(corner_point(surface, face, (k + 1) % 3) - start, normal))
+        side = wp.vec3d(
+            wp.dot(piece.p - start, outward), wp.dot(piece.q - start, outward), wp.dot(piece.r - start, outward)
+        )
+        most = wp.max(side[0], wp.max(side[1], side[2]))
+        least = wp.min(side[0], wp.min(side[1], side[2]))
+        if most > furthest and least < -ON_PLANE:
+            furthest = most
+            cut.found = wp.bool(True)
+            # The corner alone on its side.
+            alone = wp.int32(0)
+            for i in range(3):
+                before = side[(i + 1) % 3]
+                after = side[(i + 2) % 3]
+                own_side = side[i] > wp.float64(0.0)
+                if own_side != (before > wp.float64(0.0)) and own_side != (after > wp.float64(0.0)):
+                    alone = i
+            if alone == 0:
+                cut.piece = piece
+            elif alone == 1:
+                cut.piece.p = piece.q
+                cut.piece.q = piece.r
+                cut.piece.r = piece.p
+            else:
+                cut.piece.p = piece.r
+                cut.piece.q = piece.p
+                cut.piece.r = piece.q
+            own = side[alone]
+            cut.first = own / (own - side[(alone + 1) % 3])
+            cut.second = own / (own - side[(alone + 2) % 3])
+    return cut
+
+
+@wp.func
+def cut_in_half(piece: Piece) -> Cut:
+    """The cut across the longest edge, through the corner opposite to it."""
+    cut = Cut()
+    cut.piece = piece
+    pq = wp.length_sq(piece.p - piece.q)
+    qr = wp.length_sq(piece.q - piece.r)
+    rp = wp.length_sq(piece.r - piece.p)
+    # The longest edge becomes that from p to q.
+    if qr >= pq and qr >= rp:
+        cut.piece.p = piece.q
+        cut.piece.q = piece.r
+        cut.piece.r = piece.p
+    elif rp >= pq and rp >= qr:
+        cut.piece.p = piece.r
+        cut.piece.q = piece.p
+        cut.piece.r = piece.q
+    cut.first = wp.float64(0.5)
+    cut.second = wp.float64(1.0)
+    cut.found = wp.bool(False)
+    return cut
+
+
+@wp.func
+def with_first(hints: Faces, face: wp.int32, place: wp.int32) -> Faces:
+    """The hints with a face in front, and those before ``place`` one further back."""
+    moved = hints
+    for back in range(HINTS - 1):
+        i = HINTS - 1 - back
+        if i <= place:
+            moved[i] = hints[i - 1]
+    moved[0] = face
+    return moved
+
+
+@wp.kernel
+def bound_vertices(
+    # in
+    own: Surface,
+    other: Surface,
+    limit: wp.float64,
+    first_vertex: wp.int32,
+    # in and out
+    hint: wp.array[wp.int32],
+    # out
+    verdict_out: wp.array[wp.int32],
+):
+    """Whether each vertex of ``own`` is within the limit of ``other``; ``hint`` (V,) is a face that it was near."""
+    v = first_vertex + wp.tid()
+    p = own.points[v]
+    near = hint[v]
+    verdict = WITHIN
+    if near < 0 or squared_distance(other, near, p) > limit * limit:
+        near = nearest_face(other, p, limit)
+        if near < 0 or squared_distance(other, near, p) > limit * limit:
+            verdict = BEYOND
+    hint[v] = near
+    verdict_out[v] = verdict
+
+
+@wp.kernel
+def bound_triangles(
+    # in
+    own: Surface,
+    other: Surface,
+    limit: wp.float64,
+    first_face: wp.int32,
+    # in and out
+    hint: wp.array2d[wp.int32],
+    # out
+    verdict_out: wp.array[wp.int32],
+):
+    """Whether each face of ``own`` is within the limit of ``other``.
+
+    ``hint`` (N, HINTS) are faces of ``other`` that covered pieces of it before, the last one first, -1 for none.
+    """
+    face = first_face + wp.tid()
+    a = corner_point(own, face, 0)
+    b = corner_point(own, face, 1)
+    c = corner_point(own, face, 2)
+    hints = Faces()
+    for k in range(HINTS):
+        hints[k] = hint[face, k]
+    verdict = WITHIN
+    waiting = Pieces()
+    for k in range(3):
+        waiting[0, k] = a[k]
+        waiting[0, 3 + k] = b[k]
+        waiting[0, 6 + k] = c[k]
+    count = wp.int32(1)
+    looked_at = wp.int32(0)
+    while count > 0:
+        count -= 1
+        looked_at += 1
+        p = wp.vec3d(waiting[count, 0], waiting[count, 1], waiting[count, 2])
+        q = wp.vec3d(waiting[count, 3], waiting[count, 4], waiting[count, 5])
+        r = wp.vec3d(waiting[count, 6], waiting[count, 7], waiting[count, 8])
+        covered = wp.bool(False)
+        for k in range(HINTS):
+            if hints[k] >= 0 and not covered:
+                covered = covers(other, hints[k], p, q, r, limit)
+                if covered:
+                    hints = with_first(hints, hints[k], k)
+        if not covered:
+            centre = (p + q + r) / wp.float64(3.0)
+            near = nearest_face(other, centre, limit)
+            squared = wp.float64(0.0)
+            if near >= 0:
+                squared = squared_distance(other, near, centre)
+            if near < 0 or squared > limit * limit:
+                verdict = BEYOND
+            elif looked_at == MAX_PIECES or count + 3 > MAX_WAITING:
+                verdict = UNDECIDED
+            else:
+                size = wp.max(wp.length_sq(p - centre), wp.max(wp.length_sq(q - centre), wp.length_sq(r - centre)))
+                covered = wp.sqrt(squared) + wp.sqrt(size) <= limit
+                if not covered:
+                    covered = covers(other, near, p, q, r, limit)
+                if covered:
+                    hints = with_first(hints, near, HINTS - 1)
+                else:
+                    piece = Piece()
+                    piece.p = p
+                    piece.q = q
+                    piece.r = r
+                    cut = cut_at_edges(other, near, piece)
+                    if not cut.found:
+                        cut = cut_in_half(piece)
+                    one = cut.piece.p + (cut.piece.q - cut.piece.p) * cut.first
+                    two = cut.piece.p + (cut.piece.r - cut.piece.p) * cut.second
+                    for k in range(3):
+                        waiting[count, k] = cut.piece.p[k]
+                        waiting[count, 3 + k] = one[k]
+                        waiting[count, 6 + k] = two[k]
+                        waiting[count + 1, k] = one[k]
+                        waiting[count + 1, 3 + k] = cut.piece.q[k]
+                        waiting[count + 1, 6 + k] = cut.piece.r[k]
+                        waiting[count + 2, k] = one[k]
+                        waiting[count + 2, 3 + k] = cut.piece.r[k]
+                        waiting[count + 2, 6 + k] = two[k]
+                    # In half, there is no third.
+                    count += wp.where(cut.found, 3, 2)
+        if verdict != WITHIN:
+            count = 0
+    for k in range(HINTS):
+        hint[face, k] = hints[k]
+    verdict_out[face] = verdict

@@ -1,0 +1,96 @@
+"""``max_error``: the surface stays within a distance of the input, proved in every frame, with the fewest faces."""
+
+import numpy as np
+import pytest
+
+import warpqem
+from tests import meshes
+from warpqem.measure import compare
+
+BAR = meshes.bending_bar(20, 40, frames=6)
+WAYS = {
+    "default": {},
+    "refit": {"refit": True},
+    "best": {"refit": True, "memoryless": True},
+    "steady": {"coherence": 1.0},
+    "endpoint": {"placement": "endpoint"},
+    "dod": {"metric": "dod"},
+}
+
+
+def largest_distance(mesh, result, device):
+    points, faces = mesh
+    return compare(points, faces, result.points, result.faces, samples=4000, device=device).hausdorff
+
+
+@pytest.mark.parametrize("options", WAYS.values(), ids=WAYS)
+def test_no_sample_is_beyond_max_error_in_any_frame(options, device):
+    result = warpqem.simplify(*BAR, max_error=0.6, device=device, **options)
+    assert result.stopped == "max_error"
+    assert len(result.faces) < len(BAR[1])
+    assert largest_distance(BAR, result, device) <= 0.6
+
+
+def test_a_mesh_with_much_fewer_faces_does_not_hold(device):
+    result = warpqem.simplify(*BAR, max_error=0.6, device=device)
+    fewer = warpqem.simplify(*BAR, target_faces=round(0.8 * len(result.faces)), device=device)
+    assert largest_distance(BAR, fewer, device) > 0.6
+
+
+def test_the_count_stops_first_where_it_is_the_larger(device):
+    result = warpqem.simplify(*BAR, max_error=5.0, ratio=0.5, device=device)
+    assert result.stopped == "target"
+    assert len(result.faces) == len(BAR[1]) // 2
+
+
+def test_a_flat_sheet_keeps_its_corners_exactly(device):
+    points, faces = meshes.grid(10, 10)
+    for coherence in (0.5, 1.0):
+        result = warpqem.simplify(points, faces, max_error=0.001, coherence=coherence, device=device)
+        assert len(result.faces) == 2
+        assert largest_distance((points[None], faces), result, device) <= 0.001
+
+
+def test_components_do_not_vanish_beyond_the_limit(device):
+    points, faces = meshes.joined(meshes.bumpy_sphere(2), meshes.tetrahedron(), spacing=3.0)
+    result = warpqem.simplify(points, faces, max_error=1.0, device=device)
+    assert result.components_removed == 0
+    assert largest_distance((points[None], faces), result, device) <= 1.0
+
+
+class Kept:
+    """Takes the frames of a result."""
+
+    def begin(self, frame_count, vertex_count, faces):
+        self.faces, self.blocks = faces, []
+
+    def write(self, frames, points):
+        self.blocks.append(points.copy())
+
+
+def test_a_sink_takes_the_frames_of_the_level_that_holds(device):
+    kept = Kept()
+    result = warpqem.simplify(*BAR, max_error=0.6, sink=kept, device=device)
+    whole = warpqem.simplify(*BAR, max_error=0.6, device=device)
+    assert np.array_equal(np.concatenate(kept.blocks), whole.points)
+    assert np.array_equal(kept.faces, result.faces)
+
+
+def test_blocks_of_frames_make_no_difference(device, monkeypatch):
+    whole = warpqem.simplify(*BAR, max_error=0.6, device=device)
+    monkeypatch.setattr("warpqem.memory.BLOCK_BYTES", 1)
+    parts = warpqem.simplify(*BAR, max_error=0.6, device=device)
+    assert np.array_equal(parts.points, whole.points)
+
+
+def test_progress_only_grows_and_ends(device):
+    seen = []
+    warpqem.simplify(*BAR, max_error=0.6, device=device, progress=lambda done, stage: seen.append(done))
+    assert seen == sorted(seen)
+    assert seen[-1] <= 1.0
+
+
+def test_a_limit_below_single_precision_is_refused(device):
+    far = BAR[0].astype(np.float64) + 1e5
+    with pytest.raises(warpqem.errors.OptionError, match="single precision does not place the input"):
+        warpqem.simplify(far, BAR[1], max_error=1e-5, device=device)

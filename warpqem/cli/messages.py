@@ -1,0 +1,25 @@
+"""Lines on stderr and exit codes, without loading anything: a command may have to stop before it has begun."""
+
+from __future__ import annotations
+
+import sys
+
+__all__ = ["EXIT_FAILED", "EXIT_INTERRUPTED", "EXIT_SIGNAL", "EXIT_USAGE", "tell", "told_messages"]
+
+EXIT_FAILED = 1
+EXIT_USAGE = 2
+# A command that a signal ends exits as shells show it: this and the signal's number.
+EXIT_SIGNAL = 128
+# The signal of Ctrl-C has the number 2 everywhere.
+EXIT_INTERRUPTED = EXIT_SIGNAL + 2
+
+# What has been told since USD's warnings were shown last.
+told_messages: list[str] = []
+
+
+def tell(kind: str, message: str) -> None:
+    """Print one line, such as `error: ...` or `warning: ...`, on stderr."""
+    from warpqem.printable import printable
+
+    told_messages.append(message)
+    print(f"{kind}: {printable(message.strip())}", file=sys.stderr)

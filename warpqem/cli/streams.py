@@ -1,0 +1,69 @@
+"""Standard output and error that somebody has stopped reading, as `| head -1` does."""
+
+from __future__ import annotations
+
+import io
+import signal
+import sys
+from typing import Any
+
+from warpqem.cli.messages import EXIT_FAILED, EXIT_SIGNAL, tell
+
+__all__ = ["ToleratedOutput"]
+
+
+class _Stream(io.FileIO):
+    """A file that takes what nobody reads any more, and remembers that it did."""
+
+    is_closed_by_reader = False
+
+    def write(self, data: Any) -> int:
+        try:
+            return super().write(data) or 0
+        except BrokenPipeError:
+            self.is_closed_by_reader = True
+            return memoryview(data).nbytes
+
+
+class ToleratedOutput:
+    """The streams of this process from now on: the work goes on when nobody reads what it prints."""
+
+    def __init__(self) -> None:
+        self._streams: list[_Stream] = []
+        # None where a stream was closed before the command began.
+        if sys.stdout is not None:
+            sys.stdout = self._replace(sys.stdout)
+        if sys.stderr is not None:
+            sys.stderr = self._replace(sys.stderr)
+
+    def _replace(self, stream: Any) -> io.TextIOWrapper:
+        stream.flush()
+        raw = _Stream(stream.fileno(), "w", closefd=False)
+        self._streams.append(raw)
+        return io.TextIOWrapper(
+            io.BufferedWriter(raw),
+            stream.encoding,
+            stream.errors,
+            line_buffering=stream.line_buffering or stream.write_through,
+            write_through=stream.write_through,
+        )
+
+    def finish(self, quiet: bool = False) -> int:
+        """Write out what is left; returns 0, or the exit code of a program whose output did not get out.
+
+        Args:
+            quiet: An error has been told already.
+        """
+        code = EXIT_SIGNAL + signal.SIGPIPE if any(stream.is_closed_by_reader for stream in self._streams) else 0
+        for name in ("stdout", "stderr"):
+            stream = getattr(sys, name)
+            try:
+                if stream is not None:
+                    stream.flush()
+            except OSError as error:
+                # Nothing is to try again when the process ends.
+                setattr(sys, name, None)
+                if name == "stdout" and not quiet:
+                    tell("error", f"standard output: cannot be written ({error.strerror})")
+                code = code or EXIT_FAILED
+        return code

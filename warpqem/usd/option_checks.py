@@ -1,0 +1,86 @@
+"""Options that are more than a number or a name: read from text, and checked. No stage is needed for it, nor USD."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from warpqem.attributes import MOST_WEIGHT
+from warpqem.errors import OptionError
+
+__all__ = [
+    "WEIGHT_SCALES",
+    "AttributeWeights",
+    "bare_name",
+    "check_lods",
+    "check_weights",
+    "parse_attribute_weight",
+    "parse_lods",
+]
+
+# What painted weights scale.
+WEIGHT_SCALES = ("cost", "quadrics")
+# Weights by primvar name, without "primvars:".
+AttributeWeights = Sequence[tuple[str, float]]
+
+
+def bare_name(name: str) -> str:
+    """The name of a primvar without its namespace."""
+    return name.removeprefix("primvars:")
+
+
+def parse_attribute_weight(text: str) -> tuple[str, float]:
+    """Read `NAME=WEIGHT`.
+
+    Raises:
+        OptionError: it is something else.
+    """
+    name, _, weight = text.rpartition("=")
+    try:
+        if name:
+            return bare_name(name), float(weight)
+    except ValueError:
+        pass
+    raise OptionError(f"attribute weight '{text}': expected NAME=WEIGHT, such as st=0.1")
+
+
+def check_weights(uv_weight: float | None, weights: AttributeWeights) -> None:
+    """Check that all weights are in range.
+
+    Raises:
+        OptionError: one is not.
+    """
+    named = [(f"attribute_weights of {name}", weight) for name, weight in weights]
+    for name, weight in [("uv_weight", uv_weight or 0.0), *named]:
+        if not (math.isfinite(weight) and 0.0 <= weight <= MOST_WEIGHT):
+            raise OptionError(f"{name}: expected a number from 0 to {MOST_WEIGHT:g}, not {weight:g}")
+
+
+def parse_lods(text: str) -> tuple[float, ...]:
+    """Read ratios such as "0.5,0.25,0.1".
+
+    Raises:
+        OptionError: one of them is no number.
+    """
+    ratios = []
+    for part in text.split(","):
+        try:
+            ratios.append(float(part))
+        except ValueError:
+            raise OptionError(f"lods '{text}': '{part}' is no number; expected ratios such as 0.5,0.25,0.1") from None
+    return tuple(ratios)
+
+
+def check_lods(ratios: Sequence[float]) -> None:
+    """Check the ratios of the levels below the original.
+
+    Raises:
+        OptionError: one is not between 0 and 1, or not smaller than the one before it.
+    """
+    before = math.inf
+    for ratio in ratios:
+        if not 0 < ratio < 1:
+            raise OptionError(f"lods: ratio {ratio:g}: expected a share above 0 and below 1")
+        if ratio >= before:
+            raise OptionError(f"lods: ratio {ratio:g} after {before:g}: each level must be smaller than the one before")
+        before = ratio
