@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from benchmarks import kernels, peers, scaling, startup, static, stream
+from benchmarks import articulated, kernels, peers, scaling, startup, static, stream
 from benchmarks.report import Report, write_report
 from benchmarks.settings import Settings
 
@@ -18,6 +18,7 @@ COMMANDS: dict[str, Callable[[Settings], Report]] = {
     "kernels": kernels.run,
     "startup": startup.run,
     "stream": stream.run,
+    "articulated": articulated.run,
 }
 TURNS, QUICK_TURNS = 5, 2
 
@@ -32,15 +33,16 @@ def parse(arguments: Sequence[str] | None = None) -> tuple[str, Settings]:
         default="peers",
         help="peers (default): an animation through warpqem and its peers; scaling: faces and frames; static: one "
         "large frame; kernels: time and floor of each kernel; startup: the command line on a small file; "
-        "stream: memory on long clips and a large mesh",
+        "stream: memory on long clips and a large mesh; articulated: the order of collapses of a skinned mesh by the "
+        "error of its skin",
     )
     parser.add_argument("--out", type=Path, default=Path("benchmark_results"), help="folder for the reports")
     parser.add_argument("--quick", action="store_true", help="small meshes, few turns: whether it works, not how fast")
     parser.add_argument("--device", help="Warp device; by default the GPU if there is one")
     parser.add_argument("--turns", type=int, help=f"runs of each contender; {TURNS} by default, {QUICK_TURNS} if quick")
     parser.add_argument("--ratio", type=float, default=0.1, help="part of the faces to keep")
-    parser.add_argument("--usd", type=Path, help="peers: simplify this file instead of the generated quadruped")
-    parser.add_argument("--prim", help="peers: the mesh in that file; by default the largest")
+    parser.add_argument("--usd", type=Path, help="peers, articulated: this file instead of a quadruped")
+    parser.add_argument("--prim", help="peers, articulated: the mesh in that file; by default the largest")
     given = parser.parse_args(arguments)
     turns = given.turns if given.turns is not None else QUICK_TURNS if given.quick else TURNS
     if turns < 1:

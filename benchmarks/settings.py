@@ -18,7 +18,7 @@ class Settings:
         device: Warp device; None for the default.
         turns: how often each contender runs.
         ratio: part of the faces to keep.
-        usd: file to work on instead of the generated mesh (command ``peers``).
+        usd: file to work on instead of the generated mesh (commands ``peers`` and ``articulated``).
         prim: mesh in that file; None for the largest.
     """
 

@@ -1,6 +1,6 @@
 """The tables of the source papers, on the shipped scenes.
 
-python examples/paper_tables.py [levels] [stretch] [morph] [rest] [face] [retarget] [articulated] [joints] [reductions]
+python examples/paper_tables.py [TABLE...]
 
 levels        any level from one run, and its error (progressive deforming meshes)
 stretch       vertices where the surface stretches most (the same: deformation oriented decimation)
@@ -9,6 +9,7 @@ rest          the same with weights for what rests but matters (its outlook)
 face          feature points that survive (multiresolution facial animation)
 retarget      expressions carried to levels (the same; expression cloning, Noh & Neumann 2001)
 articulated   poses that the fit of a skin has not seen (simplification of articulated meshes)
+influences    the same with fewer joints for each vertex
 joints        vertices that joints keep (animated meshes with motion features, AQEM)
 reductions    errors at the reductions of that paper, by the weights of joints
 """
@@ -41,6 +42,8 @@ from warpqem.usd import CompareOptions, FrameRange, SimplifyOptions, compare_sta
 # The head of surface simplification guided by morph-targets: 3128 triangles to 878.
 PAPER_RATIO = 878 / 3128
 SCENES = Path(__file__).parent.parent / "scenes"
+# Shares of the faces that skins are fitted at.
+SKIN_RATIOS = (0.25, 0.1, 0.05)
 
 
 @cache
@@ -239,11 +242,22 @@ def retarget() -> Table:
 
 def articulated() -> Table:
     """Errors of a skinned quadruped on the half of its poses that was not fitted, in % of the diagonal."""
-    scene = SCENES / "quadruped_gallop.usdc"
     kinds = {"fitted": {}, "interpolated": {"skin_fit": False}, "pulled back": {"pose_independent": True}}
-    table = _table("A skinned gallop on poses that were not fitted: RMS %", "share", *kinds)
+    return _unseen_poses("A skinned gallop on poses that were not fitted: RMS %", kinds)
+
+
+def influences() -> Table:
+    """The same for skins of at most 11, 5 and 3 joints a vertex; the paper shows 11 and 5."""
+    kinds = {f"{count} joints": {"influences": count} for count in (11, 5, 3)}
+    return _unseen_poses("A skinned gallop with fewer joints a vertex, on poses that were not fitted: RMS %", kinds)
+
+
+def _unseen_poses(title: str, kinds: dict[str, dict[str, object]]) -> Table:
+    """RMS on the second half of the poses for some options, fitted to the first half."""
+    scene = SCENES / "quadruped_gallop.usdc"
+    table = _table(title, "share", *kinds)
     with tempfile.TemporaryDirectory() as folder:
-        for ratio in (0.25, 0.1, 0.05):
+        for ratio in SKIN_RATIOS:
             errors = []
             for options in kinds.values():
                 output = Path(folder) / "out.usdc"
@@ -294,6 +308,7 @@ TABLES: dict[str, Callable[[], Table]] = {
     "face": face,
     "retarget": retarget,
     "articulated": articulated,
+    "influences": influences,
     "joints": joints,
     "reductions": reductions,
 }

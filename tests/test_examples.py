@@ -54,6 +54,14 @@ def test_expressions_are_nearer_to_the_true_motion_on_levels_that_keep_the_point
     assert all(first < second for first, second in zip(kept, plain, strict=True))
 
 
+def test_five_joints_a_vertex_are_as_good_as_eleven_and_three_are_not(monkeypatch):
+    monkeypatch.setattr(paper_tables, "SKIN_RATIOS", (0.1,))
+    table = paper_tables.influences()
+    [eleven], [five], [three] = (column(table, index) for index in range(1, 4))
+    assert five == pytest.approx(eleven, rel=0.01)
+    assert three > 1.05 * five
+
+
 def test_joints_keep_their_vertices():
     table = paper_tables.joints()
     counts = dict(zip(table.columns[0].cells, column(table, 1), strict=True))

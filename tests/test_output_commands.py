@@ -178,7 +178,7 @@ def test_poses_and_their_layers_are_kept(folder, option, name):
 
 
 @pytest.mark.parametrize("command", ["simplify", "batch"])
-def test_points_of_a_face_are_kept(folder, command):
+def test_face_points_are_kept(folder, command):
     (folder / "points.json").write_text("{}")
     before = file_bytes(folder)
     result = run([*f"{command} {COMMANDS[command]} --metric face --face-points points.json --json points.json".split()])
