@@ -46,7 +46,8 @@ def simplify_pulled_back(
         skin: its skin.
         transforms: (P, J, 3, 4), see :func:`warpqem.skinning.skin.pose_skin`; identities in the first pose.
         options: ``ratio``, ``target_faces``, ``max_error``, ``vertex_weights``, ``quadric_scale``, ``locked``,
-            ``lock_borders``, ``seams``, ``attributes``, ``memory`` and ``device`` of :func:`warpqem.simplify`.
+            ``lock_borders``, ``seams``, ``attributes``, ``memory`` and ``device`` of :func:`warpqem.simplify`;
+            ``max_error`` limits the errors of single collapses here and is no bound on the distance.
 
     Returns:
         The result with one frame, the rest shape.
