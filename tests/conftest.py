@@ -1,10 +1,17 @@
 """Fixtures shared by all tests."""
 
 import os
+import signal
 
 import hypothesis
 import pytest
 import warp as wp
+
+# What the caller ignores, as `nohup` and background jobs of a shell do, every command that a test starts would ignore.
+for _name in ("SIGHUP", "SIGQUIT", "SIGINT"):
+    _number = getattr(signal, _name, None)
+    if _number is not None and signal.getsignal(_number) == signal.SIG_IGN:
+        signal.signal(_number, signal.default_int_handler if _name == "SIGINT" else signal.SIG_DFL)
 
 # The ways of a GPU on the CPU: before any kernel is compiled.
 if "CUDA_SEMANTICS" in os.environ:
