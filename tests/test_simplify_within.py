@@ -5,7 +5,9 @@ import pytest
 
 import warpqem
 from tests import meshes
+from warpqem.bounded import BoundSink
 from warpqem.measure import compare
+from warpqem.mesh_input import read_mesh
 
 BAR = meshes.bending_bar(20, 40, frames=6)
 WAYS = {
@@ -68,12 +70,23 @@ class Kept:
         self.blocks.append(points.copy())
 
 
-def test_a_sink_takes_the_frames_of_the_level_that_holds(device):
-    kept = Kept()
-    result = warpqem.simplify(*BAR, max_error=0.6, sink=kept, device=device)
-    whole = warpqem.simplify(*BAR, max_error=0.6, device=device)
-    assert np.array_equal(np.concatenate(kept.blocks), whole.points)
-    assert np.array_equal(kept.faces, result.faces)
+# Levels that are tried after the one that holds must leave no trace in it: which are tried depends on size and limit.
+@pytest.mark.parametrize("options", [{}, {"refit": True}, {"memoryless": True}], ids=["default", "refit", "memoryless"])
+@pytest.mark.parametrize("coherence", [0.5, 1.0])
+@pytest.mark.parametrize("limit", [0.5, 1.0, 2.0])
+def test_a_sink_takes_the_frames_that_were_proved(limit, coherence, options, device):
+    for size in (14, 17):
+        points, faces = meshes.waving_grid(size, frames=4)
+        asked = {"max_error": limit, "coherence": coherence, "device": device, **options}
+        kept = Kept()
+        result = warpqem.simplify(points, faces, sink=kept, **asked)
+        delivered = np.concatenate(kept.blocks)
+        assert np.array_equal(delivered, warpqem.simplify(points, faces, **asked).points)
+        assert np.array_equal(kept.faces, result.faces)
+        # Raises where one point is beyond the limit.
+        bound = BoundSink(Kept(), read_mesh(points, faces), limit / 100, device)
+        bound.begin(len(points), delivered.shape[1], kept.faces)
+        bound.write(slice(0, len(points)), delivered)
 
 
 def test_blocks_of_frames_make_no_difference(device, monkeypatch):

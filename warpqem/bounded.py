@@ -136,8 +136,15 @@ def start_count(ordered: OrderedMesh, face_count: int, limit: float) -> int:
 
 @dataclass(frozen=True)
 class _Level:
-    """How one level is placed: its topology, and the vertices that are placed loosely, (V,) bool or None."""
+    """How one level is placed.
 
+    Attributes:
+        count: the faces asked for.
+        ordered: the topology.
+        loose: (V,) bool, vertices that are placed loosely; None for none.
+    """
+
+    count: int
     ordered: OrderedMesh
     loose: np.ndarray | None = None
 
@@ -153,7 +160,7 @@ class _Levels:
 
     def attempt(self, count: int) -> SimplifiedMesh | None:
         """The level of so many faces, if it holds the distance."""
-        level = _Level(self._ordered(count))
+        level = _Level(count, self._ordered(count))
         for _ in range(MAX_REPAIRS + 1):
             array = ArraySink()
             sink = BoundSink(array if self._keep else NoFrames(), self._work.mesh, self._limit, self._work.device)
@@ -174,6 +181,11 @@ class _Levels:
         work = replace(self._work, place_settings=replace(self._work.place_settings, loose=level.loose))
         return finish(work, work.placer(level.ordered), Outcome.of(level.ordered), self._refit, delivery)
 
+    def place_held(self, delivery: Delivery) -> SimplifiedMesh:
+        """Place the level that held once more. Levels share arrays, which those tried after it have changed."""
+        assert self.held is not None
+        return self.place(replace(self.held, ordered=self._ordered(self.held.count)), delivery)
+
     def _looser(self, level: _Level, excess: Excess) -> _Level | None:
         """The level with vertices around what is too far placed loosely; None where that cannot help."""
         faces, root = self._work.mesh.faces, level.ordered.root
@@ -188,7 +200,7 @@ class _Levels:
             wanted |= level.loose
             if (wanted == level.loose).all():
                 return None
-        return _Level(level.ordered, wanted)
+        return replace(level, loose=wanted)
 
 
 def simplify_within(work: Prepared, refit: bool, delivery: Delivery) -> SimplifiedMesh:
@@ -221,8 +233,7 @@ def simplify_within(work: Prepared, refit: bool, delivery: Delivery) -> Simplifi
         progress=delivery.progress,
     )
     if delivery.sink is not None:
-        assert levels.held is not None
-        result = levels.place(levels.held, delivery)
+        result = levels.place_held(delivery)
     if len(result.faces) > len(coarsest.faces):
         return replace(result, stopped="max_error")
     return reached(result, work.goal.target_faces)
