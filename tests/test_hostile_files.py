@@ -350,7 +350,7 @@ def outside(tmp_path) -> Path:
     return tmp_path
 
 
-@pytest.mark.parametrize("way", ["reference", "payload in a variant", "sublayer", "texture", "link"])
+@pytest.mark.parametrize("way", ["reference", "payload in a variant", "sublayer", "texture", "expression", "link"])
 def test_files_outside_of_the_asset_roots_are_refused(outside, way):
     path = outside / "show" / "in.usda"
     stage = Usd.Stage.CreateNew(str(path))
@@ -365,6 +365,9 @@ def test_files_outside_of_the_asset_roots_are_refused(outside, way):
         stage.GetRootLayer().subLayerPaths.append(place)
     elif way == "texture":
         prim.CreateAttribute("file", Sdf.ValueTypeNames.Asset).Set(place)
+    elif way == "expression":
+        stage.GetRootLayer().expressionVariables = {"WHERE": "../secret"}
+        prim.CreateAttribute("file", Sdf.ValueTypeNames.Asset).Set('`"${WHERE}/map.png"`')
     else:
         variants = prim.GetVariantSets().AddVariantSet("kind")
         variants.AddVariant("other")

@@ -84,7 +84,7 @@ def test_a_sink_takes_the_frames_that_were_proved(limit, coherence, options, dev
         assert np.array_equal(delivered, warpqem.simplify(points, faces, **asked).points)
         assert np.array_equal(kept.faces, result.faces)
         # Raises where one point is beyond the limit.
-        bound = BoundSink(Kept(), read_mesh(points, faces), limit / 100, device)
+        bound = BoundSink(Kept(), read_mesh(points, faces), limit / 100, 1.0, device)
         bound.begin(len(points), delivered.shape[1], kept.faces)
         bound.write(slice(0, len(points)), delivered)
 
@@ -107,3 +107,17 @@ def test_a_limit_below_single_precision_is_refused(device):
     far = BAR[0].astype(np.float64) + 1e5
     with pytest.raises(warpqem.errors.OptionError, match="single precision does not place the input"):
         warpqem.simplify(far, BAR[1], max_error=1e-5, device=device)
+
+
+def test_the_unit_of_the_scene_makes_no_difference_where_a_frame_has_no_extent(device):
+    points, faces = meshes.waving_grid(10, frames=3)
+    points[1] = points[1, 40] + np.float32(3.3)
+    counts = {
+        len(warpqem.simplify(points * np.float32(s), faces, max_error=1.0, device=device).faces) for s in (1, 2**20)
+    }
+    assert len(counts) == 1
+
+
+def test_the_plan_is_that_of_the_work(device):
+    result = warpqem.simplify(*BAR, max_error=0.6, device=device)
+    assert warpqem.plan(*BAR, max_error=0.6, device=device).order_bytes == result.plan.order_bytes

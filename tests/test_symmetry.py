@@ -119,6 +119,13 @@ def test_locked_borders_are_those_of_the_whole():
     assert len(np.unique(result.vertex_map[middle])) < len(middle)
 
 
+def test_max_error_tells_a_mesh_that_cannot_be_simplified():
+    locked = np.ones(POINTS.shape[1], dtype=bool)
+    assert simplified(ratio=None, max_error=1000.0, locked=locked).stopped == "no legal collapse"
+    with pytest.raises(UnreachableTargetError):
+        simplified(ratio=None, max_error=1000.0, target_faces=4, locked=locked)
+
+
 def test_max_error_holds_for_the_whole():
     result = simplified(ratio=None, max_error=0.3)
     assert compare(POINTS, FACES, result.points, result.faces, samples=4000, device="cpu").hausdorff <= 0.3

@@ -47,11 +47,12 @@ class BoundSink:
         sink: takes the frames.
         mesh: the input.
         limit: distance as part of the diagonal of the input's bounding box in each frame.
+        diagonal: the largest diagonal, which stands for that of a frame without extent.
         device: Warp device.
     """
 
-    def __init__(self, sink: FrameSink, mesh: MeshInput, limit: float, device: str) -> None:
-        self._sink, self._mesh, self._limit, self._device = sink, mesh, limit, device
+    def __init__(self, sink: FrameSink, mesh: MeshInput, limit: float, diagonal: float, device: str) -> None:
+        self._sink, self._mesh, self._limit, self._diagonal, self._device = sink, mesh, limit, diagonal, device
         self._bound: DistanceBound | None = None
 
     def begin(self, frame_count: int, vertex_count: int, faces: np.ndarray) -> None:
@@ -68,8 +69,7 @@ class BoundSink:
             for index, frame in enumerate(range(frames.start, frames.stop)):
                 own = reference[index].astype(np.float64)
                 low, high = own[self._mesh.used].min(axis=0), own[self._mesh.used].max(axis=0)
-                # In a frame where all points are one, any unit will do.
-                middle, unit = (low + high) / 2, float(np.linalg.norm(high - low)) or 1.0
+                middle, unit = (low + high) / 2, float(np.linalg.norm(high - low)) or self._diagonal
                 placed = points[index].astype(np.float64)
                 excess = self._bound.excess(frame, (own - middle) / unit, (placed - middle) / unit)
                 if excess is not None:
@@ -162,8 +162,9 @@ class _Levels:
         """The level of so many faces, if it holds the distance."""
         level = _Level(count, self._ordered(count))
         for _ in range(MAX_REPAIRS + 1):
-            array = ArraySink()
-            sink = BoundSink(array if self._keep else NoFrames(), self._work.mesh, self._limit, self._work.device)
+            array, mesh = ArraySink(), self._work.mesh
+            kept = array if self._keep else NoFrames()
+            sink = BoundSink(kept, mesh, self._limit, mesh.diagonal, self._work.device)
             try:
                 result = self.place(level, Delivery(sink))
             except ExceededError as error:

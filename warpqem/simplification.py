@@ -176,4 +176,5 @@ def plan(
     spec, levels = cost_model(asked.metric), flag(levels, "levels")
     device = resolve_device(asked.device)
     mesh = read_mesh(points, faces, partial(admit_faces, limit=asked.memory, device=device))
-    return plan_work(mesh, spec, asked, device, keep_frames=sink is None, keep_nodes=levels)
+    keep_nodes = levels or (asked.max_error is not None and not asked.memoryless)
+    return plan_work(mesh, spec, asked, device, keep_frames=sink is None, keep_nodes=keep_nodes)

@@ -245,30 +245,34 @@ def _simplify_within(
 ) -> SimplifiedMesh:
     """The fewest faces that hold the distance asked for, see :mod:`warpqem.bounded`."""
     goal, device = asked.goal(len(given.faces)), resolve_device(asked.device)
+    limit, diagonal, stuck = goal.max_error / 100.0, _diagonal(frames[:, given.used]), False
 
     def options(count: int) -> SimplifyOptions:
         return replace(asked, ratio=None, target_faces=count, max_error=None)
 
     def attempt(count: int) -> SimplifiedMesh | None:
+        nonlocal stuck
         array = ArraySink()
-        checked = BoundSink(array, given, goal.max_error / 100.0, device)
+        checked = BoundSink(array, given, limit, diagonal, device)
         try:
             result = _simplify_half(_Half(given, frames, mirror, options(count)), checked, None)
         except ExceededError:
             return None
         except UnreachableTargetError as error:
-            result = error.result
+            # No level has fewer faces than this one, which the search therefore ends with.
+            result, stuck = error.result, True
         return replace(result, points=array.points)
 
     face_count, least = len(given.faces), max(2, goal.target_faces)
-    result = find_coarsest(
-        attempt, face_count, start=face_count // 2, least=least, limit=goal.max_error / 100.0, progress=progress
-    )
+    result = find_coarsest(attempt, face_count, start=face_count // 2, least=least, limit=limit, progress=progress)
     if sink is not None:
         sink.begin(given.frame_count, result.points.shape[1], result.faces)
         sink.write(slice(0, given.frame_count), result.points)
         result = replace(result, points=result.points[:1])
-    return replace(result, stopped="max_error") if len(result.faces) > least else result
+    if stuck:
+        return reached(replace(result, stopped="no legal collapse"), goal.target_faces)
+    at_target = goal.target_faces > 0 and len(result.faces) <= goal.target_faces
+    return result if at_target else replace(result, stopped="max_error")
 
 
 def _simplify_half(half: _Half, sink: FrameSink | None, progress: Progress | None) -> SimplifiedMesh:

@@ -105,7 +105,8 @@ def simplify_values(
         typer.Option(
             metavar="PCT",
             help="Largest distance of each mesh from the input, in % of its bounding-box diagonal, proved for every "
-            "point and pose (of a skinned mesh before its skin is fitted); takes about the fewest faces that hold it.",
+            "point and pose, with about the fewest faces; of a skinned mesh before its skin is fitted, and not with "
+            "--pose-independent.",
         ),
     ] = None,
     screen_error: ScreenError = None,

@@ -89,7 +89,7 @@ def open_layers(path: str | os.PathLike[str], roots: Sequence[str | os.PathLike[
             continue
         variables = variables if layers else dict(layer.expressionVariables)
         layers[place] = layer
-        named.add(layer, specs)
+        named.add(layer, specs, variables)
         waiting += [(file, place) for file in layers_of(layer, variables)]
     _check_prim_count(first, layers)
     return OpenedLayers(list(layers.values()), list(named.files), named.problems)
@@ -103,16 +103,16 @@ class _NamedFiles:
         self.problems: list[str] = []
         self._allowed = allowed
 
-    def add(self, layer: Sdf.Layer, specs: _Specs) -> None:
+    def add(self, layer: Sdf.Layer, specs: _Specs, variables: dict[str, Any]) -> None:
         """Look at the value clips and textures of a layer.
 
         Raises:
             StageError: a clip is nothing USD could read safely, or a file lies outside of the folders allowed.
         """
-        for clip in clips_of(layer, specs.clips):
+        for clip in clips_of(layer, specs.clips, variables):
             if self._is_new(clip):
                 self.problems += _check_clip(clip, layer.identifier, self._allowed)
-        for texture in textures_of(layer, specs.assets):
+        for texture in textures_of(layer, specs.assets, variables):
             file = outer_file(texture.place)
             if self._is_new(texture):
                 _check_place(file, f" (named by {texture.owner} in {layer.identifier})", self._allowed)

@@ -55,7 +55,7 @@ def outer_file(place: str) -> str:
     return place
 
 
-def clips_of(layer: Sdf.Layer, prims: Sequence[Sdf.Path]) -> Iterator[NamedAsset]:
+def clips_of(layer: Sdf.Layer, prims: Sequence[Sdf.Path], variables: dict[str, Any]) -> Iterator[NamedAsset]:
     """The value clips, and their manifests, that prims of a layer name.
 
     Args:
@@ -70,13 +70,15 @@ def clips_of(layer: Sdf.Layer, prims: Sequence[Sdf.Path]) -> Iterator[NamedAsset
             sets = layer.GetPrimAtPath(path).GetInfo(CLIPS)
         for name, values in sets.items() if isinstance(sets, dict) else ():
             if isinstance(values, dict):
-                yield from _clips_of_set(layer, f"{path}, clips {name!r}", values)
+                yield from _clips_of_set(layer, f"{path}, clips {name!r}", values, variables)
 
 
-def _clips_of_set(layer: Sdf.Layer, owner: str, values: dict[str, Any]) -> Iterator[NamedAsset]:
+def _clips_of_set(
+    layer: Sdf.Layer, owner: str, values: dict[str, Any], variables: dict[str, Any]
+) -> Iterator[NamedAsset]:
     for key in ("assetPaths", "manifestAssetPath"):
         for asset in _paths_in(values.get(key)):
-            yield from _named(layer, owner, asset)
+            yield from _named(layer, owner, asset, variables)
     template = values.get("templateAssetPath")
     if isinstance(template, str) and template:
         times = [values.get(f"template{name}") for name in ("StartTime", "EndTime", "Stride")]
@@ -106,14 +108,14 @@ def _files_of_template(layer: Sdf.Layer, template: str) -> list[str]:
     return [file for file in sorted(glob.glob(re.sub("#+", "*", glob.escape(path)))) if digits.fullmatch(file)]
 
 
-def textures_of(layer: Sdf.Layer, attributes: Sequence[Sdf.Path]) -> Iterator[NamedAsset]:
+def textures_of(layer: Sdf.Layer, attributes: Sequence[Sdf.Path], variables: dict[str, Any]) -> Iterator[NamedAsset]:
     """What attributes of type asset name, at all times; each file of a set of UDIM tiles."""
     for path in attributes:
         with usd_errors_named(f"{layer.identifier}: {path}", reading=True):
             values = [layer.GetAttributeAtPath(path).default]
             values += [layer.QueryTimeSample(path, time) for time in layer.ListTimeSamplesForPath(path)]
         for asset in dict.fromkeys(asset for value in values for asset in _paths_in(value)):
-            for named in _named(layer, str(path), asset):
+            for named in _named(layer, str(path), asset, variables):
                 tiles = glob.glob(glob.escape(named.place).replace(UDIM, "[0-9]" * 4)) if UDIM in named.place else []
                 yield from (replace(named, place=tile) for tile in sorted(tiles) or [named.place])
 
@@ -145,10 +147,13 @@ def _paths_in(value: Any) -> list[str]:
     return [asset.path for asset in values if asset.path]
 
 
-def _named(layer: Sdf.Layer, owner: str, asset: str) -> Iterator[NamedAsset]:
-    place = _place(layer, asset)
+def _named(layer: Sdf.Layer, owner: str, asset: str, variables: dict[str, Any]) -> Iterator[NamedAsset]:
+    written = asset
+    if Sdf.VariableExpression.IsExpression(asset):
+        asset = _evaluated(asset, {**layer.expressionVariables, **variables})
+    place = _place(layer, asset) if asset else ""
     if os.path.isabs(place):
-        yield NamedAsset(owner, asset, place)
+        yield NamedAsset(owner, written, place)
 
 
 def _place(layer: Sdf.Layer, asset: str) -> str:
