@@ -96,8 +96,7 @@ def _files():
 @pytest.mark.parametrize("start", range(0, 300, 100))
 def test_changed_files_end_in_a_sound_mesh_or_a_named_error(start):
     ends = [progressive_cases.progressive_case(seed) for seed in range(start, start + 100)]
-    # Some changes do no harm.
-    assert ends.count("done") > 1
+    assert ends.count("done") > 3
     assert ends.count("ProgressiveFileError") > 30
 
 
