@@ -340,6 +340,13 @@ def test_array_that_unpacks_to_more_than_the_memory_allows_is_named(tmp_path):
     assert "error: /Root/Cloth: USD fails on a value of it" in result.stderr
 
 
+@pytest.mark.parametrize("value", ["nan", "inf", "-inf"])
+@pytest.mark.parametrize("rate", ["timeCodesPerSecond", "framesPerSecond"])
+def test_rates_that_are_no_numbers_are_named(tmp_path, rate, value):
+    path = text_file(tmp_path, f"(\n    {rate} = {value}\n)\n")
+    refused(path, rf"in\.usda: {rate} is {value}$")
+
+
 @pytest.fixture
 def outside(tmp_path) -> Path:
     """An input in a folder, and files beside that folder."""

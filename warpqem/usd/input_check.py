@@ -7,6 +7,7 @@ instead. Files that no layer of the input names are not looked at.
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -180,6 +181,7 @@ def _open(place: str, by: str, allowed: list[Path]) -> tuple[Sdf.Layer | None, _
         with opening(place):
             layer = Sdf.Layer.FindOrOpen(place)
             if layer is not None:
+                _check_rates(layer, place + by)
                 _check_specs(layer, place + by, specs)
         return layer, specs
     except (Tf.ErrorException, UnicodeDecodeError) as error:
@@ -212,6 +214,14 @@ def _check_file(place: str, by: str, allowed: list[Path]) -> bool:
         return False
     check_bytes(file, by)
     return True
+
+
+def _check_rates(layer: Sdf.Layer, name: str) -> None:
+    """Look at the rates that times are mapped by: where one is no number, USD looks for time samples for ever."""
+    for rate in ("timeCodesPerSecond", "framesPerSecond"):
+        value = getattr(layer, rate)
+        if not math.isfinite(value):
+            raise StageError(f"{name}: {rate} is {value}")
 
 
 def _check_specs(layer: Sdf.Layer, name: str, found: _Specs) -> None:
