@@ -366,7 +366,9 @@ def outside(tmp_path) -> Path:
     return tmp_path
 
 
-@pytest.mark.parametrize("way", ["reference", "payload in a variant", "sublayer", "texture", "expression", "link"])
+@pytest.mark.parametrize(
+    "way", ["reference", "payload in a variant", "sublayer", "texture", "expression", "address", "link"]
+)
 def test_files_outside_of_the_asset_roots_are_refused(outside, way):
     path = outside / "show" / "in.usda"
     stage = Usd.Stage.CreateNew(str(path))
@@ -381,6 +383,8 @@ def test_files_outside_of_the_asset_roots_are_refused(outside, way):
         stage.GetRootLayer().subLayerPaths.append(place)
     elif way == "texture":
         prim.CreateAttribute("file", Sdf.ValueTypeNames.Asset).Set(place)
+    elif way == "address":
+        prim.CreateAttribute("file", Sdf.ValueTypeNames.Asset).Set(f"file://{outside}/secret/map.png")
     elif way == "expression":
         stage.GetRootLayer().expressionVariables = {"WHERE": "../secret"}
         prim.CreateAttribute("file", Sdf.ValueTypeNames.Asset).Set('`"${WHERE}/map.png"`')

@@ -11,22 +11,20 @@ import os
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
-from urllib.parse import urlsplit
-from urllib.request import url2pathname
 
 from pxr import Ar, Sdf, Tf, Usd, UsdUtils
 
 from warpqem.errors import StageError
 from warpqem.outputs import InputFile, OutputFile, OutputFiles
 from warpqem.usd.input_check import open_layer
-from warpqem.usd.named_assets import outer_file
+from warpqem.usd.named_assets import UDIM, evaluated, outer_file, place_of
 from warpqem.usd.named_by import role_of
 from warpqem.usd.usd_errors import usd_errors_named
 
 __all__ = ["check_stage_outputs", "stage_files"]
 
-# In a name: one of a set of texture tiles (1001, 1002, ...), and the number of a value clip ("clip.###.usd").
-TILE, NUMBER = "<UDIM>", re.compile(r"#+")
+# In a name the number of a value clip ("clip.###.usd").
+NUMBER = re.compile(r"#+")
 
 
 def check_stage_outputs(
@@ -106,8 +104,8 @@ class _Walk:
     def _set_of(self, place: str) -> list[str]:
         """The files of a set of tiles or clips: those that are there, and outputs that would become a part of it."""
         folder, name = os.path.split(place)
-        if TILE in name:
-            parts, digits, number = name.split(TILE), "[0-9][0-9][0-9][0-9]", r"\d{4}"
+        if UDIM in name:
+            parts, digits, number = name.split(UDIM), "[0-9][0-9][0-9][0-9]", r"\d{4}"
         elif NUMBER.search(name) and not os.path.exists(place):
             parts, digits, number = NUMBER.split(name), "*", r"-?\d+"
         else:
@@ -129,32 +127,16 @@ def _arcs(layer: Sdf.Layer) -> dict[str, None]:
     with usd_errors_named(layer.identifier):
         named = [*layer.GetCompositionAssetDependencies(), *layer.GetExternalAssetDependencies()]
     variables = layer.expressionVariables
-    return dict.fromkeys(_evaluated(name, variables) for name in named if name)
-
-
-def _evaluated(name: str, variables: dict[str, object]) -> str:
-    if not Sdf.VariableExpression.IsExpression(name):
-        return name
-    value = Sdf.VariableExpression(name).Evaluate(variables).value
-    return value if isinstance(value, str) else ""
+    return dict.fromkeys(evaluated(name, variables) for name in named if name)
 
 
 def _place(layer: Sdf.Layer, name: str) -> str:
     """Absolute path of what a layer names, or of where it would be; empty for nothing."""
-    path = Sdf.Layer.SplitIdentifier(name)[0]
-    if path.startswith("file:"):
-        # USD leaves these to plugins, which may resolve them.
-        path = url2pathname(urlsplit(path).path)
-    if not path:
-        return ""
-    try:
-        anchored = Sdf.ComputeAssetPathRelativeToLayer(layer, path)
-        resolved = str(Ar.GetResolver().Resolve(anchored))
-    except Tf.ErrorException:
-        anchored = resolved = ""
-    if resolved or os.path.isabs(anchored):
-        return resolved or anchored
-    return os.path.join(os.path.dirname(outer_file(layer.realPath)), path)
+    place = place_of(layer, name)
+    if not place or os.path.isabs(place):
+        return place
+    # A name that is searched for, and found nowhere: it would be beside the layer.
+    return os.path.join(os.path.dirname(outer_file(layer.realPath)), place)
 
 
 def _opened(place: str) -> list[Sdf.Layer]:

@@ -13,13 +13,26 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
+from urllib.parse import urlsplit
+from urllib.request import url2pathname
 
-from pxr import Ar, Sdf
+from pxr import Ar, Sdf, Tf
 
 from warpqem.errors import StageError
 from warpqem.usd.usd_errors import usd_errors_named
 
-__all__ = ["ASSET_TYPES", "CLIPS", "NamedAsset", "clips_of", "layers_of", "outer_file", "textures_of"]
+__all__ = [
+    "ASSET_TYPES",
+    "CLIPS",
+    "UDIM",
+    "NamedAsset",
+    "clips_of",
+    "evaluated",
+    "layers_of",
+    "outer_file",
+    "place_of",
+    "textures_of",
+]
 
 ASSET_TYPES = (Sdf.ValueTypeNames.Asset, Sdf.ValueTypeNames.AssetArray)
 # Metadata of a prim.
@@ -84,7 +97,7 @@ def _clips_of_set(
         times = [values.get(f"template{name}") for name in ("StartTime", "EndTime", "Stride")]
         if all(isinstance(time, (int, float)) for time in times):
             _check_times(f"{layer.identifier}: {owner}", *map(float, times))  # type: ignore[arg-type]
-        for asset in _files_of_template(layer, template):
+        for asset in _files_of_template(layer, evaluated(template, {**layer.expressionVariables, **variables})):
             yield NamedAsset(owner, template, asset)
 
 
@@ -103,7 +116,7 @@ def _check_times(name: str, start: float, end: float, stride: float) -> None:
 
 def _files_of_template(layer: Sdf.Layer, template: str) -> list[str]:
     """The files that can stand for a template such as clip.###.usd, whatever the times."""
-    path = _place(layer, template)
+    path = place_of(layer, template)
     digits = re.compile(re.sub(r"(?:\\#)+", r"-?\\d+", re.escape(path)))
     return [file for file in sorted(glob.glob(re.sub("#+", "*", glob.escape(path)))) if digits.fullmatch(file)]
 
@@ -130,16 +143,9 @@ def layers_of(layer: Sdf.Layer, variables: dict[str, Any]) -> Iterator[str]:
     with usd_errors_named(layer.identifier):
         named = layer.GetCompositionAssetDependencies()
     for asset in named:
-        if Sdf.VariableExpression.IsExpression(asset):
-            asset = _evaluated(asset, {**layer.expressionVariables, **variables})
-        place = _place(layer, asset) if asset else ""
+        place = place_of(layer, evaluated(asset, {**layer.expressionVariables, **variables}))
         if os.path.isabs(place):
             yield place
-
-
-def _evaluated(expression: str, variables: dict[str, Any]) -> str:
-    value = Sdf.VariableExpression(expression).Evaluate(variables).value
-    return value if isinstance(value, str) else ""
 
 
 def _paths_in(value: Any) -> list[str]:
@@ -148,14 +154,29 @@ def _paths_in(value: Any) -> list[str]:
 
 
 def _named(layer: Sdf.Layer, owner: str, asset: str, variables: dict[str, Any]) -> Iterator[NamedAsset]:
-    written = asset
-    if Sdf.VariableExpression.IsExpression(asset):
-        asset = _evaluated(asset, {**layer.expressionVariables, **variables})
-    place = _place(layer, asset) if asset else ""
+    place = place_of(layer, evaluated(asset, {**layer.expressionVariables, **variables}))
     if os.path.isabs(place):
-        yield NamedAsset(owner, written, place)
+        yield NamedAsset(owner, asset, place)
 
 
-def _place(layer: Sdf.Layer, asset: str) -> str:
-    anchored = Sdf.ComputeAssetPathRelativeToLayer(layer, asset)
-    return str(Ar.GetResolver().Resolve(anchored)) or anchored
+def evaluated(name: str, variables: dict[str, Any]) -> str:
+    """A name as it is written, or what it gives as an expression; empty for an expression that gives no text."""
+    if not Sdf.VariableExpression.IsExpression(name):
+        return name
+    value = Sdf.VariableExpression(name).Evaluate(variables).value
+    return value if isinstance(value, str) else ""
+
+
+def place_of(layer: Sdf.Layer, name: str) -> str:
+    """Where what a layer names is, or would be: not absolute for a name that is searched for and missing."""
+    path = str(Sdf.Layer.SplitIdentifier(name)[0])
+    if path.startswith("file:"):
+        # USD leaves these to plugins, which may resolve them.
+        path = url2pathname(urlsplit(path).path)
+    if not path:
+        return ""
+    try:
+        anchored = Sdf.ComputeAssetPathRelativeToLayer(layer, path)
+        return str(Ar.GetResolver().Resolve(anchored)) or anchored
+    except Tf.ErrorException:
+        return ""
