@@ -20,7 +20,6 @@ from benchmarks.report import Column, Report, Row, Table
 from benchmarks.settings import Settings
 from benchmarks.skin_collapse import Collapsed, collapse_edges
 from benchmarks.skin_order import JointOrder, PoseOrder
-from warpqem.arguments import SimplifyOptions
 from warpqem.device import resolve_device
 from warpqem.errors import UnreachableTargetError
 from warpqem.frame_blocks import pack_frames
@@ -28,6 +27,7 @@ from warpqem.kernels.lanes import QUADRIC, width_of
 from warpqem.key_frames import KeyFrameChoice
 from warpqem.measure import compare
 from warpqem.mesh_input import read_mesh
+from warpqem.options import SimplifyOptions
 from warpqem.order.log import CollapseRecord
 from warpqem.preparation import prepare
 from warpqem.result import Delivery, Outcome, SimplifiedMesh, finish

@@ -90,7 +90,7 @@ def test_strict_writes_nothing(half_broken, tmp_path):
     ("options", "message"),
     [
         (["--ratio", "25"], "for 25 % give 0.25"),
-        (["--ratio", "0"], "ratio 0"),
+        (["--ratio", "0"], "ratio must be in (0, 1], got 0"),
         (["--ratio", "0.5", "--faces", "9"], "exactly one"),
         ([], "exactly one"),
         (["--ratio", "0.5", "--frames", "9:1"], "frame range"),

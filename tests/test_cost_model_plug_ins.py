@@ -87,7 +87,9 @@ def test_plug_in_appears_in_the_command_line_and_in_the_report(site, tmp_path):
         command = [sys.executable, "-m", "warpqem", *arguments]
         return subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
 
-    assert "speed" in re.sub(r"\s", "", call("simplify", "--help").stdout.split("--metric")[1].split("--coherence")[0])
+    assert "speed" in re.sub(
+        r"\s", "", call("simplify", "--help-all").stdout.split("--metric")[1].split("--coherence")[0]
+    )
     options = "--ratio 0.5 --metric speed --device cpu --report page.html"
     done = call("simplify", "in.usda", "-o", "out.usda", *options.split())
     assert done.returncode == 0, done.stderr

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests import meshes
-from warpqem.arguments import SimplifyOptions
+from warpqem.options import SimplifyOptions
 from warpqem.place.clusters import LEAST_PULL, MOST_PULLED, PULLED_SIZE
 from warpqem.preparation import prepare
 

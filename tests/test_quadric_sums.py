@@ -13,8 +13,8 @@ from oracles.face import equation_one
 
 import warpqem
 from warpqem import FaceProtection, FacialFeatures
-from warpqem.arguments import SimplifyOptions
 from warpqem.face import face_sums
+from warpqem.options import SimplifyOptions
 from warpqem.order.quadric_sums import QuadricSums, add_quadric_sums
 from warpqem.place.rows import match_keys
 from warpqem.preparation import prepare

@@ -14,7 +14,7 @@ from typer.testing import CliRunner, Result
 from warpqem.cli.main import app
 from warpqem.errors import OptionError
 from warpqem.usd import FrameRange, SimplifyOptions, simplify_stage
-from warpqem.usd.option_checks import parse_lods
+from warpqem.usd.option_checks import read_ratios
 from warpqem.usd.report import StageReport
 from warpqem.usd.stage import open_stage
 
@@ -258,7 +258,7 @@ def test_levels_of_levels_are_refused(tmp_path):
 
 
 def test_ratios_are_read_from_text():
-    assert parse_lods("0.5, 0.25,.1") == (0.5, 0.25, 0.1)
+    assert read_ratios("0.5, 0.25,.1") == (0.5, 0.25, 0.1)
 
 
 @pytest.mark.parametrize("ratios", ["", "half", "0.5,", "1", "0.5,0", "-0.1", "nan", "0.5,0.5", "0.25,0.5", "50,25"])

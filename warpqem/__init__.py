@@ -6,7 +6,44 @@ The core takes and gives arrays; :mod:`warpqem.usd` reads and writes stages; ``w
 from __future__ import annotations
 
 import importlib
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    # What type checkers and editors read; a test holds it against the homes below.
+    from warpqem.attributes import AttributeField as AttributeField
+    from warpqem.batching.jobs import BatchJob as BatchJob
+    from warpqem.batching.result import BatchResult as BatchResult
+    from warpqem.batching.run import batch as batch
+    from warpqem.cost_models import CostModelSpec as CostModelSpec
+    from warpqem.cost_models import cost_model_names as cost_model_names
+    from warpqem.face.features import FacialFeatures as FacialFeatures
+    from warpqem.face.features import facial_features as facial_features
+    from warpqem.face.protect import FaceProtection as FaceProtection
+    from warpqem.face.retarget import FaceMesh as FaceMesh
+    from warpqem.face.retarget import RetargetedMotion as RetargetedMotion
+    from warpqem.face.retarget import retarget as retarget
+    from warpqem.frame_stream import FrameSink as FrameSink
+    from warpqem.frame_stream import FrameSource as FrameSource
+    from warpqem.levels import LevelOrder as LevelOrder
+    from warpqem.levels import order_levels as order_levels
+    from warpqem.levels import simplify_levels as simplify_levels
+    from warpqem.memory import MemoryPlan as MemoryPlan
+    from warpqem.morph import morph_weights as morph_weights
+    from warpqem.motion import MotionFeatures as MotionFeatures
+    from warpqem.motion import MotionWeighting as MotionWeighting
+    from warpqem.motion import motion_features as motion_features
+    from warpqem.progressive.build import build_progressive as build_progressive
+    from warpqem.progressive.mesh import ProgressiveMesh as ProgressiveMesh
+    from warpqem.result import SimplifiedMesh as SimplifiedMesh
+    from warpqem.sharing import FrameShare as FrameShare
+    from warpqem.sharing import help_place as help_place
+    from warpqem.simplification import plan as plan
+    from warpqem.simplification import simplify as simplify
+    from warpqem.skinning.fit import FittedSkin as FittedSkin
+    from warpqem.skinning.fit import fit_skin as fit_skin
+    from warpqem.skinning.skin import LinearSkin as LinearSkin
+    from warpqem.symmetry import find_mirror as find_mirror
+    from warpqem.symmetry import simplify_symmetric as simplify_symmetric
 
 # Loaded when first used: importing Warp takes most of a second, which `warpqem --help` need not wait for.
 _HOMES = {
@@ -46,43 +83,7 @@ _HOMES = {
     "simplify_levels": "warpqem.levels",
 }
 
-__all__ = [
-    "AttributeField",
-    "BatchJob",
-    "BatchResult",
-    "CostModelSpec",
-    "FaceMesh",
-    "FaceProtection",
-    "FacialFeatures",
-    "FittedSkin",
-    "FrameShare",
-    "FrameSink",
-    "FrameSource",
-    "LevelOrder",
-    "LinearSkin",
-    "MemoryPlan",
-    "MotionFeatures",
-    "MotionWeighting",
-    "ProgressiveMesh",
-    "RetargetedMotion",
-    "SimplifiedMesh",
-    "__version__",
-    "batch",
-    "build_progressive",
-    "cost_model_names",
-    "facial_features",
-    "find_mirror",
-    "fit_skin",
-    "help_place",
-    "morph_weights",
-    "motion_features",
-    "order_levels",
-    "plan",
-    "retarget",
-    "simplify",
-    "simplify_levels",
-    "simplify_symmetric",
-]
+__all__ = [*_HOMES, "__version__"]
 
 
 def _version() -> str:
@@ -101,3 +102,7 @@ def __getattr__(name: str) -> Any:
     if name in _HOMES:
         return getattr(importlib.import_module(_HOMES[name]), name)
     raise AttributeError(f"module 'warpqem' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -12,12 +12,11 @@ from warpqem.array_input import FLOAT32_MAX, first_beyond, real_array
 from warpqem.errors import MeshShapeError, OptionError
 from warpqem.mesh_input import MeshInput
 from warpqem.number_input import real_number
+from warpqem.options import WEIGHTS
 
 __all__ = ["AttributeField", "channel_count", "checked_fields", "field_weight", "weighted_corner_values"]
 
-# Squares of weighted values go into float32 costs, which end at 1e38.
-MOST_WEIGHT = 1e6
-# So do squares of their differences, summed over faces and key frames, which end at the same: from 1e18 on costs and
+# Squares of differences of weighted values are float32, summed over faces and key frames: from 1e18 on costs and
 # positions come out as no numbers.
 MOST_SPAN = 1e15
 
@@ -89,8 +88,7 @@ def field_weight(field: AttributeField, index: int) -> float:
     Raises:
         OptionError: it is outside its range.
     """
-    name, expected = f"attributes[{index}].weight", f"in [0, {MOST_WEIGHT:g}]"
-    return real_number(field.weight, name, expected, lambda weight: 0.0 <= weight <= MOST_WEIGHT)
+    return real_number(field.weight, f"attributes[{index}].weight", str(WEIGHTS), WEIGHTS.__contains__)
 
 
 def channel_count(fields: Sequence[AttributeField], mesh: MeshInput) -> int:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from warpqem.arguments import SimplifyOptions, check_ratio, target_count
 from warpqem.checked_frames import check_sink
 from warpqem.device import device_turn, on_device, resolve_device
 from warpqem.errors import OptionError, UnreachableTargetError
@@ -14,11 +13,15 @@ from warpqem.frame_stream import FrameSink
 from warpqem.memory import admit_faces
 from warpqem.mesh_input import read_mesh
 from warpqem.number_input import check_function, flag, shown, whole_number
+from warpqem.options import MethodKeywords, check_ratio, read_keywords, target_count
 from warpqem.order.levels import OrderedLevels
 from warpqem.order.nodes import NodeRecorder
 from warpqem.preparation import ORDER_END, Prepared, Progress, prepare
 from warpqem.result import Delivery, Outcome, SimplifiedMesh, finish, reached
 from warpqem.sharing import FrameShare, check_share
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 __all__ = ["LevelOrder", "order_levels", "simplify_levels"]
 
@@ -79,7 +82,7 @@ def order_levels(
     target_faces: int,
     keep_frames: bool = True,
     progress: Progress | None = None,
-    **options: Any,
+    **options: Unpack[MethodKeywords],
 ) -> LevelOrder:
     """Collapse the edges of an animated mesh down to its coarsest level.
 
@@ -98,7 +101,7 @@ def order_levels(
     refused = {"ratio", "max_error", "sink", "share"} & set(options)
     if refused:
         raise OptionError(f"{', '.join(sorted(refused))}: not with levels")
-    asked = SimplifyOptions(target_faces=target_faces, **options).checked()
+    asked = read_keywords(options, target_faces=target_faces)
     keep_frames = flag(keep_frames, "keep_frames")
     work = prepare(points, faces, asked, keep_frames=keep_frames, keep_nodes=True, progress=progress)
     return LevelOrder(work, asked.refits, progress)
@@ -110,9 +113,8 @@ def simplify_levels(
     faces: Any = None,
     *,
     ratios: Sequence[float],
-    refit: bool = False,
     progress: Progress | None = None,
-    **options: Any,
+    **options: Unpack[MethodKeywords],
 ) -> list[SimplifiedMesh]:
     """Simplify an animated mesh to several levels that nest: edges are collapsed once, each level is placed on its own.
 
@@ -123,7 +125,6 @@ def simplify_levels(
         points: as for :func:`simplify`.
         faces: likewise.
         ratios: part of the faces that each level keeps, in (0, 1].
-        refit: refit each level on its own.
         progress: called with the part done, 0 to 1, and the stage, "read", "order" or "place".
         options: other keyword arguments of :func:`simplify`, but for its goals and ``sink``.
 
@@ -137,7 +138,7 @@ def simplify_levels(
     device = resolve_device(options.get("device"))
     mesh = read_mesh(points, faces, partial(admit_faces, limit=options.get("memory"), device=device))
     targets = [target_count(ratio, len(mesh.faces)) for ratio in parts]
-    order = order_levels(mesh, target_faces=min(targets), refit=refit, progress=progress, **options)
+    order = order_levels(mesh, target_faces=min(targets), progress=progress, **options)
     results = []
     for index, target in enumerate(targets):
         part = None if progress is None else _part_of(progress, index, len(parts))

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from warpqem.arguments import Goal, SimplifyOptions
 from warpqem.attributes import channel_count, weighted_corner_values
 from warpqem.cost_models import CostModelSpec, cost_model
 from warpqem.device import resolve_device
@@ -23,6 +22,7 @@ from warpqem.memory import MemoryNeeds, MemoryPlan, admit_faces, plan_memory
 from warpqem.mesh_input import AnimatedMesh, MeshInput, measure_mesh, read_mesh
 from warpqem.motion import MotionWatch, MotionWeighting
 from warpqem.number_input import check_function, shown
+from warpqem.options import Goal, SimplifyOptions
 from warpqem.order.nodes import NodeRecorder
 from warpqem.order.quadric_sums import QuadricSums
 from warpqem.order.stage import OrderedMesh, OrderInput, OrderSettings, order_collapses
@@ -119,7 +119,7 @@ def prepare(
     options = options.checked()
     check_function(progress, "progress")
     spec = cost_model(options.metric)
-    if options.memoryless and keep_nodes:
+    if options.orders_by_present_faces and keep_nodes:
         raise OptionError("memoryless: not for levels of one ordering, as each level has present faces of its own")
     device = resolve_device(options.device)
     given = read_mesh(points, faces, partial(admit_faces, limit=options.memory, device=device))
@@ -162,7 +162,7 @@ def prepare(
             endpoint=endpoint,
             deformation_weight=spec.deformation_weight,
             keep_components=options.keep_components,
-            memoryless=options.memoryless,
+            memoryless=options.orders_by_present_faces,
         ),
         place_settings=PlaceSettings(_epsilon(coherence), _regularisation(coherence), endpoint),
         device=device,

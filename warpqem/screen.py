@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass
 
-from warpqem.number_input import real_number
+from warpqem.option_fields import Limits, check_options, option
+from warpqem.options import ABOVE_0, COUNT
 
 __all__ = ["ScreenView"]
 
@@ -21,17 +22,18 @@ class ScreenView:
         image_height: Pixels.
     """
 
-    error: float
-    distance: float
-    field_of_view: float = 45.0
-    image_height: int = 1080
+    error: float = option(MISSING, "Largest error in pixels, seen from --distance.", "PX", ABOVE_0, name="screen_error")
+    distance: float = option(
+        MISSING, "With --screen-error: from the camera to the mesh, in units of the stage.", "UNITS", ABOVE_0
+    )
+    field_of_view: float = option(
+        45.0, "With --screen-error: vertical field of view.", "DEG", Limits(0.0, 180.0, True, True), name="fov"
+    )
+    image_height: int = option(1080, "With --screen-error: height of the picture.", "PX", COUNT)
 
     def __post_init__(self) -> None:
         """Refuse views that show nothing."""
-        for name in ("error", "distance", "image_height"):
-            value, what = getattr(self, name), f"screen {name.replace('_', ' ')}"
-            real_number(value, what, "a number above 0", lambda x: 0.0 < x < math.inf)
-        real_number(self.field_of_view, "field of view", "degrees between 0 and 180", lambda x: 0.0 < x < 180.0)
+        check_options(self)
 
     @property
     def length(self) -> float:

@@ -9,11 +9,10 @@ inner edge between two vertices of the plane, which both halves would have, and 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpqem.arguments import SimplifyOptions
 from warpqem.array_input import finite_array, is_empty
 from warpqem.attributes import checked_fields
 from warpqem.bounded import BoundSink, ExceededError, find_coarsest
@@ -27,10 +26,14 @@ from warpqem.importance import border_vertices, lock_mask, read_quadric_scale, r
 from warpqem.kernels.topology import MIRROR
 from warpqem.mesh_input import MeshInput, finite_points, read_faces, read_mesh, read_points
 from warpqem.number_input import check_function, real_number, shown
+from warpqem.options import SimplifyKeywords, SimplifyOptions, read_keywords
 from warpqem.order.log import CollapseRecord
 from warpqem.preparation import Progress, prepare
 from warpqem.result import Delivery, Outcome, SimplifiedMesh, finish, reached
 from warpqem.seams import read_seams, seam_ends
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 __all__ = ["AXES", "Mirror", "MirrorPlane", "find_mirror", "simplify_symmetric"]
 
@@ -202,7 +205,7 @@ def simplify_symmetric(
     *,
     sink: FrameSink | None = None,
     progress: Progress | None = None,
-    **options: Any,
+    **options: Unpack[SimplifyKeywords],
 ) -> SimplifiedMesh:
     """Simplify a mirror-symmetric mesh so that the result has the same mirror plane.
 
@@ -225,7 +228,7 @@ def simplify_symmetric(
     """
     check_sink(sink)
     check_function(progress, "progress")
-    asked = SimplifyOptions(**options).checked()
+    asked = read_keywords(options)
     given = read_mesh(points, faces)
     frames = finite_points(given.source.read(slice(0, given.frame_count)))
     mirror = symmetry if isinstance(symmetry, Mirror) else find_mirror(frames[0], given.faces, symmetry)

@@ -25,8 +25,9 @@ from warpqem.cli.console import (
 )
 from warpqem.cli.guard import interruptible
 from warpqem.cli.logs import LogJson, Verbose, start_logging
-from warpqem.cli.simplify_options import takes_simplify_options
+from warpqem.cli.option_parameters import takes_options
 from warpqem.errors import OptionError, StageError
+from warpqem.usd.simplify_options import SimplifyOptions
 
 if TYPE_CHECKING:
     from warpqem.batching.engine import Engine
@@ -52,7 +53,7 @@ class OutputFormat(str, Enum):
     usdc = "usdc"
 
 
-@takes_simplify_options
+@takes_options(SimplifyOptions, hidden=("frames", "prim", "bake", "flatten"))
 def batch(
     inputs: Annotated[
         list[str],
@@ -68,7 +69,8 @@ def batch(
     ],
     options: dict[str, Any],
     output_format: Annotated[
-        OutputFormat | None, typer.Option("--format", help="Kind of the outputs; by default that of each input.")
+        OutputFormat | None,
+        typer.Option("--format", hidden=True, help="Kind of the outputs; by default that of each input."),
     ] = None,
     resume: Annotated[
         bool,
@@ -86,20 +88,22 @@ def batch(
         bool,
         typer.Option(
             "--spread",
+            hidden=True,
             help="Let processes or tasks without an asset place frames of large ones that are still at work; "
             "--jobs may then be more than there are assets. No bit changes.",
         ),
     ] = False,
-    retries: Annotated[int, typer.Option(help="How often to begin anew what has lost its process.")] = 1,
+    retries: Annotated[int, typer.Option(hidden=True, help="How often to begin anew what has lost its process.")] = 1,
     engine: Annotated[
-        EngineName, typer.Option(help="Processes on this machine, or tasks on a Ray cluster.")
+        EngineName, typer.Option(hidden=True, help="Processes on this machine, or tasks on a Ray cluster.")
     ] = EngineName.local,
     address: Annotated[
-        str | None, typer.Option(help="With --engine ray: the cluster; auto for that of this machine.")
+        str | None, typer.Option(hidden=True, help="With --engine ray: the cluster; auto for that of this machine.")
     ] = None,
-    cpus: Annotated[float, typer.Option(help="With --engine ray: CPU cores of an asset.")] = 1.0,
+    cpus: Annotated[float, typer.Option(hidden=True, help="With --engine ray: CPU cores of an asset.")] = 1.0,
     gpus: Annotated[
-        float | None, typer.Option(help="With --engine ray: GPUs of an asset, such as 0.25; by default 1 if any.")
+        float | None,
+        typer.Option(hidden=True, help="With --engine ray: GPUs of an asset, such as 0.25; by default 1 if any."),
     ] = None,
     json: Annotated[
         str | None,

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Annotated, Any
 
 import typer
 
 from warpqem.cli.console import PlainTable, load_usd, print_table, quiet_libraries, write_json
 from warpqem.cli.examples import epilog
+from warpqem.cli.option_parameters import takes_options
 from warpqem.cli.options import Device, Frames, Input, JsonReport, Output, ReportPage
 from warpqem.cli.simplify import run_simplify
-from warpqem.cli.simplify_options import takes_simplify_options
+from warpqem.usd.simplify_options import SimplifyOptions
 
 __all__ = ["face"]
 
 face = typer.Typer(name="face", help="Faces: named feature points, levels that keep them, expressions carried over.")
+
+# Those of the metric, which the command names itself.
+POINT_OPTIONS = ("metric", "face_points", "face_weight", "face_ring", "face_keep")
 
 FacePrim = Annotated[
     str | None, typer.Option("--prim", metavar="PATH", help="Prim path of the face; by default the largest mesh.")
@@ -79,7 +82,7 @@ def detect(
 
 
 @face.command(epilog=epilog("face simplify"))
-@partial(takes_simplify_options, without=("metric", "face_points", "face_weight", "face_ring", "face_keep"))
+@takes_options(SimplifyOptions, without=POINT_OPTIONS, hidden=("bake", "flatten"))
 def simplify(
     input_file: Input,
     output: Output,
@@ -88,19 +91,23 @@ def simplify(
     weight: Annotated[
         float | None,
         typer.Option(
-            metavar="FLOAT",
+            metavar="WEIGHT",
+            hidden=True,
             help="Weight of the quadrics of a feature point and of its neighbours, which are summed at it (equation 1 "
             "of multiresolution facial animation); 100 by default.",
         ),
     ] = None,
     ring: Annotated[
         int | None,
-        typer.Option(metavar="EDGES", help="Neighbours up to so many edges away are summed; 1 by default."),
+        typer.Option(
+            metavar="EDGES", hidden=True, help="Neighbours up to so many edges away are summed; 1 by default."
+        ),
     ] = None,
     keep: Annotated[
         bool,
         typer.Option(
             "--keep/--no-keep",
+            hidden=True,
             help="Feature points stay as they are at any face count; or as long as the weight holds.",
         ),
     ] = True,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from typing import Any
 
 import typer
 
@@ -16,21 +17,15 @@ from warpqem.cli.console import (
     tell,
     write_json,
 )
-from warpqem.cli.options import Device, FeatureFloor, FeatureThreshold, Frames, Input, JsonReport, Output, Prims
+from warpqem.cli.option_parameters import takes_options
+from warpqem.cli.options import Input, JsonReport, Output
+from warpqem.usd.simplify_options import SimplifyOptions
 
 __all__ = ["features"]
 
 
-def features(
-    input_file: Input,
-    output: Output,
-    frames: Frames = None,
-    feature_threshold: FeatureThreshold = None,
-    feature_floor: FeatureFloor = None,
-    prim: Prims = None,
-    device: Device = None,
-    json: JsonReport = None,
-) -> None:
+@takes_options(SimplifyOptions, only=("frames", "feature_threshold", "feature_floor", "prim", "device"))
+def features(input_file: Input, output: Output, options: dict[str, Any], json: JsonReport = None) -> None:
     """Colour the motion features, the parts that bend while a mesh moves: one colour for each, grey for the rest.
 
     After Yang et al. 2019: edges that bend more than the mean hang together in features, see --metric aqem of
@@ -50,10 +45,10 @@ def features(
         reports = color_features(
             input_file,
             output,
-            prims=tuple(prim or ()),
-            frames=FrameRange.parse(frames) if frames else None,
-            weighting=motion_weighting(feature_threshold, feature_floor),
-            device=device,
+            prims=tuple(options["prim"] or ()),
+            frames=FrameRange.parse(options["frames"]) if options["frames"] else None,
+            weighting=motion_weighting(options["feature_threshold"], options["feature_floor"]),
+            device=options["device"],
             progress=progress,
             other_outputs=named_outputs({"--json": json}),
         )

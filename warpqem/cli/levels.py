@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Annotated, Any
 
 import typer
 
+from warpqem.cli.option_parameters import takes_options
 from warpqem.cli.options import Input, JsonReport, Output, ReportPage
 from warpqem.cli.simplify import run_simplify
-from warpqem.cli.simplify_options import takes_simplify_options
+from warpqem.usd.simplify_options import SimplifyOptions
 
 __all__ = ["levels"]
 
@@ -19,7 +19,7 @@ OTHER_GOALS = (
 )  # fmt: skip
 
 
-@partial(takes_simplify_options, without=OTHER_GOALS)
+@takes_options(SimplifyOptions, without=OTHER_GOALS)
 def levels(
     input_file: Input,
     output: Output,

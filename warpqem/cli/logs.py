@@ -18,12 +18,20 @@ __all__ = ["LogJson", "Verbose", "start_logging"]
 LEVELS = (logging.WARNING, logging.INFO, logging.DEBUG)
 
 Verbose = Annotated[
-    int, typer.Option("--verbose", "-v", count=True, help="Say on stderr what is being done; twice: in detail.")
+    int,
+    typer.Option(
+        "--verbose", "-v", hidden=True, count=True, help="Say on stderr what is being done; twice: in detail."
+    ),
 ]
 
 LogJson = Annotated[
     str | None,
-    typer.Option("--log-json", metavar="FILE", help="Append a line of JSON for everything that is being done to FILE."),
+    typer.Option(
+        "--log-json",
+        hidden=True,
+        metavar="FILE",
+        help="Append a line of JSON for everything that is being done to FILE.",
+    ),
 ]
 
 

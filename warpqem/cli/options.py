@@ -2,37 +2,20 @@
 
 from __future__ import annotations
 
-from enum import Enum
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from warpqem.cost_models import cost_model_names
+from warpqem.cli.option_parameters import parameter_of
+from warpqem.option_fields import named_options
+from warpqem.usd.simplify_options import SimplifyOptions
 
-__all__ = [
-    "Coherence",
-    "Device",
-    "Distance",
-    "FeatureFloor",
-    "FeatureThreshold",
-    "FieldOfView",
-    "Frames",
-    "ImageHeight",
-    "Input",
-    "JsonReport",
-    "KeyFrames",
-    "MeshMemory",
-    "Metric",
-    "MetricOption",
-    "Output",
-    "Prims",
-    "ReportPage",
-    "ScreenError",
-]
+__all__ = ["Device", "Frames", "Input", "JsonReport", "MeshMemory", "Output", "Prims", "ReportPage"]
 
 
-# Cost models, those of other packages too; none of them is loaded for it.
-Metric = Enum("Metric", {name: name for name in cost_model_names()}, type=str)  # type: ignore[misc]
+def _as_of_simplify(name: str) -> Any:
+    return parameter_of(named_options(SimplifyOptions)[name], basic=True).annotation.__metadata__[0]
+
 
 Input = Annotated[str, typer.Argument(metavar="IN", help="USD file to read (.usd, .usda, .usdc, .usdz).")]
 
@@ -43,30 +26,11 @@ Output = Annotated[
     ),
 ]
 
-Prims = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--prim",
-        metavar="PATH",
-        help="Only the meshes at and below this prim path, such as /Root/Body; may be given several times.",
-    ),
-]
+Prims = Annotated[list[str] | None, _as_of_simplify("prim")]
 
-Frames = Annotated[
-    str | None,
-    typer.Option(
-        "--frames",
-        metavar="START:END[:STEP]",
-        help="Only the samples from START to END, in time codes; with STEP, poses interpolated every STEP time codes.",
-    ),
-]
+Frames = Annotated[str | None, _as_of_simplify("frames")]
 
-Device = Annotated[
-    str | None,
-    typer.Option(
-        "--device", metavar="NAME", help="Warp device, such as cpu or cuda:0; by default the GPU if there is one."
-    ),
-]
+Device = Annotated[str | None, _as_of_simplify("device")]
 
 JsonReport = Annotated[
     str | None,
@@ -82,41 +46,6 @@ ReportPage = Annotated[
     ),
 ]
 
-MetricOption = Annotated[
-    Metric,
-    typer.Option(
-        "--metric",
-        help="Cost model: dsd sums the error over frames (Mohr & Gleicher 2003), qem takes the first pose only "
-        "(Garland & Heckbert 1997), dod adds stretching edges (Huang, Chen & Chuang), aqem keeps joints (Yang et al. "
-        "2019), face keeps the feature points of a face. Installed packages may offer more.",
-    ),
-]
-
-FeatureThreshold = Annotated[
-    float | None,
-    typer.Option(
-        "--feature-threshold",
-        metavar="DEG",
-        help="Joints: degrees that an edge bends by between two frames to be part of one; by default the mean over all "
-        "edges. Less finds finer ones.",
-    ),
-]
-
-FeatureFloor = Annotated[
-    float | None,
-    typer.Option(
-        "--feature-floor", metavar="DEG", help="Joints: degrees that an edge bends by in any case; by default 1."
-    ),
-]
-
-Coherence = Annotated[
-    float,
-    typer.Option(
-        "--coherence",
-        help="0 to 1: 0 fits every frame on its own, 1 lets vertices stick to the surface over time.",
-    ),
-]
-
 MeshMemory = Annotated[
     str | None,
     typer.Option(
@@ -125,26 +54,4 @@ MeshMemory = Annotated[
         help="Memory that a progressive mesh may take, such as 8G or 500M, where the file is trusted; by default 64M, "
         "or 256 times the size of the file where that is more. Files of this version of warpqem need no more.",
     ),
-]
-
-KeyFrames = Annotated[
-    int, typer.Option("--key-frames", help="Number of frames, different in pose, that decide the topology.")
-]
-
-ScreenError = Annotated[
-    float | None,
-    typer.Option("--screen-error", metavar="PX", help="Largest error in pixels, seen from --distance."),
-]
-
-Distance = Annotated[
-    float | None,
-    typer.Option("--distance", help="With --screen-error: from the camera to the mesh, in units of the stage."),
-]
-
-FieldOfView = Annotated[
-    float, typer.Option("--fov", metavar="DEG", help="With --screen-error: vertical field of view, in degrees.")
-]
-
-ImageHeight = Annotated[
-    int, typer.Option("--image-height", metavar="PX", help="With --screen-error: height of the picture, in pixels.")
 ]

@@ -2,28 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from warpqem.cli.console import PlainTable, load_usd, print_table, progress_bar, quiet_libraries, write_json
 from warpqem.cli.examples import epilog
-from warpqem.cli.options import (
-    Coherence,
-    Device,
-    Distance,
-    FieldOfView,
-    Frames,
-    ImageHeight,
-    Input,
-    JsonReport,
-    KeyFrames,
-    MeshMemory,
-    Metric,
-    MetricOption,
-    Output,
-    ScreenError,
-)
+from warpqem.cli.option_parameters import takes_options
+from warpqem.cli.options import Input, JsonReport, MeshMemory, Output
+from warpqem.usd.option_values import read_options
+from warpqem.usd.progressive_options import NOT_TO_BUILD, BuildOptions, LevelChoice
 
 if TYPE_CHECKING:
     from warpqem.progressive.header import FileInfo
@@ -38,20 +26,11 @@ MeshFile = Annotated[str, typer.Argument(metavar="FILE", help="Progressive mesh 
 
 
 @progressive.command(epilog=epilog("build"))
+@takes_options(BuildOptions, without=NOT_TO_BUILD)
 def build(
     input_file: Input,
     output: Annotated[str, typer.Option("--output", "-o", metavar="FILE", help="Progressive mesh to write (.wpqm).")],
-    prim: Annotated[
-        str | None, typer.Option(metavar="PATH", help="Prim path of the mesh; needed where IN has more than one.")
-    ] = None,
-    base_faces: Annotated[
-        int | None, typer.Option(help="Triangles of the coarsest level; by default as few as can be.")
-    ] = None,
-    metric: MetricOption = Metric.dsd,
-    coherence: Coherence = 0.5,
-    key_frames: KeyFrames = 16,
-    frames: Frames = None,
-    device: Device = None,
+    options: dict[str, Any],
     json: JsonReport = None,
 ) -> None:
     """Build the progressive mesh of one mesh of a USD file: its poses in world space, without primvars and skin.
@@ -61,38 +40,18 @@ def build(
     quiet_libraries()
     load_usd()
     from warpqem.outputs import named_outputs
-    from warpqem.usd import FrameRange
-    from warpqem.usd.progressive import BuildOptions, build_file
+    from warpqem.usd.progressive import build_file
 
-    options = BuildOptions(
-        prim=prim,
-        base_faces=base_faces,
-        metric=metric.value,
-        coherence=coherence,
-        key_frames=key_frames,
-        frames=FrameRange.parse(frames) if frames else None,
-        device=device,
-    )
+    asked = read_options(options, BuildOptions)
     with progress_bar("reading") as progress:
-        info = build_file(input_file, output, options, progress, named_outputs({"--json": json}))
+        info = build_file(input_file, output, asked, progress, named_outputs({"--json": json}))
     _show(f"{input_file} -> {output}", info, json)
 
 
 @progressive.command(epilog=epilog("extract"))
+@takes_options(LevelChoice)
 def extract(
-    file: MeshFile,
-    output: Output,
-    ratio: Annotated[float | None, typer.Option(help="Share of the input's triangles, above 0 and at most 1.")] = None,
-    faces: Annotated[int | None, typer.Option(help="Triangles.")] = None,
-    max_error: Annotated[
-        float | None, typer.Option(metavar="PCT", help="Largest error, in % of the bounding-box diagonal.")
-    ] = None,
-    screen_error: ScreenError = None,
-    distance: Distance = None,
-    field_of_view: FieldOfView = 45.0,
-    image_height: ImageHeight = 1080,
-    memory: MeshMemory = None,
-    json: JsonReport = None,
+    file: MeshFile, output: Output, options: dict[str, Any], memory: MeshMemory = None, json: JsonReport = None
 ) -> None:
     """Write one level as a USD file. Give one of --ratio, --faces, --max-error and --screen-error.
 
@@ -101,11 +60,9 @@ def extract(
     quiet_libraries()
     load_usd()
     from warpqem.outputs import named_outputs
-    from warpqem.usd.option_values import screen_view
-    from warpqem.usd.progressive import LevelChoice, extract_level
+    from warpqem.usd.progressive import extract_level
 
-    screen = screen_view(screen_error, distance, field_of_view, image_height)
-    choice = LevelChoice(ratio, faces, max_error, screen)
+    choice = read_options(options, LevelChoice)
     count, error = extract_level(file, output, choice, memory, named_outputs({"--json": json}))
     table = PlainTable(f"{file} -> {output}")
     for name in ("faces", "error %"):

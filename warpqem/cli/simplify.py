@@ -16,8 +16,9 @@ from warpqem.cli.console import (
     tell,
     write_json,
 )
+from warpqem.cli.option_parameters import takes_options
 from warpqem.cli.options import Input, JsonReport, Output, ReportPage
-from warpqem.cli.simplify_options import takes_simplify_options
+from warpqem.usd.simplify_options import SimplifyOptions
 
 if TYPE_CHECKING:
     from warpqem.memory import MemoryPlan
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 __all__ = ["run_simplify", "simplify"]
 
 
-@takes_simplify_options
+@takes_options(SimplifyOptions)
 def simplify(
     input_file: Input, output: Output, options: dict[str, Any], report: ReportPage = None, json: JsonReport = None
 ) -> None:

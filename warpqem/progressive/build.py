@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpqem.arguments import SimplifyOptions
 from warpqem.device import on_device
 from warpqem.errors import OptionError
 from warpqem.frame_stream import read_ahead
 from warpqem.number_input import whole_number
+from warpqem.options import MethodKeywords, read_keywords
 from warpqem.order.levels import OrderedLevels
 from warpqem.order.nodes import NodeRecorder
 from warpqem.place.clusters import ClusterPlacer
 from warpqem.preparation import ORDER_END, Prepared, Progress, prepare
 from warpqem.progressive.mesh import ProgressiveMesh
 from warpqem.progressive.splits import SplitTopology
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 __all__ = ["build_progressive"]
 
@@ -28,7 +31,7 @@ def build_progressive(
     *,
     base_faces: int | None = None,
     progress: Progress | None = None,
-    **options: Any,
+    **options: Unpack[MethodKeywords],
 ) -> ProgressiveMesh:
     """Every level of an animated mesh from one run (progressive deforming meshes, Huang et al. 2006).
 
@@ -54,7 +57,7 @@ def build_progressive(
         raise OptionError(f"{', '.join(sorted(refused))}: not with a progressive mesh, which has all levels")
     # A mesh of one face is the least there is.
     target = 1 if base_faces is None else whole_number(base_faces, "base_faces")
-    asked = SimplifyOptions(target_faces=target, keep_components=True, **options)
+    asked = read_keywords(options, target_faces=target, keep_components=True)
     work = prepare(points, faces, asked, keep_nodes=True, progress=progress)
     recorder = NodeRecorder()
     ordered = work.order(progress, recorder)

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warpqem.arguments import check_ratio, target_count
 from warpqem.errors import OptionError
 from warpqem.number_input import real_number, whole_number
+from warpqem.options import check_ratio, target_count
 from warpqem.progressive.splits import SplitTopology
 
 __all__ = ["MeshLevel", "ProgressiveMesh"]

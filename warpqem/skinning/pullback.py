@@ -10,22 +10,25 @@ are interpolated. (The other one is ``dsd`` over the poses with interpolated wei
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpqem.arguments import SimplifyOptions
 from warpqem.array_input import as_numpy, is_empty
 from warpqem.device import on_device
 from warpqem.edges import edge_table
 from warpqem.errors import MeshShapeError, OptionError
 from warpqem.mesh_input import read_faces
 from warpqem.number_input import shown
+from warpqem.options import SimplifyKeywords, read_keywords
 from warpqem.order.quadrics import CONSTRAINT_WEIGHT
 from warpqem.preparation import Progress, prepare
 from warpqem.result import SimplifiedMesh, reached
 from warpqem.skinning.skin import LinearSkin, read_poses, read_transforms
 from warpqem.transfer import is_proper
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 __all__ = ["pulled_back_matrices", "simplify_pulled_back"]
 
@@ -36,7 +39,13 @@ MEAN_PULL = 1e-3
 
 @on_device
 def simplify_pulled_back(
-    points: Any, faces: Any, skin: LinearSkin, transforms: Any, *, progress: Progress | None = None, **options: Any
+    points: Any,
+    faces: Any,
+    skin: LinearSkin,
+    transforms: Any,
+    *,
+    progress: Progress | None = None,
+    **options: Unpack[SimplifyKeywords],
 ) -> SimplifiedMesh:
     """Simplify a skinned mesh in its rest shape.
 
@@ -55,10 +64,10 @@ def simplify_pulled_back(
     Raises:
         The errors of :func:`warpqem.simplify`; OptionError for an option that has no meaning here.
     """
-    unknown = {"metric", "coherence", "key_frames", "placement", "refit", "memoryless", "sink"} & options.keys()
+    unknown = {"metric", "coherence", "key_frames", "placement", "quality", "refit", "memoryless"} & options.keys()
     if unknown:
         raise OptionError(f"{', '.join(sorted(unknown))}: no option of simplifying by pulled back quadrics")
-    asked = SimplifyOptions(metric="qem", coherence=0.0, **options).checked()
+    asked = read_keywords(options, metric="qem", coherence=0.0)
     poses = read_poses(points)
     corner = read_faces(faces, "faces", poses.shape[1])
     if not isinstance(skin, LinearSkin):

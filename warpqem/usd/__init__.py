@@ -6,7 +6,17 @@ The modules import pxr and, through the core, Warp; nothing of that happens befo
 from __future__ import annotations
 
 import importlib
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    # What type checkers and editors read; a test holds it against the homes below.
+    from warpqem.usd.compare import CompareOptions as CompareOptions
+    from warpqem.usd.compare import compare_stages as compare_stages
+    from warpqem.usd.features import color_features as color_features
+    from warpqem.usd.frames import FrameRange as FrameRange
+    from warpqem.usd.inspect import inspect_stage as inspect_stage
+    from warpqem.usd.simplify import simplify_stage as simplify_stage
+    from warpqem.usd.simplify_options import SimplifyOptions as SimplifyOptions
 
 _HOMES = {
     "CompareOptions": "warpqem.usd.compare",
@@ -18,15 +28,7 @@ _HOMES = {
     "simplify_stage": "warpqem.usd.simplify",
 }
 
-__all__ = [
-    "CompareOptions",
-    "FrameRange",
-    "SimplifyOptions",
-    "color_features",
-    "compare_stages",
-    "inspect_stage",
-    "simplify_stage",
-]
+__all__ = [*_HOMES]
 
 
 # Options can be made where no USD is, such as a machine that sends jobs to a cluster.
@@ -39,3 +41,7 @@ def __getattr__(name: str) -> Any:
             importlib.import_module("warpqem.usd.library").need_usd()
         return getattr(importlib.import_module(_HOMES[name]), name)
     raise AttributeError(f"module 'warpqem.usd' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

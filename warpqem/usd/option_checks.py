@@ -4,22 +4,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
-from warpqem.attributes import MOST_WEIGHT
 from warpqem.errors import OptionError
+from warpqem.options import WEIGHTS
+from warpqem.usd.frames import FrameRange
 
 __all__ = [
-    "WEIGHT_SCALES",
     "AttributeWeights",
     "bare_name",
     "check_lods",
     "check_weights",
     "parse_attribute_weight",
-    "parse_lods",
+    "read_folders",
+    "read_frames",
+    "read_paths",
+    "read_ratios",
+    "read_weights",
 ]
 
-# What painted weights scale.
-WEIGHT_SCALES = ("cost", "quadrics")
 # Weights by primvar name, without "primvars:".
 AttributeWeights = Sequence[tuple[str, float]]
 
@@ -44,24 +47,29 @@ def parse_attribute_weight(text: str) -> tuple[str, float]:
     raise OptionError(f"attribute weight '{text}': expected NAME=WEIGHT, such as st=0.1")
 
 
-def check_weights(uv_weight: float | None, weights: AttributeWeights) -> None:
+def check_weights(weights: AttributeWeights) -> None:
     """Check that all weights are in range.
 
     Raises:
         OptionError: one is not.
     """
-    named = [(f"attribute_weights of {name}", weight) for name, weight in weights]
-    for name, weight in [("uv_weight", uv_weight or 0.0), *named]:
-        if not (math.isfinite(weight) and 0.0 <= weight <= MOST_WEIGHT):
-            raise OptionError(f"{name}: expected a number from 0 to {MOST_WEIGHT:g}, not {weight:g}")
+    for name, weight in weights:
+        if weight not in WEIGHTS:
+            raise OptionError(f"attribute_weights of {name} must be {WEIGHTS}, got {weight:g}")
 
 
-def parse_lods(text: str) -> tuple[float, ...]:
-    """Read ratios such as "0.5,0.25,0.1".
+def read_weights(value: Any) -> tuple[tuple[str, float], ...]:
+    """Weights of primvars from a list of texts, or from text with blanks between them."""
+    return tuple(parse_attribute_weight(text) for text in read_paths(value))
+
+
+def read_ratios(value: Any) -> tuple[float, ...]:
+    """Ratios from text such as "0.5,0.25,0.1", or from a list of numbers.
 
     Raises:
         OptionError: one of them is no number.
     """
+    text = value if isinstance(value, str) else ",".join(map(str, value))
     ratios = []
     for part in text.split(","):
         try:
@@ -69,6 +77,28 @@ def parse_lods(text: str) -> tuple[float, ...]:
         except ValueError:
             raise OptionError(f"lods '{text}': '{part}' is no number; expected ratios such as 0.5,0.25,0.1") from None
     return tuple(ratios)
+
+
+def read_paths(value: Any) -> tuple[str, ...]:
+    """A list of texts, or text with blanks between the entries."""
+    return tuple(value.split()) if isinstance(value, str) else _texts(value)
+
+
+def read_folders(value: Any) -> tuple[str, ...]:
+    """A list of texts, or one, which may have blanks in it."""
+    return (value,) if isinstance(value, str) else _texts(value)
+
+
+def read_frames(value: Any) -> FrameRange:
+    """A range of time codes from text such as "1:24:0.5"."""
+    return FrameRange.parse(*_texts([value]))
+
+
+def _texts(values: Any) -> tuple[str, ...]:
+    for value in values:
+        if not isinstance(value, str):
+            raise ValueError("expected text")
+    return tuple(values)
 
 
 def check_lods(ratios: Sequence[float]) -> None:

@@ -3,58 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import fields
-from enum import Enum
-from typing import Any
+from typing import Any, TypeVar
 
 from warpqem.errors import OptionError
-from warpqem.screen import ScreenView
-from warpqem.usd.frames import FrameRange
-from warpqem.usd.option_checks import parse_attribute_weight, parse_lods
-from warpqem.usd.simplify_options import SimplifyOptions
+from warpqem.option_fields import OptionField, named_options, option_fields
+from warpqem.usd.simplify_options import GOALS, SimplifyOptions
 
-__all__ = ["GOALS", "OPTION_NAMES", "override_options", "read_options", "screen_view"]
+__all__ = ["override_options", "read_options"]
 
-# Of these exactly one says how far to simplify.
-GOALS = ("ratio", "faces", "max_error", "screen_error", "lods")
-# What only means something together with screen_error, and the name of its argument of `screen_view`.
-VIEW = {"screen_error": "error", "distance": "distance", "fov": "field_of_view", "image_height": "image_height"}
+Options = TypeVar("Options")
 TRUE, FALSE = ("true", "yes", "on", "1"), ("false", "no", "off", "0")
 
 
-def screen_view(
-    error: float | None, distance: float | None, field_of_view: float = 45.0, image_height: int = 1080
-) -> ScreenView | None:
-    """The options of a view as one; None where no error is asked for.
-
-    Raises:
-        OptionError: the distance is missing, or asks for an error that is.
-    """
-    if error is None:
-        if distance is not None:
-            raise OptionError("--distance needs --screen-error")
-        return None
-    if distance is None:
-        raise OptionError("--screen-error needs --distance")
-    return ScreenView(error, distance, field_of_view, image_height)
-
-
-def read_options(values: Mapping[str, Any]) -> SimplifyOptions:
+def read_options(values: Mapping[str, Any], options: type[Options] = SimplifyOptions) -> Options:  # type: ignore[assignment]
     """Options from values of the right type, or text that says the same.
 
     Args:
-        values: Values by the names of `warpqem simplify --help` without their dashes in front, such as "max-error" or
+        values: Values by the names of the command line without their dashes in front, such as "max-error" or
             "max_error". None and an empty list stand for the default.
+        options: The dataclass to make.
 
     Raises:
         OptionError: there is no such option, a value is none that it takes, or they exclude each other.
     """
-    given = {_normal(name): _plain(value) for name, value in values.items()}
-    given = {name: value for name, value in given.items() if value is not None and value != []}
-    view = {VIEW[name]: _read(name, given.pop(name)) for name in VIEW if name in given}
-    found = {_FIELD_NAMES.get(name, name): _read(name, value) for name, value in given.items()}
-    screen = screen_view(view.pop("error", None), view.pop("distance", None), **view)
-    return SimplifyOptions(screen=screen, **found)
+    given = {_normal(name, options): _plain(value) for name, value in values.items()}
+    return _make(options, {name: value for name, value in given.items() if value is not None and value != []})
 
 
 def override_options(values: Mapping[str, Any], others: Mapping[str, Any]) -> dict[str, Any]:
@@ -62,31 +35,60 @@ def override_options(values: Mapping[str, Any], others: Mapping[str, Any]) -> di
 
     A goal among the others takes the place of any goal.
     """
-    merged = {_normal(name): value for name, value in values.items()}
-    others = {_normal(name): value for name, value in others.items() if value not in (None, "")}
-    if any(name in GOALS for name in others):
-        merged = {name: value for name, value in merged.items() if name not in (*GOALS, "distance")}
+    merged = {_normal(name, SimplifyOptions): value for name, value in values.items()}
+    others = {_normal(name, SimplifyOptions): value for name, value in others.items() if value not in (None, "")}
+    goals = {name for goal in GOALS for name in _names_of(option_fields(SimplifyOptions)[goal])}
+    if goals & others.keys():
+        merged = {name: value for name, value in merged.items() if name not in goals}
     return {**merged, **others}
 
 
-def _normal(name: str) -> str:
-    normal = name.strip().replace("-", "_")
-    if normal not in OPTION_NAMES:
-        raise OptionError(f"there is no option {name!r}; there are {', '.join(OPTION_NAMES)}")
+def _names_of(entry: OptionField) -> list[str]:
+    return list(named_options(entry.kind)) if entry.has_parts else [entry.name]
+
+
+def _normal(name: str, options: type) -> str:
+    normal, names = name.strip().replace("-", "_"), named_options(options)
+    if normal not in names:
+        raise OptionError(f"there is no option {name!r}; there are {', '.join(sorted(names))}")
     return normal
 
 
 def _plain(value: Any) -> Any:
-    return value.value if isinstance(value, Enum) else value.strip() if isinstance(value, str) else value
+    return value.strip() if isinstance(value, str) else value
 
 
-def _read(name: str, value: Any) -> Any:
+def _make(options: type[Options], given: Mapping[str, Any]) -> Options:
+    found: dict[str, Any] = {}
+    for field, entry in option_fields(options).items():
+        if entry.has_parts:
+            part = _make_part(entry.kind, given)
+            found |= {} if part is None else {field: part}
+        elif entry.name in given:
+            found[field] = _read(entry, given[entry.name])
+    return options(**found)
+
+
+def _make_part(options: type[Options], given: Mapping[str, Any]) -> Options | None:
+    """An option that is made of options; None where none of those is given that it needs, nor another but defaults."""
+    entries = option_fields(options)
+    needed = [entry.name for entry in entries.values() if not entry.has_default]
+    missing = [name for name in needed if name not in given]
+    if missing == needed:
+        return None
+    if missing:
+        here = next(name for name in needed if name in given)
+        raise OptionError(f"--{here.replace('_', '-')} needs --{missing[0].replace('_', '-')}")
+    return _make(options, given)
+
+
+def _read(entry: OptionField, value: Any) -> Any:
     try:
-        return _READERS[name](value)
+        return (entry.option.parse or _READERS.get(entry.kind, _text))(value)
     except (TypeError, ValueError, OverflowError) as error:
         if isinstance(error, OptionError):
             raise
-        raise OptionError(f"{name} {value!r}: {error}") from None
+        raise OptionError(f"{entry.name} {value!r}: {error}") from None
 
 
 def _boolean(value: Any) -> bool:
@@ -116,38 +118,9 @@ def _text(value: Any) -> str:
     return value
 
 
-def _names(value: Any) -> list[str]:
-    """A list, or text with blanks between the entries."""
-    return value.split() if isinstance(value, str) else [_text(entry) for entry in value]
+def _bytes(value: Any) -> int | str:
+    return value if isinstance(value, int) and not isinstance(value, bool) else _text(value)
 
 
-# Readers for the types of the fields of SimplifyOptions, as they are written there.
-_BY_TYPE: dict[str, Callable[[Any], Any]] = {
-    "bool": _boolean,
-    "float": _number,
-    "int": _integer,
-    "str": _text,
-    "str | os.PathLike[str]": _text,
-    "int | str": lambda value: value if isinstance(value, int) and not isinstance(value, bool) else _text(value),
-}
-_READERS: dict[str, Callable[[Any], Any]] = {
-    "lods": lambda value: parse_lods(value if isinstance(value, str) else ",".join(map(str, value))),
-    "attribute_weight": lambda value: tuple(parse_attribute_weight(text) for text in _names(value)),
-    "frames": lambda value: FrameRange.parse(_text(value)),
-    "prim": lambda value: tuple(_names(value)),
-    "asset_root": lambda value: (value,) if isinstance(value, str) else tuple(_text(entry) for entry in value),
-    "screen_error": _number,
-    "distance": _number,
-    "fov": _number,
-    "image_height": _integer,
-}
-# Options that may be given several times are named in the singular.
-_FIELD_NAMES = {"attribute_weight": "attribute_weights", "prim": "prims", "asset_root": "asset_roots"}
-_READERS.update(
-    {
-        field.name: _BY_TYPE[str(field.type).removesuffix(" | None")]
-        for field in fields(SimplifyOptions)
-        if field.name not in (*_READERS, *_FIELD_NAMES.values(), "screen")
-    }
-)
-OPTION_NAMES = tuple(sorted(_READERS))
+# Readers of other types than text and names.
+_READERS: dict[Any, Callable[[Any], Any]] = {bool: _boolean, float: _number, int: _integer, int | str: _bytes}

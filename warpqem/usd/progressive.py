@@ -5,25 +5,23 @@ from __future__ import annotations
 import os
 import reprlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 from pxr import Sdf, Usd, UsdGeom, Vt
 
-from warpqem.arguments import target_count
 from warpqem.errors import MemoryLimitError, OptionError, ProgressiveFileError, StageError, WarpqemError
+from warpqem.options import target_count
 from warpqem.outputs import InputFile, OutputFile, check_outputs
 from warpqem.progressive import ProgressiveMesh, build_progressive, read_info, save
 from warpqem.progressive.file import ProgressiveFile
 from warpqem.progressive.header import FileInfo
 from warpqem.progressive.stage_notes import StageNotes
-from warpqem.screen import ScreenView
 from warpqem.usd.byte_check import MOST_NESTED
-from warpqem.usd.frames import FrameRange
 from warpqem.usd.input_files import check_stage_outputs
 from warpqem.usd.job import MeshJob, ReadOptions
 from warpqem.usd.mesh import MeshSource
+from warpqem.usd.progressive_options import NOT_TO_BUILD, BuildOptions, LevelChoice
 from warpqem.usd.skel import StagePoses
 from warpqem.usd.stage import find_meshes, open_stage
 from warpqem.usd.usd_errors import usd_errors_named
@@ -32,54 +30,6 @@ from warpqem.usd.write import check_output_path, export_layer
 __all__ = ["BuildOptions", "LevelChoice", "build_file", "extract_level"]
 
 Progress = Callable[[float, str], None]
-
-
-@dataclass(frozen=True)
-class BuildOptions:
-    """How to build a progressive mesh.
-
-    Attributes:
-        prim: Prim path of the mesh; None for the only one of the stage.
-        base_faces: Faces of the base mesh; None for as few as legal collapses lead to.
-        metric: Cost model, see `warpqem.simplify`.
-        coherence: 0 to 1, see `warpqem.simplify`.
-        key_frames: Frames that decide the topology.
-        frames: Time codes to read; None for all authored ones.
-        device: Warp device; None for the default.
-    """
-
-    prim: str | None = None
-    base_faces: int | None = None
-    metric: str = "dsd"
-    coherence: float = 0.5
-    key_frames: int = 16
-    frames: FrameRange | None = None
-    device: str | None = None
-
-
-@dataclass(frozen=True)
-class LevelChoice:
-    """Which level to take. Exactly one is given.
-
-    Attributes:
-        ratio: Share of the input's triangles.
-        faces: Triangles.
-        max_error: Largest error, in % of the bounding-box diagonal.
-        screen: Largest error on a screen, at a distance in the units of the stage.
-    """
-
-    ratio: float | None = None
-    faces: int | None = None
-    max_error: float | None = None
-    screen: ScreenView | None = None
-
-    def __post_init__(self) -> None:
-        """Refuse none and more than one."""
-        given = [name for name, value in vars(self).items() if value is not None]
-        if len(given) != 1:
-            raise OptionError(
-                f"exactly one of ratio, faces, max_error and screen_error must be given, not {given or 'none'}"
-            )
 
 
 def build_file(
@@ -113,12 +63,9 @@ def build_file(
         points,
         faces,
         base_faces=options.base_faces,
-        metric=options.metric,
-        coherence=options.coherence,
-        key_frames=options.key_frames,
         seams=job.seams.hold(),
-        device=options.device,
         progress=progress,
+        **{name: value for name, value in options.method().items() if name not in NOT_TO_BUILD},
     )
     extra = {
         "prim": job.mesh.path,

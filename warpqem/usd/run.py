@@ -12,12 +12,12 @@ import numpy.typing as npt
 from pxr import Sdf, Usd, UsdGeom
 
 import warpqem
-from warpqem.arguments import target_count
 from warpqem.cost_models import cost_model
 from warpqem.errors import DeviceError, MeshShapeError, OptionError, StageError, UnreachableTargetError, WarpqemError
 from warpqem.frame_blocks import frame_blocks
 from warpqem.frame_stream import LaterFrames, NoFrames, read_ahead
 from warpqem.memory import parse_bytes
+from warpqem.options import target_count
 from warpqem.symmetry import Mirror, find_mirror, simplify_symmetric
 from warpqem.transfer import is_proper
 from warpqem.usd.attributes import check_names, weighted_fields
@@ -173,20 +173,14 @@ class Run:
         **goal: float | int | None,
     ) -> warpqem.SimplifiedMesh:
         options: dict[str, Any] = {
-            "metric": self.options.metric,
-            "coherence": self.options.coherence,
-            "refit": self.options.refit,
-            "memoryless": self.options.memoryless,
-            "placement": self.options.placement,
-            "key_frames": self.options.key_frames,
+            **self.options.method(),
             "motion": self.options.motion,
             "attributes": weighted_fields(job.source, self.options.texture_weight, self.options.attribute_weights),
-            "memory": self.options.memory,
-            "device": self.options.device,
         }
         poses = self._skin_poses(job) if self.options.pose_independent else None
         if poses is not None:
-            options = {name: options[name] for name in ("attributes", "memory", "device")}
+            used = ("attributes", "lock_borders", "keep_components", "memory", "device")
+            options = {name: options[name] for name in used}
             return simplify_by_pullback(
                 poses, **options, **self._importance(job), seams=seams, progress=progress, **goal
             )
@@ -227,8 +221,6 @@ class Run:
             painted["quadric_scale"] = scale * painted.get("quadric_scale", np.ones_like(scale))
         return {
             **painted,
-            "lock_borders": self.options.lock_borders,
-            "keep_components": self.options.keep_components,
             **self._face(job),
         }
 
@@ -371,7 +363,7 @@ class Run:
             rest = job.rest_shape(result)
             if fitter is not None:
                 try:
-                    fitted = fitter.fit(result, carrier, self.options.refit, self.options.device)
+                    fitted = fitter.fit(result, carrier, self.options.refits, self.options.device)
                     skin, rest = replace(skin, fitted=fitted.influences), fitted.rest_points[None]
                 except MeshShapeError as error:
                     # What UsdSkel makes of the skin is not what its arrays say.

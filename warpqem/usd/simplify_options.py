@@ -4,44 +4,52 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from warpqem.cost_models import cost_model
 from warpqem.errors import OptionError
-from warpqem.memory import parse_bytes
-from warpqem.motion import MotionWeighting, motion_weighting
+from warpqem.option_fields import Limits, check_options, option
+from warpqem.options import COUNT, WEIGHTS, MethodOptions
 from warpqem.screen import ScreenView
-from warpqem.symmetry import AXES
 from warpqem.usd.frames import FrameRange
-from warpqem.usd.option_checks import WEIGHT_SCALES, AttributeWeights, check_lods, check_weights
+from warpqem.usd.option_checks import (
+    AttributeWeights,
+    check_lods,
+    check_weights,
+    read_folders,
+    read_frames,
+    read_paths,
+    read_ratios,
+    read_weights,
+)
 
 if TYPE_CHECKING:
     from warpqem.face import FaceProtection, FacialFeatures
+    from warpqem.motion import MotionWeighting
 
-__all__ = ["SimplifyOptions"]
+__all__ = ["GOALS", "SimplifyOptions"]
+
+# Of these exactly one says how far to simplify.
+GOALS = ("ratio", "faces", "max_error", "screen", "lods")
+
+MorphWeights = Literal["thirds", "rank", "distance", "usage"]
+WeightScales = Literal["cost", "quadrics"]
+FeatureWeight = Literal["size", "root", "log", "bend"]
+Axis = Literal["x", "y", "z", "auto"]
+# A dihedral angle changes by half a turn at most.
+ANGLE = Limits(0.0, 180.0)
 
 
 @dataclass(frozen=True)
-class SimplifyOptions:
-    """How to simplify. Exactly one of `ratio`, `faces`, `max_error`, `screen` and `lods` is given.
+class SimplifyOptions(MethodOptions):
+    """How to simplify the meshes of a stage, with one of `ratio`, `faces`, `max_error`, `screen` and `lods`.
 
     Attributes:
-        ratio: Share of its triangles that each mesh keeps, above 0 and at most 1.
         faces: Triangles of all meshes together, split so that a face saves the same error on each.
-        max_error: Largest distance of each mesh from the input, at every point and in every pose, in % of its
-            bounding-box diagonal there, see `warpqem.simplify`. Where a skin is fitted, of the points that it is fitted
-            to.
         screen: Largest error of each mesh on a screen, at a distance in world units.
         lods: Ratios of levels of detail, each smaller than the one before, between 0 and 1. The output offers the input
             and one level for each ratio as variants LOD0, LOD1, ... of the root prim that holds the default prim.
         usd_lod: With `lods`, write the levels as prims below that root prim, with the schemas of UsdLod, instead.
-        metric: Cost model, see `warpqem.simplify`.
-        coherence: 0 to 1, see `warpqem.simplify`.
-        refit: Fit the surface as a whole after placing its vertices, see `warpqem.simplify`.
-        memoryless: Order by quadrics of the present faces, see `warpqem.simplify`; each level of detail is
-            then ordered on its own.
-        placement: Vertex placement, see `warpqem.simplify`.
-        key_frames: Frames that decide the topology.
         uv_weight: Weight of the error of texture coordinates in the order of collapses: at 1 an error of the whole UV
             square counts as much as one bounding-box diagonal, see `warpqem.AttributeField`; 0 does not look at them.
             None for the weight of the metric: 0.1 of "face", 0 of the others.
@@ -51,7 +59,7 @@ class SimplifyOptions:
             locks. None for none.
         weight_scales: What those numbers scale: "cost", that of collapses, or "quadrics" (Kho & Garland 2003), so that
             merged vertices go nearer to what counts more, too; see `vertex_weights` and `quadric_scale` of
-            `warpqem.simplify`.
+            `warpqem.SimplifyOptions`.
         morph_weights: Scale the error of what moves more between the shapes of a mesh, see `warpqem.morph_weights`:
             "thirds", "rank", "distance" or "usage"; None for no weights.
         face_points: JSON file with feature points by name for the metric "face", such as `warpqem face detect` writes;
@@ -64,12 +72,8 @@ class SimplifyOptions:
             between two frames to be part of one, see `warpqem.MotionWeighting`; None for the mean over all edges.
         feature_floor: Degrees that it bends by in any case; None for 1.
         feature_weight: What a vertex in a motion feature weighs: "size", "root", "log" or "bend"; None for "size".
-        lock_borders: Points at edges with one face keep their position.
-        keep_components: No small component vanishes, see `warpqem.simplify`.
         symmetry: "x", "y" or "z": a mesh whose first pose, or rest shape, is its own mirror image across that local
             axis stays so; "auto" for the first of them; None for no care. Other meshes are simplified as usual.
-        memory: Bytes that the work on a mesh may take, beside what the program and USD hold already, or text such as
-            "8G"; None for most of what is free. It decides how many frames are in memory at once.
         frames: Time codes to read; None for all authored ones.
         poses: USD file with example poses, see `warpqem.usd.example_poses`: they decide how a mesh with a skin is
             simplified instead of its own animation, and how one without is beside it. None for none.
@@ -80,7 +84,6 @@ class SimplifyOptions:
             to it, and interpolate their skin, see `warpqem.skinning.pullback`: a method to compare with.
         asset_roots: Folders that all files which the input needs must be in, or in its own; empty for anywhere.
         prims: Prim paths; meshes at and below them are simplified. Empty for all.
-        device: Warp device; None for the default.
         bake: Write skinned and blend-shaped meshes as point samples without their skin.
         weld: Join points of a mesh that differ in nothing that moves them before simplifying; what else differs between
             them stays apart as faceVarying values.
@@ -88,79 +91,179 @@ class SimplifyOptions:
         strict: Stop at the first mesh that cannot be done, also if it only misses its face count, and write nothing.
     """
 
-    ratio: float | None = None
-    faces: int | None = None
-    max_error: float | None = None
-    screen: ScreenView | None = None
-    lods: tuple[float, ...] = ()
-    usd_lod: bool = False
-    metric: str = "dsd"
-    coherence: float = 0.5
-    refit: bool = False
-    memoryless: bool = False
-    placement: str = "optimal"
-    key_frames: int = 16
-    uv_weight: float | None = None
-    attribute_weights: AttributeWeights = ()
-    weight_primvar: str | None = None
-    weight_scales: str = "cost"
-    morph_weights: str | None = None
-    face_points: str | os.PathLike[str] | None = None
-    face_weight: float | None = None
-    face_ring: int | None = None
-    face_keep: bool = True
-    feature_threshold: float | None = None
-    feature_floor: float | None = None
-    feature_weight: str | None = None
-    lock_borders: bool = False
-    keep_components: bool = False
-    symmetry: str | None = None
-    memory: int | str | None = None
-    frames: FrameRange | None = None
-    poses: str | os.PathLike[str] | None = None
-    influences: int | None = None
-    skin_fit: bool = True
-    pose_independent: bool = False
-    asset_roots: tuple[str, ...] = ()
-    prims: tuple[str, ...] = ()
-    device: str | None = None
-    bake: bool = False
-    weld: bool = True
-    flatten: bool = False
-    strict: bool = False
+    faces: int | None = option(
+        None,
+        "Triangles of all meshes together; each mesh gets its part by what its faces are worth.",
+        "FACES",
+        COUNT,
+        basic=True,
+    )
+    screen: ScreenView | None = option(None, "")
+    lods: tuple[float, ...] = option(
+        (),
+        "Levels of detail, such as 0.5,0.25,0.1: OUT offers IN as LOD0 and one level for each ratio as LOD1, LOD2, ... "
+        "in the variant set LOD of its default prim.",
+        "SHARES",
+        basic=True,
+        parse=read_ratios,
+    )
+    usd_lod: bool = option(
+        False,
+        "With --lods: write the levels with the UsdLod schemas, for renderers to choose by size or distance.",
+    )
+    uv_weight: float | None = option(
+        None,
+        "Weight of texture-coordinate error in the choice of collapses: at 1 the whole UV square counts as much as the "
+        "bounding-box diagonal; 0 does not look at UVs (Hoppe 1999). By default 0.1 with --metric face, else 0.",
+        "WEIGHT",
+        WEIGHTS,
+    )
+    attribute_weights: AttributeWeights = option(
+        (),
+        "The same for the primvar NAME; may be given several times.",
+        "NAME=WEIGHT",
+        name="attribute_weight",
+        parse=read_weights,
+        repeated=True,
+    )
+    weight_primvar: str | None = option(
+        None,
+        "Primvar of numbers, painted on the meshes: 10 is ten times as important as 1, infinity locks.",
+        "NAME",
+    )
+    weight_scales: WeightScales = option(
+        "cost",
+        "What --weight-primvar scales: the cost of collapses, or the quadrics (Kho & Garland 2003), which also draw "
+        "merged vertices to what counts more.",
+    )
+    morph_weights: MorphWeights | None = option(
+        None,
+        "Keep more detail where blend shapes or poses move the surface more: scale quadrics by thirds of the points "
+        "(Berner & Rieger 2006), by rank, by distance, or by distance as an animation uses the shapes.",
+    )
+    face_points: str | os.PathLike[str] | None = option(
+        None,
+        "With --metric face: JSON file with feature points by name, such as face detect writes. They take precedence "
+        "over point subsets of the family face and primvars such as face:chin, these over what is found.",
+        "FILE",
+    )
+    face_weight: float | None = option(
+        None,
+        "With --metric face: weight of the quadrics of a feature point and of its neighbours, which are summed at it "
+        "(equation 1 of multiresolution facial animation); 100 by default.",
+        "WEIGHT",
+        Limits(1.0, 1e12),
+    )
+    face_ring: int | None = option(
+        None,
+        "With --metric face: neighbours up to so many edges away are summed; 1 by default.",
+        "EDGES",
+        Limits(0),
+    )
+    face_keep: bool = option(
+        True,
+        "With --metric face: feature points stay as they are at any face count; or as long as their weight holds.",
+    )
+    feature_threshold: float | None = option(
+        None,
+        "Joints: degrees that an edge bends by between two frames to be part of one; by default the mean over all "
+        "edges. Less finds finer ones.",
+        "DEG",
+        ANGLE,
+    )
+    feature_floor: float | None = option(
+        None, "Joints: degrees that an edge bends by in any case; by default 1.", "DEG", ANGLE
+    )
+    feature_weight: FeatureWeight | None = option(
+        None,
+        "With --metric aqem: what a joint weighs: its size in points (the default, Yang et al. 2019), the root or one "
+        "plus the logarithm of that, or how far it bends. All but size cost the rest less shape.",
+    )
+    symmetry: Axis | None = option(
+        None,
+        "Meshes that are their own mirror image across this local axis, at rest or in the first pose, stay so; auto "
+        "for the first axis of which this is true.",
+    )
+    frames: FrameRange | None = option(
+        None,
+        "Only the samples from START to END, in time codes; with STEP, poses interpolated every STEP time codes.",
+        "START:END[:STEP]",
+        basic=True,
+        parse=read_frames,
+    )
+    poses: str | os.PathLike[str] | None = option(
+        None,
+        "USD file with example poses at the same prim paths, such as another clip: they decide how skinned meshes are "
+        "simplified, instead of the animation in IN.",
+        "FILE",
+    )
+    influences: int | None = option(
+        None, "Joints that move a point of a skinned mesh at most; by default as many as in IN.", "JOINTS", COUNT
+    )
+    skin_fit: bool = option(
+        True,
+        "Fit rest points and joint influences of skinned meshes together to their poses (Landreneau & Schaefer 2009); "
+        "or interpolate them.",
+    )
+    pose_independent: bool = option(
+        False,
+        "To compare with: simplify skinned meshes in their rest shape, by the errors of all poses pulled back to it, "
+        "and interpolate their skin (DeCoro & Rusinkiewicz 2005).",
+    )
+    asset_roots: tuple[str, ...] = option(
+        (),
+        "Refuse inputs that name files outside of this folder and their own; may be given several times.",
+        "DIR",
+        name="asset_root",
+        parse=read_folders,
+        repeated=True,
+    )
+    prims: tuple[str, ...] = option(
+        (),
+        "Only the meshes at and below this prim path, such as /Root/Body; may be given several times.",
+        "PATH",
+        name="prim",
+        basic=True,
+        parse=read_paths,
+        repeated=True,
+    )
+    bake: bool = option(
+        False, "Write skinned and blend-shaped meshes as point samples, without their skin.", basic=True
+    )
+    weld: bool = option(True, "Join points that lie together in every frame, such as those split at UV seams.")
+    flatten: bool = option(False, "Write one self-contained file instead of a layer over IN.", basic=True)
+    strict: bool = option(False, "Stop at the first mesh that cannot be done, and write nothing.")
 
     def __post_init__(self) -> None:
-        """Check the targets; the core checks the other options."""
-        given = [name for name in ("ratio", "faces", "max_error", "screen") if getattr(self, name) is not None]
-        given += ["lods"] if self.lods else []
+        """Check the options, and those that need or exclude each other."""
+        given = [name for name in GOALS if getattr(self, name) not in (None, ())]
         if len(given) != 1:
+            raise OptionError(f"exactly one of {', '.join(GOALS)} must be given, not {', '.join(given) or 'none'}")
+        if self.ratio is not None and 1 < self.ratio <= 100:
             raise OptionError(
-                f"exactly one of ratio, faces, max_error, screen and lods must be given, not {given or 'none'}"
+                f"ratio must be in (0, 1], got {self.ratio:g}; for {self.ratio:g} % give {self.ratio / 100:g}"
             )
-        if self.ratio is not None and not 0 < self.ratio <= 1:
-            hint = f"; for {self.ratio:g} % give {self.ratio / 100:g}" if 1 < self.ratio <= 100 else ""
-            raise OptionError(f"ratio {self.ratio:g}: expected a share above 0 and at most 1{hint}")
-        if self.faces is not None and self.faces < 1:
-            raise OptionError(f"faces {self.faces}: expected at least 1")
-        if self.max_error is not None and not self.max_error > 0:
-            raise OptionError(f"max_error {self.max_error:g}: expected a percentage above 0")
-        if self.influences is not None and self.influences < 1:
-            raise OptionError(f"influences {self.influences}: expected at least 1")
+        check_options(self)
         if self.memory is not None:
+            from warpqem.memory import parse_bytes
+
             parse_bytes(self.memory)
         check_lods(self.lods)
-        check_weights(self.uv_weight, self.attribute_weights)
+        check_weights(self.attribute_weights)
         self._check_face()
-        if self.weight_scales not in WEIGHT_SCALES:
-            raise OptionError(f"weight_scales {self.weight_scales!r}: expected one of {', '.join(WEIGHT_SCALES)}")
-        # It checks its values when it is made.
+        # Those of features and cost models check their values when they are made.
         _ = self.motion
-        if self.symmetry not in (None, "auto", *AXES):
-            raise OptionError(f"symmetry {self.symmetry!r}: expected auto, {', '.join(AXES)}")
+        self._check_pose_independent()
+        if self.lods and self.flatten:
+            raise OptionError("lods and flatten exclude each other: every level is a layer over the input")
+        if self.usd_lod and not self.lods:
+            raise OptionError("usd_lod needs lods: the ratios of the levels")
+
+    def _check_pose_independent(self) -> None:
         others = (
             self.symmetry
-            or self.refit
-            or self.memoryless
+            or self.refits
+            or self.orders_by_present_faces
             or self.bake
             or self.lods
             or self.metric != "dsd"
@@ -169,28 +272,18 @@ class SimplifyOptions:
         )
         if self.pose_independent and others:
             raise OptionError(
-                "pose_independent excludes symmetry, refit, memoryless, bake, lods, another metric, its options and "
-                "another placement"
+                "pose_independent excludes symmetry, quality best, refit, memoryless, bake, lods, another metric, its "
+                "options and another placement"
             )
-        if self.lods and self.flatten:
-            raise OptionError("lods and flatten exclude each other: every level is a layer over the input")
-        if self.usd_lod and not self.lods:
-            raise OptionError("usd_lod needs lods: the ratios of the levels")
 
     def _check_face(self) -> None:
         given = [name for name in ("face_points", "face_weight", "face_ring") if getattr(self, name) is not None]
         given += [] if self.face_keep else ["face_keep"]
         if given and not cost_model(self.metric).keeps_face:
             raise OptionError(f"{given[0]}: needs metric 'face', not {self.metric!r}")
-        if given:
-            self.face_protection()
 
     def face_protection(self, features: FacialFeatures | None = None) -> FaceProtection:
-        """How these feature points are kept.
-
-        Raises:
-            OptionError: the weight or the ring is out of range.
-        """
+        """How these feature points are kept."""
         from warpqem.face import FaceProtection
 
         chosen: dict[str, Any] = {"weight": self.face_weight, "ring": self.face_ring, "keep": self.face_keep}
@@ -204,4 +297,8 @@ class SimplifyOptions:
     @property
     def motion(self) -> MotionWeighting | None:
         """How motion features are found and weighted, for `warpqem.simplify`; None where nothing is asked for."""
+        if self.feature_threshold is None and self.feature_floor is None and self.feature_weight is None:
+            return None
+        from warpqem.motion import motion_weighting
+
         return motion_weighting(self.feature_threshold, self.feature_floor, self.feature_weight)

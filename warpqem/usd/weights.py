@@ -40,7 +40,7 @@ def painted_options(job: MeshJob, name: str | None, scales: str) -> dict[str, np
     Args:
         job: The mesh.
         name: Name of the primvar; None for no weights.
-        scales: What the weights scale, one of `warpqem.usd.option_checks.WEIGHT_SCALES`.
+        scales: What the weights scale, one of `warpqem.usd.simplify_options.WeightScales`.
 
     Raises:
         StageError: as for `painted_weights`.

@@ -1,0 +1,115 @@
+"""Parameters of commands from the fields of dataclasses of options, and ``--help-all``."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+from collections.abc import Callable, Collection
+from enum import Enum
+from typing import Annotated, Any
+
+import typer
+
+from warpqem.option_fields import OptionField, named_options
+
+__all__ = ["HelpAll", "parameter_of", "takes_options"]
+
+
+KIND = inspect.Parameter.POSITIONAL_OR_KEYWORD
+
+
+def _print_all(context: typer.Context, wanted: bool) -> None:
+    if wanted:
+        for parameter in context.command.params:
+            parameter.hidden = False  # type: ignore[attr-defined]
+        typer.echo(context.get_help())
+        raise typer.Exit
+
+
+HelpAll = Annotated[
+    bool,
+    typer.Option("--help-all", is_eager=True, callback=_print_all, help="Show the options of experts too and exit."),
+]
+
+
+def takes_options(
+    options: type, *, without: Collection[str] = (), only: Collection[str] = (), hidden: Collection[str] = ()
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Give a command the options of a dataclass beside its own; it gets their values by name as `options`.
+
+    Args:
+        options: The dataclass, see `warpqem.option_fields`.
+        without: Names of options that it does not take.
+        hidden: Names of options that its help leaves to --help-all, whatever they say.
+        only: Names of those that it takes, and shows all in its help; empty for all others.
+    """
+
+    def decorate(command: Callable[..., None]) -> Callable[..., None]:
+        own = inspect.signature(command, eval_str=True)
+        offered = named_options(options)
+        taken = {name: offered[name] for name in only or offered if name not in without}
+        shared = [parameter_of(entry, basic=_is_shown(entry, only, hidden)) for entry in taken.values()]
+        more = any(parameter.annotation.__metadata__[0].hidden for parameter in shared)
+        # What has no default comes first, then the shared options, then those of the command.
+        kept = [parameter for name, parameter in own.parameters.items() if name != "options"]
+        first = [parameter for parameter in kept if parameter.default is parameter.empty]
+        last = [parameter for parameter in kept if parameter.default is not parameter.empty]
+        if more:
+            last.append(inspect.Parameter("help_all", KIND, default=False, annotation=HelpAll))
+        parameters = [*first, *shared, *last]
+
+        @functools.wraps(command)
+        def wrapper(**arguments: Any) -> None:
+            arguments.pop("help_all", None)
+            values = {name: _plain(arguments.pop(name)) for name in taken}
+            command(**arguments, options=values)
+
+        # Typer reads both.
+        wrapper.__signature__ = own.replace(parameters=parameters)  # type: ignore[attr-defined]
+        wrapper.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+        return wrapper
+
+    return decorate
+
+
+def _is_shown(entry: OptionField, only: Collection[str], hidden: Collection[str]) -> bool:
+    return entry.name not in hidden and (bool(only) or entry.option.basic)
+
+
+def parameter_of(entry: OptionField, basic: bool) -> inspect.Parameter:
+    """The parameter of a command that stands for an option."""
+    said = entry.option
+    name = entry.name.replace("_", "-")
+    flag = entry.kind is bool
+    # A flag that is off need not be switched off.
+    names = [f"--{name}/--no-{name}" if flag and (entry.optional or entry.default) else f"--{name}"]
+    about = typer.Option(*names, metavar=None if flag else said.unit, help=_help(entry), hidden=not basic)
+    default = None if not entry.has_default or said.repeated else entry.default
+    annotation = _value_type(entry)
+    if default is None or default == ():
+        default, annotation = None, annotation | None
+    return inspect.Parameter(
+        entry.name,
+        KIND,
+        default=default,
+        annotation=Annotated[annotation, about],  # type: ignore[valid-type]
+    )
+
+
+def _value_type(entry: OptionField) -> Any:
+    if entry.option.repeated:
+        return list[str]
+    if entry.option.choices is not None:
+        return Enum(entry.name, {name: name for name in entry.option.choices()}, type=str)  # type: ignore[misc]
+    return entry.kind if entry.literals or entry.kind in (bool, int, float) else str
+
+
+def _plain(value: Any) -> Any:
+    return value.value if isinstance(value, Enum) else value
+
+
+def _help(entry: OptionField) -> str:
+    limits = entry.option.limits
+    text = entry.option.help
+    # A period that ends the help stands before the range.
+    return text if limits is None else f"{text} ({limits})"

@@ -1,0 +1,294 @@
+"""The options of simplifying, each with its range, unit and help; command line, manifests and batches derive theirs.
+
+:class:`MethodOptions` are those of a mesh wherever it comes from, :class:`SimplifyOptions` add what
+:func:`warpqem.simplify` takes as arrays, ``warpqem.usd.SimplifyOptions`` what a stage has names for.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any, Literal, TypedDict
+
+from warpqem.cost_models import cost_model_names
+from warpqem.errors import OptionError
+from warpqem.option_fields import Limits, check_options, option
+
+if TYPE_CHECKING:
+    from warpqem.attributes import AttributeField
+    from warpqem.face.protect import FaceProtection
+    from warpqem.motion import MotionWeighting
+
+__all__ = [
+    "ABOVE_0",
+    "COUNT",
+    "SHARE",
+    "WEIGHTS",
+    "Goal",
+    "MethodKeywords",
+    "MethodOptions",
+    "Placement",
+    "Quality",
+    "SimplifyKeywords",
+    "SimplifyOptions",
+    "check_ratio",
+    "read_goal",
+    "read_keywords",
+    "target_count",
+]
+
+Quality = Literal["fast", "best"]
+Placement = Literal["optimal", "endpoint"]
+
+ABOVE_0 = Limits(0.0, open_low=True)
+SHARE = Limits(0.0, 1.0, open_low=True)
+COUNT = Limits(1)
+# Squares of values times the weight of their attribute go into float32 costs, which end at 1e38.
+WEIGHTS = Limits(0.0, 1e6)
+
+
+@dataclass(frozen=True)
+class Goal:
+    """Where simplifying ends.
+
+    Attributes:
+        target_faces: faces to keep; 0 to go on until the error limit.
+        max_error: % of the diagonal; inf for none.
+    """
+
+    target_faces: int
+    max_error: float
+
+
+@dataclass(frozen=True)
+class MethodOptions:
+    """How a mesh is simplified, wherever it comes from.
+
+    Attributes:
+        ratio: share of the faces to keep, in (0, 1].
+        max_error: the largest distance between the input and the result, both ways, at every point and in every frame,
+            in % of the diagonal of the input's bounding box in that frame. It is proved, not sampled
+            (:mod:`warpqem.kernels.distance_bound`), for the result as it is returned; the number of faces is searched
+            for (:mod:`warpqem.bounded`), which takes several times as long as a result by count.
+        quality: "best" orders by quadrics of the present faces and fits the whole surface at the end, see
+            ``memoryless`` and ``refit``: a better shape in two to three times the time of "fast", which does neither.
+        metric: cost model: "dsd" (default), "qem", "dod", "aqem", "face", or one of another package; see
+            :mod:`warpqem.cost_models`.
+        coherence: 0 (every frame its own best fit) to 1 (vertices stay on the material).
+        refit: fit the surface as a whole to the input after placing its vertices, see :mod:`warpqem.refit.stage`: a
+            better shape for about the time of the rest. No effect with "endpoint". None for what ``quality`` says.
+        memoryless: order by quadrics of the present faces instead of the input's: a better shape in about 1.5 to 2
+            times the time, best together with ``refit``; see :mod:`warpqem.kernels.present_quadric`. None for what
+            ``quality`` says.
+        placement: "optimal", or "endpoint" to use vertices of the input only.
+        key_frames: how many frames decide the order, chosen by their pose; None for all.
+        lock_borders: lock the vertices at edges with one face too.
+        keep_components: no component vanishes. Otherwise small ones do as a whole, once collapses have left four faces
+            of them or fewer, where the shape misses that less than the next collapses, and where no other collapse is
+            legal; the result may then have up to three faces fewer than asked for. A locked vertex keeps its component.
+        memory: bytes that the work may take, beside what the process holds already, or text such as "8G"; None for
+            most of what is free. It decides how many frames are in memory at once, and no bit of the result.
+        device: Warp device; None takes cuda:0 if present, else cpu.
+    """
+
+    ratio: float | None = option(None, "Share of its triangles that each mesh keeps.", "SHARE", SHARE, basic=True)
+    max_error: float | None = option(
+        None,
+        "Largest distance of each mesh from the input, in % of its bounding-box diagonal, proved for every point and "
+        "pose, with about the fewest faces; of a skinned mesh before its skin is fitted, and not with "
+        "--pose-independent.",
+        "PCT",
+        ABOVE_0,
+        basic=True,
+    )
+    quality: Quality = option(
+        "fast",
+        "best takes two to three times as long as fast for a better shape: it orders by the present faces and fits the "
+        "surface at the end, see --memoryless and --refit.",
+        basic=True,
+    )
+    metric: str = option(
+        "dsd",
+        "Cost model: dsd sums the error over frames (Mohr & Gleicher 2003), qem takes the first pose only (Garland & "
+        "Heckbert 1997), dod adds stretching edges (Huang, Chen & Chuang), aqem keeps joints (Yang et al. 2019), face "
+        "keeps the feature points of a face. Installed packages may offer more.",
+        choices=cost_model_names,
+    )
+    coherence: float = option(
+        0.5,
+        "0 fits every frame on its own, 1 lets vertices stick to the surface over time.",
+        "SHARE",
+        Limits(0.0, 1.0),
+    )
+    refit: bool | None = option(
+        None, "Fit the whole surface once more at the end: better shape, slower. By default as --quality says."
+    )
+    memoryless: bool | None = option(
+        None,
+        "Order by planes of the present faces instead of the input's (Lindstrom & Turk 1998): better shape, slower. By "
+        "default as --quality says.",
+    )
+    placement: Placement = option("optimal", "Merged vertices at the optimal point, or at an endpoint of the edge.")
+    key_frames: int | None = option(
+        16, "Number of frames, different in pose, that decide the topology.", "FRAMES", COUNT
+    )
+    lock_borders: bool = option(False, "Keep the points of open borders.")
+    keep_components: bool = option(
+        False, "Let no small component vanish, even if the shape would miss it less than others."
+    )
+    memory: int | str | None = option(
+        None,
+        "Memory that the work on a mesh may take beside the program itself, such as 8G or 500M; by default most of "
+        "what is free. It decides how many frames are in memory at once, and no bit of the result.",
+        "BYTES",
+    )
+    device: str | None = option(None, "Warp device, such as cpu or cuda:0; by default the GPU if there is one.", "NAME")
+
+    @property
+    def refits(self) -> bool:
+        """Whether the surface is fitted once more; with endpoints vertices of the input are to stay what they are."""
+        wanted = self.quality == "best" if self.refit is None else bool(self.refit)
+        return wanted and self.placement != "endpoint"
+
+    @property
+    def orders_by_present_faces(self) -> bool:
+        """Whether quadrics are those of the present faces."""
+        return self.quality == "best" if self.memoryless is None else bool(self.memoryless)
+
+    def method(self) -> MethodKeywords:
+        """These options but for the goals, as keyword arguments of :func:`warpqem.simplify`."""
+        names = {entry.name for entry in fields(MethodOptions)} - {"ratio", "max_error"}
+        return {name: getattr(self, name) for name in sorted(names)}  # type: ignore[return-value]
+
+
+@dataclass(frozen=True)
+class SimplifyOptions(MethodOptions):
+    """What decides the result of :func:`warpqem.simplify` for a mesh.
+
+    Attributes:
+        target_faces: faces to keep, at least 1. The result has as many, or one fewer. At least one of ``ratio``,
+            ``target_faces`` and ``max_error`` is needed; with a count, whichever comes first stops.
+        vertex_weights: (V,) factors from 0 to 1e12 on the cost at each vertex; infinity locks it. A merged vertex gets
+            the mean of its ends'.
+        quadric_scale: (V,) factors from 0 to 1e12 on each vertex's own quadric (Kho & Garland 2003), which stay with
+            its planes as they add up; see :func:`warpqem.morph_weights`. Vertices are placed by the scaled quadrics.
+        locked: (V,) bool, or indices, of vertices that keep their position in every frame.
+        seams: (S, 2) vertex pairs: edges that values on the surface do not cross, such as UV seams. They stay closed
+            polylines of edges near where they were, with the same ends and forks, as long as the shape has something
+            to spare: beyond that the islands between them that cost the shape least are given up.
+        attributes: UVs and other values on the surface, each with the weight of its error in the order of collapses;
+            see :class:`warpqem.AttributeField`. ``max_error`` and ``SimplifiedMesh.error`` stay errors of the shape.
+        face: how ``metric="face"`` keeps the feature points of a face, see :class:`warpqem.FaceProtection`; None for
+            its defaults.
+        motion: how ``metric="aqem"`` finds the joints and what they weigh, see :class:`warpqem.MotionWeighting`; None
+            for the ways of its paper.
+    """
+
+    target_faces: int | None = option(None, "Faces to keep.", "FACES", COUNT)
+    vertex_weights: Any = None
+    quadric_scale: Any = None
+    locked: Any = None
+    seams: Any = None
+    attributes: Sequence[AttributeField] = ()
+    face: FaceProtection | None = None
+    motion: MotionWeighting | None = None
+
+    def checked(self) -> SimplifyOptions:
+        """The same with Python's own numbers and flags.
+
+        Raises:
+            OptionError: an option of the wrong type or outside its range; goals that are missing or exclude each other.
+        """
+        if self.ratio is None and self.target_faces is None and self.max_error is None:
+            raise OptionError("one of ratio, target_faces and max_error is needed")
+        if self.ratio is not None and self.target_faces is not None:
+            raise OptionError(f"ratio {self.ratio} and target_faces {self.target_faces} exclude each other")
+        if not isinstance(self.metric, str):
+            from warpqem.number_input import shown
+
+            raise OptionError(f"metric must be the name of a cost model, got {shown(self.metric)}")
+        return replace(self, **check_options(self), attributes=_checked_fields(self.attributes))
+
+    def goal(self, face_count: int) -> Goal:
+        """Where simplifying a mesh of so many faces ends."""
+        return read_goal(face_count, self.ratio, self.target_faces, self.max_error)
+
+
+class MethodKeywords(TypedDict, total=False):
+    """Keyword arguments that say how :func:`warpqem.simplify` works: :class:`SimplifyOptions` without the goals."""
+
+    quality: Quality
+    metric: str
+    coherence: float
+    refit: bool | None
+    memoryless: bool | None
+    placement: Placement
+    key_frames: int | None
+    lock_borders: bool
+    keep_components: bool
+    memory: int | str | None
+    device: str | None
+    vertex_weights: Any
+    quadric_scale: Any
+    locked: Any
+    seams: Any
+    attributes: Sequence[AttributeField]
+    face: FaceProtection | None
+    motion: MotionWeighting | None
+
+
+class SimplifyKeywords(MethodKeywords, total=False):
+    """Keyword arguments of :func:`warpqem.simplify`, for type checkers: the fields of :class:`SimplifyOptions`."""
+
+    ratio: float | None
+    target_faces: int | None
+    max_error: float | None
+
+
+def read_keywords(keywords: SimplifyKeywords | MethodKeywords, **goals: Any) -> SimplifyOptions:
+    """Checked options from keyword arguments.
+
+    Raises:
+        TypeError: there is no such option.
+        OptionError: as for :meth:`SimplifyOptions.checked`.
+    """
+    names = [entry.name for entry in fields(SimplifyOptions)]
+    for name in keywords:
+        if name not in names:
+            raise TypeError(f"unexpected keyword argument {name!r}; the options are {', '.join(names)}")
+    return SimplifyOptions(**keywords, **goals).checked()
+
+
+def _checked_fields(attributes: Any) -> tuple[AttributeField, ...]:
+    from warpqem.number_input import shown
+
+    # An iterator would be empty the second time it is looked at.
+    if not isinstance(attributes, (list, tuple)):
+        raise OptionError(f"attributes must be a list of AttributeField, got {shown(attributes)}")
+    for index, field in enumerate(attributes):
+        if not (hasattr(field, "values") and hasattr(field, "weight")):
+            raise OptionError(f"attributes[{index}] must be an AttributeField, got {shown(field)}")
+    return tuple(attributes)
+
+
+def check_ratio(ratio: Any) -> float:
+    """The part of the faces that is asked for.
+
+    Raises:
+        OptionError: it is none.
+    """
+    from warpqem.number_input import real_number
+
+    return real_number(ratio, "ratio", str(SHARE), SHARE.__contains__)
+
+
+def target_count(ratio: float, face_count: int) -> int:
+    """The faces that a part of them is."""
+    return max(1, round(ratio * face_count))
+
+
+def read_goal(face_count: int, ratio: float | None, target_faces: int | None, max_error: float | None) -> Goal:
+    """With an error limit alone, ordering goes on until the limit stops it."""
+    target = int(target_faces or 0) if ratio is None else target_count(ratio, face_count)
+    return Goal(target, math.inf if max_error is None else max_error)
