@@ -10,7 +10,6 @@ from mesh_state import build_mesh, cost_model, one_part, packed
 from oracles import quadrics as oracle
 
 import warpqem
-from warpqem.errors import OptionError
 from warpqem.kernels.edge_cost import price_all_edges, reprice_neighbourhoods
 from warpqem.kernels.lanes import width_of
 from warpqem.kernels.present_quadric import LineWeights, renew_quadrics
@@ -123,11 +122,3 @@ def test_memoryless_order_gives_the_same_bits_again(device):
     first, second = (warpqem.simplify(points, faces, ratio=0.2, memoryless=True, device=device) for _ in range(2))
     assert np.array_equal(first.points, second.points)
     assert np.array_equal(first.faces, second.faces)
-
-
-def test_levels_of_one_ordering_refuse_memoryless_quadrics(device):
-    points, faces = meshes.swaying_sphere(2, 2)
-    with pytest.raises(OptionError, match="memoryless: not for levels"):
-        warpqem.simplify_levels(points, faces, ratios=[0.5, 0.2], memoryless=True, device=device)
-    with pytest.raises(OptionError, match="memoryless: not for levels"):
-        warpqem.build_progressive(points, faces, memoryless=True, device=device)

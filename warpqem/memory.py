@@ -98,6 +98,7 @@ class MemoryNeeds:
         refit: the result is refitted.
         keep_frames: the result is kept in memory.
         keep_nodes: every vertex on the way down is kept, for levels that are placed later.
+        memoryless: the quadrics of such levels are made anew, of their own faces.
         source_bytes: what the source of the frames keeps in memory.
     """
 
@@ -113,6 +114,7 @@ class MemoryNeeds:
     refit: bool = False
     keep_frames: bool = True
     keep_nodes: bool = False
+    memoryless: bool = False
     source_bytes: int = 0
 
 
@@ -130,6 +132,9 @@ ORDER_FACE, ORDER_VERTEX, ORDER_KEY, ORDER_CHANNEL, ORDER_TRAJECTORY, ORDER_CHUN
 # For levels that are placed later, for each vertex and key frame: position and quadric of each merged vertex; and while
 # they are placed what ordering left, position before and after and quadric, and those of the level once more.
 NODE_KEY, LEVEL_KEY = 52, 52 + 64 + 52
+# For quadrics of a level's own faces, for each face: corners, their places and sorted copy, stars, seams and the keys
+# that find these.
+LEVEL_FACE = 120
 # Placing, for each face: the rows of the clusters it has a part in, and what sorts them; for each output vertex: its
 # anchor's Gram matrix of 32 x 33 / 2 numbers, and members.
 PLACE_FACE, PLACE_OUTPUT = 200, 2500
@@ -246,6 +251,7 @@ def _place(needs: MemoryNeeds, device: str) -> tuple[int, int]:
     anchors = 64 * _padded(needs.key_frames, device) * needs.vertex_count
     if needs.keep_nodes:
         fixed += LEVEL_KEY * _padded(needs.key_frames, device) * needs.vertex_count
+        fixed += LEVEL_FACE * needs.face_count if needs.memoryless else 0
     # One block is packed while another is read, and copied where it is a caller's.
     per_frame = (3 * 3 * needs.value_bytes + 24) * needs.vertex_count + FRAME_OUTPUT * needs.output_vertices
     if needs.refit:

@@ -119,8 +119,6 @@ def prepare(
     options = options.checked()
     check_function(progress, "progress")
     spec = cost_model(options.metric)
-    if options.orders_by_present_faces and keep_nodes:
-        raise OptionError("memoryless: not for levels of one ordering, as each level has present faces of its own")
     device = resolve_device(options.device)
     given = read_mesh(points, faces, partial(admit_faces, limit=options.memory, device=device))
     goal = options.goal(len(given.faces))
@@ -201,6 +199,7 @@ def plan_work(
             refit=options.refits,
             keep_frames=keep_frames,
             keep_nodes=keep_nodes,
+            memoryless=options.orders_by_present_faces,
             source_bytes=held_bytes(mesh.source),
         ),
         options.memory,

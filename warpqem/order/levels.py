@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import warp as wp
 
-from warpqem.order.nodes import NodeRecorder, PassNodes
+from warpqem.order.nodes import NodeRecorder, PassNodes, read_rows
+from warpqem.order.present_quadrics import PresentQuadrics
 from warpqem.order.stage import OrderedMesh, faces_left
 
 __all__ = ["MergedClusters", "OrderedLevels"]
@@ -44,6 +45,7 @@ class OrderedLevels:
         self._input_faces, self._ordered, self._passes = input_faces, ordered, recorder.passes
         self.log = ordered.log
         self._position, self._quadric = wp.clone(ordered.position), wp.clone(ordered.quadric)
+        self._present = PresentQuadrics(input_faces, ordered) if ordered.memoryless else None
         # Collapses and drops in the order they came, the drops counted on from the last collapse.
         collapse, after = np.arange(len(self.log)), ordered.drops.collapse_count
         self._event = np.argsort(np.concatenate([2 * collapse + 1, 2 * after]), kind="stable")
@@ -65,15 +67,21 @@ class OrderedLevels:
         """
         collapse_count = int((self._event[:step_count] < len(self.log)).sum())
         drops = self._ordered.drops.head(step_count - collapse_count)
-        for index, nodes in enumerate(self._passes):
-            first = int(self._pass_start[index])
-            if first < collapse_count:
-                wanted = np.isin(self._vertex_of_row[nodes.row], self.log.kept[first:collapse_count])
-                self._show(nodes, wanted)
         log = self.log.head(collapse_count)
         root = log.roots(len(self._ordered.root))
         faces = root[self._input_faces]
         face_map = faces_left(self._input_faces, faces, drops)
+        shown = []
+        for index, nodes in enumerate(self._passes):
+            first = int(self._pass_start[index])
+            if first < collapse_count:
+                wanted = np.isin(self._vertex_of_row[nodes.row], self.log.kept[first:collapse_count])
+                shown.append((nodes, wanted))
+        self._start_over()
+        for nodes, wanted in shown:
+            self._show(nodes, wanted)
+        if self._present is not None:
+            self._show_present(shown, root, face_map)
         at_end = step_count == len(self._event)
         return replace(
             self._ordered,
@@ -90,6 +98,7 @@ class OrderedLevels:
     def merged_clusters(self) -> Iterator[MergedClusters]:
         """The clusters that each pass merged, pass after pass; each is placed before the next is asked for."""
         root = np.arange(len(self._ordered.root), dtype=np.int32)
+        self._start_over()
         for index, nodes in enumerate(self._passes):
             part = slice(int(self._pass_start[index]), int(self._pass_start[index + 1]))
             parent = np.arange(len(root), dtype=np.int32)
@@ -99,15 +108,55 @@ class OrderedLevels:
             kept = np.sort(self.log.kept[part])
             place[kept] = np.arange(len(kept), dtype=np.int32)
             cluster = place[root]
-            self._show(nodes, np.ones(len(kept), dtype=bool))
+            all_nodes = np.ones(len(kept), dtype=bool)
+            self._show(nodes, all_nodes)
+            if self._present is not None:
+                faces = root[self._input_faces]
+                face_map = faces_left(self._input_faces, faces, self._ordered.drops.head(0))
+                self._show_present([(nodes, all_nodes)], root, face_map)
             inside = np.where(cluster >= 0, root, -1).astype(np.int32)
             ordered = replace(self._ordered, root=inside, position=self._position, quadric=self._quadric)
             collapse = part.start + np.argsort(self.log.kept[part])
             yield MergedClusters(collapse, kept, cluster, ordered)
 
+    def _start_over(self) -> None:
+        """Put every vertex where the input has it, where quadrics are made of the faces around."""
+        if self._present is not None:
+            row = wp.array(self._ordered.row, dtype=wp.int32, device=self._position.device)
+            wp.copy(wp.indexedarray(self._position, [row]), self._ordered.key_position)
+
     def _show(self, nodes: PassNodes, wanted: np.ndarray) -> None:
         """Put the recorded state of some vertices in place."""
-        device = self._position.device
-        row = wp.array(nodes.row[wanted], dtype=wp.int32, device=device)
         for array, values in ((self._position, nodes.position), (self._quadric, nodes.quadric)):
-            wp.copy(wp.indexedarray(array, [row]), wp.array(values[wanted], dtype=array.dtype, device=device))
+            if values is not None:
+                _put_rows(array, nodes.row[wanted], values[wanted])
+
+    def _show_present(
+        self, shown: Sequence[tuple[PassNodes, np.ndarray]], root: np.ndarray, face_map: np.ndarray
+    ) -> None:
+        """Put the quadrics of the present faces in place, after the positions, for vertices that are left."""
+        assert self._present is not None
+        left = np.zeros(len(root), dtype=bool)
+        left[self._ordered.row[root]] = True
+        scale = np.zeros(len(root), dtype=np.float32)
+        seen = np.zeros(len(root), dtype=bool)
+        added: list[tuple[np.ndarray, np.ndarray]] = []
+        # Of a vertex that was merged more than once the last state counts.
+        for nodes, wanted in reversed(shown):
+            assert nodes.scale is not None
+            wanted = wanted & left[nodes.row] & ~seen[nodes.row]
+            seen[nodes.row[wanted]] = True
+            scale[nodes.row[wanted]] = nodes.scale[wanted]
+            for place, values in nodes.added:
+                chosen = wanted[place]
+                added.append((nodes.row[place[chosen]], values[chosen]))
+        row = np.flatnonzero(seen).astype(np.int32)
+        self._present.fill(root, face_map, row, scale[row], self._position, self._quadric)
+        for row, values in added:
+            index = wp.array(row, dtype=wp.int32, device=self._position.device)
+            _put_rows(self._quadric, row, read_rows(self._quadric, index) + values)
+
+
+def _put_rows(array: wp.array, row: np.ndarray, values: np.ndarray) -> None:
+    index = wp.array(row, dtype=wp.int32, device=array.device)
+    wp.copy(wp.indexedarray(array, [index]), wp.array(values, dtype=array.dtype, device=array.device))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from warpqem.kernels.lanes import width_of
 from warpqem.kernels.mesh_state import AnyKeyFrames, CollapseLog, MeshState
 
 __all__ = ["NodeRecorder", "PassNodes", "read_rows"]
@@ -19,12 +20,17 @@ class PassNodes:
     Attributes:
         row: (n,) int32, ascending: where the vertex that each goes by stands in the arrays of ordering.
         position: (n, B, 3, width) float32, where the pass put it in each block of key frames, in diagonals.
-        quadric: (n, B, 10, width) float32, its quadric about that, with the attribute error in the first key frame.
+        quadric: (n, B, 10, width) float32, its quadric about that, with the attribute error in the first key frame;
+            None in a memoryless order, where it changes with the faces around.
+        scale: (n,) float32, what planes at it count, in a memoryless order.
+        added: what such a quadric gets on top of the planes, in order: places in ``row`` and (B, 10, width) for each.
     """
 
     row: np.ndarray
     position: np.ndarray
-    quadric: np.ndarray
+    quadric: np.ndarray | None
+    scale: np.ndarray | None = None
+    added: tuple[tuple[np.ndarray, np.ndarray], ...] = ()
 
 
 class NodeRecorder:
@@ -32,21 +38,46 @@ class NodeRecorder:
 
     Attributes:
         passes: one entry for each pass that merged something, in order.
+        memoryless: quadrics are those of the present faces, which are made anew for each level.
     """
 
     def __init__(self) -> None:
         self.passes: list[PassNodes] = []
+        self.memoryless = False
 
     def record(self, state: MeshState, frames: AnyKeyFrames, log: CollapseLog, begin: int, end: int) -> None:
         """Keep the vertices of the collapses that stand in the log from ``begin`` to ``end``."""
         row = np.sort(log.kept.numpy()[begin:end])
         chosen = wp.array(row, dtype=wp.int32, device=frames.position.device)
-        position, quadric = (read_rows(array, chosen) for array in (frames.position, frames.quadric))
-        if state.wedges.channel_count > 0:
-            # As order_collapses adds it for the vertices that are left at the end.
-            attribute = read_rows(state.wedges.quadric, chosen)
-            quadric[:, 0, :, 0] += attribute[:, :, 0]
+        position = read_rows(frames.position, chosen)
+        # As order_collapses adds it for the vertices that are left at the end.
+        attribute = read_rows(state.wedges.quadric, chosen)[:, :, 0] if state.wedges.channel_count > 0 else None
+        if self.memoryless:
+            scale = state.quadric_scale.numpy()[row]
+            added = self._added(state, frames, row, attribute)
+            self.passes.append(PassNodes(row, position, None, scale, added))
+            return
+        quadric = read_rows(frames.quadric, chosen)
+        if attribute is not None:
+            quadric[:, 0, :, 0] += attribute
         self.passes.append(PassNodes(row, position, quadric))
+
+    @staticmethod
+    def _added(
+        state: MeshState, frames: AnyKeyFrames, row: np.ndarray, attribute: np.ndarray | None
+    ) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+        added = []
+        if state.sum_row is not None and len(state.sum_row) > 0:
+            sum_row = state.sum_row.numpy()[row]
+            place = np.flatnonzero(sum_row >= 0)
+            chosen = wp.array(sum_row[place], dtype=wp.int32, device=frames.position.device)
+            added.append((place, read_rows(frames.kept_sum, chosen)))
+        if attribute is not None:
+            blocks, width = frames.quadric.shape[1], width_of(frames.position)
+            values = np.zeros((len(row), blocks, attribute.shape[1], width), dtype=np.float32)
+            values[:, 0, :, 0] = attribute
+            added.append((np.arange(len(row)), values))
+        return tuple(added)
 
 
 def read_rows(array: wp.array, chosen: wp.array) -> np.ndarray:

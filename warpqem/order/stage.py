@@ -70,6 +70,8 @@ class OrderedMesh:
         constrained: (3N,) int32, 1 at the input's border half-edges, 2 at its seams'.
         line_rank: (V,) int, of input vertices: 2 at corners of seams, 1 elsewhere on a seam or border, 0 inside.
         frozen: (V,) bool, input vertices whose faces are not one fan; they keep their position.
+        face_order: (N,) int32, the input face at each place of the order that faces had; None for the input's.
+        memoryless: quadrics were those of the present faces.
         stopped: "target", "max_error" or "no legal collapse".
         log: the collapses.
         drops: the components that vanished.
@@ -85,6 +87,8 @@ class OrderedMesh:
     constrained: np.ndarray
     line_rank: np.ndarray
     frozen: np.ndarray
+    face_order: np.ndarray | None
+    memoryless: bool
     stopped: str
     log: CollapseRecord
     drops: DropRecord
@@ -137,14 +141,14 @@ def order_collapses(
     if len(mesh.faces) >= ARRANGED_FACES:
         arrangement = arrange(mesh.faces, mesh.key_position[:, :1].numpy()[:, 0, :, 0])
         collapsed = _collapse(_rearranged(mesh, arrangement), settings, device, progress, recorder)
-        row, log = arrangement.place, arrangement.restore_log(collapsed.log)
+        row, log, face_order = arrangement.place, arrangement.restore_log(collapsed.log), arrangement.face
         drops = collapsed.drops.for_vertices(arrangement.vertex)
         constrained = arrangement.restore_corners(collapsed.constrained)
     else:
         moving = replace(mesh, key_position=wp.clone(mesh.key_position))
         collapsed = _collapse(moving, settings, device, progress, recorder)
         row, log, constrained = np.arange(vertex_count, dtype=np.int32), collapsed.log, collapsed.constrained
-        drops = collapsed.drops
+        drops, face_order = collapsed.drops, None
     root = log.roots(vertex_count)
     faces = root[mesh.faces]
     face_map = faces_left(mesh.faces, faces, drops)
@@ -161,6 +165,8 @@ def order_collapses(
             mesh.vertex_flags & int(CORNER), 2, _ends(mesh.faces, constrained, vertex_count).astype(np.int32)
         ),
         frozen=collapsed.frozen[row],
+        face_order=face_order,
+        memoryless=settings.memoryless,
         stopped=collapsed.stopped,
         log=log,
         drops=drops,
@@ -262,6 +268,8 @@ def _collapse(
     if components is not None and components.count == 1:
         # One always stays.
         components = None
+    if recorder is not None:
+        recorder.memoryless = settings.memoryless
     stopped = orderer.run(settings.target_faces, progress, recorder, components)
     if mesh.attributes is not None:
         launch(

@@ -120,7 +120,7 @@ def _simplify_levels(context: Context) -> tuple[StageReport, Save]:
     ]
     selections = [run.select() for run in runs]
     for prim_index, prim in enumerate(selections[0]):
-        shared = None if options.orders_by_present_faces else SharedOrder(options.lods[-1])
+        shared = SharedOrder(options.lods[-1])
         for index, run in enumerate(runs):
             done = (prim_index + index / len(runs)) / len(selections[0])
             part = run.part(done, 1 / len(runs) / len(selections[0]), prim, f"LOD{index + 1} ")
