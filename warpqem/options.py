@@ -28,8 +28,6 @@ __all__ = [
     "Goal",
     "MethodKeywords",
     "MethodOptions",
-    "Placement",
-    "Quality",
     "SimplifyKeywords",
     "SimplifyOptions",
     "check_ratio",
@@ -37,9 +35,6 @@ __all__ = [
     "read_keywords",
     "target_count",
 ]
-
-Quality = Literal["fast", "best"]
-Placement = Literal["optimal", "endpoint"]
 
 ABOVE_0 = Limits(0.0, open_low=True)
 SHARE = Limits(0.0, 1.0, open_low=True)
@@ -102,7 +97,7 @@ class MethodOptions:
         ABOVE_0,
         basic=True,
     )
-    quality: Quality = option(
+    quality: Literal["fast", "best"] = option(
         "fast",
         "best takes two to three times as long as fast for a better shape: it orders by the present faces and fits the "
         "surface at the end, see --memoryless and --refit.",
@@ -117,7 +112,7 @@ class MethodOptions:
     )
     coherence: float = option(
         0.5,
-        "0 fits every frame on its own, 1 lets vertices stick to the surface over time.",
+        "0 to 1: 0 fits every frame on its own, 1 lets vertices stick to the surface over time.",
         "SHARE",
         Limits(0.0, 1.0),
     )
@@ -129,7 +124,9 @@ class MethodOptions:
         "Order by planes of the present faces instead of the input's (Lindstrom & Turk 1998): better shape, slower. By "
         "default as --quality says.",
     )
-    placement: Placement = option("optimal", "Merged vertices at the optimal point, or at an endpoint of the edge.")
+    placement: Literal["optimal", "endpoint"] = option(
+        "optimal", "Merged vertices at the optimal point, or at an endpoint of the edge."
+    )
     key_frames: int | None = option(
         16, "Number of frames, different in pose, that decide the topology.", "FRAMES", COUNT
     )
@@ -218,12 +215,12 @@ class SimplifyOptions(MethodOptions):
 class MethodKeywords(TypedDict, total=False):
     """Keyword arguments that say how :func:`warpqem.simplify` works: :class:`SimplifyOptions` without the goals."""
 
-    quality: Quality
+    quality: Literal["fast", "best"]
     metric: str
     coherence: float
     refit: bool | None
     memoryless: bool | None
-    placement: Placement
+    placement: Literal["optimal", "endpoint"]
     key_frames: int | None
     lock_borders: bool
     keep_components: bool

@@ -27,9 +27,13 @@ class ScreenView:
         MISSING, "With --screen-error: from the camera to the mesh, in units of the stage.", "UNITS", ABOVE_0
     )
     field_of_view: float = option(
-        45.0, "With --screen-error: vertical field of view.", "DEG", Limits(0.0, 180.0, True, True), name="fov"
+        45.0,
+        "With --screen-error: vertical field of view, in degrees.",
+        "DEG",
+        Limits(0.0, 180.0, True, True),
+        name="fov",
     )
-    image_height: int = option(1080, "With --screen-error: height of the picture.", "PX", COUNT)
+    image_height: int = option(1080, "With --screen-error: height of the picture, in pixels.", "PX", COUNT)
 
     def __post_init__(self) -> None:
         """Refuse views that show nothing."""

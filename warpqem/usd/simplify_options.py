@@ -238,7 +238,8 @@ class SimplifyOptions(MethodOptions):
         """Check the options, and those that need or exclude each other."""
         given = [name for name in GOALS if getattr(self, name) not in (None, ())]
         if len(given) != 1:
-            raise OptionError(f"exactly one of {', '.join(GOALS)} must be given, not {', '.join(given) or 'none'}")
+            found = ", ".join(given) or "none"
+            raise OptionError(f"exactly one of ratio, faces, max_error, screen and lods must be given, not {found}")
         if self.ratio is not None and 1 < self.ratio <= 100:
             raise OptionError(
                 f"ratio must be in (0, 1], got {self.ratio:g}; for {self.ratio:g} % give {self.ratio / 100:g}"
