@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Pcp, Sdf, Tf, Usd
+from pxr import Ar, Pcp, Sdf, Tf, Usd
 
 from warpqem.errors import StageError
 from warpqem.file_kinds import check_regular, kind_of
@@ -175,6 +175,9 @@ def _check_name(path: str | os.PathLike[str]) -> None:
 
 def _open(place: str, by: str, allowed: list[Path]) -> tuple[Sdf.Layer | None, _Specs]:
     specs = _Specs()
+    if by and not _has_format(place):
+        _check_place(outer_file(place), by, allowed)
+        return None, specs  # USD leaves it out, and the stage reports it, with the prim that names it
     if not _check_file(place, by, allowed):
         return None, specs  # the stage reports it, with the prim that it is missing for
     try:
@@ -186,6 +189,12 @@ def _open(place: str, by: str, allowed: list[Path]) -> tuple[Sdf.Layer | None, _
         return layer, specs
     except (Tf.ErrorException, UnicodeDecodeError) as error:
         raise StageError(f"{place}{by}: USD cannot open it ({first_line(error, place)})") from error
+
+
+def _has_format(place: str) -> bool:
+    """Whether USD, with the plugins that are installed, knows the format of files of this name."""
+    extension = Ar.GetResolver().GetExtension(str(Sdf.Layer.SplitIdentifier(place)[0]))
+    return bool(extension) and Sdf.FileFormat.FindByExtension(extension) is not None
 
 
 def _check_clip(clip: NamedAsset, layer: str, allowed: list[Path]) -> list[str]:

@@ -13,6 +13,7 @@ from pxr import Sdf, Usd, UsdGeom
 from warpqem.errors import StageError
 from warpqem.measure import topology
 from warpqem.outputs import OutputFile
+from warpqem.usd.below import subsets_of
 from warpqem.usd.input_files import check_stage_outputs
 from warpqem.usd.mesh import MeshSource
 from warpqem.usd.skel import StagePoses
@@ -116,7 +117,7 @@ def _inspect(prim: Usd.Prim, poses: StagePoses) -> MeshInfo:
             for primvar in UsdGeom.PrimvarsAPI(prim).GetPrimvarsWithValues()
             if primvar.GetTypeName() in UV_TYPES
         ],
-        subsets=[subset.GetPrim().GetName() for subset in UsdGeom.Subset.GetAllGeomSubsets(mesh)],
+        subsets=[subset.GetPrim().GetName() for subset in subsets_of(mesh)],
         orientation=str(mesh.GetOrientationAttr().Get()),
         subdivision=str(mesh.GetSubdivisionSchemeAttr().Get()),
     )
