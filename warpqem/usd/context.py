@@ -13,6 +13,7 @@ import warpqem
 from warpqem.memory import MemoryPlan
 from warpqem.usd.job import MeshJob
 from warpqem.usd.simplify_options import SimplifyOptions
+from warpqem.usd.stage import MeshSelection
 
 __all__ = ["Announce", "Context", "Progress", "SharedOrder"]
 
@@ -26,6 +27,7 @@ class Context:
 
     Attributes:
         stage: The input.
+        selection: The meshes to be simplified.
         options: What to do.
         folder: Where the output is going to be.
         progress: Called with the fraction done and what is being done.
@@ -35,6 +37,7 @@ class Context:
     """
 
     stage: Usd.Stage
+    selection: MeshSelection
     options: SimplifyOptions
     folder: Path
     progress: Progress

@@ -34,7 +34,7 @@ class ExamplePoses:
         layers = dict.fromkeys(of.GetRootLayer().realPath for of in (self._own, stage))
         layer.subLayerPaths = list(layers)
         layer.timeCodesPerSecond = self._own.GetTimeCodesPerSecond()
-        self._stage: Usd.Stage = Usd.Stage.Open(layer)
+        self._stage: Usd.Stage = Usd.Stage.Open(layer, stage.GetSessionLayer())
         self._poses = StagePoses(self._stage)
 
     def source(self, mesh: MeshSource) -> MeshSource:

@@ -14,12 +14,12 @@ from warpqem.outputs import InputFile, OutputFile
 from warpqem.sharing import FrameShare
 from warpqem.usd.context import Announce, Context, Progress, SharedOrder
 from warpqem.usd.input_files import check_stage_outputs
-from warpqem.usd.lods import LevelReport, VariantLevels
+from warpqem.usd.lods import LevelLayer, LevelReport, VariantLevels
 from warpqem.usd.report import PrimReport, StageReport
 from warpqem.usd.run import Run
 from warpqem.usd.run_info import run_info
 from warpqem.usd.simplify_options import SimplifyOptions
-from warpqem.usd.stage import open_stage, open_with_problems
+from warpqem.usd.stage import find_meshes, open_stage, open_with_problems
 from warpqem.usd.usd_errors import usd_errors_named
 from warpqem.usd.usd_lod import UsdLodLevels
 from warpqem.usd.write import check_output_path
@@ -77,8 +77,10 @@ def simplify_stage(
     check_stage_outputs([OutputFile("output", output_path), *other_outputs], read, points)
     # What fails while a layer is being written is no matter of one mesh: half of it would be there.
     with usd_errors_named(input_path), ExitStack() as cleanup:
+        selection = find_meshes(stage, options.prims, by_root=bool(options.lods))
         context = Context(
             stage,
+            selection,
             options,
             output.parent,
             progress or (lambda fraction, text: None),
@@ -86,21 +88,16 @@ def simplify_stage(
             cleanup,
             share,
         )
-        report = _simplify(context, input_path, output)
+        report, save = (_simplify_levels if options.lods else _simplify_once)(context)
+        report.input = os.fspath(input_path)
+        if len(report.failed) < len(report.prims):
+            save(output)
+            report.output = os.fspath(output)
+            _log.info("%s: written", output)
     report.problems = problems
     if report.output is not None:
         report.output = os.fspath(output_path)
     report.run = run_info(options, time.perf_counter() - start)
-    return report
-
-
-def _simplify(context: Context, input_path: str | os.PathLike[str], output: Path) -> StageReport:
-    report, save = (_simplify_levels if context.options.lods else _simplify_once)(context)
-    report.input = os.fspath(input_path)
-    if len(report.failed) < len(report.prims):
-        save(output)
-        report.output = os.fspath(output)
-        _log.info("%s: written", output)
     return report
 
 
@@ -113,9 +110,9 @@ def _simplify_once(context: Context) -> tuple[StageReport, Save]:
 def _simplify_levels(context: Context) -> tuple[StageReport, Save]:
     """Every mesh is read and its edges are collapsed once; each level then equals what its ratio alone would give."""
     options = context.options
-    levels = (UsdLodLevels if options.usd_lod else VariantLevels)(context.stage, options.prims)
+    levels: LevelLayer = (UsdLodLevels if options.usd_lod else VariantLevels)(context.stage, context.selection)
     runs = [
-        Run(replace(context, options=replace(options, ratio=ratio, lods=(), usd_lod=False)), levels.path)
+        Run(replace(context, options=replace(options, ratio=ratio, lods=(), usd_lod=False)), by_root=True)
         for ratio in options.lods
     ]
     selections = [run.select() for run in runs]
@@ -128,6 +125,7 @@ def _simplify_levels(context: Context) -> tuple[StageReport, Save]:
     context.progress(1.0, "done")
     reports: list[PrimReport] = []
     for run in runs:
+        run.finish()
         report = run.report()
         name = levels.add(run.layer, report.face_share)
         reports += [LevelReport(**vars(prim), level=name) for prim in report.prims]

@@ -172,9 +172,7 @@ def _integers(attribute: Usd.Attribute, value: object, time: float | Usd.TimeCod
     """A value as int32, shape (n,); a file may declare the attribute as anything."""
     array = np.asarray(value)
     if array.ndim != 1 or not hasattr(type(value), "FromNumpy") or array.dtype.kind not in "iu":
-        raise StageError(
-            f"{attribute.GetPath()}: {type(value).__name__} at time {_name(time)}, no array of integers"
-        )
+        raise StageError(f"{attribute.GetPath()}: {type(value).__name__} at time {_name(time)}, no array of integers")
     limits = np.iinfo(np.int32)
     if array.size and (array.min() < limits.min or array.max() > limits.max):
         largest = array.max() if array.max() > limits.max else array.min()

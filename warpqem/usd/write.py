@@ -17,10 +17,13 @@ from warpqem.temporary import replacing, temporary_path
 from warpqem.usd.arrays import anchored
 from warpqem.usd.carrier import Carrier
 from warpqem.usd.drop import Dropped, drop_skin, drop_subdivision
+from warpqem.usd.inheritors import keep_heirs
+from warpqem.usd.instances import end_instancing, move_to_classes
 from warpqem.usd.point_samples import PointSamples
 from warpqem.usd.primvars import carry_arrays, carry_motion, carry_normals, carry_primvars
 from warpqem.usd.skin import Skin
 from warpqem.usd.skin_output import write_skin
+from warpqem.usd.stage import MeshSelection
 from warpqem.usd.subsets import carry_subsets
 from warpqem.usd.text_numbers import make_readable
 from warpqem.usd.usd_errors import first_line
@@ -96,6 +99,7 @@ class OverLayer:
         Raises:
             StageError: there can be no file in the folder.
         """
+        self._input = source
         self._source = source.GetRootLayer()
         self._layer = Sdf.Layer.CreateAnonymous("over.usda") if folder is None else _create_layer(folder)
         self._on_disk = folder is not None
@@ -108,6 +112,7 @@ class OverLayer:
             self.close()
             raise
         self._dropped: list[Dropped] = []
+        self._classes: list[Sdf.Path] = []
         self._unsaved = self._samples = 0
 
     def _start(self) -> Usd.Stage:
@@ -117,7 +122,8 @@ class OverLayer:
         except Tf.ErrorException as error:
             name = self._source.realPath
             raise StageError(f"{name!r}: no layer can name a file of this name ({first_line(error)})") from error
-        return Usd.Stage.Open(self._layer)
+        # In the session layer instances are open.
+        return Usd.Stage.Open(self._layer, self._input.GetSessionLayer())
 
     def close(self) -> None:
         """Remove the temporary file; nothing can be saved any more."""
@@ -198,6 +204,20 @@ class OverLayer:
         drop_subdivision(mesh, dropped)
         return dropped
 
+    def share_instances(self, selection: MeshSelection, by_root: bool) -> None:
+        """Give what was edited in opened instances to all instances of their prototypes; nothing is edited after that.
+
+        Args:
+            selection: The meshes, as they were found on the input.
+            by_root: The classes for it are to be below the root prims of the instances, not beside them.
+
+        Raises:
+            StageError: USD cannot copy the edits.
+        """
+        keep_heirs(self._layer, selection.prims)
+        end_instancing(self._layer, filter(self._layer.GetPrimAtPath, selection.own_instances))
+        self._classes = move_to_classes(self._layer, selection.shared, self._input, by_root)
+
     def set_vertex_colors(
         self, path: str, times: list[float] | None, colors: npt.NDArray[np.float32], interpolation: str = "vertex"
     ) -> None:
@@ -236,22 +256,25 @@ class OverLayer:
         export_layer(layer, output)
 
     def _flattened(self) -> Sdf.Layer:
-        layer = self.stage.Flatten(addSourceFileComment=False)
+        layer = Usd.Stage.Open(self._layer).Flatten(addSourceFileComment=False)
+        for path in self._classes:
+            # What instances inherited is in their flattened prototypes.
+            del layer.GetPrimAtPath(path.GetParentPath()).nameChildren[path.name]
         for spec in layer.rootPrims:
             # Flattening leaves what instances share as overs, which nothing defines.
             if spec.name.startswith("Flattened_Prototype_") and spec.specifier == Sdf.SpecifierOver:
                 spec.specifier = Sdf.SpecifierClass
         for dropped in self._dropped:
-            for path in dropped.blocked:
+            for path in _flat_places(layer, dropped.blocked):
                 _remove_property(layer, path)
-            for path in dropped.deactivated:
+            for path in _flat_places(layer, dropped.deactivated):
                 spec = layer.GetPrimAtPath(path)
                 if spec:
                     # Nothing weaker is left in a flat file that an inactive prim would have to hide.
                     del layer.GetPrimAtPath(path.GetParentPath()).nameChildren[spec.name]
-            for path in dropped.unbound:
+            for path in _flat_places(layer, dropped.unbound):
                 _author_empty_relationship(layer, path)
-            for path in dropped.unskinned:
+            for path in _flat_places(layer, dropped.unskinned):
                 _remove_api(layer, path, "SkelBindingAPI")
         return layer
 
@@ -272,6 +295,22 @@ def _author(
         attribute.Set(arrays[0])
     for time, array in zip(times or [], arrays, strict=False):
         attribute.Set(array, time)
+
+
+def _flat_places(layer: Sdf.Layer, paths: Iterable[Sdf.Path]) -> list[Sdf.Path]:
+    """Where prims and properties are in a flat layer: what is below instances is in prototypes that they refer to."""
+    return [_flat_place(layer, path) for path in paths]
+
+
+def _flat_place(layer: Sdf.Layer, path: Sdf.Path) -> Sdf.Path:
+    place = Sdf.Path.absoluteRootPath
+    for prefix in path.GetPrefixes():
+        spec = layer.GetPrimAtPath(place)
+        if spec and place != Sdf.Path.absoluteRootPath:
+            prototypes = [arc.primPath for arc in spec.referenceList.GetAddedOrExplicitItems() if not arc.assetPath]
+            place = prototypes[0] if prototypes else place
+        place = place.AppendProperty(prefix.name) if prefix.IsPropertyPath() else place.AppendChild(prefix.name)
+    return place
 
 
 def _remove_property(layer: Sdf.Layer, path: Sdf.Path) -> None:
