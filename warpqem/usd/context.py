@@ -29,7 +29,7 @@ class Context:
         stage: The input.
         selection: The meshes to be simplified.
         options: What to do.
-        folder: Where the output is going to be.
+        folder: Where the output is going to be; None for a layer in memory.
         progress: Called with the fraction done and what is being done.
         announce: Called with the plan of each mesh.
         cleanup: Ends when all is saved.
@@ -39,7 +39,7 @@ class Context:
     stage: Usd.Stage
     selection: MeshSelection
     options: SimplifyOptions
-    folder: Path
+    folder: Path | None
     progress: Progress
     announce: Announce
     cleanup: ExitStack

@@ -76,7 +76,7 @@ class MeshInfo:
 
 
 def inspect_stage(path: str | os.PathLike[str], other_outputs: Sequence[OutputFile] = ()) -> list[MeshInfo]:
-    """Describe every mesh of a USD file, instance proxies last.
+    """Describe every mesh of a USD file, those without geometry last.
 
     Args:
         path: The file.
@@ -104,6 +104,7 @@ def inspect_with_problems(
         poses = StagePoses(stage)
         selection = find_meshes(stage)
         infos = [_inspect(prim, poses) for prim in selection.prims]
+    infos += [MeshInfo(mesh, problems=[f"no geometry: no value of {lacking}"]) for mesh, lacking in selection.empty]
     infos += [MeshInfo(proxy, problems=[str(error)]) for proxy, error in selection.refused]
     return infos, problems
 

@@ -189,15 +189,16 @@ def move_to_classes(
         users: dict[Sdf.Path, list[Sdf.Path]] = {}
         for user in item.users:
             users.setdefault(user.GetPrefixes()[0] if by_root else Sdf.Path.absoluteRootPath, []).append(user)
-        places = {parent: _free_name(layer, stage, parent) for parent in users}
+        places = {place: _free_name(layer, stage, place) for place in users}
         for path in places.values():
             Sdf.CreatePrimInLayer(layer, path)
             if not Sdf.CopySpec(layer, item.path, layer, path):
                 raise StageError(f"{item.path}: USD cannot copy edits to {path}")
             layer.GetPrimAtPath(path).specifier = Sdf.SpecifierClass
-        del edits.nameParent.nameChildren[edits.name]
-        for parent, path in places.items():
-            for user in users[parent]:
+        parent = edits.nameParent or layer.pseudoRoot
+        del parent.nameChildren[edits.name]
+        for place, path in places.items():
+            for user in users[place]:
                 Sdf.CreatePrimInLayer(layer, user).inheritPathList.Prepend(path)
         classes += places.values()
     return classes

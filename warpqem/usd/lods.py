@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +15,7 @@ from warpqem.usd.lod_targets import OutsideTargets
 from warpqem.usd.report import PrimReport
 from warpqem.usd.stage import MeshSelection
 from warpqem.usd.stage_views import unopened
-from warpqem.usd.write import OverLayer, copy_stage_metadata, export_layer, move_asset_paths, relative_path
+from warpqem.usd.write import OverLayer, copy_stage_metadata, export_layer, layer_name, move_asset_paths, relative_path
 
 __all__ = ["LevelLayer", "LevelReport", "VariantLevels", "define_root"]
 
@@ -114,9 +115,9 @@ class LevelLayer(ABC):
         # A copy, because an anonymous layer that a stage is open on cannot resolve a relative path.
         layer = Sdf.Layer.CreateAnonymous("save.usda")
         layer.TransferContent(self._layer)
-        layer.UpdateCompositionAssetDependency(
-            self._source.realPath, relative_path(self._source.realPath, output.parent)
-        )
+        name = layer_name(self._source)
+        if os.path.isabs(name):
+            layer.UpdateCompositionAssetDependency(name, relative_path(name, output.parent))
         move_asset_paths(layer, self._source, output.parent)
         export_layer(with_fields_in_order(layer), output)
 
@@ -147,7 +148,7 @@ class LevelLayer(ABC):
             raise StageError(f"{root}: USD cannot copy edits to {place}")
 
     def _reference(self, prim: Sdf.PrimSpec, path: Sdf.Path) -> None:
-        prim.referenceList.Prepend(Sdf.Reference(self._source.realPath, path))
+        prim.referenceList.Prepend(Sdf.Reference(layer_name(self._source), path))
 
 
 class VariantLevels(LevelLayer):

@@ -11,9 +11,18 @@ from pxr import Sdf, Tf, Usd, UsdGeom
 from warpqem.errors import StageError
 from warpqem.usd.input_check import check_composition, open_layers
 from warpqem.usd.instances import SharedPrototype, end_instancing, open_instances, spec_places
+from warpqem.usd.stage_views import is_as_on_disk, private_view
 from warpqem.usd.usd_errors import first_line
 
-__all__ = ["MeshSelection", "SavedStage", "find_meshes", "open_stage", "open_with_problems", "world_scale"]
+__all__ = [
+    "MeshSelection",
+    "SavedStage",
+    "find_meshes",
+    "open_input",
+    "open_stage",
+    "open_with_problems",
+    "world_scale",
+]
 
 
 @dataclass
@@ -76,6 +85,24 @@ def open_with_problems(
     return stage, [*check_composition(stage), *opened.problems]
 
 
+def open_input(
+    source: str | os.PathLike[str] | Usd.Stage, roots: Sequence[str | os.PathLike[str]] = ()
+) -> tuple[Usd.Stage, list[str]]:
+    """A stage to read from, whose session layer nobody else uses, and what is wrong with files that it names.
+
+    Args:
+        source: What to open, or an open stage, of which this is a view.
+        roots: As for `open_stage`.
+
+    Raises:
+        StageError: see `open_stage`.
+    """
+    if not isinstance(source, Usd.Stage):
+        return open_with_problems(source, roots)
+    view = private_view(source)
+    return view, check_composition(view)
+
+
 @dataclass(frozen=True)
 class SavedStage:
     """What another process opens a stage by.
@@ -92,10 +119,11 @@ class SavedStage:
 
     @classmethod
     def of(cls, stage: Usd.Stage) -> SavedStage:
-        """Of a stage whose layers are as they are on disk, apart from its root layer."""
-        root = stage.GetRootLayer()
+        """Of any stage; one that is not as a file of it would be opened is flattened."""
         session = stage.GetSessionLayer().ExportToString()
-        return cls(None, root.ExportToString(), session) if root.anonymous else cls(root.realPath, None, session)
+        if is_as_on_disk(stage):
+            return cls(stage.GetRootLayer().realPath, None, session)
+        return cls(None, stage.Flatten(addSourceFileComment=False).ExportToString(), "#usda 1.0\n")
 
     def open(self) -> Usd.Stage:
         """The stage.

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from pxr import Sdf, Usd
+from pxr import Ar, Sdf, Usd
 
-__all__ = ["open_like", "private_view", "unopened", "without_edits"]
+__all__ = ["is_as_on_disk", "open_like", "private_view", "unopened", "without_edits"]
 
 # What a session layer holds of prims; the rest of its pseudo-root is metadata of the stage.
 PRIMS = frozenset({"primChildren", "subLayers", "subLayerOffsets"})
@@ -38,6 +38,20 @@ def private_view(stage: Usd.Stage) -> Usd.Stage:
 def unopened(view: Usd.Stage) -> Usd.Stage:
     """A view of a stage without what was edited in its own session layer, such as instances that were opened."""
     return open_like(view, view.GetRootLayer(), without_edits(view.GetSessionLayer()))
+
+
+def is_as_on_disk(stage: Usd.Stage) -> bool:
+    """Whether a stage shows what opening the file of its root layer shows, but for edits in its session layer."""
+    session, root = stage.GetSessionLayer(), stage.GetRootLayer()
+    layers = [layer for layer in stage.GetUsedLayers() if layer != session]
+    return (
+        not any(layer.anonymous or layer.dirty for layer in layers)
+        and not session.subLayerPaths
+        and not stage.GetMutedLayers()
+        and stage.GetPopulationMask() == Usd.StagePopulationMask.All()
+        and stage.GetLoadRules() == Usd.StageLoadRules.LoadAll()
+        and stage.GetPathResolverContext() == Ar.GetResolver().CreateDefaultContextForAsset(root.realPath)
+    )
 
 
 def without_edits(session: Sdf.Layer) -> Sdf.Layer:

@@ -19,16 +19,26 @@ from warpqem.usd.carrier import Carrier
 from warpqem.usd.drop import Dropped, drop_skin, drop_subdivision
 from warpqem.usd.inheritors import keep_heirs
 from warpqem.usd.instances import end_instancing, move_to_classes
+from warpqem.usd.layer_output import merge_edits
 from warpqem.usd.point_samples import PointSamples
 from warpqem.usd.primvars import carry_arrays, carry_motion, carry_normals, carry_primvars
 from warpqem.usd.skin import Skin
 from warpqem.usd.skin_output import write_skin
 from warpqem.usd.stage import MeshSelection
+from warpqem.usd.stage_views import open_like, without_edits
 from warpqem.usd.subsets import carry_subsets
 from warpqem.usd.text_numbers import make_readable
 from warpqem.usd.usd_errors import first_line
 
-__all__ = ["OverLayer", "check_output_path", "copy_stage_metadata", "export_layer", "move_asset_paths", "relative_path"]
+__all__ = [
+    "OverLayer",
+    "check_output_path",
+    "copy_stage_metadata",
+    "export_layer",
+    "layer_name",
+    "move_asset_paths",
+    "relative_path",
+]
 
 OUTPUT_SUFFIXES = (".usd", ".usda", ".usdc")
 
@@ -117,13 +127,13 @@ class OverLayer:
 
     def _start(self) -> Usd.Stage:
         copy_stage_metadata(self._source, self._layer)
+        name = layer_name(self._source)
         try:
-            self._layer.subLayerPaths.append(self._source.realPath)
+            self._layer.subLayerPaths.append(name)
         except Tf.ErrorException as error:
-            name = self._source.realPath
             raise StageError(f"{name!r}: no layer can name a file of this name ({first_line(error)})") from error
         # In the session layer instances are open.
-        return Usd.Stage.Open(self._layer, self._input.GetSessionLayer())
+        return open_like(self._input, self._layer, self._input.GetSessionLayer())
 
     def close(self) -> None:
         """Remove the temporary file; nothing can be saved any more."""
@@ -235,28 +245,32 @@ class OverLayer:
             primvar.BlockIndices()
         _author(primvar.GetAttr(), times, colors, primvar.GetAttr().Get() is not None)
 
-    def save(self, output: Path, flatten: bool = False) -> None:
+    def save(self, output: Path | Sdf.Layer, flatten: bool = False) -> None:
         """Write the layer, or the flattened stage, under a temporary name and rename it.
 
         Args:
-            output: Path checked with `check_output_path`.
+            output: Path checked with `check_output_path`, or a layer checked with `check_output_layer`, which gets the
+                edits alone.
             flatten: Write one self-contained file instead of a layer over the input.
 
         Raises:
             StageError: the file cannot be written; nothing is left behind.
         """
+        if isinstance(output, Sdf.Layer):
+            return merge_edits(self._layer, output, self._input)
         if flatten:
             layer = self._flattened()
         else:
             # A copy, because an anonymous layer that a stage is open on cannot resolve a relative path.
             layer = Sdf.Layer.CreateAnonymous("save.usda")
             layer.TransferContent(self._layer)
-            layer.subLayerPaths[0] = _named_from(output, self._source.realPath)
+            layer.subLayerPaths[0] = _named_from(output, layer_name(self._source))
         move_asset_paths(layer, self._source, output.parent)
         export_layer(layer, output)
 
     def _flattened(self) -> Sdf.Layer:
-        layer = Usd.Stage.Open(self._layer).Flatten(addSourceFileComment=False)
+        session = without_edits(self._input.GetSessionLayer())
+        layer = open_like(self._input, self._layer, session).Flatten(addSourceFileComment=False)
         for path in self._classes:
             # What instances inherited is in their flattened prototypes.
             del layer.GetPrimAtPath(path.GetParentPath()).nameChildren[path.name]
@@ -333,6 +347,11 @@ def _author_empty_relationship(layer: Sdf.Layer, path: Sdf.Path) -> None:
     spec.targetPathList.ClearEditsAndMakeExplicit()
 
 
+def layer_name(layer: Sdf.Layer) -> str:
+    """What other layers call a layer: its file, or its identifier where a resolver has it from elsewhere."""
+    return layer.realPath if os.path.isabs(layer.realPath) else layer.identifier
+
+
 def relative_path(target: str, folder: Path) -> str:
     """Path from a folder to a file, anchored so that USD does not look for it on its search path."""
     try:
@@ -350,6 +369,8 @@ def _named_from(output: Path, target: str) -> str:
     Raises:
         StageError: USD would not find the file by this name, such as one with a backslash, which it takes for a slash.
     """
+    if not os.path.isabs(target):
+        return target
     path = relative_path(target, output.parent)
     found = Ar.GetResolver().CreateIdentifier(path, Ar.ResolvedPath(os.fspath(output)))
     if os.path.realpath(found) != os.path.realpath(target):
