@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
-from test_usd_composition import convert
+from test_usd_composition import clip_stage, convert
 from test_usd_stages import FRAMES, cloth_stage, define_cloth, define_skinned
 from usd_checks import check_stage, compare_properties
 
@@ -219,6 +219,18 @@ def test_skinned_instances_of_another_file_keep_or_lose_their_skin(bake, tmp_pat
         cache.Populate(UsdSkel.Root(result.GetPrimAtPath(f"/Set/{name}")), Usd.TraverseInstanceProxies())
         query = cache.GetSkinningQuery(mesh)
         assert bool(query and query.HasJointInfluences() and query.HasBlendShapes()) == (not bake)
+
+
+def test_clips_of_instances_are_refused_as_usd_ignores_them(tmp_path):
+    clip_stage(tmp_path)
+    stage = cloth_stage(tmp_path / "scene.usda")
+    for name in ("First", "Second"):
+        instance(stage, f"/Root/{name}", "./in.usda")
+    stage.Save()
+    assert not UsdGeom.Mesh(stage.GetPrimAtPath("/Root/Second/Cloth")).GetPointsAttr().GetTimeSamples()
+    _result, report = convert(tmp_path / "scene.usda", tmp_path / "out.usda")
+    assert [prim.status for prim in report.prims] == ["simplified", "failed"]
+    assert "opinions or clips below the instance /Root/First that USD ignores" in report.prims[1].message
 
 
 def test_names_of_classes_that_are_taken_are_left(tmp_path):

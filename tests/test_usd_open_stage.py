@@ -259,7 +259,9 @@ def test_references_are_found_through_the_resolver_context_of_a_stage(tmp_path):
 def test_input_within_a_package_is_found(tmp_path, flatten):
     tile_file(tmp_path / "tile.usdc")
     tile_file(tmp_path / "first.usdc")
-    with Usd.ZipFileWriter.CreateNew(str(tmp_path / "in.usdz")) as package:
+    # It moved from one module to the other.
+    writer = getattr(Sdf, "ZipFileWriter", None) or Usd.ZipFileWriter
+    with writer.CreateNew(str(tmp_path / "in.usdz")) as package:
         for name in ("first.usdc", "tile.usdc"):
             package.AddFile(str(tmp_path / name), name)
     report = simplify(f"{tmp_path}/in.usdz[tile.usdc]", tmp_path / "out.usda", flatten=flatten)

@@ -190,7 +190,7 @@ def test_instances_whose_ignored_opinions_would_show_are_refused(tmp_path):
     [(path, error)] = find_meshes(stage).refused
     assert path == "/Root/First/Cloth"
     assert "shared by 2 instances" in str(error)
-    assert "opinions below the instance /Root/First " in str(error)
+    assert "opinions or clips below the instance /Root/First " in str(error)
 
 
 def test_class_is_edited_in_place_of_its_instances(tmp_path):

@@ -85,6 +85,8 @@ def _level(prim: PrimReport) -> str:
 def _tell_problems(report: StageReport) -> None:
     for problem in report.problems:
         tell("warning", problem)
+    for note in report.notes:
+        tell("note", note)
     for problem in dict.fromkeys(text for prim in report.prims for text in prim.problems):
         tell("warning", problem)
     for prim in report.prims:

@@ -48,6 +48,9 @@ def _attributes(mesh: UsdGeom.Mesh) -> Iterator[Usd.Attribute]:
 
 def _form(name: Sdf.ValueTypeName) -> tuple[object, ...]:
     """What values of a type have in common with those of another precision: array or not, numbers, components."""
+    if name.type.isUnknown:
+        # Asking such a type for its scalar type ends the process.
+        return (str(name),)
     value = np.asarray(name.scalarType.defaultValue)
     if value.dtype.kind in "OU":
         return name.isArray, str(name.scalarType.type)

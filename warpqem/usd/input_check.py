@@ -112,7 +112,7 @@ def _exists(place: str) -> bool:
     """Whether there is a file, something in a package or wherever else a resolver looks, or a layer in memory."""
     if Sdf.Layer.IsAnonymousLayerIdentifier(place):
         return Sdf.Layer.Find(place) is not None
-    return os.path.exists(outer_file(place)) or bool(Ar.GetResolver().Resolve(place))
+    return os.path.exists(place) or bool(Ar.GetResolver().Resolve(place))
 
 
 class _NamedFiles:

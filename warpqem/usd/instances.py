@@ -42,7 +42,7 @@ class InstanceEdits:
     """What was opened.
 
     Attributes:
-        shared: The prototypes, those in others after them.
+        shared: The prototypes.
         meshes: One prim for each group of instance proxies, or the error why there is none.
     """
 
@@ -76,7 +76,7 @@ def open_instances(stage: Usd.Stage, groups: Sequence[Sequence[Usd.Prim]]) -> In
         item.users = [
             place if holder is None else shared[holder].path.AppendPath(place) for holder, place in places.users[key]
         ]
-    before = [spec_places(group[0]) for group in groups]
+    before = [_content(group[0]) for group in groups]
     targets = []
     for group in groups:
         innermost = _instances_above(group[0])[-1]
@@ -86,12 +86,17 @@ def open_instances(stage: Usd.Stage, groups: Sequence[Sequence[Usd.Prim]]) -> In
     refusals = [_refusal(group) for group in groups]
     session = stage.GetSessionLayer()
     end_instancing(session, [item.path for item in shared.values()])
-    edits = InstanceEdits(sorted(shared.values(), key=lambda item: item.path.pathElementCount))
-    for path, specs, refusal in zip(targets, before, refusals, strict=True):
+    edits = InstanceEdits(list(shared.values()))
+    for path, content, refusal in zip(targets, before, refusals, strict=True):
         prim = stage.GetPrimAtPath(path)
-        same = prim and not prim.IsInstanceProxy() and spec_places(prim) == specs
+        same = prim and not prim.IsInstanceProxy() and _content(prim) == content
         edits.meshes.append(prim if same else refusal)
     return edits
+
+
+def _content(prim: Usd.Prim) -> tuple[list[tuple[str, str]], list[float]]:
+    """What tells whether a mesh is the same in an opened instance: its specs, and its times, which clips may change."""
+    return spec_places(prim), prim.GetAttribute("points").GetTimeSamples()
 
 
 def end_instancing(layer: Sdf.Layer, paths: Iterable[Sdf.Path]) -> None:
@@ -158,14 +163,14 @@ def _refusal(proxies: Sequence[Usd.Prim]) -> StageError:
     instance = _instances_above(proxies[0])[-1]
     shared = f" (shared by {len(proxies)} instances)" if len(proxies) > 1 else ""
     return StageError(
-        f"{path}: the mesh is an instance proxy{shared} and cannot be edited, as layers have opinions below the "
-        f"instance {instance.GetPath()} that USD ignores; remove them, or set instanceable = false on it"
+        f"{path}: the mesh is an instance proxy{shared} and cannot be edited, as layers have opinions or clips "
+        f"below the instance {instance.GetPath()} that USD ignores; remove them, or set instanceable = false on it"
     )
 
 
 def move_to_classes(
     layer: Sdf.Layer, shared: Iterable[SharedPrototype], stage: Usd.Stage, by_root: bool
-) -> list[Sdf.Path]:
+) -> dict[Sdf.Path, list[Sdf.Path]]:
     """Move the edits of opened instances to classes, and let all instances of their prototypes inherit them.
 
     Args:
@@ -175,14 +180,14 @@ def move_to_classes(
         by_root: For the instances below each root prim there is a class below it; else there is one for all, beside.
 
     Returns:
-        The classes.
+        The instances that inherit from each class.
 
     Raises:
         StageError: USD cannot copy the edits.
     """
-    classes: list[Sdf.Path] = []
+    classes: dict[Sdf.Path, list[Sdf.Path]] = {}
     # What is in other prototypes is moved first, so that those move without it.
-    for item in sorted(shared, key=lambda item: -item.path.pathElementCount):
+    for item in _inner_first(list(shared)):
         edits = layer.GetPrimAtPath(item.path)
         if not edits:
             continue
@@ -200,8 +205,29 @@ def move_to_classes(
         for place, path in places.items():
             for user in users[place]:
                 Sdf.CreatePrimInLayer(layer, user).inheritPathList.Prepend(path)
-        classes += places.values()
+        classes |= {path: users[place] for place, path in places.items()}
     return classes
+
+
+def _inner_first(shared: Sequence[SharedPrototype]) -> list[SharedPrototype]:
+    """Each prototype before those that have instances of it."""
+    by_path = {item.path: item for item in shared}
+    inner: dict[Sdf.Path, list[SharedPrototype]] = {}
+    for item in shared:
+        holders = {prefix for user in item.users for prefix in user.GetPrefixes()[:-1] if prefix in by_path}
+        for holder in holders:
+            inner.setdefault(holder, []).append(item)
+    ordered: dict[Sdf.Path, SharedPrototype] = {}
+
+    def visit(item: SharedPrototype) -> None:
+        if item.path not in ordered:
+            for other in inner.get(item.path, ()):
+                visit(other)
+            ordered[item.path] = item
+
+    for item in shared:
+        visit(item)
+    return list(ordered.values())
 
 
 def _free_name(layer: Sdf.Layer, stage: Usd.Stage, parent: Sdf.Path) -> Sdf.Path:

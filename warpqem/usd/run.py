@@ -67,6 +67,7 @@ class Run:
         self.layer = OverLayer(self.stage, context.folder)
         context.cleanup.callback(self.layer.close)
         self.reports: dict[str, PrimReport] = {}
+        self.notes: list[str] = []
         self.face_points: FacePoints | None = None
         self.faces: dict[str, warpqem.FaceProtection] = {}
 
@@ -83,11 +84,12 @@ class Run:
 
     def finish(self) -> None:
         """Give the edits of meshes below instances to all instances of them; to be called once, after all meshes."""
-        self.layer.share_instances(self.selection, self.by_root)
+        self.notes = self.layer.share_instances(self.selection, self.by_root)
 
     def report(self) -> StageReport:
         """What happened to each mesh."""
-        return StageReport("", None, list(self.reports.values()))
+        # In a flat file instances refer to their prototypes as those are.
+        return StageReport("", None, list(self.reports.values()), notes=[] if self.options.flatten else self.notes)
 
     def select(self) -> list[Usd.Prim]:
         """The meshes to be simplified, each with a report."""

@@ -182,4 +182,5 @@ def _simplify_levels(context: Context) -> tuple[StageReport, Save]:
         report = run.report()
         name = levels.add(run.layer, report.face_share)
         reports += [LevelReport(**vars(prim), level=name) for prim in report.prims]
-    return StageReport("", None, reports), levels.save
+    notes = list(dict.fromkeys(note for run in runs for note in run.notes))
+    return StageReport("", None, reports, notes=notes), levels.save

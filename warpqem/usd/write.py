@@ -214,19 +214,30 @@ class OverLayer:
         drop_subdivision(mesh, dropped)
         return dropped
 
-    def share_instances(self, selection: MeshSelection, by_root: bool) -> None:
+    def share_instances(self, selection: MeshSelection, by_root: bool) -> list[str]:
         """Give what was edited in opened instances to all instances of their prototypes; nothing is edited after that.
 
         Args:
             selection: The meshes, as they were found on the input.
             by_root: The classes for it are to be below the root prims of the instances, not beside them.
 
+        Returns:
+            What was done, a line for each prototype.
+
         Raises:
             StageError: USD cannot copy the edits.
         """
         keep_heirs(self._layer, selection.prims)
         end_instancing(self._layer, filter(self._layer.GetPrimAtPath, selection.own_instances))
-        self._classes = move_to_classes(self._layer, selection.shared, self._input, by_root)
+        moved = move_to_classes(self._layer, selection.shared, self._input, by_root)
+        self._classes = list(moved)
+        lines = [f"{path}: stopped being an instance, as its subsets changed" for path in selection.own_instances]
+        for path, users in moved.items():
+            count = f"{len(users)} instances" if len(users) > 1 else "1 instance"
+            lines.append(
+                f"{users[0]}: the new meshes are below the class {path}, which {count} of it inherit{'s' * (len(users) == 1)}"
+            )
+        return lines
 
     def set_vertex_colors(
         self, path: str, times: list[float] | None, colors: npt.NDArray[np.float32], interpolation: str = "vertex"
