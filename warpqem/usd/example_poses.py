@@ -11,8 +11,7 @@ from warpqem.errors import StageError
 from warpqem.usd.mesh import MeshSource
 from warpqem.usd.skel import StagePoses
 from warpqem.usd.stage import open_stage
-from warpqem.usd.stage_views import open_like
-from warpqem.usd.write import layer_name
+from warpqem.usd.stage_views import layer_name, open_like
 
 __all__ = ["ExamplePoses"]
 

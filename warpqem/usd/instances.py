@@ -17,7 +17,15 @@ from pxr import Sdf, Usd
 
 from warpqem.errors import StageError
 
-__all__ = ["InstanceEdits", "SharedPrototype", "end_instancing", "move_to_classes", "open_instances", "spec_places"]
+__all__ = [
+    "InstanceEdits",
+    "SharedPrototype",
+    "end_instancing",
+    "flat_places",
+    "move_to_classes",
+    "open_instances",
+    "spec_places",
+]
 
 # Name of the classes, before a number.
 CLASS_NAME = "Simplified_Prototype_"
@@ -233,3 +241,19 @@ def _inner_first(shared: Sequence[SharedPrototype]) -> list[SharedPrototype]:
 def _free_name(layer: Sdf.Layer, stage: Usd.Stage, parent: Sdf.Path) -> Sdf.Path:
     paths = (parent.AppendChild(f"{CLASS_NAME}{number}") for number in itertools.count(1))
     return next(path for path in paths if not stage.GetPrimAtPath(path) and not layer.GetPrimAtPath(path))
+
+
+def flat_places(layer: Sdf.Layer, paths: Iterable[Sdf.Path]) -> list[Sdf.Path]:
+    """Where prims and properties are in a flat layer: what is below instances is in prototypes that they refer to."""
+    return [_flat_place(layer, path) for path in paths]
+
+
+def _flat_place(layer: Sdf.Layer, path: Sdf.Path) -> Sdf.Path:
+    place = Sdf.Path.absoluteRootPath
+    for prefix in path.GetPrefixes():
+        spec = layer.GetPrimAtPath(place)
+        if spec and place != Sdf.Path.absoluteRootPath:
+            prototypes = [arc.primPath for arc in spec.referenceList.GetAddedOrExplicitItems() if not arc.assetPath]
+            place = prototypes[0] if prototypes else place
+        place = place.AppendProperty(prefix.name) if prefix.IsPropertyPath() else place.AppendChild(prefix.name)
+    return place

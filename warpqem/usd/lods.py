@@ -14,8 +14,8 @@ from warpqem.usd.field_order import with_fields_in_order
 from warpqem.usd.lod_targets import OutsideTargets
 from warpqem.usd.report import PrimReport
 from warpqem.usd.stage import MeshSelection
-from warpqem.usd.stage_views import unopened
-from warpqem.usd.write import OverLayer, copy_stage_metadata, export_layer, layer_name, move_asset_paths, relative_path
+from warpqem.usd.stage_views import layer_name, unopened
+from warpqem.usd.write import OverLayer, copy_stage_metadata, export_layer, move_asset_paths, relative_path
 
 __all__ = ["LevelLayer", "LevelReport", "VariantLevels", "define_root"]
 

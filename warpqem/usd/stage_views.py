@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
+
 from pxr import Ar, Sdf, Usd
 
-__all__ = ["is_as_on_disk", "open_like", "private_view", "unopened", "without_edits"]
+__all__ = ["is_as_on_disk", "layer_name", "open_like", "private_view", "unopened", "without_edits"]
 
 # What a session layer holds of prims; the rest of its pseudo-root is metadata of the stage.
 PRIMS = frozenset({"primChildren", "subLayers", "subLayerOffsets"})
@@ -75,3 +77,8 @@ def _copy_metadata(source: Sdf.Layer, target: Sdf.Layer) -> None:
     for key in sorted(source.pseudoRoot.ListInfoKeys()):
         if key not in PRIMS:
             target.pseudoRoot.SetInfo(key, source.pseudoRoot.GetInfo(key))
+
+
+def layer_name(layer: Sdf.Layer) -> str:
+    """What other layers call a layer: its file, or its identifier where a resolver has it from elsewhere."""
+    return layer.realPath if os.path.isabs(layer.realPath) else layer.identifier

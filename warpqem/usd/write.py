@@ -18,14 +18,14 @@ from warpqem.usd.arrays import anchored
 from warpqem.usd.carrier import Carrier
 from warpqem.usd.drop import Dropped, drop_skin, drop_subdivision
 from warpqem.usd.inheritors import keep_heirs
-from warpqem.usd.instances import end_instancing, move_to_classes
+from warpqem.usd.instances import end_instancing, flat_places, move_to_classes
 from warpqem.usd.layer_output import merge_edits
 from warpqem.usd.point_samples import PointSamples
 from warpqem.usd.primvars import carry_arrays, carry_motion, carry_normals, carry_primvars
 from warpqem.usd.skin import Skin
 from warpqem.usd.skin_output import write_skin
 from warpqem.usd.stage import MeshSelection
-from warpqem.usd.stage_views import open_like, without_edits
+from warpqem.usd.stage_views import layer_name, open_like, without_edits
 from warpqem.usd.subsets import carry_subsets
 from warpqem.usd.text_numbers import make_readable
 from warpqem.usd.usd_errors import first_line
@@ -35,7 +35,6 @@ __all__ = [
     "check_output_path",
     "copy_stage_metadata",
     "export_layer",
-    "layer_name",
     "move_asset_paths",
     "relative_path",
 ]
@@ -228,15 +227,14 @@ class OverLayer:
             StageError: USD cannot copy the edits.
         """
         keep_heirs(self._layer, selection.prims)
-        end_instancing(self._layer, filter(self._layer.GetPrimAtPath, selection.own_instances))
+        ended = list(filter(self._layer.GetPrimAtPath, selection.own_instances))
+        end_instancing(self._layer, ended)
         moved = move_to_classes(self._layer, selection.shared, self._input, by_root)
         self._classes = list(moved)
-        lines = [f"{path}: stopped being an instance, as its subsets changed" for path in selection.own_instances]
+        lines = [f"{path}: no instance any more, as what is below it changed" for path in ended]
         for path, users in moved.items():
-            count = f"{len(users)} instances" if len(users) > 1 else "1 instance"
-            lines.append(
-                f"{users[0]}: the new meshes are below the class {path}, which {count} of it inherit{'s' * (len(users) == 1)}"
-            )
+            others = f" and {len(users) - 1} like it" if len(users) > 1 else ""
+            lines.append(f"the instance {users[0]}{others} inherit the new meshes from the class {path}")
         return lines
 
     def set_vertex_colors(
@@ -290,16 +288,16 @@ class OverLayer:
             if spec.name.startswith("Flattened_Prototype_") and spec.specifier == Sdf.SpecifierOver:
                 spec.specifier = Sdf.SpecifierClass
         for dropped in self._dropped:
-            for path in _flat_places(layer, dropped.blocked):
+            for path in flat_places(layer, dropped.blocked):
                 _remove_property(layer, path)
-            for path in _flat_places(layer, dropped.deactivated):
+            for path in flat_places(layer, dropped.deactivated):
                 spec = layer.GetPrimAtPath(path)
                 if spec:
                     # Nothing weaker is left in a flat file that an inactive prim would have to hide.
                     del layer.GetPrimAtPath(path.GetParentPath()).nameChildren[spec.name]
-            for path in _flat_places(layer, dropped.unbound):
+            for path in flat_places(layer, dropped.unbound):
                 _author_empty_relationship(layer, path)
-            for path in _flat_places(layer, dropped.unskinned):
+            for path in flat_places(layer, dropped.unskinned):
                 _remove_api(layer, path, "SkelBindingAPI")
         return layer
 
@@ -322,22 +320,6 @@ def _author(
         attribute.Set(array, time)
 
 
-def _flat_places(layer: Sdf.Layer, paths: Iterable[Sdf.Path]) -> list[Sdf.Path]:
-    """Where prims and properties are in a flat layer: what is below instances is in prototypes that they refer to."""
-    return [_flat_place(layer, path) for path in paths]
-
-
-def _flat_place(layer: Sdf.Layer, path: Sdf.Path) -> Sdf.Path:
-    place = Sdf.Path.absoluteRootPath
-    for prefix in path.GetPrefixes():
-        spec = layer.GetPrimAtPath(place)
-        if spec and place != Sdf.Path.absoluteRootPath:
-            prototypes = [arc.primPath for arc in spec.referenceList.GetAddedOrExplicitItems() if not arc.assetPath]
-            place = prototypes[0] if prototypes else place
-        place = place.AppendProperty(prefix.name) if prefix.IsPropertyPath() else place.AppendChild(prefix.name)
-    return place
-
-
 def _remove_property(layer: Sdf.Layer, path: Sdf.Path) -> None:
     spec = layer.GetPropertyAtPath(path)
     if spec:
@@ -356,11 +338,6 @@ def _author_empty_relationship(layer: Sdf.Layer, path: Sdf.Path) -> None:
     if not spec:
         spec = Sdf.RelationshipSpec(layer.GetPrimAtPath(path.GetPrimPath()), path.name, custom=False)
     spec.targetPathList.ClearEditsAndMakeExplicit()
-
-
-def layer_name(layer: Sdf.Layer) -> str:
-    """What other layers call a layer: its file, or its identifier where a resolver has it from elsewhere."""
-    return layer.realPath if os.path.isabs(layer.realPath) else layer.identifier
 
 
 def relative_path(target: str, folder: Path) -> str:
