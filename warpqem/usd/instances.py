@@ -208,6 +208,8 @@ def move_to_classes(
             if not Sdf.CopySpec(layer, item.path, layer, path):
                 raise StageError(f"{item.path}: USD cannot copy edits to {path}")
             layer.GetPrimAtPath(path).specifier = Sdf.SpecifierClass
+            for child in layer.GetPrimAtPath(path).nameChildren:
+                _define(child, item.path.AppendChild(child.name), stage)
         parent = edits.nameParent or layer.pseudoRoot
         del parent.nameChildren[edits.name]
         for place, path in places.items():
@@ -215,6 +217,15 @@ def move_to_classes(
                 Sdf.CreatePrimInLayer(layer, user).inheritPathList.Prepend(path)
         classes |= {path: users[place] for place, path in places.items()}
     return classes
+
+
+def _define(spec: Sdf.PrimSpec, path: Sdf.Path, stage: Usd.Stage) -> None:
+    """Define what is in a class as it is in the opened instance: validators take an over there for one of nothing."""
+    prim = stage.GetPrimAtPath(path)
+    if prim and prim.IsDefined():
+        spec.specifier, spec.typeName = Sdf.SpecifierDef, prim.GetTypeName()
+    for child in spec.nameChildren:
+        _define(child, path.AppendChild(child.name), stage)
 
 
 def _inner_first(shared: Sequence[SharedPrototype]) -> list[SharedPrototype]:
