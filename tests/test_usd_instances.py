@@ -56,6 +56,8 @@ def test_instances_of_another_file_are_simplified_and_stay_instances(tmp_path, f
     check_stage(result)
     [prototype] = result.GetPrototypes()
     assert len(prototype.GetInstances()) == 2
+    place = "the new meshes below /Set/First and 1 more instances come from the class /Simplified_Prototype_1"
+    assert report.notes == ([] if flatten else [place])
     assert faces_at(result, "/Set/First/Cloth") == faces_at(result, "/Set/Second/Cloth") == 50
     verdicts = compare_properties(Usd.Stage.Open(str(tmp_path / "in.usda")), result)
     assert {path.rsplit(".", 1)[-1] for path in verdicts} <= SHAPE | {"primvars:st:indices"}, verdicts

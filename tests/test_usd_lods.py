@@ -12,7 +12,7 @@ from test_usd_stages import FRAMES, cloth_stage, define_cloth, instanced_stage, 
 from typer.testing import CliRunner, Result
 
 from warpqem.cli.main import app
-from warpqem.errors import OptionError
+from warpqem.errors import OptionError, StageError
 from warpqem.usd import FrameRange, SimplifyOptions, simplify_stage
 from warpqem.usd.option_checks import parse_lods
 from warpqem.usd.report import StageReport
@@ -282,6 +282,14 @@ def test_meshes_that_are_not_chosen_have_no_levels(tmp_path):
     result = Usd.Stage.Open(str(tmp_path / "lods.usda"))
     assert [prim.GetName() for prim in result.GetPseudoRoot().GetChildren() if prim.HasVariantSets()] == ["Other"]
     assert str(result.GetDefaultPrim().GetPath()) == "/Other"
+
+
+def test_stage_without_meshes_has_no_levels(tmp_path):
+    stage = Usd.Stage.CreateNew(str(tmp_path / "in.usda"))
+    stage.DefinePrim("/Root")
+    stage.Save()
+    with pytest.raises(StageError, match="there is no mesh on the stage"):
+        build_levels(tmp_path / "in.usda", tmp_path / "lods.usda")
 
 
 def test_levels_of_levels_are_refused(tmp_path):

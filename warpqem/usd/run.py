@@ -94,8 +94,6 @@ class Run:
     def select(self) -> list[Usd.Prim]:
         """The meshes to be simplified, each with a report."""
         selection = self.selection
-        if not selection.paths():
-            raise StageError("there is no mesh on the stage")
         check_names(selection.prims, self.options.attribute_weights)
         check_weight_primvar(selection.prims, self.options.weight_primvar)
         check_morph(selection.prims, self.options.morph_weights, self.examples is not None)

@@ -13,7 +13,7 @@ from typing import Any
 
 from pxr import Sdf, Usd
 
-from warpqem.errors import OptionError
+from warpqem.errors import OptionError, StageError
 from warpqem.outputs import InputFile, OutputFile
 from warpqem.sharing import FrameShare
 from warpqem.usd.context import Announce, Context, Progress, SharedOrder
@@ -95,6 +95,8 @@ def simplify_stage(
     # What fails while a layer is being written is no matter of one mesh: half of it would be there.
     with usd_errors_named(name), ExitStack() as cleanup:
         selection = find_meshes(stage, options.prims, by_root=bool(options.lods))
+        if not selection.paths():
+            raise StageError("there is no mesh on the stage")
         context = Context(
             stage,
             selection,

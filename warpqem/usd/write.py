@@ -233,8 +233,8 @@ class OverLayer:
         self._classes = list(moved)
         lines = [f"{path}: no instance any more, as what is below it changed" for path in ended]
         for path, users in moved.items():
-            others = f" and {len(users) - 1} like it" if len(users) > 1 else ""
-            lines.append(f"the instance {users[0]}{others} inherit the new meshes from the class {path}")
+            others = f" and {len(users) - 1} more instances" if len(users) > 1 else ""
+            lines.append(f"the new meshes below {users[0]}{others} come from the class {path}")
         return lines
 
     def set_vertex_colors(
