@@ -215,16 +215,3 @@ def test_instances_of_an_asset_with_a_local_wrapper_show_its_edits(tmp_path):
     result, report = convert(tmp_path / "in.usda", tmp_path / "out.usda")
     assert [(prim.path, prim.status) for prim in report.prims] == [("/_prop/Cloth", "simplified")]
     assert len(UsdGeom.Mesh(result.GetPrimAtPath("/Second/Cloth")).GetFaceVertexCountsAttr().Get()) == 51
-
-
-def test_instances_of_another_file_are_refused(tmp_path):
-    stage = cloth_stage(tmp_path / "in.usda")
-    prim = stage.DefinePrim("/Root/First")
-    prim.GetReferences().AddReference(str(asset(tmp_path)))
-    prim.SetInstanceable(True)
-    stage.Save()
-    result, report = convert(tmp_path / "in.usda", tmp_path / "out.usda")
-    [failed] = report.failed
-    assert failed.path == "/Root/First/Cloth"
-    assert "simplify the asset that /Root/First instances" in str(failed.message)
-    assert len(UsdGeom.Mesh(result.GetPrimAtPath("/Root/First/Cloth")).GetFaceVertexCountsAttr().Get()) == 64

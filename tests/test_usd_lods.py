@@ -12,7 +12,7 @@ from test_usd_stages import FRAMES, cloth_stage, define_cloth, instanced_stage, 
 from typer.testing import CliRunner, Result
 
 from warpqem.cli.main import app
-from warpqem.errors import OptionError
+from warpqem.errors import OptionError, StageError
 from warpqem.usd import FrameRange, SimplifyOptions, simplify_stage
 from warpqem.usd.option_checks import read_ratios
 from warpqem.usd.report import StageReport
@@ -146,13 +146,18 @@ def test_first_level_is_the_input_and_the_default(tmp_path):
     assert UsdGeom.GetStageUpAxis(result) == UsdGeom.Tokens.z
 
 
-def test_instances_of_a_root_class_stay_on_every_level(tmp_path):
-    instanced_stage(tmp_path / "in.usda", local=True)
-    build_levels(tmp_path / "in.usda", tmp_path / "lods.usda")
-    for level in range(3):
+@pytest.mark.parametrize("local", [True, False])
+def test_instances_show_every_level(local, tmp_path):
+    instanced_stage(tmp_path / "in.usda", local=local)
+    report = build_levels(tmp_path / "in.usda", tmp_path / "lods.usda")
+    counts = [64] + [prim.faces_after for prim in report.prims if prim.path == "/Root/First/Cloth"]
+    for level, count in enumerate(counts):
         stage = open_level(tmp_path / "lods.usda", level)
-        assert stage.GetPrimAtPath("/Root/First").IsInstance()
-        assert len(UsdGeom.Mesh(stage.GetPrimAtPath("/Root/Second/Cloth")).GetFaceVertexCountsAttr().Get()) == 64
+        assert len(stage.GetPrototypes()) == 1
+        for name in ("First", "Second"):
+            assert stage.GetPrimAtPath(f"/Root/{name}").IsInstance()
+            mesh = UsdGeom.Mesh(stage.GetPrimAtPath(f"/Root/{name}/Cloth"))
+            assert len(mesh.GetFaceVertexCountsAttr().Get()) == count
 
 
 def test_switching_levels_changes_the_faces_there_and_back(tmp_path):
@@ -224,29 +229,66 @@ def test_mesh_that_cannot_be_read_fails_on_every_level(tmp_path):
     ]  # fmt: skip
 
 
-def test_target_beside_the_default_prim_is_refused(tmp_path):
-    stage = cloth_stage(tmp_path / "in.usda")
+def material_beside(path: Path) -> None:
+    """A cloth, and one of a class with two instances, with a material in another root prim."""
+    stage = cloth_stage(path)
     material = UsdShade.Material.Define(stage, "/Materials/Red")
-    UsdShade.MaterialBindingAPI.Apply(stage.GetPrimAtPath("/Root/Cloth")).Bind(material)
+    stage.CreateClassPrim("/Asset")
+    define_cloth(stage, "/Asset/Flag", times=FRAMES)
+    for name in ("First", "Second"):
+        prim = stage.DefinePrim(f"/Root/{name}", "Xform")
+        prim.GetReferences().AddInternalReference("/Asset")
+        prim.SetInstanceable(True)
+    for mesh in ("/Root/Cloth", "/Asset/Flag"):
+        UsdShade.MaterialBindingAPI.Apply(stage.GetPrimAtPath(mesh)).Bind(material)
+    # What another root prim refers to may be on the levels.
+    stage.GetPrimAtPath("/Materials").CreateRelationship("seen:by").SetTargets(["/Root/Cloth"])
     stage.Save()
-    with pytest.raises(OptionError, match=r"/Root/Cloth\.material:binding refers to /Materials/Red"):
-        build_levels(tmp_path / "in.usda", tmp_path / "lods.usda")
 
 
-def test_mesh_beside_the_default_prim_is_refused(tmp_path):
+@pytest.mark.filterwarnings("error")
+def test_target_beside_the_default_prim_stays_one(tmp_path):
+    material_beside(tmp_path / "in.usda")
+    build_levels(tmp_path / "in.usda", tmp_path / "lods.usda")
+    for level in range(3):
+        stage = open_level(tmp_path / "lods.usda", level)
+        assert stage.GetCompositionErrors() == []
+        for mesh in ("Cloth", "First/Flag", "Second/Flag"):
+            binding = UsdShade.MaterialBindingAPI(stage.GetPrimAtPath(f"/Root/{mesh}"))
+            assert str(binding.ComputeBoundMaterial()[0].GetPath()) == "/Materials/Red"
+        assert stage.GetPrimAtPath("/Root/Second").IsInstance()
+        assert stage.GetPrimAtPath("/Materials").GetRelationship("seen:by").GetTargets() == ["/Root/Cloth"]
+
+
+def test_mesh_beside_the_default_prim_gets_levels(tmp_path):
     stage = cloth_stage(tmp_path / "in.usda")
     define_cloth(stage, "/Other/Flag")
     stage.Save()
-    with pytest.raises(OptionError, match="/Other/Flag is outside /Root"):
-        build_levels(tmp_path / "in.usda", tmp_path / "lods.usda")
+    report = build_levels(tmp_path / "in.usda", tmp_path / "lods.usda")
+    result = Usd.Stage.Open(str(tmp_path / "lods.usda"))
+    assert str(result.GetDefaultPrim().GetPath()) == "/Root"
+    for root, mesh in (("/Root", "/Root/Cloth"), ("/Other", "/Other/Flag")):
+        result.GetPrimAtPath(root).GetVariantSet("LOD").SetVariantSelection("LOD1")
+        [count] = [prim.faces_after for prim in report.prims if (prim.level, prim.path) == ("LOD1", mesh)]
+        assert len(UsdGeom.Mesh(result.GetPrimAtPath(mesh)).GetFaceVertexCountsAttr().Get()) == count
 
 
-def test_several_root_prims_without_a_default_prim_are_named(tmp_path):
+def test_meshes_that_are_not_chosen_have_no_levels(tmp_path):
     stage = cloth_stage(tmp_path / "in.usda")
-    define_cloth(stage, "/Flag")
+    define_cloth(stage, "/Other/Flag")
     stage.ClearDefaultPrim()
     stage.Save()
-    with pytest.raises(OptionError, match="/Root, /Flag"):
+    build_levels(tmp_path / "in.usda", tmp_path / "lods.usda", prims=("/Other",))
+    result = Usd.Stage.Open(str(tmp_path / "lods.usda"))
+    assert [prim.GetName() for prim in result.GetPseudoRoot().GetChildren() if prim.HasVariantSets()] == ["Other"]
+    assert str(result.GetDefaultPrim().GetPath()) == "/Other"
+
+
+def test_stage_without_meshes_has_no_levels(tmp_path):
+    stage = Usd.Stage.CreateNew(str(tmp_path / "in.usda"))
+    stage.DefinePrim("/Root")
+    stage.Save()
+    with pytest.raises(StageError, match="there is no mesh on the stage"):
         build_levels(tmp_path / "in.usda", tmp_path / "lods.usda")
 
 

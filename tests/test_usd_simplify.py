@@ -100,8 +100,11 @@ def test_nothing_is_written_if_all_meshes_fail(tmp_path):
     assert not (tmp_path / "out.usda").exists()
 
 
-def test_instance_proxies_fail_and_others_are_done(tmp_path):
-    instanced_stage(tmp_path / "in.usda")
+def test_instance_that_cannot_be_edited_fails_and_others_are_done(tmp_path):
+    stage = instanced_stage(tmp_path / "in.usda")
+    for name in ("First", "Second"):
+        Sdf.CreatePrimInLayer(stage.GetRootLayer(), f"/Root/{name}/Cloth").documentation = "ignored"
+    stage.Save()
     report, _stage = simplify(tmp_path)
     assert [prim.status for prim in report.prims] == ["simplified", "failed"]
 

@@ -172,13 +172,25 @@ def test_wrong_prim_path_is_refused(path):
         find_meshes(stage, [path])
 
 
-def test_instance_proxies_are_refused_once_for_each_prototype_mesh(tmp_path):
-    selection = find_meshes(instanced_stage(tmp_path / "instances.usda"))
-    assert [str(prim.GetPath()) for prim in selection.prims] == ["/Root/Cloth"]
-    [(path, error)] = selection.refused
+def test_one_instance_is_opened_for_each_prototype(tmp_path):
+    stage = instanced_stage(tmp_path / "instances.usda")
+    before = stage.GetRootLayer().ExportToString()
+    selection = find_meshes(stage)
+    assert [str(prim.GetPath()) for prim in selection.prims] == ["/Root/Cloth", "/Root/First/Cloth"]
+    assert selection.refused == []
+    [shared] = selection.shared
+    assert (str(shared.path), list(map(str, shared.users))) == ("/Root/First", ["/Root/First", "/Root/Second"])
+    assert stage.GetRootLayer().ExportToString() == before
+
+
+def test_instances_whose_ignored_opinions_would_show_are_refused(tmp_path):
+    stage = instanced_stage(tmp_path / "instances.usda")
+    for name in ("First", "Second"):
+        Sdf.CreatePrimInLayer(stage.GetRootLayer(), f"/Root/{name}/Cloth").documentation = "ignored"
+    [(path, error)] = find_meshes(stage).refused
     assert path == "/Root/First/Cloth"
     assert "shared by 2 instances" in str(error)
-    assert "/Root/First " in str(error)
+    assert "opinions or clips below the instance /Root/First " in str(error)
 
 
 def test_class_is_edited_in_place_of_its_instances(tmp_path):
@@ -189,8 +201,7 @@ def test_class_is_edited_in_place_of_its_instances(tmp_path):
 
 def test_class_outside_the_chosen_prims_is_left_alone(tmp_path):
     selection = find_meshes(instanced_stage(tmp_path / "instances.usda", local=True), ["/Root"])
-    assert [str(prim.GetPath()) for prim in selection.prims] == ["/Root/Cloth"]
-    assert [path for path, _error in selection.refused] == ["/Root/First/Cloth"]
+    assert [str(prim.GetPath()) for prim in selection.prims] == ["/Root/Cloth", "/Root/First/Cloth"]
 
 
 def test_world_scale_is_the_cube_root_of_the_volume_ratio():

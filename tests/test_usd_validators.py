@@ -26,6 +26,7 @@ STAGES: dict[str, Callable[[Path], object]] = {
     "skin": skinned_stage,
     "rich": rich_stage,
     "instances": lambda path: instanced_stage(path, local=True),
+    "instances_of_file": instanced_stage,
     "clips": lambda path: clip_stage(path.parent),
 }
 

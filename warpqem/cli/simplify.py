@@ -86,6 +86,8 @@ def _level(prim: PrimReport) -> str:
 def _tell_problems(report: StageReport) -> None:
     for problem in report.problems:
         tell("warning", problem)
+    for note in report.notes:
+        tell("note", note)
     for problem in dict.fromkeys(text for prim in report.prims for text in prim.problems):
         tell("warning", problem)
     for prim in report.prims:
@@ -96,6 +98,8 @@ def _tell_problems(report: StageReport) -> None:
             tell("warning", f"{level}{prim.path}: not kept symmetric: {prim.symmetry}")
         if prim.stopped == "no legal collapse":
             tell("warning", f"{level}{prim.path}: stopped at {prim.faces_after} faces, no legal collapse is left")
+        if prim.status == "kept" and prim.message and prim.message.startswith("no geometry"):
+            tell("note", f"{prim.path}: kept: {prim.message}")
         if prim.status == "failed":
             tell("error", level + (prim.message or prim.path))
     if report.output is None:

@@ -14,7 +14,7 @@ from pxr import Ar
 from warpqem.errors import StageError
 from warpqem.usd.usd_errors import first_line
 
-__all__ = ["CRATE", "MOST_NESTED", "QUOTED", "check_bytes"]
+__all__ = ["CRATE", "MOST_NESTED", "QUOTED", "check_bytes", "check_stream"]
 
 # Brackets and prims in each other. Scenes have some dozens; USD's own stack ends between 20 000 and 100 000.
 MOST_NESTED = 1000
@@ -51,21 +51,34 @@ def check_bytes(file: str, by: str = "") -> None:
     """
     try:
         with open(file, "rb") as stream:
-            start = stream.read(8)
-            if not start:
-                raise StageError(f"{file}{by}: an empty file, which USD cannot open")
-            size = os.fstat(stream.fileno()).st_size
-            if start.startswith(TEXT):
-                if size > MOST_TEXT_BYTES:
-                    raise StageError(
-                        f"{file}{by}: text of more than {MOST_TEXT_BYTES} bytes; binary files may be larger"
-                    )
-                # No more than there was: a file may grow for ever.
-                _check_nesting(start + stream.read(size), file + by)
-            elif start.startswith(PACKAGE):
-                _check_package(stream, size, file, by)
+            check_stream(stream, file, by)
     except OSError as error:
         raise StageError(f"{file}{by}: cannot be read ({error.strerror or error})") from error
+
+
+def check_stream(stream: IO[bytes], file: str, by: str = "") -> None:
+    """The same for the bytes of what is no file on disk.
+
+    Args:
+        stream: The bytes, from their start.
+        file: What to call it.
+        by: Who names it, for the message.
+
+    Raises:
+        StageError: USD could not read it safely.
+    """
+    size = stream.seek(0, os.SEEK_END)
+    stream.seek(0)
+    start = stream.read(8)
+    if not start:
+        raise StageError(f"{file}{by}: an empty file, which USD cannot open")
+    if start.startswith(TEXT):
+        if size > MOST_TEXT_BYTES:
+            raise StageError(f"{file}{by}: text of more than {MOST_TEXT_BYTES} bytes; binary files may be larger")
+        # No more than there was: a file may grow for ever.
+        _check_nesting(start + stream.read(size), file + by)
+    elif start.startswith(PACKAGE):
+        _check_package(stream, size, file, by)
 
 
 def _check_nesting(text: bytes, name: str) -> None:

@@ -13,6 +13,7 @@ import warpqem
 from warpqem.memory import MemoryPlan
 from warpqem.usd.job import MeshJob
 from warpqem.usd.simplify_options import SimplifyOptions
+from warpqem.usd.stage import MeshSelection
 
 __all__ = ["Announce", "Context", "Progress", "SharedOrder"]
 
@@ -26,8 +27,9 @@ class Context:
 
     Attributes:
         stage: The input.
+        selection: The meshes to be simplified.
         options: What to do.
-        folder: Where the output is going to be.
+        folder: Where the output is going to be; None for a layer in memory.
         progress: Called with the fraction done and what is being done.
         announce: Called with the plan of each mesh.
         cleanup: Ends when all is saved.
@@ -35,8 +37,9 @@ class Context:
     """
 
     stage: Usd.Stage
+    selection: MeshSelection
     options: SimplifyOptions
-    folder: Path
+    folder: Path | None
     progress: Progress
     announce: Announce
     cleanup: ExitStack

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
+from warpqem.usd.below import children_of
 from warpqem.usd.blend_shapes import count_shape_users
 
 __all__ = ["Dropped", "block", "drop_skin", "drop_subdivision"]
@@ -68,7 +69,7 @@ def drop_skin(prim: Usd.Prim, dropped: Dropped) -> None:
 
     Normals of the rest shape go with them.
     """
-    shapes = [child for child in prim.GetChildren() if child.IsA(UsdSkel.BlendShape)]
+    shapes = [child for child in children_of(prim) if child.IsA(UsdSkel.BlendShape)]
     properties = prim.GetAuthoredPropertiesInNamespace("skel")
     properties += prim.GetAuthoredPropertiesInNamespace("primvars:skel")
     inherited = _inherits_influences(prim)

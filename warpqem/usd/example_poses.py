@@ -11,6 +11,7 @@ from warpqem.errors import StageError
 from warpqem.usd.mesh import MeshSource
 from warpqem.usd.skel import StagePoses
 from warpqem.usd.stage import open_stage
+from warpqem.usd.stage_views import layer_name, open_like
 
 __all__ = ["ExamplePoses"]
 
@@ -31,10 +32,10 @@ class ExamplePoses:
         self._own = open_stage(path)
         layer = Sdf.Layer.CreateAnonymous("poses.usda")
         # The examples may be those of the input itself; USD allows a layer once.
-        layers = dict.fromkeys(of.GetRootLayer().realPath for of in (self._own, stage))
+        layers = dict.fromkeys(layer_name(of.GetRootLayer()) for of in (self._own, stage))
         layer.subLayerPaths = list(layers)
         layer.timeCodesPerSecond = self._own.GetTimeCodesPerSecond()
-        self._stage: Usd.Stage = Usd.Stage.Open(layer)
+        self._stage: Usd.Stage = open_like(stage, layer, stage.GetSessionLayer())
         self._poses = StagePoses(self._stage)
 
     def source(self, mesh: MeshSource) -> MeshSource:

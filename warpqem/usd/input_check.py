@@ -7,6 +7,7 @@ instead. Files that no layer of the input names are not looked at.
 
 from __future__ import annotations
 
+import io
 import math
 import os
 from collections.abc import Sequence
@@ -15,12 +16,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Pcp, Sdf, Tf, Usd
+from pxr import Ar, Pcp, Sdf, Tf, Usd
 
 from warpqem.errors import StageError
 from warpqem.file_kinds import check_regular, kind_of
 from warpqem.opening import opening
-from warpqem.usd.byte_check import CRATE, check_bytes
+from warpqem.usd.byte_check import CRATE, check_bytes, check_stream
 from warpqem.usd.named_assets import ASSET_TYPES, CLIPS, NamedAsset, clips_of, layers_of, outer_file, textures_of
 from warpqem.usd.usd_errors import first_line
 
@@ -66,12 +67,12 @@ def open_layers(path: str | os.PathLike[str], roots: Sequence[str | os.PathLike[
     Raises:
         StageError: a file is missing, is no regular file, lies elsewhere, or is nothing USD could read safely.
     """
-    first = os.path.abspath(path)
     _check_name(path)
-    check_regular(first, StageError, os.fspath(path))
-    if not Path(first).exists():
+    first = place_of_input(path)
+    check_regular(outer_file(first), StageError, os.fspath(path))
+    if not _exists(first):
         raise StageError(f"{path}: no such file")
-    allowed = [Path(root).resolve() for root in (*roots, Path(first).parent)] if roots else []
+    allowed = [Path(root).resolve() for root in (*roots, Path(outer_file(first)).parent)] if roots else []
     layers: dict[str, Sdf.Layer] = {}
     named = _NamedFiles(allowed)
     variables: dict[str, Any] = {}
@@ -94,6 +95,24 @@ def open_layers(path: str | os.PathLike[str], roots: Sequence[str | os.PathLike[
         waiting += [(file, place) for file in layers_of(layer, variables)]
     _check_prim_count(first, layers)
     return OpenedLayers(list(layers.values()), list(named.files), named.problems)
+
+
+def place_of_input(path: str | os.PathLike[str]) -> str:
+    """Where USD's resolver finds an input; the absolute path of a file that it does not find."""
+    name = os.fspath(path)
+    if Sdf.Layer.IsAnonymousLayerIdentifier(name):
+        return name
+    try:
+        return str(Ar.GetResolver().Resolve(name)) or os.path.abspath(name)
+    except Tf.ErrorException:
+        return os.path.abspath(name)
+
+
+def _exists(place: str) -> bool:
+    """Whether there is a file, something in a package or wherever else a resolver looks, or a layer in memory."""
+    if Sdf.Layer.IsAnonymousLayerIdentifier(place):
+        return Sdf.Layer.Find(place) is not None
+    return os.path.exists(place) or bool(Ar.GetResolver().Resolve(place))
 
 
 class _NamedFiles:
@@ -175,6 +194,14 @@ def _check_name(path: str | os.PathLike[str]) -> None:
 
 def _open(place: str, by: str, allowed: list[Path]) -> tuple[Sdf.Layer | None, _Specs]:
     specs = _Specs()
+    if Sdf.Layer.IsAnonymousLayerIdentifier(place):
+        layer = Sdf.Layer.Find(place)
+        if layer is not None:
+            _check_specs(layer, place + by, specs)
+        return layer, specs
+    if by and not _has_format(place):
+        _check_place(outer_file(place), by, allowed)
+        return None, specs  # USD leaves it out, and the stage reports it, with the prim that names it
     if not _check_file(place, by, allowed):
         return None, specs  # the stage reports it, with the prim that it is missing for
     try:
@@ -186,6 +213,12 @@ def _open(place: str, by: str, allowed: list[Path]) -> tuple[Sdf.Layer | None, _
         return layer, specs
     except (Tf.ErrorException, UnicodeDecodeError) as error:
         raise StageError(f"{place}{by}: USD cannot open it ({first_line(error, place)})") from error
+
+
+def _has_format(place: str) -> bool:
+    """Whether USD, with the plugins that are installed, knows the format of files of this name."""
+    extension = Ar.GetResolver().GetExtension(str(Sdf.Layer.SplitIdentifier(place)[0]))
+    return bool(extension) and Sdf.FileFormat.FindByExtension(extension) is not None
 
 
 def _check_clip(clip: NamedAsset, layer: str, allowed: list[Path]) -> list[str]:
@@ -210,10 +243,13 @@ def _check_file(place: str, by: str, allowed: list[Path]) -> bool:
     file = outer_file(place)
     _check_place(file, by, allowed)
     check_regular(file, StageError, file + by)
-    if not os.path.exists(file):
-        return False
-    check_bytes(file, by)
-    return True
+    if os.path.exists(file):
+        check_bytes(file, by)
+        return True
+    asset = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(place)) if Ar.GetResolver().Resolve(place) else None
+    if asset is not None:
+        check_stream(io.BytesIO(asset.GetBuffer()), place, by)
+    return asset is not None
 
 
 def _check_rates(layer: Sdf.Layer, name: str) -> None:

@@ -76,7 +76,8 @@ class _Walk:
         self._seen: set[str] = set()
 
     def files(self) -> Iterator[InputFile]:
-        yield InputFile(outer_file(self._root.realPath))
+        if self._root.realPath:
+            yield InputFile(outer_file(self._root.realPath))
         yield from self._named_from(self._root)
         # Layers that no walk finds, such as those of expressions whose variables a reference sets.
         for layer in self._used:

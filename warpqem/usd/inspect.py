@@ -13,6 +13,7 @@ from pxr import Sdf, Usd, UsdGeom
 from warpqem.errors import StageError
 from warpqem.measure import topology
 from warpqem.outputs import OutputFile
+from warpqem.usd.below import subsets_of
 from warpqem.usd.input_files import check_stage_outputs
 from warpqem.usd.mesh import MeshSource
 from warpqem.usd.skel import StagePoses
@@ -75,7 +76,7 @@ class MeshInfo:
 
 
 def inspect_stage(path: str | os.PathLike[str], other_outputs: Sequence[OutputFile] = ()) -> list[MeshInfo]:
-    """Describe every mesh of a USD file, instance proxies last.
+    """Describe every mesh of a USD file, those without geometry last.
 
     Args:
         path: The file.
@@ -103,6 +104,7 @@ def inspect_with_problems(
         poses = StagePoses(stage)
         selection = find_meshes(stage)
         infos = [_inspect(prim, poses) for prim in selection.prims]
+    infos += [MeshInfo(mesh, problems=[f"no geometry: no value of {lacking}"]) for mesh, lacking in selection.empty]
     infos += [MeshInfo(proxy, problems=[str(error)]) for proxy, error in selection.refused]
     return infos, problems
 
@@ -116,7 +118,7 @@ def _inspect(prim: Usd.Prim, poses: StagePoses) -> MeshInfo:
             for primvar in UsdGeom.PrimvarsAPI(prim).GetPrimvarsWithValues()
             if primvar.GetTypeName() in UV_TYPES
         ],
-        subsets=[subset.GetPrim().GetName() for subset in UsdGeom.Subset.GetAllGeomSubsets(mesh)],
+        subsets=[subset.GetPrim().GetName() for subset in subsets_of(mesh)],
         orientation=str(mesh.GetOrientationAttr().Get()),
         subdivision=str(mesh.GetSubdivisionSchemeAttr().Get()),
     )

@@ -1,9 +1,9 @@
-"""Levels of detail of one file: what every form of them shares, and levels as the variants of the default prim."""
+"""Levels of detail of one file: what every form of them shares, and levels as the variants of a root prim."""
 
 from __future__ import annotations
 
+import os
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,8 +11,10 @@ from pxr import Sdf, Usd
 
 from warpqem.errors import OptionError, StageError
 from warpqem.usd.field_order import with_fields_in_order
+from warpqem.usd.lod_targets import OutsideTargets
 from warpqem.usd.report import PrimReport
-from warpqem.usd.stage import find_meshes
+from warpqem.usd.stage import MeshSelection
+from warpqem.usd.stage_views import layer_name, unopened
 from warpqem.usd.write import OverLayer, copy_stage_metadata, export_layer, move_asset_paths, relative_path
 
 __all__ = ["LevelLayer", "LevelReport", "VariantLevels", "define_root"]
@@ -38,54 +40,57 @@ class LevelReport(PrimReport):
 class LevelLayer(ABC):
     """A layer that shows an input file with a choice of levels, kept in memory until saved.
 
-    One root prim of the input, the one that holds its default prim, gets the levels; they reference the input and hold
-    edits over it. The input is no sublayer, as its opinions would then be local ones, which are stronger than those of
+    Each root prim of the input that holds meshes to simplify gets the levels; they reference the input and hold edits
+    over it. The input is no sublayer, as its opinions would then be local ones, which are stronger than those of
     variants and references. Other root prims are references to those of the input.
-
-    Attributes:
-        path: That root prim.
     """
 
-    def __init__(self, source: Usd.Stage, prim_paths: Sequence[str] = ()) -> None:
+    def __init__(self, source: Usd.Stage, selection: MeshSelection) -> None:
         """Start a layer with LOD0, the input as it is.
 
         Args:
             source: Stage of the input file.
-            prim_paths: Prim paths; the levels differ in the meshes at and below them. Empty for all.
+            selection: The meshes in which the levels differ.
 
         Raises:
-            OptionError: the input has no single root prim that can hold the levels.
-            StageError: one of `prim_paths` does not exist or has no mesh.
+            OptionError: a root prim of the input cannot hold levels.
         """
         self._source = source.GetRootLayer()
-        self._root = _find_root(source)
-        self.path: Sdf.Path = self._root.GetPath()
-        self._check_meshes(source, prim_paths)
-        _check_targets(source)
+        # References are to what is in files, without instances that are opened.
+        self._stage_of_input = unopened(source)
+        held = {path.GetPrefixes()[0] for path in selection.paths()}
+        roots = [prim for prim in self._stage_of_input.GetPseudoRoot().GetAllChildren() if prim.HasDefiningSpecifier()]
+        self._roots: list[Usd.Prim] = [prim for prim in roots if prim.GetPath() in held]
+        if not self._roots:
+            raise OptionError("lods: the input has no root prim with meshes that could hold the levels")
+        self._targets = {prim.GetPath(): OutsideTargets(prim) for prim in roots}
         self._layer = Sdf.Layer.CreateAnonymous("levels.usda")
         copy_stage_metadata(self._source, self._layer)
-        self._layer.defaultPrim = self._root.GetName()
-        self._names: list[str] = []
+        default = self._stage_of_input.GetDefaultPrim() or self._roots[0]
+        self._layer.defaultPrim = default.GetPath().GetPrefixes()[0].name
+        self._places: dict[str, dict[Sdf.Path, Sdf.Path]] = {}
         # Point samples are in the files of the edits until the levels are saved.
         self._edits: list[OverLayer] = []
-        self._start()
-        for other in source.GetPseudoRoot().GetAllChildren():
-            if other != self._root and other.HasDefiningSpecifier():
-                self._reference(define_root(self._layer, other), other.GetPath())
+        self._others = [prim.GetPath() for prim in roots if prim not in self._roots]
+        for root in self._roots:
+            self._start(root)
+        self._add(None)
+        for other in (prim for prim in roots if prim not in self._roots):
+            self._reference(define_root(self._layer, other), other.GetPath())
 
     @abstractmethod
-    def _start(self) -> None:
-        """Define the prim that holds the levels, and LOD0."""
+    def _start(self, root: Usd.Prim) -> None:
+        """Make ready a root prim that holds levels."""
 
     @abstractmethod
-    def _place(self, name: str) -> Sdf.Path:
+    def _place(self, root: Usd.Prim, name: str) -> Sdf.Path:
         """Make room for a level; returns the path of the spec that is to hold its edits and its reference."""
 
     def add(self, edits: OverLayer, share: float) -> str:
         """Add the next level.
 
         Args:
-            edits: Edits over the input, all below the prim that holds the levels.
+            edits: Edits over the input, all below root prims that hold the levels.
             share: Faces of the level per face of the input.
 
         Returns:
@@ -105,88 +110,60 @@ class LevelLayer(ABC):
         Raises:
             StageError: the file cannot be written; nothing is left behind.
         """
+        for path in self._others:
+            self._targets[path].write(self._layer, path, self._on_all_levels)
         # A copy, because an anonymous layer that a stage is open on cannot resolve a relative path.
         layer = Sdf.Layer.CreateAnonymous("save.usda")
         layer.TransferContent(self._layer)
-        layer.UpdateCompositionAssetDependency(
-            self._source.realPath, relative_path(self._source.realPath, output.parent)
-        )
+        name = layer_name(self._source)
+        if os.path.isabs(name):
+            layer.UpdateCompositionAssetDependency(name, relative_path(name, output.parent))
         move_asset_paths(layer, self._source, output.parent)
         export_layer(with_fields_in_order(layer), output)
 
     def _add(self, edits: OverLayer | None) -> str:
-        name = f"{LEVEL_NAME}{len(self._names)}"
-        self._names.append(name)
-        path = self._place(name)
+        name = f"{LEVEL_NAME}{len(self._places)}"
+        places = self._places[name] = {root.GetPath(): self._place(root, name) for root in self._roots}
         if edits is not None:
             self._edits.append(edits)
-            self._copy(edits.layer, path)
-        self._reference(self._layer.GetPrimAtPath(path), self.path)
+        for root, place in places.items():
+            if edits is not None:
+                self._copy(edits.layer, root, place)
+            self._reference(self._layer.GetPrimAtPath(place), root)
+            self._targets[root].write(self._layer, place, lambda target: [self._on_level(target, name)])
         return name
 
-    def _copy(self, edits: Sdf.Layer, path: Sdf.Path) -> None:
-        """Copy the edits of one level, if it has any."""
-        if edits.GetPrimAtPath(self.path) and not Sdf.CopySpec(edits, self.path, self._layer, path):
-            raise StageError(f"{self.path}: USD cannot copy edits to {path}")
+    def _on_level(self, path: Sdf.Path, name: str) -> Sdf.Path:
+        """Where what is at a path of the input is on a level."""
+        root = path.GetPrefixes()[0]
+        place = self._places[name].get(root)
+        return path if place is None else path.ReplacePrefix(root, place.StripAllVariantSelections())
+
+    def _on_all_levels(self, path: Sdf.Path) -> list[Sdf.Path]:
+        return list(dict.fromkeys(self._on_level(path, name) for name in self._places))
+
+    def _copy(self, edits: Sdf.Layer, root: Sdf.Path, place: Sdf.Path) -> None:
+        """Copy the edits of one level below one root prim, if it has any."""
+        if edits.GetPrimAtPath(root) and not Sdf.CopySpec(edits, root, self._layer, place):
+            raise StageError(f"{root}: USD cannot copy edits to {place}")
 
     def _reference(self, prim: Sdf.PrimSpec, path: Sdf.Path) -> None:
-        prim.referenceList.Prepend(Sdf.Reference(self._source.realPath, path))
-
-    def _check_meshes(self, source: Usd.Stage, prim_paths: Sequence[str]) -> None:
-        selection = find_meshes(source, prim_paths, self.path)
-        paths = [prim.GetPath() for prim in selection.prims] + [Sdf.Path(path) for path, _error in selection.refused]
-        for path in paths:
-            if not path.HasPrefix(self.path):
-                raise OptionError(
-                    f"lods: the mesh {path} is outside {self.path}, the root prim that holds the levels; "
-                    f"move it there, or take other meshes only with --prim"
-                )
+        prim.referenceList.Prepend(Sdf.Reference(layer_name(self._source), path))
 
 
 class VariantLevels(LevelLayer):
-    """Levels as the variants LOD0, LOD1, ... of a variant set `LOD` on the root prim; LOD0 is selected."""
+    """Levels as the variants LOD0, LOD1, ... of a variant set `LOD` on each root prim; LOD0 is selected."""
 
-    def _start(self) -> None:
-        if self._root.GetVariantSets().HasVariantSet(VARIANT_SET):
-            raise OptionError(f"lods: {self.path} has a variant set {VARIANT_SET} already")
-        prim = define_root(self._layer, self._root)
+    def _start(self, root: Usd.Prim) -> None:
+        if root.GetVariantSets().HasVariantSet(VARIANT_SET):
+            raise OptionError(f"lods: {root.GetPath()} has a variant set {VARIANT_SET} already")
+        prim = define_root(self._layer, root)
         prim.variantSetNameList.Prepend(VARIANT_SET)
-        self._set = Sdf.VariantSetSpec(prim, VARIANT_SET)
-        prim.variantSelections[VARIANT_SET] = self._add(None)
+        Sdf.VariantSetSpec(prim, VARIANT_SET)
+        prim.variantSelections[VARIANT_SET] = f"{LEVEL_NAME}0"
 
-    def _place(self, name: str) -> Sdf.Path:
-        return Sdf.VariantSpec(self._set, name).path
-
-
-def _root_prims(stage: Usd.Stage) -> list[Usd.Prim]:
-    """Root prims that may hold the levels: no overs, no classes."""
-    prims: list[Usd.Prim] = stage.GetPseudoRoot().GetAllChildren()
-    return [prim for prim in prims if prim.IsDefined() and not prim.IsAbstract()]
-
-
-def _find_root(stage: Usd.Stage) -> Usd.Prim:
-    """The root prim that is to hold the levels: the default prim, or the root prim above it, or the only root prim."""
-    default, roots = stage.GetDefaultPrim(), _root_prims(stage)
-    if default:
-        return stage.GetPrimAtPath(default.GetPath().GetPrefixes()[0])
-    if len(roots) == 1:
-        return roots[0]
-    names = ", ".join(str(root.GetPath()) for root in roots) or "none"
-    raise OptionError(f"lods: the input has no default prim, and not one root prim to hold the levels but: {names}")
-
-
-def _check_targets(stage: Usd.Stage) -> None:
-    """A reference to one root prim loses the targets that lie outside it."""
-    for prim in Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()):
-        root = prim.GetPath().GetPrefixes()[0] if not prim.IsPseudoRoot() else None
-        for item in prim.GetAuthoredProperties():
-            targets = item.GetTargets() if isinstance(item, Usd.Relationship) else item.GetConnections()
-            for target in targets:
-                if not target.HasPrefix(root):
-                    raise OptionError(
-                        f"lods: {item.GetPath()} refers to {target}, outside the root prim {root}; "
-                        f"levels need all that a root prim refers to below it"
-                    )
+    def _place(self, root: Usd.Prim, name: str) -> Sdf.Path:
+        return Sdf.VariantSpec(self._layer.GetPrimAtPath(root.GetPath()).variantSets[VARIANT_SET], name).path
 
 
 def define_root(layer: Sdf.Layer, prim: Usd.Prim) -> Sdf.PrimSpec:

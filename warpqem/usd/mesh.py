@@ -11,6 +11,7 @@ import numpy.typing as npt
 from pxr import Usd, UsdGeom, Vt
 
 from warpqem.errors import StageError
+from warpqem.usd.declared_types import check_declared_types
 from warpqem.usd.frames import FrameRange
 from warpqem.usd.skel import MeshPoser, StagePoses
 from warpqem.usd.stage import SavedStage, world_scale
@@ -128,13 +129,15 @@ class MeshSource:
             poses: The skin bindings of its stage.
 
         Raises:
-            StageError: points or faces are missing, blocked or inconsistent, or the topology changes over time.
+            StageError: points or faces are missing, blocked, inconsistent or of another type than the schema's, or
+                the topology changes over time.
         """
         # A prim does not keep its stage alive.
         self._stage = prim.GetStage()
         self.prim = prim
         self.path = str(prim.GetPath())
         self.mesh = UsdGeom.Mesh(prim)
+        check_declared_types(self.mesh)
         self.poser: MeshPoser | None = poses.poser(prim)
         self._points = self.mesh.GetPointsAttr()
         self.authored_times: list[float] = self._find_times()
@@ -184,10 +187,7 @@ class MeshSource:
         code = Usd.TimeCode.Default() if time is None else Usd.TimeCode(time)
         name = "default" if time is None else f"{time:g}"
         value = self._points.Get(code)
-        if value is None:
-            raise StageError(f"{self.path}.points: no value at time {name} (missing or blocked)")
-        if not isinstance(value, POINT_ARRAYS):
-            raise StageError(f"{self.path}.points: {type(value).__name__} at time {name}, no array of points")
+        self._check_points(value, name)
         if len(value) != self.point_count:
             raise StageError(
                 f"{self.path}.points: {len(value)} points at time {name}, {self.point_count} before; "
@@ -237,7 +237,11 @@ class MeshSource:
     def _find_point_count(self) -> int:
         first = Usd.TimeCode(self.authored_times[0]) if self.authored_times else Usd.TimeCode.Default()
         value = self._points.Get(first)
-        if value is None:
-            name = f"{self.authored_times[0]:g}" if self.authored_times else "default"
-            raise StageError(f"{self.path}.points: no value at time {name} (missing or blocked)")
+        self._check_points(value, f"{self.authored_times[0]:g}" if self.authored_times else "default")
         return len(value)
+
+    def _check_points(self, value: object, time: str) -> None:
+        if value is None:
+            raise StageError(f"{self.path}.points: no value at time {time} (missing or blocked)")
+        if not isinstance(value, POINT_ARRAYS):
+            raise StageError(f"{self.path}.points: {type(value).__name__} at time {time}, no array of points")

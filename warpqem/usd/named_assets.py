@@ -144,8 +144,9 @@ def layers_of(layer: Sdf.Layer, variables: dict[str, Any]) -> Iterator[str]:
         named = layer.GetCompositionAssetDependencies()
     for asset in named:
         place = place_of(layer, evaluated(asset, {**layer.expressionVariables, **variables}))
-        if os.path.isabs(place):
-            yield place
+        # Where a resolver finds it elsewhere than in a file, this is no path.
+        if os.path.isabs(place) or Sdf.Layer.IsAnonymousLayerIdentifier(asset) or Ar.GetResolver().Resolve(place):
+            yield place or asset
 
 
 def _paths_in(value: Any) -> list[str]:

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from pxr import Usd, UsdGeom, UsdSkel
 
 from warpqem.usd.arrays import sample_codes, to_numpy
+from warpqem.usd.below import subsets_of
 from warpqem.usd.mesh import MeshSource
 
 __all__ = ["find_odd_values"]
@@ -53,7 +54,7 @@ def _numbers(attribute: Usd.Attribute, code: Usd.TimeCode) -> npt.NDArray[np.flo
 
 
 def _subsets(mesh: UsdGeom.Mesh, polygon_count: int) -> Iterator[str]:
-    for subset in UsdGeom.Subset.GetAllGeomSubsets(mesh):
+    for subset in subsets_of(mesh):
         if subset.GetElementTypeAttr().Get() != UsdGeom.Tokens.face:
             continue
         attribute = subset.GetIndicesAttr()

@@ -68,6 +68,7 @@ class StageReport:
         output: Path of the file that was written, None if nothing was.
         prims: One report for each mesh, in stage order; instance proxies last.
         problems: What is wrong with how the input is composed, such as references to what is missing.
+        notes: What is written in another place than it may be looked for at, such as meshes of instances.
         run: Versions, device, options, seconds and memory; see `warpqem.usd.run_info`.
     """
 
@@ -76,6 +77,7 @@ class StageReport:
     prims: list[PrimReport]
     problems: list[str] = field(default_factory=list)
     run: dict[str, Any] | None = None
+    notes: list[str] = field(default_factory=list)
 
     @property
     def failed(self) -> list[PrimReport]:

@@ -149,9 +149,17 @@ def _level_names(path: str) -> list[str]:
     """Names of the levels of detail of a file, the finest first; empty if it has none."""
     # A prim does not keep its stage alive.
     stage = open_stage(path)
-    root = stage.GetDefaultPrim()
-    if not root:
-        return []
+    root = _level_root(stage)
+    return _levels_at(root) if root else []
+
+
+def _level_root(stage: Usd.Stage) -> Usd.Prim | None:
+    """The root prim whose levels are shown: the default prim, or the first that has levels."""
+    roots = [stage.GetDefaultPrim(), *stage.GetPseudoRoot().GetChildren()]
+    return next((prim for prim in roots if prim and _levels_at(prim)), None)
+
+
+def _levels_at(root: Usd.Prim) -> list[str]:
     names: list[str] = root.GetVariantSets().GetVariantSet(VARIANT_SET).GetVariantNames()
     if not names:
         holder = root.GetChild(VARIANT_SET)
@@ -163,7 +171,8 @@ def _level_names(path: str) -> list[str]:
 def _open_level(path: str, name: str, prims: Sequence[str], failed: Sequence[str]) -> WorldMeshes:
     """One level of a file: a variant, or a prim below a prim that holds the levels."""
     stage = open_stage(path)
-    root = stage.GetDefaultPrim()
+    root = _level_root(stage)
+    assert root is not None
     if root.GetVariantSets().HasVariantSet(VARIANT_SET):
         return WorldMeshes(path, prims, (root.GetPath(), VARIANT_SET, name), failed)
     place = root.GetPath().AppendChild(VARIANT_SET).AppendChild(name)

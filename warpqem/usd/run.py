@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-from pxr import Sdf, Usd, UsdGeom
+from pxr import Usd, UsdGeom
 
 import warpqem
 from warpqem.cost_models import cost_model
@@ -27,6 +27,7 @@ from warpqem.usd.context import Context, Progress, SharedOrder
 from warpqem.usd.example_poses import ExamplePoses
 from warpqem.usd.face_points import FacePoints, face_protection, points_on_level
 from warpqem.usd.feature_subsets import write_feature_points
+from warpqem.usd.inheritors import heirs_first
 from warpqem.usd.job import MeshJob, ReadOptions
 from warpqem.usd.mesh import MeshSource
 from warpqem.usd.morph import check_morph, morph_scale
@@ -35,7 +36,6 @@ from warpqem.usd.point_samples import PointSamples
 from warpqem.usd.report import PrimReport, StageReport, name_prim
 from warpqem.usd.skel import StagePoses
 from warpqem.usd.skin_fit import SkinFitter, SkinPoses, simplify_by_pullback, why_not_fitted
-from warpqem.usd.stage import find_meshes
 from warpqem.usd.usd_errors import usd_errors_named
 from warpqem.usd.weights import check_weight_primvar, painted_options
 from warpqem.usd.write import OverLayer
@@ -51,16 +51,23 @@ Result = TypeVar("Result")
 class Run:
     """One pass over the meshes of a stage, into one layer."""
 
-    def __init__(self, context: Context, within: Sdf.Path = Sdf.Path.absoluteRootPath) -> None:
-        self.stage, self.options = context.stage, context.options
+    def __init__(self, context: Context, by_root: bool = False) -> None:
+        """Start.
+
+        Args:
+            context: What all passes share.
+            by_root: Keep the edits of what is below a root prim below it.
+        """
+        self.stage, self.selection, self.options = context.stage, context.selection, context.options
         self.progress, self.announce, self.share = context.progress, context.announce, context.share
-        self.within = within
+        self.by_root = by_root
         self.poses = StagePoses(self.stage)
         self.examples = None if self.options.poses is None else ExamplePoses(self.stage, self.options.poses)
         self.shape_users = count_shape_users(self.stage)
         self.layer = OverLayer(self.stage, context.folder)
         context.cleanup.callback(self.layer.close)
         self.reports: dict[str, PrimReport] = {}
+        self.notes: list[str] = []
         self.face_points: FacePoints | None = None
         self.faces: dict[str, warpqem.FaceProtection] = {}
 
@@ -72,17 +79,21 @@ class Run:
                 self.simplify_one(prim, self.part(index / len(prims), 1 / len(prims), prim))
         else:
             self._run_budget(prims, self.options.faces)
+        self.finish()
         self.progress(1.0, "done")
+
+    def finish(self) -> None:
+        """Give the edits of meshes below instances to all instances of them; to be called once, after all meshes."""
+        self.notes = self.layer.share_instances(self.selection, self.by_root)
 
     def report(self) -> StageReport:
         """What happened to each mesh."""
-        return StageReport("", None, list(self.reports.values()))
+        # In a flat file instances refer to their prototypes as those are.
+        return StageReport("", None, list(self.reports.values()), notes=[] if self.options.flatten else self.notes)
 
     def select(self) -> list[Usd.Prim]:
         """The meshes to be simplified, each with a report."""
-        selection = find_meshes(self.stage, self.options.prims, self.within)
-        if not selection.prims and not selection.refused:
-            raise StageError("there is no mesh on the stage")
+        selection = self.selection
         check_names(selection.prims, self.options.attribute_weights)
         check_weight_primvar(selection.prims, self.options.weight_primvar)
         check_morph(selection.prims, self.options.morph_weights, self.examples is not None)
@@ -94,8 +105,9 @@ class Run:
             if self.options.strict:
                 raise error
             self.reports[path] = PrimReport(path, "failed", message=str(error))
-        prims: list[Usd.Prim] = selection.prims
-        return prims
+        for path, lacking in selection.empty:
+            self.reports[path] = PrimReport(path, "kept", message=f"no geometry: no value of {lacking}")
+        return heirs_first(selection.prims)
 
     def simplify_one(self, prim: Usd.Prim, progress: Progress, shared: SharedOrder | None = None) -> None:
         """Simplify one mesh into the layer."""

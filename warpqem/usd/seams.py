@@ -15,6 +15,7 @@ from warpqem.components import lowest_members
 from warpqem.edges import edge_key
 from warpqem.transfer import is_proper, joined_faces
 from warpqem.usd.arrays import Samples, is_normal, primvar_samples, sample_codes
+from warpqem.usd.below import subsets_of
 from warpqem.usd.mesh import MeshSource
 
 __all__ = ["MeshSeams", "corner_values", "find_seams"]
@@ -191,7 +192,7 @@ def _authored_arrays(source: MeshSource) -> Iterator[tuple[str, str, Samples, bo
 
 def _subset_borders(source: MeshSource, edges: _InnerEdges) -> Pairs:
     label = np.zeros(source.topology.polygon_count, dtype=np.int64)
-    for subset in UsdGeom.Subset.GetAllGeomSubsets(source.mesh):
+    for subset in subsets_of(source.mesh):
         if subset.GetElementTypeAttr().Get() != UsdGeom.Tokens.face:
             continue
         for code in sample_codes(subset.GetIndicesAttr()):

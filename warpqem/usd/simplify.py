@@ -9,31 +9,36 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+from pxr import Sdf, Usd
+
+from warpqem.errors import OptionError, StageError
 from warpqem.outputs import InputFile, OutputFile
 from warpqem.sharing import FrameShare
 from warpqem.usd.context import Announce, Context, Progress, SharedOrder
 from warpqem.usd.input_files import check_stage_outputs
-from warpqem.usd.lods import LevelReport, VariantLevels
+from warpqem.usd.layer_output import check_output_layer
+from warpqem.usd.lods import LevelLayer, LevelReport, VariantLevels
 from warpqem.usd.report import PrimReport, StageReport
 from warpqem.usd.run import Run
 from warpqem.usd.run_info import run_info
 from warpqem.usd.simplify_options import SimplifyOptions
-from warpqem.usd.stage import open_stage, open_with_problems
+from warpqem.usd.stage import find_meshes, open_input, open_stage
 from warpqem.usd.usd_errors import usd_errors_named
 from warpqem.usd.usd_lod import UsdLodLevels
 from warpqem.usd.write import check_output_path
 
 __all__ = ["simplify_stage"]
 
-Save = Callable[[Path], None]
+Save = Callable[[Any], None]
 
 _log = logging.getLogger(__name__)
 
 
 def simplify_stage(
-    input_path: str | os.PathLike[str],
-    output_path: str | os.PathLike[str],
+    input_path: str | os.PathLike[str] | Usd.Stage,
+    output_path: str | os.PathLike[str] | Sdf.Layer,
     options: SimplifyOptions,
     progress: Progress | None = None,
     announce: Announce | None = None,
@@ -49,8 +54,12 @@ def simplify_stage(
     as far as it goes, unless `options.strict`.
 
     Args:
-        input_path: .usd, .usda, .usdc or .usdz file.
-        output_path: .usd, .usda or .usdc file; replaced if it exists.
+        input_path: .usd, .usda, .usdc or .usdz file, or whatever the resolver of USD finds, such as a file on its
+            search path, one in a package, or the identifier of a layer in memory. Or an open stage, which is taken as
+            it is: with unsaved edits, session layer, load rules, population mask and resolver context.
+        output_path: .usd, .usda or .usdc file; replaced if it exists. Or a layer, which gets the edits beside what it
+            holds and is not saved: one of the stage's own layers, where they show at once, or another one, that is to
+            be a sublayer above them. Nothing else of an open stage changes, such as its edit target.
         options: What to do.
         progress: Called with the fraction done and what is being done.
         announce: Called with the name of each mesh and the memory plan for it, before the work on it.
@@ -65,43 +74,86 @@ def simplify_stage(
     Raises:
         StageError: the input cannot be read, has no mesh, or the output cannot be written; with `strict`, also a mesh
             that cannot be done.
-        OptionError: an option or an output path is wrong, or the root prims of the input cannot hold levels.
+            A stronger layer of the stage would hide an edit in the layer given as output.
+        OptionError: an option or an output path is wrong, or the root prims of the input cannot hold levels. A file
+            cannot be a layer over a stage in memory, so that `options.flatten` is needed there.
         DeviceError: there is no such device.
     """
-    output = check_output_path(output_path, [input_path])
+    output = _checked_output(input_path, output_path, options)
     start = time.perf_counter()
-    _log.info("%s: reading", input_path)
-    stage, problems = open_with_problems(input_path, options.asset_roots)
+    name = input_path.GetRootLayer().identifier if isinstance(input_path, Usd.Stage) else os.fspath(input_path)
+    _log.info("%s: reading", name)
+    stage, problems = open_input(input_path, options.asset_roots)
+    if isinstance(output, Sdf.Layer):
+        check_output_layer(output, stage)
+    elif not options.flatten:
+        problems += _check_files(stage)
     read = [stage] if options.poses is None else [stage, open_stage(options.poses)]
     points = [] if options.face_points is None else [InputFile(options.face_points, "the file of points")]
-    check_stage_outputs([OutputFile("output", output_path), *other_outputs], read, points)
+    files = [] if isinstance(output_path, Sdf.Layer) else [OutputFile("output", output_path)]
+    check_stage_outputs([*files, *other_outputs], read, points)
     # What fails while a layer is being written is no matter of one mesh: half of it would be there.
-    with usd_errors_named(input_path), ExitStack() as cleanup:
+    with usd_errors_named(name), ExitStack() as cleanup:
+        selection = find_meshes(stage, options.prims, by_root=bool(options.lods))
+        if not selection.paths():
+            raise StageError("there is no mesh on the stage")
         context = Context(
             stage,
+            selection,
             options,
-            output.parent,
+            output.parent if isinstance(output, Path) else None,
             progress or (lambda fraction, text: None),
             announce or (lambda name, plan: None),
             cleanup,
             share,
         )
-        report = _simplify(context, input_path, output)
+        report, save = (_simplify_levels if options.lods else _simplify_once)(context)
+        report.input = name
+        if len(report.failed) < len(report.prims):
+            save(output)
+            report.output = output_path.identifier if isinstance(output_path, Sdf.Layer) else os.fspath(output_path)
+            _log.info("%s: written", report.output)
     report.problems = problems
-    if report.output is not None:
-        report.output = os.fspath(output_path)
     report.run = run_info(options, time.perf_counter() - start)
     return report
 
 
-def _simplify(context: Context, input_path: str | os.PathLike[str], output: Path) -> StageReport:
-    report, save = (_simplify_levels if context.options.lods else _simplify_once)(context)
-    report.input = os.fspath(input_path)
-    if len(report.failed) < len(report.prims):
-        save(output)
-        report.output = os.fspath(output)
-        _log.info("%s: written", output)
-    return report
+def _checked_output(
+    input_path: str | os.PathLike[str] | Usd.Stage,
+    output_path: str | os.PathLike[str] | Sdf.Layer,
+    options: SimplifyOptions,
+) -> Path | Sdf.Layer:
+    if not isinstance(output_path, Sdf.Layer):
+        return check_output_path(output_path, [] if isinstance(input_path, Usd.Stage) else [input_path])
+    for name in ("flatten", "lods"):
+        if getattr(options, name):
+            raise OptionError(f"{name}: needs a file as output, not the layer {output_path.identifier}")
+    return output_path
+
+
+def _check_files(stage: Usd.Stage) -> list[str]:
+    """What a file over the root layer of a stage will not show of it.
+
+    Raises:
+        OptionError: the root layer is in memory.
+    """
+    root, session = stage.GetRootLayer(), stage.GetSessionLayer()
+    if root.anonymous:
+        raise OptionError(
+            f"the root layer {root.identifier} is in memory, and a file cannot be a layer over it; "
+            "flatten, or give a layer as output"
+        )
+    lacking = [
+        f"{layer.identifier}: has changes that are not saved"
+        for layer in stage.GetUsedLayers()
+        if layer.dirty and not layer.anonymous
+    ]
+    if session.subLayerPaths:
+        lacking.append("the session layer of the stage holds opinions")
+    return [
+        f"{text}; the output is a layer over the files and does not show this, unless it is flattened"
+        for text in lacking
+    ]
 
 
 def _simplify_once(context: Context) -> tuple[StageReport, Save]:
@@ -113,9 +165,9 @@ def _simplify_once(context: Context) -> tuple[StageReport, Save]:
 def _simplify_levels(context: Context) -> tuple[StageReport, Save]:
     """Every mesh is read and its edges are collapsed once; each level then equals what its ratio alone would give."""
     options = context.options
-    levels = (UsdLodLevels if options.usd_lod else VariantLevels)(context.stage, options.prims)
+    levels: LevelLayer = (UsdLodLevels if options.usd_lod else VariantLevels)(context.stage, context.selection)
     runs = [
-        Run(replace(context, options=replace(options, ratio=ratio, lods=(), usd_lod=False)), levels.path)
+        Run(replace(context, options=replace(options, ratio=ratio, lods=(), usd_lod=False)), by_root=True)
         for ratio in options.lods
     ]
     selections = [run.select() for run in runs]
@@ -128,7 +180,9 @@ def _simplify_levels(context: Context) -> tuple[StageReport, Save]:
     context.progress(1.0, "done")
     reports: list[PrimReport] = []
     for run in runs:
+        run.finish()
         report = run.report()
         name = levels.add(run.layer, report.face_share)
         reports += [LevelReport(**vars(prim), level=name) for prim in report.prims]
-    return StageReport("", None, reports), levels.save
+    notes = list(dict.fromkeys(note for run in runs for note in run.notes))
+    return StageReport("", None, reports, notes=notes), levels.save

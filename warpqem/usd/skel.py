@@ -13,6 +13,7 @@ import numpy.typing as npt
 from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
 
 from warpqem.errors import StageError
+from warpqem.usd.below import like
 
 __all__ = ["MeshPoser", "StagePoses"]
 
@@ -24,14 +25,16 @@ class StagePoses:
         """Resolve the bindings below every SkelRoot of `stage`."""
         self._cache = UsdSkel.Cache()
         self._bindings: dict[Sdf.Path, tuple[UsdSkel.SkeletonQuery, UsdSkel.SkinningQuery]] = {}
-        for prim in stage.Traverse():
+        # Those below a class count as well: the meshes there are edited in place of the instances of it.
+        for prim in Usd.PrimRange.Stage(stage, Usd.PrimIsActive & Usd.PrimIsLoaded):
             if prim.IsA(UsdSkel.Root):
                 self._collect(UsdSkel.Root(prim))
 
     def _collect(self, root: UsdSkel.Root) -> None:
-        if not self._cache.Populate(root, Usd.PrimDefaultPredicate):
+        predicate = like(root.GetPrim())
+        if not self._cache.Populate(root, predicate):
             return
-        for binding in self._cache.ComputeSkelBindings(root, Usd.PrimDefaultPredicate):
+        for binding in self._cache.ComputeSkelBindings(root, predicate):
             skeleton_query = self._cache.GetSkelQuery(binding.GetSkeleton())
             if not skeleton_query:
                 continue

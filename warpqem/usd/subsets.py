@@ -6,6 +6,7 @@ import numpy as np
 from pxr import Sdf, UsdGeom, Vt
 
 from warpqem.usd.arrays import blocked_codes, sample_codes
+from warpqem.usd.below import subsets_of
 from warpqem.usd.carrier import Carrier
 from warpqem.usd.drop import Dropped
 
@@ -18,7 +19,7 @@ def carry_subsets(mesh: UsdGeom.Mesh, carrier: Carrier, dropped: Dropped) -> Non
     Each new face goes on from one authored face, so subsets that do not overlap, or that share out all faces, still do.
     """
     lost = 0
-    for subset in UsdGeom.Subset.GetAllGeomSubsets(mesh):
+    for subset in subsets_of(mesh):
         if subset.GetElementTypeAttr().Get() != UsdGeom.Tokens.face:
             if carrier.names_feature_point(subset):
                 continue

@@ -156,7 +156,7 @@ def _constant_array(attribute: Usd.Attribute) -> npt.NDArray[np.int32]:
         value = attribute.Get(time)
         if value is None:
             raise StageError(f"{attribute.GetPath()}: no value at time {_name(time)} (missing or blocked)")
-        array = np.asarray(value, dtype=np.int32)
+        array = _integers(attribute, value, time)
         if first is None:
             first = array
         elif not np.array_equal(first, array):
@@ -168,11 +168,23 @@ def _constant_array(attribute: Usd.Attribute) -> npt.NDArray[np.int32]:
     return first
 
 
+def _integers(attribute: Usd.Attribute, value: object, time: float | Usd.TimeCode) -> npt.NDArray[np.int32]:
+    """A value as int32, shape (n,); a file may declare the attribute as anything."""
+    array = np.asarray(value)
+    if array.ndim != 1 or not hasattr(type(value), "FromNumpy") or array.dtype.kind not in "iu":
+        raise StageError(f"{attribute.GetPath()}: {type(value).__name__} at time {_name(time)}, no array of integers")
+    limits = np.iinfo(np.int32)
+    if array.size and (array.min() < limits.min or array.max() > limits.max):
+        largest = array.max() if array.max() > limits.max else array.min()
+        raise StageError(f"{attribute.GetPath()}: {largest} at time {_name(time)}, no integer of 32 bits")
+    return array.astype(np.int32)
+
+
 def _hole_faces(mesh: UsdGeom.Mesh, polygon_count: int) -> npt.NDArray[np.int32]:
     value = mesh.GetHoleIndicesAttr().Get()
     if value is None:
         return np.zeros(0, dtype=np.int32)
-    holes = np.unique(np.asarray(value, dtype=np.int32))
+    holes = np.unique(_integers(mesh.GetHoleIndicesAttr(), value, Usd.TimeCode.Default()))
     if holes.size and (holes[0] < 0 or holes[-1] >= polygon_count):
         wrong = holes[0] if holes[0] < 0 else holes[-1]
         raise StageError(f"{mesh.GetPath()}.holeIndices: face {wrong} does not exist ({polygon_count} faces)")

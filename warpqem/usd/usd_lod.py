@@ -7,7 +7,8 @@ own documentation, usdLod/schema.usda of USD 26.08). A program that does not kno
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +16,7 @@ from pxr import Gf, Kind, Sdf, Usd, UsdGeom, Vt
 
 from warpqem.errors import OptionError
 from warpqem.usd.lods import LevelLayer
+from warpqem.usd.stage import MeshSelection
 from warpqem.usd.write import OverLayer
 
 __all__ = ["UsdLodLevels"]
@@ -42,7 +44,7 @@ class UsdLodLevels(LevelLayer):
     The distances say the same for a camera with the fallback values of UsdGeomCamera.
     """
 
-    def __init__(self, source: Usd.Stage, prim_paths: Sequence[str] = ()) -> None:
+    def __init__(self, source: Usd.Stage, selection: MeshSelection) -> None:
         """Start a layer with LOD0, the input as it is; see `LevelLayer`.
 
         Raises:
@@ -55,57 +57,85 @@ class UsdLodLevels(LevelLayer):
             raise OptionError(f"usd_lod: UsdLod is part of USD from 26.08 on, and this is USD {version}") from None
         self._schemas = UsdLod
         self._thresholds: list[float] = []
-        super().__init__(source, prim_paths)
+        self._models: dict[Sdf.Path, _Model] = {}
+        super().__init__(source, selection)
 
     def add(self, edits: OverLayer, share: float) -> str:
         """Add the next level; see `LevelLayer`."""
         name = self._add(edits)
         # A level that stopped short of its ratio may have as many faces as the one before.
         self._thresholds.append(min([share, *self._thresholds]))
-        self._screen_size.CreateThresholdsAttr(self._thresholds)
-        self._distance.CreateThresholdsAttr([self._radius * _distance_at(covered) for covered in self._thresholds])
+        for model in self._models.values():
+            model.screen_size.CreateThresholdsAttr(self._thresholds)
+            distances = [model.radius * _distance_at(covered) for covered in self._thresholds]
+            model.distance.CreateThresholdsAttr(distances)
         return name
 
-    def _start(self) -> None:
+    def _start(self, root: Usd.Prim) -> None:
         # Schema objects do not keep their stage alive.
-        self._stage = stage = Usd.Stage.Open(self._layer, Usd.Stage.LoadNone)
-        model = UsdGeom.Xform.Define(stage, self.path).GetPrim()
-        levels = UsdGeom.Xform.Define(stage, self.path.AppendChild(LEVELS)).GetPrim()
-        self._levels_path = levels.GetPath()
-        self._item_kind = _set_kinds(Usd.ModelAPI(self._root).GetKind(), model, levels)
-        self._add(None)
-        self._screen_size = self._schemas.ScreenSizeHeuristic.Define(stage, self.path.AppendChild(SCREEN_SIZE))
-        self._distance = self._schemas.DistanceHeuristic.Define(stage, self.path.AppendChild(DISTANCE))
-        root = self._schemas.RootAPI.Apply(levels)
-        root.CreateLodDefaultIndexAttr(0)
-        root.CreateLodHeuristicsRel().SetTargets([self._screen_size.GetPath(), self._distance.GetPath()])
-        for heuristic in (self._screen_size, self._distance):
+        if not self._models:
+            self._stage = Usd.Stage.Open(self._layer, Usd.Stage.LoadNone)
+        stage, path = self._stage, root.GetPath()
+        model = UsdGeom.Xform.Define(stage, path).GetPrim()
+        levels = UsdGeom.Xform.Define(stage, path.AppendChild(LEVELS)).GetPrim()
+        item_kind = _set_kinds(Usd.ModelAPI(root).GetKind(), model, levels)
+        screen_size = self._schemas.ScreenSizeHeuristic.Define(stage, path.AppendChild(SCREEN_SIZE))
+        distance = self._schemas.DistanceHeuristic.Define(stage, path.AppendChild(DISTANCE))
+        lod = self._schemas.RootAPI.Apply(levels)
+        lod.CreateLodDefaultIndexAttr(0)
+        lod.CreateLodHeuristicsRel().SetTargets([screen_size.GetPath(), distance.GetPath()])
+        for heuristic in (screen_size, distance):
             heuristic.CreateLodDomainAttr(self._schemas.Tokens.imaging)
-        self._screen_size.CreateProjectionMethodAttr(self._schemas.Tokens.projectedSphere)
-        self._write_boxes(_boxes(self._root))
-
-    def _write_boxes(self, boxes: dict[float, Boxes]) -> None:
-        extent, center = self._screen_size.CreateExtentAttr(), self._distance.CreateCenterAttr()
-        first = next(iter(boxes.values()))
-        # The first box stands at the default time, too, where there would be the schemas' fallback otherwise.
-        moves = any(not np.array_equal(box, first) for box in boxes.values())
-        codes = {Usd.TimeCode.Default(): first} | ({Usd.TimeCode(t): box for t, box in boxes.items()} if moves else {})
-        for code, box in codes.items():
-            extent.Set(Vt.Vec3fArray.FromNumpy(box), code)
-            center.Set(Gf.Vec3f(*((box[0] + box[1]) / 2).tolist()), code)
+        screen_size.CreateProjectionMethodAttr(self._schemas.Tokens.projectedSphere)
+        boxes = _boxes(root)
+        _write_boxes(boxes, screen_size.CreateExtentAttr(), distance.CreateCenterAttr())
         # Thresholds are the same at all times, so that the largest sphere around a box counts.
-        self._radius = max(float(np.linalg.norm(box[1] - box[0])) for box in boxes.values()) / 2
+        radius = max(float(np.linalg.norm(box[1] - box[0])) for box in boxes.values()) / 2
+        self._models[path] = _Model(levels.GetPath(), item_kind, screen_size, distance, radius)
 
-    def _place(self, name: str) -> Sdf.Path:
-        spec = Sdf.CreatePrimInLayer(self._layer, self._levels_path.AppendChild(name))
+    def _place(self, root: Usd.Prim, name: str) -> Sdf.Path:
+        model = self._models[root.GetPath()]
+        spec = Sdf.CreatePrimInLayer(self._layer, model.levels.AppendChild(name))
+        spec.specifier = Sdf.SpecifierDef
+        if model.item_kind:
+            spec.SetInfo("kind", model.item_kind)
         return spec.path
 
-    def _reference(self, prim: Sdf.PrimSpec, path: Sdf.Path) -> None:
-        super()._reference(prim, path)
-        if prim.path.HasPrefix(self._levels_path):
-            prim.specifier = Sdf.SpecifierDef
-            if self._item_kind:
-                prim.SetInfo("kind", self._item_kind)
+    def _copy(self, edits: Sdf.Layer, root: Sdf.Path, place: Sdf.Path) -> None:
+        spec = self._layer.GetPrimAtPath(place)
+        own = {key: spec.GetInfo(key) for key in ("specifier", "kind") if spec.HasInfo(key)}
+        super()._copy(edits, root, place)
+        for key, value in own.items():
+            self._layer.GetPrimAtPath(place).SetInfo(key, value)
+
+
+@dataclass(frozen=True)
+class _Model:
+    """A root prim with levels.
+
+    Attributes:
+        levels: The prim whose children are the levels.
+        item_kind: The kind that each level is given; "" for its own.
+        screen_size: The heuristic by the share of the picture.
+        distance: That by the distance from the camera.
+        radius: Radius of the largest sphere around the model.
+    """
+
+    levels: Sdf.Path
+    item_kind: str
+    screen_size: Any
+    distance: Any
+    radius: float
+
+
+def _write_boxes(boxes: dict[float, Boxes], extent: Usd.Attribute, center: Usd.Attribute) -> None:
+    first = next(iter(boxes.values()))
+    # The first box stands at the default time, too, where there would be the schemas' fallback otherwise.
+    moves = any(not np.array_equal(box, first) for box in boxes.values())
+    codes = {Usd.TimeCode.Default(): first} | ({Usd.TimeCode(t): box for t, box in boxes.items()} if moves else {})
+    for code, box in codes.items():
+        extent.Set(Vt.Vec3fArray.FromNumpy(box), code)
+        center.Set(Gf.Vec3f(*((box[0] + box[1]) / 2).tolist()), code)
 
 
 def _distance_at(covered: float) -> float:

@@ -17,15 +17,27 @@ from warpqem.temporary import replacing, temporary_path
 from warpqem.usd.arrays import anchored
 from warpqem.usd.carrier import Carrier
 from warpqem.usd.drop import Dropped, drop_skin, drop_subdivision
+from warpqem.usd.inheritors import keep_heirs
+from warpqem.usd.instances import end_instancing, flat_places, move_to_classes
+from warpqem.usd.layer_output import merge_edits
 from warpqem.usd.point_samples import PointSamples
 from warpqem.usd.primvars import carry_arrays, carry_motion, carry_normals, carry_primvars
 from warpqem.usd.skin import Skin
 from warpqem.usd.skin_output import write_skin
+from warpqem.usd.stage import MeshSelection
+from warpqem.usd.stage_views import layer_name, open_like, without_edits
 from warpqem.usd.subsets import carry_subsets
 from warpqem.usd.text_numbers import make_readable
 from warpqem.usd.usd_errors import first_line
 
-__all__ = ["OverLayer", "check_output_path", "copy_stage_metadata", "export_layer", "move_asset_paths", "relative_path"]
+__all__ = [
+    "OverLayer",
+    "check_output_path",
+    "copy_stage_metadata",
+    "export_layer",
+    "move_asset_paths",
+    "relative_path",
+]
 
 OUTPUT_SUFFIXES = (".usd", ".usda", ".usdc")
 
@@ -96,6 +108,7 @@ class OverLayer:
         Raises:
             StageError: there can be no file in the folder.
         """
+        self._input = source
         self._source = source.GetRootLayer()
         self._layer = Sdf.Layer.CreateAnonymous("over.usda") if folder is None else _create_layer(folder)
         self._on_disk = folder is not None
@@ -108,16 +121,18 @@ class OverLayer:
             self.close()
             raise
         self._dropped: list[Dropped] = []
+        self._classes: list[Sdf.Path] = []
         self._unsaved = self._samples = 0
 
     def _start(self) -> Usd.Stage:
         copy_stage_metadata(self._source, self._layer)
+        name = layer_name(self._source)
         try:
-            self._layer.subLayerPaths.append(self._source.realPath)
+            self._layer.subLayerPaths.append(name)
         except Tf.ErrorException as error:
-            name = self._source.realPath
             raise StageError(f"{name!r}: no layer can name a file of this name ({first_line(error)})") from error
-        return Usd.Stage.Open(self._layer)
+        # In the session layer instances are open.
+        return open_like(self._input, self._layer, self._input.GetSessionLayer())
 
     def close(self) -> None:
         """Remove the temporary file; nothing can be saved any more."""
@@ -198,6 +213,30 @@ class OverLayer:
         drop_subdivision(mesh, dropped)
         return dropped
 
+    def share_instances(self, selection: MeshSelection, by_root: bool) -> list[str]:
+        """Give what was edited in opened instances to all instances of their prototypes; nothing is edited after that.
+
+        Args:
+            selection: The meshes, as they were found on the input.
+            by_root: The classes for it are to be below the root prims of the instances, not beside them.
+
+        Returns:
+            What was done, a line for each prototype.
+
+        Raises:
+            StageError: USD cannot copy the edits.
+        """
+        keep_heirs(self._layer, selection.prims)
+        ended = list(filter(self._layer.GetPrimAtPath, selection.own_instances))
+        end_instancing(self._layer, ended)
+        moved = move_to_classes(self._layer, selection.shared, self._input, by_root)
+        self._classes = list(moved)
+        lines = [f"{path}: no instance any more, as what is below it changed" for path in ended]
+        for path, users in moved.items():
+            others = f" and {len(users) - 1} more instances" if len(users) > 1 else ""
+            lines.append(f"the new meshes below {users[0]}{others} come from the class {path}")
+        return lines
+
     def set_vertex_colors(
         self, path: str, times: list[float] | None, colors: npt.NDArray[np.float32], interpolation: str = "vertex"
     ) -> None:
@@ -215,43 +254,50 @@ class OverLayer:
             primvar.BlockIndices()
         _author(primvar.GetAttr(), times, colors, primvar.GetAttr().Get() is not None)
 
-    def save(self, output: Path, flatten: bool = False) -> None:
+    def save(self, output: Path | Sdf.Layer, flatten: bool = False) -> None:
         """Write the layer, or the flattened stage, under a temporary name and rename it.
 
         Args:
-            output: Path checked with `check_output_path`.
+            output: Path checked with `check_output_path`, or a layer checked with `check_output_layer`, which gets the
+                edits alone.
             flatten: Write one self-contained file instead of a layer over the input.
 
         Raises:
             StageError: the file cannot be written; nothing is left behind.
         """
+        if isinstance(output, Sdf.Layer):
+            return merge_edits(self._layer, output, self._input)
         if flatten:
             layer = self._flattened()
         else:
             # A copy, because an anonymous layer that a stage is open on cannot resolve a relative path.
             layer = Sdf.Layer.CreateAnonymous("save.usda")
             layer.TransferContent(self._layer)
-            layer.subLayerPaths[0] = _named_from(output, self._source.realPath)
+            layer.subLayerPaths[0] = _named_from(output, layer_name(self._source))
         move_asset_paths(layer, self._source, output.parent)
         export_layer(layer, output)
 
     def _flattened(self) -> Sdf.Layer:
-        layer = self.stage.Flatten(addSourceFileComment=False)
+        session = without_edits(self._input.GetSessionLayer())
+        layer = open_like(self._input, self._layer, session).Flatten(addSourceFileComment=False)
+        for path in self._classes:
+            # What instances inherited is in their flattened prototypes.
+            del layer.GetPrimAtPath(path.GetParentPath()).nameChildren[path.name]
         for spec in layer.rootPrims:
             # Flattening leaves what instances share as overs, which nothing defines.
             if spec.name.startswith("Flattened_Prototype_") and spec.specifier == Sdf.SpecifierOver:
                 spec.specifier = Sdf.SpecifierClass
         for dropped in self._dropped:
-            for path in dropped.blocked:
+            for path in flat_places(layer, dropped.blocked):
                 _remove_property(layer, path)
-            for path in dropped.deactivated:
+            for path in flat_places(layer, dropped.deactivated):
                 spec = layer.GetPrimAtPath(path)
                 if spec:
                     # Nothing weaker is left in a flat file that an inactive prim would have to hide.
                     del layer.GetPrimAtPath(path.GetParentPath()).nameChildren[spec.name]
-            for path in dropped.unbound:
+            for path in flat_places(layer, dropped.unbound):
                 _author_empty_relationship(layer, path)
-            for path in dropped.unskinned:
+            for path in flat_places(layer, dropped.unskinned):
                 _remove_api(layer, path, "SkelBindingAPI")
         return layer
 
@@ -311,6 +357,8 @@ def _named_from(output: Path, target: str) -> str:
     Raises:
         StageError: USD would not find the file by this name, such as one with a backslash, which it takes for a slash.
     """
+    if not os.path.isabs(target):
+        return target
     path = relative_path(target, output.parent)
     found = Ar.GetResolver().CreateIdentifier(path, Ar.ResolvedPath(os.fspath(output)))
     if os.path.realpath(found) != os.path.realpath(target):
