@@ -87,6 +87,8 @@ def _tell_problems(report: StageReport) -> None:
         tell("warning", problem)
     for problem in dict.fromkeys(text for prim in report.prims for text in prim.problems):
         tell("warning", problem)
+    for note in dict.fromkeys(text for prim in report.prims for text in prim.notes):
+        tell("note", note)
     for prim in report.prims:
         level = f"{_level(prim)}: " if _level(prim) else ""
         if prim.dropped:

@@ -85,6 +85,13 @@ class WeightScales(str, Enum):
     quadrics = "quadrics"
 
 
+class VaryingTopology(str, Enum):
+    """What is done with meshes whose topology varies over time."""
+
+    runs = "runs"
+    refuse = "refuse"
+
+
 class Placement(str, Enum):
     """Vertex placements."""
 
@@ -263,6 +270,13 @@ def simplify_values(
             "--weld/--no-weld", help="Join points that lie together in every frame, such as those split at UV seams."
         ),
     ] = True,
+    varying_topology: Annotated[
+        VaryingTopology,
+        typer.Option(
+            help="Meshes whose topology varies over time: simplify each run of constant topology over its frames, to "
+            "the goal in each; or leave them as they are, with an error."
+        ),
+    ] = VaryingTopology.runs,
     flatten: Annotated[
         bool, typer.Option("--flatten", help="Write one self-contained file instead of a layer over IN.")
     ] = False,

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Usd, UsdGeom, Vt
 
-from warpqem.errors import StageError
+from warpqem.errors import StageError, VaryingTopologyError
 from warpqem.usd.frames import FrameRange
 from warpqem.usd.skel import MeshPoser, StagePoses
 from warpqem.usd.stage import SavedStage, world_scale
@@ -128,7 +128,8 @@ class MeshSource:
             poses: The skin bindings of its stage.
 
         Raises:
-            StageError: points or faces are missing, blocked or inconsistent, or the topology changes over time.
+            StageError: points or faces are missing, blocked or inconsistent.
+            VaryingTopologyError: the topology changes over time.
         """
         # A prim does not keep its stage alive.
         self._stage = prim.GetStage()
@@ -179,7 +180,8 @@ class MeshSource:
             float32, shape (authored point count, 3), local space.
 
         Raises:
-            StageError: the sample is blocked, has another length than the first one, or is not finite.
+            StageError: the sample is blocked or not finite.
+            VaryingTopologyError: it has another length than the first one.
         """
         code = Usd.TimeCode.Default() if time is None else Usd.TimeCode(time)
         name = "default" if time is None else f"{time:g}"
@@ -189,7 +191,7 @@ class MeshSource:
         if not isinstance(value, POINT_ARRAYS):
             raise StageError(f"{self.path}.points: {type(value).__name__} at time {name}, no array of points")
         if len(value) != self.point_count:
-            raise StageError(
+            raise VaryingTopologyError(
                 f"{self.path}.points: {len(value)} points at time {name}, {self.point_count} before; "
                 "a mesh whose topology varies over time cannot be simplified"
             )

@@ -9,6 +9,7 @@ from warpqem.attributes import MOST_WEIGHT
 from warpqem.errors import OptionError
 
 __all__ = [
+    "VARYING_TOPOLOGY",
     "WEIGHT_SCALES",
     "AttributeWeights",
     "bare_name",
@@ -20,6 +21,8 @@ __all__ = [
 
 # What painted weights scale.
 WEIGHT_SCALES = ("cost", "quadrics")
+# What is done with meshes whose topology varies over time.
+VARYING_TOPOLOGY = ("runs", "refuse")
 # Weights by primvar name, without "primvars:".
 AttributeWeights = Sequence[tuple[str, float]]
 

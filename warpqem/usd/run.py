@@ -14,7 +14,15 @@ from pxr import Sdf, Usd, UsdGeom
 import warpqem
 from warpqem.arguments import target_count
 from warpqem.cost_models import cost_model
-from warpqem.errors import DeviceError, MeshShapeError, OptionError, StageError, UnreachableTargetError, WarpqemError
+from warpqem.errors import (
+    DeviceError,
+    MeshShapeError,
+    OptionError,
+    StageError,
+    UnreachableTargetError,
+    VaryingTopologyError,
+    WarpqemError,
+)
 from warpqem.frame_blocks import frame_blocks
 from warpqem.frame_stream import LaterFrames, NoFrames, read_ahead
 from warpqem.memory import parse_bytes
@@ -37,6 +45,7 @@ from warpqem.usd.skel import StagePoses
 from warpqem.usd.skin_fit import SkinFitter, SkinPoses, simplify_by_pullback, why_not_fitted
 from warpqem.usd.stage import find_meshes
 from warpqem.usd.usd_errors import usd_errors_named
+from warpqem.usd.varying import simplify_runs
 from warpqem.usd.weights import check_weight_primvar, painted_options
 from warpqem.usd.write import OverLayer
 
@@ -52,7 +61,7 @@ class Run:
     """One pass over the meshes of a stage, into one layer."""
 
     def __init__(self, context: Context, within: Sdf.Path = Sdf.Path.absoluteRootPath) -> None:
-        self.stage, self.options = context.stage, context.options
+        self.context, self.stage, self.options = context, context.stage, context.options
         self.progress, self.announce, self.share = context.progress, context.announce, context.share
         self.within = within
         self.poses = StagePoses(self.stage)
@@ -277,6 +286,23 @@ class Run:
     def _simplify_prim(
         self, prim: Usd.Prim, progress: Progress, target_faces: int | None, shared: SharedOrder | None = None
     ) -> None:
+        try:
+            self.simplify_constant(prim, progress, target_faces, shared)
+        except VaryingTopologyError:
+            # UsdSkel has one topology of a mesh that it deforms.
+            if self.options.varying_topology == "refuse" or self.poses.poser(prim) is not None:
+                raise
+            simplify_runs(self, prim, progress)
+
+    def simplify_constant(
+        self, prim: Usd.Prim, progress: Progress, target_faces: int | None, shared: SharedOrder | None = None
+    ) -> None:
+        """Simplify a mesh with one topology into the layer.
+
+        Raises:
+            VaryingTopologyError: it has several.
+            WarpqemError: it cannot be done.
+        """
         job = self._prepare(prim, shared)
         report = self.reports[job.mesh.path]
         face_count = len(job.mesh.faces)

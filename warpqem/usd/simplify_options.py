@@ -13,7 +13,7 @@ from warpqem.motion import MotionWeighting, motion_weighting
 from warpqem.screen import ScreenView
 from warpqem.symmetry import AXES
 from warpqem.usd.frames import FrameRange
-from warpqem.usd.option_checks import WEIGHT_SCALES, AttributeWeights, check_lods, check_weights
+from warpqem.usd.option_checks import VARYING_TOPOLOGY, WEIGHT_SCALES, AttributeWeights, check_lods, check_weights
 
 if TYPE_CHECKING:
     from warpqem.face import FaceProtection, FacialFeatures
@@ -84,6 +84,8 @@ class SimplifyOptions:
         bake: Write skinned and blend-shaped meshes as point samples without their skin.
         weld: Join points of a mesh that differ in nothing that moves them before simplifying; what else differs between
             them stays apart as faceVarying values.
+        varying_topology: "runs": a mesh whose topology varies over time is simplified run by run of constant topology,
+            to the goal in each; "refuse": it is left as it is, with an error.
         flatten: Write one self-contained file instead of a layer over the input.
         strict: Stop at the first mesh that cannot be done, also if it only misses its face count, and write nothing.
     """
@@ -126,6 +128,7 @@ class SimplifyOptions:
     device: str | None = None
     bake: bool = False
     weld: bool = True
+    varying_topology: str = "runs"
     flatten: bool = False
     strict: bool = False
 
@@ -153,6 +156,10 @@ class SimplifyOptions:
         self._check_face()
         if self.weight_scales not in WEIGHT_SCALES:
             raise OptionError(f"weight_scales {self.weight_scales!r}: expected one of {', '.join(WEIGHT_SCALES)}")
+        if self.varying_topology not in VARYING_TOPOLOGY:
+            raise OptionError(
+                f"varying_topology {self.varying_topology!r}: expected one of {', '.join(VARYING_TOPOLOGY)}"
+            )
         # It checks its values when it is made.
         _ = self.motion
         if self.symmetry not in (None, "auto", *AXES):

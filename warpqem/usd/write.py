@@ -96,7 +96,7 @@ class OverLayer:
         Raises:
             StageError: there can be no file in the folder.
         """
-        self._source = source.GetRootLayer()
+        self._source, self._mask = source.GetRootLayer(), source.GetPopulationMask()
         self._layer = Sdf.Layer.CreateAnonymous("over.usda") if folder is None else _create_layer(folder)
         self._on_disk = folder is not None
         file = Path(self._layer.realPath) if folder is not None else None
@@ -117,7 +117,7 @@ class OverLayer:
         except Tf.ErrorException as error:
             name = self._source.realPath
             raise StageError(f"{name!r}: no layer can name a file of this name ({first_line(error)})") from error
-        return Usd.Stage.Open(self._layer)
+        return Usd.Stage.OpenMasked(self._layer, self._mask)
 
     def close(self) -> None:
         """Remove the temporary file; nothing can be saved any more."""
@@ -136,9 +136,14 @@ class OverLayer:
             path: Prim path of a mesh on the input.
             times: Time code of each frame, None for one frame at the default time.
         """
-        return PointSamples(UsdGeom.Mesh(self.stage.OverridePrim(path)), times, self._count_sample)
+        return PointSamples(UsdGeom.Mesh(self.stage.OverridePrim(path)), times, self.count_sample)
 
-    def _count_sample(self, size: int) -> None:
+    @property
+    def dropped(self) -> list[Dropped]:
+        """What was taken off each mesh."""
+        return self._dropped
+
+    def count_sample(self, size: int) -> None:
         """Save the layer now and then: what is saved is let go of by USD, and read from the file when asked for."""
         self._unsaved += size
         self._samples += 1
@@ -189,11 +194,11 @@ class OverLayer:
             drop_skin(prim, dropped)
         else:
             write_skin(self.stage, prim, skin, carrier)
-        carry_primvars(prim, carrier, dropped, self._count_sample)
+        carry_primvars(prim, carrier, dropped, self.count_sample)
         if with_normals:
-            carry_normals(mesh, carrier, dropped, self._count_sample)
-        carry_motion(prim, carrier, times or [], dropped, self._count_sample)
-        carry_arrays(prim, carrier, dropped, self._count_sample)
+            carry_normals(mesh, carrier, dropped, self.count_sample)
+        carry_motion(prim, carrier, times or [], dropped, self.count_sample)
+        carry_arrays(prim, carrier, dropped, self.count_sample)
         carry_subsets(mesh, carrier, dropped)
         drop_subdivision(mesh, dropped)
         return dropped
