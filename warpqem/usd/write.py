@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import weakref
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -204,14 +204,19 @@ class OverLayer:
         return dropped
 
     def set_vertex_colors(
-        self, path: str, times: list[float] | None, colors: npt.NDArray[np.float32], interpolation: str = "vertex"
+        self,
+        path: str,
+        times: list[float] | None,
+        colors: Sequence[npt.NDArray[np.float32]] | npt.NDArray[np.float32],
+        interpolation: str = "vertex",
     ) -> None:
         """Author `primvars:displayColor` on a mesh, one colour per authored point.
 
         Args:
             path: Prim path of a mesh on the input.
             times: Time code of each frame of colours, None for one set of colours at the default time.
-            colors: float32, shape (F, authored point count, 3), linear Rec. 709.
+            colors: float32, shape (F, authored point count, 3), linear Rec. 709; a list of arrays where the number of
+                points changes.
             interpolation: Interpolation of the primvar.
         """
         mesh = UsdGeom.Mesh(self.stage.OverridePrim(path))
@@ -269,7 +274,10 @@ def _create_layer(folder: Path) -> Sdf.Layer:
 
 
 def _author(
-    attribute: Usd.Attribute, times: list[float] | None, values: npt.NDArray[np.float32], hides_default: bool
+    attribute: Usd.Attribute,
+    times: list[float] | None,
+    values: Sequence[npt.NDArray[np.float32]] | npt.NDArray[np.float32],
+    hides_default: bool,
 ) -> None:
     """Author one array per frame; a stale default value of a weaker layer is replaced by the first frame."""
     arrays = [Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(value)) for value in values]
