@@ -38,6 +38,7 @@ class SimplifyOptions:
     ratio: float | None = None
     target_faces: int | None = None
     max_error: float | None = None
+    max_size_error: float | None = None
     metric: str = "dsd"
     coherence: float = 0.5
     key_frames: int | None = 16
@@ -78,6 +79,9 @@ class SimplifyOptions:
             max_error=None
             if self.max_error is None
             else real_number(self.max_error, "max_error", limit, lambda value: 0.0 < value < math.inf),
+            max_size_error=None
+            if self.max_size_error is None
+            else real_number(self.max_size_error, "max_size_error", limit, lambda value: 0.0 < value < math.inf),
             coherence=real_number(self.coherence, "coherence", "in [0, 1]", lambda value: 0.0 <= value <= 1.0),
             key_frames=None if self.key_frames is None else whole_number(self.key_frames, "key_frames"),
             attributes=_checked_fields(self.attributes),
