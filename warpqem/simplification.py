@@ -75,9 +75,9 @@ def simplify(
             (:mod:`warpqem.kernels.distance_bound`), for the result as it is returned; the number of faces is searched
             for (:mod:`warpqem.bounded`), which takes several times as long as a result by count. At least one of the
             three is needed; with a count, whichever comes first stops.
-        max_size_error: where to stop before the face count is reached, so that a small mesh is not destroyed for it: no
-            edge collapses whose error, as in ``SimplifiedMesh.error``, would pass so many % of the diagonal of the
-            mesh's bounding box. Nothing is proved as with ``max_error``, and nothing is searched for. None for no limit.
+        max_size_error: where to stop above the face count, so that a small mesh is not destroyed for it: no edge
+            collapses whose error, as in ``SimplifiedMesh.error``, would pass so many % of the diagonal of the mesh's
+            bounding box. Nothing is proved or searched for, as it is with ``max_error``. None for no limit.
         metric: "dsd" (default), "qem", "dod", "aqem" or "face"; see :mod:`warpqem.cost_models`.
         coherence: 0 (every frame its own best fit) to 1 (vertices stay on the material).
         key_frames: how many frames decide the order, chosen by their pose; None for all.

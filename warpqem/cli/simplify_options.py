@@ -104,9 +104,21 @@ def simplify_values(
         float | None, typer.Option(help="Share of its triangles that each mesh keeps, above 0 and at most 1.")
     ] = None,
     faces: Annotated[
-        int | None,
-        typer.Option(help="Triangles of all meshes together; each mesh gets its part by what its faces are worth."),
+        str | None,
+        typer.Option(
+            metavar="COUNT",
+            help="Triangles of all meshes together, such as 5000, or a share of them, such as 25%; each mesh gets its "
+            "part by what its faces are worth. What to take for stages of many meshes.",
+        ),
     ] = None,
+    max_size_error: Annotated[
+        float,
+        typer.Option(
+            metavar="PCT",
+            help="With --ratio, --faces and --lods: a mesh stops where its error would pass so many % of its "
+            "bounding-box diagonal, so that cards and boxes are not destroyed for a face count; inf for no limit.",
+        ),
+    ] = 5.0,
     max_error: Annotated[
         float | None,
         typer.Option(

@@ -263,7 +263,9 @@ def _collapse(
     model.deformation_weight = settings.deformation_weight * mesh.key_count / frame_count
 
     orderer = Orderer(PassSteps(state, frames, stars, model, device, settings.memoryless))
-    components = None if settings.keep_components else Components(state, model.epsilon, settings.error_limit**2, lowest_limit**2)
+    components = (
+        None if settings.keep_components else Components(state, model.epsilon, settings.error_limit**2, lowest_limit**2)
+    )
     if components is not None and components.count == 1:
         # One always stays.
         components = None

@@ -10,7 +10,7 @@ from typing import Any
 from warpqem.errors import OptionError
 from warpqem.screen import ScreenView
 from warpqem.usd.frames import FrameRange
-from warpqem.usd.option_checks import parse_attribute_weight, parse_lods
+from warpqem.usd.option_checks import parse_attribute_weight, parse_faces, parse_lods
 from warpqem.usd.simplify_options import SimplifyOptions
 
 __all__ = ["GOALS", "OPTION_NAMES", "override_options", "read_options", "screen_view"]
@@ -133,6 +133,7 @@ _BY_TYPE: dict[str, Callable[[Any], Any]] = {
 _READERS: dict[str, Callable[[Any], Any]] = {
     "lods": lambda value: parse_lods(value if isinstance(value, str) else ",".join(map(str, value))),
     "attribute_weight": lambda value: tuple(parse_attribute_weight(text) for text in _names(value)),
+    "faces": parse_faces,
     "frames": lambda value: FrameRange.parse(_text(value)),
     "prim": lambda value: tuple(_names(value)),
     "asset_root": lambda value: (value,) if isinstance(value, str) else tuple(_text(entry) for entry in value),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, TypeVar
 
@@ -30,7 +30,6 @@ from warpqem.symmetry import Mirror, find_mirror, simplify_symmetric
 from warpqem.transfer import is_proper
 from warpqem.usd.attributes import check_names, weighted_fields
 from warpqem.usd.blend_shapes import count_shape_users
-from warpqem.usd.budget import CostCurve, split_budget
 from warpqem.usd.context import Context, Progress, SharedOrder
 from warpqem.usd.example_poses import ExamplePoses
 from warpqem.usd.face_points import FacePoints, face_protection, points_on_level
@@ -44,6 +43,7 @@ from warpqem.usd.report import PrimReport, StageReport, name_prim
 from warpqem.usd.skel import StagePoses
 from warpqem.usd.skin_fit import SkinFitter, SkinPoses, simplify_by_pullback, why_not_fitted
 from warpqem.usd.stage import find_meshes
+from warpqem.usd.stage_budget import simplify_to_budget
 from warpqem.usd.usd_errors import usd_errors_named
 from warpqem.usd.varying import simplify_runs
 from warpqem.usd.weights import check_weight_primvar, painted_options
@@ -51,8 +51,8 @@ from warpqem.usd.write import OverLayer
 
 __all__ = ["Run"]
 
-# Faces that a trial run goes down to, or as near as it can. A closed surface has at least the 4 of a tetrahedron.
-TRIAL_FACES = 4
+# Triangles that a ratio leaves of a mesh at least: one alone is half of the smallest card.
+LEAST_FACES = 2
 
 Result = TypeVar("Result")
 
@@ -80,7 +80,7 @@ class Run:
             for index, prim in enumerate(prims):
                 self.simplify_one(prim, self.part(index / len(prims), 1 / len(prims), prim))
         else:
-            self._run_budget(prims, self.options.faces)
+            simplify_to_budget(self, prims, self.options.faces)
         self.progress(1.0, "done")
 
     def report(self) -> StageReport:
@@ -108,24 +108,13 @@ class Run:
 
     def simplify_one(self, prim: Usd.Prim, progress: Progress, shared: SharedOrder | None = None) -> None:
         """Simplify one mesh into the layer."""
-        self._guarded(self._simplify_prim, prim, progress, None, shared)
-
-    def _run_budget(self, prims: list[Usd.Prim], budget: int) -> None:
-        curves: dict[Usd.Prim, CostCurve] = {}
-        for index, prim in enumerate(prims):
-            curve = self._guarded(self._trial, prim, self.part(0.5 * index / len(prims), 0.5 / len(prims), prim))
-            if curve is not None:
-                curves[prim] = curve
-        targets = split_budget(list(curves.values()), budget)
-        for index, (prim, target) in enumerate(zip(curves, targets, strict=True)):
-            part = self.part(0.5 + 0.5 * index / len(curves), 0.5 / len(curves), prim)
-            self._guarded(self._simplify_prim, prim, part, target)
+        self.guarded(self._simplify_prim, prim, progress, None, shared)
 
     def part(self, start: float, share: float, prim: Usd.Prim, level: str = "") -> Progress:
         """Progress of one mesh as a part of the whole."""
         return lambda fraction, text: self.progress(start + share * fraction, f"{level}{prim.GetName()}: {text}")
 
-    def _guarded(self, action: Callable[..., Result], prim: Usd.Prim, *arguments: Any) -> Result | None:
+    def guarded(self, action: Callable[..., Result], prim: Usd.Prim, *arguments: Any) -> Result | None:
         """Do something for a mesh; an error becomes its report, and None is returned, unless the run is strict."""
         report = self.reports[str(prim.GetPath())]
         start = time.perf_counter()
@@ -181,7 +170,34 @@ class Run:
         order: SharedOrder | None = None,
         **goal: float | int | None,
     ) -> warpqem.SimplifiedMesh:
-        options: dict[str, Any] = {
+        options = self._core_options(job)
+        if goal.get("target_faces") is not None:
+            options["max_size_error"] = self.options.size_limit
+        poses = self._skin_poses(job) if self.options.pose_independent else None
+        if poses is not None:
+            kept = ("attributes", "memory", "device", "max_size_error")
+            options = {name: value for name, value in options.items() if name in kept}
+            return simplify_by_pullback(
+                poses, **options, **self._importance(job), seams=seams, progress=progress, **goal
+            )
+        mirror = self._mirror(job)
+        if mirror is not None:
+            options |= {**self._importance(job), "seams": seams, "progress": progress}
+            return simplify_symmetric(job.frames, job.faces, mirror, sink=sink, **options, **goal)
+        plan = warpqem.plan(job.frames, job.faces, sink=sink, levels=order is not None, **options, **goal)
+        self.reports[job.mesh.path].plan = plan.to_dict()
+        if order is None or order.order is None or not order.announced:
+            self.announce(job.mesh.path, plan)
+        if order is None:
+            options |= {**self._importance(job), "seams": seams, "progress": progress}
+            return warpqem.simplify(job.frames, job.faces, sink=sink, share=self.share, **options, **goal)
+        order.announced = True
+        placed = self._order(job, progress, seams, order)
+        return placed.level(int(goal["target_faces"] or 0), sink=sink, share=self.share, progress=progress)
+
+    def _core_options(self, job: MeshJob) -> dict[str, Any]:
+        """Options of the core that say how a mesh is simplified."""
+        return {
             "metric": self.options.metric,
             "coherence": self.options.coherence,
             "refit": self.options.refit,
@@ -193,27 +209,29 @@ class Run:
             "memory": self.options.memory,
             "device": self.options.device,
         }
-        poses = self._skin_poses(job) if self.options.pose_independent else None
-        if poses is not None:
-            options = {name: options[name] for name in ("attributes", "memory", "device")}
-            return simplify_by_pullback(
-                poses, **options, **self._importance(job), seams=seams, progress=progress, **goal
+
+    def _shares_order(self, job: MeshJob) -> bool:
+        """True if levels of a mesh come from one ordering."""
+        pulled_back = self.options.pose_independent and self._skin_poses(job) is not None
+        return not (self.options.memoryless or pulled_back or self._mirror(job) is not None)
+
+    def _order(
+        self, job: MeshJob, progress: Progress, seams: npt.NDArray[np.int32], shared: SharedOrder
+    ) -> warpqem.LevelOrder:
+        """The ordering that levels of a mesh share, made when it is first asked for."""
+        if shared.order is None:
+            shared.order = warpqem.order_levels(
+                job.frames,
+                job.faces,
+                target_faces=shared.least(len(job.mesh.faces)),
+                keep_frames=False,
+                max_size_error=self.options.size_limit,
+                seams=seams,
+                progress=progress,
+                **self._core_options(job),
+                **self._importance(job),
             )
-        mirror = self._mirror(job)
-        if mirror is not None:
-            options |= {**self._importance(job), "seams": seams, "progress": progress}
-            return simplify_symmetric(job.frames, job.faces, mirror, sink=sink, **options, **goal)
-        plan = warpqem.plan(job.frames, job.faces, sink=sink, levels=order is not None, **options, **goal)
-        self.reports[job.mesh.path].plan = plan.to_dict()
-        if order is None or order.order is None:
-            self.announce(job.mesh.path, plan)
-            options |= {**self._importance(job), "seams": seams, "progress": progress}
-        if order is None:
-            return warpqem.simplify(job.frames, job.faces, sink=sink, share=self.share, **options, **goal)
-        if order.order is None:
-            least = target_count(order.least_ratio, len(job.mesh.faces))
-            order.order = warpqem.order_levels(job.frames, job.faces, target_faces=least, keep_frames=False, **options)
-        return order.order.level(int(goal["target_faces"] or 0), sink=sink, share=self.share, progress=progress)
+        return shared.order
 
     def _mirror(self, job: MeshJob) -> Mirror | None:
         """How a mesh that is to stay symmetric maps to itself; None for one that is not."""
@@ -268,20 +286,42 @@ class Run:
                 raise
             return error.result
 
-    def _trial(self, prim: Usd.Prim, progress: Progress) -> CostCurve:
-        """How the error of a mesh grows on the way to as few faces as it can have."""
-        job = self._prepare(prim)
-        face_count = len(job.mesh.faces)
-        if face_count <= TRIAL_FACES:
-            return CostCurve(face_count, np.zeros(0), np.zeros(0, dtype=np.int64))
-        result = self._as_far_as_it_goes(job, progress, job.seams.hold(), NoFrames(), TRIAL_FACES)
-        return CostCurve.from_log(
-            face_count=face_count,
-            cost=result.log.cost,
-            faces_removed=result.log.faces_removed,
-            unit_length=result.diagonal * job.mesh.world_scale,
-            frame_count=len(result.key_frames),
-        )
+    def try_out(
+        self, prim: Usd.Prim, progress: Progress, shared: SharedOrder, least: int
+    ) -> tuple[MeshJob, warpqem.SimplifiedMesh | warpqem.LevelOrder | None]:
+        """Collapse the edges of a mesh as far as they may, to learn what that costs; nothing is written.
+
+        Args:
+            prim: The mesh.
+            progress: Called with the part done.
+            shared: Gets the ordering, unless levels cannot share one.
+            least: Faces to go down to.
+
+        Returns:
+            The mesh, and its ordering or result; None for a mesh that has no more faces.
+        """
+        job = self._prepare(prim, shared)
+        if len(job.mesh.faces) <= least:
+            return job, None
+        seams = job.seams.hold()
+        if self._shares_order(job):
+            return job, self._order(job, progress, seams, shared)
+        shared.job = None
+        return job, self._as_far_as_it_goes(job, progress, seams, NoFrames(), least)
+
+    def simplify_to(
+        self,
+        prim: Usd.Prim,
+        progress: Progress,
+        targets: Sequence[int],
+        varies: bool = False,
+        shared: SharedOrder | None = None,
+    ) -> None:
+        """Simplify a mesh to so many faces, one whose topology varies to so many in each of its runs."""
+        if varies:
+            simplify_runs(self, prim, progress, targets)
+        else:
+            self.simplify_constant(prim, progress, targets[0], shared)
 
     def _simplify_prim(
         self, prim: Usd.Prim, progress: Progress, target_faces: int | None, shared: SharedOrder | None = None
@@ -289,10 +329,14 @@ class Run:
         try:
             self.simplify_constant(prim, progress, target_faces, shared)
         except VaryingTopologyError:
-            # UsdSkel has one topology of a mesh that it deforms.
-            if self.options.varying_topology == "refuse" or self.poses.poser(prim) is not None:
+            if self.refuses_runs(prim):
                 raise
             simplify_runs(self, prim, progress)
+
+    def refuses_runs(self, prim: Usd.Prim) -> bool:
+        """True of a mesh that is not to be simplified run by run if its topology varies over time."""
+        # UsdSkel has one topology of a mesh that it deforms.
+        return self.options.varying_topology == "refuse" or self.poses.poser(prim) is not None
 
     def simplify_constant(
         self, prim: Usd.Prim, progress: Progress, target_faces: int | None, shared: SharedOrder | None = None
@@ -310,7 +354,8 @@ class Run:
             report.status, report.message = "kept", "the mesh has no faces"
             return
         if target_faces is None and self.options.ratio is not None:
-            target_faces = target_count(self.options.ratio, face_count)
+            least = 1 if self.options.size_limit is None else LEAST_FACES
+            target_faces = max(target_count(self.options.ratio, face_count), least)
         if target_faces is not None and target_faces >= face_count:
             report.status, report.message = "kept", "the mesh has no more faces than asked for"
             return
@@ -325,6 +370,9 @@ class Run:
                 report.dropped += job.seams.let_go(job.faces, result.face_map)
                 return
             report.status, report.message = "kept", f"nothing could be removed ({report.stopped})"
+            if report.stopped == "max_size_error":
+                limit = f"{self.options.max_size_error:g} % of its size"
+                report.message = f"nothing could be removed with an error below {limit} (max_size_error)"
         except WarpqemError:
             samples.discard()
             raise

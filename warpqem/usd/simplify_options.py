@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -13,7 +14,14 @@ from warpqem.motion import MotionWeighting, motion_weighting
 from warpqem.screen import ScreenView
 from warpqem.symmetry import AXES
 from warpqem.usd.frames import FrameRange
-from warpqem.usd.option_checks import VARYING_TOPOLOGY, WEIGHT_SCALES, AttributeWeights, check_lods, check_weights
+from warpqem.usd.option_checks import (
+    VARYING_TOPOLOGY,
+    WEIGHT_SCALES,
+    AttributeWeights,
+    check_faces,
+    check_lods,
+    check_weights,
+)
 
 if TYPE_CHECKING:
     from warpqem.face import FaceProtection, FacialFeatures
@@ -27,7 +35,8 @@ class SimplifyOptions:
 
     Attributes:
         ratio: Share of its triangles that each mesh keeps, above 0 and at most 1.
-        faces: Triangles of all meshes together, split so that a face saves the same error on each.
+        faces: Triangles of all meshes together, or a share of them such as "25%", split so that a face saves the same
+            error on each.
         max_error: Largest distance of each mesh from the input, at every point and in every pose, in % of its
             bounding-box diagonal there, see `warpqem.simplify`. Where a skin is fitted, of the points that it is fitted
             to.
@@ -35,6 +44,10 @@ class SimplifyOptions:
         lods: Ratios of levels of detail, each smaller than the one before, between 0 and 1. The output offers the input
             and one level for each ratio as variants LOD0, LOD1, ... of the root prim that holds the default prim.
         usd_lod: With `lods`, write the levels as prims below that root prim, with the schemas of UsdLod, instead.
+        max_size_error: With a ratio or a number of faces, a mesh stops above it where its error would pass so many % of
+            its bounding-box diagonal, see `warpqem.simplify`; of two triangles none goes. 5, a twentieth of its size,
+            keeps cubes and cards whole, and lets meshes of some hundred triangles come down to a twentieth of them.
+            None for no limit.
         metric: Cost model, see `warpqem.simplify`.
         coherence: 0 to 1, see `warpqem.simplify`.
         refit: Fit the surface as a whole after placing its vertices, see `warpqem.simplify`.
@@ -91,11 +104,12 @@ class SimplifyOptions:
     """
 
     ratio: float | None = None
-    faces: int | None = None
+    faces: int | str | None = None
     max_error: float | None = None
     screen: ScreenView | None = None
     lods: tuple[float, ...] = ()
     usd_lod: bool = False
+    max_size_error: float | None = 5.0
     metric: str = "dsd"
     coherence: float = 0.5
     refit: bool = False
@@ -143,8 +157,10 @@ class SimplifyOptions:
         if self.ratio is not None and not 0 < self.ratio <= 1:
             hint = f"; for {self.ratio:g} % give {self.ratio / 100:g}" if 1 < self.ratio <= 100 else ""
             raise OptionError(f"ratio {self.ratio:g}: expected a share above 0 and at most 1{hint}")
-        if self.faces is not None and self.faces < 1:
-            raise OptionError(f"faces {self.faces}: expected at least 1")
+        if self.faces is not None:
+            check_faces(self.faces)
+        if self.max_size_error is not None and not self.max_size_error > 0:
+            raise OptionError(f"max_size_error {self.max_size_error:g}: expected a percentage above 0")
         if self.max_error is not None and not self.max_error > 0:
             raise OptionError(f"max_error {self.max_error:g}: expected a percentage above 0")
         if self.influences is not None and self.influences < 1:
@@ -202,6 +218,12 @@ class SimplifyOptions:
 
         chosen: dict[str, Any] = {"weight": self.face_weight, "ring": self.face_ring, "keep": self.face_keep}
         return FaceProtection(features, **{name: value for name, value in chosen.items() if value is not None})
+
+    @property
+    def size_limit(self) -> float | None:
+        """`max_size_error` for `warpqem.simplify`; None where it limits nothing, as an infinite one."""
+        limit = self.max_size_error
+        return None if limit is None or math.isinf(limit) else limit
 
     @property
     def texture_weight(self) -> float:
