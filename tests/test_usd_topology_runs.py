@@ -301,12 +301,72 @@ def test_levels_of_detail_hold_the_runs(tmp_path):
         check_at(mesh, 1.5)
 
 
-def test_run_that_needs_nothing_done_is_as_in_the_input(tmp_path):
-    capture(tmp_path / "in.usda", [2, 12], 2)
-    report, after = simplified(tmp_path, max_error=0.0001)
-    for time in (0.0, 1.0, 1.5, 2.0, 3.0):
+def mixed_runs(path: Path) -> UsdGeom.Mesh:
+    """A card of one quad, a sheet whose points are split at a seam, and a card again, with values of every kind."""
+    stage = Usd.Stage.CreateNew(str(path))
+    mesh = UsdGeom.Mesh.Define(stage, PATH)
+    stage.SetDefaultPrim(stage.GetPrimAtPath("/Root"))
+    api = UsdGeom.PrimvarsAPI(mesh)
+    st = api.CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, "vertex")
+    tag = api.CreatePrimvar("tag", Sdf.ValueTypeNames.StringArray, "uniform")
+    mesh.SetNormalsInterpolation("vertex")
+    card = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=np.float32)
+    left, counts, indices = bumps(8, 1.0)
+    # Two halves with points of their own at x = 1, and other texture coordinates there.
+    right = left + np.float32([1, 0, 0])
+    right[:, 2] = left[:, 2] + (0.2 * np.sin(5.3) - 0.2 * np.sin(0.3)) * np.cos(4 * left[:, 1])
+    sheet = np.concatenate([left, right])
+    sheet[np.flatnonzero(left[:, 0] == 0) + len(left)] = left[left[:, 0] == 1]
+    uv = np.concatenate([left[:, :2], left[:, :2] + np.float32([0, 5])])
+    shapes = [
+        (card, [4], [0, 1, 2, 3], card[:, :2]),
+        (sheet, [*counts, *counts], [*indices, *(indices + len(left))], uv),
+        (card * 2, [4], [0, 1, 2, 3], card[:, :2]),
+    ]
+    for time, (points, polygons, corners, values) in enumerate(shapes):
+        mesh.CreatePointsAttr().Set(Vt.Vec3fArray.FromNumpy(points), time)
+        mesh.CreateFaceVertexCountsAttr().Set(Vt.IntArray([int(count) for count in polygons]), time)
+        mesh.CreateFaceVertexIndicesAttr().Set(Vt.IntArray([int(corner) for corner in corners]), time)
+        mesh.CreateNormalsAttr().Set(Vt.Vec3fArray(len(points), (0, 0, 1)), time)
+        st.Set(Vt.Vec2fArray.FromNumpy(np.ascontiguousarray(values)), time)
+        tag.Set(Vt.StringArray([f"{time} {number}" for number in range(len(polygons))]), time)
+    stage.Save()
+    HELD.append(stage)
+    return mesh
+
+
+def test_runs_that_are_kept_stand_beside_others_in_one_interpolation(tmp_path):
+    before = mixed_runs(tmp_path / "in.usda")
+    report, after = simplified(tmp_path, ratio=0.3)
+    assert [(run.faces_before, run.faces_after) for run in report.runs] == [(2, 2), (256, 77), (2, 2)]
+    st = UsdGeom.PrimvarsAPI(after).GetPrimvar("st")
+    # The sheet was welded at its seam, so that its points no longer have one value each.
+    assert st.GetInterpolation() == "faceVarying"
+    for time in (0.0, 1.0, 1.5, 2.0):
         check_at(after, time)
-    assert report.status in ("simplified", "kept")
+        corners = len(after.GetFaceVertexIndicesAttr().Get(time))
+        sizes = {"vertex": len(after.GetPointsAttr().Get(time)), "faceVarying": corners}
+        assert len(after.GetNormalsAttr().Get(time)) == sizes[after.GetNormalsInterpolation()]
+    for time in (0.0, 2.0):
+        np.testing.assert_array_equal(
+            np.asarray(after.GetPointsAttr().Get(time))[:4], np.asarray(before.GetPointsAttr().Get(time))
+        )
+        assert after.GetFaceVertexCountsAttr().Get(time) == before.GetFaceVertexCountsAttr().Get(time)
+        assert UsdGeom.PrimvarsAPI(after).GetPrimvar("tag").Get(time) == [f"{time:g} 0"]
+        flat = np.asarray(st.ComputeFlattened(time))
+        np.testing.assert_array_equal(flat, [[0, 0], [1, 0], [1, 1], [0, 1]])
+
+
+def test_mesh_of_kept_runs_alone_is_left_as_it_is(tmp_path):
+    capture(tmp_path / "in.usda", [1, 1], 1)
+    stage = Usd.Stage.Open(str(tmp_path / "in.usda"))
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath(PATH))
+    mesh.GetFaceVertexIndicesAttr().Set([3, 1, 0, 2], 1.0)
+    stage.RemovePrim(f"{PATH}/half")
+    stage.Save()
+    report, _ = simplified(tmp_path, ratio=0.3)
+    assert report.status == "kept"
+    assert not Sdf.Layer.FindOrOpen(str(tmp_path / "out.usda")).GetPrimAtPath(PATH)
 
 
 def test_topology_before_its_points_shows_what_was_there(tmp_path):
