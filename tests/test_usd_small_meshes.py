@@ -66,7 +66,16 @@ def test_card_is_not_cut_in_half(width, tmp_path):
 def test_cube_keeps_its_shape_and_the_report_says_why(tmp_path):
     [prim] = run(tmp_path, [box(1, 1, 1)], ratio=0.25).prims
     assert (prim.status, prim.faces_after, prim.stopped) == ("kept", 12, "max_size_error")
-    assert prim.message == "nothing could be removed with an error below 5 % of its size (max_size_error)"
+    assert prim.message == "nothing could be removed with an error below 5 % of its size"
+
+
+def test_budget_that_small_meshes_cannot_meet_says_why(tmp_path):
+    report = run(tmp_path, [box(1, 1, 1), CARD, box(1, 2, 1)], faces="25%")
+    assert [(prim.status, prim.faces_after, prim.stopped) for prim in report.prims] == [
+        ("kept", 12, "max_size_error"),
+        ("kept", 2, "max_size_error"),
+        ("kept", 12, "max_size_error"),
+    ]
 
 
 def test_without_the_limit_the_count_is_all_that_matters(tmp_path):

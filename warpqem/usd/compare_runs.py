@@ -91,7 +91,7 @@ def pair_runs(reference: VaryingMesh, test: VaryingMesh, frames: FrameRange | No
         if pairs and [pairs[-1].reference, pairs[-1].test] == runs:
             pairs[-1].times.append(time)
         else:
-            pairs.append(RunPair(*runs, [time]))
+            pairs.append(RunPair(runs[0], runs[1], [time]))
     if not pairs:
         raise StageError(f"{test.prim.GetPath()}.points: no sample in the frame range {frames}")
     return pairs

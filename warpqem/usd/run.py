@@ -83,6 +83,11 @@ class Run:
             simplify_to_budget(self, prims, self.options.faces)
         self.progress(1.0, "done")
 
+    @property
+    def kept_whole(self) -> str:
+        """Why a mesh keeps all its faces although fewer were asked for."""
+        return f"nothing could be removed with an error below {self.options.max_size_error:g} % of its size"
+
     def report(self) -> StageReport:
         """What happened to each mesh."""
         return StageReport("", None, list(self.reports.values()))
@@ -371,8 +376,7 @@ class Run:
                 return
             report.status, report.message = "kept", f"nothing could be removed ({report.stopped})"
             if report.stopped == "max_size_error":
-                limit = f"{self.options.max_size_error:g} % of its size"
-                report.message = f"nothing could be removed with an error below {limit} (max_size_error)"
+                report.message = self.kept_whole
         except WarpqemError:
             samples.discard()
             raise

@@ -69,7 +69,10 @@ def simplify_to_budget(run: Run, prims: Sequence[Usd.Prim], faces: int | str) ->
             kept += _bytes_of(trial.shared)
     curves = [curve for trial in trials for curve in trial.curves]
     total = round(sum(curve.weight * curve.face_count for curve in curves))
-    counts = iter(split_budget(curves, face_budget(faces, total)))
+    budget = face_budget(faces, total)
+    split = split_budget(curves, budget)
+    counts = iter(split)
+    short = sum(curve.weight * count for curve, count in zip(curves, split, strict=True)) > budget
     # What has been placed is let go of.
     trials.reverse()
     for index in range(len(trials)):
@@ -77,9 +80,12 @@ def simplify_to_budget(run: Run, prims: Sequence[Usd.Prim], faces: int | str) ->
         # The last collapse of a curve may take one face more than was gone down to.
         targets = [max(next(counts), TRIAL_FACES) for _ in trial.curves]
         start, share = TRIAL_SHARE + (1 - TRIAL_SHARE) * index / len(prims), (1 - TRIAL_SHARE) / len(prims)
-        run.guarded(
-            run.simplify_to, trial.prim, run.part(start, share, trial.prim), targets, trial.varies, trial.shared
-        )
+        path, part = str(trial.prim.GetPath()), run.part(start, share, trial.prim)
+        run.guarded(run.simplify_to, trial.prim, part, targets, trial.varies, trial.shared)
+        report = run.reports[path]
+        if short and report.status == "kept" and report.stopped is None and run.options.size_limit is not None:
+            # It has as many faces as its curve leaves it, and the budget asks for fewer.
+            report.stopped, report.message = "max_size_error", run.kept_whole
 
 
 def _try_prim(prim: Usd.Prim, run: Run, progress: Progress, room: int) -> _Trial:

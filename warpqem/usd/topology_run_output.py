@@ -125,8 +125,9 @@ class RunOutput:
         run = self._runs[len(self._done)]
         before = self._done[-1].point_count + self._done[-1].padded if self._done else -1
         code = Usd.TimeCode.Default() if time is None else time
-        values = [attribute.Get(code) or Vt.IntArray() for attribute in (faces, counts)]
-        self._done.append(_Written(run, kept, point_count, point_count == before > 0, *values, {}, set()))
+        indices, polygons = (attribute.Get(code) or Vt.IntArray() for attribute in (faces, counts))
+        padded = point_count == before > 0
+        self._done.append(_Written(run, kept, point_count, padded, indices, polygons, {}, set()))
         return self._done[-1]
 
     def _copy_prim(self, spec: Sdf.PrimSpec) -> None:
@@ -154,6 +155,7 @@ class RunOutput:
             self._write(path, written, iter([(written.run.times[0], spec.default)]), None, 1)
             return
         size = _element_size(composed)
+        samples: Iterator[tuple[float, Any]]
         if path.name in TOPOLOGY:
             samples = ((time, spec.default) for time in self._topology_times(path.name, written.run))
         elif times:
