@@ -93,7 +93,7 @@ def varying_stage(path: Path) -> None:
 
 def test_mesh_of_varying_topology_comes_through_as_it_is(tmp_path, flatten):
     varying_stage(tmp_path / "in.usda")
-    options = SimplifyOptions(ratio=0.5, device="cpu", flatten=flatten)
+    options = SimplifyOptions(ratio=0.5, device="cpu", varying_topology="refuse", flatten=flatten)
     report = simplify_stage(tmp_path / "in.usda", tmp_path / "out.usda", options)
     [failed] = report.failed
     assert failed.path == VARYING
@@ -106,7 +106,11 @@ def test_mesh_of_varying_topology_comes_through_as_it_is(tmp_path, flatten):
 
 def test_mesh_of_varying_topology_comes_through_on_every_level(tmp_path):
     varying_stage(tmp_path / "in.usda")
-    simplify_stage(tmp_path / "in.usda", tmp_path / "out.usda", SimplifyOptions(lods=(0.5, 0.2), device="cpu"))
+    simplify_stage(
+        tmp_path / "in.usda",
+        tmp_path / "out.usda",
+        SimplifyOptions(lods=(0.5, 0.2), device="cpu", varying_topology="refuse"),
+    )
     stage = Usd.Stage.Open(str(tmp_path / "out.usda"))
     for level in range(3):
         stage.GetDefaultPrim().GetVariantSet("LOD").SetVariantSelection(f"LOD{level}")
@@ -116,7 +120,7 @@ def test_mesh_of_varying_topology_comes_through_on_every_level(tmp_path):
 
 def test_strict_refuses_varying_topology_and_writes_nothing(tmp_path):
     varying_stage(tmp_path / "in.usda")
-    options = SimplifyOptions(ratio=0.5, device="cpu", strict=True)
+    options = SimplifyOptions(ratio=0.5, device="cpu", varying_topology="refuse", strict=True)
     with pytest.raises(StageError, match=rf"{VARYING}\.faceVertexCounts: changes at time 2"):
         simplify_stage(tmp_path / "in.usda", tmp_path / "out.usda", options)
     assert not (tmp_path / "out.usda").exists()
@@ -128,6 +132,6 @@ def test_points_that_change_in_number_under_the_same_faces_are_named(tmp_path):
     attribute = UsdGeom.Mesh(stage.GetPrimAtPath(VARYING)).GetPointsAttr()
     attribute.Set([*attribute.Get(2.0), (0, 0, 0)], 2.0)
     stage.Save()
-    options = SimplifyOptions(ratio=0.5, device="cpu")
+    options = SimplifyOptions(ratio=0.5, device="cpu", varying_topology="refuse")
     [failed] = simplify_stage(tmp_path / "in.usda", tmp_path / "out.usda", options).failed
     assert str(failed.message).startswith(f"{VARYING}.points: 82 points at time 2, 81 before")

@@ -20,6 +20,7 @@ __all__ = [
     "StageError",
     "UnreachableTargetError",
     "UsdLibraryError",
+    "VaryingTopologyError",
     "WarpqemError",
 ]
 
@@ -90,6 +91,10 @@ class ProgressiveFileError(WarpqemError, ValueError):
 
 class StageError(WarpqemError):
     """A USD stage, prim or attribute cannot be read or written; the message names prim, attribute and time."""
+
+
+class VaryingTopologyError(StageError):
+    """The topology of a USD mesh varies over time where one topology is needed; the message names the time."""
 
 
 class UsdLibraryError(WarpqemError, ImportError):

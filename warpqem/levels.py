@@ -6,6 +6,8 @@ from collections.abc import Iterable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from warpqem.checked_frames import check_sink
 from warpqem.device import device_turn, on_device, resolve_device
 from warpqem.errors import OptionError, UnreachableTargetError
@@ -15,6 +17,7 @@ from warpqem.mesh_input import read_mesh
 from warpqem.number_input import check_function, flag, shown, whole_number
 from warpqem.options import MethodKeywords, check_ratio, read_keywords, target_count
 from warpqem.order.levels import OrderedLevels
+from warpqem.order.log import CollapseRecord
 from warpqem.order.nodes import NodeRecorder
 from warpqem.preparation import ORDER_END, Prepared, Progress, prepare
 from warpqem.result import Delivery, Outcome, SimplifiedMesh, finish, reached
@@ -41,6 +44,26 @@ class LevelOrder:
     def face_count(self) -> int:
         """Faces of the input, without those that name a vertex twice."""
         return len(self._work.mesh.faces)
+
+    @property
+    def log(self) -> CollapseRecord:
+        """All collapses down to the coarsest level."""
+        return self._levels.log
+
+    @property
+    def diagonal(self) -> float:
+        """Largest bounding-box diagonal of a frame of the input, in its units."""
+        return self._work.mesh.diagonal
+
+    @property
+    def key_frames(self) -> np.ndarray:
+        """(K,) int, the frames that decided the order."""
+        return self._work.key_frames
+
+    @property
+    def held_bytes(self) -> int:
+        """What it keeps in memory for its levels, without the frames."""
+        return self._levels.held_bytes
 
     def level(
         self,

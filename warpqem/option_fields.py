@@ -27,12 +27,13 @@ class Limits:
     high: float = math.inf
     open_low: bool = False
     open_high: bool = False
+    infinite: bool = False
 
     def __contains__(self, value: float) -> bool:
-        """Whether a number is one of them; NaN is not, nor is infinity."""
+        """Whether a number is one of them; NaN is not, and infinity only where ``infinite`` says so."""
         above = value > self.low if self.open_low else value >= self.low
         below = value < self.high if self.open_high else value <= self.high
-        return above and below and math.isfinite(value)
+        return above and below and (self.infinite or math.isfinite(value))
 
     def __str__(self) -> str:
         """The range as messages and help name it, such as "in (0, 1]" or "above 0"."""

@@ -66,6 +66,9 @@ class MethodOptions:
             in % of the diagonal of the input's bounding box in that frame. It is proved, not sampled
             (:mod:`warpqem.kernels.distance_bound`), for the result as it is returned; the number of faces is searched
             for (:mod:`warpqem.bounded`), which takes several times as long as a result by count.
+        max_size_error: where to stop above the face count, so that a small mesh is not destroyed for it: no edge
+            collapses whose error, as in ``SimplifiedMesh.error``, would pass so many % of the diagonal of the mesh's
+            bounding box. Nothing is proved or searched for, as it is with ``max_error``. None for no limit.
         quality: "best" orders by quadrics of the present faces and fits the whole surface at the end, see
             ``memoryless`` and ``refit``: a better shape in two to three times the time of "fast", which does neither.
         metric: cost model: "dsd" (default), "qem", "dod", "aqem", "face", or one of another package; see
@@ -96,6 +99,12 @@ class MethodOptions:
         "PCT",
         ABOVE_0,
         basic=True,
+    )
+    max_size_error: float | None = option(
+        None,
+        "Above the face count a mesh stops where its error would pass so many % of its bounding-box diagonal.",
+        "PCT",
+        ABOVE_0,
     )
     quality: Literal["fast", "best"] = option(
         "fast",
@@ -155,7 +164,7 @@ class MethodOptions:
 
     def method(self) -> MethodKeywords:
         """These options but for the goals, as keyword arguments of :func:`warpqem.simplify`."""
-        names = {entry.name for entry in fields(MethodOptions)} - {"ratio", "max_error"}
+        names = {entry.name for entry in fields(MethodOptions)} - {"ratio", "max_error", "max_size_error"}
         return {name: getattr(self, name) for name in sorted(names)}  # type: ignore[return-value]
 
 
@@ -240,6 +249,7 @@ class SimplifyKeywords(MethodKeywords, total=False):
 
     ratio: float | None
     target_faces: int | None
+    max_size_error: float | None
     max_error: float | None
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -156,6 +157,7 @@ def prepare(
         order_settings=OrderSettings(
             target_faces=goal.target_faces,
             error_limit=goal.max_error / 100.0,
+            size_limit=math.inf if options.max_size_error is None else options.max_size_error / 100.0,
             epsilon=min(_epsilon(coherence), ORDER_EPSILON),
             endpoint=endpoint,
             deformation_weight=spec.deformation_weight,

@@ -30,7 +30,7 @@ class SimplifiedMesh:
         faces: (N', 3) int32.
         vertex_map: (V,) int32, input vertex to the output vertex it collapsed into; -1 for a vertex without a face.
         face_map: (N',) int32, the input face that each output face goes on from.
-        stopped: "target", "max_error" or "no legal collapse".
+        stopped: "target", "max_error", "max_size_error" or "no legal collapse".
         error: % of the bounding-box diagonal, the largest RMS distance, among all collapses, of a merged vertex from
             the planes of the faces it stands for, over key frames, or of the input vertices it stands for from the
             faces around it, in the first one.

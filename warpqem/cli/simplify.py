@@ -90,20 +90,31 @@ def _tell_problems(report: StageReport) -> None:
         tell("note", note)
     for problem in dict.fromkeys(text for prim in report.prims for text in prim.problems):
         tell("warning", problem)
+    for note in dict.fromkeys(text for prim in report.prims for text in prim.notes):
+        tell("note", note)
     for prim in report.prims:
         level = f"{_level(prim)}: " if _level(prim) else ""
         if prim.dropped:
             tell("warning", f"{level}{prim.path}: dropped, does not fit the new mesh: {', '.join(prim.dropped)}")
         if prim.symmetry not in (None, "kept"):
             tell("warning", f"{level}{prim.path}: not kept symmetric: {prim.symmetry}")
-        if prim.stopped == "no legal collapse":
+        if prim.status == "simplified" and prim.stopped == "no legal collapse":
             tell("warning", f"{level}{prim.path}: stopped at {prim.faces_after} faces, no legal collapse is left")
         if prim.status == "kept" and prim.message and prim.message.startswith("no geometry"):
             tell("note", f"{prim.path}: kept: {prim.message}")
         if prim.status == "failed":
             tell("error", level + (prim.message or prim.path))
+    _tell_small(report)
     if report.output is None:
         tell("error", f"nothing written: no mesh of {report.input} could be simplified")
+
+
+def _tell_small(report: StageReport) -> None:
+    """Name the meshes that stopped early in one line: on a stage of small props it is most of them."""
+    stopped = list(dict.fromkeys(prim.path for prim in report.prims if prim.stopped == "max_size_error"))
+    if stopped:
+        more = f" and {len(stopped) - 1} more" if len(stopped) > 1 else ""
+        tell("note", f"{stopped[0]}{more}: kept above the face count, where the error would pass --max-size-error")
 
 
 def _table(report: StageReport) -> PlainTable:

@@ -98,13 +98,15 @@ class Components:
         state: the mesh, with nothing collapsed yet.
         epsilon: pull on a point that follows soft quadrics, relative to them.
         error_limit: squared error, in diagonals squared, beyond which none vanishes.
+        last_limit: the same where no edge is left to collapse.
 
     Attributes:
         count: components with a face.
     """
 
-    def __init__(self, state: MeshState, epsilon: float, error_limit: float) -> None:
-        self._state, self._epsilon, self._error_limit = state, epsilon, error_limit
+    def __init__(self, state: MeshState, epsilon: float, error_limit: float, last_limit: float) -> None:
+        self._state, self._epsilon = state, epsilon
+        self._error_limit, self._last_limit = error_limit, last_limit
         faces = state.corner_vertex.numpy().reshape(-1, 3)
         vertex_count = len(state.vertex_flags)
         lowest = lowest_members(vertex_count, np.concatenate([faces[:, :2], faces[:, 1:]]))
@@ -142,7 +144,7 @@ class Components:
         for remnant in sorted(remnants, key=lambda item: (item.cost, int(item.vertex[0]))):
             if excess <= 0 or remnant.cost > cap or left == 1:
                 break
-            if remnant.error**2 > self._error_limit:
+            if remnant.error**2 > (self._last_limit if np.isinf(cap) else self._error_limit):
                 continue
             self._remove(remnant.vertex)
             drops.append(ComponentDrop(int(remnant.vertex[0]), collapse_count, remnant.face_count, remnant.error))

@@ -54,6 +54,13 @@ class OrderedLevels:
         # The log is sorted by round, so each pass owns a run of it.
         self._pass_start = np.concatenate([[0], np.cumsum(sizes, dtype=np.int64)])
 
+    @property
+    def held_bytes(self) -> int:
+        """Bytes of the states that it keeps, on the host and on the device."""
+        nodes = sum(part.position.nbytes + part.quadric.nbytes for part in self._passes)
+        arrays = (self._position, self._quadric, self._ordered.position, self._ordered.quadric)
+        return nodes + sum(array.capacity for array in (*arrays, self._ordered.key_position))
+
     def steps_to(self, target_faces: int) -> int:
         """The least number of collapses and drops that leaves so many faces or fewer; all of them where none does."""
         counts = np.concatenate([self.log.faces_removed, self._ordered.drops.face_count])[self._event]

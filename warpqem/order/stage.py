@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -43,6 +44,8 @@ class OrderSettings:
         deformation_weight: factor of the edge-length deformation term; 0 for none.
         keep_components: none vanishes.
         memoryless: quadrics are those of the present faces instead of the input's.
+        size_limit: the same as ``error_limit``, of a mesh that is not to be destroyed for its target; where components
+            vanish because their cost is due, it does not count.
     """
 
     target_faces: int
@@ -52,6 +55,7 @@ class OrderSettings:
     deformation_weight: float
     keep_components: bool = True
     memoryless: bool = False
+    size_limit: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -72,7 +76,7 @@ class OrderedMesh:
         frozen: (V,) bool, input vertices whose faces are not one fan; they keep their position.
         face_order: (N,) int32, the input face at each place of the order that faces had; None for the input's.
         memoryless: quadrics were those of the present faces.
-        stopped: "target", "max_error" or "no legal collapse".
+        stopped: "target", "max_error", "max_size_error" or "no legal collapse".
         log: the collapses.
         drops: the components that vanished.
     """
@@ -258,19 +262,24 @@ def _collapse(
     model.key_count = float(mesh.key_count)
     model.epsilon = settings.epsilon
     model.endpoint = int(settings.endpoint)
-    model.error_limit = settings.error_limit**2
+    lowest_limit = min(settings.error_limit, settings.size_limit)
+    model.error_limit = lowest_limit**2
     # The term sums over all frames, the quadrics over the key frames: brought to the same number of frames.
     frame_count = 1 if mesh.trajectories is None else mesh.trajectories.shape[1]
     model.deformation_weight = settings.deformation_weight * mesh.key_count / frame_count
 
     orderer = Orderer(PassSteps(state, frames, stars, model, device, settings.memoryless))
-    components = None if settings.keep_components else Components(state, model.epsilon, model.error_limit)
+    components = (
+        None if settings.keep_components else Components(state, model.epsilon, settings.error_limit**2, lowest_limit**2)
+    )
     if components is not None and components.count == 1:
         # One always stays.
         components = None
     if recorder is not None:
         recorder.memoryless = settings.memoryless
     stopped = orderer.run(settings.target_faces, progress, recorder, components)
+    if stopped == "max_error" and settings.size_limit < settings.error_limit:
+        stopped = "max_size_error"
     if mesh.attributes is not None:
         launch(
             attribute_kernels.add_attribute_quadrics[width],

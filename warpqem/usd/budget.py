@@ -25,11 +25,14 @@ class CostCurve:
         cost: float64, shape (C,), cost of each collapse in order of application: squared distance times area, averaged
             over the frames, in world units to the fourth power.
         faces_removed: int64, shape (C,), faces each collapse removed.
+        weight: What a face of it counts in the budget: 1, or the share of the frames that a run of constant topology
+            has, of a mesh whose topology varies over time.
     """
 
     face_count: int
     cost: npt.NDArray[np.float64]
     faces_removed: npt.NDArray[np.int64]
+    weight: float = 1.0
 
     @classmethod
     def from_log(
@@ -39,6 +42,7 @@ class CostCurve:
         faces_removed: npt.NDArray[np.int32],
         unit_length: float,
         frame_count: int,
+        weight: float = 1.0,
     ) -> CostCurve:
         """Bring the costs of a collapse log to world units.
 
@@ -48,10 +52,11 @@ class CostCurve:
             faces_removed: int32, shape (C,).
             unit_length: World length of the bounding-box diagonal that the log takes as 1.
             frame_count: Frames the cost is summed over.
+            weight: See above.
         """
         # Squared distance times area is a length to the fourth power.
         scale = unit_length**4 / frame_count
-        return cls(face_count, cost.astype(np.float64) * scale, faces_removed.astype(np.int64))
+        return cls(face_count, cost.astype(np.float64) * scale, faces_removed.astype(np.int64), weight)
 
 
 def split_budget(curves: Sequence[CostCurve], budget: int) -> list[int]:
@@ -65,11 +70,12 @@ def split_budget(curves: Sequence[CostCurve], budget: int) -> list[int]:
         budget: Faces of all meshes together.
 
     Returns:
-        One face count for each mesh. Their sum is at most `budget`, less by no more than one collapse removes, or the
-        least that the curves reach.
+        One face count for each mesh. Their weighted sum is at most `budget`, less by no more than one collapse removes,
+        or the least that the curves reach.
     """
     face_counts = np.array([curve.face_count for curve in curves], dtype=np.int64)
-    surplus = int(face_counts.sum()) - budget
+    weights = np.array([curve.weight for curve in curves])
+    surplus = float((weights * face_counts).sum()) - budget
     if surplus <= 0 or not curves:
         return face_counts.tolist()
     marginal = np.concatenate([np.maximum.accumulate(curve.cost) for curve in curves])
@@ -77,7 +83,7 @@ def split_budget(curves: Sequence[CostCurve], budget: int) -> list[int]:
     owner = np.repeat(np.arange(len(curves)), [len(curve.cost) for curve in curves])
     # A stable sort keeps the order of application within each mesh, where the running maximum never falls.
     order = np.argsort(marginal, kind="stable")
-    total = np.cumsum(removed[order])
+    total = np.cumsum((removed * weights[owner])[order])
     spent = order[: int(np.searchsorted(total, surplus)) + 1]
     np.subtract.at(face_counts, owner[spent], removed[spent])
     return face_counts.tolist()

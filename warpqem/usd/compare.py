@@ -11,9 +11,10 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Usd
 
-from warpqem.errors import DeviceError, OptionError, StageError, WarpqemError
+from warpqem.errors import DeviceError, OptionError, StageError, VaryingTopologyError, WarpqemError
 from warpqem.measure import Comparison, compare, distance_colors
 from warpqem.outputs import OutputFile, named_outputs
+from warpqem.usd.compare_runs import VaryingMesh, combine, pair_runs, run_colors
 from warpqem.usd.frames import FrameRange
 from warpqem.usd.input_files import check_stage_outputs
 from warpqem.usd.mesh import MeshSource, StageMesh
@@ -144,8 +145,55 @@ class _Side:
             raise StageError(f"{path}: no such mesh in {self.name}")
         return MeshSource(self.prims[path], self.poses)
 
+    def varying(self, path: str) -> VaryingMesh:
+        """A mesh of which the topology may vary over time.
+
+        Raises:
+            VaryingTopologyError: it varies although a skeleton deforms it.
+        """
+        try:
+            source = self.source(path)
+            # The number of points may change without the faces.
+            source.read(source.frame_times())
+        except VaryingTopologyError:
+            if self.poses.poser(self.prims[path]) is not None:
+                raise
+            return VaryingMesh.of(self.prims[path], self.poses, None)
+        return VaryingMesh.of(self.prims[path], self.poses, source)
+
 
 def _compare_pair(
+    report: PairReport,
+    reference_side: _Side,
+    test_side: _Side,
+    options: CompareOptions,
+    progress: Callable[[int, int], None],
+    layer: OverLayer,
+) -> None:
+    try:
+        _compare_constant(report, reference_side, test_side, options, progress, layer)
+    except VaryingTopologyError:
+        _compare_runs(report, reference_side, test_side, options, progress, layer)
+
+
+def _compare_runs(
+    report: PairReport,
+    reference_side: _Side,
+    test_side: _Side,
+    options: CompareOptions,
+    progress: Callable[[int, int], None],
+    layer: OverLayer,
+) -> None:
+    reference, test = reference_side.varying(report.path), test_side.varying(report.path)
+    pairs = pair_runs(reference, test, options.frames)
+    report.times = [time for pair in pairs for time in pair.times]
+    report.comparison = combine(reference, test, pairs, progress, samples=options.samples, device=options.device)
+    if options.heatmap is not None:
+        colors, report.heatmap_scale = run_colors(reference, test, pairs, options.heatmap_scale, options.device)
+        layer.set_vertex_colors(report.path, report.times, colors)
+
+
+def _compare_constant(
     report: PairReport,
     reference_side: _Side,
     test_side: _Side,

@@ -10,6 +10,7 @@ from pathlib import Path
 from pxr import Usd
 
 import warpqem
+from warpqem.arguments import target_count
 from warpqem.memory import MemoryPlan
 from warpqem.usd.job import MeshJob
 from warpqem.usd.simplify_options import SimplifyOptions
@@ -52,10 +53,18 @@ class SharedOrder:
 
     Attributes:
         least_ratio: Ratio of the coarsest level.
+        least_faces: Faces of the coarsest level, where no ratio is given.
         job: The mesh made ready.
         order: Its ordering.
+        announced: Its memory plan has been announced.
     """
 
-    least_ratio: float
+    least_ratio: float | None = None
+    least_faces: int = 1
     job: MeshJob | None = None
     order: warpqem.LevelOrder | None = None
+    announced: bool = False
+
+    def least(self, face_count: int) -> int:
+        """Faces of the coarsest level of a mesh of so many."""
+        return self.least_faces if self.least_ratio is None else target_count(self.least_ratio, face_count)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom
 
-from warpqem.errors import StageError
+from warpqem.errors import StageError, VaryingTopologyError
 from warpqem.measure import topology
 from warpqem.outputs import OutputFile
 from warpqem.usd.below import subsets_of
@@ -18,6 +18,7 @@ from warpqem.usd.input_files import check_stage_outputs
 from warpqem.usd.mesh import MeshSource
 from warpqem.usd.skel import StagePoses
 from warpqem.usd.stage import find_meshes, open_with_problems
+from warpqem.usd.topology_runs import describe_runs, find_runs, open_run
 from warpqem.usd.usd_errors import usd_errors_named
 
 __all__ = ["MeshInfo", "inspect_stage"]
@@ -50,6 +51,7 @@ class MeshInfo:
         subsets: Names of the GeomSubsets.
         orientation: "rightHanded" or "leftHanded".
         subdivision: Subdivision scheme.
+        runs: Runs of constant topology, 1 for a mesh with one topology. With more, the counts are those of the first.
         problems: What is wrong, or in the way of simplification, in words.
     """
 
@@ -68,6 +70,7 @@ class MeshInfo:
     subsets: list[str] = field(default_factory=list)
     orientation: str = ""
     subdivision: str = ""
+    runs: int = 1
     problems: list[str] = field(default_factory=list)
 
     def to_dict(self) -> dict[str, Any]:
@@ -123,17 +126,50 @@ def _inspect(prim: Usd.Prim, poses: StagePoses) -> MeshInfo:
         subdivision=str(mesh.GetSubdivisionSchemeAttr().Get()),
     )
     try:
-        source = MeshSource(prim, poses)
+        _inspect_constant(info, prim, poses)
+    except VaryingTopologyError as error:
+        if poses.poser(prim) is not None:
+            info.problems.append(str(error))
+        else:
+            _inspect_runs(info, prim)
     except StageError as error:
         info.problems.append(str(error))
-        return info
-    _describe_source(info, source)
+    return info
+
+
+def _inspect_constant(info: MeshInfo, prim: Usd.Prim, poses: StagePoses) -> None:
+    """Describe a mesh with one topology.
+
+    Raises:
+        VaryingTopologyError: it has several.
+        StageError: its topology cannot be read.
+    """
+    source = MeshSource(prim, poses)
+    problems: list[str] = []
     try:
         source.read(source.frame_times())
+    except VaryingTopologyError:
+        raise
     except StageError as error:
-        info.problems.append(str(error))
+        problems.append(str(error))
+    _describe_source(info, source)
+    info.problems += problems
     _find_wrong_lengths(info, source)
-    return info
+
+
+def _inspect_runs(info: MeshInfo, prim: Usd.Prim) -> None:
+    """Describe a mesh whose topology varies over time by its first run that shows something."""
+    mesh = UsdGeom.Mesh(prim)
+    runs = find_runs(mesh)
+    shown = next((run for run in runs if not run.is_empty), runs[0])
+    if not shown.is_empty:
+        with open_run(prim, shown) as alone:
+            _inspect_constant(info, alone, StagePoses(alone.GetStage()))
+    info.frames = sum(len(run.times) for run in runs)
+    info.first_time, info.last_time = runs[0].times[0], runs[-1].times[-1]
+    info.runs = len(runs)
+    if info.runs > 1:
+        info.problems.insert(0, f"{describe_runs(mesh, runs)}; the figures are those of {shown}")
 
 
 def _describe_source(info: MeshInfo, source: MeshSource) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Usd, UsdGeom, Vt
 
-from warpqem.errors import StageError
+from warpqem.errors import StageError, VaryingTopologyError
 from warpqem.usd.declared_types import check_declared_types
 from warpqem.usd.frames import FrameRange
 from warpqem.usd.skel import MeshPoser, StagePoses
@@ -129,8 +129,8 @@ class MeshSource:
             poses: The skin bindings of its stage.
 
         Raises:
-            StageError: points or faces are missing, blocked, inconsistent or of another type than the schema's, or
-                the topology changes over time.
+            StageError: points or faces are missing, blocked, inconsistent or of another type than the schema's.
+            VaryingTopologyError: the topology changes over time.
         """
         # A prim does not keep its stage alive.
         self._stage = prim.GetStage()
@@ -182,14 +182,15 @@ class MeshSource:
             float32, shape (authored point count, 3), local space.
 
         Raises:
-            StageError: the sample is blocked, has another length than the first one, or is not finite.
+            StageError: the sample is blocked or not finite.
+            VaryingTopologyError: it has another length than the first one.
         """
         code = Usd.TimeCode.Default() if time is None else Usd.TimeCode(time)
         name = "default" if time is None else f"{time:g}"
         value = self._points.Get(code)
         self._check_points(value, name)
         if len(value) != self.point_count:
-            raise StageError(
+            raise VaryingTopologyError(
                 f"{self.path}.points: {len(value)} points at time {name}, {self.point_count} before; "
                 "a mesh whose topology varies over time cannot be simplified"
             )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -13,9 +14,12 @@ from warpqem.usd.frames import FrameRange
 __all__ = [
     "AttributeWeights",
     "bare_name",
+    "check_faces",
     "check_lods",
     "check_weights",
+    "face_budget",
     "parse_attribute_weight",
+    "parse_faces",
     "read_folders",
     "read_frames",
     "read_paths",
@@ -61,6 +65,39 @@ def check_weights(weights: AttributeWeights) -> None:
 def read_weights(value: Any) -> tuple[tuple[str, float], ...]:
     """Weights of primvars from a list of texts, or from text with blanks between them."""
     return tuple(parse_attribute_weight(text) for text in read_paths(value))
+
+
+def parse_faces(value: object) -> int | str:
+    """Read a number of faces, or a share of all faces such as "25%".
+
+    Raises:
+        ValueError: it is neither.
+    """
+    text = str(value).strip()
+    if isinstance(value, bool) or not re.fullmatch(r"-?\d{1,18}(\.0)?|\d+(\.\d+)? ?%", text):
+        raise ValueError("expected a whole number, or a share of all faces such as 25%")
+    return text.replace(" ", "") if text.endswith("%") else int(text.removesuffix(".0"))
+
+
+def face_budget(faces: int | str, total: int) -> int:
+    """The number of faces that a number, or a share of so many, is."""
+    return faces if isinstance(faces, int) else max(1, round(float(faces.rstrip("%")) / 100.0 * total))
+
+
+def check_faces(faces: object) -> None:
+    """Check a number or a share of faces.
+
+    Raises:
+        OptionError: it is neither, or out of range.
+    """
+    try:
+        read = parse_faces(faces)
+    except ValueError as error:
+        raise OptionError(f"faces {faces}: {error}") from None
+    if isinstance(read, int) and read < 1:
+        raise OptionError(f"faces {faces}: expected at least 1")
+    if isinstance(read, str) and not 0 < float(read.rstrip("%")) <= 100:
+        raise OptionError(f"faces {faces}: expected a share above 0 % and at most 100 %")
 
 
 def read_ratios(value: Any) -> tuple[float, ...]:

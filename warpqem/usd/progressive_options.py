@@ -14,7 +14,7 @@ from warpqem.usd.option_checks import read_frames
 __all__ = ["NOT_TO_BUILD", "BuildOptions", "LevelChoice"]
 
 # Options of a mesh that a progressive mesh has no use for: it has all levels, and every vertex is placed once.
-NOT_TO_BUILD = ("ratio", "max_error", "refit", "keep_components")
+NOT_TO_BUILD = ("ratio", "max_error", "max_size_error", "refit", "keep_components")
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,14 +86,16 @@ def render_sheet(
         raise OptionError(f"output {output_path}: the suffix must be .png")
     if options.heatmap and reference_path is None:
         raise OptionError("heatmap needs a reference")
-    drawn = [WorldMeshes(path, options.prims) for path in (reference_path, input_path) if path is not None]
+    paths = (reference_path, input_path)
+    drawn = [WorldMeshes(path, options.prims, varying=True) for path in paths if path is not None]
     check_stage_outputs([OutputFile("output", output_path)], [item.stage for item in drawn])
     times = _spread(chosen_times(drawn, options.frames), options)
-    meshes = [item.read(times) for item in drawn]
+    # Each time for itself: the topology may be another one.
+    meshes = [[item.read(None if times is None else [time]) for time in times or [0.0]] for item in drawn]
     rows, scale = _rows(meshes, [item.name for item in drawn], options)
     width, height = options.size
     view = fit_view(
-        np.concatenate([points.reshape(-1, 3) for points, _ in meshes]),
+        np.concatenate([points.reshape(-1, 3) for item in meshes for points, _ in item]),
         azimuth=options.azimuth,
         elevation=options.elevation,
         up=drawn[0].up,
@@ -106,8 +108,8 @@ def render_sheet(
             if progress:
                 progress(len(pictures) / (count * len(rows)), row.title)
             picture = render(
-                row.points[frame],
-                row.faces,
+                row.meshes[frame][0][0],
+                row.meshes[frame][1],
                 view,
                 colors=None if row.colors is None else row.colors[frame],
                 size=options.size,
@@ -124,26 +126,39 @@ def render_sheet(
     return scale
 
 
+# Points (1, V, 3) and faces (N, 3) at each time.
+_Meshes = Sequence[tuple[npt.NDArray[np.float32], npt.NDArray[np.int32]]]
+
+
 @dataclass(frozen=True)
 class _Row:
     """What one row of pictures shows."""
 
     title: str
-    points: npt.NDArray[np.float32]
-    faces: npt.NDArray[np.int32]
-    colors: npt.NDArray[np.float32] | None = None
+    meshes: _Meshes
+    colors: Sequence[npt.NDArray[np.float32]] | None = None
 
 
-def _rows(
-    meshes: list[tuple[npt.NDArray[np.float32], npt.NDArray[np.int32]]], names: list[str], options: RenderOptions
-) -> tuple[list[_Row], float | None]:
-    rows = [
-        _Row(f"{name}, {len(faces)} faces", points, faces) for name, (points, faces) in zip(names, meshes, strict=True)
-    ]
+def _rows(meshes: Sequence[_Meshes], names: list[str], options: RenderOptions) -> tuple[list[_Row], float | None]:
+    rows = [_Row(f"{name}, {_face_counts(item)} faces", item) for name, item in zip(names, meshes, strict=True)]
     if not options.heatmap:
         return rows, None
-    colors, scale = distance_colors(*meshes[0], *meshes[1], device=options.device)
-    return [*rows, _Row(f"distance, yellow is {scale:.3g} %", *meshes[1], colors)], scale
+    # A time at which one of them shows nothing has no distances.
+    pairs = [(*first, *second) for first, second in zip(*meshes, strict=True)]
+    shown = [pair for pair in pairs if len(pair[1]) and len(pair[3])]
+    scale = max((distance_colors(*pair, device=options.device)[1] for pair in shown), default=0.0)
+    colors = [
+        distance_colors(*pair, scale=scale or None, device=options.device)[0][0]
+        if len(pair[1]) and len(pair[3])
+        else np.zeros(pair[2].shape[1:], dtype=np.float32)
+        for pair in pairs
+    ]
+    return [*rows, _Row(f"distance, yellow is {scale:.3g} %", meshes[1], colors)], scale
+
+
+def _face_counts(meshes: _Meshes) -> str:
+    least, most = min(len(faces) for _, faces in meshes), max(len(faces) for _, faces in meshes)
+    return f"{most}" if least == most else f"{least} to {most}"
 
 
 def _spread(times: list[float], options: RenderOptions) -> list[float] | None:

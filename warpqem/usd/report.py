@@ -5,13 +5,36 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-__all__ = ["PrimReport", "StageReport", "name_prim"]
+__all__ = ["PrimReport", "RunReport", "StageReport", "name_prim"]
 
 
 def name_prim(path: str, error: Exception) -> str:
     """The text of an error, with the prim it is about in front if it does not name it."""
     text = str(error)
     return text if text.startswith(path) else f"{path}: {text}"
+
+
+@dataclass
+class RunReport:
+    """The outcome for one run of constant topology of a mesh whose topology varies over time.
+
+    Attributes:
+        first_time: Time code of its first frame.
+        last_time: Time code of its last frame.
+        frames: Number of its frames.
+        faces_before: Triangles before.
+        faces_after: Triangles after.
+        error: See `PrimReport`.
+        stopped: Why simplification stopped; None where it was kept.
+    """
+
+    first_time: float
+    last_time: float
+    frames: int
+    faces_before: int
+    faces_after: int
+    error: float | None
+    stopped: str | None
 
 
 @dataclass
@@ -37,6 +60,9 @@ class PrimReport:
         symmetry: Where symmetry was asked for, "kept" or why the mesh is not symmetric.
         plan: The blocks of frames it was done in, and the memory for it, see `warpqem.MemoryPlan`.
         problems: Values that it was done with, but that cannot be meant, such as a normal that is no number.
+        notes: What is worth knowing about how it was done.
+        runs: The runs of constant topology, for a mesh whose topology varies over time; the counts above are then means
+            over the frames. Empty for others.
     """
 
     path: str
@@ -57,6 +83,8 @@ class PrimReport:
     symmetry: str | None = None
     plan: dict[str, Any] | None = None
     problems: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    runs: list[RunReport] = field(default_factory=list)
 
 
 @dataclass

@@ -200,6 +200,8 @@ def _gather(
     shown = chosen_frames(len(times), sum(meshes.point_count for meshes in all_meshes)) if times else range(0)
     own = [times[index] for index in shown] or None
     thinned = shown.step > 1
+    left_out = dict.fromkeys(path for meshes in all_meshes for path in meshes.left_out)
+    notes = [*notes, *(f"{path}: not shown, its topology varies over time" for path in left_out)]
     if thinned:
         left = f"Shown and measured: {len(shown)} of {len(times)} frames, one in {shown.step}: the page stays small."
         notes = [*notes, left]

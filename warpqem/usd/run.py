@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, TypeVar
 
@@ -13,7 +13,15 @@ from pxr import Usd, UsdGeom
 
 import warpqem
 from warpqem.cost_models import cost_model
-from warpqem.errors import DeviceError, MeshShapeError, OptionError, StageError, UnreachableTargetError, WarpqemError
+from warpqem.errors import (
+    DeviceError,
+    MeshShapeError,
+    OptionError,
+    StageError,
+    UnreachableTargetError,
+    VaryingTopologyError,
+    WarpqemError,
+)
 from warpqem.frame_blocks import frame_blocks
 from warpqem.frame_stream import LaterFrames, NoFrames, read_ahead
 from warpqem.memory import parse_bytes
@@ -22,7 +30,6 @@ from warpqem.symmetry import Mirror, find_mirror, simplify_symmetric
 from warpqem.transfer import is_proper
 from warpqem.usd.attributes import check_names, weighted_fields
 from warpqem.usd.blend_shapes import count_shape_users
-from warpqem.usd.budget import CostCurve, split_budget
 from warpqem.usd.context import Context, Progress, SharedOrder
 from warpqem.usd.example_poses import ExamplePoses
 from warpqem.usd.face_points import FacePoints, face_protection, points_on_level
@@ -36,14 +43,16 @@ from warpqem.usd.point_samples import PointSamples
 from warpqem.usd.report import PrimReport, StageReport, name_prim
 from warpqem.usd.skel import StagePoses
 from warpqem.usd.skin_fit import SkinFitter, SkinPoses, simplify_by_pullback, why_not_fitted
+from warpqem.usd.stage_budget import simplify_to_budget
 from warpqem.usd.usd_errors import usd_errors_named
+from warpqem.usd.varying import simplify_runs
 from warpqem.usd.weights import check_weight_primvar, painted_options
 from warpqem.usd.write import OverLayer
 
 __all__ = ["Run"]
 
-# Faces that a trial run goes down to, or as near as it can. A closed surface has at least the 4 of a tetrahedron.
-TRIAL_FACES = 4
+# Triangles that a ratio leaves of a mesh at least: one alone is half of the smallest card.
+LEAST_FACES = 2
 
 Result = TypeVar("Result")
 
@@ -58,7 +67,8 @@ class Run:
             context: What all passes share.
             by_root: Keep the edits of what is below a root prim below it.
         """
-        self.stage, self.selection, self.options = context.stage, context.selection, context.options
+        self.context, self.options = context, context.options
+        self.stage, self.selection = context.stage, context.selection
         self.progress, self.announce, self.share = context.progress, context.announce, context.share
         self.by_root = by_root
         self.poses = StagePoses(self.stage)
@@ -78,13 +88,18 @@ class Run:
             for index, prim in enumerate(prims):
                 self.simplify_one(prim, self.part(index / len(prims), 1 / len(prims), prim))
         else:
-            self._run_budget(prims, self.options.faces)
+            simplify_to_budget(self, prims, self.options.faces)
         self.finish()
         self.progress(1.0, "done")
 
     def finish(self) -> None:
         """Give the edits of meshes below instances to all instances of them; to be called once, after all meshes."""
         self.notes = self.layer.share_instances(self.selection, self.by_root)
+
+    @property
+    def kept_whole(self) -> str:
+        """Why a mesh keeps all its faces although fewer were asked for."""
+        return f"nothing could be removed with an error below {self.options.max_size_error:g} % of its size"
 
     def report(self) -> StageReport:
         """What happened to each mesh."""
@@ -111,24 +126,13 @@ class Run:
 
     def simplify_one(self, prim: Usd.Prim, progress: Progress, shared: SharedOrder | None = None) -> None:
         """Simplify one mesh into the layer."""
-        self._guarded(self._simplify_prim, prim, progress, None, shared)
-
-    def _run_budget(self, prims: list[Usd.Prim], budget: int) -> None:
-        curves: dict[Usd.Prim, CostCurve] = {}
-        for index, prim in enumerate(prims):
-            curve = self._guarded(self._trial, prim, self.part(0.5 * index / len(prims), 0.5 / len(prims), prim))
-            if curve is not None:
-                curves[prim] = curve
-        targets = split_budget(list(curves.values()), budget)
-        for index, (prim, target) in enumerate(zip(curves, targets, strict=True)):
-            part = self.part(0.5 + 0.5 * index / len(curves), 0.5 / len(curves), prim)
-            self._guarded(self._simplify_prim, prim, part, target)
+        self.guarded(self._simplify_prim, prim, progress, None, shared)
 
     def part(self, start: float, share: float, prim: Usd.Prim, level: str = "") -> Progress:
         """Progress of one mesh as a part of the whole."""
         return lambda fraction, text: self.progress(start + share * fraction, f"{level}{prim.GetName()}: {text}")
 
-    def _guarded(self, action: Callable[..., Result], prim: Usd.Prim, *arguments: Any) -> Result | None:
+    def guarded(self, action: Callable[..., Result], prim: Usd.Prim, *arguments: Any) -> Result | None:
         """Do something for a mesh; an error becomes its report, and None is returned, unless the run is strict."""
         report = self.reports[str(prim.GetPath())]
         start = time.perf_counter()
@@ -184,15 +188,13 @@ class Run:
         order: SharedOrder | None = None,
         **goal: float | int | None,
     ) -> warpqem.SimplifiedMesh:
-        options: dict[str, Any] = {
-            **self.options.method(),
-            "motion": self.options.motion,
-            "attributes": weighted_fields(job.source, self.options.texture_weight, self.options.attribute_weights),
-        }
+        options = self._core_options(job)
+        if goal.get("target_faces") is not None:
+            options["max_size_error"] = self.options.size_limit
         poses = self._skin_poses(job) if self.options.pose_independent else None
         if poses is not None:
-            used = ("attributes", "lock_borders", "keep_components", "memory", "device")
-            options = {name: options[name] for name in used}
+            kept = ("attributes", "lock_borders", "keep_components", "memory", "device", "max_size_error")
+            options = {name: value for name, value in options.items() if name in kept}
             return simplify_by_pullback(
                 poses, **options, **self._importance(job), seams=seams, progress=progress, **goal
             )
@@ -202,15 +204,45 @@ class Run:
             return simplify_symmetric(job.frames, job.faces, mirror, sink=sink, **options, **goal)
         plan = warpqem.plan(job.frames, job.faces, sink=sink, levels=order is not None, **options, **goal)
         self.reports[job.mesh.path].plan = plan.to_dict()
-        if order is None or order.order is None:
+        if order is None or order.order is None or not order.announced:
             self.announce(job.mesh.path, plan)
-            options |= {**self._importance(job), "seams": seams, "progress": progress}
         if order is None:
+            options |= {**self._importance(job), "seams": seams, "progress": progress}
             return warpqem.simplify(job.frames, job.faces, sink=sink, share=self.share, **options, **goal)
-        if order.order is None:
-            least = target_count(order.least_ratio, len(job.mesh.faces))
-            order.order = warpqem.order_levels(job.frames, job.faces, target_faces=least, keep_frames=False, **options)
-        return order.order.level(int(goal["target_faces"] or 0), sink=sink, share=self.share, progress=progress)
+        order.announced = True
+        placed = self._order(job, progress, seams, order)
+        return placed.level(int(goal["target_faces"] or 0), sink=sink, share=self.share, progress=progress)
+
+    def _core_options(self, job: MeshJob) -> dict[str, Any]:
+        """Options of the core that say how a mesh is simplified."""
+        return {
+            **self.options.method(),
+            "motion": self.options.motion,
+            "attributes": weighted_fields(job.source, self.options.texture_weight, self.options.attribute_weights),
+        }
+
+    def _shares_order(self, job: MeshJob) -> bool:
+        """True if levels of a mesh come from one ordering."""
+        pulled_back = self.options.pose_independent and self._skin_poses(job) is not None
+        return not (pulled_back or self._mirror(job) is not None)
+
+    def _order(
+        self, job: MeshJob, progress: Progress, seams: npt.NDArray[np.int32], shared: SharedOrder
+    ) -> warpqem.LevelOrder:
+        """The ordering that levels of a mesh share, made when it is first asked for."""
+        if shared.order is None:
+            shared.order = warpqem.order_levels(
+                job.frames,
+                job.faces,
+                target_faces=shared.least(len(job.mesh.faces)),
+                keep_frames=False,
+                max_size_error=self.options.size_limit,
+                seams=seams,
+                progress=progress,
+                **self._core_options(job),
+                **self._importance(job),
+            )
+        return shared.order
 
     def _mirror(self, job: MeshJob) -> Mirror | None:
         """How a mesh that is to stay symmetric maps to itself; None for one that is not."""
@@ -263,24 +295,67 @@ class Run:
                 raise
             return error.result
 
-    def _trial(self, prim: Usd.Prim, progress: Progress) -> CostCurve:
-        """How the error of a mesh grows on the way to as few faces as it can have."""
-        job = self._prepare(prim)
-        face_count = len(job.mesh.faces)
-        if face_count <= TRIAL_FACES:
-            return CostCurve(face_count, np.zeros(0), np.zeros(0, dtype=np.int64))
-        result = self._as_far_as_it_goes(job, progress, job.seams.hold(), NoFrames(), TRIAL_FACES)
-        return CostCurve.from_log(
-            face_count=face_count,
-            cost=result.log.cost,
-            faces_removed=result.log.faces_removed,
-            unit_length=result.diagonal * job.mesh.world_scale,
-            frame_count=len(result.key_frames),
-        )
+    def try_out(
+        self, prim: Usd.Prim, progress: Progress, shared: SharedOrder, least: int
+    ) -> tuple[MeshJob, warpqem.SimplifiedMesh | warpqem.LevelOrder | None]:
+        """Collapse the edges of a mesh as far as they may, to learn what that costs; nothing is written.
+
+        Args:
+            prim: The mesh.
+            progress: Called with the part done.
+            shared: Gets the ordering, unless levels cannot share one.
+            least: Faces to go down to.
+
+        Returns:
+            The mesh, and its ordering or result; None for a mesh that has no more faces.
+        """
+        job = self._prepare(prim, shared)
+        if len(job.mesh.faces) <= least:
+            return job, None
+        seams = job.seams.hold()
+        if self._shares_order(job):
+            return job, self._order(job, progress, seams, shared)
+        shared.job = None
+        return job, self._as_far_as_it_goes(job, progress, seams, NoFrames(), least)
+
+    def simplify_to(
+        self,
+        prim: Usd.Prim,
+        progress: Progress,
+        targets: Sequence[int],
+        varies: bool = False,
+        shared: SharedOrder | None = None,
+    ) -> None:
+        """Simplify a mesh to so many faces, one whose topology varies to so many in each of its runs."""
+        if varies:
+            simplify_runs(self, prim, progress, targets)
+        else:
+            self.simplify_constant(prim, progress, targets[0], shared)
 
     def _simplify_prim(
         self, prim: Usd.Prim, progress: Progress, target_faces: int | None, shared: SharedOrder | None = None
     ) -> None:
+        try:
+            self.simplify_constant(prim, progress, target_faces, shared)
+        except VaryingTopologyError:
+            if self.refuses_runs(prim):
+                raise
+            simplify_runs(self, prim, progress)
+
+    def refuses_runs(self, prim: Usd.Prim) -> bool:
+        """True of a mesh that is not to be simplified run by run if its topology varies over time."""
+        # UsdSkel has one topology of a mesh that it deforms.
+        return self.options.varying_topology == "refuse" or self.poses.poser(prim) is not None
+
+    def simplify_constant(
+        self, prim: Usd.Prim, progress: Progress, target_faces: int | None, shared: SharedOrder | None = None
+    ) -> None:
+        """Simplify a mesh with one topology into the layer.
+
+        Raises:
+            VaryingTopologyError: it has several.
+            WarpqemError: it cannot be done.
+        """
         job = self._prepare(prim, shared)
         report = self.reports[job.mesh.path]
         face_count = len(job.mesh.faces)
@@ -288,7 +363,8 @@ class Run:
             report.status, report.message = "kept", "the mesh has no faces"
             return
         if target_faces is None and self.options.ratio is not None:
-            target_faces = target_count(self.options.ratio, face_count)
+            least = 1 if self.options.size_limit is None else LEAST_FACES
+            target_faces = max(target_count(self.options.ratio, face_count), least)
         if target_faces is not None and target_faces >= face_count:
             report.status, report.message = "kept", "the mesh has no more faces than asked for"
             return
@@ -303,6 +379,8 @@ class Run:
                 report.dropped += job.seams.let_go(job.faces, result.face_map)
                 return
             report.status, report.message = "kept", f"nothing could be removed ({report.stopped})"
+            if report.stopped == "max_size_error":
+                report.message = self.kept_whole
         except WarpqemError:
             samples.discard()
             raise

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
@@ -14,8 +15,10 @@ from warpqem.screen import ScreenView
 from warpqem.usd.frames import FrameRange
 from warpqem.usd.option_checks import (
     AttributeWeights,
+    check_faces,
     check_lods,
     check_weights,
+    parse_faces,
     read_folders,
     read_frames,
     read_paths,
@@ -35,6 +38,7 @@ GOALS = ("ratio", "faces", "max_error", "screen", "lods")
 MorphWeights = Literal["thirds", "rank", "distance", "usage"]
 WeightScales = Literal["cost", "quadrics"]
 FeatureWeight = Literal["size", "root", "log", "bend"]
+VaryingTopology = Literal["runs", "refuse"]
 Axis = Literal["x", "y", "z", "auto"]
 # A dihedral angle changes by half a turn at most.
 ANGLE = Limits(0.0, 180.0)
@@ -45,11 +49,16 @@ class SimplifyOptions(MethodOptions):
     """How to simplify the meshes of a stage, with one of `ratio`, `faces`, `max_error`, `screen` and `lods`.
 
     Attributes:
-        faces: Triangles of all meshes together, split so that a face saves the same error on each.
+        faces: Triangles of all meshes together, or a share of them such as "25%", split so that a face saves the same
+            error on each.
         screen: Largest error of each mesh on a screen, at a distance in world units.
         lods: Ratios of levels of detail, each smaller than the one before, between 0 and 1. The output offers the input
             and one level for each ratio as variants LOD0, LOD1, ... of the root prim that holds the default prim.
         usd_lod: With `lods`, write the levels as prims below that root prim, with the schemas of UsdLod, instead.
+        max_size_error: With a ratio or a number of faces, a mesh stops above it where its error would pass so many % of
+            its bounding-box diagonal, see `warpqem.SimplifyOptions`; of two triangles none goes. 5, a twentieth of its
+            size, keeps cubes and cards whole, and lets meshes of some hundred triangles come down to a twentieth of
+            them. None or infinity for no limit.
         uv_weight: Weight of the error of texture coordinates in the order of collapses: at 1 an error of the whole UV
             square counts as much as one bounding-box diagonal, see `warpqem.AttributeField`; 0 does not look at them.
             None for the weight of the metric: 0.1 of "face", 0 of the others.
@@ -87,16 +96,28 @@ class SimplifyOptions(MethodOptions):
         bake: Write skinned and blend-shaped meshes as point samples without their skin.
         weld: Join points of a mesh that differ in nothing that moves them before simplifying; what else differs between
             them stays apart as faceVarying values.
+        varying_topology: "runs": a mesh whose topology varies over time is simplified run by run of constant topology,
+            to the goal in each; "refuse": it is left as it is, with an error.
+        varying_topology: "runs": a mesh whose topology varies over time is simplified run by run of constant topology,
+            to the goal in each; "refuse": it is left as it is, with an error.
         flatten: Write one self-contained file instead of a layer over the input.
         strict: Stop at the first mesh that cannot be done, also if it only misses its face count, and write nothing.
     """
 
-    faces: int | None = option(
+    faces: int | str | None = option(
         None,
-        "Triangles of all meshes together; each mesh gets its part by what its faces are worth.",
-        "FACES",
-        COUNT,
+        "Triangles of all meshes together, such as 5000, or a share of them, such as 25%; each mesh gets its part by "
+        "what its faces are worth. What to take for stages of many meshes.",
+        "COUNT",
         basic=True,
+        parse=parse_faces,
+    )
+    max_size_error: float | None = option(
+        5.0,
+        "With --ratio, --faces and --lods: a mesh stops where its error would pass so many % of its bounding-box "
+        "diagonal, so that cards and boxes are not destroyed for a face count; inf for no limit.",
+        "PCT",
+        Limits(0.0, open_low=True, infinite=True),
     )
     screen: ScreenView | None = option(None, "")
     lods: tuple[float, ...] = option(
@@ -230,6 +251,11 @@ class SimplifyOptions(MethodOptions):
     bake: bool = option(
         False, "Write skinned and blend-shaped meshes as point samples, without their skin.", basic=True
     )
+    varying_topology: VaryingTopology = option(
+        "runs",
+        "Meshes whose topology varies over time: simplify each run of constant topology over its frames, to the goal "
+        "in each; or leave them as they are, with an error.",
+    )
     weld: bool = option(True, "Join points that lie together in every frame, such as those split at UV seams.")
     flatten: bool = option(False, "Write one self-contained file instead of a layer over IN.", basic=True)
     strict: bool = option(False, "Stop at the first mesh that cannot be done, and write nothing.")
@@ -245,6 +271,8 @@ class SimplifyOptions(MethodOptions):
                 f"ratio must be in (0, 1], got {self.ratio:g}; for {self.ratio:g} % give {self.ratio / 100:g}"
             )
         check_options(self)
+        if self.faces is not None:
+            check_faces(self.faces)
         if self.memory is not None:
             from warpqem.memory import parse_bytes
 
@@ -289,6 +317,12 @@ class SimplifyOptions(MethodOptions):
 
         chosen: dict[str, Any] = {"weight": self.face_weight, "ring": self.face_ring, "keep": self.face_keep}
         return FaceProtection(features, **{name: value for name, value in chosen.items() if value is not None})
+
+    @property
+    def size_limit(self) -> float | None:
+        """`max_size_error` for `warpqem.simplify`; None where it limits nothing, as an infinite one."""
+        limit = self.max_size_error
+        return None if limit is None or math.isinf(limit) else limit
 
     @property
     def texture_weight(self) -> float:

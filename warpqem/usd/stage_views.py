@@ -12,16 +12,20 @@ __all__ = ["is_as_on_disk", "layer_name", "open_like", "private_view", "unopened
 PRIMS = frozenset({"primChildren", "subLayers", "subLayerOffsets"})
 
 
-def open_like(stage: Usd.Stage, root: Sdf.Layer, session: Sdf.Layer | None) -> Usd.Stage:
+def open_like(
+    stage: Usd.Stage, root: Sdf.Layer, session: Sdf.Layer | None, mask: Usd.StagePopulationMask | None = None
+) -> Usd.Stage:
     """A stage of other layers that loads, populates and resolves as a stage does.
 
     Args:
         stage: The stage.
         root: Root layer of the new one.
         session: Session layer of the new one, which shares it; None for a new one.
+        mask: What the new one shows; None for what the other does.
     """
     session = session or Sdf.Layer.CreateAnonymous("session.usda")
-    context, mask = stage.GetPathResolverContext(), stage.GetPopulationMask()
+    context = stage.GetPathResolverContext()
+    mask = mask or stage.GetPopulationMask()
     if mask == Usd.StagePopulationMask.All():
         opened = Usd.Stage.Open(root, session, context, Usd.Stage.LoadNone)
     else:

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from pxr import Usd, UsdGeom
 
 from warpqem.edges import edge_key
-from warpqem.errors import StageError
+from warpqem.errors import StageError, VaryingTopologyError
 
 __all__ = ["Topology", "fan_triangulate", "read_topology"]
 
@@ -107,8 +107,9 @@ def read_topology(mesh: UsdGeom.Mesh, point_count: int) -> Topology:
         point_count: Number of points the faces may refer to.
 
     Raises:
-        StageError: faceVertexCounts or faceVertexIndices is missing, blocked, inconsistent, out of range, or changes
-            over time; the message names prim, attribute and time.
+        StageError: faceVertexCounts or faceVertexIndices is missing, blocked, inconsistent or out of range; the message
+            names prim, attribute and time.
+        VaryingTopologyError: one of them changes over time.
     """
     counts = _constant_array(mesh.GetFaceVertexCountsAttr())
     indices = _constant_array(mesh.GetFaceVertexIndicesAttr())
@@ -160,7 +161,7 @@ def _constant_array(attribute: Usd.Attribute) -> npt.NDArray[np.int32]:
         if first is None:
             first = array
         elif not np.array_equal(first, array):
-            raise StageError(
+            raise VaryingTopologyError(
                 f"{attribute.GetPath()}: changes at time {_name(time)}; "
                 "a mesh whose topology varies over time cannot be simplified"
             )

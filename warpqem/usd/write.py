@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import weakref
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -151,9 +151,14 @@ class OverLayer:
             path: Prim path of a mesh on the input.
             times: Time code of each frame, None for one frame at the default time.
         """
-        return PointSamples(UsdGeom.Mesh(self.stage.OverridePrim(path)), times, self._count_sample)
+        return PointSamples(UsdGeom.Mesh(self.stage.OverridePrim(path)), times, self.count_sample)
 
-    def _count_sample(self, size: int) -> None:
+    @property
+    def dropped(self) -> list[Dropped]:
+        """What was taken off each mesh."""
+        return self._dropped
+
+    def count_sample(self, size: int) -> None:
         """Save the layer now and then: what is saved is let go of by USD, and read from the file when asked for."""
         self._unsaved += size
         self._samples += 1
@@ -204,11 +209,11 @@ class OverLayer:
             drop_skin(prim, dropped)
         else:
             write_skin(self.stage, prim, skin, carrier)
-        carry_primvars(prim, carrier, dropped, self._count_sample)
+        carry_primvars(prim, carrier, dropped, self.count_sample)
         if with_normals:
-            carry_normals(mesh, carrier, dropped, self._count_sample)
-        carry_motion(prim, carrier, times or [], dropped, self._count_sample)
-        carry_arrays(prim, carrier, dropped, self._count_sample)
+            carry_normals(mesh, carrier, dropped, self.count_sample)
+        carry_motion(prim, carrier, times or [], dropped, self.count_sample)
+        carry_arrays(prim, carrier, dropped, self.count_sample)
         carry_subsets(mesh, carrier, dropped)
         drop_subdivision(mesh, dropped)
         return dropped
@@ -238,14 +243,19 @@ class OverLayer:
         return lines
 
     def set_vertex_colors(
-        self, path: str, times: list[float] | None, colors: npt.NDArray[np.float32], interpolation: str = "vertex"
+        self,
+        path: str,
+        times: list[float] | None,
+        colors: Sequence[npt.NDArray[np.float32]] | npt.NDArray[np.float32],
+        interpolation: str = "vertex",
     ) -> None:
         """Author `primvars:displayColor` on a mesh, one colour per authored point.
 
         Args:
             path: Prim path of a mesh on the input.
             times: Time code of each frame of colours, None for one set of colours at the default time.
-            colors: float32, shape (F, authored point count, 3), linear Rec. 709.
+            colors: float32, shape (F, authored point count, 3), linear Rec. 709; a list of arrays where the number of
+                points changes.
             interpolation: Interpolation of the primvar.
         """
         mesh = UsdGeom.Mesh(self.stage.OverridePrim(path))
@@ -310,7 +320,10 @@ def _create_layer(folder: Path) -> Sdf.Layer:
 
 
 def _author(
-    attribute: Usd.Attribute, times: list[float] | None, values: npt.NDArray[np.float32], hides_default: bool
+    attribute: Usd.Attribute,
+    times: list[float] | None,
+    values: Sequence[npt.NDArray[np.float32]] | npt.NDArray[np.float32],
+    hides_default: bool,
 ) -> None:
     """Author one array per frame; a stale default value of a weaker layer is replaced by the first frame."""
     arrays = [Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(value)) for value in values]
