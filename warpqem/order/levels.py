@@ -57,7 +57,7 @@ class OrderedLevels:
     @property
     def held_bytes(self) -> int:
         """Bytes of the states that it keeps, on the host and on the device."""
-        nodes = sum(part.position.nbytes + part.quadric.nbytes for part in self._passes)
+        nodes = sum(part.held_bytes for part in self._passes)
         arrays = (self._position, self._quadric, self._ordered.position, self._ordered.quadric)
         return nodes + sum(array.capacity for array in (*arrays, self._ordered.key_position))
 

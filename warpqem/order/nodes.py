@@ -32,6 +32,12 @@ class PassNodes:
     scale: np.ndarray | None = None
     added: tuple[tuple[np.ndarray, np.ndarray], ...] = ()
 
+    @property
+    def held_bytes(self) -> int:
+        """Bytes of its arrays."""
+        arrays = [self.row, self.position, self.quadric, self.scale, *(array for pair in self.added for array in pair)]
+        return sum(array.nbytes for array in arrays if array is not None)
+
 
 class NodeRecorder:
     """Keeps the merged vertices of every pass.

@@ -10,8 +10,8 @@ from pathlib import Path
 from pxr import Usd
 
 import warpqem
-from warpqem.arguments import target_count
 from warpqem.memory import MemoryPlan
+from warpqem.options import target_count
 from warpqem.usd.job import MeshJob
 from warpqem.usd.simplify_options import SimplifyOptions
 from warpqem.usd.stage import MeshSelection
