@@ -8,9 +8,9 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
-from pxr import Sdf, Usd, UsdGeom
+from pxr import Sdf, Tf, Usd, UsdGeom
 
-from warpqem.errors import StageError
+from warpqem.errors import StageError, WarpqemError
 from warpqem.measure import topology
 from warpqem.outputs import OutputFile
 from warpqem.usd.input_files import check_stage_outputs
@@ -102,7 +102,7 @@ def inspect_with_problems(
     with usd_errors_named(path, reading=True):
         poses = StagePoses(stage)
         selection = find_meshes(stage)
-        infos = [_inspect(prim, poses) for prim in selection.prims]
+        infos = [_inspect_any(prim, poses) for prim in selection.prims]
     infos += [MeshInfo(proxy, problems=[str(error)]) for proxy, error in selection.refused]
     return infos, problems
 
@@ -132,6 +132,17 @@ def _inspect(prim: Usd.Prim, poses: StagePoses) -> MeshInfo:
         info.problems.append(str(error))
     _find_wrong_lengths(info, source)
     return info
+
+
+def _inspect_any(prim: Usd.Prim, poses: StagePoses) -> MeshInfo:
+    """The same, also where that fails in a way that is not foreseen: the other meshes have no part in it."""
+    try:
+        return _inspect(prim, poses)
+    except (WarpqemError, MemoryError, Tf.ErrorException):
+        raise
+    except Exception as error:
+        what = " ".join(f"{type(error).__name__}: {error}".split())
+        return MeshInfo(str(prim.GetPath()), problems=[f"{prim.GetPath()}: unexpected error while reading it: {what}"])
 
 
 def _describe_source(info: MeshInfo, source: MeshSource) -> None:
