@@ -15,13 +15,13 @@ from warpqem.frame_stream import FrameSource, held_bytes
 from warpqem.importance import lock_mask, read_quadric_scale, read_weights
 from warpqem.mesh_input import MeshInput
 from warpqem.order.stage import OrderedMesh, faces_left
-from warpqem.repair.topology import TopologyFindings, TopologyRepair, repair_topology
+from warpqem.repair.topology import TopologyFindings, repair_topology
 from warpqem.seams import read_seams, seam_ends
 
 if TYPE_CHECKING:
     from warpqem.arguments import SimplifyOptions
 
-__all__ = ["MeshRepair", "faces_for", "repaired_mesh", "repaired_options"]
+__all__ = ["MeshRepair", "face_repair", "faces_for", "repaired_mesh", "repaired_options"]
 
 
 @dataclass(frozen=True)
@@ -88,6 +88,13 @@ class MeshRepair:
         """How many faces these are."""
         return len(face_map) + int(self.is_double[face_map].sum())
 
+    def back_corners(self) -> tuple[np.ndarray, np.ndarray]:
+        """Corners of the caller's faces, 0 to 3N, at the same vertex on the front and on the back: two (K,) int."""
+        front, back = self.face_index[self.is_double], self.back[self.is_double]
+        match = self.sheets[front][:, :, None] == self.sheets[back][:, None, :] - len(self.vertex)
+        corners = np.arange(3) + 3 * front[:, None].astype(np.int64)
+        return corners.ravel(), (3 * back[:, None].astype(np.int64) + match.argmax(axis=2)).ravel()
+
     def edges(self, pairs: Any, faces: np.ndarray) -> np.ndarray:
         """The edges (E, 2) of mended faces (M, 3) between the copies of pairs (S, 2) of the caller's vertices."""
         ends = seam_ends(pairs, self.vertex_count)
@@ -122,36 +129,49 @@ class SplitFrames:
 
 def repaired_mesh(mesh: MeshInput, device: str) -> MeshInput:
     """The same mesh where its topology is fit for decimation, else one with the topology mended, and its ``repair``."""
-    mended = None if mesh.repair is not None else repair_topology(mesh.faces, mesh.vertex_count, device)
-    if mended is None:
+    if mesh.repair is not None:
         return mesh
-    kept, back = mesh.face_index[mended.kept], np.where(mended.back >= 0, mesh.face_index[mended.back], np.int32(-1))
-    repair = MeshRepair(
-        vertex=mended.vertex,
-        sheets=_sheets(mesh, mended),
-        vertex_count=mesh.vertex_count,
-        face_index=kept,
-        back=back,
-        turned=mended.turned,
-        findings=mended.findings,
-    )
-    used = np.zeros(len(mended.vertex), dtype=bool)
-    used[mended.faces] = True
-    is_split = len(mended.vertex) > mesh.vertex_count
-    source = SplitFrames(mesh.source, mended.vertex) if is_split else mesh.source
-    return MeshInput(source, mended.faces, kept, mesh.input_face_count, used, repair=repair)
+    repair = _repair(mesh.faces, mesh.face_index, mesh.input_face_count, mesh.vertex_count, device)
+    if repair is None:
+        return mesh
+    faces, used = np.ascontiguousarray(repair.faces), np.zeros(len(repair.vertex), dtype=bool)
+    used[faces] = True
+    is_split = len(repair.vertex) > mesh.vertex_count
+    source = SplitFrames(mesh.source, repair.vertex) if is_split else mesh.source
+    return MeshInput(source, faces, repair.face_index, mesh.input_face_count, used, repair=repair)
 
 
-def _sheets(mesh: MeshInput, mended: TopologyRepair) -> np.ndarray:
-    sheets = np.full((mesh.input_face_count, 3), -1, dtype=np.int32)
+def face_repair(faces: np.ndarray, vertex_count: int, device: str = "cpu") -> MeshRepair | None:
+    """What simplifying is going to mend of faces (N, 3) int32 that may name a vertex twice; None for nothing."""
+    proper = np.flatnonzero((faces != np.roll(faces, -1, axis=1)).all(axis=1)).astype(np.int32)
+    if not len(proper):
+        return None
+    return _repair(np.ascontiguousarray(faces[proper]), proper, len(faces), vertex_count, device)
+
+
+def _repair(
+    faces: np.ndarray, face_index: np.ndarray, input_face_count: int, vertex_count: int, device: str
+) -> MeshRepair | None:
+    mended = repair_topology(faces, vertex_count, device)
+    if mended is None:
+        return None
+    sheets = np.full((input_face_count, 3), -1, dtype=np.int32)
     own = np.where(mended.turned[:, None], mended.faces[:, ::-1], mended.faces)
-    sheets[mesh.face_index[mended.kept]] = own
+    sheets[face_index[mended.kept]] = own
     double = np.flatnonzero(mended.back >= 0)
     back = mended.back[double]
     # The corner of the front at the same vertex of the input, for each corner of the back.
-    match = mended.vertex[own[double]][:, None, :] == mesh.faces[back][:, :, None]
-    sheets[mesh.face_index[back]] = len(mended.vertex) + np.take_along_axis(own[double], match.argmax(axis=2), axis=1)
-    return sheets
+    match = mended.vertex[own[double]][:, None, :] == faces[back][:, :, None]
+    sheets[face_index[back]] = len(mended.vertex) + np.take_along_axis(own[double], match.argmax(axis=2), axis=1)
+    return MeshRepair(
+        vertex=mended.vertex,
+        sheets=sheets,
+        vertex_count=vertex_count,
+        face_index=face_index[mended.kept],
+        back=np.where(mended.back >= 0, face_index[mended.back], np.int32(-1)),
+        turned=mended.turned,
+        findings=mended.findings,
+    )
 
 
 def repaired_options(options: SimplifyOptions, given: MeshInput, mended: MeshInput) -> SimplifyOptions:

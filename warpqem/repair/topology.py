@@ -14,6 +14,10 @@ from warpqem.repair.pairing import Pairs, distinct_faces, pair_faces, turned_fac
 
 __all__ = ["TopologyFindings", "TopologyRepair", "repair_topology"]
 
+# Sheets stay joined where no more than this part of the vertices has several, as these then keep their place: of the
+# vertices of a mesh with a tenth of its faces they are a tenth.
+HELD_SHARE = 0.01
+
 
 @dataclass(frozen=True)
 class TopologyFindings:
@@ -24,8 +28,9 @@ class TopologyFindings:
         double_sided_faces: faces with the vertices of an earlier one and the other winding. They stay, as the back of
             a sheet with two sides.
         turned_faces: faces whose winding was not that of most faces around. They are turned over.
-        branching_edges: edges with more than two faces, both sides of one counted once. The surface is cut there.
-        touching_vertices: vertices where parts of the surface meet in nothing but this point. They are cut too.
+        branching_edges: edges with more than two faces, both sides of one counted once.
+        touching_vertices: vertices where parts of the surface meet in nothing but this point.
+        is_cut: whether the surface was cut at these edges and vertices; otherwise they keep their place.
     """
 
     repeated_faces: int = 0
@@ -33,15 +38,17 @@ class TopologyFindings:
     turned_faces: int = 0
     branching_edges: int = 0
     touching_vertices: int = 0
+    is_cut: bool = False
 
     def lines(self) -> list[str]:
         """The same in words, one line for each kind that was found."""
+        what_then = "cut" if self.is_cut else "held in place"
         words = {
             "faces that repeat another, left out": self.repeated_faces,
             "faces on the back of another, kept as its other side": self.double_sided_faces,
             "faces wound unlike most around them, turned over": self.turned_faces,
-            "edges with more than two faces, cut": self.branching_edges,
-            "vertices where surfaces touch in a point, cut": self.touching_vertices,
+            f"edges with more than two faces, {what_then}": self.branching_edges,
+            f"vertices where surfaces touch in a point, {what_then}": self.touching_vertices,
         }
         return [f"{what}: {count}" for what, count in words.items() if count]
 
@@ -70,9 +77,10 @@ class TopologyRepair:
 def repair_topology(faces: np.ndarray, vertex_count: int, device: str) -> TopologyRepair | None:
     """Mend the topology of faces (N, 3) int32, each with three different vertices; None where nothing is to mend.
 
-    Faces that repeat another one are left out; connected parts get one winding, that of most of their faces; and edges
-    and vertices where more than one sheet of the surface meets are cut, each sheet with copies of the vertices. What a
-    surface with one side only, such as a Möbius strip, keeps of unlike winding stays as it is.
+    Faces that repeat another one are left out, and connected parts get one winding, that of most of their faces. Edges
+    and vertices where more than one sheet of the surface meets are cut, each sheet with copies of the vertices, unless
+    they are so few that decimation can go around them. What a surface with one side only, such as a Möbius strip, keeps
+    of unlike winding stays as it is.
     """
     if _is_clean(faces, vertex_count, device):
         return None
@@ -84,12 +92,17 @@ def repair_topology(faces: np.ndarray, vertex_count: int, device: str) -> Topolo
     turned = turned_faces(pairs, ~double)
     fan = _fans(len(corner), pairs)
     split, vertex = _split_vertices(corner, fan, vertex_count)
+    joined = len(np.unique(vertex[vertex_count:]))
+    is_cut = joined > HELD_SHARE * len(np.unique(corner))
+    if not is_cut:
+        split, vertex = corner.copy(), np.arange(vertex_count, dtype=np.int32)
     findings = TopologyFindings(
         distinct.repeated,
         int(double.sum()),
         int((turned & ~double).sum()),
         len(pairs.branching),
         _touching(corner, fan, pairs.branching),
+        is_cut,
     )
     split[turned] = split[turned][:, ::-1]
     # Turned over, a face with two sides is its other side.

@@ -13,6 +13,7 @@ from pxr import Sdf, Tf, Usd, UsdGeom
 from warpqem.errors import StageError, WarpqemError
 from warpqem.measure import topology
 from warpqem.outputs import OutputFile
+from warpqem.repair.mesh import face_repair
 from warpqem.usd.input_files import check_stage_outputs
 from warpqem.usd.mesh import MeshSource
 from warpqem.usd.skel import StagePoses
@@ -166,6 +167,9 @@ def _describe_source(info: MeshInfo, source: MeshSource) -> None:
         info.border_edges, info.non_manifold_edges = figures.border_edges, figures.non_manifold_edges
         counts["non-manifold vertices"] = figures.non_manifold_vertices
         counts["triangles that repeat another"] = figures.repeated_faces
+        repair = face_repair(source.topology.triangles, source.point_count)
+        if repair is not None:
+            counts["triangles wound unlike most around them"] = repair.findings.turned_faces
     else:
         info.problems.append("no faces")
     info.problems += [f"{what}: {count}" for what, count in counts.items() if count]

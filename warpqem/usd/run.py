@@ -176,6 +176,8 @@ class Run:
         report.vertices_before = report.vertices_after = len(job.mesh.used_points)
         with usd_errors_named(job.mesh.path, reading=True):
             report.problems = find_odd_values(job.source)
+        if job.repair is not None:
+            report.problems += [f"{job.mesh.path}: {line}" for line in job.repair.findings.lines()]
         return job
 
     def _reading(self) -> ReadOptions:
@@ -289,10 +291,16 @@ class Run:
         if face_count <= TRIAL_FACES:
             return CostCurve(face_count, np.zeros(0), np.zeros(0, dtype=np.int64))
         result = self._as_far_as_it_goes(job, progress, job.seams.hold(), NoFrames(), TRIAL_FACES)
+        removed = result.log.faces_removed
+        if job.repair is not None:
+            # Repeats go for nothing, and the backs of faces with them.
+            base = len(job.repair.face_index)
+            face_count = job.repair.count_with_backs(np.arange(base))
+            removed = np.diff(np.cumsum(removed, dtype=np.int64) * face_count // base, prepend=0)
         return CostCurve.from_log(
             face_count=face_count,
             cost=result.log.cost,
-            faces_removed=result.log.faces_removed,
+            faces_removed=removed,
             unit_length=result.diagonal * job.mesh.world_scale,
             frame_count=len(result.key_frames),
         )
@@ -317,7 +325,7 @@ class Run:
             with usd_errors_named(job.mesh.path):
                 result = self._result(job, progress, fitter or samples, target_faces, shared)
             report.stopped = result.stopped
-            if len(result.log) or result.components_removed:
+            if len(result.log) or len(result.faces) < face_count:
                 self._write(job, samples, fitter, result, report)
                 report.dropped += job.seams.let_go(job.faces, result.face_map)
                 return
