@@ -88,7 +88,9 @@ def star_polygons(draw):
     radius = random.uniform(0.2, 1.0, count)
     ring = np.stack([np.cos(angle) * radius, np.sin(angle) * radius, 0 * angle], axis=1)
     for place in random.integers(count, size=draw(st.integers(0, 5))):
-        ring = np.insert(ring, place + 1, ring[place] + random.choice([0, 0.5]) * (ring[place - count + 1] - ring[place]), 0)
+        ring = np.insert(
+            ring, place + 1, ring[place] + random.choice([0, 0.5]) * (ring[place - count + 1] - ring[place]), 0
+        )
     ring[:, 2] = draw(st.sampled_from([0.0, 0.1])) * ring[:, 0] * ring[:, 1]
     return ring.astype(np.float32)
 
