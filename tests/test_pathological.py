@@ -107,8 +107,8 @@ def test_spine_with_three_faces_on_each_edge_does_not_block(device):
     mesh = meshes.book(3, 8)
     result = assert_not_worse(mesh, device, target_faces=12)
     assert len(result.faces) <= 12
-    # The pages still reach it, and their rims lie where they did.
-    assert compare(*mesh, result.points, result.faces, device=device).hausdorff < 0.1
+    # The pages still reach it, and their rims lie where they did, in % of the diagonal.
+    assert compare(*mesh, result.points, result.faces, device=device).hausdorff < 0.5
 
 
 def test_sheets_that_touch_all_along_an_edge_do_not_block(device):
