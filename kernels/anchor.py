@@ -171,5 +171,12 @@ def fit_anchor_weights(
     for i in range(n):
         weight_out[first + i] = weight_out[first + i] / sum
     share = share_within_reach(member_in, key_position_in, weight_out, first, n)
+    finite = wp.isfinite(share)
     for i in range(n):
         weight_out[first + i] = share * weight_out[first + i] + (1.0 - share) / wp.float32(n)
+        finite = finite and wp.isfinite(weight_out[first + i])
+    # Of points nearly in one place the matrix is what rounding left of the quadric's constant, which may be negative:
+    # its inverse overflows. Any weights give the same place.
+    if not finite:
+        for i in range(n):
+            weight_out[first + i] = 1.0 / wp.float32(n)

@@ -14,7 +14,7 @@ from pxr import Sdf, Tf, Usd, UsdGeom, Vt
 from test_usd_stages import cloth_stage, skinned_stage
 
 import warpqem
-from warpqem.errors import DegenerateMeshError, StageError, UnreachableTargetError
+from warpqem.errors import DegenerateMeshError, StageError
 from warpqem.usd import SimplifyOptions, inspect_stage, simplify_stage
 from warpqem.usd.usd_errors import first_line, usd_errors_named
 
@@ -153,10 +153,9 @@ def test_primvar_that_is_only_called_like_one_of_a_skin_is_carried(tmp_path):
 def test_refit_does_not_send_vertices_far_off_where_few_faces_are_left():
     points, faces = meshes.book(3, 3)
     faces = faces[:30]
-    with pytest.raises(UnreachableTargetError) as raised:
-        warpqem.simplify(points, faces, target_faces=2, metric="qem", refit=True, device="cpu")
+    result = warpqem.simplify(points, faces, target_faces=2, metric="qem", refit=True, device="cpu")
     reach = np.linalg.norm(np.ptp(points, axis=0))
-    assert np.abs(raised.value.result.points).max() < np.abs(points).max() + reach
+    assert np.abs(result.points).max() < np.abs(points).max() + reach
 
 
 @pytest.mark.parametrize("missing", ["/Root", "/Root/Cloth", "/Root/Cloth.points"])

@@ -248,3 +248,31 @@ def test_nearest_vertices_come_first_and_equal_ones_in_their_order(most, device)
         members = np.flatnonzero(cluster == c)
         expected = members[np.argsort(distance[members], kind="stable")][:most]
         np.testing.assert_array_equal(chosen.numpy()[start[c] : start[c + 1]], expected)
+
+
+def test_nearly_coincident_cluster_gets_equal_weights(device):
+    """What rounding leaves of its quadric may be a negative constant, which no inverse survives."""
+    members = np.arange(6)
+    points = (0.1 + 1e-8 * np.arange(18).reshape(1, 6, 3)).astype(np.float32)
+    quadric = np.zeros((6, 1, 10), dtype=np.float32)
+    quadric[0, 0] = [7.5e-2, -3.8e-2, -6e-3, 2.2e-2, -3e-4, 1.5e-2, 0, 0, 0, -1.4e-10]
+    row = wp.zeros(1, dtype=wp.int32, device=device)
+    ordered = packed(points, device)
+    weight = wp.zeros(6, dtype=wp.float32, device=device)
+    wp.launch(
+        fit_anchor_weights[width_of(ordered)],
+        dim=1,
+        inputs=[
+            row,
+            wp.array([0, 6], dtype=wp.int32, device=device),
+            wp.array(members, dtype=wp.int32, device=device),
+            row,
+            ordered,
+            ordered,
+            packed_quadrics(quadric, ordered),
+            wp.full(1, 0.02, dtype=wp.float32, device=device),
+        ],
+        outputs=[wp.zeros(21, dtype=wp.float32, device=device), weight],
+        device=device,
+    )
+    np.testing.assert_allclose(weight.numpy(), 1 / 6, rtol=1e-6)

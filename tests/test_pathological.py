@@ -7,7 +7,7 @@ from oracles.topology import euler
 
 import warpqem
 from warpqem.errors import UnreachableTargetError
-from warpqem.measure import topology
+from warpqem.measure import compare, topology
 
 
 def simplified(mesh, device, **options):
@@ -20,11 +20,10 @@ def simplified(mesh, device, **options):
 
 
 def assert_not_worse(mesh, device, **options):
-    """The result of halving, after a check that it is valid wherever the input was."""
+    """The result of halving, after a check that it is valid wherever the input was once its topology was mended."""
     points, faces = mesh
-    proper = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
     result = simplified(mesh, device, **options)
-    before, after = topology(proper), topology(result.faces)
+    before, after = topology(mended(faces, result)), topology(result.faces)
     assert after.non_manifold_edges <= before.non_manifold_edges
     assert after.non_manifold_vertices <= before.non_manifold_vertices
     assert after.repeated_faces <= before.repeated_faces
@@ -34,6 +33,13 @@ def assert_not_worse(mesh, device, **options):
     np.testing.assert_array_equal(np.unique(result.faces), np.arange(result.points.shape[1]))
     assert result.vertex_map.shape == (points.shape[-2],)
     return result
+
+
+def mended(faces, result):
+    """The faces that were simplified, with those on their backs."""
+    if result.repair is not None:
+        return result.repair.with_backs(result.repair.faces, np.arange(len(result.repair.faces)))[0]
+    return faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
 
 
 def frozen_stay(mesh, result, vertices):
@@ -65,14 +71,22 @@ def test_two_triangles_back_to_back_stay(device):
 
 def test_bow_tie_stays(device):
     mesh = meshes.bow_tie()
-    assert frozen_stay(mesh, assert_not_worse(mesh, device), [0])
+    result = assert_not_worse(mesh, device, keep_components=True)
+    np.testing.assert_array_equal(result.points[0][result.faces], mesh[0][mesh[1]])
 
 
-def test_tip_of_a_double_cone_stays(device):
+def test_double_cone_comes_apart_at_its_tip(device):
     mesh = meshes.double_cone(24)
     result = assert_not_worse(mesh, device)
-    assert frozen_stay(mesh, result, [0])
     assert len(result.faces) == 24
+    assert topology(result.faces).components == 2
+
+
+def test_tips_that_few_vertices_are_stay_joined(device):
+    mesh = meshes.welded(meshes.joined(meshes.icosphere(3), meshes.icosphere(3), spacing=1.0), {642: 0, 643: 1})
+    result = assert_not_worse(mesh, device, target_faces=60)
+    assert frozen_stay(mesh, result, [0, 1])
+    assert topology(result.faces).components == 1
 
 
 def test_spheres_that_share_a_vertex(device):
@@ -89,11 +103,26 @@ def test_spheres_that_share_an_edge(device):
     assert len(assert_not_worse(mesh, device).faces) == 320
 
 
-def test_spine_with_three_faces_on_each_edge_stays(device):
+def test_spine_with_three_faces_on_each_edge_does_not_block(device):
     mesh = meshes.book(3, 8)
-    result = assert_not_worse(mesh, device)
-    assert frozen_stay(mesh, result, np.flatnonzero(mesh[0][: 9 * 9, 0] == 0))
-    assert 191 <= len(result.faces) <= 192
+    result = assert_not_worse(mesh, device, target_faces=12)
+    assert len(result.faces) <= 12
+    # The pages still reach it, and their rims lie where they did, in % of the diagonal.
+    assert compare(*mesh, result.points, result.faces, device=device).hausdorff < 0.5
+
+
+def test_sheets_that_touch_all_along_an_edge_do_not_block(device):
+    points, faces = meshes.grid(12, 12)
+    crossing = points[:, [0, 2, 1]] + np.array([0, points[:, 1].max() / 2, -points[:, 1].max() / 2], dtype=np.float32)
+    joined = np.concatenate([points, crossing])
+    place = np.unique(joined.round(5), axis=0, return_inverse=True)[1].ravel()
+    corners = np.concatenate([faces, faces + len(points)])
+    first = np.unique(place, return_index=True)[1]
+    mesh = joined[first].astype(np.float32), place[corners].astype(np.int32)
+    assert topology(mesh[1]).non_manifold_edges == 12
+    result = assert_not_worse(mesh, device, target_faces=len(corners) // 20)
+    assert len(result.faces) <= len(corners) // 20
+    assert compare(*mesh, result.points, result.faces, device=device).hausdorff < 0.5
 
 
 def fin(size):
@@ -106,7 +135,7 @@ def fin(size):
 
 
 def test_inner_vertices_collapse_into_those_that_are_not_manifold(device):
-    mesh, ends = fin(12)
+    mesh, ends = fin(16)
     result = assert_not_worse(mesh, device, target_faces=20)
     assert len(result.faces) <= 20
     assert frozen_stay(mesh, result, ends)
@@ -131,7 +160,7 @@ def glued(seed):
 def test_glued_meshes_keep_their_euler_number(seed, device):
     mesh = glued(seed)
     result = assert_not_worse(mesh, device, target_faces=len(mesh[1]) // 10, keep_components=True)
-    assert euler(result.faces) == euler(mesh[1])
+    assert euler(result.faces) == euler(mended(mesh[1], result))
 
 
 def test_moebius_strip(device):

@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pxr import UsdGeom, Vt
+from test_usd_stages import cloth_stage, quad_grid
 
+from warpqem.usd import SimplifyOptions, simplify_stage
 from warpqem.usd.budget import CostCurve, split_budget
 
 
@@ -68,3 +71,17 @@ def test_no_collapse_left_is_cheaper_than_one_made(curves, budget):
         made += marginal[:steps].tolist()
         left += marginal[steps:].tolist()
     assert max(made) <= min(left)
+
+
+def test_budget_reaches_the_two_faces_of_a_flat_sheet(tmp_path):
+    stage = cloth_stage(tmp_path / "in.usda")
+    stage.RemovePrim("/Root/Cloth")
+    points, counts, indices = quad_grid(6)
+    mesh = UsdGeom.Mesh.Define(stage, "/Root/Sheet")
+    mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(points))
+    mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(counts))
+    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(indices))
+    stage.Save()
+    options = SimplifyOptions(faces=2, device="cpu")
+    [prim] = simplify_stage(tmp_path / "in.usda", tmp_path / "out.usda", options).prims
+    assert (prim.faces_after, prim.stopped) == (2, "target")

@@ -12,6 +12,7 @@ from usd_checks import check_stage, compare_properties
 
 from warpqem.errors import StageError
 from warpqem.usd import SimplifyOptions, simplify_stage
+from warpqem.usd.inspect import inspect_stage
 
 POINTS, _, INDICES = quad_grid(6)
 FACES = INDICES.reshape(-1, 4)[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3).tolist()
@@ -135,3 +136,65 @@ def test_points_that_change_in_number_under_the_same_faces_are_named(tmp_path):
     options = SimplifyOptions(ratio=0.5, device="cpu", varying_topology="refuse")
     [failed] = simplify_stage(tmp_path / "in.usda", tmp_path / "out.usda", options).failed
     assert str(failed.message).startswith(f"{VARYING}.points: 82 points at time 2, 81 before")
+
+
+def both_sides(path: Path) -> None:
+    """A grid whose faces are there twice, the second time turned over, with colours, UVs and a subset of each side."""
+    stage = cloth_stage(path)
+    stage.RemovePrim(FLAW)
+    mesh = UsdGeom.Mesh.Define(stage, FLAW)
+    mesh.CreateSubdivisionSchemeAttr("none")
+    faces = np.array([*FACES, *[face[::-1] for face in FACES]])
+    count = len(FACES)
+    mesh.CreateFaceVertexCountsAttr([3] * len(faces))
+    mesh.CreateFaceVertexIndicesAttr(faces.ravel().tolist())
+    mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(waves(POINTS, 1)[0]))
+    primvars = UsdGeom.PrimvarsAPI(mesh)
+    colours = np.repeat(np.float32([[1, 0, 0], [0, 0, 1]]), count, axis=0)
+    primvars.CreatePrimvar("displayColor", Sdf.ValueTypeNames.Color3fArray, "uniform").Set(colours)
+    sides = np.repeat(np.float32([0, 10]), 3 * count)
+    corners = POINTS[faces.ravel(), :2] + sides[:, None]
+    primvars.CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, "faceVarying").Set(
+        Vt.Vec2fArray.FromNumpy(np.ascontiguousarray(corners, dtype=np.float32))
+    )
+    UsdGeom.Subset.CreateGeomSubset(mesh, "Back", "face", list(range(count, 2 * count)))
+    stage.Save()
+
+
+@pytest.mark.parametrize("options", [{"ratio": 0.3}, {"faces": 40}, {"lods": (0.3,)}])
+def test_each_side_of_a_double_sheet_keeps_its_own_values(options, tmp_path):
+    both_sides(tmp_path / "in.usda")
+    report = simplify_stage(tmp_path / "in.usda", tmp_path / "out.usda", SimplifyOptions(device="cpu", **options))
+    [prim] = report.prims
+    assert f"{FLAW}: faces on the back of another, kept as its other side: 72" in prim.problems
+    assert prim.faces_after <= options.get("faces", 43)
+    stage = Usd.Stage.Open(str(tmp_path / "out.usda"))
+    if "lods" in options:
+        stage.GetDefaultPrim().GetVariantSet("LOD").SetVariantSelection("LOD1")
+    check_stage(stage)
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath(FLAW))
+    points = np.array(mesh.GetPointsAttr().Get())
+    faces = np.array(mesh.GetFaceVertexIndicesAttr().Get()).reshape(-1, 3)
+    a, b, c = (points[faces[:, k]] for k in range(3))
+    up = np.cross(b - a, c - a)[:, 2] > 0
+    assert up.sum() == len(faces) // 2
+    primvars = UsdGeom.PrimvarsAPI(mesh)
+    assert (np.array(primvars.GetPrimvar("displayColor").ComputeFlattened())[:, 0] == up).all()
+    uv = np.array(primvars.GetPrimvar("st").ComputeFlattened()).reshape(-1, 3, 2)
+    np.testing.assert_allclose(uv - np.where(up, 0, 10)[:, None, None], points[faces][..., :2], atol=0.3)
+    [back] = UsdGeom.Subset.GetAllGeomSubsets(mesh)
+    np.testing.assert_array_equal(back.GetIndicesAttr().Get(), np.flatnonzero(~up))
+
+
+def test_doubled_faces_alone_are_taken_out(tmp_path):
+    write(tmp_path / "in.usda", POINTS, [*FACES, *FACES], moving=False)
+    options = SimplifyOptions(ratio=0.9, device="cpu")
+    [prim] = simplify_stage(tmp_path / "in.usda", tmp_path / "out.usda", options).prims
+    assert (prim.status, prim.faces_before, prim.faces_after) == ("simplified", 144, 72)
+    assert prim.problems == [f"{FLAW}: faces that repeat another, left out: 72"]
+
+
+def test_info_counts_faces_of_unlike_winding(tmp_path):
+    write(tmp_path / "in.usda", *flaws()["faces the wrong way round"], moving=False)
+    [info] = inspect_stage(tmp_path / "in.usda")
+    assert "triangles wound unlike most around them: 15" in info.problems

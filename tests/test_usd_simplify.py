@@ -151,27 +151,27 @@ def test_max_error_stops_a_mesh_early(tmp_path):
     assert prim.faces_after < prim.faces_before
 
 
-def fin_stage(path: Path) -> None:
+def closed_stage(path: Path) -> None:
     """A mesh that no collapse is legal on."""
     stage = cloth_stage(path)
     stage.RemovePrim(CLOTH)
-    fin = UsdGeom.Mesh.Define(stage, "/Root/Fin")
-    fin.CreatePointsAttr([(0, 0, 0), (0, 0, 1), (1, 0, 0), (-1, 1, 0), (-1, -1, 0)])
-    # Three triangles on one edge: both its ends are non-manifold and stay.
-    fin.CreateFaceVertexCountsAttr([3, 3, 3])
-    fin.CreateFaceVertexIndicesAttr([0, 1, 2, 0, 1, 3, 0, 1, 4])
+    closed = UsdGeom.Mesh.Define(stage, "/Root/Closed")
+    closed.CreatePointsAttr([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)])
+    # A tetrahedron, the least closed surface that there is.
+    closed.CreateFaceVertexCountsAttr([3, 3, 3, 3])
+    closed.CreateFaceVertexIndicesAttr([0, 2, 1, 0, 1, 3, 1, 2, 3, 0, 3, 2])
     stage.Save()
 
 
 def test_mesh_without_a_legal_collapse_is_kept(tmp_path):
-    fin_stage(tmp_path / "in.usda")
+    closed_stage(tmp_path / "in.usda")
     report, _stage = simplify(tmp_path, ratio=0.4)
     assert (report.prims[0].status, report.prims[0].stopped) == ("kept", "no legal collapse")
 
 
 def test_strict_refuses_a_face_count_that_cannot_be_reached(tmp_path):
-    fin_stage(tmp_path / "in.usda")
-    with pytest.raises(StageError, match="/Root/Fin: 3 faces are left"):
+    closed_stage(tmp_path / "in.usda")
+    with pytest.raises(StageError, match="/Root/Closed: 4 faces are left"):
         simplify(tmp_path, ratio=0.4, strict=True)
 
 

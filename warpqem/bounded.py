@@ -17,7 +17,8 @@ from warpqem.order.levels import OrderedLevels
 from warpqem.order.nodes import NodeRecorder
 from warpqem.order.stage import OrderedMesh
 from warpqem.preparation import ORDER_END, Prepared, Progress
-from warpqem.result import Delivery, Outcome, SimplifiedMesh, finish, reached
+from warpqem.repair.mesh import faces_for
+from warpqem.result import Delivery, Outcome, SimplifiedMesh, finish, in_input_terms, reached, written_faces
 
 __all__ = ["BoundSink", "ExceededError", "find_coarsest", "simplify_within", "start_count"]
 
@@ -153,7 +154,9 @@ class _Levels:
     """Levels of one mesh, placed and checked one by one."""
 
     def __init__(self, work: Prepared, refit: bool, ordered: Callable[[int], OrderedMesh], keep: bool) -> None:
-        self._work, self._refit, self._ordered, self._keep = work, refit, ordered, keep
+        # Faces on the backs of others are added at the end: they are as far away as those.
+        self._work = replace(work, mesh=replace(work.mesh, repair=None))
+        self._whole, self._refit, self._ordered, self._keep = work, refit, ordered, keep
         self._limit = work.goal.max_error / 100.0
         # The last level that held.
         self.held: _Level | None = None
@@ -177,15 +180,16 @@ class _Levels:
                 return replace(result, points=array.points) if self._keep else result
         return None
 
-    def place(self, level: _Level, delivery: Delivery) -> SimplifiedMesh:
+    def place(self, level: _Level, delivery: Delivery, whole: bool = False) -> SimplifiedMesh:
         """Place a level."""
-        work = replace(self._work, place_settings=replace(self._work.place_settings, loose=level.loose))
+        work = self._whole if whole else self._work
+        work = replace(work, place_settings=replace(work.place_settings, loose=level.loose))
         return finish(work, work.placer(level.ordered), Outcome.of(level.ordered), self._refit, delivery)
 
     def place_held(self, delivery: Delivery) -> SimplifiedMesh:
         """Place the level that held once more. Levels share arrays, which those tried after it have changed."""
         assert self.held is not None
-        return self.place(replace(self.held, ordered=self._ordered(self.held.count)), delivery)
+        return self.place(replace(self.held, ordered=self._ordered(self.held.count)), delivery, whole=True)
 
     def _looser(self, level: _Level, excess: Excess) -> _Level | None:
         """The level with vertices around what is too far placed loosely; None where that cannot help."""
@@ -221,20 +225,28 @@ def simplify_within(work: Prepared, refit: bool, delivery: Delivery) -> Simplifi
     face_count, limit = len(work.mesh.faces), work.goal.max_error / 100.0
     if recorder is None:
         # Each level has present faces of its own.
-        levels = _Levels(work, refit, lambda count: work.with_target(count).order(), delivery.sink is None)
+        levels = _Levels(work, refit, work.order_to, delivery.sink is None)
     else:
         known = OrderedLevels(work.mesh.faces, coarsest, recorder)
         levels = _Levels(work, refit, lambda count: known.at(known.steps_to(count)), delivery.sink is None)
+    least, repair = len(coarsest.faces), work.mesh.repair
+    if repair is not None and work.goal.target_faces and repair.is_double.any():
+        least = faces_for(coarsest, work.mesh, work.goal.target_faces)
     result = find_coarsest(
         levels.attempt,
         face_count,
         start=start_count(coarsest, face_count, limit),
-        least=len(coarsest.faces),
+        least=least,
         limit=limit,
         progress=delivery.progress,
     )
+    base_count = len(result.faces)
     if delivery.sink is not None:
         result = levels.place_held(delivery)
-    if len(result.faces) > len(coarsest.faces):
+    elif repair is not None:
+        face, row = np.unique(work.mesh.face_index, return_index=True)
+        faces, face_map = written_faces(work.mesh, result.faces, row[np.searchsorted(face, result.face_map)])
+        result = replace(result, faces=faces, face_map=face_map, **in_input_terms(work.mesh, result.vertex_map))
+    if base_count > least:
         return replace(result, stopped="max_error")
     return reached(result, work.goal.target_faces)

@@ -42,6 +42,7 @@ class Placing:
         placer: what places its frames.
         sink: takes them.
         blocks: frames to work on at once.
+        faces: (N', 3) int32, the faces that the sink is to have.
         progress: called with the number of frames placed.
         share: lets other processes place some of them.
     """
@@ -50,6 +51,7 @@ class Placing:
     placer: Placer
     sink: FrameSink
     blocks: Sequence[slice]
+    faces: np.ndarray
     progress: Progress = None
     share: FrameShare | None = None
 
@@ -67,7 +69,7 @@ class _Finish:
     def __init__(self, work: Placing) -> None:
         self._mesh, self._placer = work.mesh, work.placer
         self.finished = FinishedFrames(np.empty(work.mesh.frame_count, dtype=np.int32))
-        work.sink.begin(work.mesh.frame_count, work.placer.vertex_count, work.placer.faces)
+        work.sink.begin(work.mesh.frame_count, work.placer.vertex_count, work.faces)
 
     def take(self, frames: slice, placed: PlacedFrames, write: FrameWriter) -> None:
         """Finish consecutive frames."""

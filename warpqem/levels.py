@@ -20,6 +20,7 @@ from warpqem.order.levels import OrderedLevels
 from warpqem.order.log import CollapseRecord
 from warpqem.order.nodes import NodeRecorder
 from warpqem.preparation import ORDER_END, Prepared, Progress, prepare
+from warpqem.repair.mesh import faces_for
 from warpqem.result import Delivery, Outcome, SimplifiedMesh, finish, reached
 from warpqem.sharing import FrameShare, check_share
 
@@ -37,13 +38,15 @@ class LevelOrder:
 
     def __init__(self, work: Prepared, refit: bool, progress: Progress | None) -> None:
         self._refit, recorder = refit, NodeRecorder()
-        self._levels = OrderedLevels(work.mesh.faces, work.order(progress, recorder), recorder)
+        self._ordered = work.order(progress, recorder)
+        self._levels = OrderedLevels(work.mesh.faces, self._ordered, recorder)
         self._least, self._work = work.goal.target_faces, work.without_input()
 
     @property
     def face_count(self) -> int:
-        """Faces of the input, without those that name a vertex twice."""
-        return len(self._work.mesh.faces)
+        """Faces of the input, without those that name a vertex twice or repeat another."""
+        repair, count = self._work.mesh.repair, len(self._work.mesh.faces)
+        return count if repair is None else repair.count_with_backs(np.arange(count))
 
     @property
     def log(self) -> CollapseRecord:
@@ -92,9 +95,16 @@ class LevelOrder:
         check_function(progress, "progress")
         delivery = Delivery(sink, progress, share)
         with device_turn(self._work.device):
-            ordered = self._levels.at(self._levels.steps_to(target_faces))
+            ordered = self._levels.at(self._levels.steps_to(self._base_faces(target_faces)))
             result = finish(self._work, self._work.placer(ordered), Outcome.of(ordered), self._refit, delivery)
         return reached(result, target_faces)
+
+    def _base_faces(self, target_faces: int) -> int:
+        """The faces to order down to, so that with those on their backs there are so many."""
+        mesh = self._work.mesh
+        if mesh.repair is None or not mesh.repair.is_double.any():
+            return target_faces
+        return faces_for(self._ordered, mesh, target_faces)
 
 
 @on_device

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any, Protocol
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -14,6 +14,9 @@ from warpqem.checked_frames import BrokenPoints, check_source, frame_bounds
 from warpqem.errors import DegenerateMeshError, FaceIndexError, MeshShapeError, OptionError
 from warpqem.frame_blocks import frame_blocks
 from warpqem.frame_stream import ArrayFrames, FrameSource, read_ahead
+
+if TYPE_CHECKING:
+    from warpqem.repair.mesh import MeshRepair
 
 __all__ = [
     "AnimatedMesh",
@@ -38,6 +41,8 @@ class MeshInput:
         face_index: (N,) int32, the caller's index of each face.
         input_face_count: faces the caller gave.
         used: (V,) bool, vertices with a face.
+        repair: how it comes from what the caller gave, where the topology had to be mended; the vertices and faces are
+            then the mended ones.
     """
 
     source: FrameSource
@@ -45,6 +50,7 @@ class MeshInput:
     face_index: np.ndarray
     input_face_count: int
     used: np.ndarray
+    repair: MeshRepair | None = field(default=None, kw_only=True)
 
     @property
     def frame_count(self) -> int:
@@ -191,7 +197,15 @@ def measure_mesh(
         raise DegenerateMeshError(f"the bounding-box diagonal, {diagonal:g}, cannot be scaled to 1 in single precision")
     centre = ((low.min(axis=0).astype(np.float64) + high.max(axis=0)) / 2).astype(np.float32)
     return AnimatedMesh(
-        mesh.source, mesh.faces, mesh.face_index, mesh.input_face_count, mesh.used, origin, centre, diagonal
+        mesh.source,
+        mesh.faces,
+        mesh.face_index,
+        mesh.input_face_count,
+        mesh.used,
+        origin,
+        centre,
+        diagonal,
+        repair=mesh.repair,
     )
 
 

@@ -29,6 +29,7 @@ from warpqem.order.quadric_sums import QuadricSums
 from warpqem.order.stage import OrderedMesh, OrderInput, OrderSettings, order_collapses
 from warpqem.place.clusters import LEAST_PULL, PlaceSettings
 from warpqem.place.stage import Placer
+from warpqem.repair.mesh import faces_for, repaired_mesh, repaired_options
 from warpqem.seams import Seams, read_seams
 
 __all__ = ["ORDER_END", "Prepared", "Progress", "plan_work", "prepare"]
@@ -74,9 +75,23 @@ class Prepared:
 
     def order(self, progress: Progress | None = None, recorder: NodeRecorder | None = None) -> OrderedMesh:
         """Collapse edges down to the goal; ``recorder`` keeps every vertex on the way."""
+        repair, target = self.mesh.repair, self.goal.target_faces
+        if repair is None or not target or not repair.is_double.any():
+            return self.order_to(self.order_settings.target_faces, progress, recorder)
+        # Far enough also where all faces that are left have a back.
+        coarse = self.order_to(max(1, target // 2), progress, recorder)
+        if repair.is_double.all() or recorder is not None:
+            return coarse
+        return self.order_to(faces_for(coarse, self.mesh, target))
+
+    def order_to(
+        self, face_count: int, progress: Progress | None = None, recorder: NodeRecorder | None = None
+    ) -> OrderedMesh:
+        """Collapse edges down to so many faces, those on the back of others not counted."""
         assert self.order_input is not None
-        listener = _order_progress(progress, len(self.mesh.faces), self.goal.target_faces)
-        return order_collapses(self.order_input, self.order_settings, self.device, listener, recorder)
+        listener = _order_progress(progress, len(self.mesh.faces), face_count)
+        settings = replace(self.order_settings, target_faces=face_count)
+        return order_collapses(self.order_input, settings, self.device, listener, recorder)
 
     def placer(self, ordered: OrderedMesh) -> Placer:
         """What places the vertices that ordering left."""
@@ -89,10 +104,6 @@ class Prepared:
             self.device,
             self.quadric_sums,
         )
-
-    def with_target(self, face_count: int) -> Prepared:
-        """The same with so many faces as its goal."""
-        return replace(self, order_settings=replace(self.order_settings, target_faces=face_count))
 
     def without_input(self) -> Prepared:
         """The same without what only ordering needs."""
@@ -121,7 +132,9 @@ def prepare(
     check_function(progress, "progress")
     spec = cost_model(options.metric)
     device = resolve_device(options.device)
-    given = read_mesh(points, faces, partial(admit_faces, limit=options.memory, device=device))
+    read = read_mesh(points, faces, partial(admit_faces, limit=options.memory, device=device))
+    given = repaired_mesh(read, device)
+    options = repaired_options(options, read, given)
     goal = options.goal(len(given.faces))
     planned = plan_work(given, spec, options, device, keep_frames=keep_frames, keep_nodes=keep_nodes)
     seam = read_seams(options.seams, given.faces, given.vertex_count)

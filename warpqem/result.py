@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -11,14 +12,16 @@ from warpqem.errors import UnreachableTargetError
 from warpqem.finishing import Placing, place_frames, place_refitted
 from warpqem.frame_stream import ArraySink, FrameSink
 from warpqem.memory import MemoryPlan
+from warpqem.mesh_input import MeshInput
 from warpqem.order.drops import DropRecord
 from warpqem.order.log import CollapseRecord
 from warpqem.order.stage import OrderedMesh
 from warpqem.place.stage import Placer
 from warpqem.preparation import ORDER_END, Prepared, Progress
+from warpqem.repair.mesh import MeshRepair
 from warpqem.sharing import FrameShare
 
-__all__ = ["Delivery", "Outcome", "SimplifiedMesh", "finish", "reached"]
+__all__ = ["Delivery", "Outcome", "SimplifiedMesh", "finish", "in_input_terms", "reached", "written_faces"]
 
 
 @dataclass(frozen=True)
@@ -28,18 +31,21 @@ class SimplifiedMesh:
     Attributes:
         points: (F, V', 3) float32, in the input's coordinates; where a sink took the frames, the first one, (1, V', 3).
         faces: (N', 3) int32.
-        vertex_map: (V,) int32, input vertex to the output vertex it collapsed into; -1 for a vertex without a face.
+        vertex_map: (V,) int32, input vertex to the output vertex it collapsed into; -1 for a vertex without a face. Of
+            a vertex that was cut, see ``repair``, that of one sheet of the surface.
         face_map: (N',) int32, the input face that each output face goes on from.
         stopped: "target", "max_error", "max_size_error" or "no legal collapse".
         error: % of the bounding-box diagonal, the largest RMS distance, among all collapses, of a merged vertex from
             the planes of the faces it stands for, over key frames, or of the input vertices it stands for from the
             faces around it, in the first one.
         flips: (F,) int32, output faces that face away from the input there.
-        log: the collapses, for levels of detail.
+        log: the collapses, for levels of detail; where the topology was mended, on the vertices of ``repair``.
         key_frames: (K,) int, the frames that decided the order.
         diagonal: largest bounding-box diagonal of a frame of the input, in its units.
         components_removed: components of the input that vanished, see ``keep_components``.
         plan: the blocks of frames it was done in, and the memory for it.
+        repair: what was mended of the input's topology before, see :mod:`warpqem.repair`; None where it was clean.
+        copy_map: (V',) int32, the output vertex of each vertex of ``repair``; None without one.
     """
 
     points: np.ndarray
@@ -54,6 +60,38 @@ class SimplifiedMesh:
     diagonal: float
     plan: MemoryPlan
     components_removed: int = 0
+    repair: MeshRepair | None = None
+    copy_map: np.ndarray | None = None
+
+    def corner_clusters(self, faces: np.ndarray) -> np.ndarray:
+        """(N, 3) int32, the output vertex of each corner of the input's ``faces`` (N, 3), -1 for none."""
+        if self.repair is None or self.copy_map is None:
+            clusters: np.ndarray = self.vertex_map[faces]
+            return clusters
+        return self.repair.corner_clusters(self.copy_map)
+
+    @property
+    def notes(self) -> list[str]:
+        """What was mended of the input's topology, in words."""
+        return [] if self.repair is None else self.repair.findings.lines()
+
+
+def in_input_terms(mesh: MeshInput, vertex_map: np.ndarray) -> dict[str, Any]:
+    """The fields of a result that say where the input's vertices went, and how its topology was mended.
+
+    ``vertex_map`` is that of the vertices of ``mesh``.
+    """
+    if mesh.repair is None:
+        return {"vertex_map": vertex_map}
+    clusters = mesh.repair.vertex_clusters(vertex_map)
+    return {"vertex_map": clusters, "repair": mesh.repair, "copy_map": vertex_map}
+
+
+def written_faces(mesh: MeshInput, faces: np.ndarray, face_map: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The faces of a result, those on the backs of others included, and the caller's face that each goes on from."""
+    if mesh.repair is None:
+        return faces, mesh.face_index[face_map]
+    return mesh.repair.with_backs(faces, face_map)
 
 
 @dataclass(frozen=True)
@@ -91,8 +129,9 @@ def finish(work: Prepared, placer: Placer, outcome: Outcome, refit: bool, delive
     mesh, sink = work.mesh, delivery.sink
     error = max(float(outcome.log.error.max(initial=0.0)), float(outcome.drops.error.max(initial=0.0)))
     array = ArraySink()
+    faces, face_map = written_faces(mesh, placer.faces, outcome.face_map)
     progress = _place_progress(delivery.progress, mesh.frame_count)
-    placing = Placing(mesh, placer, array if sink is None else sink, work.blocks, progress, delivery.share)
+    placing = Placing(mesh, placer, array if sink is None else sink, work.blocks, faces, progress, delivery.share)
     if refit and not work.place_settings.endpoint and placer.free.any():
         on_disk = work.plan.scratch_bytes > 0
         finished = place_refitted(placing, key_frames=work.key_frames, error=error, on_disk=on_disk)
@@ -100,9 +139,9 @@ def finish(work: Prepared, placer: Placer, outcome: Outcome, refit: bool, delive
         finished = place_frames(placing)
     return SimplifiedMesh(
         points=array.points if sink is None else finished.first,
-        faces=placer.faces,
-        vertex_map=placer.vertex_map,
-        face_map=mesh.face_index[outcome.face_map],
+        faces=faces,
+        face_map=face_map,
+        **in_input_terms(mesh, placer.vertex_map),
         stopped=outcome.stopped,
         error=100.0 * error,
         flips=finished.flips,

@@ -15,6 +15,7 @@ from warpqem.mesh_input import read_mesh
 from warpqem.number_input import flag
 from warpqem.options import SimplifyKeywords, read_keywords
 from warpqem.preparation import Progress, plan_work, prepare
+from warpqem.repair.mesh import repaired_mesh, repaired_options
 from warpqem.result import Delivery, Outcome, SimplifiedMesh, finish, reached
 from warpqem.sharing import FrameShare, check_share
 
@@ -39,6 +40,10 @@ def simplify(
     The result is deterministic: the same input gives the same bits on the same device, also where several threads call
     at once, ``asyncio.to_thread`` included. On a CPU such calls run side by side, a GPU takes one at a time; that holds
     for all public functions.
+
+    Faces may repeat, in either winding, face this way and that, or meet three and more at an edge: decimation works on
+    a mended copy of the topology, and ``SimplifiedMesh.notes`` says what was found. What has two sides keeps both, and
+    each connected part gets the winding that most of its faces have.
 
     Args:
         points: (F, V, 3) or (V, 3) coordinates in any unit: NumPy, Warp, or anything with the array interface or
@@ -102,6 +107,8 @@ def plan(
     asked = read_keywords(options)
     spec, levels = cost_model(asked.metric), flag(levels, "levels")
     device = resolve_device(asked.device)
-    mesh = read_mesh(points, faces, partial(admit_faces, limit=asked.memory, device=device))
+    given = read_mesh(points, faces, partial(admit_faces, limit=asked.memory, device=device))
+    mesh = repaired_mesh(given, device)
+    asked = repaired_options(asked, given, mesh)
     keep_nodes = levels or asked.max_error is not None
     return plan_work(mesh, spec, asked, device, keep_frames=sink is None, keep_nodes=keep_nodes)

@@ -29,8 +29,11 @@ from warpqem.number_input import check_function, real_number, shown
 from warpqem.options import SimplifyKeywords, SimplifyOptions, read_keywords
 from warpqem.order.log import CollapseRecord
 from warpqem.preparation import Progress, prepare
-from warpqem.result import Delivery, Outcome, SimplifiedMesh, finish, reached
+from warpqem.repair.mesh import repaired_mesh, repaired_options
+from warpqem.repair.topology import repair_topology
+from warpqem.result import Delivery, Outcome, SimplifiedMesh, finish, in_input_terms, reached, written_faces
 from warpqem.seams import read_seams, seam_ends
+from warpqem.transfer import is_proper
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -85,6 +88,8 @@ class Mirror:
 def find_mirror(points: Any, faces: Any, plane: str | MirrorPlane = "auto") -> Mirror:
     """Find how a mesh maps to itself under reflection.
 
+    Where the topology has to be mended (:mod:`warpqem.repair`), the mirror is that of the mended mesh.
+
     Args:
         points: (V, 3), a symmetric pose.
         faces: (N, 3) vertex indices.
@@ -100,6 +105,7 @@ def find_mirror(points: Any, faces: Any, plane: str | MirrorPlane = "auto") -> M
         raise MeshShapeError(f"points must be one pose (V, 3), got {len(pose)} frames")
     pose = pose[0].astype(np.float64)
     corner = read_faces(faces, "faces", len(pose)).astype(np.int64)
+    pose, corner = _repaired(pose, corner)
     if isinstance(plane, str) and plane == "auto":
         reasons = []
         for axis in AXES:
@@ -117,6 +123,14 @@ def find_mirror(points: Any, faces: Any, plane: str | MirrorPlane = "auto") -> M
         return _mirror(pose, corner, plane)
     except OptionError as error:
         raise OptionError(f"symmetry: {error}") from None
+
+
+def _repaired(pose: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The vertices and faces that simplifying would work on: repeats and mixed windings have no mirror image."""
+    if not is_proper(faces).all():
+        return pose, faces
+    mended = repair_topology(faces.astype(np.int32), len(pose), "cpu")
+    return (pose, faces) if mended is None else (pose[mended.vertex], mended.faces.astype(np.int64))
 
 
 def _checked_plane(plane: Any) -> MirrorPlane:
@@ -229,7 +243,9 @@ def simplify_symmetric(
     check_sink(sink)
     check_function(progress, "progress")
     asked = read_keywords(options)
-    given = read_mesh(points, faces)
+    read = read_mesh(points, faces)
+    given = repaired_mesh(read, resolve_device(asked.device))
+    asked = repaired_options(asked, read, given)
     frames = finite_points(given.source.read(slice(0, given.frame_count)))
     mirror = symmetry if isinstance(symmetry, Mirror) else find_mirror(frames[0], given.faces, symmetry)
     mirror = _of_proper_faces(mirror, given)
@@ -333,7 +349,11 @@ class _Half:
 
     def _goal(self, options: SimplifyOptions) -> dict[str, Any]:
         """Half of the faces."""
-        return {"ratio": None, "target_faces": max(1, self.target // 2) if self.target else options.target_faces}
+        target, repair = self.target, self._given.repair
+        if repair is not None and target:
+            # Those with a back count twice; it has as large a part in what is left, or somewhat less.
+            target = target * len(repair.back) // repair.count_with_backs(np.arange(len(repair.back)))
+        return {"ratio": None, "target_faces": max(1, target // 2) if target else options.target_faces}
 
     def _importance(self, options: SimplifyOptions) -> dict[str, Any]:
         """Weights and locks at the half's vertices: of two images the larger."""
@@ -403,6 +423,7 @@ class _Half:
         vertex_map = np.full(given.vertex_count, -1, dtype=np.int32)
         vertex_map[self._image] = image[part.vertex_map]
         vertex_map[self._vertex] = part.vertex_map
+        faces, face_map = written_faces(given, faces, np.concatenate([source, mirror.face[source]]))
         if sink is not None:
             sink.begin(frame_count, joined.shape[1], faces)
             sink.write(slice(0, frame_count), joined)
@@ -410,8 +431,8 @@ class _Half:
         return SimplifiedMesh(
             points=joined if sink is None else joined[:1],
             faces=faces,
-            vertex_map=vertex_map,
-            face_map=given.face_index[np.concatenate([source, mirror.face[source]])],
+            **in_input_terms(given, vertex_map),
+            face_map=face_map,
             stopped=part.stopped,
             error=part.error * size,
             flips=part.flips[:frame_count] + part.flips[frame_count:],

@@ -115,15 +115,20 @@ def surface_transfer(
     if reference_frame > last:
         raise OptionError(f"reference_frame must be a frame of the result, 0 to {last}, got {reference_frame}")
     ends = None if seams is None or is_empty(seams) else seam_ends(seams, len(pose))
-    cluster = result.vertex_map[faces]
+    cluster = result.corner_clusters(faces)
     usable = (cluster >= 0).all(axis=1) & is_proper(faces)
+    sheets = faces if result.repair is None else result.repair.sheets
+    two_sided = result.repair is not None and bool(result.repair.is_double.any())
     vertex_count = result.points.shape[1]
     corner_cluster = np.where(usable[:, None], cluster, -1).ravel()
     start, face, _ = gather_faces(corner_cluster, np.ones(faces.size, dtype=np.float32), vertex_count, device)
     owner = np.repeat(np.arange(vertex_count), np.diff(start))
     # Entry: one input face at one output vertex; (owner, face) ascends over the entries.
     entry_key = owner * len(faces) + face
-    side = _sides(faces, cluster, entry_key, ends) if ends is not None and len(ends) else owner
+    side = owner
+    if two_sided or (ends is not None and len(ends)):
+        first, second = joined_faces(faces, np.zeros((0, 2), dtype=np.int64) if ends is None else ends, sheets)
+        side = _sides(first, second, cluster, entry_key, len(faces))
     _, wedge = np.unique(side, return_inverse=True)
     order, wedge_start = group_rows(wedge, int(wedge.max()) + 1)
     wedge_owner = owner[order[wedge_start[:-1]]]
@@ -167,13 +172,18 @@ def check_result(result: Any) -> None:
 
 def check_fit(result: SimplifiedMesh, faces: np.ndarray, vertex_count: int) -> None:
     """Raise a MeshShapeError where a result is that of another mesh than this one with faces (N, 3)."""
-    if len(result.vertex_map) != vertex_count or result.face_map.max(initial=-1) >= len(faces):
+    repaired = len(faces) if result.repair is None else len(result.repair.sheets)
+    if (
+        len(result.vertex_map) != vertex_count
+        or result.face_map.max(initial=-1) >= len(faces)
+        or repaired != len(faces)
+    ):
         raise MeshShapeError(
             f"the result is that of a mesh with {len(result.vertex_map)} vertices and at least "
             f"{result.face_map.max(initial=-1) + 1} faces, this one has {vertex_count} and {len(faces)}"
         )
     # Every face that is left is one of the input with its vertices merged; a mirrored one starts at another corner.
-    was = np.sort(result.vertex_map[faces[result.face_map]], axis=1)
+    was = np.sort(result.corner_clusters(faces)[result.face_map], axis=1)
     other = np.flatnonzero((was != np.sort(result.faces, axis=1)).any(axis=1))
     if len(other):
         raise MeshShapeError(
@@ -188,14 +198,15 @@ def is_proper(faces: np.ndarray) -> np.ndarray:
     return proper
 
 
-def _sides(faces: np.ndarray, cluster: np.ndarray, entry_key: np.ndarray, seams: np.ndarray) -> np.ndarray:
-    """Per entry, the lowest entry that it is joined to through edges that are no seams."""
-    first, second = joined_faces(faces, seams)
+def _sides(
+    first: np.ndarray, second: np.ndarray, cluster: np.ndarray, entry_key: np.ndarray, face_count: int
+) -> np.ndarray:
+    """Per entry, the lowest entry that it is joined to through pairs of faces that go on from each other."""
     links = []
     for k in range(3):
         owner = cluster[first, k]
         shared = (owner >= 0) & (cluster[second] == owner[:, None]).any(axis=1)
-        keys = owner[shared].astype(np.int64) * len(faces)
+        keys = owner[shared].astype(np.int64) * face_count
         links.append(
             np.stack(
                 [
@@ -208,12 +219,20 @@ def _sides(faces: np.ndarray, cluster: np.ndarray, entry_key: np.ndarray, seams:
     return lowest_members(len(entry_key), np.concatenate(links))
 
 
-def joined_faces(faces: np.ndarray, seams: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs of faces that share an edge which is no seam."""
+def joined_faces(
+    faces: np.ndarray, seams: np.ndarray, sheets: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Pairs of faces that share an edge which is no seam.
+
+    ``sheets`` (N, 3) are corners that only faces share which go on from each other, see
+    :class:`warpqem.repair.mesh.MeshRepair`, where the topology was mended.
+    """
+    sheets = faces if sheets is None else sheets
     vertex_count = int(faces.max()) + 1
-    key = edge_key(faces.ravel(), np.roll(faces, -1, axis=1).ravel(), vertex_count)
+    key = edge_key(sheets.ravel(), np.roll(sheets, -1, axis=1).ravel(), int(sheets.max()) + 1)
     order = np.argsort(key, kind="stable")
-    order = order[np.repeat(is_proper(faces), 3)[order]]
+    order = order[np.repeat(is_proper(sheets), 3)[order]]
     key = key[order]
-    pair = np.flatnonzero((key[1:] == key[:-1]) & ~np.isin(key[1:], edge_key(seams[:, 0], seams[:, 1], vertex_count)))
+    authored = edge_key(faces.ravel(), np.roll(faces, -1, axis=1).ravel(), vertex_count)[order[1:]]
+    pair = np.flatnonzero((key[1:] == key[:-1]) & ~np.isin(authored, edge_key(seams[:, 0], seams[:, 1], vertex_count)))
     return order[pair] // 3, order[pair + 1] // 3

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from warpqem.place.clusters import ClusterPlacer
 from warpqem.preparation import ORDER_END, Prepared, Progress, prepare
 from warpqem.progressive.mesh import ProgressiveMesh
 from warpqem.progressive.splits import SplitTopology
+from warpqem.result import written_faces
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -62,8 +64,15 @@ def build_progressive(
     recorder = NodeRecorder()
     ordered = work.order(progress, recorder)
     levels = OrderedLevels(work.mesh.faces, ordered, recorder)
-    topology = SplitTopology.from_log(work.mesh.faces, work.mesh.face_index, work.mesh.vertex_count, levels.log)
-    return ProgressiveMesh(topology, _place_all(work, levels, topology, progress))
+    mesh = work.mesh
+    written, face_index = written_faces(mesh, mesh.faces, np.arange(len(mesh.faces)))
+    topology = SplitTopology.from_log(written, face_index, mesh.vertex_count, levels.log)
+    points = _place_all(work, levels, topology, progress)
+    if mesh.repair is not None:
+        # Rows go by vertices of the caller's.
+        row_vertex = mesh.repair.vertex[topology.row_vertex]
+        topology = replace(topology, row_vertex=row_vertex, vertex_count=mesh.repair.vertex_count)
+    return ProgressiveMesh(topology, points)
 
 
 def _place_all(work: Prepared, levels: OrderedLevels, topology: SplitTopology, progress: Progress | None) -> np.ndarray:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from warpqem.array_input import is_empty
 from warpqem.device import on_device, resolve_device
 from warpqem.errors import MeshShapeError, OptionError
 from warpqem.mesh_input import read_faces
@@ -130,6 +131,13 @@ def fit_skin(
     if len(start.rest) != result.points.shape[1]:
         raise MeshShapeError(f"start has {len(start.rest)} points, the result {result.points.shape[1]}")
     start = replace(start.checked(matrices.shape[1]), rest=result.points[0].astype(np.float64))
+    if result.repair is not None:
+        # On the vertices and faces that were simplified.
+        repair = result.repair
+        corner = repair.faces
+        seams = None if seams is None or is_empty(seams) else repair.edges(seams, corner)
+        poses, skin = poses[:, repair.vertex], skin.rows(repair.vertex)
+        result = replace(result, vertex_map=result.copy_map)
     fixed, member = _fixed(poses, result, (skin.weights > 0).sum(axis=1) <= most)
     rows = _candidates(skin, start, result.vertex_map, fixed)
     # On a mesh of unit diagonal, which the thresholds are made for.

@@ -23,7 +23,7 @@ from warpqem.number_input import shown
 from warpqem.options import SimplifyKeywords, read_keywords
 from warpqem.order.quadrics import CONSTRAINT_WEIGHT
 from warpqem.preparation import Progress, prepare
-from warpqem.result import SimplifiedMesh, reached
+from warpqem.result import SimplifiedMesh, in_input_terms, reached, written_faces
 from warpqem.skinning.skin import LinearSkin, read_poses, read_transforms
 from warpqem.transfer import is_proper
 
@@ -76,7 +76,12 @@ def simplify_pulled_back(
     if len(skin.checked(transforms.shape[1]).rest) != poses.shape[1]:
         raise MeshShapeError(f"the skin has {len(skin.rest)} points, the mesh {poses.shape[1]}")
     work = prepare(poses[:1], corner, asked, progress=progress)
-    matrices = pulled_back_matrices(poses, corner, skin, transforms, asked.seams)
+    seams, repair = asked.seams, work.mesh.repair
+    if repair is not None:
+        poses, skin = poses[:, repair.vertex], skin.checked(transforms.shape[1]).rows(repair.vertex)
+        corner = work.mesh.faces
+        seams = None if seams is None or is_empty(seams) else repair.edges(seams, corner)
+    matrices = pulled_back_matrices(poses, corner, skin, transforms, seams)
     # On the mesh of unit diagonal that the order works on; the sum over poses becomes a mean, as for one frame.
     matrices *= work.quadric_scale[:, None, None] / (len(poses) * work.mesh.diagonal**2)
     assert work.order_input is not None
@@ -84,11 +89,12 @@ def simplify_pulled_back(
     ordered = work.order(progress)
     placer = work.placer(ordered)
     rest = _place(poses[0].astype(np.float64), placer.vertex_map, matrices, work.pinned | ordered.frozen)
+    written, face_map = written_faces(work.mesh, placer.faces, ordered.face_map)
     result = SimplifiedMesh(
         points=rest[None].astype(np.float32),
-        faces=placer.faces,
-        vertex_map=placer.vertex_map,
-        face_map=work.mesh.face_index[ordered.face_map],
+        faces=written,
+        face_map=face_map,
+        **in_input_terms(work.mesh, placer.vertex_map),
         stopped=ordered.stopped,
         error=100.0 * float(ordered.log.error.max(initial=0.0)),
         flips=np.zeros(1, dtype=np.int32),

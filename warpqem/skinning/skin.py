@@ -40,6 +40,10 @@ class LinearSkin:
     joints: np.ndarray
     weights: np.ndarray
 
+    def rows(self, vertex: np.ndarray) -> LinearSkin:
+        """The skin of some of the points."""
+        return LinearSkin(self.rest[vertex], self.joints[vertex], self.weights[vertex])
+
     def checked(self, joint_count: int) -> LinearSkin:
         """The same as contiguous float64 and int32 arrays.
 

@@ -127,8 +127,8 @@ class Carrier:
         return Rows(self.face_polygon[:, None], np.ones((len(self.face_polygon), 1), dtype=np.float32))
 
     def is_cut(self, name: str) -> bool:
-        """True if an attribute has seams."""
-        return len(self.seams.by_name.get(name, ())) > 0
+        """True if an attribute has seams, or other values on the back of a sheet with two sides."""
+        return len(self.seams.by_name.get(name, ())) > 0 or name in self.seams.two_sided
 
     def corners(self, name: str, of_points: bool = False) -> tuple[Rows, npt.NDArray[np.int32]]:
         """Output corners as blends of input corners, those of an attribute on one side of its own seams as one.

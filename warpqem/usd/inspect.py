@@ -8,11 +8,12 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
-from pxr import Sdf, Usd, UsdGeom
+from pxr import Sdf, Tf, Usd, UsdGeom
 
-from warpqem.errors import StageError, VaryingTopologyError
+from warpqem.errors import StageError, VaryingTopologyError, WarpqemError
 from warpqem.measure import topology
 from warpqem.outputs import OutputFile
+from warpqem.repair.mesh import face_repair
 from warpqem.usd.below import subsets_of
 from warpqem.usd.input_files import check_stage_outputs
 from warpqem.usd.mesh import MeshSource
@@ -106,7 +107,7 @@ def inspect_with_problems(
     with usd_errors_named(path, reading=True):
         poses = StagePoses(stage)
         selection = find_meshes(stage)
-        infos = [_inspect(prim, poses) for prim in selection.prims]
+        infos = [_inspect_any(prim, poses) for prim in selection.prims]
     infos += [MeshInfo(mesh, problems=[f"no geometry: no value of {lacking}"]) for mesh, lacking in selection.empty]
     infos += [MeshInfo(proxy, problems=[str(error)]) for proxy, error in selection.refused]
     return infos, problems
@@ -172,6 +173,17 @@ def _inspect_runs(info: MeshInfo, prim: Usd.Prim) -> None:
         info.problems.insert(0, f"{describe_runs(mesh, runs)}; the figures are those of {shown}")
 
 
+def _inspect_any(prim: Usd.Prim, poses: StagePoses) -> MeshInfo:
+    """The same, also where that fails in a way that is not foreseen: the other meshes have no part in it."""
+    try:
+        return _inspect(prim, poses)
+    except (WarpqemError, MemoryError, Tf.ErrorException):
+        raise
+    except Exception as error:
+        what = " ".join(f"{type(error).__name__}: {error}".split())
+        return MeshInfo(str(prim.GetPath()), problems=[f"{prim.GetPath()}: unexpected error while reading it: {what}"])
+
+
 def _describe_source(info: MeshInfo, source: MeshSource) -> None:
     times = source.authored_times
     info.frames = max(len(times), 1)
@@ -193,6 +205,9 @@ def _describe_source(info: MeshInfo, source: MeshSource) -> None:
         info.border_edges, info.non_manifold_edges = figures.border_edges, figures.non_manifold_edges
         counts["non-manifold vertices"] = figures.non_manifold_vertices
         counts["triangles that repeat another"] = figures.repeated_faces
+        repair = face_repair(source.topology.triangles, source.point_count)
+        if repair is not None:
+            counts["triangles wound unlike most around them"] = repair.findings.turned_faces
     else:
         info.problems.append("no faces")
     info.problems += [f"{what}: {count}" for what, count in counts.items() if count]

@@ -13,6 +13,7 @@ from pxr import Sdf
 
 from warpqem.frame_blocks import frame_blocks
 from warpqem.frame_stream import ArrayFrames, FrameSource, JoinedFrames, KeptFrames, read_ahead
+from warpqem.repair.mesh import MeshRepair, face_repair
 from warpqem.result import SimplifiedMesh
 from warpqem.usd.blend_shapes import choose_targets
 from warpqem.usd.carrier import Carrier
@@ -99,6 +100,7 @@ class MeshJob:
             poses of one without.
         pose_start: E.
         rest_fit: What brought the rest shape of a mesh with a skin to the poses; None without one.
+        repair: What simplifying mends of the topology first; None for nothing.
     """
 
     source: MeshSource
@@ -110,6 +112,7 @@ class MeshJob:
     frames: FrameSource
     pose_start: int
     rest_fit: RestFit | None
+    repair: MeshRepair | None = None
 
     @classmethod
     def prepare(
@@ -149,9 +152,11 @@ class MeshJob:
             joined = weld(mesh.faces, _what_moves(mesh, skin, shown))
         kept, vertex = np.unique(joined, return_inverse=True)
         vertex_point, faces = mesh.used_points[kept], vertex.ravel().astype(np.int32)[mesh.faces]
+        repair = face_repair(faces, len(vertex_point))
         seams = find_seams(
             source,
             faces,
+            repair=repair,
             welded=len(vertex_point) < len(mesh.used_points),
             # Normals of a rest shape fit no pose, so that they are dropped where poses are written.
             with_normals=skin is not None or not source.has_skin_binding,
@@ -159,14 +164,14 @@ class MeshJob:
         poses = [_kept_if_small(PoseFrames(*clip, vertex_point), options.memory) for clip in clips]
         if skin is None:
             start = sum(part.frame_count for part in poses[:-1])
-            return cls(source, mesh, faces, seams, None, reason, JoinedFrames(poses), start, None)
+            return cls(source, mesh, faces, seams, None, reason, JoinedFrames(poses), start, None, repair)
         # Examples take the place of the mesh's own poses.
         rest = skin.rest_points[vertex_point]
         targets = [rest + offsets[vertex_point] for offsets in choose_targets(skin.shapes)]
         fit = RestFit.of(rest, poses[0].read(slice(0, 1))[0])
         extra = fit.apply(np.stack([rest, *targets]))
         frames = JoinedFrames([ArrayFrames(extra), poses[0]])
-        return cls(source, mesh, faces, seams, skin, None, frames, len(extra), fit)
+        return cls(source, mesh, faces, seams, skin, None, frames, len(extra), fit, repair)
 
     @property
     def pose_count(self) -> int:

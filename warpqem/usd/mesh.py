@@ -141,8 +141,11 @@ class MeshSource:
         self.poser: MeshPoser | None = poses.poser(prim)
         self._points = self.mesh.GetPointsAttr()
         self.authored_times: list[float] = self._find_times()
-        self.point_count = self._find_point_count()
-        self.topology: Topology = read_topology(self.mesh, self.point_count)
+        first = self._first_points()
+        self.point_count = len(first)
+        # Polygons are cut by the authored points of the first pose, the rest shape of a mesh with a skin.
+        shape = np.array(first, dtype=np.float32).reshape(-1, 3) if isinstance(first, POINT_ARRAYS) else None
+        self.topology: Topology = read_topology(self.mesh, self.point_count, shape)
 
     @property
     def has_skin_binding(self) -> bool:
@@ -235,11 +238,11 @@ class MeshSource:
             times |= self.poser.times()
         return sorted(times)
 
-    def _find_point_count(self) -> int:
+    def _first_points(self) -> Any:
         first = Usd.TimeCode(self.authored_times[0]) if self.authored_times else Usd.TimeCode.Default()
         value = self._points.Get(first)
         self._check_points(value, f"{self.authored_times[0]:g}" if self.authored_times else "default")
-        return len(value)
+        return value
 
     def _check_points(self, value: object, time: str) -> None:
         if value is None:

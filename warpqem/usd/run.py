@@ -53,6 +53,8 @@ __all__ = ["Run"]
 
 # Triangles that a ratio leaves of a mesh at least: one alone is half of the smallest card.
 LEAST_FACES = 2
+# What a mesh is at, in the words of the core's progress, for the message of an error that nobody expected.
+STEPS = {"read": "reading its frames", "order": "collapsing edges", "place": "placing vertices"}
 
 Result = TypeVar("Result")
 
@@ -78,6 +80,8 @@ class Run:
         context.cleanup.callback(self.layer.close)
         self.reports: dict[str, PrimReport] = {}
         self.notes: list[str] = []
+        # What the mesh at work is at.
+        self.step = ""
         self.face_points: FacePoints | None = None
         self.faces: dict[str, warpqem.FaceProtection] = {}
 
@@ -130,25 +134,43 @@ class Run:
 
     def part(self, start: float, share: float, prim: Usd.Prim, level: str = "") -> Progress:
         """Progress of one mesh as a part of the whole."""
-        return lambda fraction, text: self.progress(start + share * fraction, f"{level}{prim.GetName()}: {text}")
+
+        def show(fraction: float, text: str) -> None:
+            self.step = STEPS.get(text, text)
+            self.progress(start + share * fraction, f"{level}{prim.GetName()}: {text}")
+
+        return show
 
     def guarded(self, action: Callable[..., Result], prim: Usd.Prim, *arguments: Any) -> Result | None:
         """Do something for a mesh; an error becomes its report, and None is returned, unless the run is strict."""
         report = self.reports[str(prim.GetPath())]
         start = time.perf_counter()
+        self.step = "reading the mesh"
         try:
             return action(prim, *arguments)
+        except MemoryError as error:
+            if not isinstance(error, WarpqemError):
+                raise
+            return self._failed(report, name_prim(report.path, error), error)
         except WarpqemError as error:
             # A wrong option or device is no fault of this mesh.
             if isinstance(error, (OptionError, DeviceError)):
                 raise
-            report.status = "failed"
-            report.message = name_prim(report.path, error)
-            if self.options.strict:
-                raise StageError(report.message) from error
-            return None
+            return self._failed(report, name_prim(report.path, error), error)
+        except Exception as error:
+            # Not meant to happen; the other meshes of the stage have no part in it.
+            self.layer.discard(report.path)
+            report.faces_after, report.vertices_after = report.faces_before, report.vertices_before
+            what = " ".join(f"{type(error).__name__}: {error}".split())
+            return self._failed(report, f"{report.path}: unexpected error while {self.step}: {what}", error)
         finally:
             report.seconds += time.perf_counter() - start
+
+    def _failed(self, report: PrimReport, message: str, error: Exception) -> None:
+        """Note that a mesh could not be done; a strict run ends there."""
+        report.status, report.message = "failed", message
+        if self.options.strict:
+            raise StageError(message) from error
 
     def _prepare(self, prim: Usd.Prim, shared: SharedOrder | None = None) -> MeshJob:
         job = None if shared is None else shared.job
@@ -169,6 +191,8 @@ class Run:
         report.vertices_before = report.vertices_after = len(job.mesh.used_points)
         with usd_errors_named(job.mesh.path, reading=True):
             report.problems = find_odd_values(job.source)
+        if job.repair is not None:
+            report.problems += [f"{job.mesh.path}: {line}" for line in job.repair.findings.lines()]
         return job
 
     def _reading(self) -> ReadOptions:
@@ -374,7 +398,7 @@ class Run:
             with usd_errors_named(job.mesh.path):
                 result = self._result(job, progress, fitter or samples, target_faces, shared)
             report.stopped = result.stopped
-            if len(result.log) or result.components_removed:
+            if len(result.log) or len(result.faces) < face_count:
                 self._write(job, samples, fitter, result, report)
                 report.dropped += job.seams.let_go(job.faces, result.face_map)
                 return
@@ -445,6 +469,7 @@ class Run:
         result: warpqem.SimplifiedMesh,
         report: PrimReport,
     ) -> None:
+        self.step = "writing the simplified mesh"
         carrier = job.carrier(result, self.options.device)
         protection = self._face(job).get("face")
         carrier.feature_points = points_on_level(job, protection, result.vertex_map)

@@ -13,6 +13,7 @@ from pxr import Usd, UsdGeom
 
 from warpqem.components import lowest_members
 from warpqem.edges import edge_key
+from warpqem.repair.mesh import MeshRepair
 from warpqem.transfer import is_proper, joined_faces
 from warpqem.usd.arrays import Samples, is_normal, primvar_samples, sample_codes
 from warpqem.usd.below import subsets_of
@@ -42,11 +43,13 @@ class MeshSeams:
         by_name: The seams of each attribute with one value per corner, int32, shape (S, 2).
         borders: Subset borders and creases, int32, shape (S, 2).
         dense: Names of the attributes whose seams are too many to be held closed.
+        two_sided: Names of the attributes with other values on the back of a sheet with two sides.
     """
 
     by_name: dict[str, Pairs] = field(default_factory=dict)
     borders: Pairs = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int32))
     dense: list[str] = field(default_factory=list)
+    two_sided: list[str] = field(default_factory=list)
 
     def add(self, name: str, pairs: Pairs, vertex_count: int) -> None:
         """Add the seams of one attribute."""
@@ -99,12 +102,11 @@ class _InnerEdges:
     corner: npt.NDArray[np.int64]
 
     @classmethod
-    def of(cls, faces: npt.NDArray[np.int32]) -> _InnerEdges:
-        """The edges of all faces but those that welding closed."""
-        vertex_count = int(faces.max()) + 1
+    def of(cls, faces: npt.NDArray[np.int32], sheets: npt.NDArray[np.int32]) -> _InnerEdges:
+        """The edges of all faces but those that welding closed, and between faces that share corners of ``sheets``."""
         tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
-        key = edge_key(tail, head, vertex_count)
-        proper = np.repeat((faces != np.roll(faces, -1, axis=1)).all(axis=1), 3)
+        key = edge_key(sheets.ravel(), np.roll(sheets, -1, axis=1).ravel(), int(sheets.max()) + 1)
+        proper = np.repeat(is_proper(sheets), 3)
         order = np.argsort(key, kind="stable")
         order = order[proper[order]]
         pair = np.flatnonzero(key[order[1:]] == key[order[:-1]])
@@ -129,7 +131,12 @@ class _InnerEdges:
 
 
 def find_seams(
-    source: MeshSource, faces: npt.NDArray[np.int32], *, welded: bool = False, with_normals: bool = True
+    source: MeshSource,
+    faces: npt.NDArray[np.int32],
+    *,
+    welded: bool = False,
+    with_normals: bool = True,
+    repair: MeshRepair | None = None,
 ) -> MeshSeams:
     """The seams of all faceVarying primvars and normals, of face subsets, and the creases.
 
@@ -141,6 +148,7 @@ def find_seams(
             the seams are to be named by.
         welded: True if some of these vertices are more than one point.
         with_normals: False if the mesh is going to lose its normals.
+        repair: What is going to be mended of the topology of `faces`; None for nothing.
 
     Returns:
         The seams. Borders of the surface are none.
@@ -148,13 +156,16 @@ def find_seams(
     seams = MeshSeams()
     if not len(faces):
         return seams
-    edges = _InnerEdges.of(faces)
+    edges = _InnerEdges.of(faces, faces if repair is None else repair.sheets)
+    sides = None if repair is None else repair.back_corners()
     for name, samples, normals in corner_values(source, welded):
         if name in NORMALS and not with_normals:
             continue
         differ = np.zeros(len(edges.ends), dtype=bool)
         for values in samples.values():
             differ |= edges.values_differ(values, normals)
+            if sides is not None and name not in seams.two_sided and (values[sides[0]] != values[sides[1]]).any():
+                seams.two_sided.append(name)
         seams.add(name, edges.where(differ), int(faces.max()) + 1)
     borders = [_subset_borders(source, edges), _creases(source, edges, faces)]
     seams.borders = np.unique(np.concatenate(borders), axis=0).astype(np.int32)

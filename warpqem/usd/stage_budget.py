@@ -28,8 +28,9 @@ if TYPE_CHECKING:
 
 __all__ = ["simplify_to_budget"]
 
-# Faces that a trial goes down to, or as near as it can. A closed surface has at least the 4 of a tetrahedron.
-TRIAL_FACES = 4
+# Faces that a trial goes down to, or as near as it can: the two of a sheet, which one more collapse would halve. A closed
+# surface keeps at least the 4 of a tetrahedron.
+TRIAL_FACES = 2
 # Orderings of so many bytes together are kept from the trials for the results; other meshes are ordered again, with the
 # same bits. Enough for some thousands of small meshes, for which a second ordering would take most of the time.
 KEPT_BYTES = 512 * 2**20
@@ -120,10 +121,16 @@ def _curve(run: Run, prim: Usd.Prim, progress: Progress, shared: SharedOrder, we
     job, costs = run.try_out(prim, progress, shared, TRIAL_FACES)
     if costs is None:
         return CostCurve(len(job.mesh.faces), np.zeros(0), np.zeros(0, dtype=np.int64), weight)
+    face_count, removed = len(job.mesh.faces), costs.log.faces_removed
+    if job.repair is not None:
+        # Repeats go for nothing, and the backs of faces with them.
+        base = len(job.repair.face_index)
+        face_count = job.repair.count_with_backs(np.arange(base))
+        removed = np.diff(np.cumsum(removed, dtype=np.int64) * face_count // base, prepend=0)
     return CostCurve.from_log(
-        face_count=len(job.mesh.faces),
+        face_count=face_count,
         cost=costs.log.cost,
-        faces_removed=costs.log.faces_removed,
+        faces_removed=removed,
         unit_length=costs.diagonal * job.mesh.world_scale,
         frame_count=len(costs.key_frames),
         weight=weight,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -10,6 +11,7 @@ from pxr import Usd, UsdGeom
 
 from warpqem.edges import edge_key
 from warpqem.errors import StageError, VaryingTopologyError
+from warpqem.polygons import ear_clipped, fans_cover, polygon_normals
 
 __all__ = ["Topology", "fan_triangulate", "read_topology"]
 
@@ -99,12 +101,58 @@ def _choose_apexes(counts: npt.NDArray[np.int32], indices: npt.NDArray[np.int32]
     return apexes
 
 
-def read_topology(mesh: UsdGeom.Mesh, point_count: int) -> Topology:
+def _cut(
+    counts: npt.NDArray[np.int32], indices: npt.NDArray[np.int32], points: npt.NDArray[np.floating[Any]]
+) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
+    """Cut polygons as fans, and those that a fan does not cover, such as concave ones, by ear clipping.
+
+    Args:
+        counts: int32, shape (P,), corners of each polygon, not negative.
+        indices: int32, shape (C,), the point of each corner.
+        points: shape (V, 3), the pose that decides.
+
+    Returns:
+        As `fan_triangulate`.
+    """
+    apexes = _choose_apexes(counts, indices)
+    corners, polygons = fan_triangulate(counts, apexes)
+    large = np.flatnonzero(counts > 3)
+    place = points[indices]
+    first = np.cumsum(counts, dtype=np.int64) - counts
+    finite = np.isfinite(place).all(axis=1)
+    large = large[_all_of(finite, counts, large)]
+    if not len(large):
+        return corners, polygons
+    number = np.full(len(counts), -1, dtype=np.int64)
+    number[large] = np.arange(len(large))
+    ring = np.repeat(number >= 0, counts)
+    normals = polygon_normals(place[ring], counts[large])
+    inside = np.flatnonzero(number[polygons] >= 0)
+    covered = fans_cover(place, corners[inside], number[polygons[inside]], normals)
+    first_triangle = np.searchsorted(polygons, large)
+    for index in np.flatnonzero(~covered).tolist():
+        polygon = large[index]
+        triangles = ear_clipped(place[first[polygon] : first[polygon] + counts[polygon]], normals[index])
+        if triangles is not None:
+            corners[first_triangle[index] : first_triangle[index] + len(triangles)] = first[polygon] + triangles
+    return corners, polygons
+
+
+def _all_of(flag: npt.NDArray[np.bool_], counts: npt.NDArray[np.int32], chosen: npt.NDArray[np.int64]) -> Any:
+    """Whether the flag is set at all corners of each chosen polygon."""
+    missing = np.bincount(np.repeat(np.arange(len(counts)), counts)[~flag], minlength=len(counts))
+    return missing[chosen] == 0
+
+
+def read_topology(
+    mesh: UsdGeom.Mesh, point_count: int, points: npt.NDArray[np.floating[Any]] | None = None
+) -> Topology:
     """Read and check the faces of a mesh.
 
     Args:
         mesh: The mesh.
         point_count: Number of points the faces may refer to.
+        points: shape (point_count, 3), the pose in which it is decided how polygons are cut; None to cut all as fans.
 
     Raises:
         StageError: faceVertexCounts or faceVertexIndices is missing, blocked, inconsistent or out of range; the message
@@ -130,7 +178,11 @@ def read_topology(mesh: UsdGeom.Mesh, point_count: int) -> Topology:
             f"{path}.faceVertexIndices: face {face} refers to point {indices[corner]}, "
             f"but there are {point_count} points ({outside.size} such corners)"
         )
-    corners, polygons = fan_triangulate(counts, _choose_apexes(counts, indices) if (counts > 3).any() else None)
+    if points is None or not (counts > 3).any():
+        apexes = _choose_apexes(counts, indices) if (counts > 3).any() else None
+        corners, polygons = fan_triangulate(counts, apexes)
+    else:
+        corners, polygons = _cut(counts, indices, points)
     holes = _hole_faces(mesh, len(counts))
     if holes.size:
         kept = ~np.isin(polygons, holes)

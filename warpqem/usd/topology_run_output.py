@@ -83,7 +83,7 @@ class RunOutput:
             for attribute in spec.attributes:
                 self._copy_attribute(edits, attribute, written)
         for part in edits.dropped if len(self._done) == 1 else ():
-            self._over.dropped.append(Dropped(deactivated=part.deactivated))
+            self._over.add_dropped(str(self._prim.GetPath()), Dropped(deactivated=part.deactivated))
 
     def keep(self) -> None:
         """Let the next run be as it is in the input."""
@@ -108,7 +108,7 @@ class RunOutput:
                 spec.ClearInfo("timeSamples")
                 spec.default = Sdf.ValueBlock()
                 dropped.blocked.append(path)
-        self._over.dropped.append(dropped)
+        self._over.add_dropped(str(self._prim.GetPath()), dropped)
 
     def discard(self) -> None:
         """Take back all that was written."""

@@ -120,8 +120,10 @@ class OverLayer:
             # An error holds on to this object, and so to the file.
             self.close()
             raise
-        self._dropped: list[Dropped] = []
         self._classes: list[Sdf.Path] = []
+        # By the path of the mesh: what was taken off it, and its blend shapes that were written.
+        self._dropped: dict[str, list[Dropped]] = {}
+        self._shapes: dict[str, list[Sdf.Path]] = {}
         self._unsaved = self._samples = 0
 
     def _start(self) -> Usd.Stage:
@@ -144,6 +146,14 @@ class OverLayer:
         """The edits."""
         return self._layer
 
+    def discard(self, path: str) -> None:
+        """Take back all edits of a mesh, of the prims below it, and of its blend shapes."""
+        for edited in (Sdf.Path(path), *self._shapes.pop(path, [])):
+            spec = self._layer.GetPrimAtPath(edited)
+            if spec:
+                del self._layer.GetPrimAtPath(edited.GetParentPath()).nameChildren[spec.name]
+        self._dropped.pop(path, None)
+
     def point_samples(self, path: str, times: list[float] | None) -> PointSamples:
         """A sink for the points of the simplified mesh that `replace_mesh` is going to be called for.
 
@@ -156,7 +166,11 @@ class OverLayer:
     @property
     def dropped(self) -> list[Dropped]:
         """What was taken off each mesh."""
-        return self._dropped
+        return [dropped for found in self._dropped.values() for dropped in found]
+
+    def add_dropped(self, path: str, dropped: Dropped) -> None:
+        """Note what was taken off the mesh at a path."""
+        self._dropped.setdefault(path, []).append(dropped)
 
     def count_sample(self, size: int) -> None:
         """Save the layer now and then: what is saved is let go of by USD, and read from the file when asked for."""
@@ -203,11 +217,12 @@ class OverLayer:
         self, mesh: UsdGeom.Mesh, carrier: Carrier, times: list[float] | None, skin: Skin | None, with_normals: bool
     ) -> Dropped:
         dropped = Dropped()
-        self._dropped.append(dropped)
         prim = mesh.GetPrim()
+        self.add_dropped(str(prim.GetPath()), dropped)
         if skin is None:
             drop_skin(prim, dropped)
         else:
+            self._shapes[str(prim.GetPath())] = [shape.path for shape in skin.shapes]
             write_skin(self.stage, prim, skin, carrier)
         carry_primvars(prim, carrier, dropped, self.count_sample)
         if with_normals:
@@ -297,7 +312,7 @@ class OverLayer:
             # Flattening leaves what instances share as overs, which nothing defines.
             if spec.name.startswith("Flattened_Prototype_") and spec.specifier == Sdf.SpecifierOver:
                 spec.specifier = Sdf.SpecifierClass
-        for dropped in self._dropped:
+        for dropped in self.dropped:
             for path in flat_places(layer, dropped.blocked):
                 _remove_property(layer, path)
             for path in flat_places(layer, dropped.deactivated):
