@@ -50,6 +50,7 @@ class OutputFormat(str, Enum):
     usd = "usd"
     usda = "usda"
     usdc = "usdc"
+    usdz = "usdz"
 
 
 @takes_simplify_options

@@ -28,6 +28,7 @@ __all__ = [
     "Prims",
     "ReportPage",
     "ScreenError",
+    "StageOutput",
 ]
 
 
@@ -40,6 +41,16 @@ Output = Annotated[
     str,
     typer.Option(
         "--output", "-o", metavar="OUT", help="USD file to write (.usd, .usda, .usdc); replaced if it exists, never IN."
+    ),
+]
+
+StageOutput = Annotated[
+    str,
+    typer.Option(
+        "--output",
+        "-o",
+        metavar="OUT",
+        help="USD file to write (.usd, .usda, .usdc, .usdz); replaced if it exists, never IN.",
     ),
 ]
 

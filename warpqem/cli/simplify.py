@@ -16,7 +16,7 @@ from warpqem.cli.console import (
     tell,
     write_json,
 )
-from warpqem.cli.options import Input, JsonReport, Output, ReportPage
+from warpqem.cli.options import Input, JsonReport, ReportPage, StageOutput
 from warpqem.cli.simplify_options import takes_simplify_options
 
 if TYPE_CHECKING:
@@ -28,13 +28,14 @@ __all__ = ["run_simplify", "simplify"]
 
 @takes_simplify_options
 def simplify(
-    input_file: Input, output: Output, options: dict[str, Any], report: ReportPage = None, json: JsonReport = None
+    input_file: Input, output: StageOutput, options: dict[str, Any], report: ReportPage = None, json: JsonReport = None
 ) -> None:
     """Simplify every mesh over all its frames.
 
     Give one of --ratio, --faces, --max-error, --screen-error and --lods.
 
-    OUT is a small layer over IN that holds the new meshes; keep the two files together, or use --flatten. Primvars,
+    OUT is a small layer over IN that holds the new meshes; keep the two files together, or use --flatten, or name OUT
+    as a package (.usdz), which holds all that it needs. Primvars,
     normals, subsets, skins and blend shapes come along. What does not fit the new meshes is dropped, with a warning.
 
     Exit codes: 0 all done; 1 an error, or some mesh failed; 2 wrong usage; 130 interrupted.
@@ -102,7 +103,7 @@ def _tell_problems(report: StageReport) -> None:
 
 
 def _table(report: StageReport) -> PlainTable:
-    table = PlainTable(f"{report.input} -> {report.output or 'nothing written'}")
+    table = PlainTable(f"{report.input} -> {', '.join(report.outputs) or 'nothing written'}")
     levels = {_level(prim): [other for other in report.prims if _level(other) == _level(prim)] for prim in report.prims}
     if any(levels):
         table.add_column("level")

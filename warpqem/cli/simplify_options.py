@@ -128,6 +128,14 @@ def simplify_values(
             help="With --lods: write the levels with the UsdLod schemas, for renderers to choose by size or distance.",
         ),
     ] = False,
+    lod_files: Annotated[
+        bool,
+        typer.Option(
+            "--lod-files",
+            help="With --lods: write each level as a file of its own, OUT_LOD1.usdc, OUT_LOD2.usdc, ..., for programs "
+            "that know neither variants nor UsdLod; OUT itself is not written.",
+        ),
+    ] = False,
     metric: MetricOption = Metric.dsd,
     coherence: Coherence = 0.5,
     refit: Annotated[
@@ -264,7 +272,12 @@ def simplify_values(
         ),
     ] = True,
     flatten: Annotated[
-        bool, typer.Option("--flatten", help="Write one self-contained file instead of a layer over IN.")
+        bool,
+        typer.Option(
+            "--flatten",
+            help="Write one self-contained file instead of a layer over IN; textures in packages or other folders are "
+            "copied to NAME_textures beside it.",
+        ),
     ] = False,
     strict: Annotated[
         bool, typer.Option("--strict", help="Stop at the first mesh that cannot be done, and write nothing.")

@@ -10,18 +10,18 @@ from pathlib import Path
 from pxr import Sdf, Usd
 
 from warpqem.errors import OptionError, StageError
+from warpqem.outputs import OutputFile
 from warpqem.usd.field_order import with_fields_in_order
+from warpqem.usd.output_names import LEVEL_NAME, level_file
+from warpqem.usd.package import is_package, write_package_with_layers
 from warpqem.usd.report import PrimReport
 from warpqem.usd.stage import find_meshes
 from warpqem.usd.write import OverLayer, copy_stage_metadata, export_layer, move_asset_paths, relative_path
 
-__all__ = ["LevelLayer", "LevelReport", "VariantLevels", "define_root"]
+__all__ = ["FileLevels", "LevelLayer", "LevelReport", "VariantLevels", "define_root"]
 
 # The variant set that usdview, Omniverse and others show for levels of detail.
 VARIANT_SET = "LOD"
-
-# Levels count up from the original.
-LEVEL_NAME = "LOD"
 
 
 @dataclass
@@ -96,11 +96,14 @@ class LevelLayer(ABC):
         """
         return self._add(edits)
 
-    def save(self, output: Path) -> None:
+    def save(self, output: Path) -> list[str]:
         """Write the layer under a temporary name and rename it.
 
         Args:
-            output: Path checked with `check_output_path`.
+            output: Path checked with `check_output_path`; a package holds the layers of the input, too.
+
+        Returns:
+            What programs may not read; one line each.
 
         Raises:
             StageError: the file cannot be written; nothing is left behind.
@@ -108,11 +111,14 @@ class LevelLayer(ABC):
         # A copy, because an anonymous layer that a stage is open on cannot resolve a relative path.
         layer = Sdf.Layer.CreateAnonymous("save.usda")
         layer.TransferContent(self._layer)
+        if is_package(output):
+            return write_package_with_layers(with_fields_in_order(layer), output)
         layer.UpdateCompositionAssetDependency(
             self._source.realPath, relative_path(self._source.realPath, output.parent)
         )
         move_asset_paths(layer, self._source, output.parent)
         export_layer(with_fields_in_order(layer), output)
+        return []
 
     def _add(self, edits: OverLayer | None) -> str:
         name = f"{LEVEL_NAME}{len(self._names)}"
@@ -156,6 +162,36 @@ class VariantLevels(LevelLayer):
 
     def _place(self, name: str) -> Sdf.Path:
         return Sdf.VariantSpec(self._set, name).path
+
+
+class FileLevels:
+    """Levels as files beside the output, each like the output of a simplification to one ratio.
+
+    Args:
+        flatten: Write self-contained files.
+        other_outputs: What else is going to be written.
+
+    Attributes:
+        path: Prim that holds all meshes.
+    """
+
+    path: Sdf.Path = Sdf.Path.absoluteRootPath
+
+    def __init__(self, flatten: bool, other_outputs: Sequence[OutputFile]) -> None:
+        self._flatten, self._others = flatten, other_outputs
+        self._levels: list[OverLayer] = []
+
+    def add(self, edits: OverLayer, share: float) -> str:
+        """Add the next level; see `LevelLayer.add`."""
+        self._levels.append(edits)
+        return f"{LEVEL_NAME}{len(self._levels)}"
+
+    def save(self, output: Path) -> list[str]:
+        """Write the files; see `OverLayer.save`."""
+        problems = []
+        for level, edits in enumerate(self._levels, start=1):
+            problems += edits.save(Path(level_file(output, level)), self._flatten, self._others)
+        return problems
 
 
 def _root_prims(stage: Usd.Stage) -> list[Usd.Prim]:

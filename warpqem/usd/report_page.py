@@ -18,7 +18,8 @@ from warpqem.errors import WarpqemError
 from warpqem.outputs import OutputFile
 from warpqem.report import Level, Report, Table, chosen_frames, write_report
 from warpqem.usd.input_files import check_stage_outputs
-from warpqem.usd.lods import LEVEL_NAME, VARIANT_SET, LevelReport
+from warpqem.usd.lods import VARIANT_SET, LevelReport
+from warpqem.usd.output_names import LEVEL_NAME
 from warpqem.usd.report import PrimReport, StageReport
 from warpqem.usd.simplify_options import SimplifyOptions
 from warpqem.usd.stage import open_stage
@@ -55,7 +56,11 @@ def write_simplify_report(
     failed = [prim.path for prim in report.failed]
     original = WorldMeshes(report.input, options.prims, passing=failed)
     names = list(dict.fromkeys(prim.level for prim in report.prims if isinstance(prim, LevelReport)))
-    levels = [(name, _open_level(output, name, options.prims, failed)) for name in names]
+    if options.lod_files:
+        named = zip(names, report.outputs, strict=True)
+        levels = [(name, WorldMeshes(file, options.prims, passing=failed)) for name, file in named]
+    else:
+        levels = [(name, _open_level(output, name, options.prims, failed)) for name in names]
     levels = levels or [("simplified", WorldMeshes(output, options.prims, passing=failed))]
     check_stage_outputs([OutputFile("report", path)], [original.stage, *(level.stage for _, level in levels)])
     tables = [_mesh_table(report.prims), _option_table(options)]

@@ -14,7 +14,8 @@ from warpqem.outputs import InputFile, OutputFile
 from warpqem.sharing import FrameShare
 from warpqem.usd.context import Announce, Context, Progress, SharedOrder
 from warpqem.usd.input_files import check_stage_outputs
-from warpqem.usd.lods import LevelReport, VariantLevels
+from warpqem.usd.lods import FileLevels, LevelLayer, LevelReport, VariantLevels
+from warpqem.usd.output_names import output_files
 from warpqem.usd.report import PrimReport, StageReport
 from warpqem.usd.run import Run
 from warpqem.usd.run_info import run_info
@@ -26,7 +27,7 @@ from warpqem.usd.write import check_output_path
 
 __all__ = ["simplify_stage"]
 
-Save = Callable[[Path], None]
+Save = Callable[[Path], list[str]]
 
 _log = logging.getLogger(__name__)
 
@@ -50,7 +51,8 @@ def simplify_stage(
 
     Args:
         input_path: .usd, .usda, .usdc or .usdz file.
-        output_path: .usd, .usda or .usdc file; replaced if it exists.
+        output_path: .usd, .usda, .usdc or .usdz file; replaced if it exists. A package holds one flat layer and all
+            files that it names; with `options.lods` the layers of the input.
         options: What to do.
         progress: Called with the fraction done and what is being done.
         announce: Called with the name of each mesh and the memory plan for it, before the work on it.
@@ -68,13 +70,14 @@ def simplify_stage(
         OptionError: an option or an output path is wrong, or the root prims of the input cannot hold levels.
         DeviceError: there is no such device.
     """
-    output = check_output_path(output_path, [input_path])
+    output = check_output_path(output_path, [input_path], packages=True)
+    written = [OutputFile("output", path) for path in output_files(output_path, options)]
     start = time.perf_counter()
     _log.info("%s: reading", input_path)
     stage, problems = open_with_problems(input_path, options.asset_roots)
     read = [stage] if options.poses is None else [stage, open_stage(options.poses)]
     points = [] if options.face_points is None else [InputFile(options.face_points, "the file of points")]
-    check_stage_outputs([OutputFile("output", output_path), *other_outputs], read, points)
+    check_stage_outputs([*written, *other_outputs], read, points)
     # What fails while a layer is being written is no matter of one mesh: half of it would be there.
     with usd_errors_named(input_path), ExitStack() as cleanup:
         context = Context(
@@ -86,38 +89,43 @@ def simplify_stage(
             cleanup,
             share,
         )
-        report = _simplify(context, input_path, output)
-    report.problems = problems
+        report = _simplify(context, input_path, output, [*written, *other_outputs])
+    report.problems = problems + report.problems
     if report.output is not None:
-        report.output = os.fspath(output_path)
+        report.outputs = [os.fspath(file.path) for file in written]
+        report.output = report.outputs[0]
     report.run = run_info(options, time.perf_counter() - start)
     return report
 
 
-def _simplify(context: Context, input_path: str | os.PathLike[str], output: Path) -> StageReport:
-    report, save = (_simplify_levels if context.options.lods else _simplify_once)(context)
+def _simplify(
+    context: Context, input_path: str | os.PathLike[str], output: Path, written: Sequence[OutputFile]
+) -> StageReport:
+    report, save = (_simplify_levels if context.options.lods else _simplify_once)(context, written)
     report.input = os.fspath(input_path)
     if len(report.failed) < len(report.prims):
-        save(output)
+        report.problems = save(output)
         report.output = os.fspath(output)
         _log.info("%s: written", output)
     return report
 
 
-def _simplify_once(context: Context) -> tuple[StageReport, Save]:
+def _simplify_once(context: Context, written: Sequence[OutputFile]) -> tuple[StageReport, Save]:
     run = Run(context)
     run.simplify()
-    return run.report(), lambda output: run.layer.save(output, context.options.flatten)
+    return run.report(), lambda output: run.layer.save(output, context.options.flatten, written)
 
 
-def _simplify_levels(context: Context) -> tuple[StageReport, Save]:
+def _simplify_levels(context: Context, written: Sequence[OutputFile]) -> tuple[StageReport, Save]:
     """Every mesh is read and its edges are collapsed once; each level then equals what its ratio alone would give."""
     options = context.options
-    levels = (UsdLodLevels if options.usd_lod else VariantLevels)(context.stage, options.prims)
-    runs = [
-        Run(replace(context, options=replace(options, ratio=ratio, lods=(), usd_lod=False)), levels.path)
-        for ratio in options.lods
-    ]
+    levels: LevelLayer | FileLevels
+    if options.lod_files:
+        levels = FileLevels(options.flatten, written)
+    else:
+        levels = (UsdLodLevels if options.usd_lod else VariantLevels)(context.stage, options.prims)
+    one = replace(options, lods=(), usd_lod=False, lod_files=False, ratio=1.0)
+    runs = [Run(replace(context, options=replace(one, ratio=ratio)), levels.path) for ratio in options.lods]
     selections = [run.select() for run in runs]
     for prim_index, prim in enumerate(selections[0]):
         shared = None if options.memoryless else SharedOrder(options.lods[-1])

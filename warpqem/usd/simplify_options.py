@@ -35,6 +35,8 @@ class SimplifyOptions:
         lods: Ratios of levels of detail, each smaller than the one before, between 0 and 1. The output offers the input
             and one level for each ratio as variants LOD0, LOD1, ... of the root prim that holds the default prim.
         usd_lod: With `lods`, write the levels as prims below that root prim, with the schemas of UsdLod, instead.
+        lod_files: With `lods`, write each level as a file of its own beside the output, which is not written itself:
+            OUT_LOD1.usdc, OUT_LOD2.usdc, ... for OUT.usdc.
         metric: Cost model, see `warpqem.simplify`.
         coherence: 0 to 1, see `warpqem.simplify`.
         refit: Fit the surface as a whole after placing its vertices, see `warpqem.simplify`.
@@ -94,6 +96,7 @@ class SimplifyOptions:
     screen: ScreenView | None = None
     lods: tuple[float, ...] = ()
     usd_lod: bool = False
+    lod_files: bool = False
     metric: str = "dsd"
     coherence: float = 0.5
     refit: bool = False
@@ -172,10 +175,16 @@ class SimplifyOptions:
                 "pose_independent excludes symmetry, refit, memoryless, bake, lods, another metric, its options and "
                 "another placement"
             )
-        if self.lods and self.flatten:
-            raise OptionError("lods and flatten exclude each other: every level is a layer over the input")
-        if self.usd_lod and not self.lods:
-            raise OptionError("usd_lod needs lods: the ratios of the levels")
+        if self.lods and self.flatten and not self.lod_files:
+            raise OptionError(
+                "lods and flatten exclude each other: every level is a layer over the input; with lod_files each level "
+                "is a file that can be flat"
+            )
+        for name in ("usd_lod", "lod_files"):
+            if getattr(self, name) and not self.lods:
+                raise OptionError(f"{name} needs lods: the ratios of the levels")
+        if self.usd_lod and self.lod_files:
+            raise OptionError("usd_lod and lod_files exclude each other: all levels in one file, or one file for each")
 
     def _check_face(self) -> None:
         given = [name for name in ("face_points", "face_weight", "face_ring") if getattr(self, name) is not None]
