@@ -29,6 +29,7 @@ __all__ = [
     "ReportPage",
     "ScreenError",
     "StageOutput",
+    "Variants",
 ]
 
 
@@ -60,6 +61,16 @@ Prims = Annotated[
         "--prim",
         metavar="PATH",
         help="Only the meshes at and below this prim path, such as /Root/Body; may be given several times.",
+    ),
+]
+
+Variants = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--variant",
+        metavar="SET=NAME",
+        help="Variant to look at instead of the one that the file selects, such as LOD=LOD1; '/Prim/Path{SET=NAME}' "
+        "where several prims have the set. May be given several times, and goes for each file that has the set.",
     ),
 ]
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import re
+import zipfile
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -80,15 +81,19 @@ def write_package_with_layers(layer: Sdf.Layer, output: Path) -> list[str]:
         root = folder / f"{output.stem}.usdc"
         if not layer.Export(os.fspath(root)):
             raise StageError(f"{output}: USD cannot write it")
-        local = folder / "local"
         _, _, missing = UsdUtils.ComputeAllDependencies(Sdf.AssetPath(os.fspath(root)))
-        # False also where a file is missing, as one is that the input names in vain.
-        done = UsdUtils.LocalizeAsset(Sdf.AssetPath(os.fspath(root)), os.fspath(local))
-        if not done and not (missing and (local / root.name).is_file()):
+        packed, local = folder / "all.usdz", folder / "local"
+        # False, or an error, also where a file is missing, as one is that the input names in vain.
+        try:
+            done = UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(os.fspath(root)), os.fspath(packed))
+        except Tf.ErrorException:
+            done = False
+        if not packed.is_file() or not (done or missing):
             raise StageError(f"{output}: USD cannot gather the files that the input names")
-        found = sorted(path for path in local.rglob("*") if path.is_file())
-        files = {path.relative_to(local).as_posix(): path for path in found}
-        _write_archive({root.name: files.pop(root.name), **files}, output)
+        with zipfile.ZipFile(packed) as archive:
+            files = {name: local / name for name in archive.namelist()}
+            archive.extractall(local)
+        _write_archive(files, output)
     lost = [f"{path}: missing, so that the package lacks it" for path in missing]
     return lost + _foreign(files, output)
 

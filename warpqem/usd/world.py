@@ -32,6 +32,7 @@ class WorldMeshes:
         prims: Sequence[str] = (),
         variant: tuple[Sdf.Path, str, str] | None = None,
         passing: Sequence[str] = (),
+        stage: Usd.Stage | None = None,
     ) -> None:
         """Find the meshes.
 
@@ -40,12 +41,13 @@ class WorldMeshes:
             prims: Prim paths; meshes at and below them are taken. Empty for all.
             variant: Prim path, name of a variant set and the variant to select there; None for what the file selects.
             passing: Prim paths of meshes that are left out, such as those that could not be simplified.
+            stage: The file, open already; None to open it.
 
         Raises:
             StageError: the file cannot be read, or has no mesh.
         """
         self.name = os.path.basename(os.fspath(path))
-        self.stage: Usd.Stage = open_stage(path)
+        self.stage: Usd.Stage = open_stage(path) if stage is None else stage
         if variant is not None:
             prim_path, variant_set, selection = variant
             # In the session layer, which is not part of the file.
