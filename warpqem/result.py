@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,6 +19,9 @@ from warpqem.order.stage import OrderedMesh
 from warpqem.place.stage import Placer
 from warpqem.preparation import ORDER_END, Prepared, Progress
 from warpqem.sharing import FrameShare
+
+if TYPE_CHECKING:
+    import trimesh
 
 __all__ = ["Delivery", "Outcome", "SimplifiedMesh", "finish", "reached"]
 
@@ -54,6 +59,33 @@ class SimplifiedMesh:
     diagonal: float
     plan: MemoryPlan
     components_removed: int = 0
+
+    def save(self, path: str | os.PathLike[str], numbers: Sequence[int] | None = None, fps: float = 24.0) -> list[str]:
+        """Write the frames in ``points``: as one USD file, or as mesh files, which trimesh writes.
+
+        Args:
+            path: .usd, .usda, .usdc or .usdz; or .ply, .obj, .stl, .off or .glb, with a row of # for the number of the
+                frame where there are several, such as "out/horse_####.ply". Files that are there are replaced.
+            numbers: (F,) the number of each frame, such as ``MeshSequence.numbers``; None for 1, 2, ... In a USD file
+                they are time codes.
+            fps: time codes per second of a USD file.
+
+        Returns:
+            The files.
+
+        Raises:
+            OptionError: the suffix is another one, or frames have no place in the name.
+            MeshFileError, StageError: a file cannot be written.
+        """
+        from warpqem.mesh_files.saving import save_frames
+
+        return save_frames(self.points, self.faces, path, numbers, fps)
+
+    def to_trimesh(self, frame: int = 0) -> trimesh.Trimesh:
+        """One frame as a ``trimesh.Trimesh``, its vertices and faces in their order."""
+        from warpqem.mesh_files.writing import as_trimesh
+
+        return as_trimesh(self.points[frame], self.faces)
 
 
 @dataclass(frozen=True)

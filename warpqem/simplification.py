@@ -65,7 +65,7 @@ def simplify(
     Args:
         points: (F, V, 3) or (V, 3) coordinates in any unit: NumPy, Warp, or anything with the array interface or
             DLPack; or a :class:`warpqem.FrameSource`, which is read block by block, twice, and once more for the key
-            frames; or a ``trimesh.Trimesh``, then without ``faces``.
+            frames; or a ``trimesh.Trimesh``, or what :func:`warpqem.load` gives, then without ``faces``.
         faces: (N, 3) vertex indices.
         ratio: part of the faces to keep, in (0, 1].
         target_faces: faces to keep, at least 1. The result has as many, or one fewer.

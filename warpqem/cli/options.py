@@ -21,7 +21,9 @@ __all__ = [
     "Input",
     "JsonReport",
     "KeyFrames",
+    "MeshInput",
     "MeshMemory",
+    "MeshOutput",
     "Metric",
     "MetricOption",
     "Output",
@@ -42,6 +44,25 @@ Output = Annotated[
     str,
     typer.Option(
         "--output", "-o", metavar="OUT", help="USD file to write (.usd, .usda, .usdc); replaced if it exists, never IN."
+    ),
+]
+
+MeshInput = Annotated[
+    str,
+    typer.Argument(
+        metavar="IN",
+        help="USD file to read (.usd, .usda, .usdc, .usdz), or mesh files, one for each frame, such as 'horse-*.ply'.",
+    ),
+]
+
+MeshOutput = Annotated[
+    str,
+    typer.Option(
+        "--output",
+        "-o",
+        metavar="OUT",
+        help="USD file to write (.usd, .usda, .usdc, .usdz), or with mesh files as IN such files, for example "
+        "out/horse_####.ply (.ply, .obj, .stl, .off, .glb); replaced if it exists, never IN.",
     ),
 ]
 
