@@ -15,11 +15,9 @@ __all__ = ["find_mesh_files", "frame_numbers", "is_mesh_name", "natural_key", "n
 
 # Formats that trimesh reads and writes without a further package, known without loading it.
 SUFFIXES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
-# What else it reads are meshes, but for archives, drawings, clouds of points and its own dumps; USD files are
-# USD's.
-NO_MESHES = tuple(
-    ["bz2", "dict", "dict64", "dxf", "gz", "json", "msgpack", "svg", "tar", "usd", "usda", "usdc", "usdz", "xyz", "zip"]
-)
+ARCHIVES = ("bz2", "gz", "tar", "zip")
+# What else it reads are meshes, but for drawings, clouds of points and its own dumps; USD files are USD's.
+NO_MESHES = (*ARCHIVES, "dict", "dict64", "dxf", "json", "msgpack", "svg", "usd", "usda", "usdc", "usdz", "xyz")
 # Stands for the number of a frame in a name, a digit each at least.
 NUMBER = re.compile(r"#+")
 DIGITS = re.compile(r"(\d+)")
