@@ -57,7 +57,7 @@ def test_dry_run_writes_nothing(folder):
         (["--ratio", "0.5", "--retries", "-1"], "retries -1"),
         (["--ratio", "0.5", "--memory", "much"], "memory 'much'"),
         (["--ratio", "0.5", "--gpus", "0.5"], "need --engine ray"),
-        (["--ratio", "0.5", "--format", "usdz"], "--format"),
+        (["--ratio", "0.5", "--format", "obj"], "--format"),
     ],
 )
 def test_wrong_usage_is_one_line_and_exit_code_2(folder, options, message):

@@ -35,7 +35,7 @@ HALF = SimplifyOptions(ratio=0.5, device="cpu")
 NO_OUTPUTS = {
     "--address", "--asset-root", "--attribute-weight", "--device", "--face-points", "--frames", "--lods",
     "--memory", "--points", "--poses", "--prim", "--ratios", "--reference", "--size", "--source-points",
-    "--source-prim", "--symmetry", "--target-points", "--target-prim", "--weight-primvar",
+    "--source-prim", "--symmetry", "--target-points", "--target-prim", "--weight-primvar", "--faces", "--variant",
 }  # fmt: skip
 # Arguments of each command beside its output, which comes last.
 COMMANDS = {

@@ -127,6 +127,14 @@ def test_core_imports_nothing_from_the_layers_above(path):
     assert [n for n in imported(path) if within(n, UPPER_ONLY)] == []
 
 
+@pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.py")), ids=lambda p: p.relative_to(PACKAGE).as_posix())
+def test_trimesh_is_imported_by_the_readers_and_writers_of_mesh_files_alone(path):
+    # For type checkers alone a result names its class.
+    code = path.read_text("utf-8").replace("if TYPE_CHECKING:\n    import trimesh\n", "")
+    names = {alias.name for node in ast.walk(ast.parse(code)) if isinstance(node, ast.Import) for alias in node.names}
+    assert "trimesh" not in names or path.parent.name == "mesh_files"
+
+
 @pytest.mark.parametrize("path", sorted((PACKAGE / "usd").glob("*.py")), ids=lambda p: p.name)
 def test_usd_layer_does_not_import_the_command_line(path):
     assert [n for n in imported(path) if within(n, {"warpqem.cli", "typer", "rich"})] == []
@@ -157,4 +165,8 @@ def test_importing_the_package_loads_neither_usd_nor_warp():
 
 
 def test_using_the_core_does_not_load_usd():
-    assert loaded_by("from warpqem import simplify, motion_features") & {"pxr", "typer", "rich"} == set()
+    assert loaded_by("from warpqem import simplify, motion_features") & {"pxr", "typer", "rich", "trimesh"} == set()
+
+
+def test_loading_mesh_files_needs_no_usd():
+    assert loaded_by("from warpqem import load") & {"pxr", "trimesh"} == set()

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from warpqem.levels import order_levels as order_levels
     from warpqem.levels import simplify_levels as simplify_levels
     from warpqem.memory import MemoryPlan as MemoryPlan
+    from warpqem.mesh_files.sequence import MeshSequence as MeshSequence
+    from warpqem.mesh_files.sequence import load as load
     from warpqem.morph import morph_weights as morph_weights
     from warpqem.motion import MotionFeatures as MotionFeatures
     from warpqem.motion import MotionWeighting as MotionWeighting
@@ -64,6 +66,8 @@ _HOMES = {
     "MotionWeighting": "warpqem.motion",
     "RetargetedMotion": "warpqem.face.retarget",
     "retarget": "warpqem.face.retarget",
+    "MeshSequence": "warpqem.mesh_files.sequence",
+    "load": "warpqem.mesh_files.sequence",
     "ProgressiveMesh": "warpqem.progressive.mesh",
     "SimplifiedMesh": "warpqem.result",
     "batch": "warpqem.batching.run",

@@ -12,6 +12,7 @@ __all__ = [
     "FeaturePointError",
     "FrameSourceError",
     "MemoryLimitError",
+    "MeshFileError",
     "MeshShapeError",
     "NonFinitePointError",
     "OptionError",
@@ -87,6 +88,10 @@ class ProcessLimitError(WarpqemError, RuntimeError):
 
 class ProgressiveFileError(WarpqemError, ValueError):
     """A file holds no progressive mesh, or a damaged one; the message names the file and the chunk."""
+
+
+class MeshFileError(WarpqemError):
+    """A mesh file cannot be read or written, or is no frame of its sequence; the message names file and difference."""
 
 
 class StageError(WarpqemError):

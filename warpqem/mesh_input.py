@@ -119,7 +119,8 @@ def _is_trimesh(value: Any) -> bool:
 def read_mesh(points: Any, faces: Any = None, admit: Callable[[int], None] | None = None) -> MeshInput:
     """Check the shape of points (F, V, 3) or (V, 3), or a :class:`FrameSource`, and faces (N, 3).
 
-    A ``trimesh.Trimesh`` as the only argument serves for both, and so does a mesh that has been read. ``admit`` is
+    A ``trimesh.Trimesh`` as the only argument serves for both, and so does a source with ``faces``, such as a
+    :class:`warpqem.MeshSequence`, and a mesh that has been read. ``admit`` is
     called with the number of faces before anything is made of them; it may raise.
 
     Raises:
@@ -130,6 +131,9 @@ def read_mesh(points: Any, faces: Any = None, admit: Callable[[int], None] | Non
     """
     if isinstance(points, MeshInput) and faces is None:
         return points
+    if faces is None and hasattr(points, "faces") and hasattr(points, "read"):
+        # A source with faces of its own, such as a sequence of mesh files.
+        faces = points.faces
     if _is_trimesh(points):
         if faces is not None:
             raise OptionError("faces must not be given with a trimesh.Trimesh, which has its own")

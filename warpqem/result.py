@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,6 +21,9 @@ from warpqem.place.stage import Placer
 from warpqem.preparation import ORDER_END, Prepared, Progress
 from warpqem.repair.mesh import MeshRepair
 from warpqem.sharing import FrameShare
+
+if TYPE_CHECKING:
+    import trimesh
 
 __all__ = ["Delivery", "Outcome", "SimplifiedMesh", "finish", "in_input_terms", "reached", "written_faces"]
 
@@ -74,6 +78,33 @@ class SimplifiedMesh:
     def notes(self) -> list[str]:
         """What was mended of the input's topology, in words."""
         return [] if self.repair is None else self.repair.findings.lines()
+
+    def save(self, path: str | os.PathLike[str], numbers: Sequence[int] | None = None, fps: float = 24.0) -> list[str]:
+        """Write the frames in ``points``: as one USD file, or as mesh files, which trimesh writes.
+
+        Args:
+            path: .usd, .usda, .usdc or .usdz; or .ply, .obj, .stl, .off or .glb, with a row of # for the number of the
+                frame where there are several, such as "out/horse_####.ply". Files that are there are replaced.
+            numbers: (F,) the number of each frame, such as ``MeshSequence.numbers``; None for 1, 2, ... In a USD file
+                they are time codes.
+            fps: time codes per second of a USD file.
+
+        Returns:
+            The files.
+
+        Raises:
+            OptionError: the suffix is another one, or frames have no place in the name.
+            MeshFileError, StageError: a file cannot be written.
+        """
+        from warpqem.mesh_files.saving import save_frames
+
+        return save_frames(self.points, self.faces, path, numbers, fps)
+
+    def to_trimesh(self, frame: int = 0) -> trimesh.Trimesh:
+        """One frame as a ``trimesh.Trimesh``, its vertices and faces in their order."""
+        from warpqem.mesh_files.writing import as_trimesh
+
+        return as_trimesh(self.points[frame], self.faces)
 
 
 def in_input_terms(mesh: MeshInput, vertex_map: np.ndarray) -> dict[str, Any]:

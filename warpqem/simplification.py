@@ -48,7 +48,7 @@ def simplify(
     Args:
         points: (F, V, 3) or (V, 3) coordinates in any unit: NumPy, Warp, or anything with the array interface or
             DLPack; or a :class:`warpqem.FrameSource`, which is read block by block, twice, and once more for the key
-            frames; or a ``trimesh.Trimesh``, then without ``faces``.
+            frames; or a ``trimesh.Trimesh``, or what :func:`warpqem.load` gives, then without ``faces``.
         faces: (N, 3) vertex indices.
         sink: takes the frames of the result, block by block, in place of an array.
         share: lets other processes place some of the frames, see :class:`warpqem.FrameShare`; it decides no bit of the

@@ -10,15 +10,16 @@ import hashlib
 import json
 import math
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from typing import Any
 
 import warpqem
 from warpqem.batching.jobs import BatchJob
 from warpqem.file_kinds import kind_of
+from warpqem.usd.output_names import output_files
 
-__all__ = ["file_hash", "is_current", "take_fingerprint"]
+__all__ = ["file_hash", "files_hash", "is_current", "take_fingerprint"]
 
 READ_BYTES = 2**20
 # What an output does not depend on: how much is worked on at a time has no part in the bits.
@@ -37,6 +38,14 @@ def file_hash(path: str | os.PathLike[str]) -> str | None:
     except OSError:
         return None
     return digest.hexdigest()
+
+
+def files_hash(paths: Sequence[str | os.PathLike[str]]) -> str | None:
+    """Hash of one file, or of several in their order; None if one of them cannot be read."""
+    hashes = [file_hash(path) for path in paths]
+    if len(hashes) == 1 or None in hashes:
+        return hashes[0] if len(hashes) == 1 else None
+    return hashlib.sha256("\n".join(filter(None, hashes)).encode()).hexdigest()
 
 
 def take_fingerprint(
@@ -91,7 +100,9 @@ def is_current(job: BatchJob, record: dict[str, Any]) -> bool:
     """
     try:
         fingerprint = record["fingerprint"]
-        if fingerprint["recipe"] != recipe(job) or file_hash(job.output) != record["output_hash"]:
+        if fingerprint["recipe"] != recipe(job):
+            return False
+        if files_hash(output_files(job.output, job.options)) != record["output_hash"]:
             return False
         return all(file_hash(path) == known for path, known in fingerprint["files"].items())
     except (KeyError, TypeError, AttributeError):

@@ -14,12 +14,13 @@ from warpqem.batching.search import files_below, fixed_part, is_usd_name, match_
 from warpqem.errors import OptionError
 from warpqem.number_input import shown
 from warpqem.outputs import InputFile, OutputFile, OutputFiles
+from warpqem.usd.output_names import output_files
 from warpqem.usd.simplify_options import SimplifyOptions
 
 __all__ = ["BatchJob", "FoundFile", "check_jobs", "find_files", "output_path", "read_jobs"]
 
 OUTPUT_SUFFIXES = (".usd", ".usda", ".usdc")
-# A package is read, never written; a binary layer stands in for it.
+# Over a package there is a layer, as over any input; a package of the new meshes is written where it is asked for.
 SUFFIX_FOR_PACKAGES = ".usdc"
 
 _log = logging.getLogger(__name__)
@@ -168,7 +169,8 @@ def check_jobs(jobs: Iterable[BatchJob], other_outputs: Iterable[OutputFile] = (
                 f"output {job.output}: both {other.input} and {job.input} would be written there; "
                 "give the folder they are in, which is kept"
             )
-    written = OutputFiles([*(OutputFile("output", job.output) for job in jobs), *other_outputs])
+    files = [OutputFile("output", path) for job in jobs for path in output_files(job.output, job.options)]
+    written = OutputFiles([*files, *other_outputs])
     written.check(InputFile(job.input, "an input") for job in jobs)
     for job in jobs:
         named = {"a file of poses": job.options.poses, "a file of points": job.options.face_points}

@@ -14,7 +14,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from warpqem.batching.fingerprint import file_hash, is_current
+from warpqem.batching.fingerprint import files_hash, is_current
 from warpqem.batching.jobs import BatchJob
 from warpqem.batching.result import DONE, BatchResult
 from warpqem.errors import BatchError
@@ -72,7 +72,7 @@ class Journal:
             return
         record = {
             "output": self._key(result.output),
-            "output_hash": file_hash(result.output),
+            "output_hash": files_hash((result.report or {}).get("outputs") or [result.output]),
             "fingerprint": result.fingerprint,
         }
         try:

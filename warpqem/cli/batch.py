@@ -51,6 +51,7 @@ class OutputFormat(str, Enum):
     usd = "usd"
     usda = "usda"
     usdc = "usdc"
+    usdz = "usdz"
 
 
 @takes_options(SimplifyOptions, hidden=("frames", "prim", "bake", "flatten"))

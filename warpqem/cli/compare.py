@@ -16,7 +16,7 @@ from warpqem.cli.console import (
     tell,
     write_json,
 )
-from warpqem.cli.options import Device, Frames, JsonReport, Prims, ReportPage
+from warpqem.cli.options import Device, Frames, JsonReport, Prims, ReportPage, Variants
 
 if TYPE_CHECKING:
     from warpqem.usd.compare import PairReport
@@ -30,6 +30,11 @@ def compare(
     samples: Annotated[int, typer.Option(help="Number of sample points on each mesh.")] = 20000,
     frames: Frames = None,
     prim: Prims = None,
+    variant: Variants = None,
+    all_lods: Annotated[
+        bool,
+        typer.Option("--all-lods", help="Measure every level of detail of TEST below the original, one after another."),
+    ] = False,
     heatmap: Annotated[
         str | None,
         typer.Option(
@@ -72,6 +77,8 @@ def compare(
         device=device,
         heatmap=heatmap,
         heatmap_scale=scale,
+        variants=tuple(variant or ()),
+        all_lods=all_lods,
     )
     with progress_bar("reading") as progress:
         others = named_outputs({"--report": report, "--json": json})
@@ -92,14 +99,18 @@ def compare(
 
 def _table(reference: str, test: str, pairs: list[PairReport]) -> PlainTable:
     table = PlainTable(f"{reference} - {test}")
+    levels = any(pair.level for pair in pairs)
+    if levels:
+        table.add_column("level")
     table.add_column("mesh", overflow="fold")
     names = ("frames", "faces", "RMS %", "mean %", "Hausdorff %", "normals deg", "flips", "jitter %", "slide %")
     for name in (*names, "edge length %"):
         table.add_column(name, justify="right")
     for pair in pairs:
         measures = pair.comparison
+        name = [pair.level or "", pair.path] if levels else [pair.path]
         if measures is None:
-            table.add_row(pair.path, "failed")
+            table.add_row(*name, "failed")
             continue
         values = (
             measures.rms,
@@ -113,6 +124,6 @@ def _table(reference: str, test: str, pairs: list[PairReport]) -> PlainTable:
         )
         faces = f"{measures.reference_topology.faces} / {measures.test_topology.faces}"
         table.add_row(
-            pair.path, str(measures.frame_count), faces, *("" if value is None else f"{value:.4g}" for value in values)
+            *name, str(measures.frame_count), faces, *("" if value is None else f"{value:.4g}" for value in values)
         )
     return table

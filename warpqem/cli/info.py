@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from warpqem.cli.console import PlainTable, load_usd, print_table, quiet_libraries, tell, write_json
-from warpqem.cli.options import Input, JsonReport
+from warpqem.cli.options import Input, JsonReport, Variants
 
 if TYPE_CHECKING:
     from warpqem.usd.inspect import MeshInfo
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 __all__ = ["info"]
 
 
-def info(input_file: Input, json: JsonReport = None) -> None:
+def info(input_file: Input, variant: Variants = None, json: JsonReport = None) -> None:
     """Describe every mesh: frames, vertices, faces, edges, skin, blend shapes, UV sets, subsets, problems.
 
     Exit codes: 0 done, whatever the meshes are like; 1 the file cannot be read; 2 wrong usage; 130 interrupted.
@@ -23,7 +23,7 @@ def info(input_file: Input, json: JsonReport = None) -> None:
     from warpqem.outputs import named_outputs
     from warpqem.usd.inspect import inspect_with_problems
 
-    meshes, problems = inspect_with_problems(input_file, named_outputs({"--json": json}))
+    meshes, problems = inspect_with_problems(input_file, named_outputs({"--json": json}), variant or ())
     print_table(_table(input_file, meshes), to_stderr=json == "-")
     for problem in problems:
         tell("note", problem)

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from warpqem.cli.option_parameters import takes_options
-from warpqem.cli.options import Input, JsonReport, Output, ReportPage
+from warpqem.cli.options import Input, JsonReport, ReportPage, StageOutput
 from warpqem.cli.simplify import run_simplify
 from warpqem.usd.simplify_options import SimplifyOptions
 
@@ -15,14 +15,14 @@ __all__ = ["levels"]
 
 # What --ratios takes the place of, and what does not go with levels.
 OTHER_GOALS = (
-    "ratio", "faces", "max_error", "screen_error", "distance", "fov", "image_height", "lods", "flatten"
+    "ratio", "faces", "max_error", "screen_error", "distance", "fov", "image_height", "lods"
 )  # fmt: skip
 
 
 @takes_options(SimplifyOptions, without=OTHER_GOALS)
 def levels(
     input_file: Input,
-    output: Output,
+    output: StageOutput,
     ratios: Annotated[
         str, typer.Option(metavar="RATIOS", help="Share of the triangles that each level keeps, such as 0.5,0.25,0.1.")
     ],

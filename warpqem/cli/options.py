@@ -10,7 +10,20 @@ from warpqem.cli.option_parameters import parameter_of
 from warpqem.option_fields import named_options
 from warpqem.usd.simplify_options import SimplifyOptions
 
-__all__ = ["Device", "Frames", "Input", "JsonReport", "MeshMemory", "Output", "Prims", "ReportPage"]
+__all__ = [
+    "Device",
+    "Frames",
+    "Input",
+    "JsonReport",
+    "MeshInput",
+    "MeshMemory",
+    "MeshOutput",
+    "Output",
+    "Prims",
+    "ReportPage",
+    "StageOutput",
+    "Variants",
+]
 
 
 def _as_of_simplify(name: str) -> Any:
@@ -29,6 +42,44 @@ Output = Annotated[
 Prims = Annotated[list[str] | None, _as_of_simplify("prim")]
 
 Frames = Annotated[str | None, _as_of_simplify("frames")]
+MeshInput = Annotated[
+    str,
+    typer.Argument(
+        metavar="IN",
+        help="USD file to read (.usd, .usda, .usdc, .usdz), or mesh files, one for each frame, such as 'horse-*.ply'.",
+    ),
+]
+
+MeshOutput = Annotated[
+    str,
+    typer.Option(
+        "--output",
+        "-o",
+        metavar="OUT",
+        help="USD file to write (.usd, .usda, .usdc, .usdz), or with mesh files as IN such files, for example "
+        "out/horse_####.ply (.ply, .obj, .stl, .off, .glb); replaced if it exists, never IN.",
+    ),
+]
+
+StageOutput = Annotated[
+    str,
+    typer.Option(
+        "--output",
+        "-o",
+        metavar="OUT",
+        help="USD file to write (.usd, .usda, .usdc, .usdz); replaced if it exists, never IN.",
+    ),
+]
+
+Variants = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--variant",
+        metavar="SET=NAME",
+        help="Variant to look at instead of the one that the file selects, such as LOD=LOD1; '/Prim/Path{SET=NAME}' "
+        "where several prims have the set. May be given several times, and goes for each file that has the set.",
+    ),
+]
 
 Device = Annotated[str | None, _as_of_simplify("device")]
 

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from warpqem.cli.console import load_usd, progress_bar, quiet_libraries, tell
-from warpqem.cli.options import Device, Frames, Input, Prims
+from warpqem.cli.options import Device, Frames, Input, Prims, Variants
 from warpqem.errors import OptionError
 
 __all__ = ["render"]
@@ -30,6 +30,7 @@ def render(
     smooth: Annotated[bool, typer.Option("--smooth", help="Shade over the edges instead of face by face.")] = False,
     frames: Frames = None,
     prim: Prims = None,
+    variant: Variants = None,
     device: Device = None,
 ) -> None:
     """Draw a contact sheet: the meshes of IN at several times, beside those of a reference, without a browser.
@@ -52,6 +53,7 @@ def render(
         smooth=smooth,
         heatmap=heatmap,
         device=device,
+        variants=tuple(variant or ()),
     )
     with progress_bar("reading") as progress:
         scale = render_sheet(input_file, output, options, reference, progress)

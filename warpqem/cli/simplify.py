@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -17,7 +17,7 @@ from warpqem.cli.console import (
     write_json,
 )
 from warpqem.cli.option_parameters import takes_options
-from warpqem.cli.options import Input, JsonReport, Output, ReportPage
+from warpqem.cli.options import JsonReport, MeshInput, MeshOutput, ReportPage
 from warpqem.usd.simplify_options import SimplifyOptions
 
 if TYPE_CHECKING:
@@ -26,34 +26,62 @@ if TYPE_CHECKING:
 
 __all__ = ["run_simplify", "simplify"]
 
+# Outputs that a title names.
+MOST_NAMED = 4
+
 
 @takes_options(SimplifyOptions)
 def simplify(
-    input_file: Input, output: Output, options: dict[str, Any], report: ReportPage = None, json: JsonReport = None
+    input_file: MeshInput,
+    output: MeshOutput,
+    options: dict[str, Any],
+    fps: Annotated[
+        float | None,
+        typer.Option(
+            hidden=True,
+            help="With mesh files as IN: frames per second; their numbers are the time codes. [default: 24]",
+        ),
+    ] = None,
+    report: ReportPage = None,
+    json: JsonReport = None,
 ) -> None:
     """Simplify every mesh over all its frames.
 
     Give one of --ratio, --faces, --max-error, --screen-error and --lods.
 
-    OUT is a small layer over IN that holds the new meshes; keep the two files together, or use --flatten. Primvars,
+    OUT is a small layer over IN that holds the new meshes; keep the two files together, or use --flatten, or name OUT
+    as a package (.usdz), which holds all that it needs. Primvars,
     normals, subsets, skins and blend shapes come along. What does not fit the new meshes is dropped, with a warning.
+
+    IN may be mesh files, too, one for each frame, such as 'horse-*.ply' in quotes (OBJ, PLY, STL, OFF, GLB, ...): the
+    frames of one mesh. OUT is then a file of its own, or mesh files again, such as out/horse_####.ply.
 
     Exit codes: 0 all done; 1 an error, or some mesh failed; 2 wrong usage; 130 interrupted.
     """
-    run_simplify(input_file, output, options, report, json)
+    run_simplify(input_file, output, options, report, json, fps)
 
 
-def run_simplify(input_file: str, output: str, options: dict[str, Any], page: str | None, json: str | None) -> None:
+def run_simplify(
+    input_file: str,
+    output: str,
+    options: dict[str, Any],
+    page: str | None,
+    json: str | None,
+    fps: float | None = None,
+) -> None:
     """Simplify, and say what came of it."""
     quiet_libraries()
     load_usd()
+    from warpqem.errors import OptionError
     from warpqem.memory import parse_bytes
+    from warpqem.mesh_files.names import is_mesh_name
     from warpqem.outputs import named_outputs
     from warpqem.process_memory import limited_memory
     from warpqem.report.page import check_page_path
     from warpqem.usd import simplify_stage
     from warpqem.usd.option_values import read_options
     from warpqem.usd.report_page import write_simplify_report
+    from warpqem.usd.simplify_meshes import DEFAULT_FPS, simplify_mesh_files
 
     asked = read_options(options)
     if page is not None:
@@ -61,9 +89,20 @@ def run_simplify(input_file: str, output: str, options: dict[str, Any], page: st
     limit = None if asked.memory is None else parse_bytes(asked.memory)
     with limited_memory(limit), progress_bar("reading") as progress:
         others = named_outputs({"--report": page, "--json": json})
-        report = simplify_stage(input_file, output, asked, progress, _tell_plan, other_outputs=others)
-        if page is not None and report.output is not None:
-            write_simplify_report(page, report, asked, progress)
+
+        def write_page(report: StageReport) -> None:
+            if page is not None and report.output is not None:
+                write_simplify_report(page, report, asked, progress)
+
+        shared: dict[str, Any] = {"progress": progress, "announce": _tell_plan, "other_outputs": others}
+        if is_mesh_name(input_file):
+            rate = DEFAULT_FPS if fps is None else fps
+            report = simplify_mesh_files(input_file, output, asked, fps=rate, before_end=write_page, **shared)
+        else:
+            if fps is not None:
+                raise OptionError("--fps is for mesh files; a USD file has a rate of its own")
+            report = simplify_stage(input_file, output, asked, **shared)
+            write_page(report)
     _tell_problems(report)
     print_table(_table(report), to_stderr=json == "-")
     if json is not None:
@@ -118,7 +157,7 @@ def _tell_small(report: StageReport) -> None:
 
 
 def _table(report: StageReport) -> PlainTable:
-    table = PlainTable(f"{report.input} -> {report.output or 'nothing written'}")
+    table = PlainTable(f"{report.input} -> {_named(report.outputs) or 'nothing written'}")
     levels = {_level(prim): [other for other in report.prims if _level(other) == _level(prim)] for prim in report.prims}
     if any(levels):
         table.add_column("level")
@@ -136,6 +175,11 @@ def _table(report: StageReport) -> PlainTable:
             end_section = index == len(rows) - 1 or (len(prims) > 1 and index == len(prims) - 1)
             table.add_row(*([level] if level else []), *row, end_section=end_section)
     return table
+
+
+def _named(outputs: list[str]) -> str:
+    """The files that were written, of many the first and the last."""
+    return ", ".join(outputs) if len(outputs) <= MOST_NAMED else f"{outputs[0]}, ..., {outputs[-1]}"
 
 
 def _total(prims: list[PrimReport]) -> list[str]:

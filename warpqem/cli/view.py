@@ -11,7 +11,7 @@ import typer
 
 from warpqem.cli.console import load_usd, progress_bar, quiet_libraries, tell
 from warpqem.cli.guard import interruptible
-from warpqem.cli.options import Device, Frames, MeshMemory, Prims
+from warpqem.cli.options import Device, Frames, MeshMemory, Prims, Variants
 from warpqem.errors import MemoryLimitError, OptionError, StageError, WarpqemError
 
 __all__ = ["view"]
@@ -30,6 +30,7 @@ def view(
     ] = True,
     frames: Frames = None,
     prim: Prims = None,
+    variant: Variants = None,
     device: Device = None,
     memory: MeshMemory = None,
 ) -> None:
@@ -46,15 +47,17 @@ def view(
     progressive = input_file.lower().endswith(".wpqm")
     if progressive and other is not None:
         raise OptionError("a progressive mesh is shown alone: leave OUT away")
-    if progressive and (frames or prim):
-        raise OptionError("--frames and --prim are for USD files; a progressive mesh holds one mesh and its frames")
+    if progressive and (frames or prim or variant):
+        raise OptionError(
+            "--frames, --prim and --variant are for USD files; a progressive mesh holds one mesh and its frames"
+        )
     if memory is not None and not progressive:
         raise OptionError("--memory is for progressive meshes")
     level = None
     if progressive:
         data, level = _live_data(input_file, device, memory)
     else:
-        data = _stage_data(input_file, other, frames, prim, device)
+        data = _stage_data(input_file, other, frames, prim, variant, device)
     server = PageServer(report_page(data), level, port)
     print(server.address, flush=True)
     tell("note", "stop with Ctrl+C")
@@ -86,7 +89,12 @@ def _live_data(
 
 
 def _stage_data(
-    path: str, other: str | None, frames: str | None, prim: list[str] | None, device: str | None
+    path: str,
+    other: str | None,
+    frames: str | None,
+    prim: list[str] | None,
+    variant: list[str] | None,
+    device: str | None,
 ) -> dict[str, Any]:
     load_usd()
     from warpqem.report import report_data
@@ -94,5 +102,6 @@ def _stage_data(
     from warpqem.usd.report_page import stage_report
 
     with progress_bar("reading") as progress:
-        report = stage_report(path, other, tuple(prim or ()), FrameRange.parse(frames) if frames else None)
+        chosen = FrameRange.parse(frames) if frames else None
+        report = stage_report(path, other, tuple(prim or ()), chosen, tuple(variant or ()))
         return report_data(report, device, progress)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from pxr import Usd
+from pxr import Sdf, Usd
 
 from warpqem.errors import DeviceError, OptionError, StageError, VaryingTopologyError, WarpqemError
 from warpqem.measure import Comparison, compare, distance_colors
@@ -17,10 +17,12 @@ from warpqem.outputs import OutputFile, named_outputs
 from warpqem.usd.compare_runs import VaryingMesh, combine, pair_runs, run_colors
 from warpqem.usd.frames import FrameRange
 from warpqem.usd.input_files import check_stage_outputs
+from warpqem.usd.level_stages import level_stages
 from warpqem.usd.mesh import MeshSource, StageMesh
 from warpqem.usd.report import name_prim
 from warpqem.usd.skel import StagePoses
 from warpqem.usd.stage import find_meshes, open_stage
+from warpqem.usd.variants import select_variants
 from warpqem.usd.write import OverLayer, check_output_path
 
 __all__ = ["CompareOptions", "PairReport", "compare_stages"]
@@ -37,6 +39,8 @@ class CompareOptions:
         device: Warp device; None for the default.
         heatmap: File to write a heat map over the test file to; None for none.
         heatmap_scale: Distance of the last colour, in % of the bounding-box diagonal; None for the largest that occurs.
+        variants: Variants to compare, `SET=NAME` or `/Prim/Path{SET=NAME}`, of each file that has them.
+        all_lods: Compare every level of detail of the test file below the original, one after the other.
     """
 
     samples: int = 20000
@@ -45,6 +49,14 @@ class CompareOptions:
     device: str | None = None
     heatmap: str | None = None
     heatmap_scale: float | None = None
+    variants: tuple[str, ...] = ()
+    all_lods: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse ways that exclude each other."""
+        for name in ("heatmap", "variants"):
+            if self.all_lods and getattr(self, name):
+                raise OptionError(f"all_lods and {name} exclude each other: choose one level as a variant instead")
 
 
 @dataclass
@@ -57,6 +69,7 @@ class PairReport:
         comparison: The measures; None if the comparison failed.
         heatmap_scale: Distance of the last colour of the heat map, in % of the diagonal; None without a heat map.
         message: Why it failed.
+        level: Name of the level of detail, with `CompareOptions.all_lods`; else None.
     """
 
     path: str
@@ -64,6 +77,7 @@ class PairReport:
     comparison: Comparison | None = None
     heatmap_scale: float | None = None
     message: str | None = None
+    level: str | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Plain dictionaries, lists, numbers and None, ready for JSON."""
@@ -73,6 +87,7 @@ class PairReport:
             "times": self.times,
             "heatmap_scale": self.heatmap_scale,
             "message": self.message,
+            "level": self.level,
             "comparison": measures,
         }
 
@@ -94,7 +109,8 @@ def compare_stages(
         other_outputs: What else the caller is going to write; see `warpqem.usd.simplify_stage`.
 
     Returns:
-        One report for each mesh of either file. A mesh that the other file lacks counts as failed.
+        One report for each mesh of either file, with `all_lods` for each on every level. A mesh that the other file
+        lacks counts as failed.
 
     Raises:
         StageError: a file cannot be read, or the heat map cannot be written.
@@ -103,10 +119,45 @@ def compare_stages(
     """
     inputs = [reference_path, test_path]
     heatmap = check_output_path(options.heatmap, inputs, "heatmap") if options.heatmap else None
-    reference, test = _Side(reference_path, options.prims), _Side(test_path, options.prims)
+    stages = [open_stage(path) for path in inputs]
     outputs = [*named_outputs({"heatmap": options.heatmap}), *other_outputs]
-    check_stage_outputs(outputs, [reference.stage, test.stage])
-    layer = OverLayer(test.stage)
+    check_stage_outputs(outputs, stages)
+    chosen = select_variants(stages, options.variants)
+    reference = _Side(reference_path, stages[0], options.prims)
+    if options.all_lods:
+        levels = level_stages(test_path)
+        reports = []
+        for number, (name, stage) in enumerate(levels):
+            part = None if progress is None else _part_of(progress, number, len(levels), name)
+            test = _Side(test_path, stage, options.prims)
+            found = _compare_sides(reference, test, options, part, None)
+            reports += [replace(report, level=name) for report in found]
+        return reports
+    layer = OverLayer(stages[1])
+    reports = _compare_sides(reference, _Side(test_path, stages[1], options.prims), options, progress, layer)
+    if heatmap is not None and any(report.comparison for report in reports):
+        # The colours are those of the variants that were compared.
+        for choice in chosen[1]:
+            Sdf.CreatePrimInLayer(layer.layer, choice.prim).variantSelections[choice.set] = choice.name
+        layer.save(heatmap)
+    return reports
+
+
+def _part_of(
+    progress: Callable[[float, str], None], number: int, count: int, name: str
+) -> Callable[[float, str], None]:
+    """Progress of one level as a part of all."""
+    return lambda fraction, text: progress((number + fraction) / count, f"{name} {text}")
+
+
+def _compare_sides(
+    reference: _Side,
+    test: _Side,
+    options: CompareOptions,
+    progress: Callable[[float, str], None] | None,
+    layer: OverLayer | None,
+) -> list[PairReport]:
+    """Compare all pairs, and author the colours of the heat map in the layer, where one is asked for."""
     reports = []
     paths = list(reference.prims) + [path for path in test.prims if path not in reference.prims]
     for index, path in enumerate(paths):
@@ -124,17 +175,15 @@ def compare_stages(
                 raise
             report.message = name_prim(path, error)
     reports += [PairReport(path, message=str(refusal)) for path, refusal in reference.refused + test.refused]
-    if heatmap is not None and any(report.comparison for report in reports):
-        layer.save(heatmap)
     return reports
 
 
 class _Side:
     """The meshes of one of the two files."""
 
-    def __init__(self, path: str | os.PathLike[str], prims: Sequence[str]) -> None:
+    def __init__(self, path: str | os.PathLike[str], stage: Usd.Stage, prims: Sequence[str]) -> None:
         self.name = os.fspath(path)
-        self.stage: Usd.Stage = open_stage(path)
+        self.stage = stage
         selection = find_meshes(self.stage, prims)
         self.prims = {str(prim.GetPath()): prim for prim in selection.prims}
         self.refused = selection.refused
@@ -168,7 +217,7 @@ def _compare_pair(
     test_side: _Side,
     options: CompareOptions,
     progress: Callable[[int, int], None],
-    layer: OverLayer,
+    layer: OverLayer | None,
 ) -> None:
     try:
         _compare_constant(report, reference_side, test_side, options, progress, layer)
@@ -211,7 +260,7 @@ def _compare_constant(
     reference, test = (source.read(times) for source in sources)
     meshes = (reference.points, reference.right_handed_faces, test.points, test.right_handed_faces)
     report.comparison = compare(*meshes, samples=options.samples, device=options.device, progress=progress)
-    if options.heatmap is not None:
+    if options.heatmap is not None and layer is not None:
         colors, report.heatmap_scale = distance_colors(*meshes, scale=options.heatmap_scale, device=options.device)
         layer.set_vertex_colors(report.path, times, _for_all_points(colors, test, sources[1].point_count))
 

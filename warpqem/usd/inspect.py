@@ -21,6 +21,7 @@ from warpqem.usd.skel import StagePoses
 from warpqem.usd.stage import find_meshes, open_with_problems
 from warpqem.usd.topology_runs import describe_runs, find_runs, open_run
 from warpqem.usd.usd_errors import usd_errors_named
+from warpqem.usd.variants import select_variants
 
 __all__ = ["MeshInfo", "inspect_stage"]
 
@@ -79,31 +80,34 @@ class MeshInfo:
         return asdict(self)
 
 
-def inspect_stage(path: str | os.PathLike[str], other_outputs: Sequence[OutputFile] = ()) -> list[MeshInfo]:
+def inspect_stage(
+    path: str | os.PathLike[str], other_outputs: Sequence[OutputFile] = (), variants: Sequence[str] = ()
+) -> list[MeshInfo]:
     """Describe every mesh of a USD file, those without geometry last.
 
     Args:
         path: The file.
         other_outputs: What the caller is going to write; see `warpqem.usd.simplify_stage`.
+        variants: Variants to look at, `SET=NAME` or `/Prim/Path{SET=NAME}`.
 
     Raises:
         StageError: the file cannot be read.
-        OptionError: an output is a file that is read.
+        OptionError: an output is a file that is read, or there is no such variant.
     """
-    return inspect_with_problems(path, other_outputs)[0]
+    return inspect_with_problems(path, other_outputs, variants)[0]
 
 
 def inspect_with_problems(
-    path: str | os.PathLike[str], other_outputs: Sequence[OutputFile] = ()
+    path: str | os.PathLike[str], other_outputs: Sequence[OutputFile] = (), variants: Sequence[str] = ()
 ) -> tuple[list[MeshInfo], list[str]]:
     """Describe every mesh of a USD file, and what is wrong with the files that it names; one line each.
 
     Raises:
-        StageError: the file cannot be read.
-        OptionError: an output is a file that is read.
+        StageError, OptionError: see `inspect_stage`.
     """
     stage, problems = open_with_problems(path)
     check_stage_outputs(other_outputs, [stage])
+    select_variants([stage], variants)
     with usd_errors_named(path, reading=True):
         poses = StagePoses(stage)
         selection = find_meshes(stage)

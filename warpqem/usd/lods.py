@@ -4,26 +4,27 @@ from __future__ import annotations
 
 import os
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from pxr import Sdf, Usd
 
 from warpqem.errors import OptionError, StageError
+from warpqem.outputs import OutputFile
 from warpqem.usd.field_order import with_fields_in_order
 from warpqem.usd.lod_targets import OutsideTargets
+from warpqem.usd.output_names import LEVEL_NAME, level_file
+from warpqem.usd.package import is_package, write_package_with_layers
 from warpqem.usd.report import PrimReport
 from warpqem.usd.stage import MeshSelection
 from warpqem.usd.stage_views import layer_name, unopened
 from warpqem.usd.write import OverLayer, copy_stage_metadata, export_layer, move_asset_paths, relative_path
 
-__all__ = ["LevelLayer", "LevelReport", "VariantLevels", "define_root"]
+__all__ = ["FileLevels", "LevelLayer", "LevelReport", "VariantLevels", "define_root"]
 
 # The variant set that usdview, Omniverse and others show for levels of detail.
 VARIANT_SET = "LOD"
-
-# Levels count up from the original.
-LEVEL_NAME = "LOD"
 
 
 @dataclass
@@ -101,11 +102,14 @@ class LevelLayer(ABC):
         """
         return self._add(edits)
 
-    def save(self, output: Path) -> None:
+    def save(self, output: Path) -> list[str]:
         """Write the layer under a temporary name and rename it.
 
         Args:
-            output: Path checked with `check_output_path`.
+            output: Path checked with `check_output_path`; a package holds the layers of the input, too.
+
+        Returns:
+            What programs may not read; one line each.
 
         Raises:
             StageError: the file cannot be written; nothing is left behind.
@@ -116,10 +120,13 @@ class LevelLayer(ABC):
         layer = Sdf.Layer.CreateAnonymous("save.usda")
         layer.TransferContent(self._layer)
         name = layer_name(self._source)
+        if is_package(output):
+            return write_package_with_layers(with_fields_in_order(layer), output)
         if os.path.isabs(name):
             layer.UpdateCompositionAssetDependency(name, relative_path(name, output.parent))
         move_asset_paths(layer, self._source, output.parent)
         export_layer(with_fields_in_order(layer), output)
+        return []
 
     def _add(self, edits: OverLayer | None) -> str:
         name = f"{LEVEL_NAME}{len(self._places)}"
@@ -164,6 +171,32 @@ class VariantLevels(LevelLayer):
 
     def _place(self, root: Usd.Prim, name: str) -> Sdf.Path:
         return Sdf.VariantSpec(self._layer.GetPrimAtPath(root.GetPath()).variantSets[VARIANT_SET], name).path
+
+
+class FileLevels:
+    """Levels as files beside the output, each like the output of a simplification to one ratio.
+
+    Args:
+        flatten: Write self-contained files.
+        other_outputs: What else is going to be written.
+
+    """
+
+    def __init__(self, flatten: bool, other_outputs: Sequence[OutputFile]) -> None:
+        self._flatten, self._others = flatten, other_outputs
+        self._levels: list[OverLayer] = []
+
+    def add(self, edits: OverLayer, share: float) -> str:
+        """Add the next level; see `LevelLayer.add`."""
+        self._levels.append(edits)
+        return f"{LEVEL_NAME}{len(self._levels)}"
+
+    def save(self, output: Path) -> list[str]:
+        """Write the files; see `OverLayer.save`."""
+        problems = []
+        for level, edits in enumerate(self._levels, start=1):
+            problems += edits.save(Path(level_file(output, level)), self._flatten, self._others)
+        return problems
 
 
 def define_root(layer: Sdf.Layer, prim: Usd.Prim) -> Sdf.PrimSpec:

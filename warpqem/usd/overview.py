@@ -62,7 +62,7 @@ def write_overview(
         if result["status"] != "failed" and drawn < MOST_PICTURES:
             drawn += 1
             try:
-                pictures = _pictures(result["input"], result["output"], prims, device)
+                pictures = _pictures(result["input"], _outputs(result)[-1], prims, device)
             except WarpqemError as error:
                 message = " ".join(part for part in (message, f"not drawn: {error}") if part)
         name = os.path.relpath(os.path.abspath(result["input"]), folder)
@@ -78,8 +78,13 @@ def write_overview(
 def _files_of(result: dict[str, Any]) -> list[InputFile]:
     """The output of an asset, its input, and the files that this is known to need."""
     needed = (result.get("fingerprint") or {}).get("files", {})
-    outputs = [InputFile(result["output"], f"the output for {result['input']}")]
+    outputs = [InputFile(path, f"the output for {result['input']}") for path in _outputs(result)]
     return outputs + [InputFile(file, f"a file that {result['input']} needs") for file in (result["input"], *needed)]
+
+
+def _outputs(result: dict[str, Any]) -> list[str]:
+    """The files of an asset, the coarsest level last."""
+    return (result["report"] or {}).get("outputs") or [result["output"]]
 
 
 def _asset(name: str, result: dict[str, Any], message: str, pictures: Sequence[np.ndarray], page: Path) -> Asset:
@@ -95,7 +100,7 @@ def _asset(name: str, result: dict[str, Any], message: str, pictures: Sequence[n
         seconds=round(result["seconds"], 2),
         message=message,
         pictures=pictures,
-        link=_address(os.path.relpath(result["output"], page.resolve().parent)) if written else "",
+        link=_address(os.path.relpath(_outputs(result)[0], page.resolve().parent)) if written else "",
     )
 
 

@@ -15,6 +15,7 @@ from warpqem.outputs import OutputFile
 from warpqem.picture import caption, fit_view, render, tile, write_png
 from warpqem.usd.frames import FrameRange
 from warpqem.usd.input_files import check_stage_outputs
+from warpqem.usd.variants import open_stages
 from warpqem.usd.world import WorldMeshes, chosen_times
 
 __all__ = ["RenderOptions", "render_sheet"]
@@ -37,6 +38,7 @@ class RenderOptions:
         smooth: Shade over the edges.
         heatmap: With a reference: a row of colours for the distance from it.
         device: Warp device; None for the default.
+        variants: Variants to draw, `SET=NAME` or `/Prim/Path{SET=NAME}`, of each file that has them.
     """
 
     pictures: int = 4
@@ -49,6 +51,7 @@ class RenderOptions:
     smooth: bool = False
     heatmap: bool = False
     device: str | None = None
+    variants: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse sheets without a picture."""
@@ -86,8 +89,10 @@ def render_sheet(
         raise OptionError(f"output {output_path}: the suffix must be .png")
     if options.heatmap and reference_path is None:
         raise OptionError("heatmap needs a reference")
-    paths = (reference_path, input_path)
-    drawn = [WorldMeshes(path, options.prims, varying=True) for path in paths if path is not None]
+    paths = [path for path in (reference_path, input_path) if path is not None]
+    stages = open_stages(paths, options.variants)
+    both = zip(paths, stages, strict=True)
+    drawn = [WorldMeshes(path, options.prims, varying=True, stage=stage) for path, stage in both]
     check_stage_outputs([OutputFile("output", output_path)], [item.stage for item in drawn])
     times = _spread(chosen_times(drawn, options.frames), options)
     # Each time for itself: the topology may be another one.

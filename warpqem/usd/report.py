@@ -93,10 +93,11 @@ class StageReport:
 
     Attributes:
         input: Path of the file that was read.
-        output: Path of the file that was written, None if nothing was.
+        output: Path of the file that was written, the first of several; None if nothing was.
         prims: One report for each mesh, in stage order; instance proxies last.
         problems: What is wrong with how the input is composed, such as references to what is missing.
         notes: What is written in another place than it may be looked for at, such as meshes of instances.
+        outputs: Paths of all files that were written, one for each level where that was asked for; not of textures.
         run: Versions, device, options, seconds and memory; see `warpqem.usd.run_info`.
     """
 
@@ -104,6 +105,7 @@ class StageReport:
     output: str | None
     prims: list[PrimReport]
     problems: list[str] = field(default_factory=list)
+    outputs: list[str] = field(default_factory=list)
     run: dict[str, Any] | None = None
     notes: list[str] = field(default_factory=list)
 

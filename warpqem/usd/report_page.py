@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any
@@ -18,10 +17,12 @@ from warpqem.errors import WarpqemError
 from warpqem.outputs import OutputFile
 from warpqem.report import Level, Report, Table, chosen_frames, write_report
 from warpqem.usd.input_files import check_stage_outputs
-from warpqem.usd.lods import LEVEL_NAME, VARIANT_SET, LevelReport
+from warpqem.usd.level_stages import level_names, level_root
+from warpqem.usd.lods import VARIANT_SET, LevelReport
 from warpqem.usd.report import PrimReport, StageReport
 from warpqem.usd.simplify_options import SimplifyOptions
 from warpqem.usd.stage import open_stage
+from warpqem.usd.variants import open_stages
 from warpqem.usd.world import WorldMeshes, chosen_times
 
 if TYPE_CHECKING:
@@ -55,7 +56,11 @@ def write_simplify_report(
     failed = [prim.path for prim in report.failed]
     original = WorldMeshes(report.input, options.prims, passing=failed)
     names = list(dict.fromkeys(prim.level for prim in report.prims if isinstance(prim, LevelReport)))
-    levels = [(name, _open_level(output, name, options.prims, failed)) for name in names]
+    if options.lod_files:
+        named = zip(names, report.outputs, strict=True)
+        levels = [(name, WorldMeshes(file, options.prims, passing=failed)) for name, file in named]
+    else:
+        levels = [(name, _open_level(output, name, options.prims, failed)) for name in names]
     levels = levels or [("simplified", WorldMeshes(output, options.prims, passing=failed))]
     check_stage_outputs([OutputFile("report", path)], [original.stage, *(level.stage for _, level in levels)])
     tables = [_mesh_table(report.prims), _option_table(options)]
@@ -90,8 +95,16 @@ def write_compare_report(
         OptionError, StageError: as there.
     """
     failed = [pair.path for pair in pairs if pair.comparison is None]
-    original, level = (WorldMeshes(name, options.prims, passing=failed) for name in (reference, test))
-    check_stage_outputs([OutputFile("report", path)], [original.stage, level.stage])
+    if options.all_lods:
+        original = WorldMeshes(reference, options.prims, passing=failed)
+        found = [(name, _open_level(test, name, options.prims, failed)) for name in _level_names(test)]
+        levels = [(name, level) for name, level in found if any(pair.level == name for pair in pairs)]
+    else:
+        stages = open_stages([reference, test], options.variants)
+        both = zip((reference, test), stages, strict=True)
+        original, level = (WorldMeshes(name, options.prims, passing=failed, stage=stage) for name, stage in both)
+        levels = [(level.name, level)]
+    check_stage_outputs([OutputFile("report", path)], [original.stage, *(level.stage for _, level in levels)])
     notes = [pair.message for pair in pairs if pair.message]
     head = ("mesh", "frames", "RMS %", "Hausdorff %", "flips", "jitter %", "slide %", "edge length %")
     rows = []
@@ -99,15 +112,20 @@ def write_compare_report(
         found = pair.comparison
         if found is not None:
             values = (found.rms, found.hausdorff, found.flips, found.jitter, found.slide, found.edge_length_error)
-            rows.append((pair.path, found.frame_count, *values))
+            name = pair.path if pair.level is None else f"{pair.path} ({pair.level})"
+            rows.append((name, found.frame_count, *values))
     tables = [Table("Meshes", head, rows)]
-    title = f"{original.name} – {level.name}"
-    page = _gather(title, original, [(level.name, level)], options.frames, tables, notes)
+    title = f"{original.name} – {os.path.basename(test)}"
+    page = _gather(title, original, levels, options.frames, tables, notes)
     write_report(path, page, options.device, progress)
 
 
 def stage_report(
-    reference: str, test: str | None = None, prims: Sequence[str] = (), frames: FrameRange | None = None
+    reference: str,
+    test: str | None = None,
+    prims: Sequence[str] = (),
+    frames: FrameRange | None = None,
+    variants: Sequence[str] = (),
 ) -> Report:
     """What there is to see in one file or two.
 
@@ -116,10 +134,19 @@ def stage_report(
         test: USD file with the simplified meshes, or with levels of detail; None for none.
         prims: Prim paths; meshes at and below them are shown. Empty for all.
         frames: Time codes to show; None for all authored ones.
+        variants: Variants to show, `SET=NAME` or `/Prim/Path{SET=NAME}`, of each file that has them, instead of the
+            levels of detail; empty for those that the files select.
 
     Raises:
         StageError: a file cannot be read, or has no mesh.
+        OptionError: there is no such variant.
     """
+    if variants:
+        paths = [path for path in (reference, test) if path is not None]
+        stages = open_stages(paths, variants)
+        shown = [WorldMeshes(path, prims, stage=stage) for path, stage in zip(paths, stages, strict=True)]
+        title = " – ".join([*(meshes.name for meshes in shown), ", ".join(variants)])
+        return _gather(title, shown[0], [(meshes.name, meshes) for meshes in shown[1:]], frames, (), ())
     names = _level_names(test or reference)
     if test is None and names:
         original = _open_level(reference, names.pop(0), prims, ())
@@ -147,31 +174,13 @@ def coarsest_level(path: str, prims: Sequence[str] = ()) -> WorldMeshes:
 
 def _level_names(path: str) -> list[str]:
     """Names of the levels of detail of a file, the finest first; empty if it has none."""
-    # A prim does not keep its stage alive.
-    stage = open_stage(path)
-    root = _level_root(stage)
-    return _levels_at(root) if root else []
-
-
-def _level_root(stage: Usd.Stage) -> Usd.Prim | None:
-    """The root prim whose levels are shown: the default prim, or the first that has levels."""
-    roots = [stage.GetDefaultPrim(), *stage.GetPseudoRoot().GetChildren()]
-    return next((prim for prim in roots if prim and _levels_at(prim)), None)
-
-
-def _levels_at(root: Usd.Prim) -> list[str]:
-    names: list[str] = root.GetVariantSets().GetVariantSet(VARIANT_SET).GetVariantNames()
-    if not names:
-        holder = root.GetChild(VARIANT_SET)
-        names = [prim.GetName() for prim in holder.GetChildren()] if holder else []
-    names = [name for name in names if re.fullmatch(rf"{LEVEL_NAME}\d+", name)]
-    return sorted(names, key=lambda name: int(name.removeprefix(LEVEL_NAME)))
+    return level_names(open_stage(path))
 
 
 def _open_level(path: str, name: str, prims: Sequence[str], failed: Sequence[str]) -> WorldMeshes:
     """One level of a file: a variant, or a prim below a prim that holds the levels."""
     stage = open_stage(path)
-    root = _level_root(stage)
+    root = level_root(stage)
     assert root is not None
     if root.GetVariantSets().HasVariantSet(VARIANT_SET):
         return WorldMeshes(path, prims, (root.GetPath(), VARIANT_SET, name), failed)

@@ -19,7 +19,9 @@ from warpqem.sharing import FrameShare
 from warpqem.usd.context import Announce, Context, Progress, SharedOrder
 from warpqem.usd.input_files import check_stage_outputs
 from warpqem.usd.layer_output import check_output_layer
-from warpqem.usd.lods import LevelLayer, LevelReport, VariantLevels
+from warpqem.usd.lods import FileLevels, LevelLayer, LevelReport, VariantLevels
+from warpqem.usd.output_names import output_files
+from warpqem.usd.package import is_package
 from warpqem.usd.report import PrimReport, StageReport
 from warpqem.usd.run import Run
 from warpqem.usd.run_info import run_info
@@ -31,7 +33,7 @@ from warpqem.usd.write import check_output_path
 
 __all__ = ["simplify_stage"]
 
-Save = Callable[[Any], None]
+Save = Callable[[Any], list[str]]
 
 _log = logging.getLogger(__name__)
 
@@ -57,9 +59,10 @@ def simplify_stage(
         input_path: .usd, .usda, .usdc or .usdz file, or whatever the resolver of USD finds, such as a file on its
             search path, one in a package, or the identifier of a layer in memory. Or an open stage, which is taken as
             it is: with unsaved edits, session layer, load rules, population mask and resolver context.
-        output_path: .usd, .usda or .usdc file; replaced if it exists. Or a layer, which gets the edits beside what it
-            holds and is not saved: one of the stage's own layers, where they show at once, or another one, that is to
-            be a sublayer above them. Nothing else of an open stage changes, such as its edit target.
+        output_path: .usd, .usda, .usdc or .usdz file; replaced if it exists. A package holds one flat layer and all
+            files that it names; with `options.lods` the layers of the input. Or a layer, which gets the edits beside
+            what it holds and is not saved: one of the stage's own layers, where they show at once, or another one, that
+            is to be a sublayer above them. Nothing else of an open stage changes, such as its edit target.
         options: What to do.
         progress: Called with the fraction done and what is being done.
         announce: Called with the name of each mesh and the memory plan for it, before the work on it.
@@ -80,21 +83,23 @@ def simplify_stage(
         DeviceError: there is no such device.
     """
     output = _checked_output(input_path, output_path, options)
+    written: list[OutputFile] = []
+    if not isinstance(output_path, Sdf.Layer):
+        written = [OutputFile("output", path) for path in output_files(output_path, options)]
     start = time.perf_counter()
     name = input_path.GetRootLayer().identifier if isinstance(input_path, Usd.Stage) else os.fspath(input_path)
     _log.info("%s: reading", name)
     stage, problems = open_input(input_path, options.asset_roots)
     if isinstance(output, Sdf.Layer):
         check_output_layer(output, stage)
-    elif not options.flatten:
+    elif not (options.flatten or is_package(output)):
         problems += _check_files(stage)
     read = [stage] if options.poses is None else [stage, open_stage(options.poses)]
     points = [] if options.face_points is None else [InputFile(options.face_points, "the file of points")]
-    files = [] if isinstance(output_path, Sdf.Layer) else [OutputFile("output", output_path)]
-    check_stage_outputs([*files, *other_outputs], read, points)
+    check_stage_outputs([*written, *other_outputs], read, points)
     # What fails while a layer is being written is no matter of one mesh: half of it would be there.
     with usd_errors_named(name), ExitStack() as cleanup:
-        selection = find_meshes(stage, options.prims, by_root=bool(options.lods))
+        selection = find_meshes(stage, options.prims, by_root=bool(options.lods) and not options.lod_files)
         if not selection.paths():
             raise StageError("there is no mesh on the stage")
         context = Context(
@@ -107,11 +112,15 @@ def simplify_stage(
             cleanup,
             share,
         )
-        report, save = (_simplify_levels if options.lods else _simplify_once)(context)
+        report, save = (_simplify_levels if options.lods else _simplify_once)(context, [*written, *other_outputs])
         report.input = name
         if len(report.failed) < len(report.prims):
-            save(output)
-            report.output = output_path.identifier if isinstance(output_path, Sdf.Layer) else os.fspath(output_path)
+            problems += save(output)
+            if isinstance(output_path, Sdf.Layer):
+                report.outputs = [output_path.identifier]
+            else:
+                report.outputs = [os.fspath(file.path) for file in written]
+            report.output = report.outputs[0]
             _log.info("%s: written", report.output)
     report.problems = problems
     report.run = run_info(options, time.perf_counter() - start)
@@ -124,7 +133,8 @@ def _checked_output(
     options: SimplifyOptions,
 ) -> Path | Sdf.Layer:
     if not isinstance(output_path, Sdf.Layer):
-        return check_output_path(output_path, [] if isinstance(input_path, Usd.Stage) else [input_path])
+        read = [] if isinstance(input_path, Usd.Stage) else [input_path]
+        return check_output_path(output_path, read, packages=True)
     for name in ("flatten", "lods"):
         if getattr(options, name):
             raise OptionError(f"{name}: needs a file as output, not the layer {output_path.identifier}")
@@ -156,20 +166,23 @@ def _check_files(stage: Usd.Stage) -> list[str]:
     ]
 
 
-def _simplify_once(context: Context) -> tuple[StageReport, Save]:
+def _simplify_once(context: Context, written: Sequence[OutputFile]) -> tuple[StageReport, Save]:
     run = Run(context)
     run.simplify()
-    return run.report(), lambda output: run.layer.save(output, context.options.flatten)
+    return run.report(), lambda output: run.layer.save(output, context.options.flatten, written)
 
 
-def _simplify_levels(context: Context) -> tuple[StageReport, Save]:
+def _simplify_levels(context: Context, written: Sequence[OutputFile]) -> tuple[StageReport, Save]:
     """Every mesh is read and its edges are collapsed once; each level then equals what its ratio alone would give."""
     options = context.options
-    levels: LevelLayer = (UsdLodLevels if options.usd_lod else VariantLevels)(context.stage, context.selection)
-    runs = [
-        Run(replace(context, options=replace(options, ratio=ratio, lods=(), usd_lod=False)), by_root=True)
-        for ratio in options.lods
-    ]
+    levels: LevelLayer | FileLevels
+    if options.lod_files:
+        levels = FileLevels(options.flatten, written)
+    else:
+        levels = (UsdLodLevels if options.usd_lod else VariantLevels)(context.stage, context.selection)
+    one = replace(options, lods=(), usd_lod=False, lod_files=False, ratio=1.0)
+    by_root = not options.lod_files
+    runs = [Run(replace(context, options=replace(one, ratio=ratio)), by_root) for ratio in options.lods]
     selections = [run.select() for run in runs]
     for prim_index, prim in enumerate(selections[0]):
         shared = SharedOrder(options.lods[-1])

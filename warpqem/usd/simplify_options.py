@@ -55,6 +55,8 @@ class SimplifyOptions(MethodOptions):
         lods: Ratios of levels of detail, each smaller than the one before, between 0 and 1. The output offers the input
             and one level for each ratio as variants LOD0, LOD1, ... of the root prim that holds the default prim.
         usd_lod: With `lods`, write the levels as prims below that root prim, with the schemas of UsdLod, instead.
+        lod_files: With `lods`, write each level as a file of its own beside the output, which is not written itself:
+            OUT_LOD1.usdc, OUT_LOD2.usdc, ... for OUT.usdc.
         max_size_error: With a ratio or a number of faces, a mesh stops above it where its error would pass so many % of
             its bounding-box diagonal, see `warpqem.SimplifyOptions`; of two triangles none goes. 5, a twentieth of its
             size, keeps cubes and cards whole, and lets meshes of some hundred triangles come down to a twentieth of
@@ -131,6 +133,11 @@ class SimplifyOptions(MethodOptions):
     usd_lod: bool = option(
         False,
         "With --lods: write the levels with the UsdLod schemas, for renderers to choose by size or distance.",
+    )
+    lod_files: bool = option(
+        False,
+        "With --lods: write each level as a file of its own, OUT_LOD1.usdc, OUT_LOD2.usdc, ..., for programs that know "
+        "neither variants nor UsdLod; OUT itself is not written.",
     )
     uv_weight: float | None = option(
         None,
@@ -257,7 +264,12 @@ class SimplifyOptions(MethodOptions):
         "in each; or leave them as they are, with an error.",
     )
     weld: bool = option(True, "Join points that lie together in every frame, such as those split at UV seams.")
-    flatten: bool = option(False, "Write one self-contained file instead of a layer over IN.", basic=True)
+    flatten: bool = option(
+        False,
+        "Write one self-contained file instead of a layer over IN; textures in packages or other folders are copied to "
+        "NAME_textures beside it.",
+        basic=True,
+    )
     strict: bool = option(False, "Stop at the first mesh that cannot be done, and write nothing.")
 
     def __post_init__(self) -> None:
@@ -283,10 +295,19 @@ class SimplifyOptions(MethodOptions):
         # Those of features and cost models check their values when they are made.
         _ = self.motion
         self._check_pose_independent()
-        if self.lods and self.flatten:
-            raise OptionError("lods and flatten exclude each other: every level is a layer over the input")
-        if self.usd_lod and not self.lods:
-            raise OptionError("usd_lod needs lods: the ratios of the levels")
+        self._check_levels()
+
+    def _check_levels(self) -> None:
+        if self.lods and self.flatten and not self.lod_files:
+            raise OptionError(
+                "lods and flatten exclude each other: every level is a layer over the input; with lod_files each level "
+                "is a file that can be flat"
+            )
+        for name in ("usd_lod", "lod_files"):
+            if getattr(self, name) and not self.lods:
+                raise OptionError(f"{name} needs lods: the ratios of the levels")
+        if self.usd_lod and self.lod_files:
+            raise OptionError("usd_lod and lod_files exclude each other: all levels in one file, or one file for each")
 
     def _check_pose_independent(self) -> None:
         others = (

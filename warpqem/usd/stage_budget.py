@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 
 __all__ = ["simplify_to_budget"]
 
-# Faces that a trial goes down to, or as near as it can: the two of a sheet, which one more collapse would halve. A closed
-# surface keeps at least the 4 of a tetrahedron.
+# Faces that a trial goes down to, or as near as it can: the two of a sheet, which another collapse would halve. Closed
+# surfaces keep at least the 4 of a tetrahedron.
 TRIAL_FACES = 2
 # Orderings of so many bytes together are kept from the trials for the results; other meshes are ordered again, with the
 # same bits. Enough for some thousands of small meshes, for which a second ordering would take most of the time.

@@ -36,6 +36,7 @@ class WorldMeshes:
         variant: tuple[Sdf.Path, str, str] | None = None,
         passing: Sequence[str] = (),
         varying: bool = False,
+        stage: Usd.Stage | None = None,
     ) -> None:
         """Find the meshes.
 
@@ -45,13 +46,14 @@ class WorldMeshes:
             variant: Prim path, name of a variant set and the variant to select there; None for what the file selects.
             passing: Prim paths of meshes that are left out, such as those that could not be simplified.
             varying: Take meshes whose topology varies over time too; then one time can be read at once.
+            stage: The file, open already; None to open it.
 
         Raises:
             StageError: the file cannot be read, or has no mesh.
             VaryingTopologyError: the topology of all of its meshes varies, and those are not wanted.
         """
         self.name = os.path.basename(os.fspath(path))
-        self.stage: Usd.Stage = open_stage(path)
+        self.stage: Usd.Stage = open_stage(path) if stage is None else stage
         if variant is not None:
             prim_path, variant_set, selection = variant
             # In the session layer, which is not part of the file.

@@ -16,10 +16,13 @@ from warpqem.outputs import InputFile, OutputFile, check_outputs
 from warpqem.temporary import replacing, temporary_path
 from warpqem.usd.arrays import anchored
 from warpqem.usd.carrier import Carrier
+from warpqem.usd.collect import collect_files, lies_elsewhere, write_collected
 from warpqem.usd.drop import Dropped, drop_skin, drop_subdivision
 from warpqem.usd.inheritors import keep_heirs
+from warpqem.usd.input_files import check_stage_outputs
 from warpqem.usd.instances import end_instancing, flat_places, move_to_classes
 from warpqem.usd.layer_output import merge_edits
+from warpqem.usd.package import PACKAGE_SUFFIX, is_package, write_package
 from warpqem.usd.point_samples import PointSamples
 from warpqem.usd.primvars import carry_arrays, carry_motion, carry_normals, carry_primvars
 from warpqem.usd.skin import Skin
@@ -53,7 +56,10 @@ LAYER_ONLY_METADATA = frozenset({"subLayers", "subLayerOffsets", "primChildren",
 
 
 def check_output_path(
-    output: str | os.PathLike[str], inputs: Iterable[str | os.PathLike[str]], option: str = "output"
+    output: str | os.PathLike[str],
+    inputs: Iterable[str | os.PathLike[str]],
+    option: str = "output",
+    packages: bool = False,
 ) -> Path:
     """Check that there can be a USD file of a name, before the inputs are opened.
 
@@ -61,16 +67,20 @@ def check_output_path(
         output: The file to write.
         inputs: Files to read, themselves; `warpqem.usd.input_files.check_stage_outputs` looks at all that they name.
         option: Name of the option that names the output, for messages.
+        packages: Whether it may be a package (.usdz), too.
 
     Returns:
         The absolute output path.
 
     Raises:
-        OptionError: the suffix is not one of .usd, .usda, .usdc, the folder does not exist, or the path is an input.
+        OptionError: the suffix is not one of .usd, .usda, .usdc (.usdz), the folder does not exist, or the path is an
+            input.
     """
     path = Path(output).absolute()
-    if path.suffix.lower() not in OUTPUT_SUFFIXES:
-        raise OptionError(f"{option} {output}: the suffix must be one of {', '.join(OUTPUT_SUFFIXES)}")
+    suffixes = (*OUTPUT_SUFFIXES, PACKAGE_SUFFIX) if packages else OUTPUT_SUFFIXES
+    if path.suffix.lower() not in suffixes:
+        only = " (simplify and batch write packages)" if is_package(path) else ""
+        raise OptionError(f"{option} {output}: the suffix must be one of {', '.join(suffixes)}{only}")
     if not path.parent.is_dir():
         raise OptionError(f"{option} {output}: the folder {path.parent} does not exist")
     if path.is_dir():
@@ -279,21 +289,43 @@ class OverLayer:
             primvar.BlockIndices()
         _author(primvar.GetAttr(), times, colors, primvar.GetAttr().Get() is not None)
 
-    def save(self, output: Path | Sdf.Layer, flatten: bool = False) -> None:
+    def save(
+        self, output: Path | Sdf.Layer, flatten: bool = False, other_outputs: Sequence[OutputFile] = ()
+    ) -> list[str]:
         """Write the layer, or the flattened stage, under a temporary name and rename it.
 
         Args:
-            output: Path checked with `check_output_path`, or a layer checked with `check_output_layer`, which gets the
-                edits alone.
-            flatten: Write one self-contained file instead of a layer over the input.
+            output: Path checked with `check_output_path`; a package holds the flattened stage and all its files. Or a
+                layer checked with `check_output_layer`, which gets the edits alone.
+            flatten: Write one self-contained file instead of a layer over the input. Pictures and sounds that lie in
+                packages, or outside of the output's folder, go into the folder NAME_textures beside it.
+            other_outputs: What else is going to be written: no texture may take its place.
+
+        Returns:
+            What was left behind, or programs may not read; one line each.
 
         Raises:
             StageError: the file cannot be written; nothing is left behind.
+            OptionError: a texture would take the place of a file that is read, or of another output.
         """
         if isinstance(output, Sdf.Layer):
-            return merge_edits(self._layer, output, self._input)
+            merge_edits(self._layer, output, self._input)
+            return []
+        if is_package(output):
+            layer = self._flattened()
+            collection = collect_files(layer, "textures", lambda place: True, self.stage)
+            # What is left outside, and is mostly missing, is named as from the input.
+            move_asset_paths(layer, self._source, Path(self._source.realPath).parent)
+            return collection.problems + write_package(layer, collection, output)
+        problems = []
         if flatten:
             layer = self._flattened()
+            folder = f"{output.stem}_textures"
+            collection = collect_files(layer, folder, lambda place: lies_elsewhere(place, output.parent), self.stage)
+            written = [OutputFile("texture", output.parent / name) for name in collection.files]
+            check_stage_outputs([*written, *other_outputs] if written else [], [self._input])
+            write_collected(collection, output.parent)
+            problems = collection.problems
         else:
             # A copy, because an anonymous layer that a stage is open on cannot resolve a relative path.
             layer = Sdf.Layer.CreateAnonymous("save.usda")
@@ -301,6 +333,7 @@ class OverLayer:
             layer.subLayerPaths[0] = _named_from(output, layer_name(self._source))
         move_asset_paths(layer, self._source, output.parent)
         export_layer(layer, output)
+        return problems
 
     def _flattened(self) -> Sdf.Layer:
         session = without_edits(self._input.GetSessionLayer())
