@@ -1,0 +1,116 @@
+"""Where on a reference surface a vertex belongs: walks that stay on a sheet, and searches that mind which way it faces.
+
+All in double precision, on points scaled to about unit size around the origin.
+"""
+
+import warp as wp
+
+from warpqem.kernels.closest_point import closest_barycentric, offset_squared
+
+wp.set_module_options({"enable_backward": False})  # no gradients are taken
+
+# Times that the box of a search doubles at most: from a rounding error of the points, 1e-7, to their whole extent.
+MAX_DOUBLINGS = wp.constant(24)
+
+
+@wp.kernel
+def walk_surface(
+    # in
+    points: wp.array[wp.vec3d],
+    corner_vertex: wp.array[wp.int32],
+    ring_start: wp.array[wp.int32],
+    ring_end: wp.array[wp.int32],
+    ring_corner: wp.array[wp.int32],
+    start_face: wp.array[wp.int32],
+    query: wp.array[wp.vec3d],
+    step_limit: wp.int32,
+    # out
+    face_out: wp.array[wp.int32],
+    barycentric_out: wp.array[wp.vec3d],
+):
+    """The point of a surface nearest to each query, downhill from a start face over faces that meet at a vertex.
+
+    ``ring_corner`` holds the corners at each vertex, from ``ring_start`` to ``ring_end``. A step looks at the faces
+    around every vertex that the nearest point so far has a weight of; it ends where none is nearer. With a limit of 0
+    steps it is the point of the start face. A start of -1 gives face -1.
+    """
+    i = wp.tid()
+    face = start_face[i]
+    face_out[i] = face
+    if face < 0:
+        return
+    p = query[i]
+    a = points[corner_vertex[3 * face]]
+    b = points[corner_vertex[3 * face + 1]]
+    c = points[corner_vertex[3 * face + 2]]
+    best = closest_barycentric(p, a, b, c)
+    best_squared = offset_squared(p, a, b, c, best)
+    for _ in range(step_limit):
+        here = face
+        at = best
+        # A point inside a face is nearest among all faces around it: only edges and corners lead further.
+        if at[0] > wp.float64(0.0) and at[1] > wp.float64(0.0) and at[2] > wp.float64(0.0):
+            break
+        for k in range(3):
+            if at[k] > wp.float64(0.0):
+                vertex = corner_vertex[3 * here + k]
+                for entry in range(ring_start[vertex], ring_end[vertex]):
+                    other = ring_corner[entry] / 3
+                    a = points[corner_vertex[3 * other]]
+                    b = points[corner_vertex[3 * other + 1]]
+                    c = points[corner_vertex[3 * other + 2]]
+                    candidate = closest_barycentric(p, a, b, c)
+                    squared = offset_squared(p, a, b, c, candidate)
+                    if squared < best_squared:
+                        best = candidate
+                        best_squared = squared
+                        face = other
+        if face == here:
+            break
+    face_out[i] = face
+    barycentric_out[i] = best
+
+
+@wp.kernel
+def find_facing(
+    # in
+    mesh: wp.uint64,
+    points: wp.array[wp.vec3d],
+    corner_vertex: wp.array[wp.int32],
+    query: wp.array[wp.vec3d],
+    normal: wp.array[wp.vec3d],
+    nearest: wp.array[wp.float64],
+    reach: wp.array[wp.float64],
+    # out
+    face_out: wp.array[wp.int32],
+):
+    """The face nearest to each query among those that face its way, no further than ``reach``; -1 where there is none.
+
+    ``nearest`` is the distance of the surface whichever way it faces: no search needs a smaller box.
+    """
+    i = wp.tid()
+    p = query[i]
+    n = normal[i]
+    centre = wp.vec3(wp.float32(p[0]), wp.float32(p[1]), wp.float32(p[2]))
+    best = wp.int32(-1)
+    best_squared = reach[i] * reach[i]
+    # Room for the single precision of the hierarchy's boxes.
+    radius = wp.min(wp.float64(2.0) * nearest[i] + wp.float64(1.0e-6), reach[i])
+    for _ in range(MAX_DOUBLINGS):
+        extent = wp.vec3(wp.float32(radius), wp.float32(radius), wp.float32(radius))
+        found = wp.mesh_query_aabb(mesh, centre - extent, centre + extent)
+        face = wp.int32(0)
+        while wp.mesh_query_next(found, face):
+            a = points[corner_vertex[3 * face]]
+            b = points[corner_vertex[3 * face + 1]]
+            c = points[corner_vertex[3 * face + 2]]
+            if wp.dot(wp.cross(b - a, c - a), n) > wp.float64(0.0):
+                squared = offset_squared(p, a, b, c, closest_barycentric(p, a, b, c))
+                if squared < best_squared or (squared == best_squared and face < best):
+                    best = face
+                    best_squared = squared
+        # What the box holds is nearest only if it is no further away than the box reaches.
+        if (best >= 0 and best_squared <= radius * radius) or radius >= reach[i]:
+            break
+        radius = wp.min(wp.float64(2.0) * radius, reach[i])
+    face_out[i] = best
