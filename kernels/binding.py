@@ -5,7 +5,7 @@ All in double precision, on points scaled to about unit size around the origin.
 
 import warp as wp
 
-from warpqem.kernels.closest_point import closest_barycentric, offset_squared
+from warpqem.kernels.closest_point import closest_barycentric, offset_squared, segment_parameter
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
@@ -30,7 +30,7 @@ def walk_surface(
 ):
     """The point of a surface nearest to each query, downhill from a start face over faces that meet at a vertex.
 
-    ``ring_corner`` holds the corners at each vertex, from ``ring_start`` to ``ring_end``. A step looks at the faces
+    ``ring_corner`` holds the corners around each corner, from ``ring_start`` to ``ring_end``. A step looks at the faces
     around every vertex that the nearest point so far has a weight of; it ends where none is nearer. With a limit of 0
     steps it is the point of the start face. A start of -1 gives face -1.
     """
@@ -53,8 +53,7 @@ def walk_surface(
             break
         for k in range(3):
             if at[k] > wp.float64(0.0):
-                vertex = corner_vertex[3 * here + k]
-                for entry in range(ring_start[vertex], ring_end[vertex]):
+                for entry in range(ring_start[3 * here + k], ring_end[3 * here + k]):
                     other = ring_corner[entry] / 3
                     a = points[corner_vertex[3 * other]]
                     b = points[corner_vertex[3 * other + 1]]
@@ -79,18 +78,22 @@ def find_facing(
     corner_vertex: wp.array[wp.int32],
     query: wp.array[wp.vec3d],
     normal: wp.array[wp.vec3d],
+    face_label: wp.array[wp.int32],
+    label: wp.array[wp.int32],
     nearest: wp.array[wp.float64],
     reach: wp.array[wp.float64],
     # out
     face_out: wp.array[wp.int32],
 ):
-    """The face nearest to each query among those that face its way, no further than ``reach``; -1 where there is none.
+    """The nearest face to each query of its label that faces its way, no further than ``reach``; -1: there is none.
 
-    ``nearest`` is the distance of the surface whichever way it faces: no search needs a smaller box.
+    Label -1 is any; a normal of length 0 is any way. ``nearest`` is the distance of the surface whichever way it faces:
+    no search needs a smaller box.
     """
     i = wp.tid()
     p = query[i]
     n = normal[i]
+    any_way = wp.dot(n, n) == wp.float64(0.0)
     centre = wp.vec3(wp.float32(p[0]), wp.float32(p[1]), wp.float32(p[2]))
     best = wp.int32(-1)
     best_squared = reach[i] * reach[i]
@@ -104,7 +107,8 @@ def find_facing(
             a = points[corner_vertex[3 * face]]
             b = points[corner_vertex[3 * face + 1]]
             c = points[corner_vertex[3 * face + 2]]
-            if wp.dot(wp.cross(b - a, c - a), n) > wp.float64(0.0):
+            faces_so = any_way or wp.dot(wp.cross(b - a, c - a), n) > wp.float64(0.0)
+            if faces_so and (label[i] < 0 or face_label[face] == label[i]):
                 squared = offset_squared(p, a, b, c, closest_barycentric(p, a, b, c))
                 if squared < best_squared or (squared == best_squared and face < best):
                     best = face
@@ -114,3 +118,24 @@ def find_facing(
             break
         radius = wp.min(wp.float64(2.0) * radius, reach[i])
     face_out[i] = best
+
+
+@wp.kernel
+def find_nearest_segments(
+    # in
+    query: wp.array[wp.vec3d],
+    start: wp.array[wp.vec3d],
+    end: wp.array[wp.vec3d],
+    # out
+    distance_out: wp.array[wp.float64],
+):
+    """The distance of each query from the nearest segment; all are looked at, since seams have few."""
+    i = wp.tid()
+    p = query[i]
+    best = wp.float64(wp.inf)
+    for k in range(start.shape[0]):
+        a = start[k]
+        b = end[k]
+        offset = (p - a) - segment_parameter(p, a, b) * (b - a)
+        best = wp.min(best, wp.dot(offset, offset))
+    distance_out[i] = wp.sqrt(best)

@@ -20,7 +20,7 @@ from warpqem.components import lowest_members
 from warpqem.errors import MeshShapeError
 from warpqem.kernels.transfer import find_wedge_sources
 from warpqem.launches import launch
-from warpqem.measure.binding_surface import WALK_STEPS, ReferenceSurface, TestVertices
+from warpqem.measure.binding_surface import WALK_STEPS, ReferenceSurface, TestVertices, facing_sign
 from warpqem.measure.distance import ClosestPointSearch
 from warpqem.measure.inputs import MeshSequence, chosen_frames
 from warpqem.place.rows import gather_faces
@@ -194,7 +194,7 @@ def _nearest_over_time(surface: ReferenceSurface, vertices: TestVertices) -> tup
         along = chosen.facing(key, face)
         if key == 0:
             # A mesh that was turned inside out as a whole faces against the reference everywhere.
-            chosen.sign = 1.0 if (along >= 0).sum() >= (along < 0).sum() else -1.0
+            chosen.sign = facing_sign(along, closest.distance)
         every = np.arange(len(vertices))
         chosen.offer(every, *surface.walk(face, vertices.points[0], WALK_STEPS if key else 0))
         against = np.flatnonzero(chosen.sign * along < 0)
