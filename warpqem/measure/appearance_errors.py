@@ -12,6 +12,7 @@ from warpqem.measure.correspondence import Correspondence, MovingMesh, match_isl
 from warpqem.measure.sampling import MaterialSamples
 from warpqem.measure.surface_values import CornerValues
 from warpqem.measure.texture import Chart, Stretch, draw_seam_samples, make_chart, segment_distances, texture_jacobians
+from warpqem.transfer import blend
 
 __all__ = ["SEAM_SAMPLES", "ErrorSums", "FieldErrors", "MeshPair", "UvErrors", "UvMeasure", "angles"]
 
@@ -235,11 +236,5 @@ def _both_ways(
     """Values (S, C) at the samples of each mesh, and at the points of the other mesh that correspond to them."""
     ends = []
     for samples, way, own, other in zip(pair.samples, ways, values, values[::-1], strict=True):
-        ends.append(
-            (_interpolate(own, samples.face, samples.barycentric), _interpolate(other, way.face, way.barycentric))
-        )
+        ends.append((blend(own[samples.face], samples.barycentric), blend(other[way.face], way.barycentric)))
     return ends
-
-
-def _interpolate(values: Floats, face: Ints, barycentric: Floats) -> Floats:
-    return np.einsum("sk,skc->sc", barycentric, values[face])
