@@ -121,6 +121,43 @@ def find_facing(
 
 
 @wp.kernel
+def find_listed(
+    # in
+    list_start: wp.array[wp.int32],
+    list_face: wp.array[wp.int32],
+    points: wp.array[wp.vec3d],
+    corner_vertex: wp.array[wp.int32],
+    query: wp.array[wp.vec3d],
+    normal: wp.array[wp.vec3d],
+    # out
+    face_out: wp.array[wp.int32],
+    distance_out: wp.array[wp.float64],
+):
+    """The nearest face of each query's own list that faces its way, the first of equal ones; -1: there is none.
+
+    A normal of length 0 is any way.
+    """
+    i = wp.tid()
+    p = query[i]
+    n = normal[i]
+    any_way = wp.dot(n, n) == wp.float64(0.0)
+    best = wp.int32(-1)
+    best_squared = wp.float64(wp.inf)
+    for entry in range(list_start[i], list_start[i + 1]):
+        face = list_face[entry]
+        a = points[corner_vertex[3 * face]]
+        b = points[corner_vertex[3 * face + 1]]
+        c = points[corner_vertex[3 * face + 2]]
+        if any_way or wp.dot(wp.cross(b - a, c - a), n) > wp.float64(0.0):
+            squared = offset_squared(p, a, b, c, closest_barycentric(p, a, b, c))
+            if squared < best_squared:
+                best = face
+                best_squared = squared
+    face_out[i] = best
+    distance_out[i] = wp.sqrt(best_squared)
+
+
+@wp.kernel
 def find_nearest_segments(
     # in
     query: wp.array[wp.vec3d],

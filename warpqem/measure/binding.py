@@ -9,7 +9,7 @@ a vertex's neighbours are bound to.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +18,7 @@ import warp as wp
 from warpqem.array_input import index_array
 from warpqem.components import lowest_members
 from warpqem.errors import MeshShapeError
-from warpqem.kernels.transfer import find_wedge_sources
+from warpqem.kernels.binding import find_listed
 from warpqem.launches import launch
 from warpqem.measure.binding_surface import WALK_STEPS, ReferenceSurface, TestVertices, facing_sign
 from warpqem.measure.distance import ClosestPointSearch
@@ -126,34 +126,14 @@ def bind_by_record(
 ) -> Binding:
     """Bind each vertex to the nearest point, in the first frame, of the reference faces that it stands for.
 
-    Those are the faces with a corner among the vertices that were collapsed into it. Arguments as in :func:`bind`; the
-    vertex map as :func:`check_vertex_map` gives it.
+    Those are the faces with a corner among the vertices that were collapsed into it. Where they lie on both sides of a
+    thin part, the side counts that faces as the vertex does, or is nearer over the motion.
+
+    Arguments as in :func:`bind`; the vertex map as :func:`check_vertex_map` gives it.
     """
-    surface = ReferenceSurface(reference, centre, diagonal, [0], device)
-    query = (test.points[0][test.used] - centre[0]) / diagonal[0]
-    cluster = vertex_map[reference.faces]
-    usable = (cluster >= 0).all(axis=1) & is_proper(reference.faces)
-    slot = np.full(test.points.shape[1], -1, dtype=np.int32)
-    slot[test.used] = np.arange(len(test.used))
-    corner = np.where(usable[:, None], slot[cluster], -1).astype(np.int32).ravel()
-    start, face, _ = gather_faces(corner, np.ones(len(corner), dtype=np.float32), len(query), device)
-    nearest = wp.empty(len(query), dtype=wp.int32, device=device)
-    weight = wp.empty(len(query), dtype=wp.vec3, device=device)
-    launch(
-        find_wedge_sources,
-        dim=len(query),
-        inputs=[
-            wp.array(start, device=device),
-            wp.array(face, device=device),
-            wp.array(query.astype(np.float32), dtype=wp.vec3, device=device),
-            surface.corner_vertex,
-            wp.array(surface.points[0].astype(np.float32), dtype=wp.vec3, device=device),
-        ],
-        outputs=[nearest, weight],
-        device=device,
-    )
-    # The point itself in double precision.
-    return Binding(*surface.walk(nearest.numpy(), query, 0))
+    surface = ReferenceSurface(reference, centre, diagonal, _key_frames(reference), device)
+    vertices = TestVertices(test, surface)
+    return Binding(*_nearest_over_time(surface, vertices, _ListedSearch(surface, vertices, test, vertex_map)))
 
 
 def bind_by_shape(
@@ -168,10 +148,9 @@ def bind_by_shape(
 
     Arguments as in :func:`bind`.
     """
-    frames = chosen_frames(KEY_FRAMES, len(reference.points)).tolist()
-    surface = ReferenceSurface(reference, centre, diagonal, frames, device)
+    surface = ReferenceSurface(reference, centre, diagonal, _key_frames(reference), device)
     vertices = TestVertices(test, surface)
-    face, barycentric = _nearest_over_time(surface, vertices)
+    face, barycentric = _nearest_over_time(surface, vertices, _WholeSearch(surface, vertices))
     for _ in range(ROUNDS):
         moved = _follow_neighbours(surface, vertices, face, barycentric)
         if not moved.any():
@@ -179,32 +158,108 @@ def bind_by_shape(
     return Binding(face, barycentric)
 
 
-def _nearest_over_time(surface: ReferenceSurface, vertices: TestVertices) -> tuple[Ints, Floats]:
+def _key_frames(reference: MeshSequence) -> list[int]:
+    frames: list[int] = chosen_frames(KEY_FRAMES, len(reference.points)).tolist()
+    return frames
+
+
+class _Search(Protocol):
+    """Finds faces of the reference for the vertices in a key frame."""
+
+    def nearest(self, key: int) -> tuple[Ints, Floats]:
+        """The nearest face to each vertex (U,), and its distance."""
+
+    def facing(self, key: int, chosen: Ints, normal: Floats, distance: Floats) -> Ints:
+        """The nearest faces to chosen vertices (S,) that face as normals (S, 3) do; -1 where there is none near.
+
+        ``distance`` (S,) is that of the nearest face whichever way it faces.
+        """
+
+
+class _WholeSearch:
+    """Any face counts."""
+
+    def __init__(self, surface: ReferenceSurface, vertices: TestVertices) -> None:
+        self._surface, self._vertices = surface, vertices
+        self._search = ClosestPointSearch(surface.mesh.faces, surface.device, "reference")
+
+    def nearest(self, key: int) -> tuple[Ints, Floats]:
+        frame = self._surface.frames[key]
+        closest = self._search.closest(self._surface.points[key], self._vertices.points[key], frame)
+        return closest.face.astype(np.int64), closest.distance
+
+    def facing(self, key: int, chosen: Ints, normal: Floats, distance: Floats) -> Ints:
+        reach = np.maximum(self._vertices.reach[chosen], 2 * distance)
+        return self._surface.facing(key, self._vertices.points[key, chosen], normal, distance, reach)
+
+
+class _ListedSearch:
+    """Only faces that a vertex stands for count."""
+
+    def __init__(self, surface: ReferenceSurface, vertices: TestVertices, test: MeshSequence, vertex_map: Ints) -> None:
+        self._surface, self._vertices = surface, vertices
+        faces = surface.mesh.faces
+        slot = np.full(test.points.shape[1] + 1, -1, dtype=np.int32)
+        slot[test.used] = np.arange(len(test.used))
+        # The vertex map's -1 finds the last slot, which is none.
+        corner = np.where(is_proper(faces)[:, None], slot[vertex_map[faces]], -1).ravel()
+        self._start, self._face, _ = gather_faces(
+            corner.astype(np.int32), np.ones(len(corner), dtype=np.float32), len(vertices), surface.device
+        )
+
+    def nearest(self, key: int) -> tuple[Ints, Floats]:
+        everyone = np.arange(len(self._vertices))
+        return self._find(key, everyone, np.zeros((len(everyone), 3)))
+
+    def facing(self, key: int, chosen: Ints, normal: Floats, distance: Floats) -> Ints:
+        return self._find(key, chosen, normal)[0]
+
+    def _find(self, key: int, chosen: Ints, normal: Floats) -> tuple[Ints, Floats]:
+        device, count = self._surface.device, np.diff(self._start)[chosen]
+        start = np.concatenate([[0], np.cumsum(count)]).astype(np.int32)
+        entry = np.repeat(self._start[chosen], count) + np.arange(start[-1]) - np.repeat(start[:-1], count)
+        face = wp.empty(len(chosen), dtype=wp.int32, device=device)
+        distance = wp.empty(len(chosen), dtype=wp.float64, device=device)
+        doubles = (self._surface.points[key], self._vertices.points[key, chosen], normal)
+        points, query, normals = (wp.array(values, dtype=wp.vec3d, device=device) for values in doubles)
+        launch(
+            find_listed,
+            dim=len(chosen),
+            inputs=[
+                wp.array(start, device=device),
+                wp.array(self._face[entry], dtype=wp.int32, device=device),
+                points,
+                self._surface.corner_vertex,
+                query,
+                normals,
+            ],
+            outputs=[face, distance],
+            device=device,
+        )
+        return face.numpy().astype(np.int64), distance.numpy()
+
+
+def _nearest_over_time(surface: ReferenceSurface, vertices: TestVertices, search: _Search) -> tuple[Ints, Floats]:
     """The best candidate for each vertex: faces (U,) and barycentric coordinates (U, 3) in the first frame.
 
     The nearest point in each key frame, and the nearest one of a face that faces as the vertex does, lead to a
     candidate: from there a walk goes to the vertex in the first frame.
     """
-    search = ClosestPointSearch(surface.mesh.faces, surface.device, "reference")
     chosen = _Chosen(surface, vertices)
-    for key, frame in enumerate(surface.frames):
-        query, normal = vertices.points[key], vertices.normals[key]
-        closest = search.closest(surface.points[key], query, frame)
-        face = closest.face.astype(np.int64)
+    for key in range(len(surface.frames)):
+        steps = WALK_STEPS if key else 0
+        face, distance = search.nearest(key)
         along = chosen.facing(key, face)
         if key == 0:
             # A mesh that was turned inside out as a whole faces against the reference everywhere.
-            chosen.sign = facing_sign(along, closest.distance)
-        every = np.arange(len(vertices))
-        chosen.offer(every, *surface.walk(face, vertices.points[0], WALK_STEPS if key else 0))
+            chosen.sign = facing_sign(along, distance)
+        chosen.offer(np.arange(len(vertices)), *surface.walk(face, vertices.points[0], steps))
         against = np.flatnonzero(chosen.sign * along < 0)
         if not len(against):
             continue
-        distance = closest.distance[against]
-        reach = np.maximum(vertices.reach[against], 2 * distance)
-        other = surface.facing(key, query[against], chosen.sign * normal[against], distance, reach)
+        other = search.facing(key, against, chosen.sign * vertices.normals[key, against], distance[against])
         against, other = against[other >= 0], other[other >= 0]
-        chosen.offer(against, *surface.walk(other, vertices.points[0][against], WALK_STEPS if key else 0))
+        chosen.offer(against, *surface.walk(other, vertices.points[0][against], steps))
     return chosen.face, chosen.barycentric
 
 
