@@ -227,6 +227,17 @@ def test_values_of_another_shape_are_refused(device):
         CornerValues.of("normals", np.zeros((4, 3)))
 
 
+def test_long_clips_are_measured_in_frames_up_to_the_last(device):
+    points, faces = meshes.grid(2, 2)
+    shift = np.zeros((700, 1, 1, 2))
+    shift[-1, ..., 0] = 0.1
+    uv = flat_uv(points, faces)
+    mesh = still(points, 700)
+    found = compare_appearance(mesh, faces, values(uv), mesh, faces, values(uv + shift), samples=20, device=device)
+    assert found.frame_count == 500
+    assert found.uvs["st"].swim == pytest.approx(100 * 0.1 / DIAGONAL, rel=1e-5)
+
+
 def test_islands_and_seams_of_a_cut_square():
     points, faces = meshes.grid(4, 4)
     chart = make_chart(faces, two_islands(points, faces))

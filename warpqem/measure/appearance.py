@@ -33,11 +33,13 @@ __all__ = [
 
 Floats = npt.NDArray[np.float64]
 
-# Samples on each mesh: errors of a smooth field to about 2 %.
+# Samples on each mesh: errors of a smooth field to about 2 %. Samples times frames are no more than the second number,
+# so that half as many are left on the longest clips.
 SAMPLES = 4000
-# Of long clips fewer, so that a frame more costs less than a millisecond: samples times frames, and the least.
 SAMPLE_FRAMES = 1_000_000
-LEAST_SAMPLES = 500
+
+# Frames measured at most, evenly spread, the first and the last one included: a frame of a small mesh takes about 4 ms.
+MAX_FRAMES = 500
 
 # Frames, evenly spread, whose mean areas decide where samples lie.
 AREA_FRAMES = 8
@@ -84,7 +86,7 @@ class Appearance:
         not_measured: why a measure has no value, by its name.
         sample_count: samples on each mesh.
         seam_sample_count: samples on the seams of each mesh.
-        frame_count: frames, all of which are measured.
+        frame_count: frames measured: all, of more than 500 so many, evenly spread.
     """
 
     uvs: dict[str, UvErrors]
@@ -116,7 +118,7 @@ def compare_appearance(
 ) -> Appearance:
     """Measure what a test mesh is textured, shaded and coloured by against a reference, in all frames.
 
-    Samples are material points, spread evenly over the area of each mesh. What is compared lies at the nearest point of
+    Of more than 500 frames so many count, evenly spread. Samples are material points, spread evenly over the area of each mesh. What is compared lies at the nearest point of
     the other mesh that faces the same way, for texture coordinates on the same island; it is searched for in the first
     frame and followed from there.
 
@@ -127,7 +129,7 @@ def compare_appearance(
         test_points: (F, V', 3) or (V', 3), with as many frames.
         test_faces: (N', 3) integers.
         test_values: values at the corners of these faces.
-        samples: samples on each mesh, at least 1; None for 4000, of more than 250 frames fewer, down to 500.
+        samples: samples on each mesh, at least 1; None for 4000, of more than 250 frames fewer, down to 2000.
         seed: seed of the samples, at least 0.
         device: Warp device name; None takes "cuda:0" where there is one, else "cpu".
         progress: called with the number of frames done and the number of frames.
@@ -141,9 +143,9 @@ def compare_appearance(
     reference = _sequence(reference_points, reference_faces, "reference")
     test = _sequence(test_points, test_faces, "test")
     check_same_frame_count(reference, test)
-    frame_count = len(reference.points)
+    frames = chosen_frames(MAX_FRAMES, len(reference.points)).tolist()
     if samples is None:
-        samples = min(SAMPLES, max(LEAST_SAMPLES, SAMPLE_FRAMES // frame_count))
+        samples = min(SAMPLES, SAMPLE_FRAMES // len(frames))
     samples = whole_number(samples, "samples")
     both, reasons = (reference_values, test_values), dict[str, str]()
     uv_names = shared_names("texture coordinates", "uvs", *both, (both[0].uvs, both[1].uvs), reasons)
@@ -156,7 +158,7 @@ def compare_appearance(
         pair = _make_pair(reference, test, samples, seed, resolve_device(device))
         uvs = {name: UvMeasure(pair, (both[0].uvs[name], both[1].uvs[name]), seed) for name in uv_names}
         fields = [*([] if shading is None else [shading]), *colors.values()]
-        _measure_frames(pair, list(uvs.values()), fields, frame_count, progress)
+        _measure_frames(pair, list(uvs.values()), fields, frames, progress)
     return Appearance(
         uvs={name: measure.errors(name, reasons) for name, measure in uvs.items()},
         normals=None if shading is None else NormalErrors(*shading.figures()),
@@ -164,7 +166,7 @@ def compare_appearance(
         not_measured=reasons,
         sample_count=samples,
         seam_sample_count=SEAM_SAMPLES,
-        frame_count=frame_count,
+        frame_count=len(frames),
     )
 
 
@@ -172,12 +174,12 @@ def _measure_frames(
     pair: MeshPair,
     uvs: list[UvMeasure],
     fields: list[FieldErrors],
-    frame_count: int,
+    frames: list[int],
     progress: Callable[[int, int], None] | None,
 ) -> None:
-    """Take all frames, one after the other, with the pair at the first one."""
+    """Take some frames from the first one on, which the pair shows."""
     ways = pair.correspond() if fields else ()
-    for frame in range(frame_count):
+    for done, frame in enumerate(frames, start=1):
         if frame:
             pair.show(frame)
             for way in ways:
@@ -188,7 +190,7 @@ def _measure_frames(
         for measure in uvs:
             measure.add(frame)
         if progress is not None:
-            progress(frame + 1, frame_count)
+            progress(done, len(frames))
 
 
 def _sequence(points: npt.ArrayLike, faces: npt.ArrayLike, name: str) -> MeshSequence:
