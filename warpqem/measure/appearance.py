@@ -118,9 +118,9 @@ def compare_appearance(
 ) -> Appearance:
     """Measure what a test mesh is textured, shaded and coloured by against a reference, in all frames.
 
-    Of more than 500 frames so many count, evenly spread. Samples are material points, spread evenly over the area of each mesh. What is compared lies at the nearest point of
-    the other mesh that faces the same way, for texture coordinates on the same island; it is searched for in the first
-    frame and followed from there.
+    Of more than 500 frames so many count, evenly spread. Samples are material points, spread evenly over the area of
+    each mesh. What is compared lies at the nearest point of the other mesh that faces the same way, for texture
+    coordinates on the same island; it is searched for in the first frame and followed from there.
 
     Args:
         reference_points: (F, V, 3) or (V, 3).
