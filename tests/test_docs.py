@@ -18,7 +18,7 @@ from warpqem.cli.main import app
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
-GUIDES = ["pipeline.md", "batch.md", "python.md", "cookbook.md"]
+GUIDES = ["pipeline.md", "batch.md", "python.md", "cookbook.md", "appearance.md"]
 
 
 def name_of(page: Path) -> str:

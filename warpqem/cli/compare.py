@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from warpqem.cli.appearance_table import appearance_table
 from warpqem.cli.console import (
     EXIT_FAILED,
     PlainTable,
@@ -57,7 +58,10 @@ def compare(
     """Measure the meshes of TEST against those of REFERENCE with the same prim path, at the frames of both.
 
     Distances are in % of the reference's bounding-box diagonal in the frame, angles in degrees. Jitter and slide
-    are second differences over time: how much the surface trembles, and how much vertices swim on it.
+    are second differences over time: how much the surface trembles, and how much vertices swim on it,
+    against the material they are bound to; 95 % of the vertices slide no more than "slide 95 %".
+
+    A second table compares what both meshes have of texture coordinates, shading normals and colours.
 
     Exit codes: 0 all done; 1 an error, or some pair failed; 2 wrong usage; 130 interrupted.
     """
@@ -89,6 +93,8 @@ def compare(
         if pair.message is not None:
             tell("error", pair.message)
     print_table(_table(reference, test, pairs), to_stderr=json == "-")
+    if any(pair.appearance for pair in pairs):
+        print_table(appearance_table(pairs), to_stderr=json == "-")
     if json is not None:
         write_json(json, {"reference": reference, "test": test, "prims": [pair.to_dict() for pair in pairs]})
     if not pairs:
@@ -104,7 +110,7 @@ def _table(reference: str, test: str, pairs: list[PairReport]) -> PlainTable:
         table.add_column("level")
     table.add_column("mesh", overflow="fold")
     names = ("frames", "faces", "RMS %", "mean %", "Hausdorff %", "normals deg", "flips", "jitter %", "slide %")
-    for name in (*names, "edge length %"):
+    for name in (*names, "slide 95 %", "edge length %"):
         table.add_column(name, justify="right")
     for pair in pairs:
         measures = pair.comparison
@@ -120,6 +126,7 @@ def _table(reference: str, test: str, pairs: list[PairReport]) -> PlainTable:
             measures.flips,
             measures.jitter,
             measures.slide,
+            measures.slide_p95,
             measures.edge_length_error,
         )
         faces = f"{measures.reference_topology.faces} / {measures.test_topology.faces}"

@@ -1,7 +1,31 @@
-"""Quality of a simplified mesh sequence against its reference: distances, motion, validity, heat map."""
+"""Quality of a simplified mesh sequence against its reference: distances, motion, appearance, validity, heat map."""
 
+from warpqem.measure.appearance import (
+    Appearance,
+    ColorErrors,
+    CornerValues,
+    NormalErrors,
+    SurfaceValues,
+    UvErrors,
+    compare_appearance,
+)
 from warpqem.measure.comparison import Comparison, FrameErrors, compare
 from warpqem.measure.heatmap import distance_colors, vertex_distances
 from warpqem.measure.topology import Topology, topology
 
-__all__ = ["Comparison", "FrameErrors", "Topology", "compare", "distance_colors", "topology", "vertex_distances"]
+__all__ = [
+    "Appearance",
+    "ColorErrors",
+    "Comparison",
+    "CornerValues",
+    "FrameErrors",
+    "NormalErrors",
+    "SurfaceValues",
+    "Topology",
+    "UvErrors",
+    "compare",
+    "compare_appearance",
+    "distance_colors",
+    "topology",
+    "vertex_distances",
+]

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from warpqem.device import on_device, resolve_device
+from warpqem.measure.binding import bind, check_vertex_map
 from warpqem.measure.distance import Closest, ClosestPointSearch
 from warpqem.measure.inputs import MeshSequence, check_same_frame_count, check_sequence, chosen_frames, frame_scale
 from warpqem.measure.sampling import MaterialSamples, draw_material_samples, normals_and_areas, place
@@ -72,7 +73,8 @@ class Comparison:
         flips: mean number of flipped faces per frame.
         jitter: root mean square second temporal difference of the offset vectors from reference samples to the test
             mesh, in the frame of the reference face, in % of the mean diagonal; None below three frames.
-        slide: the same of the test vertices' offsets from the reference points they are bound to in frame 0.
+        slide: the same of the test vertices' offsets from their material points, see `warpqem.measure.binding`.
+        slide_p95: the 95th percentile over the test vertices, each with its root mean square over time.
         edge_length_error: root mean square relative error of test edges against the edges between bound points, in %.
         reference_topology: validity figures of the reference faces.
         test_topology: validity figures of the test faces.
@@ -88,6 +90,7 @@ class Comparison:
     flips: float
     jitter: float | None
     slide: float | None
+    slide_p95: float | None
     edge_length_error: float
     reference_topology: Topology
     test_topology: Topology
@@ -228,6 +231,7 @@ def compare(
     seed: int = 0,
     frames: int | Sequence[int] | None = None,
     device: str | None = None,
+    vertex_map: npt.ArrayLike | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Comparison:
     """Measure a test mesh sequence against a reference.
@@ -247,10 +251,12 @@ def compare(
         frames: frames to measure distances on: None for all, a number for so many evenly spread, or a list of indices.
             Jitter always takes the middle 24 frames, slide and edge lengths all.
         device: Warp device name; None takes "cuda:0" where there is one, else "cpu".
+        vertex_map: (V,) integers, the test vertex that each reference vertex was collapsed into, -1 for none, as
+            `SimplifiedMesh.vertex_map`: slide then follows this record, else it finds the material points by shape.
         progress: called with the number of frames done and the number of frames.
 
     Raises:
-        MeshShapeError: an array has the wrong shape or dtype, or the frame counts differ.
+        MeshShapeError: an array has the wrong shape or dtype, the frame counts differ, or ``vertex_map`` does not fit.
         NonFinitePointError: a point is NaN or infinite.
         FaceIndexError: a face refers to a vertex that does not exist.
         DegenerateMeshError: a mesh has no face, or no extent or area in some frame.
@@ -266,7 +272,9 @@ def compare(
     device = resolve_device(device)
     comparison = _FrameComparison(reference, test, samples, seed, device)
     per_frame, jitter = _measure_frames(comparison, frames, progress)
-    slide, edge_length_error = binding_errors(reference, test, comparison.centre, comparison.diagonal, device)
+    record = None if vertex_map is None else check_vertex_map(vertex_map, reference, test)
+    binding = bind(reference, test, comparison.centre, comparison.diagonal, device, record)
+    bound = binding_errors(reference, test, binding, comparison.diagonal)
     return Comparison(
         per_frame=per_frame,
         rms=float(per_frame.rms.mean()),
@@ -275,8 +283,9 @@ def compare(
         normal_deviation=float(per_frame.normal_deviation.mean()),
         flips=float(per_frame.flips.mean()),
         jitter=jitter,
-        slide=slide,
-        edge_length_error=edge_length_error,
+        slide=bound.slide,
+        slide_p95=bound.slide_p95,
+        edge_length_error=bound.edge_length_error,
         reference_topology=topology(reference.faces),
         test_topology=topology(test.faces),
         frame_count=len(reference.points),

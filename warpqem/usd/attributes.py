@@ -13,7 +13,7 @@ from warpqem.usd.mesh import MeshSource
 from warpqem.usd.option_checks import AttributeWeights, bare_name
 from warpqem.usd.seams import corner_values
 
-__all__ = ["check_names", "weighted_fields"]
+__all__ = ["check_names", "is_uv", "weighted_fields"]
 
 # What exporters call texture coordinates that they author as plain pairs of floats.
 PAIR_TYPES = ("VtArray<GfVec2h>", "VtArray<GfVec2f>", "VtArray<GfVec2d>")
@@ -50,7 +50,7 @@ def weighted_fields(source: MeshSource, uv_weight: float, weights: AttributeWeig
     wanted = {}
     for primvar in api.GetPrimvarsWithAuthoredValues():
         name = str(primvar.GetPrimvarName())
-        weight = named.get(name, uv_weight if _is_uv(primvar) else 0.0)
+        weight = named.get(name, uv_weight if is_uv(primvar) else 0.0)
         if weight > 0.0 and primvar.GetInterpolation() != UsdGeom.Tokens.constant:
             wanted[primvar.GetAttr().GetName()] = weight
     if not wanted:
@@ -66,7 +66,8 @@ def weighted_fields(source: MeshSource, uv_weight: float, weights: AttributeWeig
     return fields
 
 
-def _is_uv(primvar: UsdGeom.Primvar) -> bool:
+def is_uv(primvar: UsdGeom.Primvar) -> bool:
+    """True for texture coordinates, by their type or, for plain pairs of floats, by their name."""
     kind = primvar.GetTypeName()
     if str(kind.role) == "TextureCoordinate":
         return True

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from pxr import Sdf, Usd
 
 from warpqem.errors import DeviceError, OptionError, StageError, VaryingTopologyError, WarpqemError
-from warpqem.measure import Comparison, compare, distance_colors
+from warpqem.measure import Appearance, Comparison, compare, compare_appearance, distance_colors
 from warpqem.outputs import OutputFile, named_outputs
 from warpqem.usd.compare_runs import VaryingMesh, combine, pair_runs, run_colors
 from warpqem.usd.frames import FrameRange
@@ -22,6 +22,7 @@ from warpqem.usd.mesh import MeshSource, StageMesh
 from warpqem.usd.report import name_prim
 from warpqem.usd.skel import StagePoses
 from warpqem.usd.stage import find_meshes, open_stage
+from warpqem.usd.surface_values import compare_as_posed, surface_values
 from warpqem.usd.variants import select_variants
 from warpqem.usd.write import OverLayer, check_output_path
 
@@ -67,6 +68,7 @@ class PairReport:
         path: Prim path.
         times: Time codes compared at; None for one frame at the default time.
         comparison: The measures; None if the comparison failed.
+        appearance: How texture, shading and colours differ; None if the comparison failed.
         heatmap_scale: Distance of the last colour of the heat map, in % of the diagonal; None without a heat map.
         message: Why it failed.
         level: Name of the level of detail, with `CompareOptions.all_lods`; else None.
@@ -75,6 +77,7 @@ class PairReport:
     path: str
     times: list[float] | None = None
     comparison: Comparison | None = None
+    appearance: Appearance | None = None
     heatmap_scale: float | None = None
     message: str | None = None
     level: str | None = None
@@ -89,6 +92,7 @@ class PairReport:
             "message": self.message,
             "level": self.level,
             "comparison": measures,
+            "appearance": None if self.appearance is None else self.appearance.to_dict(),
         }
 
 
@@ -259,7 +263,11 @@ def _compare_constant(
     report.times = times
     reference, test = (source.read(times) for source in sources)
     meshes = (reference.points, reference.right_handed_faces, test.points, test.right_handed_faces)
-    report.comparison = compare(*meshes, samples=options.samples, device=options.device, progress=progress)
+    half = (lambda done, total: progress(done, 2 * total), lambda done, total: progress(total + done, 2 * total))
+    report.comparison = compare(*meshes, samples=options.samples, device=options.device, progress=half[0])
+    values = compare_as_posed(sources, [surface_values(source, times) for source in sources])
+    sides = [value for side in zip(meshes[::2], meshes[1::2], values, strict=True) for value in side]
+    report.appearance = compare_appearance(*sides, device=options.device, progress=half[1])
     if options.heatmap is not None and layer is not None:
         colors, report.heatmap_scale = distance_colors(*meshes, scale=options.heatmap_scale, device=options.device)
         layer.set_vertex_colors(report.path, times, _for_all_points(colors, test, sources[1].point_count))

@@ -121,8 +121,9 @@ def combine(
 ) -> Comparison:
     """Compare run by run; the options are those of `warpqem.measure.compare`.
 
-    Distances are as of one sequence. Jitter, slide and edge lengths are root mean squares over the runs that are long
-    enough, as nothing goes on from one run to the next; the figures of the topologies are those of the first run.
+    Distances are as of one sequence; the 95th percentile of slide is the largest of a run. Jitter, slide and edge
+    lengths are root mean squares over the runs that are long enough, as nothing goes on from one run to the next; the
+    figures of the topologies are those of the first run.
     """
     found = []
     for index, pair in enumerate(pairs):
@@ -153,6 +154,7 @@ def _combined(found: Sequence[Comparison]) -> Comparison:
         flips=float(per_frame.flips.mean()),
         jitter=_root_mean_square(found, "jitter"),
         slide=_root_mean_square(found, "slide"),
+        slide_p95=max((part.slide_p95 for part in found if part.slide_p95 is not None), default=None),
         edge_length_error=_root_mean_square(found, "edge_length_error") or 0.0,
         frame_count=int(starts[-1]),
     )
