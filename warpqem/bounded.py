@@ -1,35 +1,42 @@
-"""Simplify as far as a distance allows: the fewest faces whose surface is proved to be within it, in every frame."""
+"""Simplify as far as a distance allows: about the fewest faces whose surface is proved to be within it, in every frame.
+
+Edges are collapsed once. A level is a cut through the forest of these collapses (:mod:`warpqem.order.cut`): first all
+of them, whose errors, means over frames, are well within the limit. It is placed and bounded
+(:class:`warpqem.measure.bound.DistanceBound`); where a face is not proved to be within the limit, the last collapse of
+the largest error there is left out, and the next cut is bounded where it differs. So a spot holds back itself alone.
+"""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from warpqem.device import device_turn
 from warpqem.errors import OptionError
 from warpqem.frame_stream import ArraySink, FrameSink, NoFrames, SharedFrames
-from warpqem.measure.bound import DistanceBound, Excess
+from warpqem.measure.bound import DistanceBound, Excess, UnitBlock, UnitFrames
 from warpqem.mesh_input import MeshInput
+from warpqem.order.cut import CollapseForest, Cut
 from warpqem.order.levels import OrderedLevels
 from warpqem.order.nodes import NodeRecorder
 from warpqem.order.stage import OrderedMesh
+from warpqem.place.stage import Placer
 from warpqem.preparation import ORDER_END, Prepared, Progress
 from warpqem.result import Delivery, Outcome, SimplifiedMesh, finish, reached
 
-__all__ = ["BoundSink", "ExceededError", "find_coarsest", "simplify_within", "start_count"]
+__all__ = ["BoundSink", "ExceededError", "simplify_within"]
 
-# The largest distance is some times the largest error of a collapse, a mean over frames: where the search begins.
-DISTANCE_PER_ERROR = 4.0
-# The search begins with steps of so many times the faces, and ends where it knows the count to so much.
-FIRST_STEP = 1.5
-LAST_STEP = 1.06
-# Times that one level is placed again, with the vertices around what is too far placed by their quadrics alone.
-MAX_REPAIRS = 3
-# Faces that may be too far for that, as part of the input's, or so many: beyond it, fewer collapses are what helps.
-MAX_SPOTS, FEW_SPOTS = 0.01, 256
+# Errors of collapses are means over frames and faces; the largest distance is so many times as large or more.
+DISTANCE_PER_ERROR = 3.0
+# Errors below may be those of single precision, which on flat parts are all there is: they hold nothing back.
+NO_ERROR = 1.0e-4
+# Where the largest error of a collapse around is less than so many times below the limit, it is not the shape of fewer
+# faces that is too far, but vertices that follow the material: these are placed loosely.
+LOOSE_BELOW = 8.0
+# Frames that a level is bounded in first, far apart in pose: as many as are looked at together.
+FIRST_FRAMES = 8
 
 
 class ExceededError(Exception):
@@ -40,8 +47,38 @@ class ExceededError(Exception):
         self.excess = excess
 
 
+class _Frames:
+    """Frames of the input at unit size, the last block kept.
+
+    Args:
+        mesh: the input.
+        diagonal: the largest diagonal, which stands for that of a frame without extent.
+        device: Warp device.
+    """
+
+    def __init__(self, mesh: MeshInput, diagonal: float, device: str) -> None:
+        self._mesh, self._diagonal, self._device = mesh, diagonal, device
+        self._kept: tuple[object, UnitFrames, UnitBlock] | None = None
+
+    def block(self, frames: slice) -> tuple[UnitFrames, UnitBlock]:
+        """Consecutive frames."""
+        key = frames.start, frames.stop
+        if self._kept is None or self._kept[0] != key:
+            points = self._mesh.source.read(frames)
+            units = self.units(points)
+            self._kept = key, units, UnitBlock(points, units, self._device)
+        return self._kept[1:]
+
+    def units(self, points: npt.NDArray[np.floating]) -> UnitFrames:
+        """What brings frames (n, V, 3) to unit size."""
+        used = points if self._mesh.used.all() else points[:, self._mesh.used]
+        low, high = used.min(axis=1).astype(np.float64), used.max(axis=1).astype(np.float64)
+        unit = np.linalg.norm(high - low, axis=1)
+        return UnitFrames((low + high) / 2, np.where(unit > 0.0, unit, self._diagonal))
+
+
 class BoundSink:
-    """Passes frames on, and raises an :class:`ExceededError` at the first that is too far from the input.
+    """Passes frames on, and looks for those that are too far from the input.
 
     Args:
         sink: takes the frames.
@@ -52,7 +89,8 @@ class BoundSink:
     """
 
     def __init__(self, sink: FrameSink, mesh: MeshInput, limit: float, diagonal: float, device: str) -> None:
-        self._sink, self._mesh, self._limit, self._diagonal, self._device = sink, mesh, limit, diagonal, device
+        self._sink, self._mesh, self._limit, self._device = sink, mesh, limit, device
+        self._frames = _Frames(mesh, diagonal, device)
         self._bound: DistanceBound | None = None
 
     def begin(self, frame_count: int, vertex_count: int, faces: np.ndarray) -> None:
@@ -61,154 +99,188 @@ class BoundSink:
         self._bound = DistanceBound(self._mesh.faces, faces, self._limit, self._device)
 
     def write(self, frames: slice, points: np.ndarray) -> None:
-        """Check consecutive frames."""
+        """Check consecutive frames.
+
+        Raises:
+            ExceededError: one is too far.
+        """
         self._sink.write(frames, points)
-        reference = self._mesh.source.read(frames)
         assert self._bound is not None
         with device_turn(self._device):
-            for index, frame in enumerate(range(frames.start, frames.stop)):
-                own = reference[index].astype(np.float64)
-                low, high = own[self._mesh.used].min(axis=0), own[self._mesh.used].max(axis=0)
-                middle, unit = (low + high) / 2, float(np.linalg.norm(high - low)) or self._diagonal
-                placed = points[index].astype(np.float64)
-                excess = self._bound.excess(frame, (own - middle) / unit, (placed - middle) / unit)
-                if excess is not None:
-                    raise ExceededError(excess)
+            units, reference = self._frames.block(frames)
+            excess = self._bound.excess_of_blocks(
+                frames.start, reference, UnitBlock(points, units, self._device), enough=0
+            )
+        if excess is not None:
+            raise ExceededError(excess)
 
 
-def find_coarsest(
-    attempt: Callable[[int], SimplifiedMesh | None],
-    face_count: int,
-    *,
-    start: int,
-    least: int,
-    limit: float,
-    progress: Progress | None,
-) -> SimplifiedMesh:
-    """The level with the fewest faces that holds a distance, to some percent.
+@dataclass(frozen=True)
+class _Choice:
+    """What decides a level.
 
-    Args:
-        attempt: the level of so many faces; None where it does not hold.
-        face_count: faces of the input.
-        start: where to begin.
-        least: the fewest faces to try.
-        limit: the distance, for the message.
-        progress: called after each level.
-
-    Raises:
-        OptionError: the input itself does not hold, as single precision does not place it so well.
+    Attributes:
+        cut: its collapses.
+        loose: (V,) bool, input vertices whose clusters are placed by their quadrics, with the least pull.
     """
-    good: SimplifiedMesh | None = None
-    bad, count, left = 0, start, 1.0 - ORDER_END
-    while True:
-        found = attempt(count)
-        # Each level takes about half of what is left.
-        left /= 2
-        if progress:
-            progress(1.0 - left, "place")
-        if found is not None:
-            good = found
-        elif count >= face_count:
-            raise OptionError(f"max_error {100 * limit:g} %: single precision does not place the input itself so well")
-        else:
-            bad = count
-        if good is None:
-            count = min(math.ceil(count * FIRST_STEP), face_count)
-            continue
-        reached_count = len(good.faces)
-        if found is not None and reached_count > count:
-            # No legal collapse leads further.
-            return good
-        if reached_count <= least or reached_count - bad <= 1:
-            return good
-        # The input itself is no answer as long as there may be another.
-        if reached_count <= bad * LAST_STEP and reached_count < face_count:
-            return good
-        count = round(math.sqrt(reached_count * bad)) if bad else max(math.floor(reached_count / FIRST_STEP), least)
 
-
-def start_count(ordered: OrderedMesh, face_count: int, limit: float) -> int:
-    """Faces where the errors of the collapses say that a distance may be reached."""
-    log = ordered.log
-    within = np.maximum.accumulate(log.error) * DISTANCE_PER_ERROR <= limit
-    return max(face_count - int(log.faces_removed[: int(within.sum())].sum()), len(ordered.faces))
+    cut: Cut
+    loose: np.ndarray
 
 
 @dataclass(frozen=True)
 class _Level:
-    """How one level is placed.
+    """One level: what decides it, and the mesh."""
 
-    Attributes:
-        count: the faces asked for.
-        ordered: the topology.
-        loose: (V,) bool, vertices that are placed loosely; None for none.
+    choice: _Choice
+    ordered: OrderedMesh
+    placer: Placer
+
+
+class _BoundFrames:
+    """Bounds the frames of a level as they come, keeps where they are too far, and passes them on."""
+
+    def __init__(self, sink: FrameSink, frames: _Frames, bound: DistanceBound, device: str) -> None:
+        self._sink, self._frames, self._bound, self._device = sink, frames, bound, device
+        self.excess: list[Excess] = []
+
+    def begin(self, frame_count: int, vertex_count: int, faces: np.ndarray) -> None:
+        """Pass it on."""
+        self._sink.begin(frame_count, vertex_count, faces)
+
+    def write(self, frames: slice, points: np.ndarray) -> None:
+        """Bound consecutive frames."""
+        self._sink.write(frames, points)
+        with device_turn(self._device):
+            units, reference = self._frames.block(frames)
+            found = self._bound.excess_of_blocks(frames.start, reference, UnitBlock(points, units, self._device))
+        if found is not None:
+            self.excess.append(found)
+
+
+class _Search:
+    """Cuts of one mesh, bounded one after another.
+
+    Args:
+        work: the mesh.
+        refit: whether levels are refitted.
+        known: all levels of its ordering.
+        forest: the collapses.
     """
 
-    count: int
-    ordered: OrderedMesh
-    loose: np.ndarray | None = None
-
-
-class _Levels:
-    """Levels of one mesh, placed and checked one by one."""
-
-    def __init__(self, work: Prepared, refit: bool, ordered: Callable[[int], OrderedMesh], keep: bool) -> None:
-        self._work, self._refit, self._ordered, self._keep = work, refit, ordered, keep
+    def __init__(self, work: Prepared, refit: bool, known: OrderedLevels, forest: CollapseForest) -> None:
+        self._work, self._refit, self._known, self._forest = work, refit, known, forest
         self._limit = work.goal.max_error / 100.0
-        # The last level that held.
-        self.held: _Level | None = None
+        self._frames = _Frames(work.mesh, work.mesh.diagonal, work.device)
+        self._bound: DistanceBound | None = None
+        self._level: _Level | None = None
 
-    def attempt(self, count: int) -> SimplifiedMesh | None:
-        """The level of so many faces, if it holds the distance."""
-        level = _Level(count, self._ordered(count))
-        for _ in range(MAX_REPAIRS + 1):
-            array, mesh = ArraySink(), self._work.mesh
-            kept = array if self._keep else NoFrames()
-            sink = BoundSink(kept, mesh, self._limit, mesh.diagonal, self._work.device)
-            try:
-                result = self.place(level, Delivery(sink))
-            except ExceededError as error:
-                looser = self._looser(level, error.excess)
-                if looser is None:
-                    return None
-                level = looser
-            else:
-                self.held = level
-                return replace(result, points=array.points) if self._keep else result
-        return None
+    def run(self, keep: bool, progress: Progress | None) -> tuple[_Choice, SimplifiedMesh]:
+        """The level that holds, and its result; with its points where they are to be kept."""
+        left = 1.0 - ORDER_END
+        choice = _Choice(self._forest.whole(), np.zeros(len(self._work.mesh.used), dtype=bool))
+        if self._refit or self._work.mesh.frame_count > FIRST_FRAMES:
+            choice = self._within_some(choice)
+            if self._bound is not None:
+                self._bound.look_again()
+        while True:
+            level = self._level_of(choice)
+            array = ArraySink()
+            sink = _BoundFrames(array if keep else NoFrames(), self._frames, self._bound_of(level), self._work.device)
+            result = self._finish(level, Delivery(sink))
+            if progress:
+                # Nobody knows how many levels there are going to be: each takes half of what is left.
+                left /= 2
+                progress(1.0 - left, "place")
+            if not sink.excess:
+                return choice, replace(result, points=array.points) if keep else result
+            for excess in sink.excess:
+                choice = self._finer(level, choice, excess)
 
-    def place(self, level: _Level, delivery: Delivery) -> SimplifiedMesh:
-        """Place a level."""
-        work = replace(self._work, place_settings=replace(self._work.place_settings, loose=level.loose))
-        return finish(work, work.placer(level.ordered), Outcome.of(level.ordered), self._refit, delivery)
+    def place(self, choice: _Choice, delivery: Delivery) -> SimplifiedMesh:
+        """The result of a level."""
+        return self._finish(self._level_of(choice), delivery)
 
-    def place_held(self, delivery: Delivery) -> SimplifiedMesh:
-        """Place the level that held once more. Levels share arrays, which those tried after it have changed."""
-        assert self.held is not None
-        return self.place(replace(self.held, ordered=self._ordered(self.held.count)), delivery)
+    def _finish(self, level: _Level, delivery: Delivery) -> SimplifiedMesh:
+        return finish(self._work, level.placer, Outcome.of(level.ordered), self._refit, delivery)
 
-    def _looser(self, level: _Level, excess: Excess) -> _Level | None:
-        """The level with vertices around what is too far placed loosely; None where that cannot help."""
-        faces, root = self._work.mesh.faces, level.ordered.root
-        if len(excess.test_faces) + len(excess.reference_faces) > max(FEW_SPOTS, MAX_SPOTS * len(faces)):
-            return None
-        wanted = np.zeros(len(root), dtype=bool)
-        wanted[root[faces[excess.reference_faces]]] = True
-        # Output faces stand in the order of the ordered ones.
-        wanted[level.ordered.faces[excess.test_faces]] = True
-        wanted = wanted[root]
-        if level.loose is not None:
-            wanted |= level.loose
-            if (wanted == level.loose).all():
-                return None
-        return replace(level, loose=wanted)
+    def _within_some(self, choice: _Choice) -> _Choice:
+        """The level that holds in some frames, far apart in pose, before it is refitted."""
+        mesh, keys = self._work.mesh, self._work.key_frames
+        chosen = keys[np.unique(np.linspace(0, len(keys) - 1, FIRST_FRAMES).astype(int))]
+        own = np.concatenate([mesh.source.read(slice(frame, frame + 1)) for frame in chosen.tolist()])
+        about, units = mesh.chosen_points(chosen), self._frames.units(own)
+        reference = UnitBlock(own, units, self._work.device)
+        while True:
+            level = self._level_of(choice)
+            points = level.placer.original_points(mesh, level.placer.place(mesh, about))
+            block = UnitBlock(points, units, self._work.device)
+            excess = self._bound_of(level).excess_of_blocks(0, reference, block)
+            if excess is None:
+                return choice
+            choice = self._finer(level, choice, excess)
+
+    def _level_of(self, choice: _Choice) -> _Level:
+        ordered, work = self._known.at_cut(choice.cut), self._work
+        work = replace(work, place_settings=replace(work.place_settings, loose=choice.loose))
+        return _Level(choice, ordered, work.placer(ordered))
+
+    def _bound_of(self, level: _Level) -> DistanceBound:
+        """What bounds a level, with what is known from the one before."""
+        work, ordered, placer = self._work, level.ordered, level.placer
+        # A face of the level at each vertex.
+        near = np.full(len(work.mesh.used), -1, dtype=np.int32)
+        near[ordered.faces.ravel()] = np.repeat(np.arange(len(ordered.faces), dtype=np.int32), 3)
+        near = near[ordered.root[work.mesh.faces[:, 0]]]
+        near[ordered.face_map] = np.arange(len(ordered.faces))
+        if self._bound is None or self._level is None:
+            bound = DistanceBound(work.mesh.faces, placer.faces, self._limit, work.device, near, ordered.face_map)
+        else:
+            before = self._level.ordered
+            index = np.full(len(work.mesh.faces), -1, dtype=np.int64)
+            index[before.face_map] = np.arange(len(before.faces))
+            old = index[ordered.face_map]
+            old[old >= 0] = np.where(
+                (before.faces[old[old >= 0]] == ordered.faces[old >= 0]).all(axis=1), old[old >= 0], -1
+            )
+            # A vertex lies where its cluster and its last collapse put it.
+            last, last_before = (self._forest.last_collapses(lvl.choice.cut) for lvl in (level, self._level))
+            still = (last == last_before) & (level.choice.loose == self._level.choice.loose)
+            same = (old >= 0) & still[ordered.faces].all(axis=1) & (not self._refit)
+            bound = self._bound.succeeded_by(placer.faces, old, same, ordered.face_map, near)
+        self._bound, self._level = bound, level
+        return bound
+
+    def _finer(self, level: _Level, choice: _Choice, excess: Excess) -> _Choice:
+        """A choice that is to come nearer around what is too far.
+
+        Raises:
+            OptionError: there is none.
+        """
+        ordered, forest = level.ordered, self._forest
+        faces = self._work.mesh.faces[excess.reference_faces]
+        vertex_drop = ordered.drops.vertex_drop[faces[:, 0]]
+        lost, faces = vertex_drop[vertex_drop >= 0], faces[vertex_drop < 0]
+        corners = np.concatenate([ordered.root[faces], ordered.faces[excess.test_faces]])
+        last = forest.last_collapses(level.choice.cut)[corners]
+        error = np.where(last >= 0, forest.log.error[last], -1.0)
+        largest = error.argmax(axis=1)[:, None]
+        collapses = np.take_along_axis(last, largest, axis=1)[:, 0]
+        if (collapses < 0).any():
+            limit = self._work.goal.max_error
+            raise OptionError(f"max_error {limit:g} %: single precision does not place the input itself so well")
+        # Clusters of several vertices follow the material.
+        merged = (last >= 0) & ~choice.loose[corners]
+        small = np.take_along_axis(error, largest, axis=1)[:, 0] <= max(self._limit / LOOSE_BELOW, NO_ERROR)
+        loosen = merged.any(axis=1) & small
+        loose = choice.loose.copy()
+        loose[corners[loosen]] = True
+        dropped = np.flatnonzero(level.choice.cut.dropped)[np.unique(lost)]
+        return _Choice(forest.without(choice.cut, np.unique(collapses[~loosen]), dropped), loose)
 
 
 def simplify_within(work: Prepared, refit: bool, delivery: Delivery) -> SimplifiedMesh:
-    """Simplify a mesh to the fewest faces, at least those of its goal, whose surface holds the goal's distance.
-
-    Collapses are ordered once, and the number of faces is searched: each level is placed, refitted where that is asked
-    for, and its distance from the input, both ways and in all frames, proved with :class:`DistanceBound` or refuted.
+    """Simplify a mesh to about the fewest faces, at least those of its goal, whose surface holds the goal's distance.
 
     Raises:
         OptionError: the limit is below what single precision places.
@@ -216,25 +288,16 @@ def simplify_within(work: Prepared, refit: bool, delivery: Delivery) -> Simplifi
     """
     # One thread reads the frames to be placed, another those to compare with.
     work = replace(work, mesh=replace(work.mesh, source=SharedFrames(work.mesh.source)))
-    recorder = None if work.order_settings.memoryless else NodeRecorder()
+    recorder = NodeRecorder()
+    furthest = max(work.goal.max_error / 100.0 / DISTANCE_PER_ERROR, NO_ERROR)
+    work = replace(work, order_settings=replace(work.order_settings, error_limit=furthest))
     coarsest = work.order(delivery.progress, recorder)
-    face_count, limit = len(work.mesh.faces), work.goal.max_error / 100.0
-    if recorder is None:
-        # Each level has present faces of its own.
-        levels = _Levels(work, refit, lambda count: work.with_target(count).order(), delivery.sink is None)
-    else:
-        known = OrderedLevels(work.mesh.faces, coarsest, recorder)
-        levels = _Levels(work, refit, lambda count: known.at(known.steps_to(count)), delivery.sink is None)
-    result = find_coarsest(
-        levels.attempt,
-        face_count,
-        start=start_count(coarsest, face_count, limit),
-        least=len(coarsest.faces),
-        limit=limit,
-        progress=delivery.progress,
-    )
+    forest = CollapseForest(coarsest.log, coarsest.drops, len(coarsest.root))
+    search = _Search(work, refit, OrderedLevels(work.mesh.faces, coarsest, recorder), forest)
+    choice, result = search.run(delivery.sink is None, delivery.progress)
     if delivery.sink is not None:
-        result = levels.place_held(delivery)
-    if len(result.faces) > len(coarsest.faces):
+        # Levels share arrays, which those tried after it have changed.
+        result = search.place(choice, delivery)
+    if not (choice.cut.kept.all() and choice.cut.dropped.all()):
         return replace(result, stopped="max_error")
     return reached(result, work.goal.target_faces)

@@ -142,8 +142,7 @@ def simplify(
     check_sink(sink)
     check_share(share)
     bounded = max_error is not None
-    keep_nodes = bounded and not memoryless
-    work = prepare(points, faces, options, keep_frames=sink is None, keep_nodes=keep_nodes, progress=progress)
+    work = prepare(points, faces, options, keep_frames=sink is None, keep_nodes=bounded, progress=progress)
     if bounded:
         return simplify_within(work, options.refits, Delivery(sink, progress, share))
     ordered = work.order(progress)
@@ -176,5 +175,5 @@ def plan(
     spec, levels = cost_model(asked.metric), flag(levels, "levels")
     device = resolve_device(asked.device)
     mesh = read_mesh(points, faces, partial(admit_faces, limit=asked.memory, device=device))
-    keep_nodes = levels or (asked.max_error is not None and not asked.memoryless)
+    keep_nodes = levels or asked.max_error is not None
     return plan_work(mesh, spec, asked, device, keep_frames=sink is None, keep_nodes=keep_nodes)

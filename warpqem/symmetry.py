@@ -16,8 +16,9 @@ import numpy as np
 from warpqem.arguments import SimplifyOptions
 from warpqem.array_input import finite_array, is_empty
 from warpqem.attributes import checked_fields
-from warpqem.bounded import BoundSink, ExceededError, find_coarsest
+from warpqem.bounded import BoundSink, ExceededError
 from warpqem.checked_frames import check_sink
+from warpqem.coarsest import find_coarsest
 from warpqem.cost_models import cost_model
 from warpqem.device import on_device, resolve_device
 from warpqem.edges import edge_key
