@@ -322,14 +322,15 @@ def bound_piece(
         done = wp.bool(False)
         # First the faces that were near before, then the one where a walk from the last of them ends, then a search.
         attempt = wp.int32(0)
-        while attempt < HINTS + 2 and not done:
+        last = HINTS + wp.where(searching, 1, 0)
+        while attempt <= last and not done:
             near = wp.int32(-1)
             if attempt < HINTS:
                 near = hints[attempt]
             elif attempt == HINTS:
                 if hints[0] >= 0:
                     near = face_towards(other, hints[0], centre)
-            elif searching:
+            else:
                 near = nearest_face(other, centre, limit)
             if near >= 0:
                 covered = covers(other, near, piece.p, piece.q, piece.r, limit)
@@ -350,7 +351,7 @@ def bound_piece(
                         cut = cut_at_edges(other, near, piece)
                         done = cut.found
                     hints = with_first(hints, near, HINTS - 1)
-                    if not done and attempt == HINTS + 1:
+                    if not done and attempt == last:
                         cut = cut_in_half(piece)
                         done = True
             attempt += 1

@@ -22,7 +22,7 @@ from warpqem.order.cut import CollapseForest, Cut
 from warpqem.order.levels import OrderedLevels
 from warpqem.order.nodes import NodeRecorder
 from warpqem.order.stage import OrderedMesh
-from warpqem.place.stage import Placer
+from warpqem.place.clusters import ClusterPlacer
 from warpqem.preparation import ORDER_END, Prepared, Progress
 from warpqem.result import Delivery, Outcome, SimplifiedMesh, finish, reached
 
@@ -37,6 +37,8 @@ NO_ERROR = 1.0e-4
 LOOSE_BELOW = 8.0
 # Frames that a level is bounded in first, far apart in pose: as many as are looked at together.
 FIRST_FRAMES = 8
+# Frames of so many bytes are kept, so that of the next level only what has moved is placed.
+KEPT_BYTES = 16 * 2**20
 
 
 class ExceededError(Exception):
@@ -128,20 +130,64 @@ class _Choice:
     loose: np.ndarray
 
 
-@dataclass(frozen=True)
 class _Level:
-    """One level: what decides it, and the mesh."""
+    """One level: what decides it, and the mesh.
 
-    choice: _Choice
-    ordered: OrderedMesh
-    placer: Placer
+    Attributes:
+        choice: what decides it.
+        ordered: its topology.
+        kept: (C,) int32, the input vertices that its clusters go by, ascending.
+        faces: (N', 3) int32 over these.
+        last: (V,) int, the last collapse of each cluster, see :func:`warpqem.order.cut.last_collapses`.
+    """
+
+    def __init__(self, choice: _Choice, ordered: OrderedMesh, last: np.ndarray) -> None:
+        self.choice, self.ordered, self.last = choice, ordered, last
+        self.kept, faces = np.unique(ordered.faces, return_inverse=True)
+        self.faces = faces.reshape(-1, 3).astype(np.int32)
+
+    def unmoved(self, before: _Level) -> np.ndarray:
+        """(V,) bool, kept vertices whose clusters and placement are those of another level."""
+        unmoved: np.ndarray = (self.last == before.last) & (self.choice.loose == before.choice.loose)
+        there = np.zeros(len(unmoved), dtype=bool)
+        there[before.kept] = True
+        return unmoved & there
+
+
+class _Block:
+    """Frames of the input, and of the levels one after another; of each only what moved is placed."""
+
+    def __init__(self, work: Prepared, about: np.ndarray, own: np.ndarray, units: UnitFrames) -> None:
+        self._work, self._about, self._units = work, about, units
+        self.reference = UnitBlock(own, units, work.device)
+        self._points = np.empty(about.shape, dtype=np.float32)
+
+    def place(self, placer: ClusterPlacer, kept: np.ndarray) -> None:
+        """Place the clusters that go by some vertices."""
+        self._points[:, kept] = placer.original_points(self._work.mesh, placer.place(self._work.mesh, self._about))
+
+    def points(self, level: _Level) -> np.ndarray:
+        """The level, (n, C, 3)."""
+        points: np.ndarray = self._points[:, level.kept]
+        return points
+
+    def test(self, level: _Level) -> UnitBlock:
+        """The level at unit size."""
+        return UnitBlock(self.points(level), self._units, self._work.device)
 
 
 class _BoundFrames:
-    """Bounds the frames of a level as they come, keeps where they are too far, and passes them on."""
+    """Bounds the frames of a level as they come, keeps where they are too far, and passes them on.
 
-    def __init__(self, sink: FrameSink, frames: _Frames, bound: DistanceBound, device: str) -> None:
+    ``proved`` (F, C, 3) are frames that have been bounded: those that come with the same bits are not bounded again, and
+    ``differs`` says whether some did not.
+    """
+
+    def __init__(
+        self, sink: FrameSink, frames: _Frames, bound: DistanceBound, device: str, proved: np.ndarray | None
+    ) -> None:
         self._sink, self._frames, self._bound, self._device = sink, frames, bound, device
+        self._proved, self.differs = proved, False
         self.excess: list[Excess] = []
 
     def begin(self, frame_count: int, vertex_count: int, faces: np.ndarray) -> None:
@@ -151,6 +197,9 @@ class _BoundFrames:
     def write(self, frames: slice, points: np.ndarray) -> None:
         """Bound consecutive frames."""
         self._sink.write(frames, points)
+        if self._proved is not None:
+            self.differs |= not np.array_equal(self._proved[frames], points)
+            return
         with device_turn(self._device):
             units, reference = self._frames.block(frames)
             found = self._bound.excess_of_blocks(frames.start, reference, UnitBlock(points, units, self._device))
@@ -177,23 +226,34 @@ class _Search:
 
     def run(self, keep: bool, progress: Progress | None) -> tuple[_Choice, SimplifiedMesh]:
         """The level that holds, and its result; with its points where they are to be kept."""
-        left = 1.0 - ORDER_END
-        choice = _Choice(self._forest.whole(), np.zeros(len(self._work.mesh.used), dtype=bool))
-        if self._refit or self._work.mesh.frame_count > FIRST_FRAMES:
-            choice = self._within_some(choice)
-            if self._bound is not None:
-                self._bound.look_again()
+        left, mesh = 1.0 - ORDER_END, self._work.mesh
+        choice = _Choice(self._forest.whole(), np.zeros(len(mesh.used), dtype=bool))
+        if self._refit or mesh.frame_count > 2 * FIRST_FRAMES:
+            choice = self._within(choice, self._first_block())
+        proved: np.ndarray | None = None
+        if not self._refit and 12 * mesh.frame_count * mesh.vertex_count <= KEPT_BYTES:
+            block = self._block(slice(0, mesh.frame_count))
+            choice = self._within(choice, block)
+            assert self._level is not None
+            proved = block.points(self._level)
+        elif self._bound is not None:
+            self._bound.look_again()
         while True:
             level = self._level_of(choice)
             array = ArraySink()
-            sink = _BoundFrames(array if keep else NoFrames(), self._frames, self._bound_of(level), self._work.device)
+            bound = self._bound_of(level)
+            sink = _BoundFrames(array if keep else NoFrames(), self._frames, bound, self._work.device, proved)
             result = self._finish(level, Delivery(sink))
             if progress:
                 # Nobody knows how many levels there are going to be: each takes half of what is left.
                 left /= 2
                 progress(1.0 - left, "place")
-            if not sink.excess:
+            if not sink.excess and not sink.differs:
                 return choice, replace(result, points=array.points) if keep else result
+            if sink.differs:
+                proved = None
+                self._bound_of(level).look_again()
+                continue
             for excess in sink.excess:
                 choice = self._finer(level, choice, excess)
 
@@ -202,52 +262,86 @@ class _Search:
         return self._finish(self._level_of(choice), delivery)
 
     def _finish(self, level: _Level, delivery: Delivery) -> SimplifiedMesh:
-        return finish(self._work, level.placer, Outcome.of(level.ordered), self._refit, delivery)
+        work = self._work_of(level)
+        return finish(work, work.placer(level.ordered), Outcome.of(level.ordered), self._refit, delivery)
 
-    def _within_some(self, choice: _Choice) -> _Choice:
-        """The level that holds in some frames, far apart in pose, before it is refitted."""
+    def _work_of(self, level: _Level) -> Prepared:
+        settings = replace(self._work.place_settings, loose=level.choice.loose)
+        return replace(self._work, place_settings=settings)
+
+    def _first_block(self) -> _Block:
+        """Some frames, far apart in pose."""
         mesh, keys = self._work.mesh, self._work.key_frames
         chosen = keys[np.unique(np.linspace(0, len(keys) - 1, FIRST_FRAMES).astype(int))]
         own = np.concatenate([mesh.source.read(slice(frame, frame + 1)) for frame in chosen.tolist()])
-        about, units = mesh.chosen_points(chosen), self._frames.units(own)
-        reference = UnitBlock(own, units, self._work.device)
+        return _Block(self._work, mesh.chosen_points(chosen), own, self._frames.units(own))
+
+    def _block(self, frames: slice) -> _Block:
+        own = self._work.mesh.source.read(frames)
+        return _Block(self._work, self._work.mesh.points(frames), own, self._frames.units(own))
+
+    def _within(self, choice: _Choice, block: _Block) -> _Choice:
+        """The level that holds in some frames, before it is refitted."""
+        before: _Level | None = None
+        if self._bound is not None:
+            self._bound.look_again()
         while True:
             level = self._level_of(choice)
-            points = level.placer.original_points(mesh, level.placer.place(mesh, about))
-            block = UnitBlock(points, units, self._work.device)
-            excess = self._bound_of(level).excess_of_blocks(0, reference, block)
+            bound = self._bound_of(level)
+            moved = level.kept if before is None else level.kept[~level.unmoved(before)[level.kept]]
+            if len(moved):
+                placer = self._placer_of(level, moved)
+                block.place(placer, moved)
+            excess = bound.excess_of_blocks(0, block.reference, block.test(level))
             if excess is None:
                 return choice
             choice = self._finer(level, choice, excess)
+            before = level
+
+    def _placer_of(self, level: _Level, kept: np.ndarray) -> ClusterPlacer:
+        """What places the clusters that go by some vertices."""
+        work = self._work_of(level)
+        index = np.full(len(work.mesh.used), -1, dtype=np.int32)
+        index[kept] = np.arange(len(kept), dtype=np.int32)
+        cluster = index[level.ordered.root]
+        return ClusterPlacer(
+            work.mesh.faces,
+            level.ordered,
+            kept,
+            cluster,
+            work.quadric_scale,
+            work.pinned,
+            work.place_settings,
+            work.device,
+            work.quadric_sums,
+        )
 
     def _level_of(self, choice: _Choice) -> _Level:
-        ordered, work = self._known.at_cut(choice.cut), self._work
-        work = replace(work, place_settings=replace(work.place_settings, loose=choice.loose))
-        return _Level(choice, ordered, work.placer(ordered))
+        if self._level is not None and choice is self._level.choice:
+            return self._level
+        return _Level(choice, self._known.at_cut(choice.cut), self._forest.last_collapses(choice.cut))
 
     def _bound_of(self, level: _Level) -> DistanceBound:
         """What bounds a level, with what is known from the one before."""
-        work, ordered, placer = self._work, level.ordered, level.placer
+        work, ordered = self._work, level.ordered
+        if self._bound is not None and self._level is level:
+            return self._bound
         # A face of the level at each vertex.
         near = np.full(len(work.mesh.used), -1, dtype=np.int32)
         near[ordered.faces.ravel()] = np.repeat(np.arange(len(ordered.faces), dtype=np.int32), 3)
         near = near[ordered.root[work.mesh.faces[:, 0]]]
         near[ordered.face_map] = np.arange(len(ordered.faces))
         if self._bound is None or self._level is None:
-            bound = DistanceBound(work.mesh.faces, placer.faces, self._limit, work.device, near, ordered.face_map)
+            bound = DistanceBound(work.mesh.faces, level.faces, self._limit, work.device, near, ordered.face_map)
         else:
             before = self._level.ordered
             index = np.full(len(work.mesh.faces), -1, dtype=np.int64)
             index[before.face_map] = np.arange(len(before.faces))
             old = index[ordered.face_map]
-            old[old >= 0] = np.where(
-                (before.faces[old[old >= 0]] == ordered.faces[old >= 0]).all(axis=1), old[old >= 0], -1
-            )
-            # A vertex lies where its cluster and its last collapse put it.
-            last, last_before = (self._forest.last_collapses(lvl.choice.cut) for lvl in (level, self._level))
-            still = (last == last_before) & (level.choice.loose == self._level.choice.loose)
-            same = (old >= 0) & still[ordered.faces].all(axis=1) & (not self._refit)
-            bound = self._bound.succeeded_by(placer.faces, old, same, ordered.face_map, near)
+            there = np.flatnonzero(old >= 0)
+            old[there[(before.faces[old[there]] != ordered.faces[there]).any(axis=1)]] = -1
+            same = (old >= 0) & level.unmoved(self._level)[ordered.faces].all(axis=1) & (not self._refit)
+            bound = self._bound.succeeded_by(level.faces, old, same, ordered.face_map, near)
         self._bound, self._level = bound, level
         return bound
 
@@ -262,7 +356,7 @@ class _Search:
         vertex_drop = ordered.drops.vertex_drop[faces[:, 0]]
         lost, faces = vertex_drop[vertex_drop >= 0], faces[vertex_drop < 0]
         corners = np.concatenate([ordered.root[faces], ordered.faces[excess.test_faces]])
-        last = forest.last_collapses(level.choice.cut)[corners]
+        last = level.last[corners]
         error = np.where(last >= 0, forest.log.error[last], -1.0)
         largest = error.argmax(axis=1)[:, None]
         collapses = np.take_along_axis(last, largest, axis=1)[:, 0]

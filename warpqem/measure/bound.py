@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -127,13 +128,21 @@ def faces_across(faces: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
 class _Side:
     """One of the two meshes: what is known of its faces, and itself in one frame on the device."""
 
-    def __init__(self, faces: npt.NDArray[np.int32], device: str, hint: npt.NDArray[np.int32] | None) -> None:
+    def __init__(
+        self,
+        faces: npt.NDArray[np.int32],
+        device: str,
+        hint: npt.NDArray[np.int32] | None,
+        across: wp.array | None = None,
+    ) -> None:
+        if across is None:
+            across = wp.array(faces_across(faces), dtype=wp.int32, device=device)
         self._device, self._mesh = device, None
         self.faces = np.ascontiguousarray(faces, dtype=np.int32)
         self.surface = kernels.Surface()
         self.corner_vertex = wp.array(self.faces.ravel(), dtype=wp.int32, device=device, copy=False)
         self.surface.corner_vertex = self.corner_vertex
-        self.surface.across = wp.array(faces_across(self.faces), dtype=wp.int32, device=device)
+        self.surface.across = across
         hints = np.full((len(faces), int(kernels.HINTS)), -1, dtype=np.int32)
         if hint is not None:
             hints[:, 0] = hint
@@ -174,7 +183,7 @@ class _Side:
             moved = np.zeros(len(old.faces), dtype=bool)
             moved[pieces.owner[~stays[pieces.face]]] = True
             self.active = ~(whole & ~moved)
-        if len(self.faces) == len(old.faces) and np.array_equal(self.faces, old.faces):
+        if self.faces is old.faces:
             self._mesh, self.surface.mesh = old._mesh, old.surface.mesh
 
     def show(self, block: UnitBlock, frame: int, *, searched: bool) -> None:
@@ -323,7 +332,10 @@ class DistanceBound:
             hint: (M',) int32, a face of the reference near each of the others.
             reference_hint: (N,) int32, a face of the new test mesh near each face of the reference.
         """
-        new = DistanceBound(self.reference.faces, test_faces, self._limit, self._device, reference_hint, hint)
+        new = copy.copy(self)
+        across = self.reference.surface.across
+        new.reference = _Side(self.reference.faces, self._device, reference_hint, across)
+        new.test = _Side(test_faces, self._device, hint)
         kept = old_face >= 0
         number = np.full(len(self.test.faces), -1, dtype=np.int32)
         number[old_face[kept]] = np.flatnonzero(kept)
