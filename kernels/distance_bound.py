@@ -358,9 +358,8 @@ def bound_piece(
         if not done:
             verdict = wp.where(searching, BEYOND, UNDECIDED)
         elif covered:
-            if room > 0:
-                if not write_piece(pieces_out, room, used, owner, hints[0], own, other, piece):
-                    verdict = wp.where(verdict == WITHIN, NO_ROOM, verdict)
+            if room > 0 and not write_piece(pieces_out, room, used, owner, hints[0], own, other, piece):
+                verdict = wp.where(verdict == WITHIN, NO_ROOM, verdict)
         elif looked_at == MAX_PIECES or count + 3 > MAX_WAITING:
             verdict = UNDECIDED
         else:
@@ -378,7 +377,7 @@ def bound_piece(
                 waiting[count + 2, 6 + k] = two[k]
             # In half, there is no third.
             count += wp.where(cut.found, 3, 2)
-        if verdict == BEYOND or verdict == UNDECIDED:
+        if verdict == BEYOND or verdict == UNDECIDED:  # noqa: SIM109
             count = 0
     outcome = Outcome()
     outcome.verdict = verdict

@@ -1,7 +1,7 @@
 """Pieces that are within a limit in one frame, looked at in many others: see :mod:`warpqem.kernels.distance_bound`.
 
-Each corner of a piece has a partner on one face, by the same weights in every frame. The distance between a point of the
-piece and its partner is convex, so it is largest at a corner: a piece is within the limit wherever its three corners are.
+Each corner of a piece has a partner on one face, by the same weights in every frame. The distance between a point of
+the piece and its partner is convex, so it is largest at a corner: a piece is within the limit where its corners are.
 This is sure in one direction only; where a pair is too far apart, the face may still be near, or another one.
 """
 
@@ -29,7 +29,7 @@ def check_pieces(
 ):
     """In which frames of a block (bits) a corner of each piece is further than that, squared, from its partner: (M, B).
 
-    ``own`` (V, B) and ``other`` (W, B) are points of unit size, ``own_vertex`` and ``other_vertex`` the corners of faces.
+    ``own`` (V, B) and ``other`` (W, B) are points of unit size, ``own_vertex`` and ``other_vertex`` corners of faces.
     """
     piece, block = wp.tid()
     i = 3 * pieces.owner[piece]

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+from warpqem.distance_limit import DistanceLimit
 from warpqem.errors import OptionError
 from warpqem.number_input import flag, real_number, shown, whole_number
 
@@ -25,10 +26,17 @@ class Goal:
     Attributes:
         target_faces: faces to keep; 0 to go on until the error limit.
         max_error: % of the diagonal; inf for none.
+        max_distance: in units of the points; inf for none.
     """
 
     target_faces: int
     max_error: float
+    max_distance: float = math.inf
+
+    @property
+    def limit(self) -> DistanceLimit:
+        """How far the result may be from the input."""
+        return DistanceLimit(self.max_error / 100.0, self.max_distance)
 
 
 @dataclass(frozen=True)
@@ -38,6 +46,7 @@ class SimplifyOptions:
     ratio: float | None = None
     target_faces: int | None = None
     max_error: float | None = None
+    max_distance: float | None = None
     metric: str = "dsd"
     coherence: float = 0.5
     key_frames: int | None = 16
@@ -62,8 +71,8 @@ class SimplifyOptions:
         Raises:
             OptionError: an option of the wrong type or outside its range; goals that are missing or exclude each other.
         """
-        if self.ratio is None and self.target_faces is None and self.max_error is None:
-            raise OptionError("one of ratio, target_faces and max_error is needed")
+        if (self.ratio, self.target_faces, self.max_error, self.max_distance) == (None, None, None, None):
+            raise OptionError("one of ratio, target_faces, max_error and max_distance is needed")
         if self.ratio is not None and self.target_faces is not None:
             raise OptionError(f"ratio {self.ratio} and target_faces {self.target_faces} exclude each other")
         if not isinstance(self.metric, str):
@@ -78,6 +87,11 @@ class SimplifyOptions:
             max_error=None
             if self.max_error is None
             else real_number(self.max_error, "max_error", limit, lambda value: 0.0 < value < math.inf),
+            max_distance=None
+            if self.max_distance is None
+            else real_number(
+                self.max_distance, "max_distance", "a positive length", lambda value: 0.0 < value < math.inf
+            ),
             coherence=real_number(self.coherence, "coherence", "in [0, 1]", lambda value: 0.0 <= value <= 1.0),
             key_frames=None if self.key_frames is None else whole_number(self.key_frames, "key_frames"),
             attributes=_checked_fields(self.attributes),
@@ -89,7 +103,13 @@ class SimplifyOptions:
 
     def goal(self, face_count: int) -> Goal:
         """Where simplifying a mesh of so many faces ends."""
-        return read_goal(face_count, self.ratio, self.target_faces, self.max_error)
+        goal = read_goal(face_count, self.ratio, self.target_faces, self.max_error)
+        return goal if self.max_distance is None else replace(goal, max_distance=self.max_distance)
+
+    @property
+    def bounded(self) -> bool:
+        """Whether the distance to the input is limited."""
+        return self.max_error is not None or self.max_distance is not None
 
     @property
     def refits(self) -> bool:

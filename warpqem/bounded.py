@@ -1,19 +1,21 @@
 """Simplify as far as a distance allows: about the fewest faces whose surface is proved to be within it, in every frame.
 
-Edges are collapsed once. A level is a cut through the forest of these collapses (:mod:`warpqem.order.cut`): first all
-of them, whose errors, means over frames, are well within the limit. It is placed and bounded
+Edges are collapsed once. A level is a cut through the forest of these collapses (:mod:`warpqem.order.cut`): first those
+whose errors, means over frames, are well within the limit. It is placed and bounded
 (:class:`warpqem.measure.bound.DistanceBound`); where a face is not proved to be within the limit, the last collapse of
 the largest error there is left out, and the next cut is bounded where it differs. So a spot holds back itself alone.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from warpqem.device import device_turn
+from warpqem.distance_limit import DistanceLimit
 from warpqem.errors import OptionError
 from warpqem.frame_stream import ArraySink, FrameSink, NoFrames, SharedFrames
 from warpqem.measure.bound import DistanceBound, Excess, UnitBlock, UnitFrames
@@ -29,7 +31,10 @@ from warpqem.result import Delivery, Outcome, SimplifiedMesh, finish, reached
 __all__ = ["BoundSink", "ExceededError", "simplify_within"]
 
 # Errors of collapses are means over frames and faces; the largest distance is so many times as large or more.
-DISTANCE_PER_ERROR = 3.0
+# The first level is where the limit is this many times the error; where few faces are too far, the next is tried.
+DISTANCE_PER_ERROR = (3.0, 2.0, 1.5)
+# So few, as a part of the input's faces.
+FEW = 0.005
 # Errors below may be those of single precision, which on flat parts are all there is: they hold nothing back.
 NO_ERROR = 1.0e-4
 # Where the largest error of a collapse around is less than so many times below the limit, it is not the shape of fewer
@@ -50,16 +55,17 @@ class ExceededError(Exception):
 
 
 class _Frames:
-    """Frames of the input at unit size, the last block kept.
+    """Frames of the input at a size of one or less, in which the limit is the same in all; the last block is kept.
 
     Args:
         mesh: the input.
+        limit: distance.
         diagonal: the largest diagonal, which stands for that of a frame without extent.
         device: Warp device.
     """
 
-    def __init__(self, mesh: MeshInput, diagonal: float, device: str) -> None:
-        self._mesh, self._diagonal, self._device = mesh, diagonal, device
+    def __init__(self, mesh: MeshInput, limit: DistanceLimit, diagonal: float, device: str) -> None:
+        self._mesh, self._limit, self._diagonal, self._device = mesh, limit, diagonal, device
         self._kept: tuple[object, UnitFrames, UnitBlock] | None = None
 
     def block(self, frames: slice) -> tuple[UnitFrames, UnitBlock]:
@@ -75,8 +81,9 @@ class _Frames:
         """What brings frames (n, V, 3) to unit size."""
         used = points if self._mesh.used.all() else points[:, self._mesh.used]
         low, high = used.min(axis=1).astype(np.float64), used.max(axis=1).astype(np.float64)
-        unit = np.linalg.norm(high - low, axis=1)
-        return UnitFrames((low + high) / 2, np.where(unit > 0.0, unit, self._diagonal))
+        diagonal = np.linalg.norm(high - low, axis=1)
+        diagonal = np.where(diagonal > 0.0, diagonal, self._diagonal)
+        return UnitFrames((low + high) / 2, self._limit.units(diagonal, self._diagonal))
 
 
 class BoundSink:
@@ -85,14 +92,14 @@ class BoundSink:
     Args:
         sink: takes the frames.
         mesh: the input.
-        limit: distance as part of the diagonal of the input's bounding box in each frame.
+        limit: distance.
         diagonal: the largest diagonal, which stands for that of a frame without extent.
         device: Warp device.
     """
 
-    def __init__(self, sink: FrameSink, mesh: MeshInput, limit: float, diagonal: float, device: str) -> None:
-        self._sink, self._mesh, self._limit, self._device = sink, mesh, limit, device
-        self._frames = _Frames(mesh, diagonal, device)
+    def __init__(self, sink: FrameSink, mesh: MeshInput, limit: DistanceLimit, diagonal: float, device: str) -> None:
+        self._sink, self._mesh, self._limit, self._device = sink, mesh, limit.relative(diagonal), device
+        self._frames = _Frames(mesh, limit, diagonal, device)
         self._bound: DistanceBound | None = None
 
     def begin(self, frame_count: int, vertex_count: int, faces: np.ndarray) -> None:
@@ -179,8 +186,8 @@ class _Block:
 class _BoundFrames:
     """Bounds the frames of a level as they come, keeps where they are too far, and passes them on.
 
-    ``proved`` (F, C, 3) are frames that have been bounded: those that come with the same bits are not bounded again, and
-    ``differs`` says whether some did not.
+    ``proved`` (F, C, 3) are frames that have been bounded: those that come with the same bits are not bounded again,
+    and ``differs`` says whether some did not.
     """
 
     def __init__(
@@ -219,21 +226,24 @@ class _Search:
 
     def __init__(self, work: Prepared, refit: bool, known: OrderedLevels, forest: CollapseForest) -> None:
         self._work, self._refit, self._known, self._forest = work, refit, known, forest
-        self._limit = work.goal.max_error / 100.0
-        self._frames = _Frames(work.mesh, work.mesh.diagonal, work.device)
+        limit = work.goal.limit
+        self._limit = limit.relative(work.mesh.diagonal)
+        self._frames = _Frames(work.mesh, limit, work.mesh.diagonal, work.device)
         self._bound: DistanceBound | None = None
         self._level: _Level | None = None
 
     def run(self, keep: bool, progress: Progress | None) -> tuple[_Choice, SimplifiedMesh]:
         """The level that holds, and its result; with its points where they are to be kept."""
         left, mesh = 1.0 - ORDER_END, self._work.mesh
-        choice = _Choice(self._forest.whole(), np.zeros(len(mesh.used), dtype=bool))
+        loose = np.zeros(len(mesh.used), dtype=bool)
+        starts = [max(self._limit / part, NO_ERROR) for part in DISTANCE_PER_ERROR]
+        choice, *coarser = [_Choice(self._forest.within(error), loose) for error in starts]
         if self._refit or mesh.frame_count > 2 * FIRST_FRAMES:
-            choice = self._within(choice, self._first_block())
+            choice, coarser = self._within(choice, self._first_block(), coarser), []
         proved: np.ndarray | None = None
         if not self._refit and 12 * mesh.frame_count * mesh.vertex_count <= KEPT_BYTES:
             block = self._block(slice(0, mesh.frame_count))
-            choice = self._within(choice, block)
+            choice = self._within(choice, block, coarser)
             assert self._level is not None
             proved = block.points(self._level)
         elif self._bound is not None:
@@ -280,8 +290,12 @@ class _Search:
         own = self._work.mesh.source.read(frames)
         return _Block(self._work, self._work.mesh.points(frames), own, self._frames.units(own))
 
-    def _within(self, choice: _Choice, block: _Block) -> _Choice:
-        """The level that holds in some frames, before it is refitted."""
+    def _within(self, choice: _Choice, block: _Block, coarser: Sequence[_Choice]) -> _Choice:
+        """The level that holds in some frames, before it is refitted.
+
+        ``coarser`` are tried in place of the first one, as long as few faces are too far.
+        """
+        next_choices = iter(coarser)
         before: _Level | None = None
         if self._bound is not None:
             self._bound.look_again()
@@ -293,9 +307,15 @@ class _Search:
                 placer = self._placer_of(level, moved)
                 block.place(placer, moved)
             excess = bound.excess_of_blocks(0, block.reference, block.test(level))
-            if excess is None:
+            count = 0 if excess is None else len(excess.reference_faces) + len(excess.test_faces)
+            following = next(next_choices, None) if count <= FEW * len(self._work.mesh.faces) else None
+            if following is not None:
+                choice = following
+            elif excess is None:
                 return choice
-            choice = self._finer(level, choice, excess)
+            else:
+                next_choices = iter(())
+                choice = self._finer(level, choice, excess)
             before = level
 
     def _placer_of(self, level: _Level, kept: np.ndarray) -> ClusterPlacer:
@@ -361,8 +381,9 @@ class _Search:
         largest = error.argmax(axis=1)[:, None]
         collapses = np.take_along_axis(last, largest, axis=1)[:, 0]
         if (collapses < 0).any():
-            limit = self._work.goal.max_error
-            raise OptionError(f"max_error {limit:g} %: single precision does not place the input itself so well")
+            raise OptionError(
+                f"{self._work.goal.limit}: single precision does not place the input itself so well (frame {excess.frame})"
+            )
         # Clusters of several vertices follow the material.
         merged = (last >= 0) & ~choice.loose[corners]
         small = np.take_along_axis(error, largest, axis=1)[:, 0] <= max(self._limit / LOOSE_BELOW, NO_ERROR)
@@ -383,7 +404,7 @@ def simplify_within(work: Prepared, refit: bool, delivery: Delivery) -> Simplifi
     # One thread reads the frames to be placed, another those to compare with.
     work = replace(work, mesh=replace(work.mesh, source=SharedFrames(work.mesh.source)))
     recorder = NodeRecorder()
-    furthest = max(work.goal.max_error / 100.0 / DISTANCE_PER_ERROR, NO_ERROR)
+    furthest = max(work.goal.limit.relative(work.mesh.diagonal) / min(DISTANCE_PER_ERROR), NO_ERROR)
     work = replace(work, order_settings=replace(work.order_settings, error_limit=furthest))
     coarsest = work.order(delivery.progress, recorder)
     forest = CollapseForest(coarsest.log, coarsest.drops, len(coarsest.root))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+from warpqem.distance_limit import DistanceLimit
 from warpqem.errors import OptionError
 from warpqem.preparation import ORDER_END, Progress
 from warpqem.result import SimplifiedMesh
@@ -22,7 +23,7 @@ def find_coarsest(
     *,
     start: int,
     least: int,
-    limit: float,
+    limit: DistanceLimit,
     progress: Progress | None,
 ) -> SimplifiedMesh:
     """The level with the fewest faces that holds a distance, to some percent.
@@ -49,7 +50,7 @@ def find_coarsest(
         if found is not None:
             good = found
         elif count >= face_count:
-            raise OptionError(f"max_error {100 * limit:g} %: single precision does not place the input itself so well")
+            raise OptionError(f"{limit}: single precision does not place the input itself so well")
         else:
             bad = count
         if good is None:

@@ -119,7 +119,7 @@ def prepare(
     options = options.checked()
     check_function(progress, "progress")
     spec = cost_model(options.metric)
-    if options.memoryless and keep_nodes and options.max_error is None:
+    if options.memoryless and keep_nodes and not options.bounded:
         raise OptionError("memoryless: not for levels of one ordering, as each level has present faces of its own")
     device = resolve_device(options.device)
     given = read_mesh(points, faces, partial(admit_faces, limit=options.memory, device=device))

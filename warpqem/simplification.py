@@ -35,6 +35,7 @@ def simplify(
     ratio: float | None = None,
     target_faces: int | None = None,
     max_error: float | None = None,
+    max_distance: float | None = None,
     metric: str = "dsd",
     coherence: float = 0.5,
     key_frames: int | None = 16,
@@ -71,9 +72,10 @@ def simplify(
         target_faces: faces to keep, at least 1. The result has as many, or one fewer.
         max_error: the largest distance between the input and the result, both ways, at every point and in every frame,
             in % of the diagonal of the input's bounding box in that frame. It is proved, not sampled
-            (:mod:`warpqem.kernels.distance_bound`), for the result as it is returned; the number of faces is searched
-            for (:mod:`warpqem.bounded`), which takes several times as long as a result by count. At least one of the
-            three is needed; with a count, whichever comes first stops.
+            (:mod:`warpqem.kernels.distance_bound`), for the result as it is returned; single spots are held back where
+            they would be too far (:mod:`warpqem.bounded`), which takes some three to six times as long as a result by
+            count. At least one of these four is needed; of several, whichever comes first stops.
+        max_distance: the same limit in units of the points, whatever size the mesh has in a frame.
         metric: "dsd" (default), "qem", "dod", "aqem" or "face"; see :mod:`warpqem.cost_models`.
         coherence: 0 (every frame its own best fit) to 1 (vertices stay on the material).
         key_frames: how many frames decide the order, chosen by their pose; None for all.
@@ -121,6 +123,7 @@ def simplify(
         ratio=ratio,
         target_faces=target_faces,
         max_error=max_error,
+        max_distance=max_distance,
         metric=metric,
         coherence=coherence,
         key_frames=key_frames,
@@ -141,7 +144,7 @@ def simplify(
     )
     check_sink(sink)
     check_share(share)
-    bounded = max_error is not None
+    bounded = options.bounded
     work = prepare(points, faces, options, keep_frames=sink is None, keep_nodes=bounded, progress=progress)
     if bounded:
         return simplify_within(work, options.refits, Delivery(sink, progress, share))
@@ -175,5 +178,5 @@ def plan(
     spec, levels = cost_model(asked.metric), flag(levels, "levels")
     device = resolve_device(asked.device)
     mesh = read_mesh(points, faces, partial(admit_faces, limit=asked.memory, device=device))
-    keep_nodes = levels or asked.max_error is not None
+    keep_nodes = levels or asked.bounded
     return plan_work(mesh, spec, asked, device, keep_frames=sink is None, keep_nodes=keep_nodes)

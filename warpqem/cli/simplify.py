@@ -32,7 +32,7 @@ def simplify(
 ) -> None:
     """Simplify every mesh over all its frames.
 
-    Give one of --ratio, --faces, --max-error, --screen-error and --lods.
+    Give --ratio or --faces, --max-error, --max-distance or --screen-error, or of both; or --lods.
 
     OUT is a small layer over IN that holds the new meshes; keep the two files together, or use --flatten. Primvars,
     normals, subsets, skins and blend shapes come along. What does not fit the new meshes is dropped, with a warning.

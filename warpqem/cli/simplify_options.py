@@ -109,6 +109,14 @@ def simplify_values(
             "--pose-independent.",
         ),
     ] = None,
+    max_distance: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LENGTH",
+            help="The same as a length, in units of the stage or with mm, cm, m, in or ft, such as 2mm. Limits, and one "
+            "of --ratio and --faces, go together: whichever comes first stops.",
+        ),
+    ] = None,
     screen_error: ScreenError = None,
     distance: Distance = None,
     fov: FieldOfView = 45.0,

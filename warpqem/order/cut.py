@@ -1,14 +1,15 @@
 """Cuts through the forest of collapses: levels that go further in one place than in another.
 
-A collapse merges two clusters of input vertices, so a log of collapses is a forest (Hoppe, "View-dependent refinement of
-progressive meshes", 1997; Xia & Varshney, "Dynamic view-dependent simplification", 1996). A cut keeps some of them, each
-with all that made its two clusters. The mesh of a cut has the edges that ordering saw between the same clusters, so its
-collapses keep the surface as it is, with one exception: where a collapse is left out, its two ends stay, and both touch
+A collapse merges two clusters of input vertices, so a log of collapses is a forest (Xia & Varshney, "Dynamic
+view-dependent simplification for polygonal models", 1996; Hoppe, "View-dependent refinement of progressive meshes",
+1997). A cut keeps some of them, each with all that made its two clusters. The mesh of a cut has the edges that ordering
+saw between the same clusters, so its collapses keep the surface as it is, with one exception: where a collapse is left out, its two ends stay, and both touch
 its wings. The wings must not merge either, or the faces at the edge between the ends would fold onto each other.
 """
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,9 +57,9 @@ class CollapseForest:
 
     def __init__(self, log: CollapseRecord, drops: DropRecord, vertex_count: int) -> None:
         self.log, self.drops, self._vertex_count = log, drops, vertex_count
-        first = np.flatnonzero(np.diff(log.round_index, prepend=-1))
+        ends = [*np.flatnonzero(np.diff(log.round_index)) + 1, len(log)]
         # Of one round no two collapses share a vertex.
-        self._rounds = [slice(a, b) for a, b in zip(first, [*first[1:], len(log)], strict=True)]
+        self._rounds = [slice(a, b) for a, b in itertools.pairwise([0, *ends])]
         # The collapses that made the two clusters of each one, (C, 2); -1 for an input vertex.
         self._parts = np.empty((len(log), 2), dtype=np.int64)
         # The collapse that takes the cluster of each one, (C,), and the first one of each input vertex, (V,); -1 for
@@ -75,9 +76,9 @@ class CollapseForest:
                 self._first[vertex[made < 0]] = index[made < 0]
             last[log.kept[part]] = index
 
-    def whole(self) -> Cut:
-        """All collapses and drops."""
-        return Cut(np.ones(len(self.log), dtype=bool), np.ones(len(self.drops), dtype=bool))
+    def within(self, error: float) -> Cut:
+        """The furthest level whose collapses and drops have no larger error."""
+        return self._closed(self.log.error <= error, self.drops.error <= error)
 
     def last_collapses(self, cut: Cut) -> np.ndarray:
         """(V,) int, see :func:`last_collapses`."""

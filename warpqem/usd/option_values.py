@@ -15,8 +15,8 @@ from warpqem.usd.simplify_options import SimplifyOptions
 
 __all__ = ["GOALS", "OPTION_NAMES", "override_options", "read_options", "screen_view"]
 
-# Of these exactly one says how far to simplify.
-GOALS = ("ratio", "faces", "max_error", "screen_error", "lods")
+# These say how far to simplify.
+GOALS = ("ratio", "faces", "max_error", "max_distance", "screen_error", "lods")
 # What only means something together with screen_error, and the name of its argument of `screen_view`.
 VIEW = {"screen_error": "error", "distance": "distance", "fov": "field_of_view", "image_height": "image_height"}
 TRUE, FALSE = ("true", "yes", "on", "1"), ("false", "no", "off", "0")
@@ -127,6 +127,7 @@ _BY_TYPE: dict[str, Callable[[Any], Any]] = {
     "float": _number,
     "int": _integer,
     "str": _text,
+    "float | str": lambda value: value if isinstance(value, str) else _number(value),
     "str | os.PathLike[str]": _text,
     "int | str": lambda value: value if isinstance(value, int) and not isinstance(value, bool) else _text(value),
 }

@@ -13,6 +13,7 @@ from warpqem.motion import MotionWeighting, motion_weighting
 from warpqem.screen import ScreenView
 from warpqem.symmetry import AXES
 from warpqem.usd.frames import FrameRange
+from warpqem.usd.lengths import parse_length
 from warpqem.usd.option_checks import WEIGHT_SCALES, AttributeWeights, check_lods, check_weights
 
 if TYPE_CHECKING:
@@ -23,7 +24,9 @@ __all__ = ["SimplifyOptions"]
 
 @dataclass(frozen=True)
 class SimplifyOptions:
-    """How to simplify. Exactly one of `ratio`, `faces`, `max_error`, `screen` and `lods` is given.
+    """How to simplify. One or more of `ratio`, `faces`, `max_error`, `max_distance` and `screen` are given, or `lods`.
+
+    Of `ratio` and `faces` only one; of several limits, whichever comes first stops.
 
     Attributes:
         ratio: Share of its triangles that each mesh keeps, above 0 and at most 1.
@@ -31,7 +34,9 @@ class SimplifyOptions:
         max_error: Largest distance of each mesh from the input, at every point and in every pose, in % of its
             bounding-box diagonal there, see `warpqem.simplify`. Where a skin is fitted, of the points that it is fitted
             to.
-        screen: Largest error of each mesh on a screen, at a distance in world units.
+        max_distance: The same limit in units of the stage, whatever size a mesh has; or text with a unit of its own,
+            such as "2mm", by the stage's metersPerUnit, see `warpqem.usd.lengths`.
+        screen: Largest error of each mesh on a screen, at a distance in world units: the same limit as `max_distance`.
         lods: Ratios of levels of detail, each smaller than the one before, between 0 and 1. The output offers the input
             and one level for each ratio as variants LOD0, LOD1, ... of the root prim that holds the default prim.
         usd_lod: With `lods`, write the levels as prims below that root prim, with the schemas of UsdLod, instead.
@@ -91,6 +96,7 @@ class SimplifyOptions:
     ratio: float | None = None
     faces: int | None = None
     max_error: float | None = None
+    max_distance: float | str | None = None
     screen: ScreenView | None = None
     lods: tuple[float, ...] = ()
     usd_lod: bool = False
@@ -131,11 +137,13 @@ class SimplifyOptions:
 
     def __post_init__(self) -> None:
         """Check the targets; the core checks the other options."""
-        given = [name for name in ("ratio", "faces", "max_error", "screen") if getattr(self, name) is not None]
+        names = ("ratio", "faces", "max_error", "max_distance", "screen")
+        given = [name for name in names if getattr(self, name) is not None]
         given += ["lods"] if self.lods else []
-        if len(given) != 1:
+        if not given or (len(given) > 1 and ("lods" in given or given[:2] == ["ratio", "faces"])):
             raise OptionError(
-                f"exactly one of ratio, faces, max_error, screen and lods must be given, not {given or 'none'}"
+                "one of ratio, faces, max_error, max_distance, screen and lods must be given, or several but lods and "
+                f"but ratio with faces, not {given or 'none'}"
             )
         if self.ratio is not None and not 0 < self.ratio <= 1:
             hint = f"; for {self.ratio:g} % give {self.ratio / 100:g}" if 1 < self.ratio <= 100 else ""
@@ -144,6 +152,8 @@ class SimplifyOptions:
             raise OptionError(f"faces {self.faces}: expected at least 1")
         if self.max_error is not None and not self.max_error > 0:
             raise OptionError(f"max_error {self.max_error:g}: expected a percentage above 0")
+        if self.max_distance is not None:
+            parse_length(self.max_distance, meters_per_unit=1.0)
         if self.influences is not None and self.influences < 1:
             raise OptionError(f"influences {self.influences}: expected at least 1")
         if self.memory is not None:
