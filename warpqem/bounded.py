@@ -382,7 +382,8 @@ class _Search:
         collapses = np.take_along_axis(last, largest, axis=1)[:, 0]
         if (collapses < 0).any():
             raise OptionError(
-                f"{self._work.goal.limit}: single precision does not place the input itself so well (frame {excess.frame})"
+                f"{self._work.goal.limit}: single precision does not place the input itself so well "
+                f"(frame {excess.frame})"
             )
         # Clusters of several vertices follow the material.
         merged = (last >= 0) & ~choice.loose[corners]

@@ -113,8 +113,8 @@ def simplify_values(
         str | None,
         typer.Option(
             metavar="LENGTH",
-            help="The same as a length, in units of the stage or with mm, cm, m, in or ft, such as 2mm. Limits, and one "
-            "of --ratio and --faces, go together: whichever comes first stops.",
+            help="The same as a length, in units of the stage or with mm, cm, m, in or ft, such as 2mm. Limits go "
+            "together, and with --ratio or --faces: whichever comes first stops.",
         ),
     ] = None,
     screen_error: ScreenError = None,

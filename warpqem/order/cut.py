@@ -1,10 +1,11 @@
 """Cuts through the forest of collapses: levels that go further in one place than in another.
 
-A collapse merges two clusters of input vertices, so a log of collapses is a forest (Xia & Varshney, "Dynamic
-view-dependent simplification for polygonal models", 1996; Hoppe, "View-dependent refinement of progressive meshes",
-1997). A cut keeps some of them, each with all that made its two clusters. The mesh of a cut has the edges that ordering
-saw between the same clusters, so its collapses keep the surface as it is, with one exception: where a collapse is left out, its two ends stay, and both touch
-its wings. The wings must not merge either, or the faces at the edge between the ends would fold onto each other.
+A collapse merges two clusters of input vertices, so a log of collapses is a forest (Xia & Varshney, "Dynamic view-
+dependent simplification for polygonal models", 1996; Hoppe, "View-dependent refinement of progressive meshes", 1997).
+A cut keeps some of them, each with all that made its two clusters. The mesh of a cut has the edges that ordering saw
+between the same clusters, so its collapses keep the surface as it is, with one exception: where a collapse is left
+out, its two ends stay, and both touch its wings. The wings must not merge either, or the faces at the edge between
+the ends would fold onto each other.
 """
 
 from __future__ import annotations
