@@ -50,8 +50,8 @@ def test_dry_run_writes_nothing(folder):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--ratio", "0.5", "--faces", "9"], "exactly one"),
-        ([], "exactly one"),
+        (["--ratio", "0.5", "--faces", "9"], "one of ratio"),
+        ([], "one of ratio"),
         (["--ratio", "0.5", "--jobs", "0"], "jobs 0"),
         (["--ratio", "0.5", "--timeout", "-1"], "timeout -1"),
         (["--ratio", "0.5", "--retries", "-1"], "retries -1"),

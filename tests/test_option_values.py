@@ -70,7 +70,7 @@ def test_a_view_is_read_from_its_parts():
         ({"lods": ""}, "lods"),
         ({"screen_error": 2}, "needs --distance"),
         ({"ratio": 0.5, "distance": 2}, "needs --screen-error"),
-        ({}, "exactly one"),
+        ({}, "one of ratio"),
     ],
 )
 def test_wrong_values_are_named(values, message):

@@ -6,6 +6,7 @@ import pytest
 import warpqem
 from tests import meshes
 from warpqem.bounded import BoundSink
+from warpqem.distance_limit import DistanceLimit
 from warpqem.measure import compare
 from warpqem.mesh_input import read_mesh
 
@@ -84,7 +85,7 @@ def test_a_sink_takes_the_frames_that_were_proved(limit, coherence, options, dev
         assert np.array_equal(delivered, warpqem.simplify(points, faces, **asked).points)
         assert np.array_equal(kept.faces, result.faces)
         # Raises where one point is beyond the limit.
-        bound = BoundSink(Kept(), read_mesh(points, faces), limit / 100, 1.0, device)
+        bound = BoundSink(Kept(), read_mesh(points, faces), DistanceLimit(limit / 100), 1.0, device)
         bound.begin(len(points), delivered.shape[1], kept.faces)
         bound.write(slice(0, len(points)), delivered)
 
@@ -121,3 +122,20 @@ def test_the_unit_of_the_scene_makes_no_difference_where_a_frame_has_no_extent(d
 def test_the_plan_is_that_of_the_work(device):
     result = warpqem.simplify(*BAR, max_error=0.6, device=device)
     assert warpqem.plan(*BAR, max_error=0.6, device=device).order_bytes == result.plan.order_bytes
+
+
+def test_max_distance_is_the_same_limit_as_a_length(device):
+    points, faces = BAR
+    diagonal = float(np.linalg.norm(np.ptp(points, axis=1), axis=1).max())
+    by_length = warpqem.simplify(points, faces, max_distance=0.006 * diagonal, device=device)
+    assert len(by_length.faces) < len(faces)
+    apart = compare(points, faces, by_length.points, by_length.faces, samples=4000, device=device)
+    assert apart.hausdorff <= 100 * 0.006 * diagonal / float(np.linalg.norm(np.ptp(points, axis=1), axis=1).min())
+
+
+def test_every_frame_is_bounded_where_poses_come_later(device):
+    # The first frames are still, so that what few of them prove does not hold for the rest.
+    points, faces = meshes.waving_grid(14, frames=40)
+    points[:24] = points[0]
+    result = warpqem.simplify(points, faces, max_error=0.3, device=device)
+    assert largest_distance((points, faces), result, device) <= 0.3

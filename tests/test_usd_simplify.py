@@ -220,8 +220,8 @@ def test_payload_in_another_file_is_edited_by_the_layer(tmp_path):
         ({"ratio": float("nan")}, "ratio nan"),
         ({"faces": 0}, "faces 0"),
         ({"max_error": 0.0}, "max_error 0"),
-        ({"ratio": 0.5, "faces": 3}, "exactly one"),
-        ({}, "exactly one"),
+        ({"ratio": 0.5, "faces": 3}, "one of ratio"),
+        ({}, "one of ratio"),
     ],
 )
 def test_wrong_target_is_refused(options, message):

@@ -1,36 +1,50 @@
-"""Simplify as far as a distance allows: the fewest faces whose surface is proved to be within it, in every frame."""
+"""Simplify as far as a distance allows: about the fewest faces whose surface is proved to be within it, in every frame.
+
+Edges are collapsed once. A level is a cut through the forest of these collapses (:mod:`warpqem.order.cut`): first those
+whose errors, means over frames, are well within the limit. It is placed and bounded
+(:class:`warpqem.measure.bound.DistanceBound`); where a face is not proved to be within the limit, the last collapse of
+the largest error there is left out, and the next cut is bounded where it differs. So a spot holds back itself alone.
+"""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from warpqem.device import device_turn
+from warpqem.distance_limit import DistanceLimit
 from warpqem.errors import OptionError
 from warpqem.frame_stream import ArraySink, FrameSink, NoFrames, SharedFrames
-from warpqem.measure.bound import DistanceBound, Excess
-from warpqem.mesh_input import MeshInput
+from warpqem.measure.bound import DistanceBound, Excess, UnitBlock, UnitFrames
+from warpqem.mesh_input import AnimatedMesh, MeshInput
+from warpqem.order.cut import CollapseForest, Cut
 from warpqem.order.levels import OrderedLevels
 from warpqem.order.nodes import NodeRecorder
 from warpqem.order.stage import OrderedMesh
+from warpqem.place.clusters import ClusterPlacer
 from warpqem.preparation import ORDER_END, Prepared, Progress
 from warpqem.repair.mesh import faces_for
 from warpqem.result import Delivery, Outcome, SimplifiedMesh, finish, in_input_terms, reached, written_faces
 
-__all__ = ["BoundSink", "ExceededError", "find_coarsest", "simplify_within", "start_count"]
+__all__ = ["BoundSink", "ExceededError", "simplify_within"]
 
-# The largest distance is some times the largest error of a collapse, a mean over frames: where the search begins.
-DISTANCE_PER_ERROR = 4.0
-# The search begins with steps of so many times the faces, and ends where it knows the count to so much.
-FIRST_STEP = 1.5
-LAST_STEP = 1.06
-# Times that one level is placed again, with the vertices around what is too far placed by their quadrics alone.
-MAX_REPAIRS = 3
-# Faces that may be too far for that, as part of the input's, or so many: beyond it, fewer collapses are what helps.
-MAX_SPOTS, FEW_SPOTS = 0.01, 256
+# Errors of collapses are means over frames and faces; the largest distance is so many times as large or more.
+# The first level is where the limit is this many times the error; where few faces are too far, the next is tried.
+DISTANCE_PER_ERROR = (3.0, 2.0, 1.5)
+# So few, as a part of the input's faces.
+FEW = 0.005
+# Errors below may be those of single precision, which on flat parts are all there is: they hold nothing back.
+NO_ERROR = 1.0e-4
+# Where the largest error of a collapse around is less than so many times below the limit, it is not the shape of fewer
+# faces that is too far, but vertices that follow the material: these are placed loosely.
+LOOSE_BELOW = 8.0
+# Frames that a level is bounded in first, far apart in pose: as many as are looked at together.
+FIRST_FRAMES = 8
+# Frames of so many bytes are kept, so that of the next level only what has moved is placed.
+KEPT_BYTES = 16 * 2**20
 
 
 class ExceededError(Exception):
@@ -41,19 +55,52 @@ class ExceededError(Exception):
         self.excess = excess
 
 
-class BoundSink:
-    """Passes frames on, and raises an :class:`ExceededError` at the first that is too far from the input.
+class _Frames:
+    """Frames of the input at a size of one or less, in which the limit is the same in all; the last block is kept.
 
     Args:
-        sink: takes the frames.
         mesh: the input.
-        limit: distance as part of the diagonal of the input's bounding box in each frame.
+        limit: distance.
         diagonal: the largest diagonal, which stands for that of a frame without extent.
         device: Warp device.
     """
 
-    def __init__(self, sink: FrameSink, mesh: MeshInput, limit: float, diagonal: float, device: str) -> None:
-        self._sink, self._mesh, self._limit, self._diagonal, self._device = sink, mesh, limit, diagonal, device
+    def __init__(self, mesh: MeshInput, limit: DistanceLimit, diagonal: float, device: str) -> None:
+        self._mesh, self._limit, self._diagonal, self._device = mesh, limit, diagonal, device
+        self._kept: tuple[object, UnitFrames, UnitBlock] | None = None
+
+    def block(self, frames: slice) -> tuple[UnitFrames, UnitBlock]:
+        """Consecutive frames."""
+        key = frames.start, frames.stop
+        if self._kept is None or self._kept[0] != key:
+            points = self._mesh.source.read(frames)
+            units = self.units(points)
+            self._kept = key, units, UnitBlock(points, units, self._device)
+        return self._kept[1:]
+
+    def units(self, points: npt.NDArray[np.floating]) -> UnitFrames:
+        """What brings frames (n, V, 3) to unit size."""
+        used = points if self._mesh.used.all() else points[:, self._mesh.used]
+        low, high = used.min(axis=1).astype(np.float64), used.max(axis=1).astype(np.float64)
+        diagonal = np.linalg.norm(high - low, axis=1)
+        diagonal = np.where(diagonal > 0.0, diagonal, self._diagonal)
+        return UnitFrames((low + high) / 2, self._limit.units(diagonal, self._diagonal))
+
+
+class BoundSink:
+    """Passes frames on, and looks for those that are too far from the input.
+
+    Args:
+        sink: takes the frames.
+        mesh: the input.
+        limit: distance.
+        diagonal: the largest diagonal, which stands for that of a frame without extent.
+        device: Warp device.
+    """
+
+    def __init__(self, sink: FrameSink, mesh: MeshInput, limit: DistanceLimit, diagonal: float, device: str) -> None:
+        self._sink, self._mesh, self._limit, self._device = sink, mesh, limit.relative(diagonal), device
+        self._frames = _Frames(mesh, limit, diagonal, device)
         self._bound: DistanceBound | None = None
 
     def begin(self, frame_count: int, vertex_count: int, faces: np.ndarray) -> None:
@@ -62,191 +109,325 @@ class BoundSink:
         self._bound = DistanceBound(self._mesh.faces, faces, self._limit, self._device)
 
     def write(self, frames: slice, points: np.ndarray) -> None:
-        """Check consecutive frames."""
+        """Check consecutive frames.
+
+        Raises:
+            ExceededError: one is too far.
+        """
         self._sink.write(frames, points)
-        reference = self._mesh.source.read(frames)
         assert self._bound is not None
         with device_turn(self._device):
-            for index, frame in enumerate(range(frames.start, frames.stop)):
-                own = reference[index].astype(np.float64)
-                low, high = own[self._mesh.used].min(axis=0), own[self._mesh.used].max(axis=0)
-                middle, unit = (low + high) / 2, float(np.linalg.norm(high - low)) or self._diagonal
-                placed = points[index].astype(np.float64)
-                excess = self._bound.excess(frame, (own - middle) / unit, (placed - middle) / unit)
-                if excess is not None:
-                    raise ExceededError(excess)
-
-
-def find_coarsest(
-    attempt: Callable[[int], SimplifiedMesh | None],
-    face_count: int,
-    *,
-    start: int,
-    least: int,
-    limit: float,
-    progress: Progress | None,
-) -> SimplifiedMesh:
-    """The level with the fewest faces that holds a distance, to some percent.
-
-    Args:
-        attempt: the level of so many faces; None where it does not hold.
-        face_count: faces of the input.
-        start: where to begin.
-        least: the fewest faces to try.
-        limit: the distance, for the message.
-        progress: called after each level.
-
-    Raises:
-        OptionError: the input itself does not hold, as single precision does not place it so well.
-    """
-    good: SimplifiedMesh | None = None
-    bad, count, left = 0, start, 1.0 - ORDER_END
-    while True:
-        found = attempt(count)
-        # Each level takes about half of what is left.
-        left /= 2
-        if progress:
-            progress(1.0 - left, "place")
-        if found is not None:
-            good = found
-        elif count >= face_count:
-            raise OptionError(f"max_error {100 * limit:g} %: single precision does not place the input itself so well")
-        else:
-            bad = count
-        if good is None:
-            count = min(math.ceil(count * FIRST_STEP), face_count)
-            continue
-        reached_count = len(good.faces)
-        if found is not None and reached_count > count:
-            # No legal collapse leads further.
-            return good
-        if reached_count <= least or reached_count - bad <= 1:
-            return good
-        # The input itself is no answer as long as there may be another.
-        if reached_count <= bad * LAST_STEP and reached_count < face_count:
-            return good
-        count = round(math.sqrt(reached_count * bad)) if bad else max(math.floor(reached_count / FIRST_STEP), least)
-
-
-def start_count(ordered: OrderedMesh, face_count: int, limit: float) -> int:
-    """Faces where the errors of the collapses say that a distance may be reached."""
-    log = ordered.log
-    within = np.maximum.accumulate(log.error) * DISTANCE_PER_ERROR <= limit
-    return max(face_count - int(log.faces_removed[: int(within.sum())].sum()), len(ordered.faces))
+            units, reference = self._frames.block(frames)
+            excess = self._bound.excess_of_blocks(
+                frames.start, reference, UnitBlock(points, units, self._device), enough=0
+            )
+        if excess is not None:
+            raise ExceededError(excess)
 
 
 @dataclass(frozen=True)
-class _Level:
-    """How one level is placed.
+class _Choice:
+    """What decides a level.
 
     Attributes:
-        count: the faces asked for.
-        ordered: the topology.
-        loose: (V,) bool, vertices that are placed loosely; None for none.
+        cut: its collapses.
+        loose: (V,) bool, input vertices whose clusters are placed by their quadrics, with the least pull.
     """
 
-    count: int
-    ordered: OrderedMesh
-    loose: np.ndarray | None = None
+    cut: Cut
+    loose: np.ndarray
 
 
-class _Levels:
-    """Levels of one mesh, placed and checked one by one."""
+class _Level:
+    """One level: what decides it, and the mesh.
 
-    def __init__(self, work: Prepared, refit: bool, ordered: Callable[[int], OrderedMesh], keep: bool) -> None:
-        # Faces on the backs of others are added at the end: they are as far away as those.
-        self._work = replace(work, mesh=replace(work.mesh, repair=None))
-        self._whole, self._refit, self._ordered, self._keep = work, refit, ordered, keep
-        self._limit = work.goal.max_error / 100.0
-        # The last level that held.
-        self.held: _Level | None = None
+    Attributes:
+        choice: what decides it.
+        ordered: its topology.
+        kept: (C,) int32, the input vertices that its clusters go by, ascending.
+        faces: (N', 3) int32 over these.
+        last: (V,) int, the last collapse of each cluster, see :func:`warpqem.order.cut.last_collapses`.
+    """
 
-    def attempt(self, count: int) -> SimplifiedMesh | None:
-        """The level of so many faces, if it holds the distance."""
-        level = _Level(count, self._ordered(count))
-        for _ in range(MAX_REPAIRS + 1):
-            array, mesh = ArraySink(), self._work.mesh
-            kept = array if self._keep else NoFrames()
-            sink = BoundSink(kept, mesh, self._limit, mesh.diagonal, self._work.device)
-            try:
-                result = self.place(level, Delivery(sink))
-            except ExceededError as error:
-                looser = self._looser(level, error.excess)
-                if looser is None:
-                    return None
-                level = looser
-            else:
-                self.held = level
-                return replace(result, points=array.points) if self._keep else result
-        return None
+    def __init__(self, choice: _Choice, ordered: OrderedMesh, last: np.ndarray) -> None:
+        self.choice, self.ordered, self.last = choice, ordered, last
+        self.kept, faces = np.unique(ordered.faces, return_inverse=True)
+        self.faces = faces.reshape(-1, 3).astype(np.int32)
 
-    def place(self, level: _Level, delivery: Delivery, whole: bool = False) -> SimplifiedMesh:
-        """Place a level."""
-        work = self._whole if whole else self._work
-        work = replace(work, place_settings=replace(work.place_settings, loose=level.loose))
+    def unmoved(self, before: _Level) -> np.ndarray:
+        """(V,) bool, kept vertices whose clusters and placement are those of another level."""
+        unmoved: np.ndarray = (self.last == before.last) & (self.choice.loose == before.choice.loose)
+        there = np.zeros(len(unmoved), dtype=bool)
+        there[before.kept] = True
+        return unmoved & there
+
+
+class _Block:
+    """Frames of the input, and of the levels one after another; of each only what moved is placed."""
+
+    def __init__(self, work: Prepared, about: np.ndarray, own: np.ndarray, units: UnitFrames) -> None:
+        self._work, self._about, self._units = work, about, units
+        self.reference = UnitBlock(own, units, work.device)
+        self._points = np.empty(about.shape, dtype=np.float32)
+
+    def place(self, placer: ClusterPlacer, kept: np.ndarray) -> None:
+        """Place the clusters that go by some vertices."""
+        self._points[:, kept] = placer.original_points(self._work.mesh, placer.place(self._work.mesh, self._about))
+
+    def points(self, level: _Level) -> np.ndarray:
+        """The level, (n, C, 3)."""
+        points: np.ndarray = self._points[:, level.kept]
+        return points
+
+    def test(self, level: _Level) -> UnitBlock:
+        """The level at unit size."""
+        return UnitBlock(self.points(level), self._units, self._work.device)
+
+
+class _BoundFrames:
+    """Bounds the frames of a level as they come, keeps where they are too far, and passes them on.
+
+    ``proved`` (F, C, 3) are frames that have been bounded: those that come with the same bits are not bounded again,
+    and ``differs`` says whether some did not.
+    """
+
+    def __init__(
+        self, sink: FrameSink, frames: _Frames, bound: DistanceBound, device: str, proved: np.ndarray | None
+    ) -> None:
+        self._sink, self._frames, self._bound, self._device = sink, frames, bound, device
+        self._proved, self.differs = proved, False
+        self.excess: list[Excess] = []
+
+    def begin(self, frame_count: int, vertex_count: int, faces: np.ndarray) -> None:
+        """Pass it on."""
+        self._sink.begin(frame_count, vertex_count, faces)
+
+    def write(self, frames: slice, points: np.ndarray) -> None:
+        """Bound consecutive frames."""
+        self._sink.write(frames, points)
+        if self._proved is not None:
+            self.differs |= not np.array_equal(self._proved[frames], points)
+            return
+        with device_turn(self._device):
+            units, reference = self._frames.block(frames)
+            found = self._bound.excess_of_blocks(frames.start, reference, UnitBlock(points, units, self._device))
+        if found is not None:
+            self.excess.append(found)
+
+
+class _Search:
+    """Cuts of one mesh, bounded one after another.
+
+    Args:
+        work: the mesh.
+        refit: whether levels are refitted.
+        known: all levels of its ordering.
+        forest: the collapses.
+    """
+
+    def __init__(self, work: Prepared, refit: bool, known: OrderedLevels, forest: CollapseForest) -> None:
+        self._work, self._refit, self._known, self._forest = work, refit, known, forest
+        limit = work.goal.limit
+        self._limit = limit.relative(work.mesh.diagonal)
+        self._frames = _Frames(work.mesh, limit, work.mesh.diagonal, work.device)
+        self._bound: DistanceBound | None = None
+        self._level: _Level | None = None
+
+    def run(self, keep: bool, progress: Progress | None) -> tuple[_Choice, SimplifiedMesh]:
+        """The level that holds, and its result; with its points where they are to be kept."""
+        left, mesh = 1.0 - ORDER_END, self._work.mesh
+        loose = np.zeros(len(mesh.used), dtype=bool)
+        starts = [max(self._limit / part, NO_ERROR) for part in DISTANCE_PER_ERROR]
+        choice, *coarser = [_Choice(self._forest.within(error), loose) for error in starts]
+        if self._refit or mesh.frame_count > 2 * FIRST_FRAMES:
+            choice, coarser = self._within(choice, self._first_block(), coarser), []
+        proved: np.ndarray | None = None
+        if not self._refit and 12 * mesh.frame_count * mesh.vertex_count <= KEPT_BYTES:
+            block = self._block(slice(0, mesh.frame_count))
+            choice = self._within(choice, block, coarser)
+            assert self._level is not None
+            proved = block.points(self._level)
+        elif self._bound is not None:
+            self._bound.look_again()
+        while True:
+            level = self._level_of(choice)
+            array = ArraySink()
+            bound = self._bound_of(level)
+            sink = _BoundFrames(array if keep else NoFrames(), self._frames, bound, self._work.device, proved)
+            result = self._finish(level, Delivery(sink))
+            if progress:
+                # Nobody knows how many levels there are going to be: each takes half of what is left.
+                left /= 2
+                progress(1.0 - left, "place")
+            if not sink.excess and not sink.differs:
+                return choice, replace(result, points=array.points) if keep else result
+            if sink.differs:
+                proved = None
+                self._bound_of(level).look_again()
+                continue
+            for excess in sink.excess:
+                choice = self._finer(level, choice, excess)
+
+    def place(self, choice: _Choice, delivery: Delivery, mesh: AnimatedMesh) -> SimplifiedMesh:
+        """The result of a level, in the terms of the mesh as it is given."""
+        return self._finish(self._level_of(choice), delivery, mesh)
+
+    def _finish(self, level: _Level, delivery: Delivery, mesh: AnimatedMesh | None = None) -> SimplifiedMesh:
+        work = self._work_of(level)
+        work = work if mesh is None else replace(work, mesh=mesh)
         return finish(work, work.placer(level.ordered), Outcome.of(level.ordered), self._refit, delivery)
 
-    def place_held(self, delivery: Delivery) -> SimplifiedMesh:
-        """Place the level that held once more. Levels share arrays, which those tried after it have changed."""
-        assert self.held is not None
-        return self.place(replace(self.held, ordered=self._ordered(self.held.count)), delivery, whole=True)
+    def _work_of(self, level: _Level) -> Prepared:
+        settings = replace(self._work.place_settings, loose=level.choice.loose)
+        return replace(self._work, place_settings=settings)
 
-    def _looser(self, level: _Level, excess: Excess) -> _Level | None:
-        """The level with vertices around what is too far placed loosely; None where that cannot help."""
-        faces, root = self._work.mesh.faces, level.ordered.root
-        if len(excess.test_faces) + len(excess.reference_faces) > max(FEW_SPOTS, MAX_SPOTS * len(faces)):
-            return None
-        wanted = np.zeros(len(root), dtype=bool)
-        wanted[root[faces[excess.reference_faces]]] = True
-        # Output faces stand in the order of the ordered ones.
-        wanted[level.ordered.faces[excess.test_faces]] = True
-        wanted = wanted[root]
-        if level.loose is not None:
-            wanted |= level.loose
-            if (wanted == level.loose).all():
-                return None
-        return replace(level, loose=wanted)
+    def _first_block(self) -> _Block:
+        """Some frames, far apart in pose."""
+        mesh, keys = self._work.mesh, self._work.key_frames
+        chosen = keys[np.unique(np.linspace(0, len(keys) - 1, FIRST_FRAMES).astype(int))]
+        own = np.concatenate([mesh.source.read(slice(frame, frame + 1)) for frame in chosen.tolist()])
+        return _Block(self._work, mesh.chosen_points(chosen), own, self._frames.units(own))
+
+    def _block(self, frames: slice) -> _Block:
+        own = self._work.mesh.source.read(frames)
+        return _Block(self._work, self._work.mesh.points(frames), own, self._frames.units(own))
+
+    def _within(self, choice: _Choice, block: _Block, coarser: Sequence[_Choice]) -> _Choice:
+        """The level that holds in some frames, before it is refitted.
+
+        ``coarser`` are tried in place of the first one, as long as few faces are too far.
+        """
+        next_choices = iter(coarser)
+        before: _Level | None = None
+        if self._bound is not None:
+            self._bound.look_again()
+        while True:
+            level = self._level_of(choice)
+            bound = self._bound_of(level)
+            moved = level.kept if before is None else level.kept[~level.unmoved(before)[level.kept]]
+            if len(moved):
+                placer = self._placer_of(level, moved)
+                block.place(placer, moved)
+            excess = bound.excess_of_blocks(0, block.reference, block.test(level))
+            count = 0 if excess is None else len(excess.reference_faces) + len(excess.test_faces)
+            following = next(next_choices, None) if count <= FEW * len(self._work.mesh.faces) else None
+            if following is not None:
+                choice = following
+            elif excess is None:
+                return choice
+            else:
+                next_choices = iter(())
+                choice = self._finer(level, choice, excess)
+            before = level
+
+    def _placer_of(self, level: _Level, kept: np.ndarray) -> ClusterPlacer:
+        """What places the clusters that go by some vertices."""
+        work = self._work_of(level)
+        index = np.full(len(work.mesh.used), -1, dtype=np.int32)
+        index[kept] = np.arange(len(kept), dtype=np.int32)
+        cluster = index[level.ordered.root]
+        return ClusterPlacer(
+            work.mesh.faces,
+            level.ordered,
+            kept,
+            cluster,
+            work.quadric_scale,
+            work.pinned,
+            work.place_settings,
+            work.device,
+            work.quadric_sums,
+        )
+
+    def _level_of(self, choice: _Choice) -> _Level:
+        if self._level is not None and choice is self._level.choice:
+            return self._level
+        return _Level(choice, self._known.at_cut(choice.cut), self._forest.last_collapses(choice.cut))
+
+    def _bound_of(self, level: _Level) -> DistanceBound:
+        """What bounds a level, with what is known from the one before."""
+        work, ordered = self._work, level.ordered
+        if self._bound is not None and self._level is level:
+            return self._bound
+        # A face of the level at each vertex.
+        near = np.full(len(work.mesh.used), -1, dtype=np.int32)
+        near[ordered.faces.ravel()] = np.repeat(np.arange(len(ordered.faces), dtype=np.int32), 3)
+        near = near[ordered.root[work.mesh.faces[:, 0]]]
+        near[ordered.face_map] = np.arange(len(ordered.faces))
+        if self._bound is None or self._level is None:
+            bound = DistanceBound(work.mesh.faces, level.faces, self._limit, work.device, near, ordered.face_map)
+        else:
+            before = self._level.ordered
+            index = np.full(len(work.mesh.faces), -1, dtype=np.int64)
+            index[before.face_map] = np.arange(len(before.faces))
+            old = index[ordered.face_map]
+            there = np.flatnonzero(old >= 0)
+            old[there[(before.faces[old[there]] != ordered.faces[there]).any(axis=1)]] = -1
+            same = (old >= 0) & level.unmoved(self._level)[ordered.faces].all(axis=1) & (not self._refit)
+            bound = self._bound.succeeded_by(level.faces, old, same, ordered.face_map, near)
+        self._bound, self._level = bound, level
+        return bound
+
+    def _finer(self, level: _Level, choice: _Choice, excess: Excess) -> _Choice:
+        """A choice that is to come nearer around what is too far.
+
+        Raises:
+            OptionError: there is none.
+        """
+        ordered, forest = level.ordered, self._forest
+        faces = self._work.mesh.faces[excess.reference_faces]
+        vertex_drop = ordered.drops.vertex_drop[faces[:, 0]]
+        lost, faces = vertex_drop[vertex_drop >= 0], faces[vertex_drop < 0]
+        corners = np.concatenate([ordered.root[faces], ordered.faces[excess.test_faces]])
+        last = level.last[corners]
+        error = np.where(last >= 0, forest.log.error[last], -1.0)
+        largest = error.argmax(axis=1)[:, None]
+        collapses = np.take_along_axis(last, largest, axis=1)[:, 0]
+        if (collapses < 0).any():
+            raise OptionError(
+                f"{self._work.goal.limit}: single precision does not place the input itself so well "
+                f"(frame {excess.frame})"
+            )
+        # Clusters of several vertices follow the material.
+        merged = (last >= 0) & ~choice.loose[corners]
+        small = np.take_along_axis(error, largest, axis=1)[:, 0] <= max(self._limit / LOOSE_BELOW, NO_ERROR)
+        loosen = merged.any(axis=1) & small
+        loose = choice.loose.copy()
+        loose[corners[loosen]] = True
+        dropped = np.flatnonzero(level.choice.cut.dropped)[np.unique(lost)]
+        return _Choice(forest.without(choice.cut, np.unique(collapses[~loosen]), dropped), loose)
 
 
 def simplify_within(work: Prepared, refit: bool, delivery: Delivery) -> SimplifiedMesh:
-    """Simplify a mesh to the fewest faces, at least those of its goal, whose surface holds the goal's distance.
-
-    Collapses are ordered once, and the number of faces is searched: each level is placed, refitted where that is asked
-    for, and its distance from the input, both ways and in all frames, proved with :class:`DistanceBound` or refuted.
+    """Simplify a mesh to about the fewest faces, at least those of its goal, whose surface holds the goal's distance.
 
     Raises:
         OptionError: the limit is below what single precision places.
         UnreachableTargetError: as for :func:`warpqem.simplify`.
     """
     # One thread reads the frames to be placed, another those to compare with.
-    work = replace(work, mesh=replace(work.mesh, source=SharedFrames(work.mesh.source)))
-    recorder = None if work.order_settings.memoryless else NodeRecorder()
+    whole = replace(work, mesh=replace(work.mesh, source=SharedFrames(work.mesh.source)))
+    # Faces on the backs of others are added at the end: they are as far away as those.
+    repair = whole.mesh.repair
+    work = replace(whole, mesh=replace(whole.mesh, repair=None))
+    # All levels of one order: a vertex is placed alike wherever it is the same cluster.
+    recorder = NodeRecorder(as_merged=True)
+    furthest = max(work.goal.limit.relative(work.mesh.diagonal) / min(DISTANCE_PER_ERROR), NO_ERROR)
+    work = replace(work, order_settings=replace(work.order_settings, error_limit=furthest))
     coarsest = work.order(delivery.progress, recorder)
-    face_count, limit = len(work.mesh.faces), work.goal.max_error / 100.0
-    if recorder is None:
-        # Each level has present faces of its own.
-        levels = _Levels(work, refit, work.order_to, delivery.sink is None)
-    else:
-        known = OrderedLevels(work.mesh.faces, coarsest, recorder)
-        levels = _Levels(work, refit, lambda count: known.at(known.steps_to(count)), delivery.sink is None)
-    least, repair = len(coarsest.faces), work.mesh.repair
+    known = OrderedLevels(work.mesh.faces, coarsest, recorder)
     if repair is not None and work.goal.target_faces and repair.is_double.any():
-        least = faces_for(coarsest, work.mesh, work.goal.target_faces)
-    result = find_coarsest(
-        levels.attempt,
-        face_count,
-        start=start_count(coarsest, face_count, limit),
-        least=least,
-        limit=limit,
-        progress=delivery.progress,
-    )
-    base_count = len(result.faces)
+        coarsest = known.at(known.steps_to(faces_for(coarsest, whole.mesh, work.goal.target_faces)))
+        known = OrderedLevels(work.mesh.faces, coarsest, recorder)
+    forest = CollapseForest(coarsest.log, coarsest.drops, len(coarsest.root))
+    search = _Search(work, refit, known, forest)
+    choice, result = search.run(delivery.sink is None, delivery.progress)
     if delivery.sink is not None:
-        result = levels.place_held(delivery)
+        # Levels share arrays, which those tried after it have changed.
+        result = search.place(choice, delivery, whole.mesh)
     elif repair is not None:
-        face, row = np.unique(work.mesh.face_index, return_index=True)
-        faces, face_map = written_faces(work.mesh, result.faces, row[np.searchsorted(face, result.face_map)])
-        result = replace(result, faces=faces, face_map=face_map, **in_input_terms(work.mesh, result.vertex_map))
-    if base_count > least:
+        face, row = np.unique(whole.mesh.face_index, return_index=True)
+        faces, face_map = written_faces(whole.mesh, result.faces, row[np.searchsorted(face, result.face_map)])
+        result = replace(result, faces=faces, face_map=face_map, **in_input_terms(whole.mesh, result.vertex_map))
+    if not (choice.cut.kept.all() and choice.cut.dropped.all()):
         return replace(result, stopped="max_error")
     return reached(result, work.goal.target_faces)

@@ -17,6 +17,7 @@ from warpqem.option_fields import Limits, check_options, option
 
 if TYPE_CHECKING:
     from warpqem.attributes import AttributeField
+    from warpqem.distance_limit import DistanceLimit
     from warpqem.face.protect import FaceProtection
     from warpqem.motion import MotionWeighting
 
@@ -50,10 +51,19 @@ class Goal:
     Attributes:
         target_faces: faces to keep; 0 to go on until the error limit.
         max_error: % of the diagonal; inf for none.
+        max_distance: in units of the points; inf for none.
     """
 
     target_faces: int
     max_error: float
+    max_distance: float = math.inf
+
+    @property
+    def limit(self) -> DistanceLimit:
+        """How far the result may be from the input."""
+        from warpqem.distance_limit import DistanceLimit
+
+        return DistanceLimit(self.max_error / 100.0, self.max_distance)
 
 
 @dataclass(frozen=True)
@@ -64,8 +74,8 @@ class MethodOptions:
         ratio: share of the faces to keep, in (0, 1].
         max_error: the largest distance between the input and the result, both ways, at every point and in every frame,
             in % of the diagonal of the input's bounding box in that frame. It is proved, not sampled
-            (:mod:`warpqem.kernels.distance_bound`), for the result as it is returned; the number of faces is searched
-            for (:mod:`warpqem.bounded`), which takes several times as long as a result by count.
+            (:mod:`warpqem.kernels.distance_bound`), for the result as it is returned; single spots are held back where
+            they would be too far (:mod:`warpqem.bounded`), which takes several times as long as a result by count.
         max_size_error: where to stop above the face count, so that a small mesh is not destroyed for it: no edge
             collapses whose error, as in ``SimplifiedMesh.error``, would pass so many % of the diagonal of the mesh's
             bounding box. Nothing is proved or searched for, as it is with ``max_error``. None for no limit.
@@ -174,7 +184,8 @@ class SimplifyOptions(MethodOptions):
 
     Attributes:
         target_faces: faces to keep, at least 1. The result has as many, or one fewer. At least one of ``ratio``,
-            ``target_faces`` and ``max_error`` is needed; with a count, whichever comes first stops.
+            ``target_faces``, ``max_error`` and ``max_distance`` is needed; of several, whichever comes first stops.
+        max_distance: the limit of ``max_error`` in units of the points, whatever size the mesh has in a frame.
         vertex_weights: (V,) factors from 0 to 1e12 on the cost at each vertex; infinity locks it. A merged vertex gets
             the mean of its ends'.
         quadric_scale: (V,) factors from 0 to 1e12 on each vertex's own quadric (Kho & Garland 2003), which stay with
@@ -192,6 +203,9 @@ class SimplifyOptions(MethodOptions):
     """
 
     target_faces: int | None = option(None, "Faces to keep.", "FACES", COUNT)
+    max_distance: float | None = option(
+        None, "Largest distance of the result from the input, in units of the points.", "UNITS", ABOVE_0
+    )
     vertex_weights: Any = None
     quadric_scale: Any = None
     locked: Any = None
@@ -206,8 +220,8 @@ class SimplifyOptions(MethodOptions):
         Raises:
             OptionError: an option of the wrong type or outside its range; goals that are missing or exclude each other.
         """
-        if self.ratio is None and self.target_faces is None and self.max_error is None:
-            raise OptionError("one of ratio, target_faces and max_error is needed")
+        if self.ratio is None and self.target_faces is None and not self.bounded:
+            raise OptionError("one of ratio, target_faces, max_error and max_distance is needed")
         if self.ratio is not None and self.target_faces is not None:
             raise OptionError(f"ratio {self.ratio} and target_faces {self.target_faces} exclude each other")
         if not isinstance(self.metric, str):
@@ -218,7 +232,13 @@ class SimplifyOptions(MethodOptions):
 
     def goal(self, face_count: int) -> Goal:
         """Where simplifying a mesh of so many faces ends."""
-        return read_goal(face_count, self.ratio, self.target_faces, self.max_error)
+        goal = read_goal(face_count, self.ratio, self.target_faces, self.max_error)
+        return goal if self.max_distance is None else replace(goal, max_distance=self.max_distance)
+
+    @property
+    def bounded(self) -> bool:
+        """Whether the distance to the input is limited."""
+        return self.max_error is not None or self.max_distance is not None
 
 
 class MethodKeywords(TypedDict, total=False):
@@ -251,6 +271,7 @@ class SimplifyKeywords(MethodKeywords, total=False):
     target_faces: int | None
     max_size_error: float | None
     max_error: float | None
+    max_distance: float | None
 
 
 def read_keywords(keywords: SimplifyKeywords | MethodKeywords, **goals: Any) -> SimplifyOptions:

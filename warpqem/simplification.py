@@ -69,7 +69,7 @@ def simplify(
     asked = read_keywords(options)
     check_sink(sink)
     check_share(share)
-    bounded = asked.max_error is not None
+    bounded = asked.bounded
     work = prepare(points, faces, asked, keep_frames=sink is None, keep_nodes=bounded, progress=progress)
     if bounded:
         return simplify_within(work, asked.refits, Delivery(sink, progress, share))
@@ -110,5 +110,5 @@ def plan(
     given = read_mesh(points, faces, partial(admit_faces, limit=asked.memory, device=device))
     mesh = repaired_mesh(given, device)
     asked = repaired_options(asked, given, mesh)
-    keep_nodes = levels or asked.max_error is not None
+    keep_nodes = levels or asked.bounded
     return plan_work(mesh, spec, asked, device, keep_frames=sink is None, keep_nodes=keep_nodes)

@@ -15,8 +15,9 @@ import numpy as np
 
 from warpqem.array_input import finite_array, is_empty
 from warpqem.attributes import checked_fields
-from warpqem.bounded import BoundSink, ExceededError, find_coarsest
+from warpqem.bounded import BoundSink, ExceededError
 from warpqem.checked_frames import check_sink
+from warpqem.coarsest import find_coarsest
 from warpqem.cost_models import cost_model
 from warpqem.device import on_device, resolve_device
 from warpqem.edges import edge_key
@@ -249,7 +250,7 @@ def simplify_symmetric(
     frames = finite_points(given.source.read(slice(0, given.frame_count)))
     mirror = symmetry if isinstance(symmetry, Mirror) else find_mirror(frames[0], given.faces, symmetry)
     mirror = _of_proper_faces(mirror, given)
-    if asked.max_error is None:
+    if not asked.bounded:
         return _simplify_half(_Half(given, frames, mirror, asked), sink, progress)
     return _simplify_within(given, frames, mirror, asked, sink, progress)
 
@@ -264,10 +265,10 @@ def _simplify_within(
 ) -> SimplifiedMesh:
     """The fewest faces that hold the distance asked for, see :mod:`warpqem.bounded`."""
     goal, device = asked.goal(len(given.faces)), resolve_device(asked.device)
-    limit, diagonal, stuck = goal.max_error / 100.0, _diagonal(frames[:, given.used]), False
+    limit, diagonal, stuck = goal.limit, _diagonal(frames[:, given.used]), False
 
     def options(count: int) -> SimplifyOptions:
-        return replace(asked, ratio=None, target_faces=count, max_error=None)
+        return replace(asked, ratio=None, target_faces=count, max_error=None, max_distance=None)
 
     def attempt(count: int) -> SimplifiedMesh | None:
         nonlocal stuck

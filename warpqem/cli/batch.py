@@ -119,7 +119,7 @@ def batch(
 ) -> None:
     """Simplify many assets, each as `warpqem simplify` does; one that fails costs the others nothing.
 
-    Give one of --ratio, --faces, --max-error, --screen-error and --lods, here or in the manifest.
+    Give goals as to simplify, here or in the manifest.
 
     Exit codes: 0 all done; 1 an error, or some asset or mesh failed; 2 wrong usage; 130 interrupted.
     """

@@ -15,7 +15,7 @@ __all__ = ["levels"]
 
 # What --ratios takes the place of, and what does not go with levels.
 OTHER_GOALS = (
-    "ratio", "faces", "max_error", "screen_error", "distance", "fov", "image_height", "lods"
+    "ratio", "faces", "max_error", "max_distance", "screen_error", "distance", "fov", "image_height", "lods"
 )  # fmt: skip
 
 

@@ -47,7 +47,7 @@ def simplify(
 ) -> None:
     """Simplify every mesh over all its frames.
 
-    Give one of --ratio, --faces, --max-error, --screen-error and --lods.
+    Give --ratio or --faces, --max-error, --max-distance or --screen-error, or of both; or --lods.
 
     OUT is a small layer over IN that holds the new meshes; keep the two files together, or use --flatten, or name OUT
     as a package (.usdz), which holds all that it needs. Primvars,

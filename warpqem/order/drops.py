@@ -68,6 +68,13 @@ class DropRecord:
         vertex_drop = np.where(self.vertex_drop < count, self.vertex_drop, np.int32(-1))
         return DropRecord(vertex_drop, self.collapse_count[:count], self.face_count[:count], self.error[:count])
 
+    def chosen(self, dropped: np.ndarray, kept: np.ndarray) -> DropRecord:
+        """Some of them, (D,) bool, in a log of some collapses, (C,) bool."""
+        number = np.where(dropped, np.cumsum(dropped) - 1, -1).astype(np.int32)
+        vertex_drop = np.where(self.vertex_drop >= 0, number[self.vertex_drop], np.int32(-1))
+        before = np.concatenate([[0], np.cumsum(kept, dtype=np.int64)])[self.collapse_count[dropped]]
+        return DropRecord(vertex_drop, before, self.face_count[dropped], self.error[dropped])
+
     def for_vertices(self, vertex: np.ndarray) -> DropRecord:
         """The same for vertices in another order: ``vertex`` (V,) is the new number of each."""
         vertex_drop = np.empty_like(self.vertex_drop)

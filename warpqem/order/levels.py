@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import warp as wp
 
+from warpqem.order.cut import Cut, last_collapses
 from warpqem.order.nodes import NodeRecorder, PassNodes, read_rows
 from warpqem.order.present_quadrics import PresentQuadrics
 from warpqem.order.stage import OrderedMesh, faces_left
@@ -45,12 +46,14 @@ class OrderedLevels:
         self._input_faces, self._ordered, self._passes = input_faces, ordered, recorder.passes
         self.log = ordered.log
         self._position, self._quadric = wp.clone(ordered.position), wp.clone(ordered.quadric)
-        self._present = PresentQuadrics(input_faces, ordered) if ordered.memoryless else None
+        self._present = PresentQuadrics(input_faces, ordered) if recorder.present else None
         # Collapses and drops in the order they came, the drops counted on from the last collapse.
         collapse, after = np.arange(len(self.log)), ordered.drops.collapse_count
         self._event = np.argsort(np.concatenate([2 * collapse + 1, 2 * after]), kind="stable")
         sizes = [len(nodes.row) for nodes in self._passes]
         self._vertex_of_row = np.argsort(ordered.row)
+        # The collapse that each vertex's state is that after, of those that a cut asks for.
+        self._shown = last_collapses(self.log, np.ones(len(self.log), dtype=bool), len(ordered.row))
         # The log is sorted by round, so each pass owns a run of it.
         self._pass_start = np.concatenate([[0], np.cumsum(sizes, dtype=np.int64)])
 
@@ -72,6 +75,7 @@ class OrderedLevels:
 
         The arrays of positions and quadrics are shared by all levels: one level is placed before the next is asked for.
         """
+        self._shown[:] = -1
         collapse_count = int((self._event[:step_count] < len(self.log)).sum())
         drops = self._ordered.drops.head(step_count - collapse_count)
         log = self.log.head(collapse_count)
@@ -102,6 +106,34 @@ class OrderedLevels:
             drops=drops,
         )
 
+    def at_cut(self, cut: Cut) -> OrderedMesh:
+        """The level of a cut, see :mod:`warpqem.order.cut`; arrays are shared as with :meth:`at`."""
+        last = last_collapses(self.log, cut.kept, len(self._vertex_of_row))
+        # What is there already need not be shown; input vertices need no state.
+        changed = np.flatnonzero((last != self._shown) & (last >= 0))
+        of_pass = np.searchsorted(self._pass_start, last[changed], side="right") - 1
+        for index in np.unique(of_pass).tolist():
+            nodes, wanted = self._passes[index], np.zeros(len(self._vertex_of_row), dtype=bool)
+            wanted[changed[of_pass == index]] = True
+            self._show(nodes, wanted[self._vertex_of_row[nodes.row]])
+        self._shown[changed] = last[changed]
+        log = self.log.chosen(cut.kept)
+        drops = self._ordered.drops
+        drops = drops.chosen(cut.dropped, cut.kept) if len(drops) else drops
+        root = log.roots(len(self._ordered.root))
+        faces = root[self._input_faces]
+        face_map = faces_left(self._input_faces, faces, drops)
+        return replace(
+            self._ordered,
+            faces=faces[face_map],
+            face_map=face_map,
+            root=root,
+            position=self._position,
+            quadric=self._quadric,
+            log=log,
+            drops=drops,
+        )
+
     def merged_clusters(self) -> Iterator[MergedClusters]:
         """The clusters that each pass merged, pass after pass; each is placed before the next is asked for."""
         root = np.arange(len(self._ordered.root), dtype=np.int32)
@@ -115,6 +147,7 @@ class OrderedLevels:
             kept = np.sort(self.log.kept[part])
             place[kept] = np.arange(len(kept), dtype=np.int32)
             cluster = place[root]
+            self._shown[:] = -1
             all_nodes = np.ones(len(kept), dtype=bool)
             self._show(nodes, all_nodes)
             if self._present is not None:

@@ -43,6 +43,10 @@ class CollapseRecord:
         """The first ``count`` collapses."""
         return CollapseRecord(**{field.name: getattr(self, field.name)[:count] for field in fields(self)})
 
+    def chosen(self, kept: np.ndarray) -> CollapseRecord:
+        """Some of the collapses, (C,) bool."""
+        return CollapseRecord(**{field.name: getattr(self, field.name)[kept] for field in fields(self)})
+
     def roots(self, vertex_count: int) -> np.ndarray:
         """(V,) int32, the vertex that each vertex has collapsed into after all collapses."""
         parent = np.arange(vertex_count, dtype=np.int32)

@@ -44,12 +44,22 @@ class NodeRecorder:
 
     Attributes:
         passes: one entry for each pass that merged something, in order.
-        memoryless: quadrics are those of the present faces, which are made anew for each level.
+        present: quadrics are those of the present faces, to be made anew for each level.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, as_merged: bool = False) -> None:
+        """Begin.
+
+        Args:
+            as_merged: In a memoryless order, too, keep quadrics as they are when vertices merge. Levels then have not
+                the bits of single results, and vertices no other place where faces around them are others.
+        """
         self.passes: list[PassNodes] = []
-        self.memoryless = False
+        self.present, self._as_merged = False, as_merged
+
+    def begin(self, memoryless: bool) -> None:
+        """Begin an order."""
+        self.present = memoryless and not self._as_merged
 
     def record(self, state: MeshState, frames: AnyKeyFrames, log: CollapseLog, begin: int, end: int) -> None:
         """Keep the vertices of the collapses that stand in the log from ``begin`` to ``end``."""
@@ -58,7 +68,7 @@ class NodeRecorder:
         position = read_rows(frames.position, chosen)
         # As order_collapses adds it for the vertices that are left at the end.
         attribute = read_rows(state.wedges.quadric, chosen)[:, :, 0] if state.wedges.channel_count > 0 else None
-        if self.memoryless:
+        if self.present:
             scale = state.quadric_scale.numpy()[row]
             added = self._added(state, frames, row, attribute)
             self.passes.append(PassNodes(row, position, None, scale, added))

@@ -75,7 +75,6 @@ class OrderedMesh:
         line_rank: (V,) int, of input vertices: 2 at corners of seams, 1 elsewhere on a seam or border, 0 inside.
         frozen: (V,) bool, input vertices whose faces are not one fan; they keep their position.
         face_order: (N,) int32, the input face at each place of the order that faces had; None for the input's.
-        memoryless: quadrics were those of the present faces.
         stopped: "target", "max_error", "max_size_error" or "no legal collapse".
         log: the collapses.
         drops: the components that vanished.
@@ -92,7 +91,6 @@ class OrderedMesh:
     line_rank: np.ndarray
     frozen: np.ndarray
     face_order: np.ndarray | None
-    memoryless: bool
     stopped: str
     log: CollapseRecord
     drops: DropRecord
@@ -170,7 +168,6 @@ def order_collapses(
         ),
         frozen=collapsed.frozen[row],
         face_order=face_order,
-        memoryless=settings.memoryless,
         stopped=collapsed.stopped,
         log=log,
         drops=drops,
@@ -276,7 +273,7 @@ def _collapse(
         # One always stays.
         components = None
     if recorder is not None:
-        recorder.memoryless = settings.memoryless
+        recorder.begin(settings.memoryless)
     stopped = orderer.run(settings.target_faces, progress, recorder, components)
     if stopped == "max_error" and settings.size_limit < settings.error_limit:
         stopped = "max_size_error"

@@ -22,6 +22,7 @@ __all__ = [
     "parse_faces",
     "read_folders",
     "read_frames",
+    "read_length",
     "read_paths",
     "read_ratios",
     "read_weights",
@@ -129,6 +130,13 @@ def read_folders(value: Any) -> tuple[str, ...]:
 def read_frames(value: Any) -> FrameRange:
     """A range of time codes from text such as "1:24:0.5"."""
     return FrameRange.parse(*_texts([value]))
+
+
+def read_length(value: Any) -> float | str:
+    """A length, which `warpqem.usd.lengths` reads: a number, or text with a unit."""
+    if isinstance(value, bool):
+        raise ValueError("expected a length")
+    return value if isinstance(value, str) else float(value)
 
 
 def _texts(values: Any) -> tuple[str, ...]:

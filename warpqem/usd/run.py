@@ -36,6 +36,7 @@ from warpqem.usd.face_points import FacePoints, face_protection, points_on_level
 from warpqem.usd.feature_subsets import write_feature_points
 from warpqem.usd.inheritors import heirs_first
 from warpqem.usd.job import MeshJob, ReadOptions
+from warpqem.usd.lengths import parse_length
 from warpqem.usd.mesh import MeshSource
 from warpqem.usd.morph import check_morph, morph_scale
 from warpqem.usd.odd_values import find_odd_values
@@ -248,7 +249,7 @@ class Run:
     def _shares_order(self, job: MeshJob) -> bool:
         """True if levels of a mesh come from one ordering."""
         pulled_back = self.options.pose_independent and self._skin_poses(job) is not None
-        return not (pulled_back or self._mirror(job) is not None)
+        return not (pulled_back or self._limits(job) or self._mirror(job) is not None)
 
     def _order(
         self, job: MeshJob, progress: Progress, seams: npt.NDArray[np.int32], shared: SharedOrder
@@ -310,10 +311,13 @@ class Run:
         sink: warpqem.FrameSink,
         target_faces: int,
         order: SharedOrder | None = None,
+        *,
+        limited: bool = True,
     ) -> warpqem.SimplifiedMesh:
-        """Simplify to a face count, or to the last legal collapse before it."""
+        """Simplify to a face count, or to the limits or the last legal collapse before it."""
+        limits = self._limits(job) if limited else {}
         try:
-            return self._call_core(job, progress, seams, sink, order, target_faces=target_faces)
+            return self._call_core(job, progress, seams, sink, order, target_faces=target_faces, **limits)
         except UnreachableTargetError as error:
             if error.result is None:
                 raise
@@ -340,7 +344,7 @@ class Run:
         if self._shares_order(job):
             return job, self._order(job, progress, seams, shared)
         shared.job = None
-        return job, self._as_far_as_it_goes(job, progress, seams, NoFrames(), least)
+        return job, self._as_far_as_it_goes(job, progress, seams, NoFrames(), least, limited=False)
 
     def simplify_to(
         self,
@@ -448,18 +452,30 @@ class Run:
             sink = NoFrames() if job.skin is not None else LaterFrames(taker, job.pose_start)
         seams = job.seams.hold()
         if target_faces is None:
-            result = self._call_core(job, progress, seams, sink, max_error=self._error_limit(job))
+            result = self._call_core(job, progress, seams, sink, **self._limits(job))
         elif self.options.strict:
-            result = self._call_core(job, progress, seams, sink, shared, target_faces=target_faces)
+            result = self._call_core(job, progress, seams, sink, shared, target_faces=target_faces, **self._limits(job))
         else:
             result = self._as_far_as_it_goes(job, progress, seams, sink, target_faces, shared)
         return result
 
-    def _error_limit(self, job: MeshJob) -> float | None:
-        """Largest error of a mesh in % of its diagonal."""
-        if self.options.screen is None:
-            return self.options.max_error
-        return 100.0 * self.options.screen.length / (_diagonal(job) * job.mesh.world_scale)
+    def _limits(self, job: MeshJob) -> dict[str, float]:
+        """How far the result of a mesh may be from the input, as options of the core."""
+        limits: dict[str, float] = {}
+        if self.options.max_error is not None:
+            limits["max_error"] = self.options.max_error
+        lengths = []
+        if self.options.screen is not None:
+            lengths.append(self.options.screen.length)
+        if self.options.max_distance is not None:
+            lengths.append(parse_length(self.options.max_distance, UsdGeom.GetStageMetersPerUnit(self.stage)))
+        if not lengths:
+            return limits
+        length = min(lengths) / job.mesh.world_scale
+        if not self.options.pose_independent:
+            return {**limits, "max_distance": length}
+        # The errors of pulled back quadrics are parts of the diagonal.
+        return {"max_error": min(100.0 * length / _diagonal(job), limits.get("max_error", np.inf))}
 
     def _write(
         self,

@@ -13,6 +13,7 @@ from warpqem.option_fields import Limits, check_options, option
 from warpqem.options import COUNT, WEIGHTS, MethodOptions
 from warpqem.screen import ScreenView
 from warpqem.usd.frames import FrameRange
+from warpqem.usd.lengths import parse_length
 from warpqem.usd.option_checks import (
     AttributeWeights,
     check_faces,
@@ -21,6 +22,7 @@ from warpqem.usd.option_checks import (
     parse_faces,
     read_folders,
     read_frames,
+    read_length,
     read_paths,
     read_ratios,
     read_weights,
@@ -32,8 +34,8 @@ if TYPE_CHECKING:
 
 __all__ = ["GOALS", "SimplifyOptions"]
 
-# Of these exactly one says how far to simplify.
-GOALS = ("ratio", "faces", "max_error", "screen", "lods")
+# These say how far to simplify.
+GOALS = ("ratio", "faces", "max_error", "max_distance", "screen", "lods")
 
 MorphWeights = Literal["thirds", "rank", "distance", "usage"]
 WeightScales = Literal["cost", "quadrics"]
@@ -46,12 +48,17 @@ ANGLE = Limits(0.0, 180.0)
 
 @dataclass(frozen=True)
 class SimplifyOptions(MethodOptions):
-    """How to simplify the meshes of a stage, with one of `ratio`, `faces`, `max_error`, `screen` and `lods`.
+    """How to simplify the meshes of a stage: to a count (`ratio`, `faces`), within limits, or to levels (`lods`).
+
+    One or more of `ratio`, `faces`, `max_error`, `max_distance` and `screen` are given, or `lods`; of `ratio` and
+    `faces` only one. Of several, whichever comes first stops.
 
     Attributes:
         faces: Triangles of all meshes together, or a share of them such as "25%", split so that a face saves the same
             error on each.
-        screen: Largest error of each mesh on a screen, at a distance in world units.
+        max_distance: The limit of `max_error` as a length in units of the stage, whatever size a mesh has; or text with
+            a unit of its own, such as "2mm", by the stage's metersPerUnit, see `warpqem.usd.lengths`.
+        screen: Largest error of each mesh on a screen, at a distance in world units: the same limit as `max_distance`.
         lods: Ratios of levels of detail, each smaller than the one before, between 0 and 1. The output offers the input
             and one level for each ratio as variants LOD0, LOD1, ... of the root prim that holds the default prim.
         usd_lod: With `lods`, write the levels as prims below that root prim, with the schemas of UsdLod, instead.
@@ -120,6 +127,13 @@ class SimplifyOptions(MethodOptions):
         "diagonal, so that cards and boxes are not destroyed for a face count; inf for no limit.",
         "PCT",
         Limits(0.0, open_low=True, infinite=True),
+    )
+    max_distance: float | str | None = option(
+        None,
+        "Largest distance of each mesh from the input as a length, in units of the stage or with mm, cm, m, in or ft, "
+        "such as 2mm. Limits go together, and with --ratio or --faces: whichever comes first stops.",
+        "LENGTH",
+        parse=read_length,
     )
     screen: ScreenView | None = option(None, "")
     lods: tuple[float, ...] = option(
@@ -275,9 +289,11 @@ class SimplifyOptions(MethodOptions):
     def __post_init__(self) -> None:
         """Check the options, and those that need or exclude each other."""
         given = [name for name in GOALS if getattr(self, name) not in (None, ())]
-        if len(given) != 1:
-            found = ", ".join(given) or "none"
-            raise OptionError(f"exactly one of ratio, faces, max_error, screen and lods must be given, not {found}")
+        if not given or (len(given) > 1 and ("lods" in given or given[:2] == ["ratio", "faces"])):
+            raise OptionError(
+                "one of ratio, faces, max_error, max_distance, screen and lods must be given, or several but lods and "
+                f"but ratio with faces, not {', '.join(given) or 'none'}"
+            )
         if self.ratio is not None and 1 < self.ratio <= 100:
             raise OptionError(
                 f"ratio must be in (0, 1], got {self.ratio:g}; for {self.ratio:g} % give {self.ratio / 100:g}"
@@ -285,6 +301,8 @@ class SimplifyOptions(MethodOptions):
         check_options(self)
         if self.faces is not None:
             check_faces(self.faces)
+        if self.max_distance is not None:
+            parse_length(self.max_distance, meters_per_unit=1.0)
         if self.memory is not None:
             from warpqem.memory import parse_bytes
 

@@ -1,0 +1,39 @@
+"""How far a result may be from its input: as a part of the diagonal, as a length, or both."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["DistanceLimit"]
+
+
+@dataclass(frozen=True)
+class DistanceLimit:
+    """The smaller of two limits.
+
+    Attributes:
+        part: of the diagonal of the input's bounding box in each frame; inf for none.
+        length: in units of the points; inf for none.
+    """
+
+    part: float = math.inf
+    length: float = math.inf
+
+    def __bool__(self) -> bool:
+        return math.isfinite(self.part) or math.isfinite(self.length)
+
+    def __str__(self) -> str:
+        named = {"max_error": (100.0 * self.part, " %"), "max_distance": (self.length, "")}
+        return " and ".join(f"{name} {value:g}{unit}" for name, (value, unit) in named.items() if math.isfinite(value))
+
+    def relative(self, diagonal: float) -> float:
+        """The limit of a frame with that diagonal, as a part of it."""
+        return min(self.part, self.length / diagonal)
+
+    def units(self, diagonals: npt.NDArray[np.float64], largest: float) -> npt.NDArray[np.float64]:
+        """The length in each frame, (n,), in which its limit is that of the largest diagonal: no less than its own."""
+        return np.minimum(self.part * diagonals, self.length) / self.relative(largest)
