@@ -10,10 +10,11 @@ import numpy.typing as npt
 from pxr import UsdGeom
 
 from warpqem.result import SimplifiedMesh
-from warpqem.transfer import SurfaceTransfer, blend, surface_transfer
+from warpqem.transfer import SurfaceTransfer, blend, is_proper, surface_transfer
 from warpqem.usd.feature_subsets import FAMILY
 from warpqem.usd.mesh import MeshSource
 from warpqem.usd.seams import MeshSeams
+from warpqem.usd.vertex_colors import fitted_values
 
 __all__ = ["Carrier", "Rows"]
 
@@ -122,13 +123,27 @@ class Carrier:
         wedge = transfer.vertex_wedge
         return Rows(self.topology.triangles[transfer.wedge_face[wedge]].astype(np.int64), transfer.wedge_weight[wedge])
 
+    def colors(self, values: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
+        """Colours of the output vertices, (V', ...) float64, from those of the authored points, (P, ...)."""
+        points, faces, result = self._input
+        blended = self.vertices().blend(values)
+        cluster = np.where(is_proper(faces)[:, None], result.vertex_map[faces], -1)
+        corners = values[self.topology.triangles].reshape(len(faces), 3, -1)
+        fitted, found = fitted_values(corners, points, faces, cluster, result.points[0])
+        return np.where(found.reshape(-1, *[1] * (values.ndim - 1)), fitted.reshape(blended.shape), blended)
+
     def polygons(self) -> Rows:
         """Output faces as authored faces."""
         return Rows(self.face_polygon[:, None], np.ones((len(self.face_polygon), 1), dtype=np.float32))
 
+    def facets(self, name: str) -> npt.NDArray[np.int8] | None:
+        """`facet_signs` of the faces that the output faces go on from; None if normals shade none of them flat."""
+        signs = self.seams.facets.get(name)
+        return None if signs is None else signs[self._input[2].face_map]
+
     def is_cut(self, name: str) -> bool:
-        """True if an attribute has seams."""
-        return len(self.seams.by_name.get(name, ())) > 0
+        """True if an attribute has seams, or a value of its own at each corner of flat-shaded faces."""
+        return len(self.seams.by_name.get(name, ())) > 0 or name in self.seams.facets
 
     def corners(self, name: str, of_points: bool = False) -> tuple[Rows, npt.NDArray[np.int32]]:
         """Output corners as blends of input corners, those of an attribute on one side of its own seams as one.

@@ -25,6 +25,8 @@ from warpqem.usd.arrays import (
 )
 from warpqem.usd.carrier import Carrier, Rows
 from warpqem.usd.drop import Dropped, block
+from warpqem.usd.flat_shading import facet_normals
+from warpqem.usd.seams import DISPLAY_COLORS
 
 __all__ = ["carry_arrays", "carry_motion", "carry_normals", "carry_primvars"]
 
@@ -67,7 +69,11 @@ def carry_primvars(prim: Usd.Prim, carrier: Carrier, dropped: Dropped, saved: Sa
             dropped.names.append(f"unauthoredValuesIndex of primvars:{name}")
         rows, corner_row = _rows(carrier, primvar.GetAttr().GetName(), interpolation)
         size, unit_length = primvar.GetElementSize(), name == "normals"
-        carried = _carry(original.GetAttr(), samples, rows, unit_length)
+        if _is_fitted(original, interpolation) and corner_row is None:
+            carried = samples.map(lambda values: carrier.colors(values).astype(values.dtype))
+        else:
+            carried = _carry(original.GetAttr(), samples, rows, unit_length)
+        carried, corner_row = _with_facets(prim, carrier, primvar.GetAttr().GetName(), carried, corner_row)
         if corner_row is not None:
             carried, corner_row = _merge_equal(carried, corner_row)
         _write_values(primvar.GetAttr(), carried, saved, size)
@@ -97,8 +103,10 @@ def carry_normals(mesh: UsdGeom.Mesh, carrier: Carrier, dropped: Dropped, saved:
     if corner_row is not None:
         # The attribute has no indices, so that each corner has its own entry.
         rows = Rows(rows.index[corner_row.ravel()], rows.weight[corner_row.ravel()])
+        corner_row = np.arange(corner_row.size, dtype=np.int32).reshape(corner_row.shape)
         mesh.SetNormalsInterpolation(UsdGeom.Tokens.faceVarying)
-    _write_values(attribute, _carry(original, samples, rows, True), saved)
+    carried = _carry(original, samples, rows, True)
+    _write_values(attribute, _with_facets(mesh.GetPrim(), carrier, "normals", carried, corner_row)[0], saved)
 
 
 def carry_motion(prim: Usd.Prim, carrier: Carrier, point_times: list[float], dropped: Dropped, saved: Saved) -> None:
@@ -151,6 +159,13 @@ def _rows(carrier: Carrier, name: str, interpolation: str) -> tuple[Rows, npt.ND
     return carrier.vertices(), None
 
 
+def _is_fitted(primvar: UsdGeom.Primvar, interpolation: str) -> bool:
+    """True of display colours and opacities at points."""
+    name = str(primvar.GetAttr().GetName())
+    is_real = is_continuous(primvar.GetAttr().Get(Usd.TimeCode.EarliestTime()))
+    return name in DISPLAY_COLORS and interpolation in POINT_INTERPOLATIONS and is_real
+
+
 def _samples_of_length(attribute: Usd.Attribute, count: int | None) -> Samples | None:
     codes = sample_codes(attribute)
     if not is_of_one_type(attribute, codes):
@@ -178,6 +193,26 @@ def _carry(original: Usd.Attribute, samples: Samples, rows: Rows, unit_length: b
     if unit_length or is_normal(original.GetTypeName()):
         return samples.map(lambda values: rows.blend_directions(values).astype(values.dtype))
     return samples.map(lambda values: rows.blend(values).astype(values.dtype))
+
+
+def _with_facets(
+    prim: Usd.Prim, carrier: Carrier, name: str, carried: Samples, corner_row: npt.NDArray[np.int32] | None
+) -> tuple[Samples, npt.NDArray[np.int32] | None]:
+    """The same where flat-shaded faces have normals of their own, and the row of each corner."""
+    signs = carrier.facets(name)
+    if signs is None:
+        return carried, corner_row
+    points = UsdGeom.Mesh(prim).GetPointsAttr()
+
+    def change(code: Usd.TimeCode) -> npt.NDArray[Any]:
+        values = carried[code]
+        at_faces = values if corner_row is None else values[corner_row]
+        pose = points.Get(code) or points.Get(Usd.TimeCode.EarliestTime())
+        own = facet_normals(at_faces, np.asarray(pose, dtype=np.float64), carrier.faces, signs)
+        return own.reshape(-1, 3).astype(values.dtype)
+
+    own_row = None if corner_row is None else np.arange(corner_row.size, dtype=np.int32).reshape(corner_row.shape)
+    return Samples(list(carried), change), own_row
 
 
 def _merge_equal(samples: Samples, corner_row: npt.NDArray[np.int32]) -> tuple[Samples, npt.NDArray[np.int32]]:
