@@ -51,8 +51,9 @@ class Rows:
         """The weighted mean of vectors (elements, ..., D), scaled to length one; where it vanishes, the heaviest.
 
         Args:
-            values: Unit vectors.
-            signed: False if a vector and its negative mean the same, as with the quaternions of rotations.
+            values: Directions.
+            signed: False if a vector and its negative mean the same, as with the quaternions of rotations. These keep
+                the mean of their lengths.
         """
         corners, heaviest = values[self.index].astype(np.float64), self.pick(values).astype(np.float64)
         weight = self.weight.astype(np.float64).reshape(*self.weight.shape, *[1] * (corners.ndim - 2))
@@ -61,7 +62,9 @@ class Rows:
             corners = np.where(agreement < 0, -corners, corners)
         mean = (weight * corners).sum(axis=1)
         length = np.linalg.norm(mean, axis=-1, keepdims=True)
-        return np.where(length > SHORTEST, mean / np.maximum(length, SHORTEST), heaviest)
+        # A quaternion of another length than one stays so: what its maker means by it is not known.
+        wanted = 1.0 if signed else (weight * np.linalg.norm(corners, axis=-1, keepdims=True)).sum(axis=1)
+        return np.where(length > SHORTEST, wanted * mean / np.maximum(length, SHORTEST), heaviest)
 
 
 class Carrier:
@@ -91,6 +94,7 @@ class Carrier:
             device: Warp device; None for the default.
         """
         self.prim = source.prim
+        self.input_count = source.element_count
         self.topology = source.topology
         self.point_count = source.point_count
         self.seams = seams
@@ -106,16 +110,6 @@ class Carrier:
         """True of a point subset that names one of `feature_points`."""
         family = subset.GetFamilyNameAttr().Get()
         return family == FAMILY and subset.GetPrim().GetName() in self.feature_points
-
-    def input_count(self, interpolation: str) -> int | None:
-        """Elements of an array of this interpolation on the input; None for those without one per element."""
-        counts = {
-            UsdGeom.Tokens.vertex: self.point_count,
-            UsdGeom.Tokens.varying: self.point_count,
-            UsdGeom.Tokens.uniform: self.topology.polygon_count,
-            UsdGeom.Tokens.faceVarying: self.topology.corner_count,
-        }
-        return counts.get(interpolation)
 
     def vertices(self) -> Rows:
         """Output vertices as blends of authored points."""

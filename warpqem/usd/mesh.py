@@ -11,6 +11,7 @@ import numpy.typing as npt
 from pxr import Usd, UsdGeom, Vt
 
 from warpqem.errors import StageError
+from warpqem.usd.bake_times import bake_times
 from warpqem.usd.frames import FrameRange
 from warpqem.usd.skel import MeshPoser, StagePoses
 from warpqem.usd.stage import SavedStage, world_scale
@@ -151,17 +152,34 @@ class MeshSource:
         """True if the authored orientation is leftHanded."""
         return bool(self.mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded)
 
-    def frame_times(self, frames: FrameRange | None = None) -> list[float] | None:
+    def element_count(self, interpolation: str) -> int | None:
+        """Elements of an array of this interpolation; None for those without one per element."""
+        counts = {
+            UsdGeom.Tokens.vertex: self.point_count,
+            UsdGeom.Tokens.varying: self.point_count,
+            UsdGeom.Tokens.uniform: self.topology.polygon_count,
+            UsdGeom.Tokens.faceVarying: self.topology.corner_count,
+        }
+        return counts.get(interpolation)
+
+    def frame_times(self, frames: FrameRange | None = None, *, baked: bool = False) -> list[float] | None:
         """The time code of each frame, or None for a mesh that does not move.
+
+        Args:
+            frames: Which of them; None for all.
+            baked: The poses are to be written as points: the times that `bake_times` adds between are frames, too.
 
         Raises:
             StageError: the mesh moves but has no sample inside `frames`.
         """
         if not self.authored_times:
             return None
+        times = self.authored_times
+        if baked and self.poser is not None:
+            times = bake_times(self._stage, times)
         if frames is None:
-            return self.authored_times
-        times = frames.select(self.authored_times)
+            return times
+        times = frames.select(times)
         if not times:
             raise StageError(
                 f"{self.path}.points: no sample between the times {frames.start:g} and {frames.end:g} "

@@ -386,6 +386,12 @@ class Run:
                 f"{name} ({job.unskinned_because})" if name.startswith("skin binding") else name
                 for name in report.dropped
             ]
+        if self.options.bake:
+            # What was asked for is no loss.
+            report.dropped = [name for name in report.dropped if not name.startswith("skin binding")]
+        unused = job.source.point_count - len(job.mesh.used_points)
+        if unused:
+            report.dropped.append(f"{unused} point{'s' if unused > 1 else ''} that no face uses")
         if result.components_removed:
             report.dropped.append(f"{result.components_removed} small components of the surface")
         report.components_removed = result.components_removed

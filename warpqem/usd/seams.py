@@ -14,7 +14,7 @@ from pxr import Usd, UsdGeom
 from warpqem.components import lowest_members
 from warpqem.edges import edge_key
 from warpqem.transfer import is_proper, joined_faces
-from warpqem.usd.arrays import Samples, is_normal, primvar_samples, sample_codes
+from warpqem.usd.arrays import Samples, element_size, is_normal, is_of_one_type, primvar_samples, sample_codes
 from warpqem.usd.flat_shading import facet_signs
 from warpqem.usd.mesh import MeshSource
 
@@ -223,13 +223,16 @@ def _facets(source: MeshSource, edges: _InnerEdges, samples: Samples) -> npt.NDA
 def _authored_arrays(source: MeshSource) -> Iterator[tuple[str, str, Samples, bool]]:
     """Name, interpolation and samples of all primvars and normals, and whether they are normals."""
     for primvar in UsdGeom.PrimvarsAPI(source.prim).GetPrimvarsWithAuthoredValues():
-        name, samples = str(primvar.GetPrimvarName()), primvar_samples(primvar)
+        name, count = str(primvar.GetPrimvarName()), source.element_count(str(primvar.GetInterpolation()))
+        samples = primvar_samples(primvar, element_size(primvar, count))
         if samples is not None and not name.startswith("skel:"):
             normals = is_normal(primvar.GetTypeName()) or name == "normals"
             yield primvar.GetAttr().GetName(), str(primvar.GetInterpolation()), samples, normals
     attribute = source.mesh.GetNormalsAttr()
     if attribute.HasAuthoredValue():
         samples = Samples(sample_codes(attribute), lambda code: np.array(attribute.Get(code)))
+        if not is_of_one_type(attribute, list(samples)):
+            return
         yield "normals", str(source.mesh.GetNormalsInterpolation()), samples, True
 
 

@@ -18,7 +18,7 @@ from warpqem.usd.arrays import anchored
 from warpqem.usd.carrier import Carrier
 from warpqem.usd.drop import Dropped, drop_skin, drop_subdivision
 from warpqem.usd.point_samples import PointSamples
-from warpqem.usd.primvars import carry_arrays, carry_motion, carry_normals, carry_primvars
+from warpqem.usd.primvars import carry_motion, carry_normals, carry_primvars, name_arrays
 from warpqem.usd.skin import Skin
 from warpqem.usd.skin_output import write_skin
 from warpqem.usd.subsets import carry_subsets
@@ -193,7 +193,7 @@ class OverLayer:
         if with_normals:
             carry_normals(mesh, carrier, dropped, self._count_sample)
         carry_motion(prim, carrier, times or [], dropped, self._count_sample)
-        carry_arrays(prim, carrier, dropped, self._count_sample)
+        name_arrays(prim, carrier, dropped)
         carry_subsets(mesh, carrier, dropped)
         drop_subdivision(mesh, dropped)
         return dropped
