@@ -10,7 +10,7 @@ import numpy as np
 
 from warpqem.device import device_turn
 from warpqem.errors import OptionError
-from warpqem.frame_stream import ArraySink, FrameSink, NoFrames, SharedFrames
+from warpqem.frame_stream import ArraySink, FrameSink, NoFrames, SharedFrames, counted_frames
 from warpqem.measure.bound import DistanceBound, Excess
 from warpqem.mesh_input import MeshInput
 from warpqem.order.levels import OrderedLevels
@@ -54,6 +54,7 @@ class BoundSink:
     def __init__(self, sink: FrameSink, mesh: MeshInput, limit: float, diagonal: float, device: str) -> None:
         self._sink, self._mesh, self._limit, self._diagonal, self._device = sink, mesh, limit, diagonal, device
         self._bound: DistanceBound | None = None
+        self._counted = counted_frames(mesh.source)
 
     def begin(self, frame_count: int, vertex_count: int, faces: np.ndarray) -> None:
         """Begin a mesh of so many frames."""
@@ -67,6 +68,8 @@ class BoundSink:
         assert self._bound is not None
         with device_turn(self._device):
             for index, frame in enumerate(range(frames.start, frames.stop)):
+                if not self._counted[frame]:
+                    continue
                 own = reference[index].astype(np.float64)
                 low, high = own[self._mesh.used].min(axis=0), own[self._mesh.used].max(axis=0)
                 middle, unit = (low + high) / 2, float(np.linalg.norm(high - low)) or self._diagonal

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from warpqem.usd.frames import FrameRange
 from warpqem.usd.skel import MeshPoser, StagePoses
 from warpqem.usd.stage import SavedStage, world_scale
 from warpqem.usd.topology import Topology, read_topology
+from warpqem.usd.visibility import seen_frames
 
 __all__ = ["MeshLayout", "MeshSource", "PoseFrames", "StageMesh"]
 
@@ -93,6 +95,11 @@ class PoseFrames:
     def dtype(self) -> np.dtype[np.float32]:
         """Type of the points."""
         return np.dtype(np.float32)
+
+    @cached_property
+    def counted(self) -> npt.NDArray[np.bool_]:
+        """Poses that anybody sees, shape (F,)."""
+        return np.ones(1, dtype=bool) if self.times is None else seen_frames(self.source.prim, self.times)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Where to read them in another process."""

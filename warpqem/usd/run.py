@@ -16,7 +16,7 @@ from warpqem.arguments import target_count
 from warpqem.cost_models import cost_model
 from warpqem.errors import DeviceError, MeshShapeError, OptionError, StageError, UnreachableTargetError, WarpqemError
 from warpqem.frame_blocks import frame_blocks
-from warpqem.frame_stream import LaterFrames, NoFrames, read_ahead
+from warpqem.frame_stream import LaterFrames, NoFrames, counted_frames, read_ahead
 from warpqem.memory import parse_bytes
 from warpqem.symmetry import Mirror, find_mirror, simplify_symmetric
 from warpqem.transfer import is_proper
@@ -398,7 +398,7 @@ class Run:
         report.faces_after = len(result.faces)
         report.vertices_after = result.points.shape[1]
         report.error = float(result.error)
-        report.flips = int(result.flips[job.pose_start :].sum())
+        report.flips = int(result.flips[job.pose_start :][counted_frames(job.frames)[job.pose_start :]].sum())
 
 
 def _diagonal(job: MeshJob) -> float:

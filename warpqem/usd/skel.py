@@ -152,11 +152,12 @@ class MeshPoser:
         """Move points by joints, in place; false where their influences do not fit."""
         query = self.skinning_query
         influences = [
-            primvar.ComputeFlattened(time) for primvar in (query.GetJointIndicesPrimvar(), query.GetJointWeightsPrimvar())
+            primvar.ComputeFlattened(time)
+            for primvar in (query.GetJointIndicesPrimvar(), query.GetJointWeightsPrimvar())
         ]
         if isinstance(influences[0], Vt.IntArray) and isinstance(influences[1], Vt.FloatArray):
             return bool(query.ComputeSkinnedPoints(transforms, points, time))
-        # UsdSkel reads no numbers of other types, such as weights of double or half precision, but calculates with them.
+        # UsdSkel reads no numbers of other types, such as weights in double precision, but calculates with them.
         joints, weights = (np.asarray(values) for values in influences)
         if joints.dtype.kind not in "iu" or weights.dtype.kind not in "fiu":
             return False
