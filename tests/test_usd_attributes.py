@@ -108,9 +108,9 @@ def test_name_that_no_mesh_has_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"uv_weight": -1.0}, "uv_weight: expected a number from 0 to 1e.06, not -1"),
-        ({"uv_weight": float("nan")}, "not nan"),
-        ({"attribute_weights": (("st", float("inf")),)}, "attribute_weights of st: .* not inf"),
+        ({"uv_weight": -1.0}, "uv_weight must be in .0, 1e.06., got -1"),
+        ({"uv_weight": float("nan")}, "got nan"),
+        ({"attribute_weights": (("st", float("inf")),)}, "attribute_weights of st must be in .*, got inf"),
     ],
 )
 def test_weight_out_of_range_is_refused(options, message):

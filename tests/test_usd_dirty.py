@@ -69,7 +69,8 @@ def test_flawed_mesh_is_simplified(flaw, moving, tmp_path, flatten):
     write(tmp_path / "in.usda", *flaws()[flaw], moving)
     options = SimplifyOptions(ratio=0.5, device="cpu", flatten=flatten)
     [prim] = simplify_stage(tmp_path / "in.usda", tmp_path / "out.usda", options).prims
-    assert (prim.status, prim.dropped) == ("simplified", [])
+    lost = [line for line in prim.dropped if "no face uses" not in line]
+    assert (prim.status, lost) == ("simplified", [])
     assert prim.faces_after < prim.faces_before
     stage = Usd.Stage.Open(str(tmp_path / "out.usda"))
     check_stage(stage, Usd.Stage.Open(str(tmp_path / "in.usda")))

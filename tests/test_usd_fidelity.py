@@ -20,7 +20,7 @@ RECOMPUTED = ["points", "faceVertexCounts", "faceVertexIndices", "extent", "subd
 REMAPPED = [
     *(f"primvars:{name}_{kind}" for name in CARRIED for kind in LENGTHS if kind != "constant"),
     *("primvars:st", "primvars:gaps", "primvars:normals", "primvars:blockedOnce"),
-    *("normals", "velocities", "accelerations", "studio:points", "studio:faces"),
+    *("normals", "velocities", "accelerations"),
 ]  # fmt: skip
 # Values at points and faces come without indices, those at corners with new ones.
 INDICES = {
@@ -49,6 +49,8 @@ DROPPED = {
 # Other lines: what stays, but not as it was.
 LINES = {
     "unauthoredValuesIndex of primvars:gaps",
+    "the order of studio:points (an entry for each old point; make it a primvar)",
+    "the order of studio:faces (an entry for each old face; make it a primvar)",
     "the order of studio:corners (an entry for each old corner; make it a primvar)",
     "subdivision (catmullClark)",
 }

@@ -203,11 +203,11 @@ def test_mesh_without_normals_gets_none(flat):
     assert not flat.simplified().GetNormalsAttr().HasAuthoredValue()
 
 
-def test_attribute_with_a_value_for_each_point_is_carried(flat):
-    prim = flat.mesh.GetPrim()
-    prim.CreateAttribute("studio:x", NAMES.FloatArray).Set(POINTS[:, 0].tolist())
-    mesh = flat.simplified()
-    np.testing.assert_allclose(mesh.GetPrim().GetAttribute("studio:x").Get(), points_of(mesh)[:, 0], atol=1e-4)
+@pytest.mark.parametrize(("element", "count"), [("point", 81), ("face", 64), ("corner", 256)])
+def test_attribute_as_long_as_the_mesh_is_left_alone_and_named(flat, element, count):
+    flat.mesh.GetPrim().CreateAttribute("studio:table", NAMES.IntArray).Set(list(range(count)))
+    assert list(flat.simplified().GetPrim().GetAttribute("studio:table").Get()) == list(range(count))
+    assert flat.dropped == [f"the order of studio:table (an entry for each old {element}; make it a primvar)"]
 
 
 def test_attribute_of_another_length_is_left_alone(flat):

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from warpqem.device import device_turn
 from warpqem.distance_limit import DistanceLimit
 from warpqem.errors import OptionError
-from warpqem.frame_stream import ArraySink, FrameSink, NoFrames, SharedFrames
+from warpqem.frame_stream import ArraySink, FrameSink, NoFrames, SharedFrames, counted_frames
 from warpqem.measure.bound import DistanceBound, Excess, UnitBlock, UnitFrames
 from warpqem.mesh_input import AnimatedMesh, MeshInput
 from warpqem.order.cut import CollapseForest, Cut
@@ -45,6 +45,8 @@ LOOSE_BELOW = 8.0
 FIRST_FRAMES = 8
 # Frames of so many bytes are kept, so that of the next level only what has moved is placed.
 KEPT_BYTES = 16 * 2**20
+# A frame in which nobody sees the mesh is bounded as if it were so many times smaller: nothing in it is too far.
+UNSEEN = 1e9
 
 
 class ExceededError(Exception):
@@ -67,6 +69,7 @@ class _Frames:
 
     def __init__(self, mesh: MeshInput, limit: DistanceLimit, diagonal: float, device: str) -> None:
         self._mesh, self._limit, self._diagonal, self._device = mesh, limit, diagonal, device
+        self._counted = counted_frames(mesh.source)
         self._kept: tuple[object, UnitFrames, UnitBlock] | None = None
 
     def block(self, frames: slice) -> tuple[UnitFrames, UnitBlock]:
@@ -74,17 +77,18 @@ class _Frames:
         key = frames.start, frames.stop
         if self._kept is None or self._kept[0] != key:
             points = self._mesh.source.read(frames)
-            units = self.units(points)
+            units = self.units(points, np.arange(frames.start, frames.stop))
             self._kept = key, units, UnitBlock(points, units, self._device)
         return self._kept[1:]
 
-    def units(self, points: npt.NDArray[np.floating]) -> UnitFrames:
-        """What brings frames (n, V, 3) to unit size."""
+    def units(self, points: npt.NDArray[np.floating], frames: npt.NDArray[np.integer]) -> UnitFrames:
+        """What brings frames (n, V, 3) to unit size, those in which nobody sees the mesh to next to none."""
         used = points if self._mesh.used.all() else points[:, self._mesh.used]
         low, high = used.min(axis=1).astype(np.float64), used.max(axis=1).astype(np.float64)
         diagonal = np.linalg.norm(high - low, axis=1)
         diagonal = np.where(diagonal > 0.0, diagonal, self._diagonal)
-        return UnitFrames((low + high) / 2, self._limit.units(diagonal, self._diagonal))
+        units = self._limit.units(diagonal, self._diagonal)
+        return UnitFrames((low + high) / 2, np.where(self._counted[frames], units, UNSEEN * units))
 
 
 class BoundSink:
@@ -286,11 +290,12 @@ class _Search:
         mesh, keys = self._work.mesh, self._work.key_frames
         chosen = keys[np.unique(np.linspace(0, len(keys) - 1, FIRST_FRAMES).astype(int))]
         own = np.concatenate([mesh.source.read(slice(frame, frame + 1)) for frame in chosen.tolist()])
-        return _Block(self._work, mesh.chosen_points(chosen), own, self._frames.units(own))
+        return _Block(self._work, mesh.chosen_points(chosen), own, self._frames.units(own, chosen))
 
     def _block(self, frames: slice) -> _Block:
         own = self._work.mesh.source.read(frames)
-        return _Block(self._work, self._work.mesh.points(frames), own, self._frames.units(own))
+        units = self._frames.units(own, np.arange(frames.start, frames.stop))
+        return _Block(self._work, self._work.mesh.points(frames), own, units)
 
     def _within(self, choice: _Choice, block: _Block, coarser: Sequence[_Choice]) -> _Choice:
         """The level that holds in some frames, before it is refitted.

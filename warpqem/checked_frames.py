@@ -9,7 +9,7 @@ import numpy as np
 
 from warpqem.array_input import FLOAT32_MAX, INDEX_LIMIT, as_numpy
 from warpqem.errors import DegenerateMeshError, FrameSourceError, MeshShapeError, NonFinitePointError, OptionError
-from warpqem.frame_stream import FrameSource, held_bytes
+from warpqem.frame_stream import FrameSource, counted_frames, held_bytes
 from warpqem.number_input import shown, whole_number
 
 __all__ = ["BrokenPoints", "CheckedFrames", "check_sink", "check_source", "frame_bounds"]
@@ -60,6 +60,7 @@ class CheckedFrames:
 
     Attributes:
         held_bytes: what the source keeps in memory.
+        counted: (F,) bool, frames that count, see :func:`warpqem.frame_stream.counted_frames`.
     """
 
     def __init__(self, source: FrameSource, name: str) -> None:
@@ -71,7 +72,7 @@ class CheckedFrames:
         if self.vertex_count > INDEX_LIMIT:
             raise MeshShapeError(f"{name} have {self.vertex_count} vertices, more than the {INDEX_LIMIT} that can be")
         self.dtype = self._float_type()
-        self.held_bytes = held_bytes(source)
+        self.held_bytes, self.counted = held_bytes(source), counted_frames(source)
         self._bounds: np.ndarray | None = None
         self._seen = np.zeros(self.frame_count, dtype=bool)
 

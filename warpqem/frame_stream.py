@@ -29,6 +29,7 @@ __all__ = [
     "NoFrames",
     "SharedFrames",
     "SomeFrames",
+    "counted_frames",
     "held_bytes",
     "read_ahead",
 ]
@@ -129,6 +130,11 @@ class JoinedFrames:
         """What its parts keep in memory."""
         return sum(held_bytes(part) for part in self._parts)
 
+    @property
+    def counted(self) -> np.ndarray:
+        """Frames that count."""
+        return np.concatenate([counted_frames(part) for part in self._parts])
+
     def read(self, frames: slice) -> np.ndarray:
         """Consecutive frames, of as many parts as they lie in."""
         blocks, first = [], 0
@@ -152,6 +158,7 @@ class SomeFrames:
     def __init__(self, source: FrameSource, start: int, stop: int) -> None:
         self._source, self._start = source, start
         self.frame_count, self.vertex_count, self.dtype = stop - start, source.vertex_count, source.dtype
+        self.counted = counted_frames(source)[start:stop]
 
     def read(self, frames: slice) -> np.ndarray:
         """Frames counted from the first one here."""
@@ -172,6 +179,7 @@ class KeptFrames:
         self._source = source
         self.frame_count, self.vertex_count, self.dtype = source.frame_count, source.vertex_count, source.dtype
         self.held_bytes = 3 * self.dtype.itemsize * self.frame_count * self.vertex_count
+        self.counted = counted_frames(source)
         self._points: np.ndarray | None = None
 
     def read(self, frames: slice) -> np.ndarray:
@@ -191,12 +199,22 @@ class SharedFrames:
     def __init__(self, source: FrameSource) -> None:
         self._source, self._reading = source, threading.Lock()
         self.frame_count, self.vertex_count, self.dtype = source.frame_count, source.vertex_count, source.dtype
-        self.held_bytes = held_bytes(source)
+        self.held_bytes, self.counted = held_bytes(source), counted_frames(source)
 
     def read(self, frames: slice) -> np.ndarray:
         """Consecutive frames."""
         with self._reading:
             return self._source.read(frames)
+
+
+def counted_frames(source: FrameSource) -> np.ndarray:
+    """(F,) bool, frames that count in the order and in errors: all, unless the source has a ``counted`` of its own.
+
+    Frames in which nobody sees the mesh are placed like the others, and decide nothing. At least one counts.
+    """
+    counted = getattr(source, "counted", None)
+    everywhere = np.ones(source.frame_count, dtype=bool)
+    return everywhere if counted is None or not np.any(counted) else np.asarray(counted, dtype=bool)
 
 
 def held_bytes(source: FrameSource) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from warpqem.frame_stream import counted_frames
 from warpqem.mesh_input import MeshInput
 
 __all__ = ["KeyFrameChoice", "pose_bytes"]
@@ -18,7 +19,7 @@ FRAMES_AT_ONCE = 256
 
 
 class KeyFrameChoice:
-    """Farthest-point choice in pose space, starting with the first frame.
+    """Farthest-point choice in pose space, starting with the first frame that counts.
 
     The distance of two frames is the RMS distance of corresponding vertices after their centroids are laid together,
     so that travelling through the scene is not taken for a change of pose. Some vertices of every frame are gathered
@@ -30,10 +31,12 @@ class KeyFrameChoice:
     """
 
     def __init__(self, mesh: MeshInput, count: int) -> None:
-        self._count = min(count, mesh.frame_count)
+        # Where the source says which frames count, the others are no key frames.
+        self._counted = np.flatnonzero(counted_frames(mesh.source))
+        self._count = min(count, len(self._counted))
         used = np.flatnonzero(mesh.used)
         self._vertex = used[:: _step(mesh.frame_count, len(used))]
-        self._all = self._count == mesh.frame_count
+        self._all = self._count == len(self._counted)
         self._poses = np.empty((0 if self._all else mesh.frame_count, len(self._vertex), 3), dtype=np.float32)
 
     def observe(self, frames: slice, points: np.ndarray) -> None:
@@ -46,10 +49,11 @@ class KeyFrameChoice:
     def choose(self) -> np.ndarray:
         """The key frames, (K,) int, ascending; fewer than asked for where poses repeat."""
         if self._all:
-            return np.arange(self._count)
+            return self._counted
         frame_count = len(self._poses)
-        distance = np.full(frame_count, np.inf)
-        chosen = [0]
+        distance = np.full(frame_count, -np.inf)
+        distance[self._counted] = np.inf
+        chosen = [int(self._counted[0])]
         while len(chosen) < self._count:
             last = self._poses[chosen[-1]]
             for first in range(0, frame_count, FRAMES_AT_ONCE):

@@ -13,7 +13,7 @@ from warpqem.array_input import FLOAT32_MAX, INDEX_LIMIT, first_beyond, first_ou
 from warpqem.checked_frames import BrokenPoints, check_source, frame_bounds
 from warpqem.errors import DegenerateMeshError, FaceIndexError, MeshShapeError, OptionError
 from warpqem.frame_blocks import frame_blocks
-from warpqem.frame_stream import ArrayFrames, FrameSource, read_ahead
+from warpqem.frame_stream import ArrayFrames, FrameSource, counted_frames, read_ahead
 
 if TYPE_CHECKING:
     from warpqem.repair.mesh import MeshRepair
@@ -194,7 +194,7 @@ def measure_mesh(
     if broken is not None:
         raise broken.error()
     low, high = np.concatenate(lows), np.concatenate(highs)
-    diagonal = float(np.linalg.norm(high.astype(np.float64) - low, axis=1).max())
+    diagonal = float(np.linalg.norm(high.astype(np.float64) - low, axis=1)[counted_frames(mesh.source)].max())
     if not 0.0 < diagonal < np.inf:
         raise DegenerateMeshError(f"the mesh has no extent: its bounding-box diagonal is {diagonal:g} in every frame")
     if not 1.0 / FLOAT32_MAX < diagonal < FLOAT32_MAX:

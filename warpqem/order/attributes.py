@@ -7,7 +7,7 @@ import warp as wp
 
 from warpqem.kernels.mesh_state import Point, Quadric, Wedges
 
-__all__ = ["build_wedges"]
+__all__ = ["build_wedges", "face_gradients"]
 
 # A face whose height is below this part of its longest side has no gradient across that float32 positions could tell:
 # the values would seem to change without bound, and the vertices at a sliver to be held for ever.
@@ -35,7 +35,7 @@ def build_wedges(faces: np.ndarray, key_position: wp.array, values: np.ndarray |
     # Differences count, not values: float32 is finest about the middle.
     corner_value = (values - values.mean(axis=(0, 1))).reshape(faces.size, -1) * np.sqrt(key_count)
     corner_wedge, first = _share_values(faces.ravel(), corner_value)
-    area, gradient = _gradients(points[faces], corner_value.reshape(*faces.shape, -1))
+    area, gradient = face_gradients(points[faces], corner_value.reshape(*faces.shape, -1))
     corner_area, corner_gradient = np.repeat(area, 3), np.repeat(gradient, 3, axis=0)
     weighted = corner_area[:, None, None] * corner_gradient
     wedge_area = np.bincount(corner_wedge, corner_area)
@@ -74,7 +74,7 @@ def _share_values(corner_vertex: np.ndarray, corner_value: np.ndarray) -> tuple[
     return wedge, order[new]
 
 
-def _gradients(corners: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def face_gradients(corners: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Area (N,) and gradients (N, C, 3) of the linear functions with ``values`` (N, 3, C) at ``corners`` (N, 3, 3)."""
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal = np.cross(first, second)

@@ -13,11 +13,13 @@ __all__ = [
     "Samples",
     "anchored",
     "blocked_codes",
+    "element_size",
     "from_numpy",
     "is_continuous",
     "is_normal",
     "is_quaternion",
     "primvar_samples",
+    "reads_as_indices",
     "sample_codes",
     "to_numpy",
 ]
@@ -117,7 +119,7 @@ def from_numpy(array: npt.NDArray[Any], like: Any, element_size: int = 1) -> Any
         array = array.reshape(-1, *array.shape[2:])
     kind = type(like)
     if hasattr(kind, "FromNumpy"):
-        return kind.FromNumpy(np.ascontiguousarray(array))
+        return kind.FromNumpy(np.ascontiguousarray(array, dtype=np.array(like).dtype))
     return kind(array.tolist())
 
 
@@ -136,28 +138,59 @@ def is_normal(type_name: Sdf.ValueTypeName) -> bool:
     return str(type_name.role) == "Normal"
 
 
-def primvar_samples(primvar: UsdGeom.Primvar) -> Samples | None:
+def reads_as_indices(indices: Usd.Attribute) -> bool:
+    """True of indices of the type that USD takes as such; it passes over others."""
+    return indices.GetTypeName() == Sdf.ValueTypeNames.IntArray
+
+
+def element_size(primvar: UsdGeom.Primvar, count: int | None) -> int:
+    """How many values of a primvar make one element: its elementSize, or one where only that gives so many elements.
+
+    Exporters write the number of all values there, or leave it at nought.
+
+    Args:
+        primvar: The primvar.
+        count: Elements that there should be; None where nothing says.
+    """
+    size: int = primvar.GetElementSize()
+    if count is None or size == 1 or _element_count(primvar, size) == count:
+        return size
+    return 1 if _element_count(primvar, 1) == count else size
+
+
+def _element_count(primvar: UsdGeom.Primvar, size: int) -> int | None:
+    samples = primvar_samples(primvar, size)
+    return None if samples is None else len(next(iter(samples.values())))
+
+
+def primvar_samples(primvar: UsdGeom.Primvar, size: int | None = None) -> Samples | None:
     """The values of a primvar without its indices, (elements, ...) at each sample.
 
     Samples at which only the values or only the indices are there are left out.
 
+    Args:
+        primvar: The primvar.
+        size: Values of one element; None for its elementSize.
+
     Returns:
-        The samples; None if there are none, an index has no value, or they are of several types.
+        The samples; None if there are none, an index has no value or is no whole number, or they are of several types.
     """
-    indices = primvar.GetIndicesAttr()
+    attribute, indices = primvar.GetAttr(), primvar.GetIndicesAttr()
     has_indices = bool(indices and indices.HasAuthoredValue())
     codes = [
         code
-        for code in sample_codes(primvar.GetAttr(), indices)
-        if not primvar.IsIndexed() or indices.Get(code) is not None
+        for code in sample_codes(attribute, indices)
+        if attribute.Get(code) is not None and (not has_indices or indices.Get(code) is not None)
     ]
 
     def find(code: Usd.TimeCode) -> npt.NDArray[Any] | None:
-        values = to_numpy(primvar.GetAttr().Get(code), primvar.GetElementSize())
+        values = to_numpy(attribute.Get(code), primvar.GetElementSize() if size is None else size)
         if values is None or not has_indices:
             return values
         index = to_numpy(indices.Get(code))
-        if index is None or (len(index) and (index.min() < 0 or index.max() >= len(values))):
+        if index is None or index.dtype.kind not in "iu":
+            return None
+        if len(index) and (index.min() < 0 or index.max() >= len(values)):
             return None
         return values[index]
 
@@ -166,6 +199,6 @@ def primvar_samples(primvar: UsdGeom.Primvar) -> Samples | None:
         assert values is not None
         return values
 
-    if not codes or not is_of_one_type(primvar.GetAttr(), codes) or any(find(code) is None for code in codes):
+    if not codes or not is_of_one_type(attribute, codes) or any(find(code) is None for code in codes):
         return None
     return Samples(codes, read)

@@ -105,6 +105,12 @@ def write_shape(stage: Usd.Stage, shape: ShapeData, rows: Rows, diagonal: float)
         diagonal: Bounding-box diagonal of the mesh's rest shape.
     """
     prim = stage.OverridePrim(shape.path)
+    if not shape.arrays:
+        # A shape without offsets moves nothing. Point indices without offsets would not fit it.
+        attribute = UsdSkel.BlendShape(prim).GetPointIndicesAttr()
+        if attribute.Get():
+            attribute.Set(Vt.IntArray())
+        return
     carried = {name: rows.blend(values) for name, values in shape.arrays.items()}
     moves = np.zeros(len(rows.index), dtype=bool)
     for name, values in carried.items():

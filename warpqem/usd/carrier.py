@@ -10,10 +10,11 @@ import numpy.typing as npt
 from pxr import UsdGeom
 
 from warpqem.result import SimplifiedMesh
-from warpqem.transfer import SurfaceTransfer, blend, surface_transfer
+from warpqem.transfer import SurfaceTransfer, blend, is_proper, surface_transfer
 from warpqem.usd.feature_subsets import FAMILY
 from warpqem.usd.mesh import MeshSource
 from warpqem.usd.seams import MeshSeams
+from warpqem.usd.vertex_colors import fitted_values
 
 __all__ = ["Carrier", "Rows"]
 
@@ -50,8 +51,9 @@ class Rows:
         """The weighted mean of vectors (elements, ..., D), scaled to length one; where it vanishes, the heaviest.
 
         Args:
-            values: Unit vectors.
-            signed: False if a vector and its negative mean the same, as with the quaternions of rotations.
+            values: Directions.
+            signed: False if a vector and its negative mean the same, as with the quaternions of rotations. These keep
+                the mean of their lengths.
         """
         corners, heaviest = values[self.index].astype(np.float64), self.pick(values).astype(np.float64)
         weight = self.weight.astype(np.float64).reshape(*self.weight.shape, *[1] * (corners.ndim - 2))
@@ -60,7 +62,9 @@ class Rows:
             corners = np.where(agreement < 0, -corners, corners)
         mean = (weight * corners).sum(axis=1)
         length = np.linalg.norm(mean, axis=-1, keepdims=True)
-        return np.where(length > SHORTEST, mean / np.maximum(length, SHORTEST), heaviest)
+        # A quaternion of another length than one stays so: what its maker means by it is not known.
+        wanted = 1.0 if signed else (weight * np.linalg.norm(corners, axis=-1, keepdims=True)).sum(axis=1)
+        return np.where(length > SHORTEST, wanted * mean / np.maximum(length, SHORTEST), heaviest)
 
 
 class Carrier:
@@ -90,6 +94,7 @@ class Carrier:
             device: Warp device; None for the default.
         """
         self.prim = source.prim
+        self.input_count = source.element_count
         self.topology = source.topology
         self.point_count = source.point_count
         self.seams = seams
@@ -106,29 +111,33 @@ class Carrier:
         family = subset.GetFamilyNameAttr().Get()
         return family == FAMILY and subset.GetPrim().GetName() in self.feature_points
 
-    def input_count(self, interpolation: str) -> int | None:
-        """Elements of an array of this interpolation on the input; None for those without one per element."""
-        counts = {
-            UsdGeom.Tokens.vertex: self.point_count,
-            UsdGeom.Tokens.varying: self.point_count,
-            UsdGeom.Tokens.uniform: self.topology.polygon_count,
-            UsdGeom.Tokens.faceVarying: self.topology.corner_count,
-        }
-        return counts.get(interpolation)
-
     def vertices(self) -> Rows:
         """Output vertices as blends of authored points."""
         transfer = self._transfer(np.zeros((0, 2), dtype=np.int32))
         wedge = transfer.vertex_wedge
         return Rows(self.topology.triangles[transfer.wedge_face[wedge]].astype(np.int64), transfer.wedge_weight[wedge])
 
+    def colors(self, values: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
+        """Colours of the output vertices, (V', ...) float64, from those of the authored points, (P, ...)."""
+        points, faces, result = self._input
+        blended = self.vertices().blend(values)
+        cluster = np.where(is_proper(faces)[:, None], result.vertex_map[faces], -1)
+        corners = values[self.topology.triangles].reshape(len(faces), 3, -1)
+        fitted, found = fitted_values(corners, points, faces, cluster, result.points[0])
+        return np.where(found.reshape(-1, *[1] * (values.ndim - 1)), fitted.reshape(blended.shape), blended)
+
     def polygons(self) -> Rows:
         """Output faces as authored faces."""
         return Rows(self.face_polygon[:, None], np.ones((len(self.face_polygon), 1), dtype=np.float32))
 
+    def facets(self, name: str) -> npt.NDArray[np.int8] | None:
+        """`facet_signs` of the faces that the output faces go on from; None if normals shade none of them flat."""
+        signs = self.seams.facets.get(name)
+        return None if signs is None else signs[self._input[2].face_map]
+
     def is_cut(self, name: str) -> bool:
-        """True if an attribute has seams, or other values on the back of a sheet with two sides."""
-        return len(self.seams.by_name.get(name, ())) > 0 or name in self.seams.two_sided
+        """True if an attribute has seams, values of its own at corners of flat faces, or others on a sheet's back."""
+        return len(self.seams.by_name.get(name, ())) > 0 or name in self.seams.facets or name in self.seams.two_sided
 
     def corners(self, name: str, of_points: bool = False) -> tuple[Rows, npt.NDArray[np.int32]]:
         """Output corners as blends of input corners, those of an attribute on one side of its own seams as one.

@@ -60,7 +60,8 @@ def drop_subdivision(mesh: UsdGeom.Mesh, dropped: Dropped) -> None:
     if block(mesh.GetHoleIndicesAttr(), dropped):
         dropped.names.append("holeIndices (the holes stay, without faces)")
     scheme = mesh.GetSubdivisionSchemeAttr().Get()
-    if scheme != UsdGeom.Tokens.none:
+    # Most exporters that write no scheme mean polygons, though USD takes them for a subdivision surface.
+    if scheme != UsdGeom.Tokens.none and mesh.GetSubdivisionSchemeAttr().HasAuthoredValue():
         dropped.names.append(f"subdivision ({scheme})")
 
 

@@ -136,13 +136,13 @@ class MeshJob:
             StageError: a pose cannot be read.
         """
         options = options or ReadOptions()
-        mesh = source.layout(source.frame_times(options.frames))
+        skin, reason = None, None
+        if not options.bake and len(source.topology.triangles):
+            skin, reason = read_skin(source, shape_users or Counter(), options.influences)
+        mesh = source.layout(source.frame_times(options.frames, baked=skin is None))
         if not len(mesh.faces):
             frames = PoseFrames(source, mesh.times, mesh.used_points)
             return cls(source, mesh, mesh.faces, MeshSeams(), None, None, frames, 0, None)
-        skin, reason = None, None
-        if not options.bake:
-            skin, reason = read_skin(source, shape_users or Counter(), options.influences)
         clips = [(source, mesh.times)]
         if examples is not None:
             clips.insert(0, (examples, examples.frame_times()))

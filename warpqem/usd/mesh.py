@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -11,11 +12,13 @@ import numpy.typing as npt
 from pxr import Usd, UsdGeom, Vt
 
 from warpqem.errors import StageError, VaryingTopologyError
+from warpqem.usd.bake_times import bake_times
 from warpqem.usd.declared_types import check_declared_types
 from warpqem.usd.frames import FrameRange
 from warpqem.usd.skel import MeshPoser, StagePoses
 from warpqem.usd.stage import SavedStage, world_scale
 from warpqem.usd.topology import Topology, read_topology
+from warpqem.usd.visibility import seen_frames
 
 __all__ = ["MeshLayout", "MeshSource", "PoseFrames", "StageMesh"]
 
@@ -94,6 +97,11 @@ class PoseFrames:
         """Type of the points."""
         return np.dtype(np.float32)
 
+    @cached_property
+    def counted(self) -> npt.NDArray[np.bool_]:
+        """Poses that anybody sees, shape (F,)."""
+        return np.ones(1, dtype=bool) if self.times is None else seen_frames(self.source.prim, self.times)
+
     def __reduce__(self) -> tuple[Any, ...]:
         """Where to read them in another process."""
         stage = SavedStage.of(self.source.prim.GetStage())
@@ -157,17 +165,34 @@ class MeshSource:
         """True if the authored orientation is leftHanded."""
         return bool(self.mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded)
 
-    def frame_times(self, frames: FrameRange | None = None) -> list[float] | None:
+    def element_count(self, interpolation: str) -> int | None:
+        """Elements of an array of this interpolation; None for those without one per element."""
+        counts = {
+            UsdGeom.Tokens.vertex: self.point_count,
+            UsdGeom.Tokens.varying: self.point_count,
+            UsdGeom.Tokens.uniform: self.topology.polygon_count,
+            UsdGeom.Tokens.faceVarying: self.topology.corner_count,
+        }
+        return counts.get(interpolation)
+
+    def frame_times(self, frames: FrameRange | None = None, *, baked: bool = False) -> list[float] | None:
         """The time code of each frame, or None for a mesh that does not move.
+
+        Args:
+            frames: Which of them; None for all.
+            baked: The poses are to be written as points: the times that `bake_times` adds between are frames, too.
 
         Raises:
             StageError: the mesh moves but has no sample inside `frames`.
         """
         if not self.authored_times:
             return None
+        times = self.authored_times
+        if baked and self.poser is not None:
+            times = bake_times(self._stage, times)
         if frames is None:
-            return self.authored_times
-        times = frames.select(self.authored_times)
+            return times
+        times = frames.select(times)
         if not times:
             raise StageError(
                 f"{self.path}.points: no sample between the times {frames.start:g} and {frames.end:g} "

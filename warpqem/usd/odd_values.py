@@ -9,9 +9,9 @@ from collections.abc import Iterator
 
 import numpy as np
 import numpy.typing as npt
-from pxr import Usd, UsdGeom, UsdSkel
+from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
-from warpqem.usd.arrays import sample_codes, to_numpy
+from warpqem.usd.arrays import element_size, reads_as_indices, sample_codes, to_numpy
 from warpqem.usd.below import subsets_of
 from warpqem.usd.mesh import MeshSource
 
@@ -24,18 +24,45 @@ WEIGHT_TOLERANCE = 0.02
 def find_odd_values(source: MeshSource) -> list[str]:
     """One line for each attribute with such values, with prim, attribute and time.
 
-    Looked at are primvars, normals and motion that are no finite numbers, subsets of faces that do not exist,
-    transforms that are not finite or flatten the mesh, joint weights that are no shares, and skeletons and animations
-    whose arrays do not fit their joints.
+    Looked at are attributes of another type than the schema's, primvars whose elementSize or indices cannot be meant,
+    primvars, normals and motion that are no finite numbers, subsets of faces that do not exist, transforms that are not
+    finite or flatten the mesh, joint weights that are no shares, and skeletons and animations whose arrays do not fit
+    their joints.
     """
     mesh = source.mesh
-    found = [*_subsets(mesh, source.topology.polygon_count), *_transform(source)]
+    found = [
+        *_types(source.prim),
+        *_primvar_layout(source),
+        *_subsets(mesh, source.topology.polygon_count),
+        *_transform(source),
+    ]
     attributes = [primvar.GetAttr() for primvar in UsdGeom.PrimvarsAPI(mesh).GetPrimvarsWithAuthoredValues()]
     attributes += [mesh.GetNormalsAttr(), mesh.GetVelocitiesAttr(), mesh.GetAccelerationsAttr()]
     found += [text for text in map(_not_finite, attributes) if text is not None]
     if source.poser is not None:
         found += [*_weights(source.poser.skinning_query), *_skeleton(source.poser.skeleton_query)]
     return found
+
+
+def _types(prim: Usd.Prim) -> Iterator[str]:
+    known = set(prim.GetPrimDefinition().GetPropertyNames())
+    for attribute in prim.GetAuthoredAttributes():
+        value = attribute.Get(Usd.TimeCode.EarliestTime()) if attribute.GetName() in known else None
+        declared = attribute.GetTypeName()
+        if value is None or not declared.isArray or type(value) is type(declared.defaultValue):
+            continue
+        yield f"{attribute.GetPath()}: {Sdf.GetValueTypeNameForValue(value)} in the file, taken as {declared}"
+
+
+def _primvar_layout(source: MeshSource) -> Iterator[str]:
+    for primvar in UsdGeom.PrimvarsAPI(source.prim).GetPrimvarsWithAuthoredValues():
+        count = source.element_count(str(primvar.GetInterpolation()))
+        size = element_size(primvar, count)
+        if size != primvar.GetElementSize():
+            yield f"{primvar.GetAttr().GetPath()}: elementSize {primvar.GetElementSize()} does not fit, taken as {size}"
+        indices = primvar.GetIndicesAttr()
+        if indices and indices.HasAuthoredValue() and not reads_as_indices(indices):
+            yield f"{indices.GetPath()}: {indices.GetTypeName()}, where USD reads int[]"
 
 
 def _not_finite(attribute: Usd.Attribute) -> str | None:

@@ -2,33 +2,47 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from operator import itemgetter
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from pxr import Sdf, Usd, UsdGeom, Vt
+from pxr import Sdf, Tf, Usd, UsdGeom, Vt
 
 from warpqem.usd.arrays import (
     Samples,
     anchored,
     blocked_codes,
+    element_size,
     from_numpy,
     is_continuous,
     is_normal,
     is_of_one_type,
     is_quaternion,
     primvar_samples,
+    reads_as_indices,
     sample_codes,
     to_numpy,
 )
 from warpqem.usd.carrier import Carrier, Rows
 from warpqem.usd.drop import Dropped, block
+from warpqem.usd.flat_shading import facet_normals
+from warpqem.usd.seams import DISPLAY_COLORS
+from warpqem.usd.usd_errors import first_line
 
-__all__ = ["carry_arrays", "carry_motion", "carry_normals", "carry_primvars"]
+__all__ = ["carry_motion", "carry_normals", "carry_primvars", "name_arrays"]
 
 POINT_INTERPOLATIONS = (UsdGeom.Tokens.vertex, UsdGeom.Tokens.varying)
+# Elements of a mesh by the interpolation of what has a value for each.
+ELEMENTS = {
+    "point": UsdGeom.Tokens.vertex,
+    "face": UsdGeom.Tokens.uniform,
+    "corner": UsdGeom.Tokens.faceVarying,
+}
+# What USD raises for a value that it does not take.
+UNWRITABLE = (Tf.ErrorException, TypeError, ValueError)
 PARTNERS = {"skel:jointIndices": "skel:jointWeights", "skel:jointWeights": "skel:jointIndices"}
 MOTION_ATTRIBUTES = ("velocities", "accelerations")
 
@@ -53,30 +67,60 @@ def carry_primvars(prim: Usd.Prim, carrier: Carrier, dropped: Dropped, saved: Sa
                 block(primvar.GetAttr(), dropped)
                 dropped.names.append(f"primvars:{name} without {PARTNERS[name]}")
             continue
-        original = UsdGeom.PrimvarsAPI(carrier.prim).GetPrimvar(name)
-        samples = primvar_samples(original)
-        count = carrier.input_count(interpolation)
-        if samples is None or count is None or any(len(values) != count for values in samples.values()):
+        with _dropped_where_refused(primvar.GetAttr(), f"primvars:{name} ({interpolation})", dropped):
+            if not _carry_primvar(prim, primvar, carrier, dropped, saved):
+                block(primvar.GetAttr(), dropped)
+                dropped.names.append(f"primvars:{name} ({interpolation})")
+        if primvar.GetAttr().GetPath() in dropped.blocked:
             block(primvar.GetIndicesAttr(), dropped)
-            block(primvar.GetAttr(), dropped)
-            dropped.names.append(f"primvars:{name} ({interpolation})")
-            continue
-        if primvar.GetUnauthoredValuesIndex() >= 0:
-            # It is an entry of the old values.
-            primvar.SetUnauthoredValuesIndex(-1)
-            dropped.names.append(f"unauthoredValuesIndex of primvars:{name}")
-        rows, corner_row = _rows(carrier, primvar.GetAttr().GetName(), interpolation)
-        size, unit_length = primvar.GetElementSize(), name == "normals"
-        carried = _carry(original.GetAttr(), samples, rows, unit_length)
-        if corner_row is not None:
-            carried, corner_row = _merge_equal(carried, corner_row)
-        _write_values(primvar.GetAttr(), carried, saved, size)
-        if corner_row is not None:
-            # CreateIndicesAttr gives an invalid attribute for the first indices before USD 25.02.
-            primvar.SetIndices(Vt.IntArray.FromNumpy(np.ascontiguousarray(corner_row.ravel())))
-            primvar.SetInterpolation(UsdGeom.Tokens.faceVarying)
-        else:
-            block(primvar.GetIndicesAttr(), dropped)
+
+
+@contextmanager
+def _dropped_where_refused(attribute: Usd.Attribute, name: str, dropped: Dropped) -> Iterator[None]:
+    """Drop an attribute that USD does not take: it is no matter of the mesh, let alone of the others."""
+    try:
+        yield
+    except UNWRITABLE as error:
+        block(attribute, dropped)
+        dropped.names.append(f"{name}: {first_line(error)}")
+
+
+def _carry_primvar(prim: Usd.Prim, primvar: UsdGeom.Primvar, carrier: Carrier, dropped: Dropped, saved: Saved) -> bool:
+    """Bring one primvar to the new topology; false if its values do not fit the old one."""
+    name, interpolation = str(primvar.GetPrimvarName()), str(primvar.GetInterpolation())
+    original = UsdGeom.PrimvarsAPI(carrier.prim).GetPrimvar(name)
+    count = carrier.input_count(interpolation)
+    size = element_size(original, count)
+    samples = primvar_samples(original, size)
+    if samples is None or count is None or any(len(values) != count for values in samples.values()):
+        return False
+    if primvar.GetUnauthoredValuesIndex() >= 0:
+        # It is an entry of the old values.
+        primvar.SetUnauthoredValuesIndex(-1)
+        dropped.names.append(f"unauthoredValuesIndex of primvars:{name}")
+    rows, corner_row = _rows(carrier, primvar.GetAttr().GetName(), interpolation)
+    if _is_fitted(original, interpolation) and corner_row is None:
+        carried = samples.map(lambda values: carrier.colors(values).astype(values.dtype))
+    else:
+        carried = _carry(original.GetAttr(), samples, rows, name == "normals")
+    carried, corner_row = _with_facets(prim, carrier, primvar.GetAttr().GetName(), carried, corner_row)
+    indices = primvar.GetIndicesAttr()
+    if corner_row is not None and indices and not reads_as_indices(indices):
+        # Indices of another type can be none of USD's.
+        carried, corner_row = carried.map(itemgetter(corner_row.ravel())), None
+        primvar.SetInterpolation(UsdGeom.Tokens.faceVarying)
+    if corner_row is not None:
+        carried, corner_row = _merge_equal(carried, corner_row)
+    _write_values(primvar.GetAttr(), carried, saved, size)
+    if size != primvar.GetElementSize():
+        primvar.SetElementSize(size)
+    if corner_row is not None:
+        # CreateIndicesAttr gives an invalid attribute for the first indices before USD 25.02.
+        primvar.SetIndices(Vt.IntArray.FromNumpy(np.ascontiguousarray(corner_row.ravel())))
+        primvar.SetInterpolation(UsdGeom.Tokens.faceVarying)
+    else:
+        block(indices, dropped)
+    return True
 
 
 def carry_normals(mesh: UsdGeom.Mesh, carrier: Carrier, dropped: Dropped, saved: Saved) -> None:
@@ -97,8 +141,11 @@ def carry_normals(mesh: UsdGeom.Mesh, carrier: Carrier, dropped: Dropped, saved:
     if corner_row is not None:
         # The attribute has no indices, so that each corner has its own entry.
         rows = Rows(rows.index[corner_row.ravel()], rows.weight[corner_row.ravel()])
+        corner_row = np.arange(corner_row.size, dtype=np.int32).reshape(corner_row.shape)
         mesh.SetNormalsInterpolation(UsdGeom.Tokens.faceVarying)
-    _write_values(attribute, _carry(original, samples, rows, True), saved)
+    with _dropped_where_refused(attribute, f"normals ({interpolation})", dropped):
+        carried = _carry(original, samples, rows, True)
+        _write_values(attribute, _with_facets(mesh.GetPrim(), carrier, "normals", carried, corner_row)[0], saved)
 
 
 def carry_motion(prim: Usd.Prim, carrier: Carrier, point_times: list[float], dropped: Dropped, saved: Saved) -> None:
@@ -113,13 +160,14 @@ def carry_motion(prim: Usd.Prim, carrier: Carrier, point_times: list[float], dro
             block(attribute, dropped)
             dropped.names.append(name)
             continue
-        _write_values(attribute, _carry(original, samples, carrier.vertices()), saved)
+        with _dropped_where_refused(attribute, name, dropped):
+            _write_values(attribute, _carry(original, samples, carrier.vertices()), saved)
 
 
-def carry_arrays(prim: Usd.Prim, carrier: Carrier, dropped: Dropped, saved: Saved) -> None:
-    """Bring arrays that no schema of the mesh knows to the new points or faces, if they have as many entries.
+def name_arrays(prim: Usd.Prim, carrier: Carrier, dropped: Dropped) -> None:
+    """Name arrays that no schema of the mesh knows and that have as many entries as it has points, faces or corners.
 
-    Those with an entry for each corner stay as they are, and are named: nothing says where they are continuous.
+    They stay as they are: whether they belong to these elements, or just happen to be as long, nothing says.
     """
     known = set(prim.GetPrimDefinition().GetPropertyNames())
     for attribute in prim.GetAuthoredAttributes():
@@ -130,14 +178,10 @@ def carry_arrays(prim: Usd.Prim, carrier: Carrier, dropped: Dropped, saved: Save
         if name.startswith(("primvars:", "skel:")):
             continue
         original = carrier.prim.GetAttribute(name)
-        for interpolation in (UsdGeom.Tokens.vertex, UsdGeom.Tokens.uniform):
-            samples = _samples_of_length(original, carrier.input_count(interpolation))
-            if samples:
-                _write_values(attribute, _carry(original, samples, _rows(carrier, name, interpolation)[0]), saved)
+        for element, interpolation in ELEMENTS.items():
+            if _samples_of_length(original, carrier.input_count(interpolation)):
+                dropped.names.append(f"the order of {name} (an entry for each old {element}; make it a primvar)")
                 break
-        else:
-            if _samples_of_length(original, carrier.input_count(UsdGeom.Tokens.faceVarying)):
-                dropped.names.append(f"the order of {name} (an entry for each old corner; make it a primvar)")
 
 
 def _rows(carrier: Carrier, name: str, interpolation: str) -> tuple[Rows, npt.NDArray[np.int32] | None]:
@@ -149,6 +193,13 @@ def _rows(carrier: Carrier, name: str, interpolation: str) -> tuple[Rows, npt.ND
     if interpolation == UsdGeom.Tokens.uniform:
         return carrier.polygons(), None
     return carrier.vertices(), None
+
+
+def _is_fitted(primvar: UsdGeom.Primvar, interpolation: str) -> bool:
+    """True of display colours and opacities at points."""
+    name = str(primvar.GetAttr().GetName())
+    is_real = is_continuous(primvar.GetAttr().Get(Usd.TimeCode.EarliestTime()))
+    return name in DISPLAY_COLORS and interpolation in POINT_INTERPOLATIONS and is_real
 
 
 def _samples_of_length(attribute: Usd.Attribute, count: int | None) -> Samples | None:
@@ -180,6 +231,26 @@ def _carry(original: Usd.Attribute, samples: Samples, rows: Rows, unit_length: b
     return samples.map(lambda values: rows.blend(values).astype(values.dtype))
 
 
+def _with_facets(
+    prim: Usd.Prim, carrier: Carrier, name: str, carried: Samples, corner_row: npt.NDArray[np.int32] | None
+) -> tuple[Samples, npt.NDArray[np.int32] | None]:
+    """The same where flat-shaded faces have normals of their own, and the row of each corner."""
+    signs = carrier.facets(name)
+    if signs is None:
+        return carried, corner_row
+    points = UsdGeom.Mesh(prim).GetPointsAttr()
+
+    def change(code: Usd.TimeCode) -> npt.NDArray[Any]:
+        values = carried[code]
+        at_faces = values if corner_row is None else values[corner_row]
+        pose = points.Get(code) or points.Get(Usd.TimeCode.EarliestTime())
+        own = facet_normals(at_faces, np.asarray(pose, dtype=np.float64), carrier.faces, signs)
+        return own.reshape(-1, 3).astype(values.dtype)
+
+    own_row = None if corner_row is None else np.arange(corner_row.size, dtype=np.int32).reshape(corner_row.shape)
+    return Samples(list(carried), change), own_row
+
+
 def _merge_equal(samples: Samples, corner_row: npt.NDArray[np.int32]) -> tuple[Samples, npt.NDArray[np.int32]]:
     """Make rows that are equal in all samples one."""
     label = np.zeros(int(corner_row.max(initial=-1)) + 1, dtype=np.int64)
@@ -202,7 +273,10 @@ def _write_values(attribute: Usd.Attribute, samples: Samples, saved: Saved, elem
     """Author every sample."""
     # Read before anything is written: the first sample written hides those of weaker layers.
     like, blocked = next((attribute.Get(code) for code in samples), None), blocked_codes(attribute)
-    default = attribute.Get()
+    default, declared = attribute.Get(), attribute.GetTypeName().defaultValue
+    if hasattr(type(declared), "FromNumpy"):
+        # A file may hold values of another type than the schema declares, such as whole numbers.
+        like = declared
     for code, values in samples.items():
         written = from_numpy(values, like, element_size)
         attribute.Set(written, code)

@@ -23,7 +23,7 @@ from warpqem.errors import (
     WarpqemError,
 )
 from warpqem.frame_blocks import frame_blocks
-from warpqem.frame_stream import LaterFrames, NoFrames, read_ahead
+from warpqem.frame_stream import LaterFrames, NoFrames, counted_frames, read_ahead
 from warpqem.memory import parse_bytes
 from warpqem.options import target_count
 from warpqem.symmetry import Mirror, find_mirror, simplify_symmetric
@@ -509,13 +509,19 @@ class Run:
                 f"{name} ({job.unskinned_because})" if name.startswith("skin binding") else name
                 for name in report.dropped
             ]
+        if self.options.bake:
+            # What was asked for is no loss.
+            report.dropped = [name for name in report.dropped if not name.startswith("skin binding")]
+        unused = job.source.point_count - len(job.mesh.used_points)
+        if unused:
+            report.dropped.append(f"{unused} point{'s' if unused > 1 else ''} that no face uses")
         if result.components_removed:
             report.dropped.append(f"{result.components_removed} small components of the surface")
         report.components_removed = result.components_removed
         report.faces_after = len(result.faces)
         report.vertices_after = result.points.shape[1]
         report.error = float(result.error)
-        report.flips = int(result.flips[job.pose_start :].sum())
+        report.flips = int(result.flips[job.pose_start :][counted_frames(job.frames)[job.pose_start :]].sum())
 
 
 def _diagonal(job: MeshJob) -> float:

@@ -1,8 +1,8 @@
-"""Find the edges that values on a mesh do not cross: UV seams, hard edges, subset borders, creases."""
+"""Find the edges that values on a mesh do not cross: UV seams, hard edges, colour and subset borders, creases."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from operator import itemgetter
 from typing import Any
@@ -15,11 +15,12 @@ from warpqem.components import lowest_members
 from warpqem.edges import edge_key
 from warpqem.repair.mesh import MeshRepair
 from warpqem.transfer import is_proper, joined_faces
-from warpqem.usd.arrays import Samples, is_normal, primvar_samples, sample_codes
+from warpqem.usd.arrays import Samples, element_size, is_normal, is_of_one_type, primvar_samples, sample_codes
 from warpqem.usd.below import subsets_of
+from warpqem.usd.flat_shading import facet_signs
 from warpqem.usd.mesh import MeshSource
 
-__all__ = ["MeshSeams", "corner_values", "find_seams"]
+__all__ = ["DISPLAY_COLORS", "MeshSeams", "corner_values", "face_values", "find_seams", "is_color"]
 
 # Normals on two sides of an edge that differ by less than this angle are one smooth shading (cosine of 15 degrees, half
 # the angle at which modelling tools harden edges by default).
@@ -28,6 +29,9 @@ SMOOTH_COSINE = float(np.cos(np.radians(15.0)))
 # Values whose seams end or fork at more than this share of the vertices are no islands with borders but values of
 # single faces, as on a flat-shaded mesh. Held closed, such seams would leave next to nothing to simplify.
 DENSE_SHARE = 0.25
+
+# What a renderer colours a mesh by where no material does.
+DISPLAY_COLORS = ("primvars:displayColor", "primvars:displayOpacity")
 
 # The attributes that shade a mesh.
 NORMALS = ("normals", "primvars:normals")
@@ -40,16 +44,19 @@ class MeshSeams:
     """The seams of one mesh as pairs of vertices.
 
     Attributes:
-        by_name: The seams of each attribute with one value per corner, int32, shape (S, 2).
+        by_name: The seams of each attribute with one value per corner, and of colours and normals of faces, int32,
+            shape (S, 2).
         borders: Subset borders and creases, int32, shape (S, 2).
         dense: Names of the attributes whose seams are too many to be held closed.
         two_sided: Names of the attributes with other values on the back of a sheet with two sides.
+        facets: Of normals by which some faces are shaded flat: what `facet_signs` gives for the triangles.
     """
 
     by_name: dict[str, Pairs] = field(default_factory=dict)
     borders: Pairs = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int32))
     dense: list[str] = field(default_factory=list)
     two_sided: list[str] = field(default_factory=list)
+    facets: dict[str, npt.NDArray[np.int8]] = field(default_factory=dict)
 
     def add(self, name: str, pairs: Pairs, vertex_count: int) -> None:
         """Add the seams of one attribute."""
@@ -138,7 +145,7 @@ def find_seams(
     with_normals: bool = True,
     repair: MeshRepair | None = None,
 ) -> MeshSeams:
-    """The seams of all faceVarying primvars and normals, of face subsets, and the creases.
+    """The seams of all faceVarying primvars and normals, of colours and normals of faces, of subsets, and the creases.
 
     Where points were welded, also those of point values that differ between the points that became one vertex.
 
@@ -157,8 +164,9 @@ def find_seams(
     if not len(faces):
         return seams
     edges = _InnerEdges.of(faces, faces if repair is None else repair.sheets)
-    sides = None if repair is None else repair.back_corners()
-    for name, samples, normals in corner_values(source, welded):
+    sides, vertex_count = None if repair is None else repair.back_corners(), int(faces.max()) + 1
+    found = corner_values(source, welded) + face_values(source)
+    for name, samples, normals in found:
         if name in NORMALS and not with_normals:
             continue
         differ = np.zeros(len(edges.ends), dtype=bool)
@@ -166,7 +174,10 @@ def find_seams(
             differ |= edges.values_differ(values, normals)
             if sides is not None and name not in seams.two_sided and (values[sides[0]] != values[sides[1]]).any():
                 seams.two_sided.append(name)
-        seams.add(name, edges.where(differ), int(faces.max()) + 1)
+        seams.add(name, edges.where(differ), vertex_count)
+        signs = _facets(source, edges, samples) if name in NORMALS else None
+        if signs is not None and signs.any():
+            seams.facets[name] = signs
     borders = [_subset_borders(source, edges), _creases(source, edges, faces)]
     seams.borders = np.unique(np.concatenate(borders), axis=0).astype(np.int32)
     return seams
@@ -179,6 +190,28 @@ def corner_values(source: MeshSource, points_too: bool) -> list[tuple[str, Sampl
     if points_too:
         for interpolation in (UsdGeom.Tokens.vertex, UsdGeom.Tokens.varying):
             places[interpolation] = (source.point_count, topology.triangles.ravel())
+    return _values_at(source, places)
+
+
+def face_values(source: MeshSource) -> list[tuple[str, Samples, bool]]:
+    """Colours and normals with a value per face: name, samples at the triangles' corners, if normals.
+
+    Other values of faces have no borders that show.
+    """
+    corner_polygon = np.repeat(source.topology.triangle_polygons, 3)
+    found = _values_at(source, {UsdGeom.Tokens.uniform: (source.topology.polygon_count, corner_polygon)})
+    return [entry for entry in found if entry[2] or is_color(source.prim.GetAttribute(entry[0]))]
+
+
+def is_color(attribute: Usd.Attribute) -> bool:
+    """True of what a mesh is coloured by: the display colour and opacity, and values that are declared as colours."""
+    return attribute.GetName() in DISPLAY_COLORS or str(attribute.GetTypeName().role) == "Color"
+
+
+def _values_at(
+    source: MeshSource, places: Mapping[str, tuple[int, npt.NDArray[np.int32]]]
+) -> list[tuple[str, Samples, bool]]:
+    """Attributes with these interpolations, each with the count of its values and the one at each triangle corner."""
     found = []
     for name, interpolation, samples, normals in _authored_arrays(source):
         if interpolation in places:
@@ -188,16 +221,30 @@ def corner_values(source: MeshSource, points_too: bool) -> list[tuple[str, Sampl
     return found
 
 
+def _facets(source: MeshSource, edges: _InnerEdges, samples: Samples) -> npt.NDArray[np.int8] | None:
+    """Which triangles are shaded flat by normals, by their first sample; None where they are no vectors."""
+    code, normals = next(iter(samples.items()))
+    points = source.mesh.GetPointsAttr().Get(code) or source.mesh.GetPointsAttr().Get(Usd.TimeCode.EarliestTime())
+    if normals.dtype.kind != "f" or normals.shape[1:] != (3,) or points is None or len(points) != source.point_count:
+        return None
+    topology = source.topology
+    corners = np.asarray(points, dtype=np.float64)[topology.triangles]
+    return facet_signs(normals, corners, edges.corner, topology.triangle_polygons)
+
+
 def _authored_arrays(source: MeshSource) -> Iterator[tuple[str, str, Samples, bool]]:
     """Name, interpolation and samples of all primvars and normals, and whether they are normals."""
     for primvar in UsdGeom.PrimvarsAPI(source.prim).GetPrimvarsWithAuthoredValues():
-        name, samples = str(primvar.GetPrimvarName()), primvar_samples(primvar)
+        name, count = str(primvar.GetPrimvarName()), source.element_count(str(primvar.GetInterpolation()))
+        samples = primvar_samples(primvar, element_size(primvar, count))
         if samples is not None and not name.startswith("skel:"):
             normals = is_normal(primvar.GetTypeName()) or name == "normals"
             yield primvar.GetAttr().GetName(), str(primvar.GetInterpolation()), samples, normals
     attribute = source.mesh.GetNormalsAttr()
     if attribute.HasAuthoredValue():
         samples = Samples(sample_codes(attribute), lambda code: np.array(attribute.Get(code)))
+        if not is_of_one_type(attribute, list(samples)):
+            return
         yield "normals", str(source.mesh.GetNormalsInterpolation()), samples, True
 
 

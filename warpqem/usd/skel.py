@@ -144,12 +144,39 @@ class MeshPoser:
             # and comes out up to a few millionths of the distance from the origin apart.
             rigid = np.array(self.skinning_query.ComputeSkinnedTransform(transforms, time))
             return self._to_local_space(_transform(np.asarray(points), rigid), time)
-        if transforms is None or not self.skinning_query.ComputeSkinnedPoints(transforms, points, time):
+        if transforms is None or not self._skin(transforms, points, time):
             raise StageError(
                 f"{self.prim.GetPath()}: UsdSkel cannot skin the {len(points)} points at time {time} "
                 f"with skeleton {self.skeleton_query.GetPrim().GetPath()} (primvars:skel:jointIndices, jointWeights)"
             )
         return self._to_local_space(np.asarray(points), time)
+
+    def _skin(self, transforms: Vt.Matrix4dArray, points: Vt.Vec3fArray, time: float | Usd.TimeCode) -> bool:
+        """Move points by joints, in place; false where their influences do not fit."""
+        query = self.skinning_query
+        influences = [
+            primvar.ComputeFlattened(time)
+            for primvar in (query.GetJointIndicesPrimvar(), query.GetJointWeightsPrimvar())
+        ]
+        if isinstance(influences[0], Vt.IntArray) and isinstance(influences[1], Vt.FloatArray):
+            return bool(query.ComputeSkinnedPoints(transforms, points, time))
+        # UsdSkel reads no numbers of other types, such as weights in double precision, but calculates with them.
+        joints, weights = (np.asarray(values) for values in influences)
+        if joints.dtype.kind not in "iu" or weights.dtype.kind not in "fiu":
+            return False
+        mapper = query.GetJointMapper()
+        ordered = transforms if mapper is None else mapper.RemapTransforms(transforms)
+        return bool(
+            UsdSkel.SkinPoints(
+                query.GetSkinningMethod(),
+                query.GetGeomBindTransform(time),
+                ordered,
+                Vt.IntArray.FromNumpy(joints.astype(np.int32)),
+                Vt.FloatArray.FromNumpy(weights.astype(np.float32)),
+                query.GetNumInfluencesPerComponent(),
+                points,
+            )
+        )
 
     def shaped(self, rest_points: Vt.Vec3fArray, time: float | Usd.TimeCode) -> npt.NDArray[np.float32]:
         """The rest points as blend shapes leave them to the joints, float32, shape (point count, 3)."""

@@ -16,7 +16,7 @@ from pxr import Usd, UsdGeom
 
 from warpqem.errors import OptionError, StageError
 from warpqem.importance import MOST_WEIGHT
-from warpqem.usd.arrays import primvar_samples
+from warpqem.usd.arrays import element_size, primvar_samples
 from warpqem.usd.job import MeshJob
 from warpqem.usd.option_checks import bare_name
 
@@ -80,7 +80,7 @@ def painted_weights(job: MeshJob, name: str | None) -> npt.NDArray[np.float64] |
         UsdGeom.Tokens.faceVarying: (topology.corner_count, topology.triangle_corners),
     }
     count, element = places[str(primvar.GetInterpolation())]
-    samples = primvar_samples(primvar)
+    samples = primvar_samples(primvar, element_size(primvar, count))
     if not samples:
         raise StageError(f"{path}: has no values that could be weights")
     weights = np.zeros(job.frames.vertex_count)

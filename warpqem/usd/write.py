@@ -24,7 +24,7 @@ from warpqem.usd.instances import end_instancing, flat_places, move_to_classes
 from warpqem.usd.layer_output import merge_edits
 from warpqem.usd.package import PACKAGE_SUFFIX, is_package, write_package
 from warpqem.usd.point_samples import PointSamples
-from warpqem.usd.primvars import carry_arrays, carry_motion, carry_normals, carry_primvars
+from warpqem.usd.primvars import carry_motion, carry_normals, carry_primvars, name_arrays
 from warpqem.usd.skin import Skin
 from warpqem.usd.skin_output import write_skin
 from warpqem.usd.stage import MeshSelection
@@ -238,7 +238,7 @@ class OverLayer:
         if with_normals:
             carry_normals(mesh, carrier, dropped, self.count_sample)
         carry_motion(prim, carrier, times or [], dropped, self.count_sample)
-        carry_arrays(prim, carrier, dropped, self.count_sample)
+        name_arrays(prim, carrier, dropped)
         carry_subsets(mesh, carrier, dropped)
         drop_subdivision(mesh, dropped)
         return dropped
