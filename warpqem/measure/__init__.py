@@ -2,6 +2,8 @@
 
 from warpqem.measure.comparison import Comparison, FrameErrors, compare
 from warpqem.measure.heatmap import distance_colors, vertex_distances
+from warpqem.measure.measured import Measured
 from warpqem.measure.topology import Topology, topology
+from warpqem.measure.verdict import LIMITS, Verdict
 
-__all__ = ["Comparison", "FrameErrors", "Topology", "compare", "distance_colors", "topology", "vertex_distances"]
+__all__ = ["LIMITS", "Comparison", "FrameErrors", "Measured", "Topology", "Verdict", "compare", "distance_colors", "topology", "vertex_distances"]
