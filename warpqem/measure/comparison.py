@@ -141,7 +141,6 @@ def compare(
         seed=seed,
         device=device,
         progress=progress,
-        every_frame=True,
     )
     slide, edge_length_error = binding_errors(reference, test, centre, diagonal, device)
     return Comparison(

@@ -66,7 +66,7 @@ class Measured:
 def measured_errors(comparison: SurfaceComparison) -> Measured:
     """The errors over all frames of a comparison that is done."""
     frames, diagonal = comparison.per_frame(), comparison.diagonals()
-    hausdorff = comparison.hausdorff()
+    hausdorff = float(frames.hausdorff.max())
     return Measured(
         rms=float(frames.rms.mean()),
         rms_forward=float(frames.rms_forward.mean()),
@@ -102,7 +102,6 @@ def measure_frames(
     seed: int = 0,
     device: str,
     progress: Callable[[int, int], None] | None = None,
-    every_frame: bool = False,
 ) -> SurfaceComparison:
     """Measure a mesh against its reference, reading a group of frames at a time.
 
@@ -116,13 +115,12 @@ def measure_frames(
         seed: seed of the samples.
         device: Warp device.
         progress: called with the number of frames done, and of all.
-        every_frame: search for the largest distance in each frame too.
 
     Raises:
         DegenerateMeshError: no extent or no area in a frame.
     """
     samples = sample_count(len(frames)) if samples is None else samples
-    comparison = SurfaceComparison(reference_faces, test_faces, len(frames), samples, seed, device, every_frame)
+    comparison = SurfaceComparison(reference_faces, test_faces, len(frames), samples, seed, device)
     for first in range(0, len(frames), comparison.group):
         some = frames[first : first + comparison.group]
         if some[-1] - some[0] == len(some) - 1:

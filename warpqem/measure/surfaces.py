@@ -30,6 +30,8 @@ MAX_SAMPLES, MIN_SAMPLES = 20000, 128
 GROUP_FACES, MAX_GROUP = 2**14, 32
 # Pieces that there is room for at first, for each face of both meshes.
 PIECES_PER_FACE = 2
+# Patches that are searched before the others.
+LEADING = 64
 # Samples and triangles that are worth a thread.
 MIN_PART = 512
 # A face with less area than this fraction of the squared diagonal has no normal that means anything.
@@ -83,10 +85,9 @@ class _Cells:
         self.surface.corner_vertex = wp.array(corners, dtype=wp.int32, device=device)
         whole = np.tile([0.0, 0.0, 1.0, 0.0, 0.0, 1.0], (self.face_count, 1))
         hint = np.full((self.face_count, int(HINTS)), -1, dtype=np.int32)
-        # Those of the search over all frames, and those of the search in each frame, with hints of their own.
-        self.patches, self.frame_patches = (
-            _patches(np.arange(self.face_count), whole, hint, device) for _ in range(2)
-        )
+        self.patches = _patches(np.arange(self.face_count), whole, hint, device)
+        # The patches with the largest distances of late.
+        self.leading: kernels.MeshPatches | None = None
         # The face of the other mesh nearest to the middle of each face, when it was last looked for; -1 for none.
         self.nearest = wp.full(self.face_count, -1, dtype=wp.int32, device=device)
         self._mesh: wp.Mesh | None = None
@@ -106,6 +107,16 @@ class _Cells:
             # Setting the points refits the hierarchy.
             self._mesh.points = single
         self.surface.mesh = self._mesh.id
+
+    def lead(self, low: Doubles, floor: Doubles) -> None:
+        """Note the patches with the largest distances, of those (n, P) that are above the floor (n,) of a frame."""
+        above = np.where(low > floor[:, None], low, 0.0).max(axis=0)
+        rows = np.flatnonzero(above)
+        if len(rows):
+            rows = rows[np.argsort(-above[rows], kind="stable")][:LEADING]
+            patches = self.patches
+            arrays = (array.numpy()[rows] for array in (patches.face, patches.place, patches.hint))
+            self.leading = _patches(*arrays, self._device)
 
     def areas(self) -> Doubles:
         """Face areas (G, N)."""
@@ -140,7 +151,6 @@ class SurfaceComparison:
         samples: samples on each surface in each frame.
         seed: seed of the samples.
         device: Warp device.
-        every_frame: search for the largest distance of each frame too, not only for that over all frames.
 
     Attributes:
         group: frames that are measured at once.
@@ -156,7 +166,6 @@ class SurfaceComparison:
         samples: int,
         seed: int,
         device: str,
-        every_frame: bool = False,
     ) -> None:
         largest = max(len(reference_faces), len(test_faces))
         self.group = max(1, min(MAX_GROUP, GROUP_FACES // largest, frame_count))
@@ -166,9 +175,6 @@ class SurfaceComparison:
         self.sample_count, self._seed, self._device = samples, seed, device
         self._rows: list[dict[str, npt.NDArray]] = []
         self._diagonals: list[Doubles] = []
-        # The largest distance of a point that was looked at, and what no distance is above, in diagonals of the frames.
-        self._found = self._bound = 0.0
-        self._every_frame = every_frame
         self._frame_count, self._seen = frame_count, 0
 
     def add(self, frames: Sequence[int], reference: npt.NDArray, test: npt.NDArray) -> None:
@@ -220,18 +226,7 @@ class SurfaceComparison:
                 raise DegenerateMeshError(f"{cells.name} mesh: every face has zero area in frame {frames[int(np.argmax(empty))]}")
         ahead = self._sampled(reference, test, areas[0], frames, 0)
         back = self._sampled(test, reference, areas[1], frames, 1)
-        largest = np.maximum(ahead.distance.max(axis=1), back.distance.max(axis=1))
-        self._found = max(self._found, float(largest.max()))
-        for own, other in ((reference, test), (test, reference)):
-            if self._seen == 0 and self._frame_count > 1:
-                self._cut(own, other)
-            low, high = self._largest(own, other, np.full(count, self._found), own.patches)
-            largest = np.where(low > self._found, np.maximum(largest, low), largest)
-            self._found, self._bound = max(self._found, float(low.max())), max(self._bound, float(high.max()))
-        if self._every_frame:
-            for own, other in ((reference, test), (test, reference)):
-                low, high = self._largest(own, other, largest, own.frame_patches)
-                largest = np.maximum(low, high)
+        largest = self._largest(np.maximum(ahead.distance.max(axis=1), back.distance.max(axis=1)))
         rms = [np.sqrt((one.distance**2).mean(axis=1)) for one in (ahead, back)]
         self._rows.append(
             {
@@ -289,22 +284,32 @@ class SurfaceComparison:
         root = np.sqrt(first)
         return face, np.stack([root * (1.0 - second), root * second], axis=-1)
 
-    def _largest(
-        self, own: _Cells, other: _Cells, floor: Doubles, patches: kernels.MeshPatches
-    ) -> tuple[Doubles, Doubles]:
-        """The largest distances (n,) of ``own`` that were found in each frame, or its floor, and bounds on them."""
-        found = self._search(own, other, floor, patches, room=0)
-        return found.low.numpy().max(axis=1), found.high.numpy().max(axis=1)
+    def _largest(self, sampled: Doubles) -> Doubles:
+        """The largest distance in each frame of a group (n,), where samples at such distances are known."""
+        pairs = (self._reference, self._test), (self._test, self._reference)
+        if self._seen == 0 and self._frame_count > 1:
+            for own, other in pairs:
+                self._cut(own, other, sampled[:1])
+        found, bound = sampled, sampled
+        for own, other in pairs:
+            # Where it was in the frames before, it mostly is in these. The more is found at once, the less is left.
+            if own.leading is not None:
+                found = np.maximum(found, self._search(own, other, found, own.leading).low.numpy().max(axis=1))
+        for own, other in pairs:
+            result = self._search(own, other, found)
+            low, high = result.low.numpy(), result.high.numpy()
+            own.lead(low, found)
+            found, bound = np.maximum(found, low.max(axis=1)), np.maximum(bound, high.max(axis=1))
+        return np.maximum(found, bound)
 
-    def _cut(self, own: _Cells, other: _Cells) -> None:
+    def _cut(self, own: _Cells, other: _Cells, floor: Doubles) -> None:
         """Cut the faces of ``own`` to patches that are as large as one face of ``other`` is enough for."""
         # The first frame shows how. The larger the distance that is known, the larger the patches.
-        low, _ = self._largest(own, other, np.array([self._found]), own.patches)
-        self._found = max(self._found, float(low.max()))
+        floor = self._search(own, other, floor).low.numpy().max(axis=1)
         room = PIECES_PER_FACE * (own.face_count + other.face_count)
         hint = own.patches.hint.numpy().copy()
         while True:
-            found = self._search(own, other, np.array([self._found]), own.patches, room)
+            found = self._search(own, other, floor, room=room)
             counts = found.piece_count.numpy()
             if counts.max() <= room:
                 break
@@ -318,12 +323,20 @@ class SurfaceComparison:
         rows = rows[order]
         place, hint = found.piece.place.numpy()[rows], found.piece.hint.numpy()[rows]
         own.patches = _patches(face[order], place, hint, self._device)
-        own.frame_patches = _patches(face[order], place, hint, self._device)
 
     def _search(
-        self, own: _Cells, other: _Cells, floor: Doubles, patches: kernels.MeshPatches, room: int
+        self,
+        own: _Cells,
+        other: _Cells,
+        floor: Doubles,
+        patches: kernels.MeshPatches | None = None,
+        room: int = 0,
     ) -> _Found:
-        """Search the patches of ``own``; the pieces are kept where there is room for so many in each part."""
+        """Search some patches of ``own``, or all, for what is beyond a floor (n,) in each frame.
+
+        The pieces they are cut into are kept where there is room for so many in each part.
+        """
+        patches = own.patches if patches is None else patches
         count, patch_count = len(floor), len(patches.face)
         runs = -(-patch_count // int(kernels.RUN))
         parts = split_range(runs, min(thread_count(self._device), max(1, patch_count // MIN_PART)))
@@ -372,10 +385,6 @@ class SurfaceComparison:
     def per_frame(self) -> FrameErrors:
         """The errors of the frames so far."""
         return FrameErrors(**{f.name: np.concatenate([row[f.name] for row in self._rows]) for f in fields(FrameErrors)})
-
-    def hausdorff(self) -> float:
-        """What no distance is above in the frames so far, in % of the diagonals of their frames."""
-        return 100.0 * max(self._found, self._bound)
 
     def diagonals(self) -> Doubles:
         """Bounding-box diagonals (n,) of the reference in the frames so far, in its units."""

@@ -30,7 +30,7 @@ class CompareOptions:
     """How to compare.
 
     Attributes:
-        samples: Sample points on each mesh.
+        samples: Sample points on each mesh in each frame; None for as many as suit the number of frames.
         frames: Time codes to compare at; None for all that either file has.
         prims: Prim paths; meshes at and below them are compared. Empty for all.
         device: Warp device; None for the default.
@@ -38,7 +38,7 @@ class CompareOptions:
         heatmap_scale: Distance of the last colour, in % of the bounding-box diagonal; None for the largest that occurs.
     """
 
-    samples: int = 20000
+    samples: int | None = None
     frames: FrameRange | None = None
     prims: tuple[str, ...] = ()
     device: str | None = None
