@@ -208,6 +208,13 @@ def simplify_values(
             "--keep-components", help="Let no small component vanish, even if the shape would miss it less than others."
         ),
     ] = False,
+    measure: Annotated[
+        bool,
+        typer.Option(
+            "--measure/--no-measure",
+            help="Measure what was written against IN, as `warpqem compare` does: RMS and largest distance, flips.",
+        ),
+    ] = True,
     memory: Annotated[
         str | None,
         typer.Option(

@@ -21,7 +21,8 @@ class FrameErrors:
         frame: frame indices, int64.
         hausdorff: largest distance of any point, both directions; at most 0.1 % above that of a point.
         mean: average of the mean distances of the two directions.
-        rms: larger of the root mean square distances of the two directions.
+        rms: larger of the root mean square distances of the two directions; which one is larger, neighbouring frames
+            decide together where there are few samples in each.
         rms_forward: root mean square distance from the reference to the test mesh.
         rms_backward: root mean square distance from the test to the reference mesh.
         normal_deviation: mean angle in degrees between a sample's face normal and that of the nearest face, averaged

@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from warpqem.measure.measured import Measured
 
-__all__ = ["GOOD", "LIMITS", "LOOK", "POOR", "WARNING_DISTANCE", "Limit", "Verdict", "judge_errors"]
+__all__ = ["GOOD", "LIMITS", "LOOK", "POOR", "WARNING_DISTANCE", "WORDS", "Limit", "Verdict", "judge_errors"]
 
 GOOD, LOOK, POOR = "good", "look", "poor"
+# The worst first.
+WORDS = (POOR, LOOK, GOOD)
 
 # A command warns where a point ends further off than this, in % of the diagonal.
 WARNING_DISTANCE = 2.0

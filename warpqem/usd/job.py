@@ -99,6 +99,7 @@ class MeshJob:
             poses of one without.
         pose_start: E.
         rest_fit: What brought the rest shape of a mesh with a skin to the poses; None without one.
+        has_own_poses: False where `frames` has example poses in place of the mesh's own.
     """
 
     source: MeshSource
@@ -110,6 +111,7 @@ class MeshJob:
     frames: FrameSource
     pose_start: int
     rest_fit: RestFit | None
+    has_own_poses: bool = True
 
     @classmethod
     def prepare(
@@ -166,7 +168,7 @@ class MeshJob:
         fit = RestFit.of(rest, poses[0].read(slice(0, 1))[0])
         extra = fit.apply(np.stack([rest, *targets]))
         frames = JoinedFrames([ArrayFrames(extra), poses[0]])
-        return cls(source, mesh, faces, seams, skin, None, frames, len(extra), fit)
+        return cls(source, mesh, faces, seams, skin, None, frames, len(extra), fit, has_own_poses=examples is None)
 
     @property
     def pose_count(self) -> int:

@@ -28,6 +28,7 @@ from warpqem.usd.example_poses import ExamplePoses
 from warpqem.usd.face_points import FacePoints, face_protection, points_on_level
 from warpqem.usd.feature_subsets import write_feature_points
 from warpqem.usd.job import MeshJob, ReadOptions
+from warpqem.usd.measuring import measure_written
 from warpqem.usd.mesh import MeshSource
 from warpqem.usd.morph import check_morph, morph_scale
 from warpqem.usd.odd_values import find_odd_values
@@ -391,8 +392,9 @@ class Run:
         report.components_removed = result.components_removed
         report.faces_after = len(result.faces)
         report.vertices_after = result.points.shape[1]
-        report.error = float(result.error)
-        report.flips = int(result.flips[job.pose_start :].sum())
+        report.estimate = float(result.error)
+        if self.options.measure:
+            measure_written(job, self.layer.stage, report, self.options.device)
 
 
 def _diagonal(job: MeshJob) -> float:

@@ -66,6 +66,7 @@ class SimplifyOptions:
         feature_weight: What a vertex in a motion feature weighs: "size", "root", "log" or "bend"; None for "size".
         lock_borders: Points at edges with one face keep their position.
         keep_components: No small component vanishes, see `warpqem.simplify`.
+        measure: Measure every mesh that was written against the input; no bit of the output depends on it.
         symmetry: "x", "y" or "z": a mesh whose first pose, or rest shape, is its own mirror image across that local
             axis stays so; "auto" for the first of them; None for no care. Other meshes are simplified as usual.
         memory: Bytes that the work on a mesh may take, beside what the program and USD hold already, or text such as
@@ -114,6 +115,7 @@ class SimplifyOptions:
     feature_weight: str | None = None
     lock_borders: bool = False
     keep_components: bool = False
+    measure: bool = True
     symmetry: str | None = None
     memory: int | str | None = None
     frames: FrameRange | None = None
