@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,6 +20,9 @@ from warpqem.place.stage import Placer
 from warpqem.preparation import ORDER_END, Prepared, Progress
 from warpqem.sharing import FrameShare
 
+if TYPE_CHECKING:
+    from warpqem.measure.measured import Measured
+
 __all__ = ["Delivery", "Outcome", "SimplifiedMesh", "finish", "reached"]
 
 
@@ -31,15 +36,18 @@ class SimplifiedMesh:
         vertex_map: (V,) int32, input vertex to the output vertex it collapsed into; -1 for a vertex without a face.
         face_map: (N',) int32, the input face that each output face goes on from.
         stopped: "target", "max_error" or "no legal collapse".
-        error: % of the bounding-box diagonal, the largest RMS distance, among all collapses, of a merged vertex from
-            the planes of the faces it stands for, over key frames, or of the input vertices it stands for from the
-            faces around it, in the first one.
-        flips: (F,) int32, output faces that face away from the input there.
+        error: the estimate that the order of collapses goes by, in % of the bounding-box diagonal: the largest RMS
+            distance, among all collapses, of a merged vertex from the planes of the faces it stands for, over key
+            frames, or of the input vertices it stands for from the faces around it, in the first one. It is neither a
+            bound nor a measured distance; see ``measured``.
+        flips: (F,) int32, output faces that face away from the planes they stand for there: an estimate; faces that
+            oppose the input are ``measured.flips``.
         log: the collapses, for levels of detail.
         key_frames: (K,) int, the frames that decided the order.
         diagonal: largest bounding-box diagonal of a frame of the input, in its units.
         components_removed: components of the input that vanished, see ``keep_components``.
         plan: the blocks of frames it was done in, and the memory for it.
+        measuring: what measures it, see ``measured``; None for nothing.
     """
 
     points: np.ndarray
@@ -54,6 +62,24 @@ class SimplifiedMesh:
     diagonal: float
     plan: MemoryPlan
     components_removed: int = 0
+    measuring: Callable[[SimplifiedMesh], Measured] | None = field(default=None, repr=False, compare=False)
+
+    @property
+    def estimate(self) -> float:
+        """The same as ``error``, under the name that says what it is."""
+        return self.error
+
+    @functools.cached_property
+    def measured(self) -> Measured | None:
+        """The measured errors, both ways and over all frames; None where nothing was to be measured.
+
+        Frames in memory are measured when this is first asked for, against the input, which must not have been changed
+        since. Those that a sink took were measured on their way.
+
+        Raises:
+            DegenerateMeshError: a frame has no extent or no area, so there is nothing to measure by.
+        """
+        return None if self.measuring is None else self.measuring(self)
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,8 @@ from warpqem.frame_stream import FrameSink
 from warpqem.memory import MemoryPlan, admit_faces
 from warpqem.mesh_input import read_mesh
 from warpqem.number_input import flag
-from warpqem.preparation import Progress, plan_work, prepare
+from warpqem.measuring import ResultMeasure, measured_on_the_way, with_errors
+from warpqem.preparation import Prepared, Progress, plan_work, prepare
 from warpqem.result import Delivery, Outcome, SimplifiedMesh, finish, reached
 from warpqem.sharing import FrameShare, check_share
 
@@ -53,6 +54,7 @@ def simplify(
     memory: int | str | None = None,
     sink: FrameSink | None = None,
     share: FrameShare | None = None,
+    measure: bool = True,
     device: str | None = None,
     progress: Progress | None = None,
 ) -> SimplifiedMesh:
@@ -106,6 +108,9 @@ def simplify(
         sink: takes the frames of the result, block by block, in place of an array.
         share: lets other processes place some of the frames, see :class:`warpqem.FrameShare`; it decides no bit of the
             result.
+        measure: give the result its ``measured`` errors: where it is an array, they are computed when they are first
+            asked for, and the result holds on to the input; where there is a sink, on the way to it, for which the
+            frames are read once more. It decides no bit of the result.
         device: Warp device; None takes cuda:0 if present, else cpu.
         progress: called with the part done, 0 to 1, and the stage, "read", "order" or "place".
 
@@ -144,14 +149,25 @@ def simplify(
     bounded = max_error is not None
     keep_nodes = bounded and not memoryless
     work = prepare(points, faces, options, keep_frames=sink is None, keep_nodes=keep_nodes, progress=progress)
-    if bounded:
-        return simplify_within(work, options.refits, Delivery(sink, progress, share))
-    ordered = work.order(progress)
+    if not flag(measure, "measure"):
+        return _finished(work, options, Delivery(sink, progress, share))
+    if sink is None:
+        measuring = ResultMeasure.of(work.mesh, work.device)
+        return with_errors(lambda: _finished(work, options, Delivery(None, progress, share)), measuring)
+    work, measured = measured_on_the_way(work, sink)
+    return with_errors(lambda: _finished(work, options, Delivery(measured, progress, share)), measured.measured)
+
+
+def _finished(work: Prepared, options: SimplifyOptions, delivery: Delivery) -> SimplifiedMesh:
+    """Order and place a mesh that is ready."""
+    if options.max_error is not None:
+        return simplify_within(work, options.refits, delivery)
+    ordered = work.order(delivery.progress)
     placer, outcome = work.placer(ordered), Outcome.of(ordered)
     # Placing has its own use for the memory of ordering.
     work = work.without_input()
     del ordered
-    result = finish(work, placer, outcome, options.refits, Delivery(sink, progress, share))
+    result = finish(work, placer, outcome, options.refits, delivery)
     return reached(result, work.goal.target_faces)
 
 

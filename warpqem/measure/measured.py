@@ -173,8 +173,8 @@ class MeasuringSink:
             self._done, waiting = numbers.stop, waiting[len(some) :]
         self._waiting = waiting.copy()
 
-    def measured(self) -> Measured:
-        """The errors, when all frames have been written."""
+    def measured(self, result: Any = None) -> Measured:
+        """The errors, when all frames have been written; of the result whose frames these were."""
         assert self._comparison is not None
         with device_turn(self._device):
             return measured_errors(self._comparison)

@@ -201,6 +201,8 @@ class Run:
             self.announce(job.mesh.path, plan)
             options |= {**self._importance(job), "seams": seams, "progress": progress}
         if order is None:
+            # What is measured is what the file shows.
+            options["measure"] = False
             return warpqem.simplify(job.frames, job.faces, sink=sink, share=self.share, **options, **goal)
         if order.order is None:
             least = target_count(order.least_ratio, len(job.mesh.faces))

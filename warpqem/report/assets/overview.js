@@ -12,7 +12,9 @@
     ["faces", (asset) => asset.faces, ""],
     ["after", (asset) => asset.faces_after, ""],
     ["kept", share, " %"],
-    ["error", (asset) => asset.error, " %"],
+    ["verdict", (asset) => asset.verdict || null, ""],
+    ["RMS", (asset) => asset.rms, " %"],
+    ["Hausdorff", (asset) => asset.hausdorff, " %"],
     ["flips", (asset) => asset.flips, ""],
     ["time", (asset) => asset.seconds, " s"],
   ];
@@ -73,6 +75,10 @@
         } else if (name === "status") {
           cell.textContent = found;
           if (found === "failed" || found === "partial") cell.className = "bad";
+        } else if (name === "verdict") {
+          cell.textContent = found ?? "–";
+          if (found === "poor") cell.className = "bad";
+          if (asset.reason) cell.title = asset.reason;
         } else {
           cell.textContent = found === null ? "–" : short(found) + unit;
         }
