@@ -94,9 +94,7 @@ class Hit:
 
 
 @wp.func
-def closest_on_mesh(
-    mesh: wp.uint64, points: wp.array[wp.vec3d], indices: wp.array[wp.int32], p: wp.vec3d
-) -> Hit:
+def closest_on_mesh(mesh: wp.uint64, points: wp.array[wp.vec3d], indices: wp.array[wp.int32], p: wp.vec3d) -> Hit:
     """The nearest point of a mesh, none where the search finds no face: all of them are slivers."""
     hit = Hit()
     hit.face = wp.int32(-1)

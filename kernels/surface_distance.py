@@ -39,7 +39,7 @@ MAX_WAITING = wp.constant(wp.int32(40))
 Places = wp.types.matrix(shape=(3, 2), dtype=wp.float64)  # of three corners, as MeshPatches.place
 Corners = wp.types.matrix(shape=(3, 3), dtype=wp.float64)
 Waiting = wp.types.matrix(shape=(int(MAX_WAITING), 6), dtype=wp.float64)
-# Patches that a thread takes one after the other: the next one mostly lies beside the one before, and over the same face.
+# Patches that a thread takes one after the other: the next one mostly lies beside the one before, over the same face.
 RUN = wp.constant(wp.int32(16))
 
 
@@ -112,10 +112,9 @@ def nearer_face(other: Surface, best: wp.int32, best_squared: wp.float64, p: wp.
         other.mesh, wp.vec3(wp.float32(p[0]), wp.float32(p[1]), wp.float32(p[2])), radius
     )
     nearest = best
-    if found.result:
-        # In single precision, the search may prefer the other one of two faces.
-        if squared_distance(other, found.face, p) < best_squared:
-            nearest = found.face
+    # In single precision, the search may prefer the other one of two faces.
+    if found.result and squared_distance(other, found.face, p) < best_squared:
+        nearest = found.face
     return nearest
 
 
@@ -211,7 +210,7 @@ class Cut:
 
 @wp.func
 def cut_piece(other: Surface, face: wp.int32, corners: Corners) -> Cut:
-    """The cut at the plane over that edge of a face beyond which the piece reaches furthest; in half if there is none."""
+    """The cut at the plane over that edge of a face beyond which the piece reaches furthest; else in half."""
     cut = Cut()
     cut.in_three = wp.bool(False)
     a = corner_point(other, face, 0)
@@ -270,9 +269,9 @@ def largest_distances(
 ):
     """The largest distance of each patch of ``own`` from ``other``, where that is beyond the floor (n,) of the frame.
 
-    No point of the patch is further than the larger of ``low`` and ``high``, and one is at ``low``, if that is above the
-    floor. ``high`` is above ``low`` by no more than the tolerance, but where a patch was given up. The pieces that the
-    patches were cut into are counted in ``piece_count`` of this part, and kept as far as ``piece`` has room for the
+    No point of the patch is further than the larger of ``low`` and ``high``, and one is at ``low``, if that is above
+    the floor. ``high`` is above ``low`` by no more than the tolerance, but where a patch was given up. The pieces that
+    the patches were cut into are counted in ``piece_count`` of this part, and kept as far as ``piece`` has room for the
     part: (parts, room), in the order they are found.
     """
     run = first_run + wp.tid()

@@ -12,8 +12,8 @@ from warpqem.checked_frames import check_sink
 from warpqem.device import device_turn, on_device, resolve_device
 from warpqem.errors import OptionError, UnreachableTargetError
 from warpqem.frame_stream import FrameSink
-from warpqem.memory import admit_faces
 from warpqem.measuring import ResultMeasure
+from warpqem.memory import admit_faces
 from warpqem.mesh_input import read_mesh
 from warpqem.number_input import check_function, flag, shown, whole_number
 from warpqem.order.levels import OrderedLevels

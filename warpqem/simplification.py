@@ -13,10 +13,10 @@ from warpqem.checked_frames import check_sink
 from warpqem.cost_models import cost_model
 from warpqem.device import on_device, resolve_device
 from warpqem.frame_stream import FrameSink
+from warpqem.measuring import ResultMeasure, measured_on_the_way, with_errors
 from warpqem.memory import MemoryPlan, admit_faces
 from warpqem.mesh_input import read_mesh
 from warpqem.number_input import flag
-from warpqem.measuring import ResultMeasure, measured_on_the_way, with_errors
 from warpqem.preparation import Prepared, Progress, plan_work, prepare
 from warpqem.result import Delivery, Outcome, SimplifiedMesh, finish, reached
 from warpqem.sharing import FrameShare, check_share

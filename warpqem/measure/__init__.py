@@ -6,4 +6,15 @@ from warpqem.measure.measured import Measured
 from warpqem.measure.topology import Topology, topology
 from warpqem.measure.verdict import LIMITS, Verdict
 
-__all__ = ["LIMITS", "Comparison", "FrameErrors", "Measured", "Topology", "Verdict", "compare", "distance_colors", "topology", "vertex_distances"]
+__all__ = [
+    "LIMITS",
+    "Comparison",
+    "FrameErrors",
+    "Measured",
+    "Topology",
+    "Verdict",
+    "compare",
+    "distance_colors",
+    "topology",
+    "vertex_distances",
+]

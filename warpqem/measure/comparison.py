@@ -67,7 +67,9 @@ def _jitter(
         return None
     first = max(0, (frame_count - JITTER_WINDOW) // 2)
     window = slice(first, min(frame_count, first + JITTER_WINDOW))
-    samples = draw_material_samples(replace(reference, points=reference.points[window]), JITTER_SAMPLES, seed, "reference")
+    samples = draw_material_samples(
+        replace(reference, points=reference.points[window]), JITTER_SAMPLES, seed, "reference"
+    )
     search = ClosestPointSearch(test.faces, device, "test")
     jitter = SecondDifference()
     for frame in range(window.start, window.stop):
@@ -107,7 +109,7 @@ def compare(
         test_points: (F, V', 3) or (V', 3), with as many frames.
         test_faces: (N', 3) integers.
         samples: samples on each surface in each frame, at least 1; None for as many as suit the number of frames: 20000
-            in one to three, fewer in more, 128 in 512 and more.
+            in one, fewer in more, 64 in 512 and more.
         seed: seed of the samples, at least 0.
         frames: frames to measure distances on: None for all, a number for so many evenly spread, or a list of indices.
             Jitter always takes the middle 24 frames, slide and edge lengths all.

@@ -24,7 +24,7 @@ __all__ = ["SurfaceComparison", "sample_count"]
 ALL_SAMPLES = 2**15
 # Samples on each surface in one frame: at most so many, which one frame takes to be known as well; and at least so
 # many, so that the larger of the two directions is known.
-MAX_SAMPLES, MIN_SAMPLES = 20000, 128
+MAX_SAMPLES, MIN_SAMPLES = 20000, 64
 # Samples that tell the root mean square distances of both directions apart to about a percent.
 DECIDING_SAMPLES = 8192
 # Frames are put together until they have so many faces, or are so many: a launch then takes long enough to be worth its
@@ -207,8 +207,7 @@ class SurfaceComparison:
             DegenerateMeshError: a frame of the reference has no extent, or of either mesh no area.
         """
         own, other = (
-            mesh.astype(np.float64)[:, cells.used]
-            for mesh, cells in ((reference, self._reference), (test, self._test))
+            mesh.astype(np.float64)[:, cells.used] for mesh, cells in ((reference, self._reference), (test, self._test))
         )
         low, high = own.min(axis=1), own.max(axis=1)
         diagonal = np.linalg.norm(high - low, axis=1)
@@ -241,7 +240,9 @@ class SurfaceComparison:
         for cells, area in zip((reference, test), areas, strict=True):
             empty = ~area.any(axis=1)
             if empty.any():
-                raise DegenerateMeshError(f"{cells.name} mesh: every face has zero area in frame {frames[int(np.argmax(empty))]}")
+                raise DegenerateMeshError(
+                    f"{cells.name} mesh: every face has zero area in frame {frames[int(np.argmax(empty))]}"
+                )
         ahead = self._sampled(reference, test, areas[0], frames, 0)
         back = self._sampled(test, reference, areas[1], frames, 1)
         largest = self._largest(np.maximum(ahead.distance.max(axis=1), back.distance.max(axis=1)))
@@ -323,7 +324,7 @@ class SurfaceComparison:
         """Cut the faces of ``own`` to patches that are as large as one face of ``other`` is enough for."""
         # The first frame shows how. The larger the distance that is known, the larger the patches.
         floor = self._search(own, other, floor).low.numpy().max(axis=1)
-        room = PIECES_PER_FACE * (own.face_count + other.face_count)
+        room = max(1, PIECES_PER_FACE * (own.face_count + other.face_count))
         hint = own.patches.hint.numpy().copy()
         while True:
             found = self._search(own, other, floor, room=room)

@@ -73,4 +73,3 @@ def _reference(job: MeshJob) -> tuple[FrameSource, npt.NDArray[np.int32]]:
         faces = np.ascontiguousarray(job.faces[:, ::-1]) if job.mesh.left_handed else job.faces
         return poses, faces
     return PoseFrames(job.source, job.mesh.times, job.mesh.used_points), job.mesh.right_handed_faces
-

@@ -28,8 +28,8 @@ class PrimReport:
         faces_after: Triangles after.
         vertices_before: Points in use before.
         vertices_after: Points after.
-        measured: The measured errors, see `warpqem.measure.Measured.to_dict`: `rms`, `hausdorff`, `flips`, `verdict` and
-            others; None where the mesh was not simplified, or not measured.
+        measured: The measured errors, see `warpqem.measure.Measured.to_dict`: `rms`, `hausdorff`, `flips`, `verdict`
+            and others; None where the mesh was not simplified, or not measured.
         estimate: What the order of collapses takes for the error, in % of the bounding-box diagonal: the largest error
             of a collapse, which is neither a bound nor a measured distance.
         stopped: Why simplification stopped.

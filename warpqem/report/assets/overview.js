@@ -4,7 +4,7 @@
   const byId = (id) => document.getElementById(id);
   const data = JSON.parse(byId("data").textContent);
   const share = (asset) => (asset.faces ? (100 * asset.faces_after) / asset.faces : null);
-  const short = (value) => (Number.isInteger(value) ? String(value) : Number(value.toPrecision(3)).toString());
+  const short = (value) => (Number.isInteger(value) ? String(value) : Number(value.toPrecision(4)).toString());
   // Name, value to sort by, unit.
   const columns = [
     ["asset", (asset) => asset.name, ""],

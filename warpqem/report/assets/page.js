@@ -12,7 +12,7 @@
   let view = null;
   let levelLoad = 0;
 
-  const percent = (value) => (value === null || value === undefined ? "–" : `${short(value)} %`);
+  const percent = (value) => (value === null || value === undefined ? "–" : `${Number(value.toPrecision(4))} %`);
   const level = () => data.levels[state.level];
 
   function element(parent, name, text, className) {
@@ -36,7 +36,7 @@
     for (const row of rows) {
       const line = element(body, "tr");
       row.forEach((value, column) => {
-        const text = value === null ? "" : typeof value === "number" && !Number.isInteger(value) ? short(value) : String(value);
+        const text = value === null ? "" : typeof value === "number" && !Number.isInteger(value) ? String(Number(value.toPrecision(4))) : String(value);
         const names = [isNumber[column] ? "number" : "", bad(row, column) ? "bad" : ""];
         element(line, "td", text, names.filter(Boolean).join(" "));
       });
