@@ -112,9 +112,10 @@ def nearer_face(other: Surface, best: wp.int32, best_squared: wp.float64, p: wp.
         other.mesh, wp.vec3(wp.float32(p[0]), wp.float32(p[1]), wp.float32(p[2])), radius
     )
     nearest = best
-    # In single precision, the search may prefer the other one of two faces.
-    if found.result and squared_distance(other, found.face, p) < best_squared:
-        nearest = found.face
+    if found.result:  # noqa: SIM102 - a kernel evaluates both sides of an "and", and there may be no face
+        # In single precision, the search may prefer the other one of two faces.
+        if squared_distance(other, found.face, p) < best_squared:
+            nearest = found.face
     return nearest
 
 
