@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -17,12 +18,13 @@ from warpqem.measuring import ResultMeasure, measured_on_the_way, with_errors
 from warpqem.memory import MemoryPlan, admit_faces
 from warpqem.mesh_input import read_mesh
 from warpqem.number_input import flag
-from warpqem.preparation import Prepared, Progress, plan_work, prepare
+from warpqem.preparation import Progress, plan_work, prepare
 from warpqem.result import Delivery, Outcome, SimplifiedMesh, finish, reached
 from warpqem.sharing import FrameShare, check_share
 
 if TYPE_CHECKING:
     from warpqem.face.protect import FaceProtection
+    from warpqem.measure.measured import Measured
     from warpqem.motion import MotionWeighting
 
 __all__ = ["plan", "simplify"]
@@ -149,26 +151,23 @@ def simplify(
     bounded = max_error is not None
     keep_nodes = bounded and not memoryless
     work = prepare(points, faces, options, keep_frames=sink is None, keep_nodes=keep_nodes, progress=progress)
-    if not flag(measure, "measure"):
-        return _finished(work, options, Delivery(sink, progress, share))
-    if sink is None:
-        measuring = ResultMeasure.of(work.mesh, work.device)
-        return with_errors(lambda: _finished(work, options, Delivery(None, progress, share)), measuring)
-    work, measured = measured_on_the_way(work, sink)
-    return with_errors(lambda: _finished(work, options, Delivery(measured, progress, share)), measured.measured)
-
-
-def _finished(work: Prepared, options: SimplifyOptions, delivery: Delivery) -> SimplifiedMesh:
-    """Order and place a mesh that is ready."""
-    if options.max_error is not None:
-        return simplify_within(work, options.refits, delivery)
-    ordered = work.order(delivery.progress)
+    measuring: Callable[[SimplifiedMesh], Measured] | None = None
+    if flag(measure, "measure"):
+        if sink is None:
+            measuring = ResultMeasure.of(work.mesh, work.device)
+        else:
+            work, sink = measured_on_the_way(work, sink)
+            measuring = sink.measured
+    delivery = Delivery(sink, progress, share)
+    if bounded:
+        return with_errors(partial(simplify_within, work, options.refits, delivery), measuring)
+    ordered = work.order(progress)
     placer, outcome = work.placer(ordered), Outcome.of(ordered)
     # Placing has its own use for the memory of ordering.
     work = work.without_input()
     del ordered
     result = finish(work, placer, outcome, options.refits, delivery)
-    return reached(result, work.goal.target_faces)
+    return reached(replace(result, measuring=measuring), work.goal.target_faces)
 
 
 def plan(

@@ -18,7 +18,6 @@ from warpqem.batching.result import DONE, FAILED, PARTIAL, SKIPPED, BatchResult
 from warpqem.batching.state import Journal
 from warpqem.cli.console import PlainTable, QuietProgress
 from warpqem.file_kinds import kind_of
-from warpqem.measure.verdict import WORDS
 from warpqem.printable import printable
 
 __all__ = ["BatchDisplay", "dry_run_table", "summary_table"]
@@ -141,6 +140,8 @@ def summary_table(results: Sequence[BatchResult], job_count: int, seconds: float
 
 def _add_verdicts(table: PlainTable, results: Sequence[BatchResult]) -> None:
     """How many meshes are good, and the worst of the others."""
+    from warpqem.measure.verdict import WORDS
+
     found = [
         (result.input, prim["path"], prim["measured"])
         for result in results

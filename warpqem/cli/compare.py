@@ -18,7 +18,6 @@ from warpqem.cli.console import (
     write_json,
 )
 from warpqem.cli.options import Device, Frames, JsonReport, Prims, ReportPage
-from warpqem.measure.verdict import WORDS
 
 if TYPE_CHECKING:
     from warpqem.usd.compare import PairReport
@@ -133,6 +132,8 @@ def _table(reference: str, test: str, pairs: list[PairReport]) -> PlainTable:
 
 def _badness(pair: PairReport) -> tuple[int, float]:
     """What pairs are sorted by: those that failed first, then the worst."""
+    from warpqem.measure.verdict import WORDS
+
     if pair.comparison is None:
         return 0, 0.0
     return 1 + WORDS.index(pair.comparison.verdict.word), -pair.comparison.hausdorff

@@ -19,7 +19,6 @@ from warpqem.cli.console import (
 )
 from warpqem.cli.options import Input, JsonReport, Output, ReportPage
 from warpqem.cli.simplify_options import takes_simplify_options
-from warpqem.measure.verdict import WARNING_DISTANCE
 
 if TYPE_CHECKING:
     from warpqem.memory import MemoryPlan
@@ -85,6 +84,8 @@ def _level(prim: PrimReport) -> str:
 
 
 def _tell_problems(report: StageReport) -> None:
+    from warpqem.measure.verdict import WARNING_DISTANCE
+
     for problem in report.problems:
         tell("warning", problem)
     for problem in dict.fromkeys(text for prim in report.prims for text in prim.problems):

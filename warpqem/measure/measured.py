@@ -146,14 +146,14 @@ class MeasuringSink:
     def __init__(self, sink: FrameSink, source: FrameSource, faces: npt.NDArray[np.int32], device: str) -> None:
         self._sink, self._source, self._faces, self._device = sink, source, faces, device
         self._comparison: SurfaceComparison | None = None
-        self._waiting = np.empty((0, 0, 3), dtype=np.float32)
+        # Frames of the input and of the result that do not fill a group yet.
+        self._waiting: tuple[npt.NDArray[Any], npt.NDArray[np.float32]] | None = None
         self._done = self._frame_count = 0
 
     def begin(self, frame_count: int, vertex_count: int, faces: npt.NDArray[np.int32]) -> None:
         """Begin a mesh of so many frames."""
         self._sink.begin(frame_count, vertex_count, faces)
-        self._frame_count, self._done = frame_count, 0
-        self._waiting = np.empty((0, vertex_count, 3), dtype=np.float32)
+        self._frame_count, self._done, self._waiting = frame_count, 0, None
         with device_turn(self._device):
             self._comparison = SurfaceComparison(
                 self._faces, faces, frame_count, sample_count(frame_count), 0, self._device
@@ -163,15 +163,17 @@ class MeasuringSink:
         """Pass on consecutive frames, and measure those that fill a group; what is left waits for the next call."""
         self._sink.write(frames, points)
         assert self._comparison is not None
-        waiting = np.concatenate([self._waiting, points])
-        while len(waiting) >= self._comparison.group or (len(waiting) and frames.stop == self._frame_count):
-            some = waiting[: self._comparison.group]
-            numbers = range(self._done, self._done + len(some))
-            reference = self._source.read(slice(numbers.start, numbers.stop))
+        pair = (self._source.read(frames), points)
+        if self._waiting is not None:
+            pair = tuple(np.concatenate(parts) for parts in zip(self._waiting, pair, strict=True))  # type: ignore[assignment]
+        group = self._comparison.group
+        while len(pair[1]) >= group or (len(pair[1]) and frames.stop == self._frame_count):
+            reference, some = (mesh[:group] for mesh in pair)
             with device_turn(self._device):
-                self._comparison.add(numbers, reference, some)
-            self._done, waiting = numbers.stop, waiting[len(some) :]
-        self._waiting = waiting.copy()
+                self._comparison.add(range(self._done, self._done + len(some)), reference, some)
+            self._done += len(some)
+            pair = (pair[0][group:], pair[1][group:])
+        self._waiting = (pair[0].copy(), pair[1].copy()) if len(pair[1]) else None
 
     def measured(self, result: Any = None) -> Measured:
         """The errors, when all frames have been written; of the result whose frames these were."""
