@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -67,9 +67,7 @@ def _jitter(
         return None
     first = max(0, (frame_count - JITTER_WINDOW) // 2)
     window = slice(first, min(frame_count, first + JITTER_WINDOW))
-    samples = draw_material_samples(
-        replace(reference, points=reference.points[window]), JITTER_SAMPLES, seed, "reference"
-    )
+    samples = draw_material_samples(reference, JITTER_SAMPLES, seed, "reference")
     search = ClosestPointSearch(test.faces, device, "test")
     jitter = SecondDifference()
     for frame in range(window.start, window.stop):
