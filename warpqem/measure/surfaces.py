@@ -305,10 +305,10 @@ class SurfaceComparison:
     def _largest(self, sampled: Doubles) -> Doubles:
         """The largest distance in each frame of a group (n,), where samples at such distances are known."""
         pairs = (self._reference, self._test), (self._test, self._reference)
+        found, bound = sampled.copy(), sampled
         if self._seen == 0 and self._frame_count > 1:
             for own, other in pairs:
-                self._cut(own, other, sampled[:1])
-        found, bound = sampled, sampled
+                found[:1] = self._cut(own, other, found[:1])
         for own, other in pairs:
             # Where it was in the frames before, it mostly is in these. The more is found at once, the less is left.
             if own.leading is not None:
@@ -320,8 +320,12 @@ class SurfaceComparison:
             found, bound = np.maximum(found, low.max(axis=1)), np.maximum(bound, high.max(axis=1))
         return np.maximum(found, bound)
 
-    def _cut(self, own: _Cells, other: _Cells, floor: Doubles) -> None:
-        """Cut the faces of ``own`` to patches that are as large as one face of ``other`` is enough for."""
+    def _cut(self, own: _Cells, other: _Cells, floor: Doubles) -> Doubles:
+        """Cut the faces of ``own`` to patches that are as large as one face of ``other`` is enough for.
+
+        Returns:
+            (1,) the largest distance in the first frame, or the floor.
+        """
         # The first frame shows how. The larger the distance that is known, the larger the patches.
         floor = self._search(own, other, floor).low.numpy().max(axis=1)
         room = max(1, PIECES_PER_FACE * (own.face_count + other.face_count))
@@ -341,6 +345,7 @@ class SurfaceComparison:
         rows = rows[order]
         place, hint = found.piece.place.numpy()[rows], found.piece.hint.numpy()[rows]
         own.patches = _patches(face[order], place, hint, self._device)
+        return floor
 
     def _search(
         self,
