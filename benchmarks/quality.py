@@ -68,8 +68,8 @@ def _jitter(work: Work, result: Simplified, device: str) -> float | None:
     reference = check_sequence(work.points, work.faces, "reference")
     centre, diagonal = frame_scale(reference)
     # The same samples as warpqem.measure draws.
-    samples = draw_material_samples(reference, SAMPLES, 0, "reference")
-    face, barycentric = samples.face[:JITTER_SAMPLES], samples.barycentric[:JITTER_SAMPLES]
+    samples = draw_material_samples(reference, JITTER_SAMPLES, 0, "reference")
+    face, barycentric = samples.face, samples.barycentric
     first = max(0, (len(reference.points) - JITTER_WINDOW) // 2)
     jitter = SecondDifference()
     for t in range(first, min(len(reference.points), first + JITTER_WINDOW)):

@@ -84,6 +84,47 @@ def closest_barycentric(p: Any, a: Any, b: Any, c: Any):
     return best
 
 
+@wp.struct
+class Hit:
+    """The point of a mesh nearest to another point."""
+
+    face: wp.int32  # -1 for none
+    barycentric: wp.vec3d
+    squared: wp.float64  # the squared distance
+
+
+@wp.func
+def closest_on_mesh(mesh: wp.uint64, points: wp.array[wp.vec3d], indices: wp.array[wp.int32], p: wp.vec3d) -> Hit:
+    """The nearest point of a mesh, none where the search finds no face: all of them are slivers."""
+    hit = Hit()
+    hit.face = wp.int32(-1)
+    p_single = wp.vec3(wp.float32(p[0]), wp.float32(p[1]), wp.float32(p[2]))
+    found = wp.mesh_query_point_no_sign(mesh, p_single, SEARCH_RADIUS)
+    if found.result:
+        hit.face = found.face
+        a = points[indices[3 * hit.face]]
+        b = points[indices[3 * hit.face + 1]]
+        c = points[indices[3 * hit.face + 2]]
+        hit.barycentric = closest_barycentric(p, a, b, c)
+        hit.squared = offset_squared(p, a, b, c, hit.barycentric)
+        if hit.squared < EXACT_BELOW * EXACT_BELOW:
+            radius = wp.float32(wp.sqrt(hit.squared)) + BOX_MARGIN
+            extent = wp.vec3(radius, radius, radius)
+            query = wp.mesh_query_aabb(mesh, p_single - extent, p_single + extent)
+            face = wp.int32(0)
+            while wp.mesh_query_next(query, face):
+                a = points[indices[3 * face]]
+                b = points[indices[3 * face + 1]]
+                c = points[indices[3 * face + 2]]
+                candidate = closest_barycentric(p, a, b, c)
+                squared = offset_squared(p, a, b, c, candidate)
+                if squared < hit.squared or (squared == hit.squared and face < hit.face):
+                    hit.barycentric = candidate
+                    hit.squared = squared
+                    hit.face = face
+    return hit
+
+
 @wp.kernel
 def find_closest_points(
     # inputs
@@ -98,36 +139,8 @@ def find_closest_points(
 ):
     """Closest face, barycentric coordinates and distance per query; face -1 where the search finds no face."""
     i = wp.tid()
-    p = queries_in[i]
-    p_single = wp.vec3(wp.float32(p[0]), wp.float32(p[1]), wp.float32(p[2]))
-    found = wp.mesh_query_point_no_sign(mesh_in, p_single, SEARCH_RADIUS)
-    if not found.result:
-        face_out[i] = -1
-        return
-
-    best_face = found.face
-    a = points_in[indices_in[3 * best_face]]
-    b = points_in[indices_in[3 * best_face + 1]]
-    c = points_in[indices_in[3 * best_face + 2]]
-    best = closest_barycentric(p, a, b, c)
-    best_squared = offset_squared(p, a, b, c, best)
-
-    if best_squared < EXACT_BELOW * EXACT_BELOW:
-        radius = wp.float32(wp.sqrt(best_squared)) + BOX_MARGIN
-        extent = wp.vec3(radius, radius, radius)
-        query = wp.mesh_query_aabb(mesh_in, p_single - extent, p_single + extent)
-        face = wp.int32(0)
-        while wp.mesh_query_next(query, face):
-            a = points_in[indices_in[3 * face]]
-            b = points_in[indices_in[3 * face + 1]]
-            c = points_in[indices_in[3 * face + 2]]
-            candidate = closest_barycentric(p, a, b, c)
-            candidate_squared = offset_squared(p, a, b, c, candidate)
-            if candidate_squared < best_squared or (candidate_squared == best_squared and face < best_face):
-                best = candidate
-                best_squared = candidate_squared
-                best_face = face
-
-    distance_out[i] = wp.sqrt(best_squared)
-    face_out[i] = best_face
-    barycentric_out[i] = best
+    hit = closest_on_mesh(mesh_in, points_in, indices_in, queries_in[i])
+    face_out[i] = hit.face
+    if hit.face >= 0:
+        distance_out[i] = wp.sqrt(hit.squared)
+        barycentric_out[i] = hit.barycentric

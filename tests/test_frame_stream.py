@@ -77,9 +77,12 @@ def test_small_blocks_from_a_source_to_a_sink_give_the_bits_of_arrays(options, d
 
 @pytest.mark.parametrize("metric", ["dsd", "aqem"])
 def test_a_source_is_read_twice_and_once_more_for_its_key_frames(metric):
-    source = CountedFrames(POINTS)
-    warpqem.simplify(source, FACES, ratio=0.5, key_frames=4, metric=metric, sink=NoFrames(), device="cpu")
-    assert source.total == 2 * FRAME_COUNT + 4
+    options = {"ratio": 0.5, "key_frames": 4, "metric": metric, "sink": NoFrames(), "device": "cpu"}
+    for measure in (False, True):
+        source = CountedFrames(POINTS)
+        warpqem.simplify(source, FACES, measure=measure, **options)
+        # Once more for the errors of what a sink takes.
+        assert source.total == (3 if measure else 2) * FRAME_COUNT + 4
 
 
 def test_no_more_frames_than_planned_are_read_at_once():

@@ -114,7 +114,7 @@ NUMBERS: dict[str, tuple[Any, list[Any]]] = {
     "width of the picture": (lambda value: render(POINTS[0], FACES, fit_view(POINTS), size=(value, 8)), [0, 1.5]),
 }
 MAY_BE_NONE = {
-    "ratio", "target_faces", "max_error", "key_frames", "base_faces", "scale", "plan ratio"
+    "ratio", "target_faces", "max_error", "key_frames", "base_faces", "scale", "plan ratio", "samples"
 }  # fmt: skip
 FLAGS = {
     "refit": calls("refit", simplify, ratio=0.5),

@@ -48,7 +48,10 @@ def overview(folder, results: list[dict]) -> dict:
 def test_assets_have_figures_pictures_and_a_link(done, tmp_path):
     [asset] = overview(tmp_path, [done])["assets"]
     assert (asset["name"], asset["link"], asset["faces_after"]) == ("b.usda", "out/b.usda", 64)
-    assert asset["error"] > 0
+    measured = done["report"]["prims"][0]["measured"]
+    assert [asset[name] for name in ("rms", "hausdorff", "flips", "verdict")] == [
+        measured[name] for name in ("rms", "hausdorff", "flips", "verdict")
+    ]
     before, after = (
         np.asarray(Image.open(io.BytesIO(base64.b64decode(text.split(",")[1]))).convert("RGB"))
         for text in asset["pictures"]
@@ -57,9 +60,23 @@ def test_assets_have_figures_pictures_and_a_link(done, tmp_path):
     assert (before != after).any()
 
 
-def test_assets_are_in_the_order_of_their_names(done, tmp_path):
-    results = [done, result(tmp_path, "a", "failed", message="lost")]
-    assert [asset["name"] for asset in overview(tmp_path, results)["assets"]] == ["a.usda", "b.usda"]
+def of_verdict(done: dict, tmp_path, name: str, **measured) -> dict:
+    prim = done["report"]["prims"][0]
+    report = {**done["report"], "prims": [{**prim, "measured": {**prim["measured"], **measured}}]}
+    return {**done, "input": str(tmp_path / f"{name}.usda"), "report": report}
+
+
+def test_assets_come_with_the_worst_first_and_equal_ones_by_name(done, tmp_path):
+    results = [
+        of_verdict(done, tmp_path, "d", verdict="good", hausdorff=0.9),
+        of_verdict(done, tmp_path, "c", verdict="poor", hausdorff=0.1),
+        of_verdict(done, tmp_path, "e", verdict="look", hausdorff=0.5),
+        of_verdict(done, tmp_path, "f", verdict="look", hausdorff=0.6),
+        result(tmp_path, "z", "failed", message="lost"),
+        result(tmp_path, "y", "failed", message="lost"),
+    ]
+    names = [asset["name"] for asset in overview(tmp_path, results)["assets"]]
+    assert names == [f"{name}.usda" for name in "yzcfed"]
 
 
 def test_failed_asset_has_its_message_and_nothing_to_open(tmp_path):
@@ -93,4 +110,4 @@ def test_batch_writes_an_overview(tmp_path):
     finished = CliRunner().invoke(app, [*arguments.split(), "--report", str(tmp_path / "page.html")])
     assert finished.exit_code == 1
     data = data_of((tmp_path / "page.html").read_text("utf-8"))
-    assert [(asset["name"], asset["status"]) for asset in data["assets"]] == [("a.usda", "done"), ("b.usda", "failed")]
+    assert [(asset["name"], asset["status"]) for asset in data["assets"]] == [("b.usda", "failed"), ("a.usda", "done")]

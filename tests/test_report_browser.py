@@ -270,9 +270,9 @@ def test_page_without_some_meshes_or_all_shows_the_rest(browser, tmp_path, monke
 def test_overview_is_sorted_and_limited(browser, tmp_path):
     picture = np.full((6, 8, 3), 90, dtype=np.uint8)
     assets = [
-        Asset("b", "done", 100, 10, 0.5, pictures=[picture, picture]),
+        Asset("b", "done", 100, 10, "poor", "Hausdorff 3 % is above 2", rms=0.5, pictures=[picture, picture]),
         Asset("a", "failed", message="lost"),
-        Asset("c", "done", 20, 10, 0.1),
+        Asset("c", "done", 20, 10, "good", rms=0.1),
     ]
     (tmp_path / "page.html").write_text(overview_page("three", assets), "utf-8")
     page = browser.new_page()
@@ -284,10 +284,12 @@ def test_overview_is_sorted_and_limited(browser, tmp_path):
         return page.locator("tbody tr td:first-child > span").all_inner_texts()
 
     assert names() == ["b", "a", "c"]
-    page.click("thead button:text('error')")
-    assert names() == ["c", "b", "a"]
-    page.click("thead button:text('error')")
-    assert names() == ["b", "c", "a"]
+    for column in ("RMS", "verdict"):
+        page.click(f"thead button:text('{column}')")
+        assert names() == ["c", "b", "a"]
+        page.click(f"thead button:text('{column}')")
+        assert names() == ["b", "c", "a"]
+    assert page.locator("td.bad").all_inner_texts() == ["poor", "failed"]
     page.click("#status [data-value=failed]")
     assert names() == ["a"]
     page.click("#status [data-value=all]")

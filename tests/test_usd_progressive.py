@@ -160,7 +160,7 @@ def test_screen_error_limits_the_error_in_world_units(tmp_path):
     points = np.array(UsdGeom.Mesh(stage.GetPrimAtPath("/Root/Cloth")).GetPointsAttr().Get(FRAMES[0]))
     assert prim.stopped == "max_error"
     limit = 100 * view.length / (3 * np.linalg.norm(np.ptp(points, axis=0)))
-    assert 0.2 * limit < prim.error <= 1.2 * limit
+    assert 0.2 * limit < prim.measured["hausdorff"] <= 1.2 * limit
 
 
 def test_commands_build_extract_and_describe(cloth):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +13,7 @@ from warpqem.checked_frames import check_sink
 from warpqem.device import device_turn, on_device, resolve_device
 from warpqem.errors import OptionError, UnreachableTargetError
 from warpqem.frame_stream import FrameSink
+from warpqem.measuring import ResultMeasure
 from warpqem.memory import admit_faces
 from warpqem.mesh_input import read_mesh
 from warpqem.number_input import check_function, flag, shown, whole_number
@@ -80,7 +82,7 @@ class LevelOrder:
 
         Args:
             target_faces: at least as many as were asked for when ordering, which ended there.
-            sink: takes the frames of the result, block by block, in place of an array.
+            sink: takes the frames of the result, block by block, in place of an array; the result is not measured then.
             share: lets other processes place some of the frames.
             progress: called with the part done, 0 to 1, and the stage "place".
 
@@ -97,6 +99,8 @@ class LevelOrder:
         with device_turn(self._work.device):
             ordered = self._levels.at(self._levels.steps_to(self._base_faces(target_faces)))
             result = finish(self._work, self._work.placer(ordered), Outcome.of(ordered), self._refit, delivery)
+        if sink is None:
+            result = replace(result, measuring=ResultMeasure.of(self._work.mesh, self._work.device))
         return reached(result, target_faces)
 
     def _base_faces(self, target_faces: int) -> int:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,6 +26,8 @@ from warpqem.sharing import FrameShare
 if TYPE_CHECKING:
     import trimesh
 
+    from warpqem.measure.measured import Measured
+
 __all__ = ["Delivery", "Outcome", "SimplifiedMesh", "finish", "in_input_terms", "reached", "written_faces"]
 
 
@@ -39,10 +42,12 @@ class SimplifiedMesh:
             a vertex that was cut, see ``repair``, that of one sheet of the surface.
         face_map: (N',) int32, the input face that each output face goes on from.
         stopped: "target", "max_error", "max_size_error" or "no legal collapse".
-        error: % of the bounding-box diagonal, the largest RMS distance, among all collapses, of a merged vertex from
-            the planes of the faces it stands for, over key frames, or of the input vertices it stands for from the
-            faces around it, in the first one.
-        flips: (F,) int32, output faces that face away from the input there.
+        error: the estimate that the order of collapses goes by, in % of the bounding-box diagonal: the largest RMS
+            distance, among all collapses, of a merged vertex from the planes of the faces it stands for, over key
+            frames, or of the input vertices it stands for from the faces around it, in the first one. It is neither a
+            bound nor a measured distance; see ``measured``.
+        flips: (F,) int32, output faces that face away from the planes they stand for there: an estimate; faces that
+            oppose the input are ``measured.flips``.
         log: the collapses, for levels of detail; where the topology was mended, on the vertices of ``repair``.
         key_frames: (K,) int, the frames that decided the order.
         diagonal: largest bounding-box diagonal of a frame of the input, in its units.
@@ -50,6 +55,7 @@ class SimplifiedMesh:
         plan: the blocks of frames it was done in, and the memory for it.
         repair: what was mended of the input's topology before, see :mod:`warpqem.repair`; None where it was clean.
         copy_map: (V',) int32, the output vertex of each vertex of ``repair``; None without one.
+        measuring: what measures it, see ``measured``; None for nothing.
     """
 
     points: np.ndarray
@@ -66,6 +72,24 @@ class SimplifiedMesh:
     components_removed: int = 0
     repair: MeshRepair | None = None
     copy_map: np.ndarray | None = None
+    measuring: Callable[[SimplifiedMesh], Measured] | None = field(default=None, repr=False, compare=False)
+
+    @property
+    def estimate(self) -> float:
+        """The same as ``error``, under the name that says what it is."""
+        return self.error
+
+    @functools.cached_property
+    def measured(self) -> Measured | None:
+        """The measured errors, both ways and over all frames; None where nothing was to be measured.
+
+        Frames in memory are measured when this is first asked for, against the input, which must not have been changed
+        since. Those that a sink took were measured on their way.
+
+        Raises:
+            DegenerateMeshError: a frame has no extent or no area, so there is nothing to measure by.
+        """
+        return None if self.measuring is None else self.measuring(self)
 
     def corner_clusters(self, faces: np.ndarray) -> np.ndarray:
         """(N, 3) int32, the output vertex of each corner of the input's ``faces`` (N, 3), -1 for none."""

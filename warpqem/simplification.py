@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +12,7 @@ from warpqem.checked_frames import check_sink
 from warpqem.cost_models import cost_model
 from warpqem.device import on_device, resolve_device
 from warpqem.frame_stream import FrameSink
+from warpqem.measuring import ResultMeasure, measured_on_the_way, with_errors
 from warpqem.memory import MemoryPlan, admit_faces
 from warpqem.mesh_input import read_mesh
 from warpqem.number_input import flag
@@ -22,6 +25,8 @@ from warpqem.sharing import FrameShare, check_share
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
+    from warpqem.measure.measured import Measured
+
 __all__ = ["plan", "simplify"]
 
 
@@ -32,6 +37,7 @@ def simplify(
     *,
     sink: FrameSink | None = None,
     share: FrameShare | None = None,
+    measure: bool = True,
     progress: Progress | None = None,
     **options: Unpack[SimplifyKeywords],
 ) -> SimplifiedMesh:
@@ -53,6 +59,9 @@ def simplify(
         sink: takes the frames of the result, block by block, in place of an array.
         share: lets other processes place some of the frames, see :class:`warpqem.FrameShare`; it decides no bit of the
             result.
+        measure: give the result its ``measured`` errors: where it is an array, they are computed when they are first
+            asked for, and the result holds on to the input; where there is a sink, on the way to it, for which the
+            frames are read once more. It decides no bit of the result.
         progress: called with the part done, 0 to 1, and the stage, "read", "order" or "place".
         options: how far and how to simplify: the fields of :class:`warpqem.SimplifyOptions`, each told there. At least
             one of ``ratio``, ``target_faces`` and ``max_error`` is needed; with a count, whichever comes first stops.
@@ -71,15 +80,23 @@ def simplify(
     check_share(share)
     bounded = asked.bounded
     work = prepare(points, faces, asked, keep_frames=sink is None, keep_nodes=bounded, progress=progress)
+    measuring: Callable[[SimplifiedMesh], Measured] | None = None
+    if flag(measure, "measure"):
+        if sink is None:
+            measuring = ResultMeasure.of(work.mesh, work.device)
+        else:
+            work, sink = measured_on_the_way(work, sink)
+            measuring = sink.measured
+    delivery = Delivery(sink, progress, share)
     if bounded:
-        return simplify_within(work, asked.refits, Delivery(sink, progress, share))
+        return with_errors(partial(simplify_within, work, asked.refits, delivery), measuring)
     ordered = work.order(progress)
     placer, outcome = work.placer(ordered), Outcome.of(ordered)
     # Placing has its own use for the memory of ordering.
     work = work.without_input()
     del ordered
-    result = finish(work, placer, outcome, asked.refits, Delivery(sink, progress, share))
-    return reached(result, work.goal.target_faces)
+    result = finish(work, placer, outcome, asked.refits, delivery)
+    return reached(replace(result, measuring=measuring), work.goal.target_faces)
 
 
 def plan(

@@ -22,9 +22,10 @@ from warpqem.cost_models import cost_model
 from warpqem.device import on_device, resolve_device
 from warpqem.edges import edge_key
 from warpqem.errors import MeshShapeError, OptionError, UnreachableTargetError
-from warpqem.frame_stream import ArraySink, FrameSink
+from warpqem.frame_stream import ArrayFrames, ArraySink, FrameSink
 from warpqem.importance import border_vertices, lock_mask, read_quadric_scale, read_weights
 from warpqem.kernels.topology import MIRROR
+from warpqem.measuring import ResultMeasure, with_errors
 from warpqem.mesh_input import MeshInput, finite_points, read_faces, read_mesh, read_points
 from warpqem.number_input import check_function, real_number, shown
 from warpqem.options import SimplifyKeywords, SimplifyOptions, read_keywords
@@ -250,9 +251,13 @@ def simplify_symmetric(
     frames = finite_points(given.source.read(slice(0, given.frame_count)))
     mirror = symmetry if isinstance(symmetry, Mirror) else find_mirror(frames[0], given.faces, symmetry)
     mirror = _of_proper_faces(mirror, given)
+    # Those of a sink are not measured.
+    measuring = None
+    if sink is None:
+        measuring = ResultMeasure(ArrayFrames(frames), given.faces, resolve_device(asked.device))
     if not asked.bounded:
-        return _simplify_half(_Half(given, frames, mirror, asked), sink, progress)
-    return _simplify_within(given, frames, mirror, asked, sink, progress)
+        return with_errors(lambda: _simplify_half(_Half(given, frames, mirror, asked), sink, progress), measuring)
+    return with_errors(lambda: _simplify_within(given, frames, mirror, asked, sink, progress), measuring)
 
 
 def _simplify_within(

@@ -129,12 +129,35 @@ def summary_table(results: Sequence[BatchResult], job_count: int, seconds: float
                 f"{sum(result.seconds for result in some):.1f}",
                 str(peak >> 20) if peak else "",
             )
+    _add_verdicts(table, results)
     bad = [result for result in results if not result.ok]
     for result in bad[:MOST_NAMED]:
         table.add_note(f"{result.error}: {result.input}")
     if len(bad) > MOST_NAMED:
         table.add_note(f"and {len(bad) - MOST_NAMED} more, all named above")
     return table
+
+
+def _add_verdicts(table: PlainTable, results: Sequence[BatchResult]) -> None:
+    """How many meshes are good, and the worst of the others."""
+    from warpqem.measure.verdict import WORDS
+
+    found = [
+        (result.input, prim["path"], prim["measured"])
+        for result in results
+        for prim in (result.report or {}).get("prims", [])
+        if prim.get("measured")
+    ]
+    if not found:
+        return
+    counts = Counter(measured["verdict"] for _, _, measured in found)
+    table.add_note("meshes: " + ", ".join(f"{counts[word]} {word}" for word in WORDS if counts[word]))
+    wanting = [entry for entry in found if entry[2]["reason"]]
+    wanting.sort(key=lambda entry: (WORDS.index(entry[2]["verdict"]), -entry[2]["hausdorff"]))
+    for source, path, measured in wanting[:MOST_NAMED]:
+        table.add_note(f"{measured['verdict']}: {source}: {path}: {measured['reason']}")
+    if len(wanting) > MOST_NAMED:
+        table.add_note(f"and {len(wanting) - MOST_NAMED} more that are not good, see --json")
 
 
 def _weight(job: BatchJob) -> int:

@@ -10,6 +10,7 @@ from warpqem.cli.appearance_table import appearance_table
 from warpqem.cli.console import (
     EXIT_FAILED,
     PlainTable,
+    error_text,
     load_usd,
     print_table,
     progress_bar,
@@ -28,7 +29,13 @@ __all__ = ["compare"]
 def compare(
     reference: Annotated[str, typer.Argument(metavar="REFERENCE", help="USD file with the original meshes.")],
     test: Annotated[str, typer.Argument(metavar="TEST", help="USD file with simplified meshes at the same paths.")],
-    samples: Annotated[int, typer.Option(help="Number of sample points on each mesh.")] = 20000,
+    samples: Annotated[
+        int | None,
+        typer.Option(
+            help="Number of sample points on each mesh in each frame; by default as many as suit the number of frames, "
+            "which are those of simplify."
+        ),
+    ] = None,
     frames: Frames = None,
     prim: Prims = None,
     variant: Variants = None,
@@ -57,9 +64,12 @@ def compare(
 ) -> None:
     """Measure the meshes of TEST against those of REFERENCE with the same prim path, at the frames of both.
 
-    Distances are in % of the reference's bounding-box diagonal in the frame, angles in degrees. Jitter and slide
-    are second differences over time: how much the surface trembles, and how much vertices swim on it,
-    against the material they are bound to; 95 % of the vertices slide no more than "slide 95 %".
+    Distances are in % of the reference's bounding-box diagonal in the frame, angles in degrees. RMS is the root mean
+    square distance, of the two directions the larger, as a mean over the frames; Hausdorff the largest distance of any
+    point in any frame; flips are faces that oppose the reference face nearest to them, a frame. Jitter and slide
+    are second differences over time: how much the surface trembles, and how much vertices swim on it, against the
+    material they are bound to; 95 % of the vertices slide no more than "slide 95 %". The verdict is good, look or poor,
+    by the limits in docs/glossary.md. simplify gives the same figures under the same names.
 
     A second table compares what both meshes have of texture coordinates, shading normals and colours.
 
@@ -112,7 +122,8 @@ def _table(reference: str, test: str, pairs: list[PairReport]) -> PlainTable:
     names = ("frames", "faces", "RMS %", "mean %", "Hausdorff %", "normals deg", "flips", "jitter %", "slide %")
     for name in (*names, "slide 95 %", "edge length %"):
         table.add_column(name, justify="right")
-    for pair in pairs:
+    table.add_column("verdict")
+    for pair in sorted(pairs, key=_badness):
         measures = pair.comparison
         name = [pair.level or "", pair.path] if levels else [pair.path]
         if measures is None:
@@ -130,7 +141,17 @@ def _table(reference: str, test: str, pairs: list[PairReport]) -> PlainTable:
             measures.edge_length_error,
         )
         faces = f"{measures.reference_topology.faces} / {measures.test_topology.faces}"
-        table.add_row(
-            *name, str(measures.frame_count), faces, *("" if value is None else f"{value:.4g}" for value in values)
-        )
+        verdict = measures.verdict
+        table.add_row(*name, str(measures.frame_count), faces, *map(error_text, values), verdict.word)
+        if verdict.reason:
+            table.add_note(f"{verdict.word}: {pair.path}: {verdict.reason}")
     return table
+
+
+def _badness(pair: PairReport) -> tuple[int, float]:
+    """What pairs are sorted by: those that failed first, then the worst."""
+    from warpqem.measure.verdict import WORDS
+
+    if pair.comparison is None:
+        return 0, 0.0
+    return 1 + WORDS.index(pair.comparison.verdict.word), -pair.comparison.hausdorff

@@ -35,6 +35,7 @@ __all__ = [
     "OneLineErrors",
     "PlainTable",
     "QuietProgress",
+    "error_text",
     "load_usd",
     "print_table",
     "progress_bar",
@@ -219,6 +220,11 @@ class PlainTable(Table):
         """Add a line below the table."""
         self._notes.append(printable(text))
         self.caption = Text("\n".join(self._notes))
+
+
+def error_text(value: float | None) -> str:
+    """A measured figure as every table shows it; empty for none."""
+    return "" if value is None else f"{value:.4g}"
 
 
 def print_table(table: PlainTable, to_stderr: bool = False) -> None:

@@ -9,6 +9,7 @@ import typer
 from warpqem.cli.console import (
     EXIT_FAILED,
     PlainTable,
+    error_text,
     load_usd,
     print_table,
     progress_bar,
@@ -123,6 +124,8 @@ def _level(prim: PrimReport) -> str:
 
 
 def _tell_problems(report: StageReport) -> None:
+    from warpqem.measure.verdict import WARNING_DISTANCE
+
     for problem in report.problems:
         tell("warning", problem)
     for note in report.notes:
@@ -141,6 +144,8 @@ def _tell_problems(report: StageReport) -> None:
             tell("warning", f"{level}{prim.path}: stopped at {prim.faces_after} faces, no legal collapse is left")
         if prim.status == "kept" and prim.message and prim.message.startswith("no geometry"):
             tell("note", f"{prim.path}: kept: {prim.message}")
+        if prim.measured is not None and prim.measured["hausdorff"] > WARNING_DISTANCE:
+            tell("warning", f"{level}{prim.path}: {_distance(prim.measured)}")
         if prim.status == "failed":
             tell("error", level + (prim.message or prim.path))
     _tell_small(report)
@@ -162,18 +167,28 @@ def _table(report: StageReport) -> PlainTable:
     if any(levels):
         table.add_column("level")
     table.add_column("mesh", overflow="fold")
-    for name in ("frames", "faces before", "faces after", "error %"):
+    measured = any(prim.measured for prim in report.prims)
+    errors = ("RMS %", "Hausdorff %", "flips") if measured else ("estimate %",)
+    for name in ("frames", "faces before", "faces after", *errors):
         table.add_column(name, justify="right")
+    if measured:
+        table.add_column("verdict")
     table.add_column("stopped")
     table.add_column("seconds", justify="right")
-    for level, prims in levels.items():
-        rows = [_row(prim) for prim in prims]
+    order = {id(prim): place for place, prim in enumerate(report.worst_first)}
+    for level, unordered in levels.items():
+        prims = sorted(unordered, key=lambda prim: order[id(prim)])
+        rows = [_row(prim, measured) for prim in prims]
         if len(prims) > 1:
-            rows.append(_total(prims))
+            rows.append(_total(prims, measured))
         for index, row in enumerate(rows):
             # The total stands apart from its meshes, and each level from the next.
             end_section = index == len(rows) - 1 or (len(prims) > 1 and index == len(prims) - 1)
             table.add_row(*([level] if level else []), *row, end_section=end_section)
+    for prim in report.worst_first:
+        if prim.measured is not None and prim.measured["reason"]:
+            level = f"{_level(prim)}: " if _level(prim) else ""
+            table.add_note(f"{prim.measured['verdict']}: {level}{prim.path}: {prim.measured['reason']}")
     return table
 
 
@@ -182,21 +197,32 @@ def _named(outputs: list[str]) -> str:
     return ", ".join(outputs) if len(outputs) <= MOST_NAMED else f"{outputs[0]}, ..., {outputs[-1]}"
 
 
-def _total(prims: list[PrimReport]) -> list[str]:
+def _distance(measured: dict[str, Any]) -> str:
+    """How far a mesh is off, for a warning."""
+    percent, length = measured["hausdorff"], measured["hausdorff_length"]
+    return f"a point is up to {percent:.4g} % of the diagonal ({length:.4g} units) off"
+
+
+def _total(prims: list[PrimReport], measured: bool) -> list[str]:
     failed = sum(prim.status == "failed" for prim in prims)
     return [
         f"{len(prims)} meshes",
         "",
         str(sum(prim.faces_before for prim in prims)),
         str(sum(prim.faces_after for prim in prims)),
-        "",
+        *([""] * (4 if measured else 1)),
         f"{failed} failed" if failed else "",
         f"{sum(prim.seconds for prim in prims):.1f}",
     ]
 
 
-def _row(prim: PrimReport) -> list[str]:
-    error = "" if prim.error is None else f"{prim.error:.4f}"
+def _row(prim: PrimReport, measured: bool) -> list[str]:
+    if measured:
+        found = prim.measured
+        errors = [""] * 4 if found is None else [*map(error_text, (found["rms"], found["hausdorff"], found["flips"]))]
+        errors += [] if found is None else [found["verdict"]]
+    else:
+        errors = ["" if prim.estimate is None else error_text(prim.estimate)]
     stopped = prim.stopped if prim.status == "simplified" else prim.status
     counts = [str(count) if prim.frames else "" for count in (prim.frames, prim.faces_before, prim.faces_after)]
-    return [prim.path, *counts, error, stopped or "", f"{prim.seconds:.1f}"]
+    return [prim.path, *counts, *errors, stopped or "", f"{prim.seconds:.1f}"]

@@ -11,18 +11,23 @@ from warpqem.measure.appearance import (
 )
 from warpqem.measure.comparison import Comparison, FrameErrors, compare
 from warpqem.measure.heatmap import distance_colors, vertex_distances
+from warpqem.measure.measured import Measured
 from warpqem.measure.topology import Topology, topology
+from warpqem.measure.verdict import LIMITS, Verdict
 
 __all__ = [
+    "LIMITS",
     "Appearance",
     "ColorErrors",
     "Comparison",
     "CornerValues",
     "FrameErrors",
+    "Measured",
     "NormalErrors",
     "SurfaceValues",
     "Topology",
     "UvErrors",
+    "Verdict",
     "compare",
     "compare_appearance",
     "distance_colors",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -18,11 +19,13 @@ class Level:
         name: what the page calls it, such as "LOD1".
         points: (F, V', 3), in the coordinates and frames of the original.
         faces: (N', 3) integers, counter-clockwise.
+        measured: its errors over all frames of the animation, where they are known; None for those of the frames here.
     """
 
     name: str
     points: np.ndarray
     faces: np.ndarray
+    measured: Mapping[str, Any] | None = None
 
 
 @dataclass(frozen=True)

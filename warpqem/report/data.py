@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -28,8 +28,6 @@ LARGEST_MESHES = 2 * LARGEST_POSITIONS
 BYTES_PER_FACE = 12
 # Five seconds show what moves, and each frame that is shown is measured too.
 MOST_FRAMES = 120
-# Samples on each mesh for the curves: the mean over frames is then off by about 1 %.
-SAMPLES = 10000
 # The page has room for so many colours in one byte; the last value stands for no feature.
 NO_FEATURE = 255
 # Distances have 8 bits, as a share of the largest.
@@ -67,7 +65,10 @@ def report_data(report: Report, device: str | None = None, progress: Progress | 
     progress = progress or (lambda fraction, text: None)
     original = np.asarray(report.points)
     original = original[None] if original.ndim == 2 else original
-    levels = [Level(v.name, np.asarray(v.points).reshape(-1, *v.points.shape[-2:]), v.faces) for v in report.levels]
+    levels = [
+        Level(v.name, np.asarray(v.points).reshape(-1, *v.points.shape[-2:]), v.faces, v.measured)
+        for v in report.levels
+    ]
     grid = Grid.around(original, *(level.points for level in levels))
     notes = list(report.notes)
     shown = _with_room(
@@ -102,7 +103,7 @@ def report_data(report: Report, device: str | None = None, progress: Progress | 
             "markers": marked.tolist(),
         },
         "levels": packed,
-        "samples": SAMPLES,
+        "samples": packed[0]["measures"]["samples"] if packed else 0,
         "tables": [asdict(table) for table in report.tables],
         "notes": notes,
     }
@@ -200,23 +201,26 @@ def _level_data(
     meshes = (original, report.faces, level.points, level.faces)
     distance = vertex_distances(*meshes, device=device)
     own_labels = None if labels is None else _carried(labels, original[0], report.faces, level.points[0], device)
-    measures = compare(*meshes, samples=SAMPLES, device=device, progress=progress)
+    measures = compare(*meshes, device=device, progress=progress)
     return {
         "name": level.name,
         **_counts(level.points, level.faces),
         "mesh": mesh_data(level.points, level.faces, grid, own_labels, distance) if shown else None,
-        "measures": _measures(measures, report.thinned),
+        "measures": _measures(measures, report.thinned, level.measured or {}),
     }
 
 
-def _measures(found: Comparison, thinned: bool) -> dict[str, Any]:
-    frames = found.per_frame
+def _measures(found: Comparison, thinned: bool, known: Mapping[str, Any]) -> dict[str, Any]:
+    """The figures of a level; those that are known of all its frames take the place of those of the frames shown."""
+    frames, figures = found.per_frame, {**found.to_dict(), **known}
     return {
-        "rms": found.rms,
-        "hausdorff": found.hausdorff,
-        "mean": found.mean,
-        "normals": found.normal_deviation,
-        "flips": found.flips,
+        "rms": figures["rms"],
+        "hausdorff": figures["hausdorff"],
+        "mean": figures["mean"],
+        "normals": figures["normal_deviation"],
+        "flips": figures["flips"],
+        "verdict": figures["verdict"],
+        "samples": figures["sample_count"],
         # Between frames that do not follow each other these say nothing.
         "jitter": None if thinned else found.jitter,
         "slide": None if thinned else found.slide,

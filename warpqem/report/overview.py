@@ -29,8 +29,11 @@ class Asset:
         status: "done", "partial", "failed" or "skipped".
         faces: triangles before; 0 where that is not known.
         faces_after: triangles after.
-        error: largest error of a mesh, in % of its diagonal; None where that is not known.
-        flips: faces that turned over, in all frames together.
+        verdict: "good", "look" or "poor", of the worst mesh; empty where that is not known.
+        reason: why it is not good.
+        rms: largest measured RMS of a mesh, in % of its diagonal; None where that is not known.
+        hausdorff: largest measured distance of a mesh, likewise.
+        flips: faces a frame that oppose the input, of all meshes together; None where that is not known.
         seconds: wall-clock time.
         message: what went wrong; empty where nothing did.
         pictures: before and after, (height, width, 3) uint8 sRGB; empty for none.
@@ -41,8 +44,11 @@ class Asset:
     status: str
     faces: int = 0
     faces_after: int = 0
-    error: float | None = None
-    flips: int = 0
+    verdict: str = ""
+    reason: str = ""
+    rms: float | None = None
+    hausdorff: float | None = None
+    flips: float | None = None
     seconds: float = 0.0
     message: str = ""
     pictures: Sequence[np.ndarray] = ()

@@ -24,6 +24,7 @@ from warpqem.usd.skel import StagePoses
 from warpqem.usd.stage import find_meshes, open_stage
 from warpqem.usd.surface_values import compare_as_posed, surface_values
 from warpqem.usd.variants import select_variants
+from warpqem.usd.visibility import seen_frames
 from warpqem.usd.write import OverLayer, check_output_path
 
 __all__ = ["CompareOptions", "PairReport", "compare_stages"]
@@ -34,7 +35,7 @@ class CompareOptions:
     """How to compare.
 
     Attributes:
-        samples: Sample points on each mesh.
+        samples: Sample points on each mesh in each frame; None for as many as suit the number of frames.
         frames: Time codes to compare at; None for all that either file has.
         prims: Prim paths; meshes at and below them are compared. Empty for all.
         device: Warp device; None for the default.
@@ -44,7 +45,7 @@ class CompareOptions:
         all_lods: Compare every level of detail of the test file below the original, one after the other.
     """
 
-    samples: int = 20000
+    samples: int | None = None
     frames: FrameRange | None = None
     prims: tuple[str, ...] = ()
     device: str | None = None
@@ -264,7 +265,12 @@ def _compare_constant(
     reference, test = (source.read(times) for source in sources)
     meshes = (reference.points, reference.right_handed_faces, test.points, test.right_handed_faces)
     half = (lambda done, total: progress(done, 2 * total), lambda done, total: progress(total + done, 2 * total))
-    report.comparison = compare(*meshes, samples=options.samples, device=options.device, progress=half[0])
+    # Poses in which nobody sees the mesh do not count.
+    seen = None if times is None else seen_frames(sources[0].prim, times)
+    frames = None if seen is None or seen.all() or not seen.any() else np.flatnonzero(seen).tolist()
+    report.comparison = compare(
+        *meshes, samples=options.samples, frames=frames, device=options.device, progress=half[0]
+    )
     values = compare_as_posed(sources, [surface_values(source, times) for source in sources])
     sides = [value for side in zip(meshes[::2], meshes[1::2], values, strict=True) for value in side]
     report.appearance = compare_appearance(*sides, device=options.device, progress=half[1])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -12,14 +12,18 @@ import numpy.typing as npt
 from pxr import Usd, UsdGeom
 
 from warpqem.errors import StageError
-from warpqem.measure import Comparison, compare, distance_colors
+from warpqem.measure import Comparison, Measured, compare, distance_colors
 from warpqem.measure.comparison import FrameErrors
+from warpqem.measure.measured import joined_errors
 from warpqem.usd.frames import FrameRange
 from warpqem.usd.mesh import MeshSource
 from warpqem.usd.skel import StagePoses
 from warpqem.usd.topology_runs import TopologyRun, find_runs, open_run
 
 __all__ = ["RunPair", "VaryingMesh", "combine", "pair_runs", "run_colors"]
+
+# What is measured of any mesh.
+ERRORS = tuple(entry.name for entry in fields(Measured))
 
 
 @dataclass(frozen=True)
@@ -146,17 +150,12 @@ def _combined(found: Sequence[Comparison]) -> Comparison:
     per_frame = FrameErrors(**joined)
     return replace(
         found[0],
+        **asdict(joined_errors([Measured(**{name: getattr(part, name) for name in ERRORS}) for part in found])),
         per_frame=per_frame,
-        rms=float(per_frame.rms.mean()),
-        hausdorff=float(per_frame.hausdorff.max()),
-        mean=float(per_frame.mean.mean()),
-        normal_deviation=float(per_frame.normal_deviation.mean()),
-        flips=float(per_frame.flips.mean()),
         jitter=_root_mean_square(found, "jitter"),
         slide=_root_mean_square(found, "slide"),
         slide_p95=max((part.slide_p95 for part in found if part.slide_p95 is not None), default=None),
         edge_length_error=_root_mean_square(found, "edge_length_error") or 0.0,
-        frame_count=int(starts[-1]),
     )
 
 

@@ -101,6 +101,7 @@ class MeshJob:
         pose_start: E.
         rest_fit: What brought the rest shape of a mesh with a skin to the poses; None without one.
         repair: What simplifying mends of the topology first; None for nothing.
+        has_own_poses: False where `frames` has example poses in place of the mesh's own.
     """
 
     source: MeshSource
@@ -113,6 +114,7 @@ class MeshJob:
     pose_start: int
     rest_fit: RestFit | None
     repair: MeshRepair | None = None
+    has_own_poses: bool = True
 
     @classmethod
     def prepare(
@@ -171,7 +173,8 @@ class MeshJob:
         fit = RestFit.of(rest, poses[0].read(slice(0, 1))[0])
         extra = fit.apply(np.stack([rest, *targets]))
         frames = JoinedFrames([ArrayFrames(extra), poses[0]])
-        return cls(source, mesh, faces, seams, skin, None, frames, len(extra), fit, repair)
+        own = examples is None
+        return cls(source, mesh, faces, seams, skin, None, frames, len(extra), fit, repair, own)
 
     @property
     def pose_count(self) -> int:

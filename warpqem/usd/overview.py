@@ -11,6 +11,7 @@ from urllib.parse import quote
 import numpy as np
 
 from warpqem.errors import WarpqemError
+from warpqem.measure.verdict import WORDS
 from warpqem.outputs import InputFile, OutputFile, check_outputs
 from warpqem.picture import fit_view, render
 from warpqem.report.overview import Asset, overview_page
@@ -22,6 +23,8 @@ __all__ = ["write_overview"]
 
 Progress = Callable[[float, str], None]
 
+# States of assets, see `warpqem.BatchResult`.
+FAILED, PARTIAL = "failed", "partial"
 # Width and height of a picture.
 SIZE = (200, 150)
 # Reading two files takes long beside drawing them, and the page is to stay below some MB.
@@ -50,7 +53,7 @@ def write_overview(
     """
     check_page_path(path)
     check_outputs([OutputFile("report", path)], (file for result in results for file in _files_of(result)))
-    ordered = sorted(results, key=lambda result: str(result["input"]))
+    ordered = sorted(results, key=lambda result: (_badness(result), str(result["input"])))
     folder = os.path.commonpath([os.path.dirname(os.path.abspath(result["input"])) for result in ordered] or [os.sep])
     assets = []
     drawn = 0
@@ -59,7 +62,7 @@ def write_overview(
             progress(index / len(ordered), f"drawing {result['input']}")
         pictures: list[np.ndarray] = []
         message = result["message"] or ""
-        if result["status"] != "failed" and drawn < MOST_PICTURES:
+        if result["status"] != FAILED and drawn < MOST_PICTURES:
             drawn += 1
             try:
                 pictures = _pictures(result["input"], _outputs(result)[-1], prims, device)
@@ -69,10 +72,22 @@ def write_overview(
         assets.append(_asset(name, result, message, pictures, Path(path)))
     done = sum(result["status"] in ("done", "skipped") for result in ordered)
     notes = [f"Inputs are in {folder}."]
-    notes += ["Pictures show the middle of each animation, before and after. Errors are in % of a mesh's diagonal."]
+    notes += [
+        "Pictures show the middle of each animation, before and after. Errors are the largest of a mesh, in % of its "
+        "diagonal; flips are faces a frame of all meshes together. The worst come first."
+    ]
     if drawn == MOST_PICTURES < len(ordered):
         notes.append(f"The first {MOST_PICTURES} are drawn.")
     save_page(path, overview_page(f"{done} of {len(ordered)} assets are done", assets, notes))
+
+
+def _badness(result: dict[str, Any]) -> tuple[int, float]:
+    """What assets are sorted by, the worst first: what failed, then by the worst mesh."""
+    measured = [prim["measured"] for prim in (result["report"] or {}).get("prims", []) if prim.get("measured")]
+    if result["status"] in (FAILED, PARTIAL):
+        return (0 if result["status"] == FAILED else 1), 0.0
+    places = [(2 + WORDS.index(found["verdict"]), -float(found["hausdorff"])) for found in measured]
+    return min(places, default=(2 + len(WORDS), 0.0))
 
 
 def _files_of(result: dict[str, Any]) -> list[InputFile]:
@@ -88,15 +103,19 @@ def _outputs(result: dict[str, Any]) -> list[str]:
 
 
 def _asset(name: str, result: dict[str, Any], message: str, pictures: Sequence[np.ndarray], page: Path) -> Asset:
-    reports = [prim for prim in (result["report"] or {}).get("prims", []) if prim["error"] is not None]
+    measured = [prim["measured"] for prim in (result["report"] or {}).get("prims", []) if prim.get("measured")]
+    worst = min(measured, key=lambda found: (WORDS.index(found["verdict"]), -found["hausdorff"]), default=None)
     written = result["status"] != "failed"
     return Asset(
         name=name,
         status=result["status"],
         faces=result["faces"],
         faces_after=result["faces_after"],
-        error=max((prim["error"] for prim in reports), default=None),
-        flips=sum(prim["flips"] or 0 for prim in reports),
+        verdict="" if worst is None else worst["verdict"],
+        reason="" if worst is None else worst["reason"],
+        rms=max((found["rms"] for found in measured), default=None),
+        hausdorff=max((found["hausdorff"] for found in measured), default=None),
+        flips=sum(found["flips"] for found in measured) if measured else None,
         seconds=round(result["seconds"], 2),
         message=message,
         pictures=pictures,

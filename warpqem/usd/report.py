@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from warpqem.measure.verdict import WORDS
+
 __all__ = ["PrimReport", "RunReport", "StageReport", "name_prim"]
 
 
@@ -24,7 +26,8 @@ class RunReport:
         frames: Number of its frames.
         faces_before: Triangles before.
         faces_after: Triangles after.
-        error: See `PrimReport`.
+        measured: See `PrimReport`.
+        estimate: See `PrimReport`.
         stopped: Why simplification stopped; None where it was kept.
     """
 
@@ -33,7 +36,8 @@ class RunReport:
     frames: int
     faces_before: int
     faces_after: int
-    error: float | None
+    measured: dict[str, Any] | None
+    estimate: float | None
     stopped: str | None
 
 
@@ -49,9 +53,11 @@ class PrimReport:
         faces_after: Triangles after.
         vertices_before: Points in use before.
         vertices_after: Points after.
-        error: Root mean square error over the frames, in % of the bounding-box diagonal.
+        measured: The measured errors, see `warpqem.measure.Measured.to_dict`: `rms`, `hausdorff`, `flips`, `verdict`
+            and others; None where the mesh was not simplified, or not measured.
+        estimate: What the order of collapses takes for the error, in % of the bounding-box diagonal: the largest error
+            of a collapse, which is neither a bound nor a measured distance.
         stopped: Why simplification stopped.
-        flips: Faces that turned over, in all frames together.
         components_removed: Small components of the surface that vanished.
         seconds: Wall-clock time.
         dropped: What did not fit the new mesh and was taken off it.
@@ -72,9 +78,9 @@ class PrimReport:
     faces_after: int = 0
     vertices_before: int = 0
     vertices_after: int = 0
-    error: float | None = None
+    measured: dict[str, Any] | None = None
+    estimate: float | None = None
     stopped: str | None = None
-    flips: int | None = None
     components_removed: int = 0
     seconds: float = 0.0
     dropped: list[str] = field(default_factory=list)
@@ -85,6 +91,15 @@ class PrimReport:
     problems: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     runs: list[RunReport] = field(default_factory=list)
+
+
+def _badness(prim: PrimReport) -> tuple[int, float]:
+    """What meshes are sorted by: the worst have the least."""
+    if prim.status == "failed":
+        return 0, 0.0
+    if prim.measured is None:
+        return 1 + len(WORDS), 0.0
+    return 1 + WORDS.index(prim.measured["verdict"]), -prim.measured["hausdorff"]
 
 
 @dataclass
@@ -113,6 +128,11 @@ class StageReport:
     def failed(self) -> list[PrimReport]:
         """The meshes that could not be done."""
         return [prim for prim in self.prims if prim.status == "failed"]
+
+    @property
+    def worst_first(self) -> list[PrimReport]:
+        """The meshes, those that failed first, then by verdict, then by the largest distance."""
+        return sorted(self.prims, key=_badness)
 
     @property
     def face_share(self) -> float:

@@ -63,11 +63,22 @@ def write_simplify_report(
         levels = [(name, _open_level(output, name, options.prims, failed)) for name in names]
     levels = levels or [("simplified", WorldMeshes(output, options.prims, passing=failed))]
     check_stage_outputs([OutputFile("report", path)], [original.stage, *(level.stage for _, level in levels)])
-    tables = [_mesh_table(report.prims), _option_table(options)]
+    tables = [_mesh_table(report.worst_first), _option_table(options)]
     notes = [prim.message for prim in report.prims if prim.message]
+    notes += [
+        f"{prim.path}: {prim.measured['verdict']}: {prim.measured['reason']}"
+        for prim in report.worst_first
+        if prim.measured is not None and prim.measured["reason"]
+    ]
     notes += [f"{prim.path}: dropped: {', '.join(prim.dropped)}" for prim in report.prims if prim.dropped]
     title = f"{original.name} → {os.path.basename(output)}"
     page = _gather(title, original, levels, options.frames, tables, list(dict.fromkeys(notes)))
+    if len(report.prims) == len(page.levels):
+        # Of one mesh, the page shows the errors that are known, of all its frames.
+        known = [prim.measured for prim in report.prims]
+        page = replace(
+            page, levels=[replace(level, measured=found) for level, found in zip(page.levels, known, strict=True)]
+        )
     if cost_model(options.metric).keeps_face:
         page = replace(page, markers=_feature_points(page))
     write_report(path, page, options.device, progress)
@@ -106,17 +117,21 @@ def write_compare_report(
         levels = [(level.name, level)]
     check_stage_outputs([OutputFile("report", path)], [original.stage, *(level.stage for _, level in levels)])
     notes = [pair.message for pair in pairs if pair.message]
-    head = ("mesh", "frames", "RMS %", "Hausdorff %", "flips", "jitter %", "slide %", "edge length %")
+    errors = ("RMS %", "Hausdorff %", "flips a frame", "verdict", "jitter %", "slide %", "edge length %")
+    head = ("mesh", "frames", *errors)
     rows = []
     for pair in pairs:
         found = pair.comparison
         if found is not None:
-            values = (found.rms, found.hausdorff, found.flips, found.jitter, found.slide, found.edge_length_error)
+            motion = (found.jitter, found.slide, found.edge_length_error)
+            values = (found.rms, found.hausdorff, found.flips, found.verdict.word, *motion)
             name = pair.path if pair.level is None else f"{pair.path} ({pair.level})"
             rows.append((name, found.frame_count, *values))
     tables = [Table("Meshes", head, rows)]
     title = f"{original.name} – {os.path.basename(test)}"
     page = _gather(title, original, levels, options.frames, tables, notes)
+    if len(pairs) == 1 and not options.all_lods and pairs[0].comparison is not None:
+        page = replace(page, levels=[replace(page.levels[0], measured=pairs[0].comparison.to_dict())])
     write_report(path, page, options.device, progress)
 
 
@@ -231,13 +246,16 @@ def _gather(
 
 
 def _mesh_table(prims: Sequence[PrimReport]) -> Table:
-    head = ("mesh", "frames", "faces before", "faces after", "error %", "flips", "stopped", "seconds")
+    errors = ("RMS %", "Hausdorff %", "flips a frame", "verdict")
+    head = ("mesh", "frames", "faces before", "faces after", *errors, "stopped", "seconds")
     rows = []
     for prim in prims:
         level = f" ({prim.level})" if isinstance(prim, LevelReport) else ""
         stopped = prim.stopped if prim.status == "simplified" else prim.status
         counts = (prim.frames, prim.faces_before, prim.faces_after)
-        rows.append((prim.path + level, *counts, prim.error, prim.flips, stopped, round(prim.seconds, 2)))
+        found = prim.measured or {}
+        figures = [found.get(name) for name in ("rms", "hausdorff", "flips", "verdict")]
+        rows.append((prim.path + level, *counts, *figures, stopped, round(prim.seconds, 2)))
     return Table("Meshes", head, rows)
 
 

@@ -23,7 +23,7 @@ from warpqem.errors import (
     WarpqemError,
 )
 from warpqem.frame_blocks import frame_blocks
-from warpqem.frame_stream import LaterFrames, NoFrames, counted_frames, read_ahead
+from warpqem.frame_stream import LaterFrames, NoFrames, read_ahead
 from warpqem.memory import parse_bytes
 from warpqem.options import target_count
 from warpqem.symmetry import Mirror, find_mirror, simplify_symmetric
@@ -37,6 +37,7 @@ from warpqem.usd.feature_subsets import write_feature_points
 from warpqem.usd.inheritors import heirs_first
 from warpqem.usd.job import MeshJob, ReadOptions
 from warpqem.usd.lengths import parse_length
+from warpqem.usd.measuring import measure_written
 from warpqem.usd.mesh import MeshSource
 from warpqem.usd.morph import check_morph, morph_scale
 from warpqem.usd.odd_values import find_odd_values
@@ -232,7 +233,8 @@ class Run:
         if order is None or order.order is None or not order.announced:
             self.announce(job.mesh.path, plan)
         if order is None:
-            options |= {**self._importance(job), "seams": seams, "progress": progress}
+            # What is measured is what the file shows.
+            options |= {**self._importance(job), "seams": seams, "progress": progress, "measure": False}
             return warpqem.simplify(job.frames, job.faces, sink=sink, share=self.share, **options, **goal)
         order.announced = True
         placed = self._order(job, progress, seams, order)
@@ -520,8 +522,9 @@ class Run:
         report.components_removed = result.components_removed
         report.faces_after = len(result.faces)
         report.vertices_after = result.points.shape[1]
-        report.error = float(result.error)
-        report.flips = int(result.flips[job.pose_start :][counted_frames(job.frames)[job.pose_start :]].sum())
+        report.estimate = float(result.error)
+        if self.options.measure:
+            measure_written(job, self.layer.stage, report, self.options.device)
 
 
 def _diagonal(job: MeshJob) -> float:

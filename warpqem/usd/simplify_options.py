@@ -90,6 +90,7 @@ class SimplifyOptions(MethodOptions):
             between two frames to be part of one, see `warpqem.MotionWeighting`; None for the mean over all edges.
         feature_floor: Degrees that it bends by in any case; None for 1.
         feature_weight: What a vertex in a motion feature weighs: "size", "root", "log" or "bend"; None for "size".
+        measure: Measure every mesh that was written against the input; no bit of the output depends on it.
         symmetry: "x", "y" or "z": a mesh whose first pose, or rest shape, is its own mirror image across that local
             axis stays so; "auto" for the first of them; None for no care. Other meshes are simplified as usual.
         frames: Time codes to read; None for all authored ones.
@@ -220,6 +221,9 @@ class SimplifyOptions(MethodOptions):
         None,
         "With --metric aqem: what a joint weighs: its size in points (the default, Yang et al. 2019), the root or one "
         "plus the logarithm of that, or how far it bends. All but size cost the rest less shape.",
+    )
+    measure: bool = option(
+        True, "Measure what was written against IN, as `warpqem compare` does: RMS and largest distance, flips."
     )
     symmetry: Axis | None = option(
         None,

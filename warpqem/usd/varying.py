@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pxr import Usd, UsdGeom
 
 from warpqem.errors import DeviceError, OptionError, StageError, WarpqemError
+from warpqem.measure import Measured
+from warpqem.measure.measured import joined_errors
+from warpqem.usd.compare_runs import ERRORS
 from warpqem.usd.context import Progress
 from warpqem.usd.frames import FrameRange
 from warpqem.usd.report import PrimReport, RunReport
@@ -117,8 +120,8 @@ def _sum_up(report: PrimReport, runs: Sequence[TopologyRun], found: Sequence[Pri
     report.status = "simplified" if done else "kept"
     report.message = None if done else found[0].message
     if done:
-        report.error = max(part.error or 0.0 for part in done)
-        report.flips = sum(part.flips or 0 for part in done)
+        report.estimate = max(part.estimate or 0.0 for part in done)
+        report.measured = _measured(found)
         report.stopped = ", ".join(dict.fromkeys(part.stopped for part in done if part.stopped))
         report.skin, report.symmetry, report.plan = done[0].skin, done[0].symmetry, done[0].plan
     report.components_removed = sum(part.components_removed for part in done)
@@ -127,6 +130,29 @@ def _sum_up(report: PrimReport, runs: Sequence[TopologyRun], found: Sequence[Pri
     report.notes = list(dict.fromkeys(text for part in found for text in part.notes))
     if len(runs) > 1:
         report.runs = [
-            RunReport(run.times[0], run.times[-1], count, part.faces_before, part.faces_after, part.error, part.stopped)
+            RunReport(
+                run.times[0],
+                run.times[-1],
+                count,
+                part.faces_before,
+                part.faces_after,
+                part.measured,
+                part.estimate,
+                part.stopped,
+            )
             for run, count, part in zip(runs, frames, found, strict=True)
         ]
+
+
+def _measured(found: Sequence[PrimReport]) -> dict[str, Any] | None:
+    """The errors over all runs; a run that is kept has none. None where a run was not measured."""
+    parts = []
+    for part in found:
+        if part.status == "kept":
+            counts = {"frame_count": part.frames, "test_faces": part.faces_after}
+            parts.append(Measured(**{**dict.fromkeys(ERRORS, 0), **counts}))
+        elif part.measured is None:
+            return None
+        else:
+            parts.append(Measured(**{name: part.measured[name] for name in ERRORS}))
+    return joined_errors(parts).to_dict()

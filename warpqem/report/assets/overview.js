@@ -4,7 +4,7 @@
   const byId = (id) => document.getElementById(id);
   const data = JSON.parse(byId("data").textContent);
   const share = (asset) => (asset.faces ? (100 * asset.faces_after) / asset.faces : null);
-  const short = (value) => (Number.isInteger(value) ? String(value) : Number(value.toPrecision(3)).toString());
+  const short = (value) => (Number.isInteger(value) ? String(value) : Number(value.toPrecision(4)).toString());
   // Name, value to sort by, unit.
   const columns = [
     ["asset", (asset) => asset.name, ""],
@@ -12,7 +12,9 @@
     ["faces", (asset) => asset.faces, ""],
     ["after", (asset) => asset.faces_after, ""],
     ["kept", share, " %"],
-    ["error", (asset) => asset.error, " %"],
+    ["verdict", (asset) => asset.verdict || null, ""],
+    ["RMS", (asset) => asset.rms, " %"],
+    ["Hausdorff", (asset) => asset.hausdorff, " %"],
     ["flips", (asset) => asset.flips, ""],
     ["time", (asset) => asset.seconds, " s"],
   ];
@@ -73,6 +75,10 @@
         } else if (name === "status") {
           cell.textContent = found;
           if (found === "failed" || found === "partial") cell.className = "bad";
+        } else if (name === "verdict") {
+          cell.textContent = found ?? "–";
+          if (found === "poor") cell.className = "bad";
+          if (asset.reason) cell.title = asset.reason;
         } else {
           cell.textContent = found === null ? "–" : short(found) + unit;
         }

@@ -12,7 +12,7 @@
   let view = null;
   let levelLoad = 0;
 
-  const percent = (value) => (value === null || value === undefined ? "–" : `${short(value)} %`);
+  const percent = (value) => (value === null || value === undefined ? "–" : `${Number(value.toPrecision(4))} %`);
   const level = () => data.levels[state.level];
 
   function element(parent, name, text, className) {
@@ -36,7 +36,7 @@
     for (const row of rows) {
       const line = element(body, "tr");
       row.forEach((value, column) => {
-        const text = value === null ? "" : typeof value === "number" && !Number.isInteger(value) ? short(value) : String(value);
+        const text = value === null ? "" : typeof value === "number" && !Number.isInteger(value) ? String(Number(value.toPrecision(4))) : String(value);
         const names = [isNumber[column] ? "number" : "", bad(row, column) ? "bad" : ""];
         element(line, "td", text, names.filter(Boolean).join(" "));
       });
@@ -46,12 +46,12 @@
   function addTables() {
     const measured = data.levels.filter((one) => one.measures);
     if (measured.length) {
-      const names = ["", "faces", "vertices", "RMS %", "mean %", "Hausdorff %", "normals °", "flips a frame", "jitter %", "slide %", "edges %"];
+      const names = ["", "faces", "vertices", "verdict", "RMS %", "mean %", "Hausdorff %", "normals °", "flips a frame", "jitter %", "slide %", "edges %"];
       const rows = measured.map((one) => {
         const m = one.measures;
-        return [one.name, one.faces, one.vertices, m.rms, m.mean, m.hausdorff, m.normals, m.flips, m.jitter, m.slide, m.edgeLength];
+        return [one.name, one.faces, one.vertices, m.verdict, m.rms, m.mean, m.hausdorff, m.normals, m.flips, m.jitter, m.slide, m.edgeLength];
       });
-      addTable("Distance from the original", names, [["original", data.original.faces, data.original.vertices, ...Array(8).fill(null)], ...rows], true);
+      addTable("Distance from the original", names, [["original", data.original.faces, data.original.vertices, ...Array(9).fill(null)], ...rows], true);
       const original = measured[0].measures.originalTopology;
       const figures = [
         ["connected components", "components"], ["Euler number", "euler_number"], ["border edges", "border_edges"],

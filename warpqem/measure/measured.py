@@ -1,0 +1,198 @@
+"""The measured errors of a simplified mesh: the same figures in results, tables, JSON and pages."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from warpqem.device import device_turn
+from warpqem.frame_stream import FrameSink, FrameSource
+from warpqem.measure.surfaces import SurfaceComparison, sample_count
+from warpqem.measure.verdict import Verdict, judge_errors
+
+__all__ = ["FrameReader", "Measured", "MeasuringSink", "measure_frames", "measured_errors"]
+
+
+@dataclass(frozen=True)
+class Measured:
+    """The measured errors of a simplified mesh, over all its frames; distances in % of the reference's diagonal.
+
+    The diagonal is that of the bounding box in each frame. Forward is from the reference to the simplified mesh,
+    backward from the simplified mesh to the reference.
+
+    Attributes:
+        rms: mean over the frames of the larger root mean square distance of the two directions.
+        rms_forward: mean over the frames of the root mean square distance forward.
+        rms_backward: the same backward.
+        hausdorff: largest distance of any point of either surface from the other, in any frame. Of no point is it
+            larger: it is searched for by branch and bound, and at most 0.1 % above the distance of a point.
+        mean: mean over the frames of the average of the two mean distances.
+        normal_deviation: mean angle in degrees between the normals of a sample's face and of the nearest face.
+        flips: mean number, over the frames, of simplified faces that oppose the reference face nearest to their middle.
+        rms_length: mean over the frames of the root mean square distance, in units of the points.
+        hausdorff_length: what no distance is above, in units of the points: ``hausdorff`` of the largest diagonal.
+        sample_count: samples on each surface in each frame.
+        frame_count: frames that were measured.
+        test_faces: faces of the simplified mesh.
+    """
+
+    rms: float
+    rms_forward: float
+    rms_backward: float
+    hausdorff: float
+    mean: float
+    normal_deviation: float
+    flips: float
+    rms_length: float
+    hausdorff_length: float
+    sample_count: int
+    frame_count: int
+    test_faces: int
+
+    @property
+    def verdict(self) -> Verdict:
+        """Good, look or poor, and why; see :mod:`warpqem.measure.verdict`."""
+        return judge_errors(self)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain dictionaries, numbers and text, ready for JSON."""
+        return {**asdict(self), "verdict": self.verdict.word, "reason": self.verdict.reason}
+
+
+def joined_errors(parts: Sequence[Measured]) -> Measured:
+    """The errors of a sequence from those of its parts, which follow one another; each may have its own topology."""
+    weight = np.array([part.frame_count for part in parts], dtype=np.float64)
+
+    def mean(name: str) -> float:
+        return float(np.average([getattr(part, name) for part in parts], weights=weight))
+
+    means = ("rms", "rms_forward", "rms_backward", "mean", "normal_deviation", "flips", "rms_length")
+    largest = ("hausdorff", "hausdorff_length", "sample_count", "test_faces")
+    return Measured(
+        **{name: mean(name) for name in means},
+        **{name: max(getattr(part, name) for part in parts) for name in largest},
+        frame_count=sum(part.frame_count for part in parts),
+    )
+
+
+def measured_errors(comparison: SurfaceComparison) -> Measured:
+    """The errors over all frames of a comparison that is done."""
+    frames, diagonal = comparison.per_frame(), comparison.diagonals()
+    hausdorff = float(frames.hausdorff.max())
+    return Measured(
+        rms=float(frames.rms.mean()),
+        rms_forward=float(frames.rms_forward.mean()),
+        rms_backward=float(frames.rms_backward.mean()),
+        hausdorff=hausdorff,
+        mean=float(frames.mean.mean()),
+        normal_deviation=float(frames.normal_deviation.mean()),
+        flips=float(frames.flips.mean()),
+        rms_length=float((frames.rms * diagonal).mean()) / 100.0,
+        hausdorff_length=hausdorff * float(diagonal.max()) / 100.0,
+        sample_count=comparison.sample_count,
+        frame_count=len(frames.frame),
+        test_faces=comparison.test_faces,
+    )
+
+
+class FrameReader(Protocol):
+    """What frames are read from: a :class:`warpqem.FrameSource` is one."""
+
+    def read(self, frames: slice) -> npt.NDArray[Any]:
+        """Points (n, V, 3) of consecutive frames."""
+        ...
+
+
+def measure_frames(
+    reference: FrameReader,
+    reference_faces: npt.NDArray[np.integer],
+    test: FrameReader,
+    test_faces: npt.NDArray[np.integer],
+    frames: Sequence[int],
+    *,
+    samples: int | None = None,
+    seed: int = 0,
+    device: str,
+    progress: Callable[[int, int], None] | None = None,
+) -> SurfaceComparison:
+    """Measure a mesh against its reference, reading a group of frames at a time.
+
+    Args:
+        reference: frames of the reference.
+        reference_faces: (N, 3).
+        test: frames of the test mesh.
+        test_faces: (M, 3).
+        frames: ascending numbers of the frames to measure.
+        samples: samples on each surface in each frame; None for as many as suit the number of frames.
+        seed: seed of the samples.
+        device: Warp device.
+        progress: called with the number of frames done, and of all.
+
+    Raises:
+        DegenerateMeshError: no extent or no area in a frame.
+    """
+    samples = sample_count(len(frames)) if samples is None else samples
+    comparison = SurfaceComparison(reference_faces, test_faces, len(frames), samples, seed, device)
+    for first in range(0, len(frames), comparison.group):
+        some = frames[first : first + comparison.group]
+        if some[-1] - some[0] == len(some) - 1:
+            points = [mesh.read(slice(some[0], some[-1] + 1)) for mesh in (reference, test)]
+        else:
+            points = [np.concatenate([mesh.read(slice(f, f + 1)) for f in some]) for mesh in (reference, test)]
+        comparison.add(some, *points)
+        if progress is not None:
+            progress(first + len(some), len(frames))
+    return comparison
+
+
+class MeasuringSink:
+    """Passes frames on, and measures them against the input on their way.
+
+    Args:
+        sink: takes the frames.
+        source: frames of the input, which are read once more.
+        faces: (N, 3) faces of the input.
+        device: Warp device.
+    """
+
+    def __init__(self, sink: FrameSink, source: FrameSource, faces: npt.NDArray[np.int32], device: str) -> None:
+        self._sink, self._source, self._faces, self._device = sink, source, faces, device
+        self._comparison: SurfaceComparison | None = None
+        # Frames of the input and of the result that do not fill a group yet.
+        self._waiting: tuple[npt.NDArray[Any], npt.NDArray[np.float32]] | None = None
+        self._done = self._frame_count = 0
+
+    def begin(self, frame_count: int, vertex_count: int, faces: npt.NDArray[np.int32]) -> None:
+        """Begin a mesh of so many frames."""
+        self._sink.begin(frame_count, vertex_count, faces)
+        self._frame_count, self._done, self._waiting = frame_count, 0, None
+        with device_turn(self._device):
+            self._comparison = SurfaceComparison(
+                self._faces, faces, frame_count, sample_count(frame_count), 0, self._device
+            )
+
+    def write(self, frames: slice, points: npt.NDArray[np.float32]) -> None:
+        """Pass on consecutive frames, and measure those that fill a group; what is left waits for the next call."""
+        self._sink.write(frames, points)
+        assert self._comparison is not None
+        pair = (self._source.read(frames), points)
+        if self._waiting is not None:
+            pair = tuple(np.concatenate(parts) for parts in zip(self._waiting, pair, strict=True))  # type: ignore[assignment]
+        group = self._comparison.group
+        while len(pair[1]) >= group or (len(pair[1]) and frames.stop == self._frame_count):
+            reference, some = (mesh[:group] for mesh in pair)
+            with device_turn(self._device):
+                self._comparison.add(range(self._done, self._done + len(some)), reference, some)
+            self._done += len(some)
+            pair = (pair[0][group:], pair[1][group:])
+        self._waiting = (pair[0].copy(), pair[1].copy()) if len(pair[1]) else None
+
+    def measured(self, result: Any = None) -> Measured:
+        """The errors, when all frames have been written; of the result whose frames these were."""
+        assert self._comparison is not None
+        with device_turn(self._device):
+            return measured_errors(self._comparison)
