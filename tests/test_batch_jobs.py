@@ -91,8 +91,12 @@ def test_manifest_gives_each_asset_its_options(tree, kind):
         rows = [{"input": "a.usda", "ratio": 0.25}, {"input": "b/c.usd", "output": "x/y.usda", "max-error": 2}]
         path.write_text("\n".join(json.dumps({**row, "refit": "max-error" in row}) for row in rows))
     jobs = read_manifest(path, tree / "out", {"ratio": 0.5, "key_frames": 4})
+    # An empty cell of a table leaves it to the quality.
+    refit = None if kind == "csv" else False
     assert jobs == [
-        BatchJob(str(tree / "a.usda"), str(tree / "out/a.usda"), SimplifyOptions(ratio=0.25, key_frames=4)),
+        BatchJob(
+            str(tree / "a.usda"), str(tree / "out/a.usda"), SimplifyOptions(ratio=0.25, key_frames=4, refit=refit)
+        ),
         BatchJob(
             str(tree / "b/c.usd"),
             str(tree / "out/x/y.usda"),
@@ -110,7 +114,7 @@ def test_manifest_gives_each_asset_its_options(tree, kind):
         ("[" * 100000, "line 1: no JSON"),
         ("[1]", "line 1: expected an object"),
         ('{"input": "a.usda", "output": "../a.usda"}', "outside of"),
-        ('{"input": "a.usda", "ratio": 7}', "line 1: ratio 7"),
+        ('{"input": "a.usda", "ratio": 7}', "line 1: ratio must be in .* got 7"),
         ("\n", "names no asset"),
     ],
 )

@@ -114,7 +114,7 @@ def test_max_error_out_of_range_is_refused(limit):
 
 
 def test_no_goal_is_refused():
-    refused(errors.OptionError, "one of ratio, target_faces and max_error", ratio=None)
+    refused(errors.OptionError, "one of ratio, target_faces, max_error and max_distance", ratio=None)
 
 
 def test_two_counts_are_refused():

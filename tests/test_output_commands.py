@@ -35,7 +35,8 @@ HALF = SimplifyOptions(ratio=0.5, device="cpu")
 NO_OUTPUTS = {
     "--address", "--asset-root", "--attribute-weight", "--device", "--face-points", "--frames", "--lods",
     "--memory", "--points", "--poses", "--prim", "--ratios", "--reference", "--size", "--source-points",
-    "--source-prim", "--symmetry", "--target-points", "--target-prim", "--weight-primvar", "--faces", "--variant",
+    "--source-prim", "--symmetry", "--target-points", "--target-prim", "--weight-primvar", "--faces", "--max-distance",
+    "--variant",
 }  # fmt: skip
 # Arguments of each command beside its output, which comes last.
 COMMANDS = {

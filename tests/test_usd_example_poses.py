@@ -107,7 +107,7 @@ def test_points_have_no_more_influences_than_asked_for(tmp_path, limit):
 
 
 def test_influences_below_one_are_refused():
-    with pytest.raises(OptionError, match="influences 0"):
+    with pytest.raises(OptionError, match="influences must be a whole number at least 1, got 0"):
         SimplifyOptions(ratio=0.5, influences=0)
 
 

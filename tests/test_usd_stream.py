@@ -255,7 +255,7 @@ def test_no_temporary_file_is_left_when_a_run_fails(tmp_path):
     stage = cloth_stage(tmp_path / "in.usda", times=TIMES)
     UsdGeom.Mesh(stage.GetPrimAtPath(CLOTH)).GetPointsAttr().Set([Gf.Vec3f(0)], 3.0)
     stage.Save()
-    with pytest.raises(StageError, match="1 points at time 3") as held:
+    with pytest.raises(StageError, match="there are 1 points") as held:
         simplify_stage(tmp_path / "in.usda", tmp_path / "out.usda", SimplifyOptions(ratio=0.5, strict=True))
     assert [path.name for path in tmp_path.iterdir()] == ["in.usda"]
     del held
