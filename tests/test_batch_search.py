@@ -105,5 +105,6 @@ def test_without_links_a_pattern_means_what_glob_makes_of_it(tmp_path, parts, pl
         (root / "/".join(place)).mkdir(parents=True, exist_ok=True)
         touch(root / "/".join(place) / "f.usda")
     pattern = str(root / "/".join(parts))
-    expected = {Path(path) for path in glob.glob(pattern, recursive=True)}
+    # For a folder that is missing glob gives the name before "**" all the same.
+    expected = {Path(path) for path in glob.glob(pattern, recursive=True) if os.path.exists(path)}
     assert set(match_pattern(pattern)) == expected
