@@ -10,7 +10,9 @@ from moving_meshes import rms
 
 import warpqem
 import warpqem.transfer
+from warpqem.errors import OptionError
 from warpqem.measure import topology
+from warpqem.progressive import load, save
 from warpqem.repair.mesh import face_repair
 
 POINTS, FACES = meshes.swaying_sphere(3, 4)
@@ -200,3 +202,21 @@ def test_any_dirty_mesh_comes_through(mesh, ratio):
     transfer = warpqem.transfer.surface_transfer(points, faces, result, device="cpu")
     assert transfer.corner_wedge.shape == result.faces.shape
     assert np.isfinite(transfer.wedges_from_corners(values)).all()
+
+
+def test_progressive_mesh_of_a_mended_mesh_comes_back_from_its_file(tmp_path, device):
+    points, faces = meshes.book(3, 6)
+    mesh = warpqem.build_progressive(points, faces, device=device)
+    save(mesh, tmp_path / "book.wpqm")
+    again = load(tmp_path / "book.wpqm")
+    for split_count in (0, mesh.topology.split_count // 2, mesh.topology.split_count):
+        assert again.level(split_count).points.tobytes() == mesh.level(split_count).points.tobytes()
+        assert again.level(split_count).faces.tobytes() == mesh.level(split_count).faces.tobytes()
+
+
+def test_progressive_mesh_with_faces_on_both_sides_has_no_file(tmp_path, device):
+    points, faces = meshes.grid(8, 8)
+    mesh = warpqem.build_progressive(points, np.concatenate([faces, faces[:, ::-1]]), device=device)
+    with pytest.raises(OptionError, match="faces lie on both sides of the same vertices"):
+        save(mesh, tmp_path / "sheet.wpqm")
+    assert not list(tmp_path.iterdir())

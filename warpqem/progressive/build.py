@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -39,7 +38,8 @@ def build_progressive(
 
     A vertex of any level is placed over all frames from its own cluster of input vertices, as :func:`warpqem.simplify`
     does, so a level does not depend on how it was reached: it has the same bits as the result for its face count,
-    with all components kept.
+    with all components kept. Where topology is mended (:mod:`warpqem.repair`), its vertices are those of the input, and
+    behind them the copies of those that were cut.
 
     Args:
         points: as for :func:`warpqem.simplify`.
@@ -67,12 +67,7 @@ def build_progressive(
     mesh = work.mesh
     written, face_index = written_faces(mesh, mesh.faces, np.arange(len(mesh.faces)))
     topology = SplitTopology.from_log(written, face_index, mesh.vertex_count, levels.log)
-    points = _place_all(work, levels, topology, progress)
-    if mesh.repair is not None:
-        # Rows go by vertices of the caller's.
-        row_vertex = mesh.repair.vertex[topology.row_vertex]
-        topology = replace(topology, row_vertex=row_vertex, vertex_count=mesh.repair.vertex_count)
-    return ProgressiveMesh(topology, points)
+    return ProgressiveMesh(topology, _place_all(work, levels, topology, progress))
 
 
 def _place_all(work: Prepared, levels: OrderedLevels, topology: SplitTopology, progress: Progress | None) -> np.ndarray:
