@@ -51,7 +51,7 @@ def save(mesh: ProgressiveMesh, path: str | os.PathLike[str], extra: dict[str, A
         raise OptionError(f"only {mesh.loaded_face_count} of {mesh.face_count} faces are loaded")
     if (np.diff(mesh.topology.face_counts()) > 2).any():
         raise OptionError(
-            "faces lie on both sides of the same vertices; a split in a file brings two faces at most: leave one side out"
+            "faces lie on both sides of the same vertices; a split in a file brings two at most: leave one side out"
         )
     loaded = [] if mesh.source is None else [InputFile(mesh.source, "the file that the mesh was loaded from")]
     check_outputs([OutputFile("output", path)], loaded)
