@@ -110,3 +110,15 @@ def test_islands_without_a_face_left_are_named(stage):
     seams = find_seams(source, faces)
     assert seams.let_go(faces, left) == ["1 of 2 islands of primvars:st"]
     assert seams.let_go(faces, np.arange(len(faces), dtype=np.int32)) == []
+
+
+def test_mesh_of_one_face_has_no_seams():
+    stage = Usd.Stage.CreateInMemory()
+    mesh = UsdGeom.Mesh.Define(stage, "/Root/Cloth")
+    mesh.CreatePointsAttr([(0, 0, 0), (1, 0, 0), (0, 1, 0)])
+    mesh.CreateFaceVertexCountsAttr([3])
+    mesh.CreateFaceVertexIndicesAttr([0, 1, 2])
+    primvars = UsdGeom.PrimvarsAPI(mesh)
+    primvars.CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, "faceVarying").Set([(0, 0), (1, 0), (0, 1)])
+    mesh.CreateDisplayColorPrimvar("uniform").Set([(1, 0, 0)])
+    assert len(seams_of(stage).by_name.get("primvars:st", ())) == 0

@@ -134,7 +134,9 @@ class _InnerEdges:
             first, second = first.astype(np.float64), second.astype(np.float64)
             lengths = np.linalg.norm(first, axis=-1) * np.linalg.norm(second, axis=-1)
             return np.asarray(((first * second).sum(axis=-1) < SMOOTH_COSINE * lengths).any(axis=1), dtype=bool)
-        return np.asarray((first != second).reshape(len(first), -1).any(axis=1), dtype=bool)
+        # A mesh of one face has no inner edge, and an array of none cannot be reshaped to a width of its own.
+        axes = tuple(range(1, first.ndim))
+        return np.asarray((first != second).any(axis=axes), dtype=bool)
 
 
 def find_seams(
