@@ -12,13 +12,12 @@ from warpqem.usd.below import subsets_of
 
 __all__ = ["check_declared_types"]
 
-# What is read of a mesh or written to it. Primvars may be of any type.
+# What a mesh is made of. Normals, velocities and extents of another type are named and left out, as a mesh does without
+# them; primvars may be of any type.
 MESH_ATTRIBUTES = (
-    "points", "faceVertexCounts", "faceVertexIndices", "holeIndices", "extent", "normals", "velocities",
-    "accelerations", "orientation", "subdivisionScheme", "creaseIndices", "creaseLengths", "creaseSharpnesses",
-    "cornerIndices", "cornerSharpnesses",
+    "points", "faceVertexCounts", "faceVertexIndices", "holeIndices", "orientation", "subdivisionScheme",
+    "creaseIndices", "creaseLengths", "creaseSharpnesses", "cornerIndices", "cornerSharpnesses",
 )  # fmt: skip
-READ_AS_REAL = ("normals", "velocities", "accelerations", "extent")
 SUBSET_ATTRIBUTES = ("indices", "elementType", "familyName")
 
 
@@ -34,7 +33,7 @@ def check_declared_types(mesh: UsdGeom.Mesh) -> None:
         # Of an attribute that a schema knows this is the schema's type, whatever layers say.
         expected = attribute.GetTypeName()
         for spec in attribute.GetPropertyStack():
-            if _form(spec.typeName, attribute.GetName()) != _form(expected, attribute.GetName()):
+            if _form(spec.typeName) != _form(expected):
                 raise StageError(
                     f"{attribute.GetPath()}: declared as {spec.typeName} in {spec.layer.identifier}, "
                     f"but the schema says {expected}"
@@ -47,7 +46,7 @@ def _attributes(mesh: UsdGeom.Mesh) -> Iterator[Usd.Attribute]:
         yield from (attribute for attribute in map(prim.GetAttribute, names) if attribute and attribute.IsAuthored())
 
 
-def _form(name: Sdf.ValueTypeName, attribute: str) -> tuple[object, ...]:
+def _form(name: Sdf.ValueTypeName) -> tuple[object, ...]:
     """What values of a type have in common with those of another precision: array or not, numbers, components."""
     if name.type.isUnknown:
         # Asking such a type for its scalar type ends the process.
@@ -55,7 +54,4 @@ def _form(name: Sdf.ValueTypeName, attribute: str) -> tuple[object, ...]:
     value = np.asarray(name.scalarType.defaultValue)
     if value.dtype.kind in "OU":
         return name.isArray, str(name.scalarType.type)
-    kind = "i" if value.dtype.kind in "iu" else value.dtype.kind
-    # Whole numbers are directions and speeds like any other, and are read as such.
-    kind = "f" if attribute in READ_AS_REAL and kind == "i" else kind
-    return name.isArray, kind, value.shape
+    return name.isArray, "i" if value.dtype.kind in "iu" else value.dtype.kind, value.shape
