@@ -75,6 +75,13 @@ def test_json_to_stdout_is_all_there_is_on_stdout(cloth, tmp_path):
     assert "/Root/Cloth" in result.stderr
 
 
+def test_limit_of_infinity_stands_in_the_json_as_it_is_given(cloth, tmp_path):
+    options = ("--ratio", 0.5, "--device", "cpu", "--max-size-error", "inf")
+    result = run("simplify", cloth, "-o", tmp_path / "out.usda", *options, "--json", "-")
+    assert result.exit_code == 0
+    assert json.loads(result.stdout)["run"]["options"]["max_size_error"] == "inf"
+
+
 def test_one_failed_mesh_gives_exit_code_1(half_broken, tmp_path):
     result = run("simplify", half_broken, "-o", tmp_path / "out.usda", "--ratio", 0.5, "--device", "cpu")
     assert result.exit_code == 1

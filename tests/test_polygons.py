@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pxr import Gf, Usd, UsdGeom, Vt
 
-from warpqem.polygons import ear_clipped, polygon_normals
+from warpqem.polygons import ear_clipped, polygon_normals, repeated_polygons
 from warpqem.usd import SimplifyOptions, simplify_stage
 from warpqem.usd.compare import CompareOptions, compare_stages
 from warpqem.usd.topology import read_topology
@@ -129,3 +129,34 @@ def test_comparison_cuts_its_reference_the_same_way(tmp_path):
     assert area(np.array(out.GetPointsAttr().Get()), faces) == pytest.approx(4.0, rel=1e-3)
     [pair] = compare_stages(tmp_path / "in.usda", tmp_path / "out.usda", CompareOptions(device="cpu"))
     assert pair.comparison.hausdorff < 1e-3
+
+
+@pytest.mark.parametrize("sides", [4, 5, 7])
+@pytest.mark.parametrize("shift", [0, 1, 3])
+@pytest.mark.parametrize("back", [False, True])
+def test_repeated_polygon_is_cut_along_the_same_diagonals(sides, shift, back):
+    angles = np.arange(sides) * 2 * np.pi / sides
+    ring = np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
+    # Concave, so that from five corners on no fan from most of them covers it.
+    ring[1] *= 0.2
+    points = np.concatenate([[[5, 5, 5], [6, 5, 5], [5, 6, 5]], ring]).astype(np.float32)
+    polygon = np.arange(3, 3 + sides)
+    copy = np.roll(polygon[::-1] if back else polygon, shift)
+    stage = Usd.Stage.CreateInMemory()
+    mesh = UsdGeom.Mesh.Define(stage, "/M")
+    mesh.CreateFaceVertexCountsAttr([sides, 3, sides])
+    mesh.CreateFaceVertexIndicesAttr([*polygon.tolist(), 0, 1, 2, *copy.tolist()])
+    topology = read_topology(mesh, len(points), points)
+    assert topology.triangle_polygons.tolist() == [0] * (sides - 2) + [1] + [2] * (sides - 2)
+    indices = np.array(mesh.GetFaceVertexIndicesAttr().Get())
+    np.testing.assert_array_equal(indices[topology.triangle_corners], topology.triangles)
+    first, last = (topology.triangles[topology.triangle_polygons == number] for number in (0, 2))
+
+    def wound(triangles):
+        return sorted(tuple(np.roll(corners, -corners.argmin()).tolist()) for corners in triangles)
+
+    assert wound(last) == wound(first[:, ::-1] if back else first)
+
+
+def test_polygons_of_the_same_points_in_another_order_are_no_repeats():
+    assert repeated_polygons(np.array([4, 4], np.int32), np.array([0, 1, 2, 3, 0, 2, 1, 3], np.int32)) is None

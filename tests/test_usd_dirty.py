@@ -50,7 +50,7 @@ def write(path: Path, points: np.ndarray, faces: list[list[int]], moving: bool) 
     stage.RemovePrim(FLAW)
     mesh = UsdGeom.Mesh.Define(stage, FLAW)
     mesh.CreateSubdivisionSchemeAttr("none")
-    mesh.CreateFaceVertexCountsAttr([3] * len(faces))
+    mesh.CreateFaceVertexCountsAttr([len(face) for face in faces])
     mesh.CreateFaceVertexIndicesAttr(np.array(faces).ravel().tolist())
     poses = waves(np.asarray(points, dtype=np.float32), 2)
     for time, pose in enumerate(poses if moving else poses[:1]):
@@ -199,3 +199,14 @@ def test_info_counts_faces_of_unlike_winding(tmp_path):
     write(tmp_path / "in.usda", *flaws()["faces the wrong way round"], moving=False)
     [info] = inspect_stage(tmp_path / "in.usda")
     assert "triangles wound unlike most around them: 15" in info.problems
+
+
+@pytest.mark.parametrize(("back", "shift"), [(False, 0), (False, 1), (True, 0), (True, 2)])
+def test_repeated_quadrilaterals_are_found_as_triangles_are(back, shift, tmp_path):
+    quads = INDICES.reshape(-1, 4)
+    copies = np.roll(quads[:, ::-1] if back else quads, shift, axis=1)
+    write(tmp_path / "in.usda", POINTS, [*quads.tolist(), *copies.tolist()], moving=False)
+    options = SimplifyOptions(ratio=0.9, device="cpu")
+    [prim] = simplify_stage(tmp_path / "in.usda", tmp_path / "out.usda", options).prims
+    what = "faces on the back of another, kept as its other side" if back else "faces that repeat another, left out"
+    assert prim.problems == [f"{FLAW}: {what}: 72"]

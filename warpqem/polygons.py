@@ -7,10 +7,11 @@ edges neighbours may have; they are put back, so that N corners always give N - 
 from __future__ import annotations
 
 import itertools
+from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["ear_clipped", "fans_cover", "polygon_normals"]
+__all__ = ["ear_clipped", "fans_cover", "polygon_normals", "repeated_polygons"]
 
 # A triangle that is turned over by less than this part of the polygon's area is one that rounding made of a line.
 ROUNDING_SHARE = 1e-6
@@ -107,3 +108,81 @@ def _covers(triangles: np.ndarray, flat: np.ndarray) -> bool:
     area = float((flat[:, 0] * following[:, 1] - flat[:, 1] * following[:, 0]).sum())
     areas = _doubled_areas(triangles, flat)
     return bool((areas >= -ROUNDING_SHARE * area).all() and abs(areas.sum() - area) <= ROUNDING_SHARE * abs(area))
+
+
+@dataclass(frozen=True)
+class RepeatedPolygons:
+    """Polygons with the corners of an earlier one in the same order or the reverse, from whichever corner they begin.
+
+    Attributes:
+        original: (P,) int64, the first polygon with these corners: itself where there is no earlier one.
+        place: (C,) int64, the place in its polygon of each corner, when those of all repeats are put into one order.
+        turned: (P,) bool, polygons in which that order is the reverse one.
+    """
+
+    original: np.ndarray
+    place: np.ndarray
+    turned: np.ndarray
+
+    def spread(self, counts: np.ndarray, corners: np.ndarray, polygons: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Cuts of all polygons from those of the originals.
+
+        Args:
+            counts: (P,) corners of each polygon.
+            corners: (N, 3) int32 corners of the triangles of the originals, counted over all P polygons.
+            polygons: (N,) the polygon of each, ascending.
+
+        Returns:
+            The corners of the triangles of all polygons, (M, 3) int32, and their polygons, (M,) int32, ascending. A
+            repeat has the triangles of its original, wound as it is itself.
+        """
+        first = np.cumsum(counts, dtype=np.int64) - counts
+        triangle_counts = np.maximum(counts.astype(np.int64) - 2, 0)
+        all_polygons = np.repeat(np.arange(len(counts)), triangle_counts)
+        step = np.arange(len(all_polygons)) - (np.cumsum(triangle_counts) - triangle_counts)[all_polygons]
+        source = self.original[all_polygons]
+        chosen = corners[np.searchsorted(polygons, source) + step]
+        # Where the corner at each place is.
+        at_place = np.empty(len(self.place), dtype=np.int64)
+        at_place[np.repeat(first, counts) + self.place] = np.arange(len(self.place))
+        found = at_place[first[all_polygons][:, None] + self.place[chosen]]
+        reverse = self.turned[all_polygons] != self.turned[source]
+        found[reverse] = found[reverse][:, ::-1]
+        return found.astype(np.int32), all_polygons.astype(np.int32)
+
+
+def repeated_polygons(counts: np.ndarray, indices: np.ndarray) -> RepeatedPolygons | None:
+    """Find polygons of four corners or more that repeat others or are their backs; None where there are none.
+
+    Args:
+        counts: (P,) int32, corners of each polygon, not negative.
+        indices: (C,) int32, the point of each corner.
+    """
+    first = np.cumsum(counts, dtype=np.int64) - counts
+    original = np.arange(len(counts), dtype=np.int64)
+    place = np.arange(len(indices), dtype=np.int64) - np.repeat(first, counts)
+    turned = np.zeros(len(counts), dtype=bool)
+    # Only polygons with the same smallest point and the same sum are compared, so that other meshes cost little.
+    for size in np.unique(counts[counts > 3]).tolist():
+        chosen = np.flatnonzero(counts == size)
+        rings = indices[first[chosen][:, None] + np.arange(size)]
+        lowest = rings.argmin(axis=1)
+        # 64 bits hold the key of polygons with fewer than two corners for each point; others may share one by chance.
+        key = rings.min(axis=1) * np.int64(size) * (int(indices.max()) + 1) + rings.sum(axis=1, dtype=np.int64)
+        _, entry, count = np.unique(key, return_inverse=True, return_counts=True)
+        alike = np.flatnonzero(count[entry.ravel()] > 1)
+        if not len(alike):
+            continue
+        chosen, rings, lowest = chosen[alike], rings[alike], lowest[alike]
+        # From the smallest point on, towards the smaller of its neighbours.
+        row = np.arange(len(chosen))
+        reverse = rings[row, (lowest + 1) % size] > rings[row, lowest - 1]
+        step = np.where(reverse, -1, 1)[:, None] * np.arange(size)
+        order = (lowest[:, None] + step) % size
+        _, index, entry = np.unique(rings[row[:, None], order], axis=0, return_index=True, return_inverse=True)
+        original[chosen] = chosen[index[entry.ravel()]]
+        place[first[chosen][:, None] + order] = np.arange(size)
+        turned[chosen] = reverse
+    if (original == np.arange(len(counts))).all():
+        return None
+    return RepeatedPolygons(original, place, turned)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import platform
 from dataclasses import asdict
@@ -24,6 +25,8 @@ def run_info(options: SimplifyOptions, seconds: float) -> dict[str, Any]:
     device = wp.get_device(resolve_device(options.device))
     given = asdict(options)
     given |= {name: None if given[name] is None else os.fspath(given[name]) for name in ("poses", "face_points")}
+    # JSON has no infinity: it stands as the text that the option is given with.
+    given |= {name: str(value) for name, value in given.items() if isinstance(value, float) and math.isinf(value)}
     return {
         "versions": {
             "warpqem": warpqem.__version__,

@@ -108,8 +108,6 @@ class SimplifyOptions(MethodOptions):
             them stays apart as faceVarying values.
         varying_topology: "runs": a mesh whose topology varies over time is simplified run by run of constant topology,
             to the goal in each; "refuse": it is left as it is, with an error.
-        varying_topology: "runs": a mesh whose topology varies over time is simplified run by run of constant topology,
-            to the goal in each; "refuse": it is left as it is, with an error.
         flatten: Write one self-contained file instead of a layer over the input.
         strict: Stop at the first mesh that cannot be done, also if it only misses its face count, and write nothing.
     """

@@ -11,7 +11,7 @@ from pxr import Usd, UsdGeom
 
 from warpqem.edges import edge_key
 from warpqem.errors import StageError, VaryingTopologyError
-from warpqem.polygons import ear_clipped, fans_cover, polygon_normals
+from warpqem.polygons import ear_clipped, fans_cover, polygon_normals, repeated_polygons
 
 __all__ = ["Topology", "fan_triangulate", "read_topology"]
 
@@ -101,21 +101,41 @@ def _choose_apexes(counts: npt.NDArray[np.int32], indices: npt.NDArray[np.int32]
     return apexes
 
 
+def _cut_alike(
+    counts: npt.NDArray[np.int32], indices: npt.NDArray[np.int32], points: npt.NDArray[np.floating[Any]] | None
+) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
+    """Cut polygons, those that repeat another or are its back along the same diagonals.
+
+    Otherwise the triangles of a repeat would be none of its original: nothing would be found to repeat, and every edge
+    would have the faces of both.
+    """
+    repeated = repeated_polygons(counts, indices)
+    if repeated is None:
+        return _cut(counts, indices, points)
+    own = np.flatnonzero(repeated.original == np.arange(len(counts)))
+    ring = np.flatnonzero(np.isin(np.repeat(np.arange(len(counts)), counts), own))
+    corners, polygons = _cut(counts[own], indices[ring], points)
+    return repeated.spread(counts, ring[corners], own[polygons])
+
+
 def _cut(
-    counts: npt.NDArray[np.int32], indices: npt.NDArray[np.int32], points: npt.NDArray[np.floating[Any]]
+    counts: npt.NDArray[np.int32], indices: npt.NDArray[np.int32], points: npt.NDArray[np.floating[Any]] | None
 ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
     """Cut polygons as fans, and those that a fan does not cover, such as concave ones, by ear clipping.
 
     Args:
         counts: int32, shape (P,), corners of each polygon, not negative.
         indices: int32, shape (C,), the point of each corner.
-        points: shape (V, 3), the pose that decides.
+        points: shape (V, 3), the pose that decides; None to cut all as fans.
 
     Returns:
         As `fan_triangulate`.
     """
-    apexes = _choose_apexes(counts, indices)
-    corners, polygons = fan_triangulate(counts, apexes)
+    if not (counts > 3).any():
+        return fan_triangulate(counts)
+    corners, polygons = fan_triangulate(counts, _choose_apexes(counts, indices))
+    if points is None:
+        return corners, polygons
     large = np.flatnonzero(counts > 3)
     place = points[indices]
     first = np.cumsum(counts, dtype=np.int64) - counts
@@ -178,11 +198,7 @@ def read_topology(
             f"{path}.faceVertexIndices: face {face} refers to point {indices[corner]}, "
             f"but there are {point_count} points ({outside.size} such corners)"
         )
-    if points is None or not (counts > 3).any():
-        apexes = _choose_apexes(counts, indices) if (counts > 3).any() else None
-        corners, polygons = fan_triangulate(counts, apexes)
-    else:
-        corners, polygons = _cut(counts, indices, points)
+    corners, polygons = _cut_alike(counts, indices, points)
     holes = _hole_faces(mesh, len(counts))
     if holes.size:
         kept = ~np.isin(polygons, holes)
