@@ -5,7 +5,7 @@ All in double precision, on points scaled to about unit size around the origin.
 
 import warp as wp
 
-from warpqem.kernels.closest_point import closest_barycentric, offset_squared, segment_parameter
+from warpqem.kernels.closest_point import closest_on_face, segment_parameter, single_point
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
@@ -35,39 +35,39 @@ def walk_surface(
     steps it is the point of the start face. A start of -1 gives face -1.
     """
     i = wp.tid()
-    face = start_face[i]
-    face_out[i] = face
-    if face < 0:
+    face_out[i] = start_face[i]
+    if start_face[i] < 0:
         return
     p = query[i]
-    a = points[corner_vertex[3 * face]]
-    b = points[corner_vertex[3 * face + 1]]
-    c = points[corner_vertex[3 * face + 2]]
-    best = closest_barycentric(p, a, b, c)
-    best_squared = offset_squared(p, a, b, c, best)
+    best = closest_on_face(points, corner_vertex, start_face[i], p)
     for _ in range(step_limit):
-        here = face
-        at = best
+        here = best.face
+        at = best.barycentric
         # A point inside a face is nearest among all faces around it: only edges and corners lead further.
         if at[0] > wp.float64(0.0) and at[1] > wp.float64(0.0) and at[2] > wp.float64(0.0):
             break
         for k in range(3):
             if at[k] > wp.float64(0.0):
                 for entry in range(ring_start[3 * here + k], ring_end[3 * here + k]):
-                    other = ring_corner[entry] / 3
-                    a = points[corner_vertex[3 * other]]
-                    b = points[corner_vertex[3 * other + 1]]
-                    c = points[corner_vertex[3 * other + 2]]
-                    candidate = closest_barycentric(p, a, b, c)
-                    squared = offset_squared(p, a, b, c, candidate)
-                    if squared < best_squared:
-                        best = candidate
-                        best_squared = squared
-                        face = other
-        if face == here:
+                    other = closest_on_face(points, corner_vertex, ring_corner[entry] / 3, p)
+                    if other.squared < best.squared:
+                        best = other
+        if best.face == here:
             break
-    face_out[i] = face
-    barycentric_out[i] = best
+    face_out[i] = best.face
+    barycentric_out[i] = best.barycentric
+
+
+@wp.func
+def faces_along(
+    points: wp.array[wp.vec3d], corner_vertex: wp.array[wp.int32], face: wp.int32, direction: wp.vec3d
+) -> wp.bool:
+    """Whether a face faces along a direction; one of length 0 is any."""
+    a = points[corner_vertex[3 * face]]
+    b = points[corner_vertex[3 * face + 1]]
+    c = points[corner_vertex[3 * face + 2]]
+    any_way = wp.dot(direction, direction) == wp.float64(0.0)
+    return any_way or wp.dot(wp.cross(b - a, c - a), direction) > wp.float64(0.0)
 
 
 @wp.kernel
@@ -92,9 +92,7 @@ def find_facing(
     """
     i = wp.tid()
     p = query[i]
-    n = normal[i]
-    any_way = wp.dot(n, n) == wp.float64(0.0)
-    centre = wp.vec3(wp.float32(p[0]), wp.float32(p[1]), wp.float32(p[2]))
+    centre = single_point(p)
     best = wp.int32(-1)
     best_squared = reach[i] * reach[i]
     # Room for the single precision of the hierarchy's boxes.
@@ -104,12 +102,9 @@ def find_facing(
         found = wp.mesh_query_aabb(mesh, centre - extent, centre + extent)
         face = wp.int32(0)
         while wp.mesh_query_next(found, face):
-            a = points[corner_vertex[3 * face]]
-            b = points[corner_vertex[3 * face + 1]]
-            c = points[corner_vertex[3 * face + 2]]
-            faces_so = any_way or wp.dot(wp.cross(b - a, c - a), n) > wp.float64(0.0)
-            if faces_so and (label[i] < 0 or face_label[face] == label[i]):
-                squared = offset_squared(p, a, b, c, closest_barycentric(p, a, b, c))
+            facing = faces_along(points, corner_vertex, face, normal[i])
+            if facing and (label[i] < 0 or face_label[face] == label[i]):
+                squared = closest_on_face(points, corner_vertex, face, p).squared
                 if squared < best_squared or (squared == best_squared and face < best):
                     best = face
                     best_squared = squared
@@ -138,18 +133,12 @@ def find_listed(
     A normal of length 0 is any way.
     """
     i = wp.tid()
-    p = query[i]
-    n = normal[i]
-    any_way = wp.dot(n, n) == wp.float64(0.0)
     best = wp.int32(-1)
     best_squared = wp.float64(wp.inf)
     for entry in range(list_start[i], list_start[i + 1]):
         face = list_face[entry]
-        a = points[corner_vertex[3 * face]]
-        b = points[corner_vertex[3 * face + 1]]
-        c = points[corner_vertex[3 * face + 2]]
-        if any_way or wp.dot(wp.cross(b - a, c - a), n) > wp.float64(0.0):
-            squared = offset_squared(p, a, b, c, closest_barycentric(p, a, b, c))
+        if faces_along(points, corner_vertex, face, normal[i]):
+            squared = closest_on_face(points, corner_vertex, face, query[i]).squared
             if squared < best_squared:
                 best = face
                 best_squared = squared

@@ -26,6 +26,12 @@ def double_point(p: wp.vec3) -> wp.vec3d:
 
 
 @wp.func
+def single_point(p: wp.vec3d) -> wp.vec3:
+    """A point in single precision."""
+    return wp.vec3(wp.float32(p[0]), wp.float32(p[1]), wp.float32(p[2]))
+
+
+@wp.func
 def segment_parameter(p: Any, a: Any, b: Any):
     """Parameter in [0, 1] of the point of segment ab closest to p; 0 for a segment without length."""
     ab = b - a
@@ -94,34 +100,36 @@ class Hit:
 
 
 @wp.func
+def closest_on_face(points: wp.array[wp.vec3d], corner_vertex: wp.array[wp.int32], face: wp.int32, p: wp.vec3d) -> Hit:
+    """The nearest point of one face."""
+    a = points[corner_vertex[3 * face]]
+    b = points[corner_vertex[3 * face + 1]]
+    c = points[corner_vertex[3 * face + 2]]
+    hit = Hit()
+    hit.face = face
+    hit.barycentric = closest_barycentric(p, a, b, c)
+    hit.squared = offset_squared(p, a, b, c, hit.barycentric)
+    return hit
+
+
+@wp.func
 def closest_on_mesh(mesh: wp.uint64, points: wp.array[wp.vec3d], indices: wp.array[wp.int32], p: wp.vec3d) -> Hit:
     """The nearest point of a mesh, none where the search finds no face: all of them are slivers."""
     hit = Hit()
     hit.face = wp.int32(-1)
-    p_single = wp.vec3(wp.float32(p[0]), wp.float32(p[1]), wp.float32(p[2]))
+    p_single = single_point(p)
     found = wp.mesh_query_point_no_sign(mesh, p_single, SEARCH_RADIUS)
     if found.result:
-        hit.face = found.face
-        a = points[indices[3 * hit.face]]
-        b = points[indices[3 * hit.face + 1]]
-        c = points[indices[3 * hit.face + 2]]
-        hit.barycentric = closest_barycentric(p, a, b, c)
-        hit.squared = offset_squared(p, a, b, c, hit.barycentric)
+        hit = closest_on_face(points, indices, found.face, p)
         if hit.squared < EXACT_BELOW * EXACT_BELOW:
             radius = wp.float32(wp.sqrt(hit.squared)) + BOX_MARGIN
             extent = wp.vec3(radius, radius, radius)
             query = wp.mesh_query_aabb(mesh, p_single - extent, p_single + extent)
             face = wp.int32(0)
             while wp.mesh_query_next(query, face):
-                a = points[indices[3 * face]]
-                b = points[indices[3 * face + 1]]
-                c = points[indices[3 * face + 2]]
-                candidate = closest_barycentric(p, a, b, c)
-                squared = offset_squared(p, a, b, c, candidate)
-                if squared < hit.squared or (squared == hit.squared and face < hit.face):
-                    hit.barycentric = candidate
-                    hit.squared = squared
-                    hit.face = face
+                other = closest_on_face(points, indices, face, p)
+                if other.squared < hit.squared or (other.squared == hit.squared and face < hit.face):
+                    hit = other
     return hit
 
 
