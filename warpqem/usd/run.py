@@ -25,9 +25,10 @@ from warpqem.errors import (
 from warpqem.frame_blocks import frame_blocks
 from warpqem.frame_stream import LaterFrames, NoFrames, read_ahead
 from warpqem.memory import parse_bytes
+from warpqem.mesh_input import is_proper
+from warpqem.mirror import Mirror, find_mirror
 from warpqem.options import target_count
-from warpqem.symmetry import Mirror, find_mirror, simplify_symmetric
-from warpqem.transfer import is_proper
+from warpqem.symmetry import simplify_symmetric
 from warpqem.usd.attributes import check_names, weighted_fields
 from warpqem.usd.blend_shapes import count_shape_users
 from warpqem.usd.context import Context, Progress, SharedOrder
