@@ -70,7 +70,9 @@ def test_a_view_is_read_from_its_parts():
         ({"lods": ""}, "lods"),
         ({"screen_error": 2}, "needs --distance"),
         ({"ratio": 0.5, "distance": 2}, "needs --screen-error"),
-        ({}, "one of ratio"),
+        ({}, "one of ratio, faces, max_error, max_distance, screen and lods is needed"),
+        ({"ratio": 0.5, "faces": 4, "max_error": 1}, "ratio 0.5 and faces 4 exclude each other"),
+        ({"max_error": 1, "lods": "0.5"}, "lods and max_error exclude each other"),
     ],
 )
 def test_wrong_values_are_named(values, message):

@@ -290,12 +290,7 @@ class SimplifyOptions(MethodOptions):
 
     def __post_init__(self) -> None:
         """Check the options, and those that need or exclude each other."""
-        given = [name for name in GOALS if getattr(self, name) not in (None, ())]
-        if not given or (len(given) > 1 and ("lods" in given or given[:2] == ["ratio", "faces"])):
-            raise OptionError(
-                "one of ratio, faces, max_error, max_distance, screen and lods must be given, or several but lods and "
-                f"but ratio with faces, not {', '.join(given) or 'none'}"
-            )
+        self._check_goals()
         if self.ratio is not None and 1 < self.ratio <= 100:
             raise OptionError(
                 f"ratio must be in (0, 1], got {self.ratio:g}; for {self.ratio:g} % give {self.ratio / 100:g}"
@@ -316,6 +311,15 @@ class SimplifyOptions(MethodOptions):
         _ = self.motion
         self._check_pose_independent()
         self._check_levels()
+
+    def _check_goals(self) -> None:
+        given = [name for name in GOALS if getattr(self, name) not in (None, ())]
+        if not given:
+            raise OptionError("one of ratio, faces, max_error, max_distance, screen and lods is needed")
+        if given[:2] == ["ratio", "faces"]:
+            raise OptionError(f"ratio {self.ratio} and faces {self.faces} exclude each other")
+        if "lods" in given and len(given) > 1:
+            raise OptionError(f"lods and {given[0]} exclude each other: the ratios of the levels say how far to go")
 
     def _check_levels(self) -> None:
         if self.lods and self.flatten and not self.lod_files:
