@@ -80,6 +80,11 @@ def test_wrong_values_are_named(values, message):
         read_options(values)
 
 
+def test_ratio_that_is_no_number_is_refused():
+    with pytest.raises(OptionError, match=r"ratio must be in \(0, 1\], got '0.5'"):
+        SimplifyOptions(ratio="0.5")
+
+
 def test_a_goal_takes_the_place_of_another():
     merged = override_options({"screen_error": 1.0, "distance": 5.0, "refit": True}, {"max-error": 2, "ratio": ""})
     assert read_options(merged) == SimplifyOptions(max_error=2.0, refit=True)

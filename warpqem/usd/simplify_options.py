@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from dataclasses import dataclass
+from numbers import Real
 from typing import TYPE_CHECKING, Any, Literal
 
 from warpqem.cost_models import cost_model
@@ -291,7 +292,7 @@ class SimplifyOptions(MethodOptions):
     def __post_init__(self) -> None:
         """Check the options, and those that need or exclude each other."""
         self._check_goals()
-        if self.ratio is not None and 1 < self.ratio <= 100:
+        if isinstance(self.ratio, Real) and 1 < self.ratio <= 100:
             raise OptionError(
                 f"ratio must be in (0, 1], got {self.ratio:g}; for {self.ratio:g} % give {self.ratio / 100:g}"
             )
