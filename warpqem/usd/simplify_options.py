@@ -16,6 +16,7 @@ from warpqem.screen import ScreenView
 from warpqem.usd.frames import FrameRange
 from warpqem.usd.lengths import parse_length
 from warpqem.usd.option_checks import (
+    FRAMES_HELP,
     AttributeWeights,
     check_faces,
     check_lods,
@@ -229,13 +230,7 @@ class SimplifyOptions(MethodOptions):
         "Meshes that are their own mirror image across this local axis, at rest or in the first pose, stay so; auto "
         "for the first axis of which this is true.",
     )
-    frames: FrameRange | None = option(
-        None,
-        "Only the samples from START to END, in time codes; with STEP, poses interpolated every STEP time codes.",
-        "START:END[:STEP]",
-        basic=True,
-        parse=read_frames,
-    )
+    frames: FrameRange | None = option(None, FRAMES_HELP, "START:END[:STEP]", basic=True, parse=read_frames)
     poses: str | os.PathLike[str] | None = option(
         None,
         "USD file with example poses at the same prim paths, such as another clip: they decide how skinned meshes are "
