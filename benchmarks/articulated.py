@@ -26,13 +26,12 @@ from warpqem.frame_blocks import pack_frames
 from warpqem.kernels.lanes import QUADRIC, width_of
 from warpqem.key_frames import KeyFrameChoice
 from warpqem.measure import compare
-from warpqem.mesh_input import read_mesh
+from warpqem.mesh_input import is_proper, read_mesh
 from warpqem.options import SimplifyOptions
 from warpqem.order.log import CollapseRecord
 from warpqem.preparation import prepare
 from warpqem.result import Delivery, Outcome, SimplifiedMesh, finish
 from warpqem.skinning.skin import LinearSkin, pose_skin
-from warpqem.transfer import is_proper
 
 __all__ = ["SkinnedClip", "read_clip", "run"]
 

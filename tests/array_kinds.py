@@ -16,11 +16,11 @@ import numpy as np
 import warpqem
 from warpqem.face import facial_features
 from warpqem.measure import compare, distance_colors, topology, vertex_distances
+from warpqem.mirror import find_mirror
 from warpqem.picture import fit_view, render
 from warpqem.skinning.fit import fit_skin
 from warpqem.skinning.pullback import simplify_pulled_back
 from warpqem.skinning.skin import LinearSkin, pose_skin
-from warpqem.symmetry import find_mirror
 from warpqem.transfer import surface_transfer
 
 

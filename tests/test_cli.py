@@ -100,7 +100,7 @@ def test_strict_writes_nothing(half_broken, tmp_path):
     [
         (["--ratio", "25"], "for 25 % give 0.25"),
         (["--ratio", "0"], "ratio must be in (0, 1], got 0"),
-        (["--ratio", "0.5", "--faces", "9"], "one of ratio"),
+        (["--ratio", "0.5", "--faces", "9"], "ratio 0.5 and faces 9 exclude each other"),
         ([], "one of ratio"),
         (["--ratio", "0.5", "--frames", "9:1"], "frame range"),
         (["--ratio", "0.5", "--metric", "best"], "--metric"),

@@ -18,12 +18,12 @@ import warpqem
 from warpqem.errors import DeviceError, MeshShapeError, OptionError
 from warpqem.face import FaceProtection, FacialFeatures, facial_features
 from warpqem.measure import compare, distance_colors
+from warpqem.mirror import MirrorPlane, find_mirror
 from warpqem.number_input import flag, real_number, whole_number
 from warpqem.picture import View, fit_view, render
 from warpqem.progressive import load, save
 from warpqem.screen import ScreenView
 from warpqem.skinning.fit import fit_skin
-from warpqem.symmetry import MirrorPlane, find_mirror
 from warpqem.transfer import surface_transfer
 from warpqem.usd import SimplifyOptions
 

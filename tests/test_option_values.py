@@ -70,12 +70,19 @@ def test_a_view_is_read_from_its_parts():
         ({"lods": ""}, "lods"),
         ({"screen_error": 2}, "needs --distance"),
         ({"ratio": 0.5, "distance": 2}, "needs --screen-error"),
-        ({}, "one of ratio"),
+        ({}, "one of ratio, faces, max_error, max_distance, screen and lods is needed"),
+        ({"ratio": 0.5, "faces": 4, "max_error": 1}, "ratio 0.5 and faces 4 exclude each other"),
+        ({"max_error": 1, "lods": "0.5"}, "lods and max_error exclude each other"),
     ],
 )
 def test_wrong_values_are_named(values, message):
     with pytest.raises(OptionError, match=message):
         read_options(values)
+
+
+def test_ratio_that_is_no_number_is_refused():
+    with pytest.raises(OptionError, match=r"ratio must be in \(0, 1\], got '0.5'"):
+        SimplifyOptions(ratio="0.5")
 
 
 def test_a_goal_takes_the_place_of_another():

@@ -9,8 +9,9 @@ import warpqem
 from warpqem.errors import OptionError, UnreachableTargetError
 from warpqem.frame_stream import ArraySink
 from warpqem.measure import compare
+from warpqem.mirror import MirrorPlane, find_mirror
 from warpqem.order.log import CollapseRecord
-from warpqem.symmetry import MirrorPlane, find_mirror, simplify_symmetric
+from warpqem.symmetry import simplify_symmetric
 
 
 def symmetric_tube() -> tuple[np.ndarray, np.ndarray, np.ndarray]:

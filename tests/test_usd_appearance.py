@@ -8,25 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, Vt
-from test_usd_stages import FRAMES, cloth_stage, quad_grid, skinned_stage
+from rich_stage import CLOTH, COUNTS, INDICES, LENGTHS, NAMES, POINTS, SIZE
+from test_usd_stages import FRAMES, cloth_stage, skinned_stage
 from typer.testing import CliRunner
 
 from warpqem.cli.main import app
 from warpqem.usd import CompareOptions, SimplifyOptions, compare_stages, simplify_stage
 from warpqem.usd.mesh import MeshSource
 from warpqem.usd.skel import StagePoses
-
-CLOTH = "/Root/Cloth"
-SIZE = 8
-POINTS, COUNTS, INDICES = quad_grid(SIZE)
-COUNT = {
-    "constant": 1,
-    "uniform": len(COUNTS),
-    "vertex": len(POINTS),
-    "varying": len(POINTS),
-    "faceVarying": len(INDICES),
-}
-NAMES = Sdf.ValueTypeNames
 
 
 def appearance(tmp_path: Path, first, second, times=FRAMES):
@@ -76,11 +65,11 @@ def test_shift_of_uvs_is_found_in_every_interpolation(tmp_path, interpolation, i
     assert found.uvs["st"].swim < 1e-3
 
 
-@pytest.mark.parametrize("interpolation", list(COUNT))
+@pytest.mark.parametrize("interpolation", list(LENGTHS))
 def test_colors_of_every_interpolation_are_those_of_its_elements(tmp_path, interpolation):
     def gray(level):
         def change(mesh):
-            color = np.full((COUNT[interpolation], 3), level, dtype=np.float32)
+            color = np.full((LENGTHS[interpolation], 3), level, dtype=np.float32)
             primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("displayColor", NAMES.Color3fArray, interpolation)
             primvar.Set(Vt.Vec3fArray.FromNumpy(color))
 

@@ -151,6 +151,7 @@ def test_instances_show_every_level(local, tmp_path):
     instanced_stage(tmp_path / "in.usda", local=local)
     report = build_levels(tmp_path / "in.usda", tmp_path / "lods.usda")
     counts = [64] + [prim.faces_after for prim in report.prims if prim.path == "/Root/First/Cloth"]
+    assert len(counts) == 3
     for level, count in enumerate(counts):
         stage = open_level(tmp_path / "lods.usda", level)
         assert len(stage.GetPrototypes()) == 1

@@ -11,7 +11,7 @@ from test_symmetry import FACES, POINTS
 from test_usd_stages import cloth_stage
 
 from warpqem.errors import OptionError
-from warpqem.symmetry import find_mirror
+from warpqem.mirror import find_mirror
 from warpqem.usd import SimplifyOptions, simplify_stage
 from warpqem.usd.report import PrimReport
 

@@ -202,6 +202,7 @@ def test_points_that_stay_while_faces_change_are_done_at_each_change(tmp_path):
 def test_error_limit_holds_in_each_run(tmp_path):
     capture(tmp_path / "in.usda", [16, 24], 3)
     report, after = simplified(tmp_path, max_error=1.0)
+    assert len(report.runs) == 2
     assert all(run.faces_after < run.faces_before for run in report.runs)
     assert max(height_error(after, float(time)) for time in range(6)) < 0.02
 

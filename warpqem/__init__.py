@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from warpqem.memory import MemoryPlan as MemoryPlan
     from warpqem.mesh_files.sequence import MeshSequence as MeshSequence
     from warpqem.mesh_files.sequence import load as load
+    from warpqem.mirror import find_mirror as find_mirror
     from warpqem.morph import morph_weights as morph_weights
     from warpqem.motion import MotionFeatures as MotionFeatures
     from warpqem.motion import MotionWeighting as MotionWeighting
@@ -44,7 +45,6 @@ if TYPE_CHECKING:
     from warpqem.skinning.fit import FittedSkin as FittedSkin
     from warpqem.skinning.fit import fit_skin as fit_skin
     from warpqem.skinning.skin import LinearSkin as LinearSkin
-    from warpqem.symmetry import find_mirror as find_mirror
     from warpqem.symmetry import simplify_symmetric as simplify_symmetric
 
 # Loaded when first used: importing Warp takes most of a second, which `warpqem --help` need not wait for.
@@ -81,7 +81,7 @@ _HOMES = {
     "motion_features": "warpqem.motion",
     "plan": "warpqem.simplification",
     "help_place": "warpqem.sharing",
-    "find_mirror": "warpqem.symmetry",
+    "find_mirror": "warpqem.mirror",
     "simplify_symmetric": "warpqem.symmetry",
     "simplify": "warpqem.simplification",
     "simplify_levels": "warpqem.levels",

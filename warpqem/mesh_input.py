@@ -24,6 +24,7 @@ __all__ = [
     "MeshInput",
     "as_vertex_values",
     "finite_points",
+    "is_proper",
     "measure_mesh",
     "read_faces",
     "read_mesh",
@@ -275,9 +276,15 @@ def read_faces(faces: Any, name: str, vertex_count: int | None) -> np.ndarray:
     return np.ascontiguousarray(found, dtype=np.int32)
 
 
+def is_proper(faces: np.ndarray) -> np.ndarray:
+    """(N,) bool, faces (N, 3) with three different vertices: others cover nothing."""
+    proper: np.ndarray = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    return proper
+
+
 def _proper_faces(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Faces with three different vertices, and the index of each."""
-    proper = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    proper = is_proper(faces)
     if not proper.any():
         raise DegenerateMeshError(f"none of the {len(faces)} faces has three different vertices")
     return np.ascontiguousarray(faces[proper]), np.flatnonzero(proper).astype(np.int32)

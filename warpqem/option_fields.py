@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import math
+import sys
 import types
 import typing
 from collections.abc import Callable, Mapping
@@ -119,7 +120,7 @@ def option_fields(options: type) -> Mapping[str, OptionField]:
             "__annotations__", {}
         ).keys()
         if own:
-            names = vars(typing.sys.modules[base.__module__])  # type: ignore[attr-defined]
+            names = vars(sys.modules[base.__module__])
             hints |= {name: eval(base.__annotations__[name], names) for name in own}
     return {entry.name: _option_field(entry, hints[entry.name]) for entry in fields(options) if KEY in entry.metadata}
 

@@ -8,12 +8,12 @@ inner edge between two vertices of the plane, which both halves would have, and 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpqem.array_input import finite_array, is_empty
+from warpqem.array_input import is_empty
 from warpqem.attributes import checked_fields
 from warpqem.bounded import BoundSink, ExceededError
 from warpqem.checked_frames import check_sink
@@ -21,196 +21,25 @@ from warpqem.coarsest import find_coarsest
 from warpqem.cost_models import cost_model
 from warpqem.device import on_device, resolve_device
 from warpqem.edges import edge_key
-from warpqem.errors import MeshShapeError, OptionError, UnreachableTargetError
+from warpqem.errors import OptionError, UnreachableTargetError
 from warpqem.frame_stream import ArrayFrames, ArraySink, FrameSink
 from warpqem.importance import border_vertices, lock_mask, read_quadric_scale, read_weights
 from warpqem.kernels.topology import MIRROR
 from warpqem.measuring import ResultMeasure, with_errors
-from warpqem.mesh_input import MeshInput, finite_points, read_faces, read_mesh, read_points
-from warpqem.number_input import check_function, real_number, shown
+from warpqem.mesh_input import MeshInput, finite_points, read_mesh
+from warpqem.mirror import Mirror, MirrorPlane, find_mirror
+from warpqem.number_input import check_function
 from warpqem.options import SimplifyKeywords, SimplifyOptions, read_keywords
 from warpqem.order.log import CollapseRecord
 from warpqem.preparation import Progress, prepare
 from warpqem.repair.mesh import repaired_mesh, repaired_options
-from warpqem.repair.topology import repair_topology
 from warpqem.result import Delivery, Outcome, SimplifiedMesh, finish, in_input_terms, reached, written_faces
 from warpqem.seams import read_seams, seam_ends
-from warpqem.transfer import is_proper
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-__all__ = ["AXES", "Mirror", "MirrorPlane", "find_mirror", "simplify_symmetric"]
-
-# A vertex may be so far from the mirror image of its partner, in parts of the bounding-box diagonal.
-TOLERANCE = 1e-4
-# A normal may be so far from length one: as far as single precision rounds it.
-NORMAL_TOLERANCE = 1e-5
-# A direction that no regular mesh has many vertices across.
-GENERIC = np.array([0.5345224838248488, 0.2672612419124244, 0.8017837257372732])
-AXES = ("x", "y", "z")
-
-
-@dataclass(frozen=True)
-class MirrorPlane:
-    """The plane ``normal.p = offset``.
-
-    Attributes:
-        normal: (3,) float64, of length one.
-        offset: in the caller's units.
-    """
-
-    normal: np.ndarray
-    offset: float
-
-    def reflect(self, points: np.ndarray) -> np.ndarray:
-        """The mirror images of points (..., 3), float64."""
-        away = points.astype(np.float64) @ self.normal - self.offset
-        reflected: np.ndarray = points - 2.0 * away[..., None] * self.normal
-        return reflected
-
-
-@dataclass(frozen=True)
-class Mirror:
-    """How a mesh maps to itself.
-
-    Attributes:
-        plane: the mirror plane.
-        vertex: (V,) int64, the mirror image of each vertex, itself on the plane; -1 without a face.
-        face: (N,) int64, the mirror image of each face.
-        half: indices of the faces on one side.
-    """
-
-    plane: MirrorPlane
-    vertex: np.ndarray
-    face: np.ndarray
-    half: np.ndarray
-
-
-def find_mirror(points: Any, faces: Any, plane: str | MirrorPlane = "auto") -> Mirror:
-    """Find how a mesh maps to itself under reflection.
-
-    Where the topology has to be mended (:mod:`warpqem.repair`), the mirror is that of the mended mesh.
-
-    Args:
-        points: (V, 3), a symmetric pose.
-        faces: (N, 3) vertex indices.
-        plane: "x", "y" or "z" for a plane across that axis through the middle of the bounding box; "auto" for the first
-            of them that the mesh is symmetric about; or the plane itself.
-
-    Raises:
-        OptionError: the mesh is not symmetric about the plane, a face lies across it, or it is no plane.
-        MeshShapeError, NonFinitePointError, FaceIndexError, DegenerateMeshError: see :mod:`warpqem.errors`.
-    """
-    pose = finite_points(read_points(points, "points"))
-    if len(pose) != 1:
-        raise MeshShapeError(f"points must be one pose (V, 3), got {len(pose)} frames")
-    pose = pose[0].astype(np.float64)
-    corner = read_faces(faces, "faces", len(pose)).astype(np.int64)
-    pose, corner = _repaired(pose, corner)
-    if isinstance(plane, str) and plane == "auto":
-        reasons = []
-        for axis in AXES:
-            try:
-                return _mirror(pose, corner, _axis_plane(pose, corner, axis))
-            except OptionError as error:
-                reasons.append(f"across {axis} {error}")
-        raise OptionError(f"symmetry: the mesh has no mirror plane: {'; '.join(reasons)}")
-    if isinstance(plane, str):
-        if plane not in AXES:
-            raise OptionError(f"symmetry {plane!r}: expected auto, x, y, z or a plane")
-        plane = _axis_plane(pose, corner, plane)
-    plane = _checked_plane(plane)
-    try:
-        return _mirror(pose, corner, plane)
-    except OptionError as error:
-        raise OptionError(f"symmetry: {error}") from None
-
-
-def _repaired(pose: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The vertices and faces that simplifying would work on: repeats and mixed windings have no mirror image."""
-    if not is_proper(faces).all():
-        return pose, faces
-    mended = repair_topology(faces.astype(np.int32), len(pose), "cpu")
-    return (pose, faces) if mended is None else (pose[mended.vertex], mended.faces.astype(np.int64))
-
-
-def _checked_plane(plane: Any) -> MirrorPlane:
-    if not isinstance(plane, MirrorPlane):
-        raise OptionError(f"symmetry must be auto, x, y, z or a MirrorPlane, got {shown(plane)}")
-    normal = finite_array(plane.normal, "symmetry: normal of the plane", (3,)).astype(np.float64)
-    if not abs(np.linalg.norm(normal) - 1.0) < NORMAL_TOLERANCE:
-        raise OptionError(f"symmetry: normal of the plane {normal.tolist()} must have length 1")
-    offset = real_number(plane.offset, "symmetry: offset of the plane", "a finite number", np.isfinite)
-    return MirrorPlane(normal, offset)
-
-
-def _axis_plane(pose: np.ndarray, faces: np.ndarray, axis: str) -> MirrorPlane:
-    used = pose[np.unique(faces)][:, AXES.index(axis)]
-    return MirrorPlane(np.eye(3)[AXES.index(axis)], float(used.min() + used.max()) / 2)
-
-
-def _mirror(pose: np.ndarray, faces: np.ndarray, plane: MirrorPlane) -> Mirror:
-    used = np.unique(faces)
-    tolerance = TOLERANCE * float(np.linalg.norm(np.ptp(pose[used], axis=0)))
-    vertex = np.full(len(pose), -1, dtype=np.int64)
-    away = np.abs(pose[used] @ plane.normal - plane.offset)
-    vertex[used] = used[_nearest(pose[used], plane.reflect(pose[used]), tolerance)]
-    # Near the plane a vertex is its own image, whichever neighbour is as near.
-    vertex[used[away <= tolerance / 2]] = used[away <= tolerance / 2]
-    alone = used[vertex[vertex[used]] != used]
-    if len(alone):
-        raise OptionError(f"vertex {alone[0]} has no mirror image ({len(alone)} have none)")
-    face = _mirrored_faces(faces, vertex)
-    alone = np.flatnonzero(face < 0)
-    if len(alone):
-        raise OptionError(f"face {alone[0]} has no mirror image ({len(alone)} have none)")
-    side = pose @ plane.normal - plane.offset
-    side[vertex == np.arange(len(pose))] = 0.0
-    lowest, highest = side[faces].min(axis=1), side[faces].max(axis=1)
-    across = np.flatnonzero(((lowest < 0) & (highest > 0)) | ((lowest == 0) & (highest == 0)))
-    if len(across):
-        raise OptionError(f"face {across[0]} lies across the plane ({len(across)} do)")
-    return Mirror(plane, vertex, face, np.flatnonzero(highest > 0))
-
-
-def _nearest(points: np.ndarray, wanted: np.ndarray, tolerance: float) -> np.ndarray:
-    """Index of the nearest of ``points`` (M, 3) to each of ``wanted`` within the tolerance, the first of equal ones.
-
-    Where there is none, the last point; the caller sees that it is not a mutual match.
-    """
-    along = points @ GENERIC
-    order = np.argsort(along, kind="stable")
-    target = wanted @ GENERIC
-    first = np.searchsorted(along[order], target - tolerance)
-    last = np.searchsorted(along[order], target + tolerance, side="right")
-    best, distance = np.full(len(wanted), len(points) - 1), np.full(len(wanted), tolerance)
-    for step in range(int((last - first).max(initial=0))):
-        row = np.flatnonzero(first + step < last)
-        candidate = order[first[row] + step]
-        length = np.linalg.norm(points[candidate] - wanted[row], axis=1)
-        nearer = (length < distance[row]) | ((length == distance[row]) & (candidate < best[row]))
-        best[row[nearer]], distance[row[nearer]] = candidate[nearer], length[nearer]
-    return best
-
-
-def _mirrored_faces(faces: np.ndarray, vertex: np.ndarray) -> np.ndarray:
-    """The face over the mirror images of each face's vertices, turned over, (N,) int64; -1 for none."""
-
-    def canonical(corners: np.ndarray) -> np.ndarray:
-        turn = corners.argmin(axis=1)
-        return np.stack(
-            [np.take_along_axis(corners, ((turn + k) % 3)[:, None], axis=1)[:, 0] for k in range(3)], axis=1
-        )
-
-    own, image = canonical(faces), canonical(vertex[faces][:, ::-1])
-    count = len(vertex)
-    own_key = (own[:, 0] * count + own[:, 1]) * count + own[:, 2]
-    image_key = (image[:, 0] * count + image[:, 1]) * count + image[:, 2]
-    order = np.argsort(own_key, kind="stable")
-    place = np.minimum(np.searchsorted(own_key[order], image_key), len(order) - 1)
-    found = own_key[order][place] == image_key
-    return np.where(found, order[place], -1)
+__all__ = ["simplify_symmetric"]
 
 
 @on_device
@@ -229,7 +58,7 @@ def simplify_symmetric(
         points: (F, V, 3) or (V, 3), as for :func:`warpqem.simplify`; the first frame is the symmetric pose, unless
             ``symmetry`` is a mirror found in another one. The half is kept in memory.
         faces: (N, 3) vertex indices.
-        symmetry: see :func:`find_mirror`, or what that returned.
+        symmetry: see :func:`warpqem.find_mirror`, or what that returned.
         sink: as for :func:`warpqem.simplify`.
         progress: likewise.
         options: the other options of :func:`warpqem.simplify`. Of weights, scales and locks that differ between two

@@ -19,13 +19,13 @@ from warpqem.edges import edge_key
 from warpqem.errors import MeshShapeError, OptionError
 from warpqem.kernels import transfer as kernels
 from warpqem.launches import launch
-from warpqem.mesh_input import finite_points, read_faces, read_points
+from warpqem.mesh_input import finite_points, is_proper, read_faces, read_points
 from warpqem.number_input import shown, whole_number
 from warpqem.place.rows import gather_faces, group_rows
 from warpqem.result import SimplifiedMesh
 from warpqem.seams import seam_ends
 
-__all__ = ["SurfaceTransfer", "blend", "check_fit", "check_result", "is_proper", "joined_faces", "surface_transfer"]
+__all__ = ["SurfaceTransfer", "blend", "check_fit", "check_result", "joined_faces", "surface_transfer"]
 
 
 @dataclass(frozen=True)
@@ -108,12 +108,7 @@ def surface_transfer(
     pose = finite_points(given)[0].astype(np.float64)
     faces = read_faces(faces, "faces", len(pose))
     check_fit(result, faces, len(pose))
-    last = len(result.points) - 1
-    reference_frame = whole_number(
-        reference_frame, "reference_frame", least=0, expected=f"a frame of the result, 0 to {last}"
-    )
-    if reference_frame > last:
-        raise OptionError(f"reference_frame must be a frame of the result, 0 to {last}, got {reference_frame}")
+    reference_frame = _checked_frame(reference_frame, len(result.points))
     ends = None if seams is None or is_empty(seams) else seam_ends(seams, len(pose))
     cluster = result.corner_clusters(faces)
     usable = (cluster >= 0).all(axis=1) & is_proper(faces)
@@ -132,36 +127,60 @@ def surface_transfer(
     _, wedge = np.unique(side, return_inverse=True)
     order, wedge_start = group_rows(wedge, int(wedge.max()) + 1)
     wedge_owner = owner[order[wedge_start[:-1]]]
-    # Nearness is judged about the pose's middle, where float32 is finest.
-    middle = (pose.min(axis=0) + pose.max(axis=0)) / 2
-    source_face = wp.empty(len(wedge_owner), dtype=wp.int32, device=device)
-    weight = wp.empty(len(wedge_owner), dtype=wp.vec3, device=device)
-    launch(
-        kernels.find_wedge_sources,
-        dim=len(wedge_owner),
-        inputs=[
-            wp.array(wedge_start, device=device),
-            wp.array(face[order], dtype=wp.int32, device=device),
-            wp.array(
-                (result.points[reference_frame][wedge_owner] - middle).astype(np.float32), dtype=wp.vec3, device=device
-            ),
-            wp.array(faces.ravel(), device=device),
-            wp.array((pose - middle).astype(np.float32), dtype=wp.vec3, device=device),
-        ],
-        outputs=[source_face, weight],
-        device=device,
-    )
+    placed = result.points[reference_frame][wedge_owner]
+    wedge_face, wedge_weight = _wedge_sources(pose, faces, placed, wedge_start, face[order], device)
     corner_key = result.faces.astype(np.int64) * len(faces) + result.face_map[:, None]
     vertex_wedge = np.empty(vertex_count, dtype=np.int32)
     vertex_wedge[wedge_owner[::-1]] = np.arange(len(wedge_owner) - 1, -1, -1)
     return SurfaceTransfer(
         corner_wedge=wedge[np.searchsorted(entry_key, corner_key)].astype(np.int32),
         vertex_wedge=vertex_wedge,
-        wedge_face=source_face.numpy(),
-        wedge_weight=weight.numpy(),
-        wedge_vertex=faces[source_face.numpy()],
+        wedge_face=wedge_face,
+        wedge_weight=wedge_weight,
+        wedge_vertex=faces[wedge_face],
         face_map=result.face_map,
     )
+
+
+def _checked_frame(frame: Any, frame_count: int) -> int:
+    expected = f"a frame of the result, 0 to {frame_count - 1}"
+    frame = whole_number(frame, "reference_frame", least=0, expected=expected)
+    if frame >= frame_count:
+        raise OptionError(f"reference_frame must be {expected}, got {frame}")
+    return frame
+
+
+def _wedge_sources(
+    pose: np.ndarray, faces: np.ndarray, placed: np.ndarray, start: np.ndarray, face: np.ndarray, device: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """The input face that is nearest to each wedge, (W,) int32, and where on it, (W, 3) float32 barycentric.
+
+    Args:
+        pose: (V, 3) float64, the input.
+        faces: (N, 3) int32, its faces.
+        placed: (W, 3), the output vertex of each wedge.
+        start: (W + 1,) int32, where its faces begin.
+        face: (E,) the faces of each wedge.
+        device: Warp device.
+    """
+    # Nearness is that about the pose's middle, where float32 is finest.
+    middle = (pose.min(axis=0) + pose.max(axis=0)) / 2
+    source = wp.empty(len(placed), dtype=wp.int32, device=device)
+    weight = wp.empty(len(placed), dtype=wp.vec3, device=device)
+    launch(
+        kernels.find_wedge_sources,
+        dim=len(placed),
+        inputs=[
+            wp.array(start, device=device),
+            wp.array(face, dtype=wp.int32, device=device),
+            wp.array((placed - middle).astype(np.float32), dtype=wp.vec3, device=device),
+            wp.array(faces.ravel(), device=device),
+            wp.array((pose - middle).astype(np.float32), dtype=wp.vec3, device=device),
+        ],
+        outputs=[source, weight],
+        device=device,
+    )
+    return source.numpy(), weight.numpy()
 
 
 def check_result(result: Any) -> None:
@@ -190,12 +209,6 @@ def check_fit(result: SimplifiedMesh, faces: np.ndarray, vertex_count: int) -> N
             f"the result is that of a mesh with other faces: its face {other[0]} does not go on from face "
             f"{result.face_map[other[0]]} of this one ({len(other)} do not)"
         )
-
-
-def is_proper(faces: np.ndarray) -> np.ndarray:
-    """(N,) bool, faces with three different vertices: others cover nothing."""
-    proper: np.ndarray = (faces != np.roll(faces, -1, axis=1)).all(axis=1)
-    return proper
 
 
 def _sides(

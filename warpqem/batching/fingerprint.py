@@ -42,10 +42,10 @@ def file_hash(path: str | os.PathLike[str]) -> str | None:
 
 def files_hash(paths: Sequence[str | os.PathLike[str]]) -> str | None:
     """Hash of one file, or of several in their order; None if one of them cannot be read."""
+    if len(paths) == 1:
+        return file_hash(paths[0])
     hashes = [file_hash(path) for path in paths]
-    if len(hashes) == 1 or None in hashes:
-        return hashes[0] if len(hashes) == 1 else None
-    return hashlib.sha256("\n".join(filter(None, hashes)).encode()).hexdigest()
+    return None if None in hashes else hashlib.sha256("\n".join(map(str, hashes)).encode()).hexdigest()
 
 
 def take_fingerprint(

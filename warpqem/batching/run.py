@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -32,7 +32,7 @@ def batch(
     resume: bool = False,
     on_update: Callable[[Update], None] | None = None,
     other_outputs: Iterable[OutputFile] = (),
-) -> Iterator[BatchResult]:
+) -> Generator[BatchResult, None, None]:
     """Simplify many assets. One that fails, whatever way it does, costs the others nothing.
 
     Outputs appear under their names when they are whole. Work starts when the first result is asked for, and stops when
@@ -90,7 +90,7 @@ def _results(
     journal: str | os.PathLike[str] | None,
     resume: bool,
     on_update: Callable[[Update], None],
-) -> Iterator[BatchResult]:
+) -> Generator[BatchResult, None, None]:
     with ExitStack() as stack:
         notes = None if journal is None else stack.enter_context(Journal(journal))
         for folder in sorted({Path(job.output).parent for job in jobs}):

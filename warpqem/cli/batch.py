@@ -5,7 +5,7 @@ from __future__ import annotations
 import json as json_lines
 import logging
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
 from enum import Enum
 from itertools import chain
@@ -130,7 +130,7 @@ def batch(
     from warpqem.batching.output_check import check_batch_outputs
     from warpqem.batching.run import batch as run_batch
     from warpqem.batching.state import JOURNAL_NAME
-    from warpqem.cli.batch_display import BatchDisplay, dry_run_table, summary_table
+    from warpqem.cli.batch_display import BatchDisplay, summary_table
     from warpqem.outputs import InputFile, named_outputs
     from warpqem.report.page import check_page_path
 
@@ -143,11 +143,7 @@ def batch(
     check_jobs(work, others).check(InputFile(path, "a manifest") for path in _manifests(inputs))
     if dry_run:
         check_batch_outputs(work, [*others, *named_outputs({"journal": journal})])
-        for line in wrong:
-            tell("error", line.message)
-        print_table(dry_run_table(work, journal if resume else None), to_stderr=json == "-")
-        if wrong:
-            raise typer.Exit(EXIT_FAILED)
+        _show_plan(work, wrong, journal if resume else None, to_stderr=json == "-")
         return
     chosen = _engine(
         engine, options, jobs=jobs, timeout=timeout, retries=retries, spread=spread, ray=(address, cpus, gpus)
@@ -157,28 +153,47 @@ def batch(
     # Nothing has been written up to here.
     start_logging(verbose, log_json)
     _make_folder(folder)
-    results: list[BatchResult] = []
-    interrupted = False
+    count = len(work) + len(wrong)
     with interruptible(), _lines(json) as write, display:
-        try:
-            for result in chain((line.result() for line in wrong), updates):
-                results.append(result)
-                write(result)
-                if not result.ok:
-                    tell("error", f"{result.error}: {result.message}")
-        except KeyboardInterrupt:
-            interrupted = True
-        finally:
-            updates.close()
+        results, interrupted = _collect(wrong, updates, write)
         seconds = display.seconds
-    print_table(summary_table(results, len(work) + len(wrong), seconds), to_stderr=json == "-")
+    print_table(summary_table(results, count, seconds), to_stderr=json == "-")
     if interrupted:
-        tell("error", f"interrupted after {len(results)} of {len(work) + len(wrong)} assets; go on with --resume")
+        tell("error", f"interrupted after {len(results)} of {count} assets; go on with --resume")
         raise typer.Exit(EXIT_INTERRUPTED)
     if report is not None:
         _write_overview(report, results, options)
     if not all(result.ok for result in results):
         raise typer.Exit(EXIT_FAILED)
+
+
+def _show_plan(work: list[BatchJob], wrong: list[WrongLine], journal: Path | None, to_stderr: bool) -> None:
+    """Say what would be done."""
+    from warpqem.cli.batch_display import dry_run_table
+
+    for line in wrong:
+        tell("error", line.message)
+    print_table(dry_run_table(work, journal), to_stderr)
+    if wrong:
+        raise typer.Exit(EXIT_FAILED)
+
+
+def _collect(
+    wrong: list[WrongLine], updates: Generator[BatchResult, None, None], write: Callable[[BatchResult], None]
+) -> tuple[list[BatchResult], bool]:
+    """The results of all assets as they come, and whether an interrupt ended that."""
+    results: list[BatchResult] = []
+    try:
+        for result in chain((line.result() for line in wrong), updates):
+            results.append(result)
+            write(result)
+            if not result.ok:
+                tell("error", f"{result.error}: {result.message}")
+    except KeyboardInterrupt:
+        return results, True
+    finally:
+        updates.close()
+    return results, False
 
 
 def _write_overview(path: str, results: list[BatchResult], options: dict[str, Any]) -> None:
@@ -277,7 +292,7 @@ def _line(result: BatchResult) -> str:
 
 
 @contextmanager
-def _lines(target: str | None) -> Iterator[Any]:
+def _lines(target: str | None) -> Iterator[Callable[[BatchResult], None]]:
     """A function that writes a result as a line."""
     if target is None:
         yield lambda result: None

@@ -140,7 +140,7 @@ def summary_table(results: Sequence[BatchResult], job_count: int, seconds: float
 
 def _add_verdicts(table: PlainTable, results: Sequence[BatchResult]) -> None:
     """How many meshes are good, and the worst of the others."""
-    from warpqem.measure.verdict import WORDS
+    from warpqem.measure.verdict import WORDS, rank
 
     found = [
         (result.input, prim["path"], prim["measured"])
@@ -153,7 +153,7 @@ def _add_verdicts(table: PlainTable, results: Sequence[BatchResult]) -> None:
     counts = Counter(measured["verdict"] for _, _, measured in found)
     table.add_note("meshes: " + ", ".join(f"{counts[word]} {word}" for word in WORDS if counts[word]))
     wanting = [entry for entry in found if entry[2]["reason"]]
-    wanting.sort(key=lambda entry: (WORDS.index(entry[2]["verdict"]), -entry[2]["hausdorff"]))
+    wanting.sort(key=lambda entry: rank(entry[2]["verdict"], entry[2]["hausdorff"]))
     for source, path, measured in wanting[:MOST_NAMED]:
         table.add_note(f"{measured['verdict']}: {source}: {path}: {measured['reason']}")
     if len(wanting) > MOST_NAMED:

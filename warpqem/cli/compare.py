@@ -99,6 +99,13 @@ def compare(
         pairs = compare_stages(reference, test, options, progress, others)
         if report is not None and any(pair.comparison for pair in pairs):
             write_compare_report(report, reference, test, pairs, options, progress)
+    _show(reference, test, pairs, json)
+    if not pairs or any(pair.message is not None for pair in pairs):
+        raise typer.Exit(EXIT_FAILED)
+
+
+def _show(reference: str, test: str, pairs: list[PairReport], json: str | None) -> None:
+    """Print and write what was found."""
     for pair in pairs:
         if pair.message is not None:
             tell("error", pair.message)
@@ -109,8 +116,6 @@ def compare(
         write_json(json, {"reference": reference, "test": test, "prims": [pair.to_dict() for pair in pairs]})
     if not pairs:
         tell("error", f"neither {reference} nor {test} has a mesh")
-    if not pairs or any(pair.message is not None for pair in pairs):
-        raise typer.Exit(EXIT_FAILED)
 
 
 def _table(reference: str, test: str, pairs: list[PairReport]) -> PlainTable:
@@ -148,10 +153,10 @@ def _table(reference: str, test: str, pairs: list[PairReport]) -> PlainTable:
     return table
 
 
-def _badness(pair: PairReport) -> tuple[int, float]:
+def _badness(pair: PairReport) -> tuple[int, tuple[int, float]]:
     """What pairs are sorted by: those that failed first, then the worst."""
-    from warpqem.measure.verdict import WORDS
+    from warpqem.measure.verdict import rank
 
     if pair.comparison is None:
-        return 0, 0.0
-    return 1 + WORDS.index(pair.comparison.verdict.word), -pair.comparison.hausdorff
+        return 0, (0, 0.0)
+    return 1, rank(pair.comparison.verdict.word, pair.comparison.hausdorff)

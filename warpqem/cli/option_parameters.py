@@ -14,7 +14,6 @@ from warpqem.option_fields import OptionField, named_options
 
 __all__ = ["HelpAll", "parameter_of", "takes_options"]
 
-
 KIND = inspect.Parameter.POSITIONAL_OR_KEYWORD
 
 
@@ -40,8 +39,8 @@ def takes_options(
     Args:
         options: The dataclass, see `warpqem.option_fields`.
         without: Names of options that it does not take.
-        hidden: Names of options that its help leaves to --help-all, whatever they say.
         only: Names of those that it takes, and shows all in its help; empty for all others.
+        hidden: Names of options that its help leaves to --help-all, whatever they say.
     """
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:

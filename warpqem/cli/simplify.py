@@ -48,11 +48,11 @@ def simplify(
 ) -> None:
     """Simplify every mesh over all its frames.
 
-    Give --ratio or --faces, --max-error, --max-distance or --screen-error, or of both; or --lods.
+    Give a count (--ratio or --faces), limits (--max-error, --max-distance, --screen-error), or both; or --lods.
 
     OUT is a small layer over IN that holds the new meshes; keep the two files together, or use --flatten, or name OUT
-    as a package (.usdz), which holds all that it needs. Primvars,
-    normals, subsets, skins and blend shapes come along. What does not fit the new meshes is dropped, with a warning.
+    as a package (.usdz), which holds all that it needs. Primvars, normals, subsets, skins and blend shapes come along.
+    What does not fit the new meshes is dropped, with a warning.
 
     IN may be mesh files, too, one for each frame, such as 'horse-*.ply' in quotes (OBJ, PLY, STL, OFF, GLB, ...): the
     frames of one mesh. OUT is then a file of its own, or mesh files again, such as out/horse_####.ply.
@@ -163,7 +163,7 @@ def _tell_small(report: StageReport) -> None:
 
 def _table(report: StageReport) -> PlainTable:
     table = PlainTable(f"{report.input} -> {_named(report.outputs) or 'nothing written'}")
-    levels = {_level(prim): [other for other in report.prims if _level(other) == _level(prim)] for prim in report.prims}
+    levels, worst_first = list(dict.fromkeys(map(_level, report.prims))), report.worst_first
     if any(levels):
         table.add_column("level")
     table.add_column("mesh", overflow="fold")
@@ -175,9 +175,8 @@ def _table(report: StageReport) -> PlainTable:
         table.add_column("verdict")
     table.add_column("stopped")
     table.add_column("seconds", justify="right")
-    order = {id(prim): place for place, prim in enumerate(report.worst_first)}
-    for level, unordered in levels.items():
-        prims = sorted(unordered, key=lambda prim: order[id(prim)])
+    for level in levels:
+        prims = [prim for prim in worst_first if _level(prim) == level]
         rows = [_row(prim, measured) for prim in prims]
         if len(prims) > 1:
             rows.append(_total(prims, measured))
@@ -185,7 +184,7 @@ def _table(report: StageReport) -> PlainTable:
             # The total stands apart from its meshes, and each level from the next.
             end_section = index == len(rows) - 1 or (len(prims) > 1 and index == len(prims) - 1)
             table.add_row(*([level] if level else []), *row, end_section=end_section)
-    for prim in report.worst_first:
+    for prim in worst_first:
         if prim.measured is not None and prim.measured["reason"]:
             level = f"{_level(prim)}: " if _level(prim) else ""
             table.add_note(f"{prim.measured['verdict']}: {level}{prim.path}: {prim.measured['reason']}")

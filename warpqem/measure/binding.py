@@ -23,8 +23,8 @@ from warpqem.launches import launch
 from warpqem.measure.binding_surface import WALK_STEPS, ReferenceSurface, TestVertices, facing_sign
 from warpqem.measure.distance import ClosestPointSearch
 from warpqem.measure.inputs import MeshSequence, chosen_frames
+from warpqem.mesh_input import is_proper
 from warpqem.place.rows import gather_faces
-from warpqem.transfer import is_proper
 
 __all__ = ["Binding", "bind", "bind_by_record", "bind_by_shape", "check_vertex_map"]
 

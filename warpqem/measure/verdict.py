@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from warpqem.measure.measured import Measured
 
-__all__ = ["GOOD", "LIMITS", "LOOK", "POOR", "WARNING_DISTANCE", "WORDS", "Limit", "Verdict", "judge_errors"]
+__all__ = ["GOOD", "LIMITS", "LOOK", "POOR", "WARNING_DISTANCE", "WORDS", "Limit", "Verdict", "judge_errors", "rank"]
 
 GOOD, LOOK, POOR = "good", "look", "poor"
 # The worst first.
@@ -80,6 +80,11 @@ class Verdict:
 
     word: str
     reason: str
+
+
+def rank(word: str, hausdorff: float) -> tuple[int, float]:
+    """What measured meshes are sorted by, the worst first: the verdict, then the largest distance."""
+    return WORDS.index(word), -hausdorff
 
 
 def judge_errors(errors: Measured) -> Verdict:

@@ -13,7 +13,7 @@ from warpqem.attributes import checked_fields
 from warpqem.edges import edge_key
 from warpqem.frame_stream import FrameSource, held_bytes
 from warpqem.importance import lock_mask, read_quadric_scale, read_weights
-from warpqem.mesh_input import MeshInput
+from warpqem.mesh_input import MeshInput, is_proper
 from warpqem.order.stage import OrderedMesh, faces_left
 from warpqem.repair.topology import TopologyFindings, repair_topology
 from warpqem.seams import read_seams, seam_ends
@@ -143,7 +143,7 @@ def repaired_mesh(mesh: MeshInput, device: str) -> MeshInput:
 
 def face_repair(faces: np.ndarray, vertex_count: int, device: str = "cpu") -> MeshRepair | None:
     """What simplifying is going to mend of faces (N, 3) int32 that may name a vertex twice; None for nothing."""
-    proper = np.flatnonzero((faces != np.roll(faces, -1, axis=1)).all(axis=1)).astype(np.int32)
+    proper = np.flatnonzero(is_proper(faces)).astype(np.int32)
     if not len(proper):
         return None
     return _repair(np.ascontiguousarray(faces[proper]), proper, len(faces), vertex_count, device)

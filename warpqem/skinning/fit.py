@@ -100,37 +100,15 @@ def fit_skin(
         OptionError: ``influences`` is below 1.
     """
     device = resolve_device(device)
-    check_result(result)
-    poses = read_poses(points)
-    corner = read_faces(faces, "faces", poses.shape[1])
-    matrices = read_transforms(transforms, len(poses))
-    check_fit(result, corner, poses.shape[1])
-    if result.points.shape[0] != len(poses):
-        raise MeshShapeError(f"the result has {result.points.shape[0]} frames, there are {len(poses)} poses")
-    if influences is not None:
-        influences = whole_number(influences, "influences", expected="at least 1")
+    given = _checked(points, faces, result, skin, transforms, start, influences, offsets, start_offsets)
     to_planes = flag(to_planes, "to_planes")
-    offsets = read_offsets(offsets, "offsets", len(poses), poses.shape[1])
-    start_offsets = read_offsets(start_offsets, "start_offsets", len(poses), result.points.shape[1])
-    if start is not None and offsets is not None and start_offsets is None:
-        raise OptionError("start_offsets are needed with offsets and start")
-    for given, what in ((skin, "skin"), (start, "start")):
-        if not (isinstance(given, LinearSkin) or (given is None and what == "start")):
-            raise OptionError(f"{what} must be a LinearSkin, got {shown(given)}")
-    skin = skin.checked(matrices.shape[1])
-    most = skin.joints.shape[1] if influences is None else influences
-    diagonal = float(np.linalg.norm(np.ptp(poses[0].astype(np.float64), axis=0)))
-    _check_poses(poses, result.vertex_map >= 0, skin, matrices, offsets, diagonal)
+    start, start_offsets = given.start, given.start_offsets
     if start is None:
-        transfer = surface_transfer(poses[0], corner, result, seams=seams, device=device)
-        index = transfer.wedge_vertex[transfer.vertex_wedge]
-        share = transfer.wedge_weight[transfer.vertex_wedge]
-        start = blend_skin(skin, index, share, most)
-        if offsets is not None:
-            start_offsets = np.stack([transfer.from_vertices(offset) for offset in offsets])
+        start, start_offsets = _blended_start(given, result, seams, device)
     if len(start.rest) != result.points.shape[1]:
         raise MeshShapeError(f"start has {len(start.rest)} points, the result {result.points.shape[1]}")
-    start = replace(start.checked(matrices.shape[1]), rest=result.points[0].astype(np.float64))
+    start = replace(start.checked(given.transforms.shape[1]), rest=result.points[0].astype(np.float64))
+    corner, poses, skin, most = given.faces, given.poses, given.skin, given.most
     if result.repair is not None:
         # On the vertices and faces that were simplified.
         repair = result.repair
@@ -141,13 +119,13 @@ def fit_skin(
     fixed, member = _fixed(poses, result, (skin.weights > 0).sum(axis=1) <= most)
     rows = _candidates(skin, start, result.vertex_map, fixed)
     # On a mesh of unit diagonal, which the thresholds are made for.
-    unit = 1.0 / diagonal
-    fit = SkinFit(matrices, rows, start.rest * unit, result.points * unit, start_offsets, unit, device)
+    unit = 1.0 / given.diagonal
+    fit = SkinFit(given.transforms, rows, start.rest * unit, result.points * unit, start_offsets, unit, device)
     planes = ClusterPlanes(corner, result.vertex_map, len(fixed), seams, device)
     rest, weight, before, after, size = fit.solve(planes, poses * np.float32(unit), most, to_planes)
     row = np.repeat(np.arange(len(fixed)), np.diff(rows.start))
     joints, weights = largest_influences(row, rows.joint, weight, len(fixed), most)
-    rest *= diagonal
+    rest *= given.diagonal
     # What E measures may only go down: a vertex whose limit on influences cost more than the fit gave stays.
     kept = (after > before) & ~fixed
     for rows_kept, source, index in ((kept, start, np.flatnonzero(kept)), (fixed, skin, member[fixed])):
@@ -159,6 +137,80 @@ def fit_skin(
         100.0 * float(np.sqrt(before.sum() / max(size, 1e-300))),
         100.0 * float(np.sqrt(after.sum() / max(size, 1e-300))),
     )
+
+
+@dataclass(frozen=True)
+class _Given:
+    """What :func:`fit_skin` got, checked.
+
+    Attributes:
+        poses: (P, V, 3) float32 or float64.
+        faces: (N, 3) int32.
+        skin: the input's skin.
+        transforms: (P, J, 3, 4) float64.
+        start: the skin to start from, if any.
+        offsets: (P, V, 3), if any.
+        start_offsets: (P, C, 3), if any.
+        most: joints that move an output vertex at most.
+        diagonal: that of the rest shape's bounding box.
+    """
+
+    poses: np.ndarray
+    faces: np.ndarray
+    skin: LinearSkin
+    transforms: np.ndarray
+    start: LinearSkin | None
+    offsets: np.ndarray | None
+    start_offsets: np.ndarray | None
+    most: int
+    diagonal: float
+
+
+def _checked(
+    points: Any,
+    faces: Any,
+    result: Any,
+    skin: Any,
+    transforms: Any,
+    start: Any,
+    influences: Any,
+    offsets: Any,
+    start_offsets: Any,
+) -> _Given:
+    check_result(result)
+    poses = read_poses(points)
+    corner = read_faces(faces, "faces", poses.shape[1])
+    matrices = read_transforms(transforms, len(poses))
+    check_fit(result, corner, poses.shape[1])
+    if result.points.shape[0] != len(poses):
+        raise MeshShapeError(f"the result has {result.points.shape[0]} frames, there are {len(poses)} poses")
+    if influences is not None:
+        influences = whole_number(influences, "influences", expected="at least 1")
+    offsets = read_offsets(offsets, "offsets", len(poses), poses.shape[1])
+    start_offsets = read_offsets(start_offsets, "start_offsets", len(poses), result.points.shape[1])
+    if start is not None and offsets is not None and start_offsets is None:
+        raise OptionError("start_offsets are needed with offsets and start")
+    for given, what in ((skin, "skin"), (start, "start")):
+        if not (isinstance(given, LinearSkin) or (given is None and what == "start")):
+            raise OptionError(f"{what} must be a LinearSkin, got {shown(given)}")
+    skin = skin.checked(matrices.shape[1])
+    diagonal = float(np.linalg.norm(np.ptp(poses[0].astype(np.float64), axis=0)))
+    _check_poses(poses, result.vertex_map >= 0, skin, matrices, offsets, diagonal)
+    most = skin.joints.shape[1] if influences is None else influences
+    return _Given(poses, corner, skin, matrices, start, offsets, start_offsets, most, diagonal)
+
+
+def _blended_start(
+    given: _Given, result: SimplifiedMesh, seams: Any, device: str
+) -> tuple[LinearSkin, np.ndarray | None]:
+    """The input's skin, blended at the nearest points of the rest shape, and the offsets (P, C, 3) there."""
+    transfer = surface_transfer(given.poses[0], given.faces, result, seams=seams, device=device)
+    index = transfer.wedge_vertex[transfer.vertex_wedge]
+    share = transfer.wedge_weight[transfer.vertex_wedge]
+    start = blend_skin(given.skin, index, share, given.most)
+    if given.offsets is None:
+        return start, given.start_offsets
+    return start, np.stack([transfer.from_vertices(offset) for offset in given.offsets])
 
 
 def _cut(skin: LinearSkin, index: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:

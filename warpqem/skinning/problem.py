@@ -11,11 +11,11 @@ import warp as wp
 from warpqem.edges import edge_table
 from warpqem.kernels import skin_fit as kernels
 from warpqem.launches import launch
+from warpqem.mesh_input import is_proper
 from warpqem.order.quadrics import CONSTRAINT_WEIGHT
 from warpqem.parallel import launch_parts
 from warpqem.place.rows import sum_repeated
 from warpqem.seams import read_seams
-from warpqem.transfer import is_proper
 
 __all__ = ["CandidateRows", "ClusterPlanes", "SkinFit"]
 

@@ -18,14 +18,13 @@ from warpqem.array_input import as_numpy, is_empty
 from warpqem.device import on_device
 from warpqem.edges import edge_table
 from warpqem.errors import MeshShapeError, OptionError
-from warpqem.mesh_input import read_faces
+from warpqem.mesh_input import is_proper, read_faces
 from warpqem.number_input import shown
 from warpqem.options import SimplifyKeywords, read_keywords
 from warpqem.order.quadrics import CONSTRAINT_WEIGHT
 from warpqem.preparation import Progress, prepare
 from warpqem.result import SimplifiedMesh, in_input_terms, reached, written_faces
 from warpqem.skinning.skin import LinearSkin, read_poses, read_transforms
-from warpqem.transfer import is_proper
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack

@@ -9,8 +9,9 @@ import numpy as np
 import numpy.typing as npt
 from pxr import UsdGeom
 
+from warpqem.mesh_input import is_proper
 from warpqem.result import SimplifiedMesh
-from warpqem.transfer import SurfaceTransfer, blend, is_proper, surface_transfer
+from warpqem.transfer import SurfaceTransfer, blend, surface_transfer
 from warpqem.usd.feature_subsets import FAMILY
 from warpqem.usd.mesh import MeshSource
 from warpqem.usd.seams import MeshSeams

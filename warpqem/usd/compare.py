@@ -136,12 +136,13 @@ def compare_stages(
         for number, (name, stage) in enumerate(levels):
             part = None if progress is None else _part_of(progress, number, len(levels), name)
             test = _Side(test_path, stage, options.prims)
-            found = _compare_sides(reference, test, options, part, None)
+            found = _SideComparison(reference, test, options).reports(part)
             reports += [replace(report, level=name) for report in found]
         return reports
-    layer = OverLayer(stages[1])
-    reports = _compare_sides(reference, _Side(test_path, stages[1], options.prims), options, progress, layer)
-    if heatmap is not None and any(report.comparison for report in reports):
+    layer = None if heatmap is None else OverLayer(stages[1])
+    test = _Side(test_path, stages[1], options.prims)
+    reports = _SideComparison(reference, test, options, layer).reports(progress)
+    if heatmap is not None and layer is not None and any(report.comparison for report in reports):
         # The colours are those of the variants that were compared.
         for choice in chosen[1]:
             Sdf.CreatePrimInLayer(layer.layer, choice.prim).variantSelections[choice.set] = choice.name
@@ -154,34 +155,6 @@ def _part_of(
 ) -> Callable[[float, str], None]:
     """Progress of one level as a part of all."""
     return lambda fraction, text: progress((number + fraction) / count, f"{name} {text}")
-
-
-def _compare_sides(
-    reference: _Side,
-    test: _Side,
-    options: CompareOptions,
-    progress: Callable[[float, str], None] | None,
-    layer: OverLayer | None,
-) -> list[PairReport]:
-    """Compare all pairs, and author the colours of the heat map in the layer, where one is asked for."""
-    reports = []
-    paths = list(reference.prims) + [path for path in test.prims if path not in reference.prims]
-    for index, path in enumerate(paths):
-        report = PairReport(path)
-        reports.append(report)
-
-        def part(done: int, total: int, index: int = index, path: str = path) -> None:
-            if progress is not None:
-                progress((index + done / total) / len(paths), path)
-
-        try:
-            _compare_pair(report, reference, test, options, part, layer)
-        except WarpqemError as error:
-            if isinstance(error, (OptionError, DeviceError)):
-                raise
-            report.message = name_prim(path, error)
-    reports += [PairReport(path, message=str(refusal)) for path, refusal in reference.refused + test.refused]
-    return reports
 
 
 class _Side:
@@ -217,67 +190,83 @@ class _Side:
         return VaryingMesh.of(self.prims[path], self.poses, source)
 
 
-def _compare_pair(
-    report: PairReport,
-    reference_side: _Side,
-    test_side: _Side,
-    options: CompareOptions,
-    progress: Callable[[int, int], None],
-    layer: OverLayer | None,
-) -> None:
-    try:
-        _compare_constant(report, reference_side, test_side, options, progress, layer)
-    except VaryingTopologyError:
-        _compare_runs(report, reference_side, test_side, options, progress, layer)
+@dataclass(frozen=True)
+class _SideComparison:
+    """Compares all meshes of two files.
 
+    Attributes:
+        reference: The meshes of the one.
+        test: The meshes of the other.
+        options: What to do.
+        heatmap: What the colours of the heat map are authored in, over the test file; None for no heat map.
+    """
 
-def _compare_runs(
-    report: PairReport,
-    reference_side: _Side,
-    test_side: _Side,
-    options: CompareOptions,
-    progress: Callable[[int, int], None],
-    layer: OverLayer,
-) -> None:
-    reference, test = reference_side.varying(report.path), test_side.varying(report.path)
-    pairs = pair_runs(reference, test, options.frames)
-    report.times = [time for pair in pairs for time in pair.times]
-    report.comparison = combine(reference, test, pairs, progress, samples=options.samples, device=options.device)
-    if options.heatmap is not None:
-        colors, report.heatmap_scale = run_colors(reference, test, pairs, options.heatmap_scale, options.device)
-        layer.set_vertex_colors(report.path, report.times, colors)
+    reference: _Side
+    test: _Side
+    options: CompareOptions
+    heatmap: OverLayer | None = None
 
+    def reports(self, progress: Callable[[float, str], None] | None) -> list[PairReport]:
+        """One report for each mesh of either file."""
+        reports = []
+        paths = list(dict.fromkeys([*self.reference.prims, *self.test.prims]))
+        for index, path in enumerate(paths):
+            report = PairReport(path)
+            reports.append(report)
 
-def _compare_constant(
-    report: PairReport,
-    reference_side: _Side,
-    test_side: _Side,
-    options: CompareOptions,
-    progress: Callable[[int, int], None],
-    layer: OverLayer,
-) -> None:
-    sources = [reference_side.source(report.path), test_side.source(report.path)]
-    times: list[float] | None = sorted({time for source in sources for time in source.authored_times}) or None
-    if times is not None and options.frames is not None:
-        times = options.frames.select(times)
-        if not times:
-            raise StageError(f"{report.path}.points: no sample in the frame range {options.frames}")
-    report.times = times
-    reference, test = (source.read(times) for source in sources)
-    meshes = (reference.points, reference.right_handed_faces, test.points, test.right_handed_faces)
-    half = (lambda done, total: progress(done, 2 * total), lambda done, total: progress(total + done, 2 * total))
-    # Poses in which nobody sees the mesh do not count.
-    seen = None if times is None else seen_frames(sources[0].prim, times)
-    frames = None if seen is None or seen.all() or not seen.any() else np.flatnonzero(seen).tolist()
-    report.comparison = compare(
-        *meshes, samples=options.samples, frames=frames, device=options.device, progress=half[0]
-    )
-    values = compare_as_posed(sources, [surface_values(source, times) for source in sources])
-    sides = [value for side in zip(meshes[::2], meshes[1::2], values, strict=True) for value in side]
-    report.appearance = compare_appearance(*sides, device=options.device, progress=half[1])
-    if options.heatmap is not None and layer is not None:
-        colors, report.heatmap_scale = distance_colors(*meshes, scale=options.heatmap_scale, device=options.device)
-        layer.set_vertex_colors(report.path, times, _for_all_points(colors, test, sources[1].point_count))
+            def part(done: int, total: int, index: int = index, path: str = path) -> None:
+                if progress is not None:
+                    progress((index + done / total) / len(paths), path)
+
+            try:
+                self._compare(report, part)
+            except WarpqemError as error:
+                if isinstance(error, (OptionError, DeviceError)):
+                    raise
+                report.message = name_prim(path, error)
+        refused = [*self.reference.refused, *self.test.refused]
+        return reports + [PairReport(path, message=str(refusal)) for path, refusal in refused]
+
+    def _compare(self, report: PairReport, progress: Callable[[int, int], None]) -> None:
+        try:
+            self._compare_constant(report, progress)
+        except VaryingTopologyError:
+            self._compare_runs(report, progress)
+
+    def _compare_runs(self, report: PairReport, progress: Callable[[int, int], None]) -> None:
+        options = self.options
+        reference, test = self.reference.varying(report.path), self.test.varying(report.path)
+        pairs = pair_runs(reference, test, options.frames)
+        report.times = [time for pair in pairs for time in pair.times]
+        report.comparison = combine(reference, test, pairs, progress, samples=options.samples, device=options.device)
+        if self.heatmap is not None:
+            colors, report.heatmap_scale = run_colors(reference, test, pairs, options.heatmap_scale, options.device)
+            self.heatmap.set_vertex_colors(report.path, report.times, colors)
+
+    def _compare_constant(self, report: PairReport, progress: Callable[[int, int], None]) -> None:
+        options = self.options
+        sources = [self.reference.source(report.path), self.test.source(report.path)]
+        times: list[float] | None = sorted({time for source in sources for time in source.authored_times}) or None
+        if times is not None and options.frames is not None:
+            times = options.frames.select(times)
+            if not times:
+                raise StageError(f"{report.path}.points: no sample in the frame range {options.frames}")
+        report.times = times
+        reference, test = (source.read(times) for source in sources)
+        meshes = (reference.points, reference.right_handed_faces, test.points, test.right_handed_faces)
+        half = (lambda done, total: progress(done, 2 * total), lambda done, total: progress(total + done, 2 * total))
+        # Poses in which nobody sees the mesh do not count.
+        seen = None if times is None else seen_frames(sources[0].prim, times)
+        frames = None if seen is None or seen.all() or not seen.any() else np.flatnonzero(seen).tolist()
+        report.comparison = compare(
+            *meshes, samples=options.samples, frames=frames, device=options.device, progress=half[0]
+        )
+        values = compare_as_posed(sources, [surface_values(source, times) for source in sources])
+        sides = [value for side in zip(meshes[::2], meshes[1::2], values, strict=True) for value in side]
+        report.appearance = compare_appearance(*sides, device=options.device, progress=half[1])
+        if self.heatmap is not None:
+            colors, report.heatmap_scale = distance_colors(*meshes, scale=options.heatmap_scale, device=options.device)
+            self.heatmap.set_vertex_colors(report.path, times, _for_all_points(colors, test, sources[1].point_count))
 
 
 def _for_all_points(colors: npt.NDArray[np.float32], mesh: StageMesh, point_count: int) -> npt.NDArray[np.float32]:

@@ -13,8 +13,9 @@ from warpqem.cost_models import cost_model
 from warpqem.errors import OptionError, UnreachableTargetError
 from warpqem.frame_blocks import frame_blocks
 from warpqem.frame_stream import LaterFrames, NoFrames, read_ahead
-from warpqem.symmetry import Mirror, find_mirror, simplify_symmetric
-from warpqem.transfer import is_proper
+from warpqem.mesh_input import is_proper
+from warpqem.mirror import Mirror, find_mirror
+from warpqem.symmetry import simplify_symmetric
 from warpqem.usd.attributes import weighted_fields
 from warpqem.usd.context import Context, Progress, SharedOrder
 from warpqem.usd.face_points import FacePoints, face_protection

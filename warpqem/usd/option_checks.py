@@ -12,6 +12,7 @@ from warpqem.options import WEIGHTS
 from warpqem.usd.frames import FrameRange
 
 __all__ = [
+    "FRAMES_HELP",
     "AttributeWeights",
     "bare_name",
     "check_faces",
@@ -125,6 +126,9 @@ def read_paths(value: Any) -> tuple[str, ...]:
 def read_folders(value: Any) -> tuple[str, ...]:
     """A list of texts, or one, which may have blanks in it."""
     return (value,) if isinstance(value, str) else _texts(value)
+
+
+FRAMES_HELP = "Only the samples from START to END, in time codes; with STEP, poses interpolated every STEP time codes."
 
 
 def read_frames(value: Any) -> FrameRange:

@@ -11,7 +11,7 @@ from urllib.parse import quote
 import numpy as np
 
 from warpqem.errors import WarpqemError
-from warpqem.measure.verdict import WORDS
+from warpqem.measure.verdict import rank
 from warpqem.outputs import InputFile, OutputFile, check_outputs
 from warpqem.picture import fit_view, render
 from warpqem.report.overview import Asset, overview_page
@@ -81,13 +81,13 @@ def write_overview(
     save_page(path, overview_page(f"{done} of {len(ordered)} assets are done", assets, notes))
 
 
-def _badness(result: dict[str, Any]) -> tuple[int, float]:
+def _badness(result: dict[str, Any]) -> tuple[int, tuple[int, float]]:
     """What assets are sorted by, the worst first: what failed, then by the worst mesh."""
     measured = [prim["measured"] for prim in (result["report"] or {}).get("prims", []) if prim.get("measured")]
     if result["status"] in (FAILED, PARTIAL):
-        return (0 if result["status"] == FAILED else 1), 0.0
-    places = [(2 + WORDS.index(found["verdict"]), -float(found["hausdorff"])) for found in measured]
-    return min(places, default=(2 + len(WORDS), 0.0))
+        return (0 if result["status"] == FAILED else 1), (0, 0.0)
+    ranks = [rank(found["verdict"], found["hausdorff"]) for found in measured]
+    return (2, min(ranks)) if ranks else (3, (0, 0.0))
 
 
 def _files_of(result: dict[str, Any]) -> list[InputFile]:
@@ -104,7 +104,7 @@ def _outputs(result: dict[str, Any]) -> list[str]:
 
 def _asset(name: str, result: dict[str, Any], message: str, pictures: Sequence[np.ndarray], page: Path) -> Asset:
     measured = [prim["measured"] for prim in (result["report"] or {}).get("prims", []) if prim.get("measured")]
-    worst = min(measured, key=lambda found: (WORDS.index(found["verdict"]), -found["hausdorff"]), default=None)
+    worst = min(measured, key=lambda found: rank(found["verdict"], found["hausdorff"]), default=None)
     written = result["status"] != "failed"
     return Asset(
         name=name,

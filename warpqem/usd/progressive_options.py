@@ -9,7 +9,7 @@ from warpqem.option_fields import check_options, option
 from warpqem.options import ABOVE_0, COUNT, SHARE, MethodOptions
 from warpqem.screen import ScreenView
 from warpqem.usd.frames import FrameRange
-from warpqem.usd.option_checks import read_frames
+from warpqem.usd.option_checks import FRAMES_HELP, read_frames
 
 __all__ = ["NOT_TO_BUILD", "BuildOptions", "LevelChoice"]
 
@@ -31,13 +31,7 @@ class BuildOptions(MethodOptions):
     base_faces: int | None = option(
         None, "Triangles of the coarsest level; by default as few as can be.", "FACES", COUNT, basic=True
     )
-    frames: FrameRange | None = option(
-        None,
-        "Only the samples from START to END, in time codes; with STEP, poses interpolated every STEP time codes.",
-        "START:END[:STEP]",
-        basic=True,
-        parse=read_frames,
-    )
+    frames: FrameRange | None = option(None, FRAMES_HELP, "START:END[:STEP]", basic=True, parse=read_frames)
 
     def __post_init__(self) -> None:
         """Check the options."""

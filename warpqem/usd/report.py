@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from warpqem.measure.verdict import WORDS
+from warpqem.measure.verdict import rank
 
 __all__ = ["PrimReport", "RunReport", "StageReport", "name_prim"]
 
@@ -93,13 +93,13 @@ class PrimReport:
     runs: list[RunReport] = field(default_factory=list)
 
 
-def _badness(prim: PrimReport) -> tuple[int, float]:
+def _badness(prim: PrimReport) -> tuple[int, tuple[int, float]]:
     """What meshes are sorted by: the worst have the least."""
     if prim.status == "failed":
-        return 0, 0.0
+        return 0, (0, 0.0)
     if prim.measured is None:
-        return 1 + len(WORDS), 0.0
-    return 1 + WORDS.index(prim.measured["verdict"]), -prim.measured["hausdorff"]
+        return 2, (0, 0.0)
+    return 1, rank(prim.measured["verdict"], prim.measured["hausdorff"])
 
 
 @dataclass

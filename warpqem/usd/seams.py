@@ -13,8 +13,9 @@ from pxr import Usd, UsdGeom
 
 from warpqem.components import lowest_members
 from warpqem.edges import edge_key
+from warpqem.mesh_input import is_proper
 from warpqem.repair.mesh import MeshRepair
-from warpqem.transfer import is_proper, joined_faces
+from warpqem.transfer import joined_faces
 from warpqem.usd.arrays import Samples, element_size, is_normal, is_of_one_type, primvar_samples, sample_codes
 from warpqem.usd.below import subsets_of
 from warpqem.usd.flat_shading import facet_signs

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from dataclasses import dataclass
+from numbers import Real
 from typing import TYPE_CHECKING, Any, Literal
 
 from warpqem.cost_models import cost_model
@@ -15,6 +16,7 @@ from warpqem.screen import ScreenView
 from warpqem.usd.frames import FrameRange
 from warpqem.usd.lengths import parse_length
 from warpqem.usd.option_checks import (
+    FRAMES_HELP,
     AttributeWeights,
     check_faces,
     check_lods,
@@ -228,13 +230,7 @@ class SimplifyOptions(MethodOptions):
         "Meshes that are their own mirror image across this local axis, at rest or in the first pose, stay so; auto "
         "for the first axis of which this is true.",
     )
-    frames: FrameRange | None = option(
-        None,
-        "Only the samples from START to END, in time codes; with STEP, poses interpolated every STEP time codes.",
-        "START:END[:STEP]",
-        basic=True,
-        parse=read_frames,
-    )
+    frames: FrameRange | None = option(None, FRAMES_HELP, "START:END[:STEP]", basic=True, parse=read_frames)
     poses: str | os.PathLike[str] | None = option(
         None,
         "USD file with example poses at the same prim paths, such as another clip: they decide how skinned meshes are "
@@ -290,13 +286,8 @@ class SimplifyOptions(MethodOptions):
 
     def __post_init__(self) -> None:
         """Check the options, and those that need or exclude each other."""
-        given = [name for name in GOALS if getattr(self, name) not in (None, ())]
-        if not given or (len(given) > 1 and ("lods" in given or given[:2] == ["ratio", "faces"])):
-            raise OptionError(
-                "one of ratio, faces, max_error, max_distance, screen and lods must be given, or several but lods and "
-                f"but ratio with faces, not {', '.join(given) or 'none'}"
-            )
-        if self.ratio is not None and 1 < self.ratio <= 100:
+        self._check_goals()
+        if isinstance(self.ratio, Real) and 1 < self.ratio <= 100:
             raise OptionError(
                 f"ratio must be in (0, 1], got {self.ratio:g}; for {self.ratio:g} % give {self.ratio / 100:g}"
             )
@@ -316,6 +307,15 @@ class SimplifyOptions(MethodOptions):
         _ = self.motion
         self._check_pose_independent()
         self._check_levels()
+
+    def _check_goals(self) -> None:
+        given = [name for name in GOALS if getattr(self, name) not in (None, ())]
+        if not given:
+            raise OptionError("one of ratio, faces, max_error, max_distance, screen and lods is needed")
+        if given[:2] == ["ratio", "faces"]:
+            raise OptionError(f"ratio {self.ratio} and faces {self.faces} exclude each other")
+        if "lods" in given and len(given) > 1:
+            raise OptionError(f"lods and {given[0]} exclude each other: the ratios of the levels say how far to go")
 
     def _check_levels(self) -> None:
         if self.lods and self.flatten and not self.lod_files:

@@ -12,7 +12,8 @@
   let view = null;
   let levelLoad = 0;
 
-  const percent = (value) => (value === null || value === undefined ? "–" : `${Number(value.toPrecision(4))} %`);
+  const figure = (value) => Number(value.toPrecision(4)).toString();
+  const percent = (value) => (value === null || value === undefined ? "–" : `${figure(value)} %`);
   const level = () => data.levels[state.level];
 
   function element(parent, name, text, className) {
@@ -36,7 +37,7 @@
     for (const row of rows) {
       const line = element(body, "tr");
       row.forEach((value, column) => {
-        const text = value === null ? "" : typeof value === "number" && !Number.isInteger(value) ? String(Number(value.toPrecision(4))) : String(value);
+        const text = value === null ? "" : typeof value === "number" && !Number.isInteger(value) ? figure(value) : String(value);
         const names = [isNumber[column] ? "number" : "", bad(row, column) ? "bad" : ""];
         element(line, "td", text, names.filter(Boolean).join(" "));
       });
