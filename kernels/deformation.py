@@ -129,11 +129,15 @@ def measure_all_deformation(
     state: MeshState,
     work: Work,
 ):
-    """Areas of all faces and steps of all edges."""
+    """Areas of all faces and steps of all edges, the threads dealt out to the chunks of frames."""
+    chunk_count = state.deformation.steps.shape[1]
     half_edge_count = 3 * state.face_count[0]
-    for h in range(first_item(half_edge_count, work) + wp.tid(), last_item(half_edge_count, work), work.lanes):
-        if state.corner_vertex[h] >= 0:
-            for chunk in range(state.deformation.steps.shape[1]):
+    threads = wp.max(work.lanes // wp.max(chunk_count, 1), 1)  # for each chunk
+    begin = first_item(half_edge_count, work) + wp.tid() % threads
+    end = last_item(half_edge_count, work)
+    for chunk in range(wp.tid() // threads, chunk_count, work.lanes // threads):
+        for h in range(begin, end, threads):
+            if state.corner_vertex[h] >= 0:
                 measure_half_edge(state, h, chunk)
                 if h % 3 == 0:
                     measure_face(state, h // 3, chunk)
