@@ -128,9 +128,9 @@ def test_blocks_of_frames_give_the_same_bits(block_frames, device):
 
 
 @pytest.mark.parametrize(("steps", "edges"), [(1, 5), (47, 5), (47, 30_000), (300, 2_000_000)])
-def test_a_thread_of_a_gpu_takes_no_more_steps_than_fill_it(steps, edges, monkeypatch, device):
-    monkeypatch.setitem(_TRAITS, wp.get_device(device).is_cpu and "cpu" or "cuda", GPU)
-    chunk = chunk_steps(steps, edges, device)
+def test_a_thread_of_a_gpu_takes_no_more_steps_than_fill_it(steps, edges, monkeypatch):
+    monkeypatch.setitem(_TRAITS, "cpu", GPU)
+    chunk = chunk_steps(steps, edges, "cpu")
     assert 1 <= chunk <= steps
     # As many threads as the GPU wants, where that leaves each the least number of steps.
     assert -(-steps // chunk) * edges >= min(GPU.launch_threads // 2, edges * -(-steps // LEAST_STEPS))
