@@ -15,14 +15,10 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from benchmarks.cards import H200, Card
 from warpqem.kernels.lanes import width_of
 
-__all__ = ["BYTES_PER_SECOND", "COUNTED", "FLOPS_PER_SECOND", "Demand", "count_demand", "floor_seconds"]
-
-# What a copy moved on an H200, bytes read and written (its datasheet says 4.8e12), and the float32 rate without tensor
-# cores in the datasheet.
-BYTES_PER_SECOND = 4.3e12
-FLOPS_PER_SECOND = 67.0e12
+__all__ = ["COUNTED", "Demand", "count_demand", "floor_seconds"]
 
 INT, POINT, QUADRIC = 4, 12, 40
 # Edges, faces and neighbours at a vertex of a closed triangle mesh, on average; half-edges that leave or enter it.
@@ -55,9 +51,9 @@ class Demand:
         return Demand(self.bytes + other.bytes, self.flops + other.flops)
 
 
-def floor_seconds(demand: Demand) -> float:
-    """The longer of the two times that an H200 needs: for the bytes, and for the operations."""
-    return max(demand.bytes / BYTES_PER_SECOND, demand.flops / FLOPS_PER_SECOND)
+def floor_seconds(demand: Demand, card: Card = H200) -> float:
+    """The longer of the two times that a card needs: for the bytes, and for the operations."""
+    return max(demand.bytes / card.bytes_per_second, demand.flops / card.flops_per_second)
 
 
 def _length(edges: Any) -> int:

@@ -20,6 +20,9 @@ class Settings:
         ratio: part of the faces to keep.
         usd: file to work on instead of the generated mesh (commands ``peers`` and ``articulated``).
         prim: mesh in that file; None for the largest.
+        data: folder of meshes in motion (command ``device``).
+        pack: folder to put such meshes into, and nothing else is done (command ``device``).
+        parts: parts to run (command ``device``); none for all.
     """
 
     out: Path
@@ -29,3 +32,6 @@ class Settings:
     ratio: float = 0.1
     usd: Path | None = None
     prim: str | None = None
+    data: Path | None = None
+    pack: Path | None = None
+    parts: tuple[str, ...] = ()

@@ -12,8 +12,9 @@ from pxr import Usd, UsdGeom
 
 from benchmarks import scaling, stream, turns
 from benchmarks.__main__ import parse
+from benchmarks.cards import CARDS, H200, card_of
 from benchmarks.figures import log_slope, median, ratio_in_turn
-from benchmarks.floor import BYTES_PER_SECOND, FLOPS_PER_SECOND, Demand, count_demand, floor_seconds
+from benchmarks.floor import Demand, count_demand, floor_seconds
 from benchmarks.generated import moving_torus
 from benchmarks.kernels import kernel_rows
 from benchmarks.launches import profile_launches
@@ -145,8 +146,23 @@ def test_a_contender_that_dies_says_why():
 
 
 def test_floor_is_the_longer_of_moving_and_computing():
-    assert floor_seconds(Demand(BYTES_PER_SECOND, FLOPS_PER_SECOND / 2)) == pytest.approx(1.0)
-    assert floor_seconds(Demand(BYTES_PER_SECOND, FLOPS_PER_SECOND * 2)) == pytest.approx(2.0)
+    for card in CARDS:
+        most_bytes, most_flops = card.bytes_per_second, card.flops_per_second
+        assert floor_seconds(Demand(most_bytes, most_flops / 2), card) == pytest.approx(1.0)
+        assert floor_seconds(Demand(most_bytes, most_flops * 2), card) == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "bandwidth"),
+    [("NVIDIA H200", H200.bytes_per_second), ("NVIDIA H100 80GB HBM3", 3.35e12), ("NVIDIA H100 PCIe", 2.0e12)],
+)
+def test_a_card_is_known_by_its_name(name, bandwidth):
+    assert card_of(name).bytes_per_second == bandwidth
+
+
+def test_no_card_hides_behind_a_more_general_one():
+    assert [card_of(card.name) for card in CARDS] == list(CARDS)
+    assert card_of("AMD EPYC") is None
 
 
 def test_a_kernel_without_an_entry_has_no_floor():

@@ -1,0 +1,109 @@
+"""Runs the parts one after the other, each within its time, and puts the report together."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from benchmarks.device import data
+from benchmarks.device.child import to_json
+from benchmarks.device.findings import FAILED, read_findings
+from benchmarks.device.parts import PARTS, Part
+from benchmarks.machine import ROOT, describe_host
+from benchmarks.report import Column, Report, Row, Table
+from benchmarks.settings import Settings
+
+__all__ = ["run", "run_part"]
+
+# Seconds that a process which has been killed may take to be gone: one that waits for a GPU may never be.
+GONE_SECONDS = 5.0
+
+CHECKS = (
+    Column("part", "part"),
+    Column("check", "check"),
+    Column("measured", "measured"),
+    Column("expected", "expected"),
+    Column("verdict", "verdict"),
+)
+
+
+def run(settings: Settings) -> Report:
+    """Verify and measure the device; or put together what a machine needs for it that has no USD."""
+    if settings.pack is not None:
+        return data.pack(settings)
+    report = Report("device", "", describe_host([]), level=2)
+    parts = [part for part in PARTS if not settings.parts or part.name in settings.parts]
+    print(f"{len(parts)} parts, {sum(part.seconds for part in parts):.0f} s at most", flush=True)
+    rows: list[Row] = []
+    start = time.monotonic()
+    with tempfile.TemporaryDirectory() as folder:
+        deadline = start
+        for part in parts:
+            deadline += part.seconds
+            limit = deadline - time.monotonic()
+            print(
+                f"{part.name} (from {time.monotonic() - start:.0f} s, {limit:.0f} s at most): {part.what}", flush=True
+            )
+            file = Path(folder) / f"{part.name}.jsonl"
+            began = time.monotonic()
+            failure = run_part(part, settings, file, limit)
+            _take(report, rows, read_findings(file))
+            row = {"part": part.name, "check": "time", "measured": f"{time.monotonic() - began:.1f} s"}
+            if failure is not None:
+                print(f"  {part.name} {failure}", flush=True)
+                row |= {"measured": failure, "expected": f"done in {limit:.0f} s", "verdict": FAILED}
+            rows.append(row)
+    report.title = f"GPU: {', '.join(report.machine['gpus']) or 'none, run on a CPU'}"
+    report.tables.insert(0, Table("Checks", CHECKS, rows))
+    report.failed = [f"{row['part']}: {row['check']}" for row in rows if row.get("verdict") == FAILED]
+    failed = f"{len(report.failed)} do not hold: {'; '.join(report.failed)}" if report.failed else "all hold"
+    report.notes.append(f"{len(rows)} lines in {time.monotonic() - start:.0f} s, {failed}")
+    return report
+
+
+def run_part(part: Part, settings: Settings, file: Path, seconds: float) -> str | None:
+    """Run one part; what went wrong, None if nothing did."""
+    command = [sys.executable, "-m", "benchmarks.device.child", part.name, to_json(settings), str(file)]
+    paths = [str(ROOT), os.environ.get("PYTHONPATH", "")]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))}
+    # A session of its own: what the part has started is ended with it.
+    process = subprocess.Popen(command, env=environment, start_new_session=True)
+    try:
+        code = process.wait(timeout=max(seconds, 0.0))
+    except subprocess.TimeoutExpired:
+        return f"overran {seconds:.0f} s and was ended"
+    finally:
+        _end(process)
+    if code < 0:
+        return f"was ended by {signal.Signals(-code).name}"
+    return f"failed with exit code {code}, see the messages above" if code else None
+
+
+def _end(process: subprocess.Popen) -> None:
+    """End a process and all that it has started."""
+    with suppress(OSError):
+        os.killpg(process.pid, signal.SIGKILL)
+    with suppress(subprocess.TimeoutExpired):
+        process.wait(timeout=GONE_SECONDS)
+
+
+def _take(report: Report, rows: list[Row], entries: Sequence[dict[str, Any]]) -> None:
+    """Add what a part has found."""
+    from benchmarks.kernels import COLUMNS
+
+    for entry in entries:
+        if "row" in entry:
+            rows.append(entry["row"])
+        elif "machine" in entry:
+            report.machine = entry["machine"]
+        else:
+            report.tables.append(Table(entry["title"], COLUMNS, entry["rows"]))
+            report.notes.append(f"floors of {entry['limits']}")
