@@ -7,7 +7,7 @@ import time
 import warp as wp
 
 import warpqem
-from benchmarks.cards import H200, Card, card_of
+from benchmarks.cards import H200, LAUNCH_SECONDS, Card, card_of
 from benchmarks.floor import Demand, floor_seconds
 from benchmarks.launches import LaunchProfile, profile_launches
 from benchmarks.machine import describe_machine
@@ -29,7 +29,8 @@ COLUMNS = (
     Column("megabytes", "MB", ".1f"),
     Column("megaflops", "Mflop", ".1f"),
     Column("floor_ms", "floor ms", ".3f"),
-    Column("over_floor", "time / floor", ".1f"),
+    Column("launch_floor_ms", "and launches ms", ".3f"),
+    Column("over_floor", "time / that", ".1f"),
     Column("effective_gbs", "GB/s", ".0f"),
 )
 
@@ -43,7 +44,7 @@ def kernel_rows(profile: LaunchProfile, card: Card = H200) -> list[Row]:
     for row in rows:
         row["share"] = 100 * row["milliseconds"] / total if total else 0.0
     counted = [row for row in rows if row["floor_ms"] is not None]
-    sums = {key: sum(row[key] for row in counted) for key in ("megabytes", "megaflops", "floor_ms")}
+    sums = {key: sum(row[key] for row in counted) for key in ("megabytes", "megaflops", "floor_ms", "launch_floor_ms")}
     return [
         *rows,
         {"kernel": "all", "launches": sum(row["launches"] for row in rows), "milliseconds": total, "share": 100.0}
@@ -60,12 +61,14 @@ def _row(kernel: str, launches: list[tuple[float, Demand | None]], on_gpu: bool,
     demand = sum(demands, start=Demand(0.0))
     # Each launch has its own floor: one may wait for memory, another for arithmetic.
     floor_ms = 1e3 * sum(floor_seconds(d, card) for d in demands)
+    launch_floor_ms = 1e3 * sum(max(floor_seconds(d, card), LAUNCH_SECONDS) for d in demands)
     row |= {"megabytes": demand.bytes / 1e6, "megaflops": demand.flops / 1e6, "floor_ms": floor_ms}
+    row["launch_floor_ms"] = launch_floor_ms
     if milliseconds > 0:
         row["effective_gbs"] = demand.bytes / milliseconds / 1e6
     # The floor is that of a GPU: another device's time has nothing to do with it.
-    if on_gpu and floor_ms > 0:
-        row["over_floor"] = milliseconds / floor_ms
+    if on_gpu:
+        row["over_floor"] = milliseconds / launch_floor_ms
     return row
 
 
@@ -93,7 +96,8 @@ def run(settings: Settings) -> Report:
         f"the whole call took {plain:.3f} s without the profile, {profiled:.3f} s with it: launches are made one by "
         "one and not replayed as graphs, lists are read back before them, CPU threads take no turns",
         "ms: between two events on a GPU; CPU time of the one thread on a CPU",
-        f"floor: bytes or operations, whichever takes longer, each needed element once; {card.limits}",
+        "floor: bytes or operations, whichever takes longer, each needed element once; and launches: no launch takes "
+        f"less than one does; {card.limits}",
     ]
     uncounted = [row["kernel"] for row in rows if row["floor_ms"] is None]
     if uncounted:

@@ -34,7 +34,8 @@ def run(found: Findings) -> None:
             simplify_once(work, found.device)
         rows = kernel_rows(profile, card)
         total = rows[-1]
-        text = f"{total['milliseconds']:.2f} ms in {total['launches']} launches, floor {total['floor_ms']:.3f} ms"
+        floors = f"floor {total['floor_ms']:.3f} ms, with launches {total['launch_floor_ms']:.3f} ms"
+        text = f"{total['milliseconds']:.2f} ms in {total['launches']} launches, {floors}"
         found.measured(f"kernels of {work.name}", text, total["milliseconds"])
         found.table(f"Kernels: {work.name}, {work.size}", rows, card.limits)
 

@@ -8,13 +8,12 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from benchmarks.device import data
-from benchmarks.device.child import to_json
 from benchmarks.device.findings import FAILED, read_findings
 from benchmarks.device.parts import PARTS, Part
 from benchmarks.machine import ROOT, describe_host
@@ -25,6 +24,8 @@ __all__ = ["run", "run_part"]
 
 # Seconds that a process which has been killed may take to be gone: one that waits for a GPU may never be.
 GONE_SECONDS = 5.0
+# Seconds between two looks at whether a part is done.
+LOOK_SECONDS = 0.02
 
 CHECKS = (
     Column("part", "part"),
@@ -44,7 +45,7 @@ def run(settings: Settings) -> Report:
     print(f"{len(parts)} parts, {sum(part.seconds for part in parts):.0f} s at most", flush=True)
     rows: list[Row] = []
     start = time.monotonic()
-    with tempfile.TemporaryDirectory() as folder:
+    with _noted_signals() as signals, tempfile.TemporaryDirectory() as folder:
         deadline = start
         for part in parts:
             deadline += part.seconds
@@ -54,7 +55,9 @@ def run(settings: Settings) -> Report:
             )
             file = Path(folder) / f"{part.name}.jsonl"
             began = time.monotonic()
-            failure = run_part(part, settings, file, limit)
+            failure = run_part(part, settings, file, limit, signals)
+            if signals:
+                sys.exit(128 + signals[0])
             _take(report, rows, read_findings(file))
             row = {"part": part.name, "check": "time", "measured": f"{time.monotonic() - began:.1f} s"}
             if failure is not None:
@@ -69,22 +72,38 @@ def run(settings: Settings) -> Report:
     return report
 
 
-def run_part(part: Part, settings: Settings, file: Path, seconds: float) -> str | None:
-    """Run one part; what went wrong, None if nothing did."""
-    command = [sys.executable, "-m", "benchmarks.device.child", part.name, to_json(settings), str(file)]
+@contextmanager
+def _noted_signals() -> Iterator[list[int]]:
+    """Note SIGTERM and SIGINT instead of ending at once: a part that is left behind would keep the GPU busy."""
+    noted: list[int] = []
+    before = {number: signal.signal(number, lambda n, _: noted.append(n)) for number in (signal.SIGTERM, signal.SIGINT)}
+    try:
+        yield noted
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def run_part(part: Part, settings: Settings, file: Path, seconds: float, signals: Sequence[int] = ()) -> str | None:
+    """Run one part; what went wrong, None if nothing did. It is ended when ``signals`` has an entry."""
     paths = [str(ROOT), os.environ.get("PYTHONPATH", "")]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))}
+    end = time.monotonic() + seconds
     # A session of its own: what the part has started is ended with it.
-    process = subprocess.Popen(command, env=environment, start_new_session=True)
-    try:
-        code = process.wait(timeout=max(seconds, 0.0))
-    except subprocess.TimeoutExpired:
+    process = subprocess.Popen(_command(part, settings, file), env=environment, start_new_session=True)
+    while process.poll() is None and time.monotonic() < end and not signals:
+        time.sleep(LOOK_SECONDS)
+    code = process.returncode
+    _end(process)
+    if code is None:
         return f"overran {seconds:.0f} s and was ended"
-    finally:
-        _end(process)
     if code < 0:
         return f"was ended by {signal.Signals(-code).name}"
     return f"failed with exit code {code}, see the messages above" if code else None
+
+
+def _command(part: Part, settings: Settings, file: Path) -> list[str]:
+    return [sys.executable, "-m", "benchmarks.device.child", part.name, settings.to_json(), str(file)]
 
 
 def _end(process: subprocess.Popen) -> None:
@@ -106,4 +125,5 @@ def _take(report: Report, rows: list[Row], entries: Sequence[dict[str, Any]]) ->
             report.machine = entry["machine"]
         else:
             report.tables.append(Table(entry["title"], COLUMNS, entry["rows"]))
-            report.notes.append(f"floors of {entry['limits']}")
+            note = f"floors of {entry['limits']}"
+            report.notes += [] if note in report.notes else [note]

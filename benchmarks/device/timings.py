@@ -57,7 +57,9 @@ def _time(found: Findings, work: Work, turns: int, **options: object) -> None:
     each = 1e9 * middle / (len(work.faces) * len(work.points))
     text = f"{1e3 * middle:.1f} ms ({1e3 * min(times):.1f} to {1e3 * max(times):.1f}), {each:.1f} ns per face and frame"
     found.measured(f"{name}, {turns} runs", text, middle)
-    found.measured(f"{name}, memory", _memory(found.device))
+    if wp.get_device(found.device).is_cuda and wp.is_mempool_enabled(found.device):
+        high = wp.get_mempool_used_mem_high(found.device)
+        found.measured(f"{name}, memory", f"{high / 1e6:.0f} MB at most in the pool", high)
 
 
 def _seconds(work: Work, device: str, options: dict) -> float:
@@ -66,10 +68,3 @@ def _seconds(work: Work, device: str, options: dict) -> float:
     result = warpqem.simplify(work.points, work.faces, target_faces=work.target_faces, device=device, **options)
     assert np.isfinite(result.points[0]).all()
     return time.perf_counter() - start
-
-
-def _memory(device: str) -> str:
-    """Most that the memory pool has held; a CPU has none."""
-    if not wp.get_device(device).is_cuda or not wp.is_mempool_enabled(device):
-        return "no memory pool"
-    return f"{wp.get_mempool_used_mem_high(device) / 1e6:.0f} MB at most in the pool"
