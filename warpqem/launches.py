@@ -42,7 +42,7 @@ def load_kernel(kernel: wp.Kernel, device: wp.DeviceLike) -> None:
     with _loading:
         if key not in _loaded:
             with _machine_code():
-                if device_traits(device).compiles_together:
+                if device_traits(str(device)).compiles_together:
                     _compile_all(kernel.module, wp.get_device(device).arch)
                 wp.load_module(kernel.module, device, max_workers=0)
             _loaded.add(key)

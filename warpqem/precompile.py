@@ -64,7 +64,7 @@ def binary_path(module: wp.Module, arch: int) -> Path:
     """Where Warp looks for a module's code for GPUs of an architecture, such as 90 for ``sm_90``."""
     wp.init()
     name = module.get_module_identifier()
-    return Path(wp.config.kernel_cache_dir) / name / f"{name}.sm{arch}.cubin"
+    return Path(str(wp.config.kernel_cache_dir)) / name / f"{name}.sm{arch}.cubin"
 
 
 def compile_modules(

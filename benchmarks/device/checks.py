@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +17,7 @@ __all__ = ["fingerprint", "quality", "same_bits"]
 RUNS = 3
 # What goes different ways through the kernels: single frames, the deformation term, motion features, quadrics of the
 # present faces with the refit, a limit of the error.
-OPTIONS = {
+OPTIONS: dict[str, dict[str, Any]] = {
     "default": {},
     "first frame (qem)": {"metric": "qem"},
     "deformation (dod)": {"metric": "dod"},
@@ -28,7 +29,7 @@ OPTIONS = {
 MOST_RMS, MOST_RMS_QUICK = 1.01, 1.1
 
 
-def fingerprint(work: Work, device: str, **options: object) -> str:
+def fingerprint(work: Work, device: str, **options: Any) -> str:
     """A hash of all bits of a result."""
     result = warpqem.simplify(work.points, work.faces, target_faces=work.target_faces, device=device, **options)
     digest = hashlib.sha256()

@@ -56,8 +56,11 @@ def _facts(found: Findings, device: wp.Device) -> None:
     """What the device says of itself."""
     text = f"{device.name}, {device.total_memory / 2**30:.0f} GiB" if device.is_cuda else "a CPU"
     if device.is_cuda:
-        driver, toolkit = wp.get_cuda_driver_version(), wp.get_cuda_toolkit_version()
-        text += f", sm_{device.arch}, driver for CUDA {driver[0]}.{driver[1]}, Warp's {toolkit[0]}.{toolkit[1]}"
+        driver, toolkit = (
+            ".".join(map(str, version or ("?",)))
+            for version in (wp.get_cuda_driver_version(), wp.get_cuda_toolkit_version())
+        )
+        text += f", sm_{device.arch}, driver for CUDA {driver}, Warp's {toolkit}"
     found.measured("device", text)
 
 

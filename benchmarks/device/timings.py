@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -46,7 +47,7 @@ def refit(found: Findings) -> None:
     found.expect(f"{work.name}, best, bits", f"{first}, {second}", "the same twice", first == second)
 
 
-def _time(found: Findings, work: Work, turns: int, **options: object) -> None:
+def _time(found: Findings, work: Work, turns: int, **options: Any) -> None:
     """The first run, then the median of the others; each from arrays on the host to arrays on the host."""
     turns = min(turns, found.settings.turns) if found.settings.quick else turns
     name = ", ".join([work.name, *map(str, options.values())])
@@ -62,7 +63,7 @@ def _time(found: Findings, work: Work, turns: int, **options: object) -> None:
         found.measured(f"{name}, memory", f"{high / 1e6:.0f} MB at most in the pool", high)
 
 
-def _seconds(work: Work, device: str, options: dict) -> float:
+def _seconds(work: Work, device: str, options: dict[str, Any]) -> float:
     wp.synchronize_device(device)
     start = time.perf_counter()
     result = warpqem.simplify(work.points, work.faces, target_faces=work.target_faces, device=device, **options)
