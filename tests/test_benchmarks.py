@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import warp as wp
 from pxr import Usd, UsdGeom
 
 from benchmarks import scaling, stream, turns
@@ -15,6 +16,7 @@ from benchmarks.__main__ import parse
 from benchmarks.cards import CARDS, H200, card_of
 from benchmarks.figures import log_slope, median, ratio_in_turn
 from benchmarks.floor import Demand, count_demand, floor_seconds
+from benchmarks.floor_options import OPTION_MODELS
 from benchmarks.generated import moving_torus
 from benchmarks.kernels import kernel_rows
 from benchmarks.launches import profile_launches
@@ -25,6 +27,12 @@ from benchmarks.simplified import Simplified, load_simplified, save_simplified
 from benchmarks.work import torus_work
 from warpqem import simplify
 from warpqem.measure import topology
+
+
+@wp.kernel
+def do_nothing():
+    pass
+
 
 MACHINE = {
     "cpu": "a CPU",
@@ -188,6 +196,29 @@ def test_every_kernel_of_a_simplification_has_a_floor(profile):
     table = profile[2].by_kernel()
     assert {"price_all_edges", "reprice_moved_stars", "commit_winners", "place_vertices"} <= set(table)
     assert [name for name, launches in table.items() if any(demand is None for _, demand in launches)] == []
+
+
+@pytest.mark.parametrize("options", [{"quality": "best"}, {"metric": "dod"}, {"metric": "aqem"}], ids=str)
+def test_every_kernel_of_an_option_has_a_floor_that_is_above_none_and_below_the_whole_mesh(options):
+    work = torus_work(600, 6, 0.3)
+    with profile_launches() as taken:
+        simplify(work.points, work.faces, target_faces=work.target_faces, device="cpu", **options)
+    table = taken.by_kernel()
+    assert [name for name, launches in table.items() if any(demand is None for _, demand in launches)] == []
+    further = set(table) & set(OPTION_MODELS)
+    assert further
+    # No launch needs more than all matrices of the refit, which are the largest arrays, or all pairs of points.
+    most = 1000 * len(work.faces) * len(work.points)
+    for name in further:
+        assert all(0 <= demand.bytes < most for _, demand in table[name]), name
+        assert sum(demand.bytes for _, demand in table[name]) > 0, name
+
+
+def test_a_launch_without_threads_is_none():
+    with profile_launches() as taken:
+        wp.launch(do_nothing, dim=0, inputs=[], device="cpu")
+        wp.launch(do_nothing, dim=1, inputs=[], device="cpu")
+    assert [entry.kernel for entry in taken.entries] == ["do_nothing"]
 
 
 def test_parts_of_a_launch_add_up_to_the_whole(profile):

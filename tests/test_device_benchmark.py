@@ -93,7 +93,8 @@ def test_report_is_a_section_that_the_notes_take_as_it_is(whole):
     assert all(heading.startswith("### ") for heading in headings[1:])
     for table in re.findall(r"(?:^\|.*\n)+", text, re.M):
         assert len({line.count(" | ") for line in table.splitlines() if "---" not in line}) == 1
-    assert "price_all_edges" in text
+    for kernel in ("price_all_edges", "assemble_elements (best)", "move_trajectories (dod)"):
+        assert f"| {kernel} |" in text
 
 
 def test_every_part_prints_as_it_goes(whole):
@@ -184,6 +185,13 @@ def test_parts_that_took_all_the_time_leave_the_later_ones_none(monkeypatch, tmp
     begin = time.monotonic()
     assert "overran" in runner.run_part(PART, Settings(tmp_path), tmp_path / "found", -3.0)
     assert time.monotonic() - begin < 5
+
+
+@pytest.mark.skipif(wp.is_cuda_available(), reason="this machine has a GPU")
+def test_without_a_gpu_nothing_runs_unless_the_cpu_is_asked_for(tmp_path, capfd):
+    with pytest.raises(SystemExit, match="Warp sees no GPU on this machine; --quick --device cpu"):
+        runner.run(Settings(tmp_path))
+    assert "modules (from" not in capfd.readouterr().out
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])

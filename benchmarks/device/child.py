@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from benchmarks.device.findings import Findings
-from benchmarks.device.parts import PARTS
+from benchmarks.device.parts import NO_GPU, PARTS
 from benchmarks.settings import Settings
 
 __all__ = ["main"]
@@ -22,9 +22,12 @@ def main(part_name: str, settings: str, file: str) -> None:
     wp.config.log_level = wp.LOG_WARNING
     part = next(part for part in PARTS if part.name == part_name)
     given = Settings.from_json(settings)
+    device = resolve_device(given.device)
+    if given.device is None and wp.get_device(device).is_cpu:
+        sys.exit(NO_GPU)
     module, function = part.function.split(":")
     run = getattr(importlib.import_module(f"benchmarks.device.{module}"), function)
-    run(Findings(part_name, given, resolve_device(given.device), Path(file)))
+    run(Findings(part_name, given, device, Path(file)))
 
 
 if __name__ == "__main__":

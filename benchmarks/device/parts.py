@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["PARTS", "Part"]
+__all__ = ["NO_GPU", "PARTS", "Part"]
+
+# Exit code of a part where no device is asked for and there is no GPU: nobody wants six minutes of a CPU.
+NO_GPU = 78
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from typing import Any
 
 from benchmarks.device import data
 from benchmarks.device.findings import FAILED, read_findings
-from benchmarks.device.parts import PARTS, Part
+from benchmarks.device.parts import NO_GPU, PARTS, Part
 from benchmarks.machine import ROOT, describe_host
 from benchmarks.report import Column, Report, Row, Table
 from benchmarks.settings import Settings
@@ -97,6 +97,8 @@ def run_part(part: Part, settings: Settings, file: Path, seconds: float, signals
     _end(process)
     if code is None:
         return f"overran {seconds:.0f} s and was ended"
+    if code == NO_GPU:
+        sys.exit("Warp sees no GPU on this machine; --quick --device cpu tries the command itself")
     if code < 0:
         return f"was ended by {signal.Signals(-code).name}"
     return f"failed with exit code {code}, see the messages above" if code else None
