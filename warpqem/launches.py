@@ -71,7 +71,7 @@ def _compile_all(module: wp.Module, arch: int) -> None:
     if own or arch not in wp.get_cuda_supported_archs() or binary_path(module, arch).exists():
         return
 
-    def tell(done: int, total: int, compiled: Compiled) -> None:
+    def show(done: int, total: int, compiled: Compiled) -> None:
         if wp.config.log_level <= wp.LOG_INFO:
             result = "(compiled)" if compiled.error is None else f"(error: {compiled.error})"
             wp.get_logger().info(f"Kernels for sm_{arch}: {done} of {total}, module {compiled.name} {result}")
@@ -81,7 +81,7 @@ def _compile_all(module: wp.Module, arch: int) -> None:
         return
     missing = [other for other in modules if not binary_path(other, arch).exists()]
     # What does not compile is an error where it is needed: then Warp raises it.
-    compile_modules(arch, missing, report=tell)
+    compile_modules(arch, missing, report=show)
 
 
 def launch(

@@ -1,4 +1,4 @@
-"""Kernels compiled ahead of time: GPU code made on a machine without a GPU, to be put into an image or carried along.
+"""Kernels compiled ahead of time: GPU code made on a machine without a GPU, for an image or another machine.
 
 python -m warpqem.precompile --arch 90 --out FOLDER
 
