@@ -38,7 +38,11 @@ def parse(arguments: Sequence[str] | None = None) -> tuple[str, Settings]:
     parser.add_argument("--ratio", type=float, default=0.1, help="part of the faces to keep")
     parser.add_argument("--usd", type=Path, help="peers, articulated: this file instead of a quadruped")
     parser.add_argument("--prim", help="peers, articulated: the mesh in that file; by default the largest")
-    parser.add_argument("--data", type=Path, help="device: folder that --pack has filled, or .npz files of your own")
+    parser.add_argument(
+        "--data",
+        type=Path,
+        help="device: folder that --pack has filled; or .npz files, with points (F, V, 3) and faces (N, 3)",
+    )
     parser.add_argument("--pack", type=Path, help="device: put the shipped scenes and what a CPU makes of them here")
     parser.add_argument("--part", action="append", choices=[part.name for part in PARTS], help="device: this part only")
     given = parser.parse_args(arguments)

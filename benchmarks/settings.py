@@ -22,7 +22,7 @@ class Settings:
         ratio: part of the faces to keep.
         usd: file to work on instead of the generated mesh (commands ``peers`` and ``articulated``).
         prim: mesh in that file; None for the largest.
-        data: folder of meshes in motion (command ``device``).
+        data: file or folder of meshes in motion (command ``device``).
         pack: folder to put such meshes into, and nothing else is done (command ``device``).
         parts: parts to run (command ``device``); none for all.
     """

@@ -291,6 +291,20 @@ def test_meshes_of_a_folder_are_worked_on_and_an_empty_one_is_named(tmp_path):
     assert data.packed_figures(settings) == {}
 
 
+def test_a_mesh_of_your_own_needs_points_and_faces_alone(tmp_path):
+    work = torus_work(200, 2, 0.5)
+    file = tmp_path / "horse.npz"
+    np.savez(file, points=work.points.astype(np.float64), faces=work.faces.astype(np.int64))
+    (found,) = data.works(Settings(tmp_path, data=file, ratio=0.25))
+    assert (found.name, found.target_faces) == ("horse", round(0.25 * len(work.faces)))
+    np.testing.assert_array_equal(found.points, work.points)
+    np.savez(file, points=work.points, triangles=work.faces)
+    with pytest.raises(ValueError, match=r"horse\.npz: expected the arrays points and faces, found points, triangles"):
+        data.works(Settings(tmp_path, data=file))
+    with pytest.raises(FileNotFoundError, match=r"nothing\.npz: no \.npz file"):
+        data.works(Settings(tmp_path, data=tmp_path / "nothing.npz"))
+
+
 def test_settings_reach_the_part_as_they_are(tmp_path):
     settings = Settings(tmp_path, True, "cpu", 3, 0.2, None, None, tmp_path / "data", None, ("bits",))
     assert Settings.from_json(settings.to_json()) == settings

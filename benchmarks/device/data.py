@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import time
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,15 +28,35 @@ SAMPLES, FRAMES = 20_000, 8
 
 
 def works(settings: Settings) -> list[Work]:
-    """The meshes in ``settings.data``; without one the shipped scenes, or a torus where USD is missing."""
+    """The meshes that were given, in a file or a folder of them; else the shipped scenes, or a torus without USD.
+
+    Raises:
+        FileNotFoundError: there is no .npz file.
+        ValueError: one holds no points or no faces.
+    """
     if settings.data is not None:
-        files = sorted(settings.data.glob("*.npz"))
-        if not files:
-            raise FileNotFoundError(f"{settings.data}: no .npz file with points, faces, name and target_faces")
-        return [load_work(file) for file in files]
+        files = sorted(settings.data.glob("*.npz")) if settings.data.is_dir() else [settings.data]
+        if not files or not files[0].exists():
+            raise FileNotFoundError(f"{settings.data}: no .npz file with points (F, V, 3) and faces (N, 3)")
+        return [_load(file, settings.ratio) for file in files]
     if settings.quick or importlib.util.find_spec("pxr") is None:
         return [small_work(settings)]
     return [usd_work(ROOT / "scenes" / f"{name}.usdc", settings.ratio) for name in SCENES]
+
+
+def _load(file: Path, ratio: float) -> Work:
+    """A mesh that :func:`pack` has put there, or one of your own: its name and target may be missing."""
+    with np.load(file) as stored:
+        names = set(stored.files)
+        if not {"points", "faces"} <= names:
+            raise ValueError(
+                f"{file}: expected the arrays points and faces, found {', '.join(sorted(names)) or 'none'}"
+            )
+        if {"name", "target_faces"} <= names:
+            return load_work(file)
+        points = np.ascontiguousarray(stored["points"], dtype=np.float32)
+        faces = np.ascontiguousarray(stored["faces"], dtype=np.int32)
+    return Work(file.stem, points, faces, max(1, round(ratio * len(faces))))
 
 
 def main_work(settings: Settings) -> Work:
@@ -65,7 +86,8 @@ def figures_of(work: Work, quality: str, device: str) -> dict[str, Any]:
 
 def packed_figures(settings: Settings) -> dict[str, dict[str, Any]]:
     """What a CPU made of the packed meshes, by mesh and quality; empty where nothing says so."""
-    file = None if settings.data is None else settings.data / FIGURES
+    folder = settings.data
+    file = None if folder is None else (folder if folder.is_dir() else folder.parent) / FIGURES
     return {} if file is None or not file.exists() else json.loads(file.read_text(encoding="utf-8"))["figures"]
 
 
