@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
+import shutil
 import subprocess
 from collections.abc import Iterable
 from importlib import metadata
@@ -68,7 +69,9 @@ def _memory(field: str) -> int:
 
 
 def _commit() -> str:
-    """The checkout's commit, with a + where files differ from it; empty outside a checkout."""
+    """The checkout's commit, with a + where files differ from it; empty outside a checkout and without git."""
+    if shutil.which("git") is None:
+        return ""
     command = ["git", "-C", str(ROOT)]
     head = subprocess.run([*command, "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
     changed = subprocess.run([*command, "diff", "--quiet", "HEAD"], capture_output=True, check=False)

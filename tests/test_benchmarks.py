@@ -20,6 +20,7 @@ from benchmarks.floor_options import OPTION_MODELS
 from benchmarks.generated import moving_torus
 from benchmarks.kernels import kernel_rows
 from benchmarks.launches import profile_launches
+from benchmarks.machine import describe_host
 from benchmarks.quality import measure_quality
 from benchmarks.report import Column, Report, Table, markdown_table, write_report
 from benchmarks.settings import Settings
@@ -256,6 +257,11 @@ def test_sizes_beyond_the_memory_are_skipped_and_named(monkeypatch, tmp_path):
 def test_table_writes_missing_values_as_dashes():
     table = Table("t", (Column("name", "who"), Column("x", "ratio", ".2f")), [{"name": "a|b", "x": 1.0}, {"name": "c"}])
     assert markdown_table(table).splitlines() == ["| who | ratio |", "|---|---:|", "| a\\|b | 1.00 |", "| c | - |"]
+
+
+def test_a_machine_without_git_has_no_commit(monkeypatch):
+    monkeypatch.setenv("PATH", "")
+    assert describe_host([])["commit"] == ""
 
 
 def test_report_holds_the_machine_and_every_figure(tmp_path):
