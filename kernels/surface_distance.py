@@ -39,6 +39,8 @@ MAX_WAITING = wp.constant(wp.int32(40))
 Places = wp.types.matrix(shape=(3, 2), dtype=wp.float64)  # of three corners, as MeshPatches.place
 Corners = wp.types.matrix(shape=(3, 3), dtype=wp.float64)
 Waiting = wp.types.matrix(shape=(int(MAX_WAITING), 6), dtype=wp.float64)
+# Two faces whose normals have a cosine below this are the two sides of one spot.
+OPPOSITE = wp.constant(wp.float64(-0.99))
 # Patches that a thread takes one after the other: the next one mostly lies beside the one before, over the same face.
 RUN = wp.constant(wp.int32(16))
 
@@ -71,6 +73,34 @@ def face_areas(
     area_out[face] = wp.float64(0.5) * wp.length(face_normal(surface, face))
 
 
+@wp.func
+def side_facing(other: Surface, near: wp.int32, squared: wp.float64, p: wp.vec3d, normal: wp.vec3d) -> wp.int32:
+    """The face nearest to a point, or a face of the same spot that does not oppose a normal, if there is one.
+
+    Where a surface has two sides on the same points, or faces twice, the nearest face is any of them. ``near`` is the
+    nearest one at a squared distance. Of the same spot are faces as near that are the other side of it; where the point
+    lies on the surface, all that are as near; and a nearer one, which the search left out as a sliver.
+    """
+    found = near
+    normal_near = face_normal(other, near)
+    if wp.dot(normal, normal_near) < wp.float64(0.0):
+        distance = wp.sqrt(squared)
+        centre = wp.vec3(wp.float32(p[0]), wp.float32(p[1]), wp.float32(p[2]))
+        reach = wp.float32(distance + SEARCH_MARGIN)
+        extent = wp.vec3(reach, reach, reach)
+        query = wp.mesh_query_aabb(other.mesh, centre - extent, centre + extent)
+        face = wp.int32(0)
+        while wp.mesh_query_next(query, face):
+            normal_there = face_normal(other, face)
+            if found == near and wp.dot(normal, normal_there) > wp.float64(0.0):
+                away = wp.sqrt(squared_distance(other, face, p)) - distance
+                lengths = wp.length(normal_near) * wp.length(normal_there)
+                same_spot = distance <= SEARCH_MARGIN or wp.dot(normal_near, normal_there) < OPPOSITE * lengths
+                if away < -SEARCH_MARGIN or (away <= SEARCH_MARGIN and same_spot):
+                    found = face
+    return found
+
+
 @wp.kernel
 def sample_distances(
     # in
@@ -82,11 +112,13 @@ def sample_distances(
     # out
     distance_out: wp.array[wp.float64],
     angle_out: wp.array[wp.float64],
+    near_out: wp.array[wp.int32],
 ):
     """Distance of samples from the other surface, and the angle between the normals of both faces, in degrees.
 
-    ``sample_place`` (S,) are the barycentric coordinates of the second and third corner. A distance is -1 where the
-    search finds no face, as all of them are slivers.
+    ``sample_place`` (S,) are the barycentric coordinates of the second and third corner. Of a surface with two sides on
+    the same points, the one that faces the sample's way counts. A distance is -1 where the search finds no face, as all
+    of them are slivers.
     """
     i = first_sample + wp.tid()
     face = sample_face[i]
@@ -94,13 +126,18 @@ def sample_distances(
     a = corner_point(own, face, 0)
     b = corner_point(own, face, 1)
     c = corner_point(own, face, 2)
-    hit = closest_on_mesh(other.mesh, other.points, other.corner_vertex, a + place[0] * (b - a) + place[1] * (c - a))
+    p = a + place[0] * (b - a) + place[1] * (c - a)
+    hit = closest_on_mesh(other.mesh, other.points, other.corner_vertex, p)
+    near_out[i] = hit.face
     distance_out[i] = wp.float64(-1.0)
     angle_out[i] = wp.float64(0.0)
     if hit.face >= 0:
         distance_out[i] = wp.sqrt(hit.squared)
+        normal = face_normal(own, face)
+        near = side_facing(other, hit.face, hit.squared, p, normal)
+        near_out[i] = near
         # A face without area has no normal, which counts as a right angle.
-        cosine = wp.dot(wp.normalize(face_normal(own, face)), wp.normalize(face_normal(other, hit.face)))
+        cosine = wp.dot(wp.normalize(normal), wp.normalize(face_normal(other, near)))
         angle_out[i] = wp.degrees(wp.acos(wp.clamp(cosine, wp.float64(-1.0), wp.float64(1.0))))
 
 
@@ -147,18 +184,19 @@ def find_flips(
     # in
     first_face: wp.int32,
     # out
-    flipped_out: wp.array2d[wp.int32],
+    opposed_out: wp.array2d[wp.int32],
 ):
-    """1 for each face with more than the smallest area whose normal opposes that of the face nearest to its middle.
+    """The face that each face with more than the smallest area opposes, where it does: the one nearest to its middle.
 
-    ``nearest`` (N,) is that face when it was last looked for, -1 for none; it bounds the search.
+    -1 for the others. Of a surface with two sides on the same points, a face opposes neither. ``nearest`` (N,) is the
+    nearest face when it was last looked for, -1 for none; it bounds the search.
     """
     face = first_face + wp.tid()
     near = nearest[face]
     for frame in range(frame_count):
         cell_face = frame * own_count + face
         first = frame * other_count
-        flipped_out[frame, face] = 0
+        opposed_out[frame, face] = wp.int32(-1)
         normal = face_normal(own, cell_face)
         if wp.float64(0.5) * wp.length(normal) > smallest:
             corners = Corners()
@@ -173,8 +211,9 @@ def find_flips(
             found = nearer_face(other, known, squared, middle)
             if found >= 0:
                 near = found - first
-                if wp.dot(normal, face_normal(other, found)) < wp.float64(0.0):
-                    flipped_out[frame, face] = 1
+                side = side_facing(other, found, squared_distance(other, found, middle), middle, normal)
+                if wp.dot(normal, face_normal(other, side)) < wp.float64(0.0):
+                    opposed_out[frame, face] = side - first
     nearest[face] = near
 
 

@@ -9,6 +9,7 @@ import warp as wp
 from warpqem.edges import edge_key
 from warpqem.kernels.binding import find_facing, walk_surface
 from warpqem.launches import launch
+from warpqem.measure.coincidence import coincident
 from warpqem.measure.inputs import MeshSequence
 from warpqem.measure.sampling import normals_and_areas, place
 from warpqem.measure.topology import unique_edges
@@ -19,7 +20,6 @@ __all__ = [
     "ReferenceSurface",
     "Rings",
     "TestVertices",
-    "coincident",
     "facing_sign",
     "make_rings",
     "nearest_facing",
@@ -206,18 +206,6 @@ class TestVertices:
 
     def __len__(self) -> int:
         return len(self.reach)
-
-
-def coincident(points: Floats) -> Ints:
-    """(V,) the first vertex at the place of each in all frames of (K, V, 3)."""
-    rows = points.transpose(1, 0, 2).reshape(points.shape[1], -1)
-    order = np.lexsort(rows.T)
-    new = np.ones(len(rows), dtype=bool)
-    new[1:] = (rows[order[1:]] != rows[order[:-1]]).any(axis=1)
-    first = np.minimum.reduceat(order, np.flatnonzero(new)) if len(rows) else order
-    label = np.empty(len(rows), dtype=np.int64)
-    label[order] = first[np.cumsum(new) - 1]
-    return label
 
 
 def _vertex_normals(points: Floats, faces: Ints, count: int) -> Floats:

@@ -6,7 +6,8 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from warpqem.measure.binding_surface import WALK_STEPS, coincident, facing_sign, make_rings, nearest_facing, walk
+from warpqem.measure.binding_surface import WALK_STEPS, facing_sign, make_rings, nearest_facing, walk
+from warpqem.measure.coincidence import coincident
 from warpqem.measure.distance import ClosestPointSearch
 from warpqem.measure.inputs import MeshSequence
 from warpqem.measure.sampling import MaterialSamples, normals_and_areas, place

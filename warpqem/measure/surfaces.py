@@ -16,6 +16,7 @@ from warpqem.kernels import surface_distance as kernels
 from warpqem.kernels.distance_bound import HINTS, Surface
 from warpqem.launches import launch
 from warpqem.measure.per_frame import FrameErrors
+from warpqem.measure.winding import Winding, read_winding
 from warpqem.parallel import launch_parts, run_parts, split_range, thread_count
 
 __all__ = ["SurfaceComparison", "sample_count"]
@@ -93,6 +94,8 @@ class _Cells:
         # The face of the other mesh nearest to the middle of each face, when it was last looked for; -1 for none.
         self.nearest = wp.full(self.face_count, -1, dtype=wp.int32, device=device)
         self._mesh: wp.Mesh | None = None
+        self._first: Doubles | None = None
+        self._winding: Winding | None = None
 
     def move(self, points: Doubles) -> None:
         """Show a group of frames (G, V, 3).
@@ -100,6 +103,8 @@ class _Cells:
         The hierarchy is built once and refitted to the others: which of several faces as near as each other is found
         then depends on the first frames, and on nothing else.
         """
+        if self._first is None:
+            self._first = points[0]
         flat = points.reshape(-1, 3)
         self.surface.points = wp.array(flat, dtype=wp.vec3d, device=self._device)
         single = wp.array(flat.astype(np.float32), dtype=wp.vec3, device=self._device)
@@ -119,6 +124,14 @@ class _Cells:
             patches = self.patches
             arrays = (array.numpy()[rows] for array in (patches.face, patches.place, patches.hint))
             self.leading = _patches(*arrays, self._device)
+
+    @property
+    def winding(self) -> Winding:
+        """What the winding of the faces says, in the first frame. It takes as long as a frame, and few meshes need it."""
+        assert self._first is not None
+        if self._winding is None:
+            self._winding = read_winding(self._first, self.faces)
+        return self._winding
 
     def areas(self) -> Doubles:
         """Face areas (G, N)."""
@@ -272,8 +285,15 @@ class SurfaceComparison:
             wp.array(place.reshape(-1, 2), dtype=wp.vec2d, device=self._device),
         ]
         distance, angle = (wp.empty(face.size, dtype=wp.float64, device=self._device) for _ in range(2))
-        self._launch(kernels.sample_distances, face.size, inputs, [distance, angle])
-        found = _Samples(distance.numpy().reshape(shape), angle.numpy().reshape(shape))
+        near = wp.empty(face.size, dtype=wp.int32, device=self._device)
+        self._launch(kernels.sample_distances, face.size, inputs, [distance, angle, near])
+        degrees = angle.numpy()
+        against = degrees > 90.0
+        if against.any():
+            either = own.winding.either[face.ravel() % own.face_count]
+            either |= other.winding.either[near.numpy() % other.face_count]
+            degrees = np.where(against & either, 180.0 - degrees, degrees)
+        found = _Samples(distance.numpy().reshape(shape), degrees.reshape(shape))
         if (found.distance < 0).any():
             frame = frames[int(np.argmax((found.distance < 0).any(axis=1)))]
             raise DegenerateMeshError(f"{other.name} mesh: every face is degenerate in frame {frame}")
@@ -386,11 +406,18 @@ class SurfaceComparison:
 
     def _flips(self, count: int) -> npt.NDArray[np.int64]:
         test, reference = self._test, self._reference
-        flipped = wp.empty((count, test.face_count), dtype=wp.int32, device=self._device)
+        opposed = wp.empty((count, test.face_count), dtype=wp.int32, device=self._device)
         sizes = [test.face_count, reference.face_count, count]
         inputs = [test.surface, reference.surface, *sizes, DEGENERATE_AREA, test.nearest]
-        self._launch(kernels.find_flips, test.face_count, inputs, [flipped])
-        total: npt.NDArray[np.int64] = flipped.numpy().sum(axis=1, dtype=np.int64)
+        self._launch(kernels.find_flips, test.face_count, inputs, [opposed])
+        face = opposed.numpy()
+        flipped = face >= 0
+        if flipped.any():
+            # Of two sides of a sheet, one faces as the reference does.
+            flipped &= ~test.winding.both
+        if flipped.any():
+            flipped[flipped] = ~reference.winding.either[face[flipped]]
+        total: npt.NDArray[np.int64] = flipped.sum(axis=1, dtype=np.int64)
         return total
 
     def _launch(self, kernel: wp.Kernel, count: int, inputs: list, outputs: list[wp.array]) -> None:

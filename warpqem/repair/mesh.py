@@ -38,6 +38,7 @@ class MeshRepair:
         face_index: (M,) int32, the caller's face that each face is.
         back: (M,) int32, the caller's face on the other side of each; -1 where there is none.
         turned: (M,) bool, faces whose corners are in the reverse order.
+        given_faces: (K, 3) int32, the caller's faces, but those that use a vertex twice.
         findings: what was mended.
     """
 
@@ -47,6 +48,7 @@ class MeshRepair:
     face_index: np.ndarray
     back: np.ndarray
     turned: np.ndarray
+    given_faces: np.ndarray
     findings: TopologyFindings
 
     @cached_property
@@ -170,6 +172,7 @@ def _repair(
         face_index=face_index[mended.kept],
         back=np.where(mended.back >= 0, face_index[mended.back], np.int32(-1)),
         turned=mended.turned,
+        given_faces=faces,
         findings=mended.findings,
     )
 
