@@ -61,7 +61,7 @@ def test_face_that_opposes_a_clean_surface_is_still_a_flip(device):
 
 def test_thin_shell_has_two_surfaces_and_no_other_side(device):
     points, faces = meshes.grid(6, 6)
-    shell = np.concatenate([points, points + [0, 0, 0.01]])
+    shell = np.concatenate([points, points + np.array([0, 0, 0.01])])
     both = np.concatenate([faces, faces[:, ::-1] + len(points)])
     turned = both.copy()
     turned[: len(faces)] = turned[: len(faces), ::-1]
