@@ -14,12 +14,12 @@ from warpqem.edges import edge_key
 from warpqem.frame_stream import FrameSource, held_bytes
 from warpqem.importance import lock_mask, read_quadric_scale, read_weights
 from warpqem.mesh_input import MeshInput
-from warpqem.order.stage import OrderedMesh, faces_left
 from warpqem.repair.topology import TopologyFindings, repair_topology
 from warpqem.seams import read_seams, seam_ends
 
 if TYPE_CHECKING:
     from warpqem.options import SimplifyOptions
+    from warpqem.order.stage import OrderedMesh
 
 __all__ = ["MeshRepair", "face_repair", "faces_for", "repaired_mesh", "repaired_options"]
 
@@ -229,6 +229,9 @@ def faces_for(ordered: OrderedMesh, mesh: MeshInput, target: int) -> int:
         mesh: what was ordered.
         target: faces asked for.
     """
+    # Whoever has ordered a mesh has loaded it; those who only look at a topology need not.
+    from warpqem.order.stage import faces_left
+
     assert mesh.repair is not None
     log, drops = ordered.log, ordered.drops
     collapses = np.arange(len(log))
