@@ -16,7 +16,7 @@ from warpqem.measure.appearance_errors import SEAM_SAMPLES, FieldErrors, MeshPai
 from warpqem.measure.color_difference import color_difference
 from warpqem.measure.correspondence import MovingMesh
 from warpqem.measure.inputs import MeshSequence, check_same_frame_count, chosen_frames
-from warpqem.measure.sampling import MaterialSamples, draw_material_samples
+from warpqem.measure.sampling import draw_material_samples
 from warpqem.measure.surface_values import CornerValues, SurfaceValues, shared_names, shared_normals
 from warpqem.mesh_input import finite_points, read_faces, read_points
 from warpqem.number_input import check_function, whole_number
@@ -40,9 +40,6 @@ SAMPLE_FRAMES = 1_000_000
 
 # Frames measured at most, evenly spread, the first and the last one included: a frame of a small mesh takes about 4 ms.
 MAX_FRAMES = 500
-
-# Frames, evenly spread, whose mean areas decide where samples lie.
-AREA_FRAMES = 8
 
 
 @dataclass(frozen=True)
@@ -204,7 +201,7 @@ def _sequence(points: npt.ArrayLike, faces: npt.ArrayLike, name: str) -> MeshSeq
 def _make_pair(reference: MeshSequence, test: MeshSequence, samples: int, seed: int, device: str) -> MeshPair:
     centre, diagonal = _scale(reference)
     drawn = tuple(
-        _draw(mesh, samples, seed + number, name)
+        draw_material_samples(mesh, samples, seed + number, name)
         for number, (mesh, name) in enumerate(((reference, "reference"), (test, "test")))
     )
     return MeshPair(
@@ -212,12 +209,6 @@ def _make_pair(reference: MeshSequence, test: MeshSequence, samples: int, seed: 
         MovingMesh(test, centre, diagonal, device),
         (drawn[0], drawn[1]),
     )
-
-
-def _draw(mesh: MeshSequence, samples: int, seed: int, name: str) -> MaterialSamples:
-    frames = chosen_frames(AREA_FRAMES, len(mesh.points))
-    some = MeshSequence(mesh.points[frames].astype(np.float64), mesh.faces, mesh.used)
-    return draw_material_samples(some, samples, seed, name)
 
 
 def _scale(reference: MeshSequence) -> tuple[Floats, Floats]:

@@ -44,6 +44,7 @@ def nearest_facing(
     reach: Floats,
     device: str,
     labels: tuple[Ints, Ints] | None = None,
+    mesh: wp.Mesh | None = None,
 ) -> Ints:
     """The nearest face to each query that faces as its normal does, (S,) int64; -1 where none is in reach.
 
@@ -56,9 +57,11 @@ def nearest_facing(
         reach: (S,) the largest distance looked at.
         device: Warp device.
         labels: (N,) and (S,), labels of the faces, and the label that a query wants, -1 for any; None for any.
+        mesh: the hierarchy of these points, where there is one.
     """
     face_label, label = labels or (np.zeros(1, dtype=np.int64), np.full(len(query), -1))
-    mesh = wp.Mesh(points=wp.array(points, dtype=wp.vec3, device=device), indices=corner_vertex)
+    if mesh is None:
+        mesh = wp.Mesh(points=wp.array(points, dtype=wp.vec3, device=device), indices=corner_vertex)
     face = wp.empty(len(query), dtype=wp.int32, device=device)
     doubles = [wp.array(values, dtype=wp.vec3d, device=device) for values in (points, query, normal)]
     launch(

@@ -22,7 +22,7 @@ from warpqem.parallel import launch_parts
 __all__ = ["SurfaceComparison", "sample_count"]
 
 # Samples on each surface, over all frames together: the mean over the frames is then off by less than 1 %.
-ALL_SAMPLES = 2**14
+ALL_SAMPLES = 2**15
 # Samples on each surface in one frame: at most so many, which one frame takes to be known as well; and at least so
 # many, so that the larger of the two directions is known.
 MAX_SAMPLES, MIN_SAMPLES = 20000, 64
