@@ -131,3 +131,8 @@ def bound_patches(
                 best = lane_least(best, furthest)
     for lane in range(width):
         bound_out[i, b * width + lane] = wp.sqrt(best[lane])
+
+
+# Loops over corners and faces stay loops: unrolled, they take several times as long to compile and run no faster.
+for _kernel in bound_patches.values():
+    wp.set_module_options({"max_unroll": 1}, _kernel.module)

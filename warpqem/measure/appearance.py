@@ -23,9 +23,8 @@ from warpqem.number_input import check_function, whole_number
 
 __all__ = [
     "Appearance",
-    "ColorErrors",
     "CornerValues",
-    "NormalErrors",
+    "SampledErrors",
     "SurfaceValues",
     "UvErrors",
     "compare_appearance",
@@ -43,33 +42,18 @@ MAX_FRAMES = 500
 
 
 @dataclass(frozen=True)
-class NormalErrors:
-    """Angles between shading normals at samples of one mesh and at the nearest points of the other, in degrees.
+class SampledErrors:
+    """Differences between samples of one mesh and the nearest points of the other, both ways.
 
     Attributes:
-        angle: mean over samples and frames, both ways.
-        angle_p95: the 95th percentile over the samples, each with its mean over time.
-        angle_largest: the largest at any sample in any frame.
+        mean: over samples and frames.
+        p95: the 95th percentile over the samples, each with its mean over time.
+        largest: at any sample in any frame.
     """
 
-    angle: float
-    angle_p95: float
-    angle_largest: float
-
-
-@dataclass(frozen=True)
-class ColorErrors:
-    """CIEDE2000 differences of linear Rec. 709 colours at samples of one mesh and the nearest points of the other.
-
-    Attributes:
-        difference: mean over samples and frames, both ways; 1 is about what an eye can just see.
-        difference_p95: the 95th percentile over the samples, each with its mean over time.
-        difference_largest: the largest at any sample in any frame.
-    """
-
-    difference: float
-    difference_p95: float
-    difference_largest: float
+    mean: float
+    p95: float
+    largest: float
 
 
 @dataclass(frozen=True)
@@ -78,8 +62,9 @@ class Appearance:
 
     Attributes:
         uvs: errors of each set of texture coordinates that both meshes have.
-        normals: errors of the shading normals; None where one of the meshes has none.
-        colors: errors of each set of colours that both meshes have.
+        normals: angles between the shading normals, in degrees; None where one of the meshes has none.
+        colors: CIEDE2000 differences of each set of colours that both meshes have, which are linear Rec. 709; 1 is
+            about what an eye can just see.
         not_measured: why a measure has no value, by its name.
         sample_count: samples on each mesh.
         seam_sample_count: samples on the seams of each mesh.
@@ -87,8 +72,8 @@ class Appearance:
     """
 
     uvs: dict[str, UvErrors]
-    normals: NormalErrors | None
-    colors: dict[str, ColorErrors]
+    normals: SampledErrors | None
+    colors: dict[str, SampledErrors]
     not_measured: dict[str, str]
     sample_count: int
     seam_sample_count: int
@@ -158,8 +143,8 @@ def compare_appearance(
         _measure_frames(pair, list(uvs.values()), fields, frames, progress)
     return Appearance(
         uvs={name: measure.errors(name, reasons) for name, measure in uvs.items()},
-        normals=None if shading is None else NormalErrors(*shading.figures()),
-        colors={name: ColorErrors(*errors.figures()) for name, errors in colors.items()},
+        normals=None if shading is None else SampledErrors(*shading.figures()),
+        colors={name: SampledErrors(*errors.figures()) for name, errors in colors.items()},
         not_measured=reasons,
         sample_count=samples,
         seam_sample_count=SEAM_SAMPLES,

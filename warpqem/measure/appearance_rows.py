@@ -36,12 +36,9 @@ def appearance_rows(found: Appearance) -> list[tuple[str | float | None, ...]]:
     for name, uv in found.uvs.items():
         figures = (uv.swim, uv.swim_p95, uv.seam_drift, uv.stretch, uv.stretch_reference)
         rows.append((name, uv.error, uv.error_p95, uv.error_largest, "UV", *figures))
-    if found.normals is not None:
-        normals = found.normals
-        rows.append(("normals", normals.angle, normals.angle_p95, normals.angle_largest, "degrees", *[None] * 5))
-    for name, color in found.colors.items():
-        figures = (color.difference, color.difference_p95, color.difference_largest)
-        rows.append((name, *figures, "CIEDE2000", *[None] * 5))
+    normals = {} if found.normals is None else {"normals": found.normals}
+    for fields, unit in ((normals, "degrees"), (found.colors, "CIEDE2000")):
+        rows += [(name, one.mean, one.p95, one.largest, unit, *[None] * 5) for name, one in fields.items()]
     return [
         tuple(0.0 if isinstance(value, float) and abs(value) < ROUNDING else value for value in row) for row in rows
     ]
