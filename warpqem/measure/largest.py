@@ -71,24 +71,27 @@ class _Direction:
         found += np.float32(BOUND_MARGIN)
         return found
 
-    def beyond(self, frames: slice, floor: Doubles) -> tuple[npt.NDArray, npt.NDArray]:
-        """Patches whose bound is above the floor (n,) in some of the frames, and the one where the floor is lowest.
+    def beyond(self, frames: slice, floor: Doubles, *, lowest: bool) -> tuple[npt.NDArray, npt.NDArray]:
+        """Patches (n,) whose bound is above the floor (F,) of a frame, and that frame (n,), patch by patch.
 
-        ``frames`` are those of the block that the cells show.
+        ``frames`` are those of the block that the cells show. With ``lowest``, of the frames of a patch only the one
+        where the floor is lowest.
         """
         bound = self._bound[frames, : self._count]
         # Rounded up, a floor would be above what it is not.
         above = bound > np.nextafter(floor.astype(np.float32), np.float32(0))[:, None]
         patch = np.flatnonzero(above.any(axis=0))
-        lowest = np.where(above[:, patch], floor[:, None], np.inf).argmin(axis=0)
-        return patch, lowest
+        if lowest:
+            return patch, np.where(above[:, patch], floor[:, None], np.inf).argmin(axis=0)
+        index, frame = np.nonzero(above[:, patch].T)
+        return patch[index], frame
 
-    def search(self, patch: npt.NDArray, frame: npt.NDArray, first: int, floor: Doubles) -> Found:
-        """Search patches, each in one of the cells' frames, and put their pieces in their place.
+    def search(self, patch: npt.NDArray, frame: npt.NDArray, first: int, floor: Doubles, *, cut: bool) -> Found:
+        """Search patches, each in one of the cells' frames, and with ``cut`` put their pieces in their place.
 
         ``first`` is the block's frame in the first cell, ``floor`` (n,) that of each cell.
         """
-        grows = self._count < self._most
+        grows = cut and self._count < self._most
         patches = self._patches.rows(patch)
         found = search_patches(self.own, self.other, patches, frame, floor, self._device, cut=grows)
         self._bound[first + frame, patch] = 0
@@ -189,11 +192,14 @@ class LargestDistance:
         return np.tile(face, (count, 1)), np.tile(leading.place.reshape(-1, 2), (count, 1, 1))
 
     def _search(self, way: _Direction, frames: slice, found: Doubles, bound: Doubles) -> None:
-        """Search patches that may hold more than what was found, and note what they hold."""
-        while True:
-            patch, frame = way.beyond(frames, found)
+        """Search patches that may hold more than what was found, and note what they hold.
+
+        First each in one frame, which its pieces then fit, and mostly the others, too; then in all that are left.
+        """
+        for lowest in (True, False):
+            patch, frame = way.beyond(frames, found, lowest=lowest)
             if not len(patch):
                 return
-            result = way.search(patch, frame, frames.start, found)
+            result = way.search(patch, frame, frames.start, found, cut=lowest)
             np.maximum.at(found, frame, result.low)
             np.maximum.at(bound, frame, result.high)
