@@ -7,7 +7,7 @@ corner's side of the seams: values never leak from one UV island, or one side of
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
@@ -22,8 +22,10 @@ from warpqem.launches import launch
 from warpqem.mesh_input import finite_points, is_proper, read_faces, read_points
 from warpqem.number_input import shown, whole_number
 from warpqem.place.rows import gather_faces, group_rows
-from warpqem.result import SimplifiedMesh
 from warpqem.seams import seam_ends
+
+if TYPE_CHECKING:
+    from warpqem.result import SimplifiedMesh
 
 __all__ = ["SurfaceTransfer", "blend", "check_fit", "check_result", "joined_faces", "surface_transfer"]
 
@@ -185,6 +187,9 @@ def _wedge_sources(
 
 def check_result(result: Any) -> None:
     """Raise an OptionError for what is no result of simplifying."""
+    # What simplifies is loaded where there is a result: comparing meshes needs none of it.
+    from warpqem.result import SimplifiedMesh
+
     if not isinstance(result, SimplifiedMesh):
         raise OptionError(f"result must be a SimplifiedMesh, as warpqem.simplify returns, got {shown(result)}")
 

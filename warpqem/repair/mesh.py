@@ -14,12 +14,12 @@ from warpqem.edges import edge_key
 from warpqem.frame_stream import FrameSource, held_bytes
 from warpqem.importance import lock_mask, read_quadric_scale, read_weights
 from warpqem.mesh_input import MeshInput, is_proper
-from warpqem.order.stage import OrderedMesh, faces_left
 from warpqem.repair.topology import TopologyFindings, repair_topology
 from warpqem.seams import read_seams, seam_ends
 
 if TYPE_CHECKING:
     from warpqem.options import SimplifyOptions
+    from warpqem.order.stage import OrderedMesh
 
 __all__ = ["MeshRepair", "face_repair", "faces_for", "repaired_mesh", "repaired_options"]
 
@@ -38,6 +38,7 @@ class MeshRepair:
         face_index: (M,) int32, the caller's face that each face is.
         back: (M,) int32, the caller's face on the other side of each; -1 where there is none.
         turned: (M,) bool, faces whose corners are in the reverse order.
+        given_faces: (K, 3) int32, the caller's faces, but those that use a vertex twice.
         findings: what was mended.
     """
 
@@ -47,6 +48,7 @@ class MeshRepair:
     face_index: np.ndarray
     back: np.ndarray
     turned: np.ndarray
+    given_faces: np.ndarray
     findings: TopologyFindings
 
     @cached_property
@@ -170,6 +172,7 @@ def _repair(
         face_index=face_index[mended.kept],
         back=np.where(mended.back >= 0, face_index[mended.back], np.int32(-1)),
         turned=mended.turned,
+        given_faces=faces,
         findings=mended.findings,
     )
 
@@ -226,6 +229,9 @@ def faces_for(ordered: OrderedMesh, mesh: MeshInput, target: int) -> int:
         mesh: what was ordered.
         target: faces asked for.
     """
+    # Whoever has ordered a mesh has loaded it; those who only look at a topology need not.
+    from warpqem.order.stage import faces_left
+
     assert mesh.repair is not None
     log, drops = ordered.log, ordered.drops
     collapses = np.arange(len(log))

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 from pxr import UsdGeom
 
 from warpqem.mesh_input import is_proper
-from warpqem.result import SimplifiedMesh
 from warpqem.transfer import SurfaceTransfer, blend, surface_transfer
 from warpqem.usd.feature_subsets import FAMILY
 from warpqem.usd.mesh import MeshSource
 from warpqem.usd.seams import MeshSeams
 from warpqem.usd.vertex_colors import fitted_values
+
+if TYPE_CHECKING:
+    from warpqem.result import SimplifiedMesh
 
 __all__ = ["Carrier", "Rows"]
 
