@@ -101,7 +101,7 @@ class MeshJob:
         pose_start: E.
         rest_fit: What brought the rest shape of a mesh with a skin to the poses; None without one.
         repair: What simplifying mends of the topology first; None for nothing.
-        has_own_poses: False where `frames` has example poses in place of the mesh's own.
+        examples: The same mesh in example poses; None without any.
     """
 
     source: MeshSource
@@ -114,7 +114,7 @@ class MeshJob:
     pose_start: int
     rest_fit: RestFit | None
     repair: MeshRepair | None = None
-    has_own_poses: bool = True
+    examples: MeshSource | None = None
 
     @classmethod
     def prepare(
@@ -166,20 +166,24 @@ class MeshJob:
         poses = [_kept_if_small(PoseFrames(*clip, vertex_point), options.memory) for clip in clips]
         if skin is None:
             start = sum(part.frame_count for part in poses[:-1])
-            return cls(source, mesh, faces, seams, None, reason, JoinedFrames(poses), start, None, repair)
+            return cls(source, mesh, faces, seams, None, reason, JoinedFrames(poses), start, None, repair, examples)
         # Examples take the place of the mesh's own poses.
         rest = skin.rest_points[vertex_point]
         targets = [rest + offsets[vertex_point] for offsets in choose_targets(skin.shapes)]
         fit = RestFit.of(rest, poses[0].read(slice(0, 1))[0])
         extra = fit.apply(np.stack([rest, *targets]))
         frames = JoinedFrames([ArrayFrames(extra), poses[0]])
-        own = examples is None
-        return cls(source, mesh, faces, seams, skin, None, frames, len(extra), fit, repair, own)
+        return cls(source, mesh, faces, seams, skin, None, frames, len(extra), fit, repair, examples)
 
     @property
     def pose_count(self) -> int:
         """How many of `frames` are poses."""
         return self.frames.frame_count - self.pose_start
+
+    @property
+    def has_own_poses(self) -> bool:
+        """False where `frames` has example poses in place of the mesh's own."""
+        return self.skin is None or self.examples is None
 
     @property
     def written_times(self) -> list[float] | None:

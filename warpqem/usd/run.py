@@ -4,51 +4,32 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import Any, TypeVar
 
-import numpy as np
-import numpy.typing as npt
-from pxr import Usd, UsdGeom
+from pxr import Usd
 
 import warpqem
-from warpqem.cost_models import cost_model
-from warpqem.errors import (
-    DeviceError,
-    MeshShapeError,
-    OptionError,
-    StageError,
-    UnreachableTargetError,
-    VaryingTopologyError,
-    WarpqemError,
-)
-from warpqem.frame_blocks import frame_blocks
-from warpqem.frame_stream import LaterFrames, NoFrames, read_ahead
+from warpqem.errors import DeviceError, OptionError, StageError, VaryingTopologyError, WarpqemError
 from warpqem.memory import parse_bytes
 from warpqem.options import target_count
-from warpqem.symmetry import Mirror, find_mirror, simplify_symmetric
-from warpqem.transfer import is_proper
-from warpqem.usd.attributes import check_names, weighted_fields
+from warpqem.usd.attributes import check_names
 from warpqem.usd.blend_shapes import count_shape_users
 from warpqem.usd.context import Context, Progress, SharedOrder
+from warpqem.usd.core_calls import CoreCalls
 from warpqem.usd.example_poses import ExamplePoses
-from warpqem.usd.face_points import FacePoints, face_protection, points_on_level
-from warpqem.usd.feature_subsets import write_feature_points
+from warpqem.usd.face_points import FacePoints
 from warpqem.usd.inheritors import heirs_first
 from warpqem.usd.job import MeshJob, ReadOptions
-from warpqem.usd.lengths import parse_length
-from warpqem.usd.measuring import measure_written
 from warpqem.usd.mesh import MeshSource
-from warpqem.usd.morph import check_morph, morph_scale
+from warpqem.usd.mesh_result import MeshResult
+from warpqem.usd.morph import check_morph
 from warpqem.usd.odd_values import find_odd_values
-from warpqem.usd.point_samples import PointSamples
 from warpqem.usd.report import PrimReport, StageReport, name_prim
 from warpqem.usd.skel import StagePoses
-from warpqem.usd.skin_fit import SkinFitter, SkinPoses, simplify_by_pullback, why_not_fitted
 from warpqem.usd.stage_budget import simplify_to_budget
 from warpqem.usd.usd_errors import usd_errors_named
 from warpqem.usd.varying import simplify_runs
-from warpqem.usd.weights import check_weight_primvar, painted_options
+from warpqem.usd.weights import check_weight_primvar
 from warpqem.usd.write import OverLayer
 
 __all__ = ["Run"]
@@ -73,8 +54,7 @@ class Run:
         """
         self.context, self.options = context, context.options
         self.stage, self.selection = context.stage, context.selection
-        self.progress, self.announce, self.share = context.progress, context.announce, context.share
-        self.by_root = by_root
+        self.progress, self.by_root = context.progress, by_root
         self.poses = StagePoses(self.stage)
         self.examples = None if self.options.poses is None else ExamplePoses(self.stage, self.options.poses)
         self.shape_users = count_shape_users(self.stage)
@@ -84,8 +64,7 @@ class Run:
         self.notes: list[str] = []
         # What the mesh at work is at.
         self.step = ""
-        self.face_points: FacePoints | None = None
-        self.faces: dict[str, warpqem.FaceProtection] = {}
+        self.core = CoreCalls(context, self.reports)
 
     def simplify(self) -> None:
         """Simplify all meshes into the layer."""
@@ -119,7 +98,7 @@ class Run:
         check_weight_primvar(selection.prims, self.options.weight_primvar)
         check_morph(selection.prims, self.options.morph_weights, self.examples is not None)
         if self.options.face_points is not None:
-            self.face_points = FacePoints.read(self.options.face_points).on_one_of(selection.prims, self.poses)
+            self.core.face_points = FacePoints.read(self.options.face_points).on_one_of(selection.prims, self.poses)
         for prim in selection.prims:
             self.reports[str(prim.GetPath())] = PrimReport(str(prim.GetPath()), "simplified")
         for path, error in selection.refused:
@@ -183,7 +162,7 @@ class Run:
                     source,
                     self._reading(),
                     shape_users=self.shape_users,
-                    examples=self._examples_of(source),
+                    examples=None if self.examples is None else self.examples.source(source),
                 )
             if shared is not None:
                 shared.job = job
@@ -202,129 +181,6 @@ class Run:
         memory = None if options.memory is None else parse_bytes(options.memory)
         return ReadOptions(options.frames, options.bake, options.weld, options.influences, memory)
 
-    def _examples_of(self, source: MeshSource) -> MeshSource | None:
-        return None if self.examples is None else self.examples.source(source)
-
-    def _call_core(
-        self,
-        job: MeshJob,
-        progress: Progress,
-        seams: npt.NDArray[np.int32],
-        sink: warpqem.FrameSink,
-        order: SharedOrder | None = None,
-        **goal: float | int | None,
-    ) -> warpqem.SimplifiedMesh:
-        options = self._core_options(job)
-        if goal.get("target_faces") is not None:
-            options["max_size_error"] = self.options.size_limit
-        poses = self._skin_poses(job) if self.options.pose_independent else None
-        if poses is not None:
-            kept = ("attributes", "lock_borders", "keep_components", "memory", "device", "max_size_error")
-            options = {name: value for name, value in options.items() if name in kept}
-            return simplify_by_pullback(
-                poses, **options, **self._importance(job), seams=seams, progress=progress, **goal
-            )
-        mirror = self._mirror(job)
-        if mirror is not None:
-            options |= {**self._importance(job), "seams": seams, "progress": progress}
-            return simplify_symmetric(job.frames, job.faces, mirror, sink=sink, **options, **goal)
-        plan = warpqem.plan(job.frames, job.faces, sink=sink, levels=order is not None, **options, **goal)
-        self.reports[job.mesh.path].plan = plan.to_dict()
-        if order is None or order.order is None or not order.announced:
-            self.announce(job.mesh.path, plan)
-        if order is None:
-            # What is measured is what the file shows.
-            options |= {**self._importance(job), "seams": seams, "progress": progress, "measure": False}
-            return warpqem.simplify(job.frames, job.faces, sink=sink, share=self.share, **options, **goal)
-        order.announced = True
-        placed = self._order(job, progress, seams, order)
-        return placed.level(int(goal["target_faces"] or 0), sink=sink, share=self.share, progress=progress)
-
-    def _core_options(self, job: MeshJob) -> dict[str, Any]:
-        """Options of the core that say how a mesh is simplified."""
-        return {
-            **self.options.method(),
-            "motion": self.options.motion,
-            "attributes": weighted_fields(job.source, self.options.texture_weight, self.options.attribute_weights),
-        }
-
-    def _shares_order(self, job: MeshJob) -> bool:
-        """True if levels of a mesh come from one ordering."""
-        pulled_back = self.options.pose_independent and self._skin_poses(job) is not None
-        return not (pulled_back or self._limits(job) or self._mirror(job) is not None)
-
-    def _order(
-        self, job: MeshJob, progress: Progress, seams: npt.NDArray[np.int32], shared: SharedOrder
-    ) -> warpqem.LevelOrder:
-        """The ordering that levels of a mesh share, made when it is first asked for."""
-        if shared.order is None:
-            shared.order = warpqem.order_levels(
-                job.frames,
-                job.faces,
-                target_faces=shared.least(len(job.mesh.faces)),
-                keep_frames=False,
-                max_size_error=self.options.size_limit,
-                seams=seams,
-                progress=progress,
-                **self._core_options(job),
-                **self._importance(job),
-            )
-        return shared.order
-
-    def _mirror(self, job: MeshJob) -> Mirror | None:
-        """How a mesh that is to stay symmetric maps to itself; None for one that is not."""
-        if self.options.symmetry is None:
-            return None
-        report, faces = self.reports[job.mesh.path], job.faces[is_proper(job.faces)]
-        try:
-            mirror = find_mirror(job.frames.read(slice(0, 1))[0], faces, self.options.symmetry)
-        except OptionError as error:
-            report.symmetry = str(error)
-            return None
-        report.symmetry = "kept"
-        return mirror
-
-    def _importance(self, job: MeshJob) -> dict[str, Any]:
-        """Options of the core that say what matters on a mesh."""
-        painted = painted_options(job, self.options.weight_primvar, self.options.weight_scales)
-        scale = morph_scale(job, self.options.morph_weights, self._examples_of(job.source))
-        if scale is not None:
-            painted["quadric_scale"] = scale * painted.get("quadric_scale", np.ones_like(scale))
-        return {
-            **painted,
-            **self._face(job),
-        }
-
-    def _face(self, job: MeshJob) -> dict[str, Any]:
-        """How the feature points of a mesh are kept, found once for each mesh; nothing for other cost models."""
-        if not cost_model(self.options.metric).keeps_face:
-            return {}
-        path = job.mesh.path
-        if path not in self.faces:
-            given = FacePoints() if self.face_points is None or self.face_points.prim != path else self.face_points
-            self.faces[path] = face_protection(job, self.options, given)
-        return {"face": self.faces[path]}
-
-    def _as_far_as_it_goes(
-        self,
-        job: MeshJob,
-        progress: Progress,
-        seams: npt.NDArray[np.int32],
-        sink: warpqem.FrameSink,
-        target_faces: int,
-        order: SharedOrder | None = None,
-        *,
-        limited: bool = True,
-    ) -> warpqem.SimplifiedMesh:
-        """Simplify to a face count, or to the limits or the last legal collapse before it."""
-        limits = self._limits(job) if limited else {}
-        try:
-            return self._call_core(job, progress, seams, sink, order, target_faces=target_faces, **limits)
-        except UnreachableTargetError as error:
-            if error.result is None:
-                raise
-            return error.result
-
     def try_out(
         self, prim: Usd.Prim, progress: Progress, shared: SharedOrder, least: int
     ) -> tuple[MeshJob, warpqem.SimplifiedMesh | warpqem.LevelOrder | None]:
@@ -342,11 +198,7 @@ class Run:
         job = self._prepare(prim, shared)
         if len(job.mesh.faces) <= least:
             return job, None
-        seams = job.seams.hold()
-        if self._shares_order(job):
-            return job, self._order(job, progress, seams, shared)
-        shared.job = None
-        return job, self._as_far_as_it_goes(job, progress, seams, NoFrames(), least, limited=False)
+        return job, self.core.try_out(job, progress, shared, least)
 
     def simplify_to(
         self,
@@ -398,14 +250,16 @@ class Run:
         if target_faces is not None and target_faces >= face_count:
             report.status, report.message = "kept", "the mesh has no more faces than asked for"
             return
-        fitter = self._fitter(job, report)
+        fitter = self.core.fitter(job)
         samples = self.layer.point_samples(job.mesh.path, job.written_times)
         try:
             with usd_errors_named(job.mesh.path):
-                result = self._result(job, progress, fitter or samples, target_faces, shared)
+                result = self.core.simplify(job, progress, fitter or samples, target_faces, shared)
             report.stopped = result.stopped
             if len(result.log) or len(result.faces) < face_count:
-                self._write(job, samples, fitter, result, report)
+                self.step = "writing the simplified mesh"
+                done = MeshResult(job, result, samples, fitter, self.core.face(job))
+                done.write(self.layer, report, self.options)
                 report.dropped += job.seams.let_go(job.faces, result.face_map)
                 return
             report.status, report.message = "kept", f"nothing could be removed ({report.stopped})"
@@ -415,119 +269,3 @@ class Run:
             samples.discard()
             raise
         samples.discard()
-
-    def _skin_poses(self, job: MeshJob) -> SkinPoses | None:
-        """The poses of a mesh with a linear skin; None for other meshes."""
-        examples = self._examples_of(job.source)
-        poses = examples or job.source
-        if job.skin is None or not job.skin.influences or why_not_fitted(job.skin, poses) is not None:
-            return None
-        return SkinPoses(job, poses, poses.frame_times(self.options.frames if examples is None else None))
-
-    def _fitter(self, job: MeshJob, report: PrimReport) -> SkinFitter | None:
-        """What fits the skin of a mesh; None if it has none, or it is to be interpolated."""
-        if job.skin is None or not job.skin.influences:
-            return None
-        wanted = self.options.skin_fit and not self.options.pose_independent
-        poses = self._skin_poses(job) if wanted else None
-        if poses is not None:
-            report.skin = "fitted"
-            return SkinFitter(poses)
-        reason = why_not_fitted(job.skin, self._examples_of(job.source) or job.source) if wanted else "as asked for"
-        report.skin = f"interpolated: {reason}"
-        return None
-
-    def _result(
-        self,
-        job: MeshJob,
-        progress: Progress,
-        taker: PointSamples | SkinFitter,
-        target_faces: int | None,
-        shared: SharedOrder | None,
-    ) -> warpqem.SimplifiedMesh:
-        """The simplified mesh; ``taker`` gets its points in the poses."""
-        sink: warpqem.FrameSink
-        if isinstance(taker, SkinFitter):
-            sink = taker
-        else:
-            # Of a mesh with a skin the rest shape alone is written; it is the first frame.
-            sink = NoFrames() if job.skin is not None else LaterFrames(taker, job.pose_start)
-        seams = job.seams.hold()
-        if target_faces is None:
-            result = self._call_core(job, progress, seams, sink, **self._limits(job))
-        elif self.options.strict:
-            result = self._call_core(job, progress, seams, sink, shared, target_faces=target_faces, **self._limits(job))
-        else:
-            result = self._as_far_as_it_goes(job, progress, seams, sink, target_faces, shared)
-        return result
-
-    def _limits(self, job: MeshJob) -> dict[str, float]:
-        """How far the result of a mesh may be from the input, as options of the core."""
-        limits: dict[str, float] = {}
-        if self.options.max_error is not None:
-            limits["max_error"] = self.options.max_error
-        lengths = []
-        if self.options.screen is not None:
-            lengths.append(self.options.screen.length)
-        if self.options.max_distance is not None:
-            lengths.append(parse_length(self.options.max_distance, UsdGeom.GetStageMetersPerUnit(self.stage)))
-        if not lengths:
-            return limits
-        length = min(lengths) / job.mesh.world_scale
-        if not self.options.pose_independent:
-            return {**limits, "max_distance": length}
-        # The errors of pulled back quadrics are parts of the diagonal.
-        return {"max_error": min(100.0 * length / _diagonal(job), limits.get("max_error", np.inf))}
-
-    def _write(
-        self,
-        job: MeshJob,
-        samples: PointSamples,
-        fitter: SkinFitter | None,
-        result: warpqem.SimplifiedMesh,
-        report: PrimReport,
-    ) -> None:
-        self.step = "writing the simplified mesh"
-        carrier = job.carrier(result, self.options.device)
-        protection = self._face(job).get("face")
-        carrier.feature_points = points_on_level(job, protection, result.vertex_map)
-        skin = job.skin
-        if skin is not None:
-            rest = job.rest_shape(result)
-            if fitter is not None:
-                try:
-                    fitted = fitter.fit(result, carrier, self.options.refits, self.options.device)
-                    skin, rest = replace(skin, fitted=fitted.influences), fitted.rest_points[None]
-                except MeshShapeError as error:
-                    # What UsdSkel makes of the skin is not what its arrays say.
-                    report.skin = f"interpolated: {error}"
-            samples.begin(1, result.points.shape[1], result.faces)
-            samples.write(slice(0, 1), rest)
-        report.dropped = self.layer.replace_mesh(job.mesh.path, samples, job.written_times, result.faces, carrier, skin)
-        mesh = UsdGeom.Mesh(self.layer.stage.GetPrimAtPath(job.mesh.path))
-        write_feature_points(mesh, carrier.feature_points, create=protection is not None)
-        if job.unskinned_because is not None:
-            report.dropped = [
-                f"{name} ({job.unskinned_because})" if name.startswith("skin binding") else name
-                for name in report.dropped
-            ]
-        if self.options.bake:
-            # What was asked for is no loss.
-            report.dropped = [name for name in report.dropped if not name.startswith("skin binding")]
-        unused = job.source.point_count - len(job.mesh.used_points)
-        if unused:
-            report.dropped.append(f"{unused} point{'s' if unused > 1 else ''} that no face uses")
-        if result.components_removed:
-            report.dropped.append(f"{result.components_removed} small components of the surface")
-        report.components_removed = result.components_removed
-        report.faces_after = len(result.faces)
-        report.vertices_after = result.points.shape[1]
-        report.estimate = float(result.error)
-        if self.options.measure:
-            measure_written(job, self.layer.stage, report, self.options.device)
-
-
-def _diagonal(job: MeshJob) -> float:
-    """Largest bounding-box diagonal of a frame, in local units."""
-    blocks = read_ahead(job.frames.read, frame_blocks(job.frames.frame_count, job.frames.vertex_count))
-    return max(float(np.linalg.norm(np.ptp(points.astype(np.float64), axis=1), axis=1).max()) for _, points in blocks)
