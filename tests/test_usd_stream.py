@@ -70,8 +70,8 @@ def in_small_blocks(monkeypatch):
         monkeypatch.setattr("warpqem.usd.job.KEPT_BYTES", 0)
         monkeypatch.setattr("warpqem.frame_blocks.BLOCK_BYTES", 1)
         monkeypatch.setattr("warpqem.memory.BLOCK_BYTES", 1)
-        monkeypatch.setattr("warpqem.usd.write.UNSAVED_BYTES", 1)
-        monkeypatch.setattr("warpqem.usd.write.TABLE_SHARE", 0)
+        monkeypatch.setattr("warpqem.usd.sample_saver.UNSAVED_BYTES", 1)
+        monkeypatch.setattr("warpqem.usd.sample_saver.TABLE_SHARE", 0)
 
     return shrink
 

@@ -15,9 +15,11 @@ import warpqem
 from warpqem.errors import OptionError, StageError
 from warpqem.usd.carrier import Carrier
 from warpqem.usd.job import MeshJob, ReadOptions
+from warpqem.usd.layer_files import check_output_path
 from warpqem.usd.mesh import MeshSource
 from warpqem.usd.skel import StagePoses
-from warpqem.usd.write import OverLayer, check_output_path, copy_stage_metadata
+from warpqem.usd.stage_views import copy_stage_metadata
+from warpqem.usd.write import OverLayer
 
 CLOTH = "/Root/Cloth"
 BODY = "/Char/Body"

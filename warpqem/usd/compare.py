@@ -17,6 +17,7 @@ from warpqem.outputs import OutputFile, named_outputs
 from warpqem.usd.compare_runs import VaryingMesh, combine, pair_runs, run_colors
 from warpqem.usd.frames import FrameRange
 from warpqem.usd.input_files import check_stage_outputs
+from warpqem.usd.layer_files import check_output_path
 from warpqem.usd.level_stages import level_stages
 from warpqem.usd.mesh import MeshSource, StageMesh
 from warpqem.usd.report import name_prim
@@ -25,7 +26,7 @@ from warpqem.usd.stage import find_meshes, open_stage
 from warpqem.usd.surface_values import compare_as_posed, surface_values
 from warpqem.usd.variants import select_variants
 from warpqem.usd.visibility import seen_frames
-from warpqem.usd.write import OverLayer, check_output_path
+from warpqem.usd.write import OverLayer
 
 __all__ = ["CompareOptions", "PairReport", "compare_stages"]
 

@@ -21,9 +21,10 @@ from warpqem.usd.face_output import write_blend_shapes, write_samples
 from warpqem.usd.face_points import FacePoints, face_axes, largest_mesh
 from warpqem.usd.frames import FrameRange
 from warpqem.usd.input_files import check_stage_outputs
+from warpqem.usd.layer_files import check_output_path, export_layer
 from warpqem.usd.skel import StagePoses
 from warpqem.usd.stage import find_meshes, open_stage
-from warpqem.usd.write import check_output_path, copy_stage_metadata, export_layer
+from warpqem.usd.stage_views import copy_stage_metadata
 
 __all__ = ["FaceOptions", "StageFace", "check_face_outputs", "draw_face", "read_face", "retarget_file", "write_points"]
 

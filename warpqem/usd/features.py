@@ -16,11 +16,12 @@ from warpqem.motion import MotionWeighting
 from warpqem.outputs import OutputFile
 from warpqem.usd.frames import FrameRange
 from warpqem.usd.input_files import check_stage_outputs
+from warpqem.usd.layer_files import check_output_path
 from warpqem.usd.mesh import MeshSource, PoseFrames
 from warpqem.usd.report import name_prim
 from warpqem.usd.skel import StagePoses
 from warpqem.usd.stage import find_meshes, open_stage
-from warpqem.usd.write import OverLayer, check_output_path
+from warpqem.usd.write import OverLayer
 
 __all__ = ["FeatureReport", "color_features", "feature_colors"]
 

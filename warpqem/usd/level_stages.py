@@ -11,7 +11,7 @@ from warpqem.errors import OptionError
 from warpqem.usd.lods import VARIANT_SET
 from warpqem.usd.output_names import LEVEL_NAME
 from warpqem.usd.stage import open_stage
-from warpqem.usd.write import copy_stage_metadata
+from warpqem.usd.stage_views import copy_stage_metadata
 
 __all__ = ["level_names", "level_root", "level_stages"]
 

@@ -12,14 +12,16 @@ from pxr import Sdf, Usd
 
 from warpqem.errors import OptionError, StageError
 from warpqem.outputs import OutputFile
+from warpqem.usd.asset_paths import move_asset_paths, relative_path
 from warpqem.usd.field_order import with_fields_in_order
+from warpqem.usd.layer_files import export_layer
 from warpqem.usd.lod_targets import OutsideTargets
 from warpqem.usd.output_names import LEVEL_NAME, level_file
 from warpqem.usd.package import is_package, write_package_with_layers
 from warpqem.usd.report import PrimReport
 from warpqem.usd.stage import MeshSelection
-from warpqem.usd.stage_views import layer_name, unopened
-from warpqem.usd.write import OverLayer, copy_stage_metadata, export_layer, move_asset_paths, relative_path
+from warpqem.usd.stage_views import copy_stage_metadata, layer_name, unopened
+from warpqem.usd.write import OverLayer
 
 __all__ = ["FileLevels", "LevelLayer", "LevelReport", "VariantLevels", "define_root"]
 

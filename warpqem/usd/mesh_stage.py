@@ -17,10 +17,11 @@ from warpqem.mesh_files.reading import has_shared_points, read_mesh_file
 from warpqem.mesh_files.sequence import MeshSequence, Progress, scan
 from warpqem.mesh_files.writing import SurfaceValues, write_frames
 from warpqem.usd.collect import Collection
+from warpqem.usd.layer_files import check_output_path, export_layer
 from warpqem.usd.package import is_package, write_package
 from warpqem.usd.point_samples import PointSamples
+from warpqem.usd.sample_saver import SampleSaver
 from warpqem.usd.usd_errors import first_line
-from warpqem.usd.write import SAMPLE_ENTRY_BYTES, TABLE_SHARE, UNSAVED_BYTES, check_output_path, export_layer
 
 __all__ = ["export_meshes", "mesh_numbers", "save_stage", "write_mesh_stage"]
 
@@ -52,7 +53,7 @@ def write_mesh_stage(files: Sequence[str], path: Path, fps: float, progress: Pro
         raise StageError(f"{path}: cannot be written ({first_line(error)})") from error
     first = read_mesh_file(files[0])
     mesh = _define_mesh(stage, _prim_name(files[0]), fps, frame_numbers(files))
-    samples = PointSamples(mesh, _times(frame_numbers(files)), _Saver(stage.GetRootLayer()))
+    samples = PointSamples(mesh, _times(frame_numbers(files)), SampleSaver(stage.GetRootLayer()))
 
     def write(frame: int, points: npt.NDArray[np.floating]) -> None:
         samples.write(slice(frame, frame + 1), points[None].astype(np.float32))
@@ -216,20 +217,3 @@ def _per_corner(primvar: UsdGeom.Primvar, faces: npt.NDArray[np.int32]) -> npt.N
     if kind == UsdGeom.Tokens.constant:
         return np.broadcast_to(values[0], (*faces.shape, values.shape[1]))
     return values[faces]
-
-
-class _Saver:
-    """Saves a layer on disk now and then: what is saved is let go of by USD."""
-
-    def __init__(self, layer: Sdf.Layer) -> None:
-        self._layer, self._unsaved, self._samples = layer, 0, 0
-
-    def __call__(self, size: int) -> None:
-        """A sample of so many bytes was authored."""
-        self._unsaved += size
-        self._samples += 1
-        # Each time the table of all samples is written again, so that it must not become most of what is written.
-        if self._unsaved >= max(UNSAVED_BYTES, TABLE_SHARE * SAMPLE_ENTRY_BYTES * self._samples):
-            self._unsaved = 0
-            if not self._layer.Save():
-                raise StageError(f"{self._layer.realPath}: USD cannot write it")

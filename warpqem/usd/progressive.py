@@ -20,12 +20,12 @@ from warpqem.progressive.stage_notes import StageNotes
 from warpqem.usd.byte_check import MOST_NESTED
 from warpqem.usd.input_files import check_stage_outputs
 from warpqem.usd.job import MeshJob, ReadOptions
+from warpqem.usd.layer_files import check_output_path, export_layer
 from warpqem.usd.mesh import MeshSource
 from warpqem.usd.progressive_options import NOT_TO_BUILD, BuildOptions, LevelChoice
 from warpqem.usd.skel import StagePoses
 from warpqem.usd.stage import find_meshes, open_stage
 from warpqem.usd.usd_errors import usd_errors_named
-from warpqem.usd.write import check_output_path, export_layer
 
 __all__ = ["BuildOptions", "LevelChoice", "build_file", "extract_level"]
 

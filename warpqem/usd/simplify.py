@@ -18,6 +18,7 @@ from warpqem.outputs import InputFile, OutputFile
 from warpqem.sharing import FrameShare
 from warpqem.usd.context import Announce, Context, Progress, SharedOrder
 from warpqem.usd.input_files import check_stage_outputs
+from warpqem.usd.layer_files import check_output_path
 from warpqem.usd.layer_output import check_output_layer
 from warpqem.usd.lods import FileLevels, LevelLayer, LevelReport, VariantLevels
 from warpqem.usd.output_names import output_files
@@ -29,7 +30,6 @@ from warpqem.usd.simplify_options import SimplifyOptions
 from warpqem.usd.stage import find_meshes, open_input, open_stage
 from warpqem.usd.usd_errors import usd_errors_named
 from warpqem.usd.usd_lod import UsdLodLevels
-from warpqem.usd.write import check_output_path
 
 __all__ = ["simplify_stage"]
 

@@ -14,13 +14,13 @@ from warpqem.mesh_files.writing import check_mesh_output
 from warpqem.outputs import InputFile, OutputFile, check_outputs
 from warpqem.temporary import remove_path, temporary_path
 from warpqem.usd.context import Announce, Progress
+from warpqem.usd.layer_files import check_output_path
 from warpqem.usd.mesh_stage import export_meshes, mesh_numbers, write_mesh_stage
 from warpqem.usd.output_names import output_files
 from warpqem.usd.package import is_package
 from warpqem.usd.report import StageReport
 from warpqem.usd.simplify import simplify_stage
 from warpqem.usd.simplify_options import SimplifyOptions
-from warpqem.usd.write import check_output_path
 
 __all__ = ["DEFAULT_FPS", "simplify_mesh_files"]
 

@@ -4,12 +4,28 @@ from __future__ import annotations
 
 import os
 
-from pxr import Ar, Sdf, Usd
+from pxr import Ar, Sdf, Tf, Usd
 
-__all__ = ["is_as_on_disk", "layer_name", "open_like", "private_view", "unopened", "without_edits"]
+from warpqem.errors import StageError
+from warpqem.usd.arrays import anchored
+from warpqem.usd.usd_errors import first_line
+
+__all__ = [
+    "copy_stage_metadata",
+    "is_as_on_disk",
+    "layer_name",
+    "open_like",
+    "private_view",
+    "unopened",
+    "without_edits",
+]
 
 # What a session layer holds of prims; the rest of its pseudo-root is metadata of the stage.
 PRIMS = frozenset({"primChildren", "subLayers", "subLayerOffsets"})
+
+# Metadata of a stage's root layer that belongs to that layer alone: its own sublayers and its own relocates compose
+# through it already.
+LAYER_ONLY_METADATA = frozenset({"subLayers", "subLayerOffsets", "primChildren", "layerRelocates", "hasOwnedSubLayers"})
 
 
 def open_like(
@@ -86,3 +102,15 @@ def _copy_metadata(source: Sdf.Layer, target: Sdf.Layer) -> None:
 def layer_name(layer: Sdf.Layer) -> str:
     """What other layers call a layer: its file, or its identifier where a resolver has it from elsewhere."""
     return layer.realPath if os.path.isabs(layer.realPath) else layer.identifier
+
+
+def copy_stage_metadata(source: Sdf.Layer, target: Sdf.Layer) -> None:
+    """Give a layer the stage metadata of another, but for what that layer composes by itself."""
+    # The keys come in the order of addresses in memory. Sorted, a crate file has the same bytes on every run.
+    for key in sorted(source.pseudoRoot.ListInfoKeys()):
+        if key not in LAYER_ONLY_METADATA:
+            value = source.pseudoRoot.GetInfo(key)
+            try:
+                target.pseudoRoot.SetInfo(key, anchored(value, source) if isinstance(value, Sdf.AssetPath) else value)
+            except (TypeError, Tf.ErrorException) as error:
+                raise StageError(f"{source.realPath}: the metadata {key!r} is damaged ({first_line(error)})") from error

@@ -23,8 +23,7 @@ from warpqem.errors import StageError
 from warpqem.temporary import temporary_path
 from warpqem.usd.arrays import anchored
 from warpqem.usd.frames import FrameRange
-from warpqem.usd.stage_views import open_like
-from warpqem.usd.write import copy_stage_metadata
+from warpqem.usd.stage_views import copy_stage_metadata, open_like
 
 __all__ = ["TOPOLOGY", "TopologyRun", "choose_runs", "describe_runs", "find_runs", "held_value", "open_run"]
 
