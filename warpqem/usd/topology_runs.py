@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import math
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,14 +23,13 @@ from warpqem.errors import StageError
 from warpqem.temporary import temporary_path
 from warpqem.usd.arrays import anchored
 from warpqem.usd.frames import FrameRange
+from warpqem.usd.sample_saver import SampleSaver
 from warpqem.usd.stage_views import copy_stage_metadata, open_like
 
 __all__ = ["TOPOLOGY", "TopologyRun", "choose_runs", "describe_runs", "find_runs", "held_value", "open_run"]
 
 # Attributes that make up the topology, which a run has one value of.
 TOPOLOGY = ("faceVertexCounts", "faceVertexIndices", "holeIndices")
-# Samples are written to the file of a run when so many bytes of them are in memory.
-UNSAVED_BYTES = 8 * 2**20
 
 
 @dataclass(frozen=True)
@@ -211,25 +210,23 @@ def open_run(prim: Usd.Prim, run: TopologyRun, folder: Path | None = None) -> It
     """
     # A prim does not keep its stage alive.
     if folder is None:
-        stage = _run_stage(prim, run, Sdf.Layer.CreateAnonymous("run.usda"), lambda: None)
+        stage = _run_stage(prim, run, Sdf.Layer.CreateAnonymous("run.usda"))
         yield stage.GetPrimAtPath(prim.GetPath())
         return
     file = temporary_path(folder, ".usdc")
     try:
-        layer = Sdf.Layer.CreateNew(os.fspath(file))
-        stage = _run_stage(prim, run, layer, layer.Save)
+        stage = _run_stage(prim, run, Sdf.Layer.CreateNew(os.fspath(file)))
         yield stage.GetPrimAtPath(prim.GetPath())
     finally:
         file.unlink(missing_ok=True)
 
 
-def _run_stage(prim: Usd.Prim, run: TopologyRun, layer: Sdf.Layer, save: Callable[[], Any]) -> Usd.Stage:
+def _run_stage(prim: Usd.Prim, run: TopologyRun, layer: Sdf.Layer) -> Usd.Stage:
     stage = prim.GetStage()
     root = stage.GetRootLayer()
     copy_stage_metadata(root, layer)
     layer.subLayerPaths.append(root.realPath or root.identifier)
-    _SampleWriter(prim, run, layer, save).write()
-    save()
+    _SampleWriter(prim, run, layer).write()
     mask = Usd.StagePopulationMask([prim.GetPath()])
     return open_like(stage, layer, stage.GetSessionLayer(), mask)
 
@@ -237,9 +234,9 @@ def _run_stage(prim: Usd.Prim, run: TopologyRun, layer: Sdf.Layer, save: Callabl
 class _SampleWriter:
     """Writes the values of a mesh in one run into a layer over the input."""
 
-    def __init__(self, prim: Usd.Prim, run: TopologyRun, layer: Sdf.Layer, save: Callable[[], Any]) -> None:
-        self._prim, self._run, self._layer, self._save = prim, run, layer, save
-        self._unsaved = 0
+    def __init__(self, prim: Usd.Prim, run: TopologyRun, layer: Sdf.Layer) -> None:
+        self._prim, self._run, self._layer = prim, run, layer
+        self._saver = SampleSaver(layer)
 
     def write(self) -> None:
         """Write topology and points, and whatever else has samples; the rest shows through from the input."""
@@ -253,6 +250,7 @@ class _SampleWriter:
                 self._write_points(attribute)
             else:
                 self._write_samples(attribute, first)
+        self._saver.save()
 
     def _write_points(self, attribute: Usd.Attribute) -> None:
         own = [time for time in attribute.GetTimeSamples() if self._run.shows(time)]
@@ -287,10 +285,7 @@ class _SampleWriter:
             spec.default = value
         else:
             self._layer.SetTimeSample(path, time, value)
-        self._unsaved += len(value) * 12 if hasattr(value, "__len__") else 0
-        if self._unsaved >= UNSAVED_BYTES:
-            self._unsaved = 0
-            self._save()
+        self._saver(12 * len(value) if hasattr(value, "__len__") else 0)
 
 
 def _anchored(attribute: Usd.Attribute, time: float | None, value: Any) -> Any:
