@@ -131,6 +131,7 @@ def batch(
     from warpqem.batching.run import batch as run_batch
     from warpqem.batching.state import JOURNAL_NAME
     from warpqem.cli.batch_display import BatchDisplay, dry_run_table, summary_table
+    from warpqem.cli.batch_losses import loss_lines
     from warpqem.outputs import InputFile, named_outputs
     from warpqem.report.page import check_page_path
 
@@ -166,6 +167,8 @@ def batch(
                 write(result)
                 if not result.ok:
                     tell("error", f"{result.error}: {result.message}")
+                for kind, text in loss_lines(result):
+                    tell(kind, text)
         except KeyboardInterrupt:
             interrupted = True
         finally:
