@@ -71,7 +71,7 @@ class MethodOptions:
     """How a mesh is simplified, wherever it comes from.
 
     Attributes:
-        ratio: share of the faces to keep, in (0, 1].
+        ratio: share of the faces to keep, in (0, 1], to the nearest whole number.
         max_error: the largest distance between the input and the result, both ways, at every point and in every frame,
             in % of the diagonal of the input's bounding box in that frame. It is proved, not sampled
             (:mod:`warpqem.kernels.distance_bound`), for the result as it is returned; single spots are held back where
@@ -312,7 +312,10 @@ def check_ratio(ratio: Any) -> float:
 
 
 def target_count(ratio: float, face_count: int) -> int:
-    """The faces that a part of them is."""
+    """The faces that a part of them is, to the nearest whole number: of 72 faces 0.3 are 22.
+
+    Everywhere it is a part of the faces that the caller gave, with those that repeat others.
+    """
     return max(1, round(ratio * face_count))
 
 

@@ -18,6 +18,7 @@ from warpqem.usd.asset_paths import move_asset_paths, name_from
 from warpqem.usd.carrier import Carrier
 from warpqem.usd.drop import Dropped, drop_skin, drop_subdivision
 from warpqem.usd.flatten import flattened, write_flat
+from warpqem.usd.hard_edges import write_hard_edged_normals
 from warpqem.usd.inheritors import keep_heirs
 from warpqem.usd.instances import end_instancing, move_to_classes
 from warpqem.usd.layer_files import export_layer
@@ -142,10 +143,17 @@ class OverLayer:
         """
         mesh = UsdGeom.Mesh(self.stage.OverridePrim(path))
         dropped = self._carry_values(mesh, carrier, times, skin, with_normals=not samples.smooth)
+        shaded = samples.creased or dropped.rest_normals
+        if shaded:
+            # They hide what was blocked, and are to be in a flat file.
+            normals = mesh.GetNormalsAttr().GetPath()
+            dropped.blocked = [path for path in dropped.blocked if path != normals]
         counts = np.full(len(faces), 3, dtype=np.int32)
         mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(counts))
         mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(np.ascontiguousarray(faces.reshape(-1))))
         mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+        if shaded:
+            write_hard_edged_normals(mesh, faces, carrier.hard_edges(), times, self.count_sample)
         return dropped.names
 
     def _carry_values(
