@@ -18,7 +18,8 @@ from warpqem.device import device_turn
 from warpqem.distance_limit import DistanceLimit
 from warpqem.errors import OptionError
 from warpqem.frame_stream import ArraySink, FrameSink, NoFrames, SharedFrames, counted_frames
-from warpqem.measure.bound import DistanceBound, Excess, UnitBlock, UnitFrames
+from warpqem.measure.bound import DistanceBound, Excess
+from warpqem.measure.unit_frames import UnitBlock, UnitFrames
 from warpqem.mesh_input import AnimatedMesh, MeshInput
 from warpqem.order.cut import CollapseForest, Cut
 from warpqem.order.levels import OrderedLevels

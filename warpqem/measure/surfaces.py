@@ -13,7 +13,7 @@ import warp as wp
 
 from warpqem.errors import DegenerateMeshError
 from warpqem.kernels import surface_distance as kernels
-from warpqem.kernels.distance_bound import HINTS, Surface
+from warpqem.kernels.near_faces import HINTS, Surface
 from warpqem.launches import launch
 from warpqem.measure.per_frame import FrameErrors
 from warpqem.parallel import launch_parts, run_parts, split_range, thread_count
