@@ -231,7 +231,7 @@ def bound_piece(
                 for k in range(9):
                     waiting[count + part, k] = parts[part, k]
             count += part_count
-        if outcome.verdict == BEYOND or outcome.verdict == UNDECIDED:  # noqa: SIM109
+        if outcome.verdict == BEYOND or outcome.verdict == UNDECIDED:
             count = 0
     return outcome
 
@@ -281,7 +281,6 @@ def bound_pieces(
     limit: wp.float64,
     searching: wp.bool,
     pieces: Pieces,
-    chosen: wp.array[wp.int32],
     frame: wp.array[wp.int32],
     first: wp.int32,
     # in and out
@@ -290,26 +289,25 @@ def bound_pieces(
     pieces_out: Pieces,
     verdict_out: wp.array[wp.int32],
 ):
-    """The same for pieces, ``chosen`` (n,), in the frames (n,), starting at the faces that they were within before.
+    """The same for pieces (n,) in the frames (n,), starting at the faces that they were within before.
 
     Points are (F, V) and (F, W); a search needs all frames to be that of ``other_in``.
     """
     i = first + wp.tid()
-    index = chosen[i]
     own = own_in
     other = other_in
     own.points = own_points[frame[i]]
     other.points = other_points[frame[i]]
-    owner = pieces.owner[index]
+    owner = pieces.owner[i]
     a = corner_point(own, owner, 0)
     ab = corner_point(own, owner, 1) - a
     ac = corner_point(own, owner, 2) - a
     corners = Corners()
     for k in range(3):
-        corners[k] = a + wp.float64(pieces.weight[index, k, 0]) * ab + wp.float64(pieces.weight[index, k, 1]) * ac
+        corners[k] = a + wp.float64(pieces.weight[i, k, 0]) * ab + wp.float64(pieces.weight[i, k, 1]) * ac
     hints = Faces()
     for k in range(HINTS):
         hints[k] = -1
-    hints[0] = pieces.face[index]
+    hints[0] = pieces.face[i]
     outcome = bound_piece(corners, own, other, limit, hints, searching, i, owner, used, pieces_out)
     verdict_out[i] = outcome.verdict

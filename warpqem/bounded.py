@@ -8,6 +8,7 @@ the largest error there is left out, and the next cut is bounded where it differ
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -32,18 +33,28 @@ from warpqem.result import Delivery, Outcome, SimplifiedMesh, finish, in_input_t
 
 __all__ = ["BoundSink", "ExceededError", "simplify_within"]
 
-# Errors of collapses are means over frames and faces; the largest distance is so many times as large or more.
-# The first level is where the limit is this many times the error; where few faces are too far, the next is tried.
+# Errors of collapses are means over frames and faces; the largest distance is so many times as large or more. The first
+# level is where the limit is this many times the error; where few faces are too far, the next is tried. The further the
+# first level goes, the fewer faces the search ends with, as each spot goes back as far as it needs, and the longer that
+# takes.
 DISTANCE_PER_ERROR = (3.0, 2.0, 1.5)
-# So few, as a part of the input's faces.
+# So few, as a part of the faces looked at: of so many one, in so many frames, far apart in pose.
 FEW = 0.005
+SAMPLED_FACES = 8
+SAMPLED_FRAMES = 8
 # Errors below may be those of single precision, which on flat parts are all there is: they hold nothing back.
 NO_ERROR = 1.0e-4
 # Where the largest error of a collapse around is less than so many times below the limit, it is not the shape of fewer
 # faces that is too far, but vertices that follow the material: these are placed loosely.
 LOOSE_BELOW = 8.0
-# Frames that a level is bounded in first, far apart in pose: as many as are looked at together.
-FIRST_FRAMES = 8
+# Frames that a level is bounded in first, far apart in pose, where there are many more. Fewer take hardly less time, as
+# many are looked at at once, and their level needs more steps in the others.
+FIRST_FRAMES = 40
+MORE_FRAMES = 5
+# Where so small a part of the faces is too far, that is left to the stage with more frames, and in the last one spots
+# go back by so many collapses at once, as each step costs as much as ten of these.
+VERY_FEW = 0.002
+MOST_GENERATIONS = 2
 # Frames of so many bytes are kept, so that of the next level only what has moved is placed.
 KEPT_BYTES = 16 * 2**20
 # A frame in which nobody sees the mesh is bounded as if it were so many times smaller: nothing in it is too far.
@@ -175,6 +186,9 @@ class _Block:
         self.reference = UnitBlock(own, units, work.device)
         self._points = np.empty(about.shape, dtype=np.float32)
 
+    def __len__(self) -> int:
+        return len(self._points)
+
     def place(self, placer: ClusterPlacer, kept: np.ndarray) -> None:
         """Place the clusters that go by some vertices."""
         self._points[:, kept] = placer.original_points(self._work.mesh, placer.place(self._work.mesh, self._about))
@@ -243,16 +257,20 @@ class _Search:
         left, mesh = 1.0 - ORDER_END, self._work.mesh
         loose = np.zeros(len(mesh.used), dtype=bool)
         starts = [max(self._limit / part, NO_ERROR) for part in DISTANCE_PER_ERROR]
-        choice, *coarser = [_Choice(self._forest.within(error), loose) for error in starts]
-        if self._refit or mesh.frame_count > 2 * FIRST_FRAMES:
-            choice, coarser = self._within(choice, self._first_block(), coarser), []
+        choice = self._first_choice([_Choice(self._forest.within(error), loose) for error in starts])
+        whole = not self._refit and 12 * mesh.frame_count * mesh.vertex_count <= KEPT_BYTES
+        counts = [FIRST_FRAMES]
+        while MORE_FRAMES * counts[-1] <= mesh.frame_count // 2:
+            counts.append(MORE_FRAMES * counts[-1])
+        blocks = (self._some_frames(count) for count in counts if not whole or 2 * count < mesh.frame_count)
         proved: np.ndarray | None = None
-        if not self._refit and 12 * mesh.frame_count * mesh.vertex_count <= KEPT_BYTES:
-            block = self._block(slice(0, mesh.frame_count))
-            choice = self._within(choice, block, coarser)
-            assert self._level is not None
-            proved = block.points(self._level)
-        elif self._bound is not None:
+        for block in itertools.chain(blocks, [self._block(slice(0, mesh.frame_count))] if whole else []):
+            is_last = whole and len(block) == mesh.frame_count
+            choice = self._within(choice, block, 0 if is_last else int(VERY_FEW * len(mesh.faces)))
+            if is_last:
+                assert self._level is not None
+                proved = block.points(self._level)
+        if not whole and self._bound is not None:
             self._bound.look_again()
         while True:
             level = self._level_of(choice)
@@ -271,7 +289,7 @@ class _Search:
                 self._bound_of(level).look_again()
                 continue
             for excess in sink.excess:
-                choice = self._finer(level, choice, excess)
+                choice = self._finer(level, choice, excess, 1)
 
     def place(self, choice: _Choice, delivery: Delivery, mesh: AnimatedMesh) -> SimplifiedMesh:
         """The result of a level, in the terms of the mesh as it is given."""
@@ -286,10 +304,11 @@ class _Search:
         settings = replace(self._work.place_settings, loose=level.choice.loose)
         return replace(self._work, place_settings=settings)
 
-    def _first_block(self) -> _Block:
+    def _some_frames(self, count: int) -> _Block:
         """Some frames, far apart in pose."""
         mesh, keys = self._work.mesh, self._work.key_frames
-        chosen = keys[np.unique(np.linspace(0, len(keys) - 1, FIRST_FRAMES).astype(int))]
+        chosen = keys if count <= len(keys) else np.arange(mesh.frame_count)
+        chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, count).astype(int))]
         own = np.concatenate([mesh.source.read(slice(frame, frame + 1)) for frame in chosen.tolist()])
         return _Block(self._work, mesh.chosen_points(chosen), own, self._frames.units(own, chosen))
 
@@ -298,33 +317,47 @@ class _Search:
         units = self._frames.units(own, np.arange(frames.start, frames.stop))
         return _Block(self._work, self._work.mesh.points(frames), own, units)
 
-    def _within(self, choice: _Choice, block: _Block, coarser: Sequence[_Choice]) -> _Choice:
-        """The level that holds in some frames, before it is refitted.
+    def _first_choice(self, choices: Sequence[_Choice]) -> _Choice:
+        """The first one in which more than few faces are too far, or the last one, as some of the faces show."""
+        block = self._some_frames(min(SAMPLED_FRAMES, self._work.mesh.frame_count))
+        before: _Level | None = None
+        for choice in choices[:-1]:
+            level = self._level_of(choice)
+            bound = self._bound_of(level)
+            self._place(level, before, block)
+            looked_at = bound.look_at_some(SAMPLED_FACES)
+            excess = bound.excess_of_blocks(0, block.reference, block.test(level))
+            if excess is not None and excess.face_count > FEW * looked_at:
+                return choice
+            before = level
+        return choices[-1]
 
-        ``coarser`` are tried in place of the first one, as long as few faces are too far.
-        """
-        next_choices = iter(coarser)
+    def _within(self, choice: _Choice, block: _Block, enough: int) -> _Choice:
+        """The level that holds in some frames, before it is refitted, but for so many faces."""
+        small = 0
+        # Levels before may have been placed in other frames.
         before: _Level | None = None
         if self._bound is not None:
             self._bound.look_again()
         while True:
             level = self._level_of(choice)
             bound = self._bound_of(level)
-            moved = level.kept if before is None else level.kept[~level.unmoved(before)[level.kept]]
-            if len(moved):
-                placer = self._placer_of(level, moved)
-                block.place(placer, moved)
+            self._place(level, before, block)
             excess = bound.excess_of_blocks(0, block.reference, block.test(level))
-            count = 0 if excess is None else len(excess.reference_faces) + len(excess.test_faces)
-            following = next(next_choices, None) if count <= FEW * len(self._work.mesh.faces) else None
-            if following is not None:
-                choice = following
-            elif excess is None:
+            if excess is None:
                 return choice
-            else:
-                next_choices = iter(())
-                choice = self._finer(level, choice, excess)
+            if excess.face_count <= VERY_FEW * len(self._work.mesh.faces):
+                small = min(small + 1, MOST_GENERATIONS)
+            choice = self._finer(level, choice, excess, small)
+            if excess.face_count <= enough:
+                return choice
             before = level
+
+    def _place(self, level: _Level, before: _Level | None, block: _Block) -> None:
+        """Place a level in some frames, in which another one was placed before."""
+        moved = level.kept if before is None else level.kept[~level.unmoved(before)[level.kept]]
+        if len(moved):
+            block.place(self._placer_of(level, moved), moved)
 
     def _placer_of(self, level: _Level, kept: np.ndarray) -> ClusterPlacer:
         """What places the clusters that go by some vertices."""
@@ -373,8 +406,8 @@ class _Search:
         self._bound, self._level = bound, level
         return bound
 
-    def _finer(self, level: _Level, choice: _Choice, excess: Excess) -> _Choice:
-        """A choice that is to come nearer around what is too far.
+    def _finer(self, level: _Level, choice: _Choice, excess: Excess, generations: int) -> _Choice:
+        """A choice that is to come nearer around what is too far, by so many generations of collapses.
 
         Raises:
             OptionError: there is none.
@@ -400,7 +433,8 @@ class _Search:
         loose = choice.loose.copy()
         loose[corners[loosen]] = True
         dropped = np.flatnonzero(level.choice.cut.dropped)[np.unique(lost)]
-        return _Choice(forest.without(choice.cut, np.unique(collapses[~loosen]), dropped), loose)
+        left_out = forest.with_parts(np.unique(collapses[~loosen]), generations - 1)
+        return _Choice(forest.without(choice.cut, left_out, dropped), loose)
 
 
 def simplify_within(work: Prepared, refit: bool, delivery: Delivery) -> SimplifiedMesh:

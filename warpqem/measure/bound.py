@@ -13,7 +13,7 @@ import warp as wp
 from warpqem.kernels import distance_bound as kernels
 from warpqem.launches import launch
 from warpqem.measure.bound_side import BoundSide
-from warpqem.measure.piece_proof import NO_ROOM, WITHIN, PieceArrays, PieceProof, run_writing
+from warpqem.measure.piece_proof import MORE_ROOM, NO_ROOM, WITHIN, PieceArrays, PieceProof, run_writing
 from warpqem.measure.unit_frames import UnitBlock, UnitFrames
 
 __all__ = ["DistanceBound", "Excess", "UnitFrames"]
@@ -22,13 +22,17 @@ __all__ = ["DistanceBound", "Excess", "UnitFrames"]
 # many more.
 PIECES_PER_FACE = 12
 MORE_PIECES = 4096
-# Where that is too little, so many times the room.
-MORE_ROOM = 4
+# A part of the frames, and at least so many, that are searched, the worst first, before faces are left undecided where
+# others do not hold.
+SEARCHED_PART = 0.1
+# Frames that are searched first: what fails in the worst ones is not looked at in the others.
+FIRST_SEARCHED = 3
+SEARCHED_FRAMES = 6
 
 
 @dataclass(frozen=True)
 class Excess:
-    """Faces that are not within the limit, in some frame.
+    """Faces that are not within the limit, in some frame; where there are any, others may be left undecided.
 
     Attributes:
         frame: one of these frames.
@@ -39,6 +43,11 @@ class Excess:
     frame: int
     reference_faces: npt.NDArray[np.int64]
     test_faces: npt.NDArray[np.int64]
+
+    @property
+    def face_count(self) -> int:
+        """How many they are."""
+        return len(self.reference_faces) + len(self.test_faces)
 
 
 class DistanceBound:
@@ -68,6 +77,7 @@ class DistanceBound:
         self._limit, self._device = float(limit), device
         self.reference = BoundSide(reference_faces, device, reference_hint)
         self.test = BoundSide(test_faces, device, test_hint)
+        self._unseen = False
 
     def excess(
         self,
@@ -99,6 +109,10 @@ class DistanceBound:
         self, first_frame: int, reference: UnitBlock, test: UnitBlock, enough: int | None = None
     ) -> Excess | None:
         """The same of frames at unit size."""
+        if self._unseen:
+            self._unseen = False
+            for side in self._sides:
+                side.undecided[:] = ~side.active
         first: int | None = None
         before = [side.failed.copy() for side in self._sides]
         most = np.inf if enough is None else enough
@@ -137,6 +151,7 @@ class DistanceBound:
             reference_hint: (N,) int32, a face of the new test mesh near each face of the reference.
         """
         new = copy.copy(self)
+        new._unseen = False
         across = self.reference.surface.across
         new.reference = BoundSide(self.reference.faces, self._device, reference_hint, across)
         new.test = BoundSide(test_faces, self._device, hint)
@@ -147,13 +162,26 @@ class DistanceBound:
         stays[old_face[kept & same]] = True
         new.reference.inherit(self.reference, np.arange(len(self.reference.faces)), number, stays)
         new.test.inherit(self.test, number, np.arange(len(self.reference.faces)), None)
-        new.test.active &= ~(same & new.test.recorded)
+        new.test.active |= ~same
         return new
 
     def look_again(self) -> None:
         """Take nothing as proved, as in frames that have not been seen."""
         for side in self._sides:
-            side.active[:], side.failed[:] = True, False
+            side.active[:], side.failed[:], side.undecided[:] = True, False, True
+        self._unseen = True
+
+    def look_at_some(self, step: int) -> int:
+        """Look at every so manieth face of both meshes only, until :meth:`look_again`.
+
+        Returns:
+            How many faces these are.
+        """
+        for side in self._sides:
+            side.active[:] = np.arange(len(side.faces)) % step == 0
+            side.failed[:], side.undecided[:] = False, True
+        self._unseen = True
+        return sum(int(side.active.sum()) for side in self._sides)
 
     @property
     def _sides(self) -> tuple[BoundSide, BoundSide]:
@@ -189,10 +217,18 @@ class DistanceBound:
         looked_at = own.active & ~own.failed
         pieces = own.pieces.chosen(looked_at[own.pieces.owner])
         proof = PieceProof(own, other, blocks[index], blocks[1 - index], self._limit, self._device)
-        rows, left = proof.unproved(pieces)
-        pieces, found = pieces.chosen(rows), None
-        # What fails in one frame mostly does in others, and then need not be searched for there.
+        rows, left = proof.apart_somewhere(pieces)
+        pieces, found, searched = pieces.chosen(rows), None, 0
         while left.any() and self._new(before) <= most:
+            if searched == FIRST_SEARCHED:
+                rows, left = proof.unproved(pieces, left)
+                pieces = pieces.chosen(rows)
+                if not len(rows):
+                    break
+            if searched >= max(SEARCHED_FRAMES, SEARCHED_PART * len(blocks[0])) and self._new(before):
+                own.undecided[pieces.owner] = True
+                break
+            searched += 1
             frame = proof.most_common(left)
             other.show(blocks[1 - index], frame, searched=True)
             beyond, left = proof.search(pieces, left, frame)
@@ -201,6 +237,7 @@ class DistanceBound:
                 own.failed[pieces.owner[beyond]] = True
             keep = left.any(axis=1) & ~own.failed[pieces.owner]
             pieces, left = pieces.chosen(keep), left[keep]
+        own.rely_on(proof.relied_on)
         return found
 
     def _verdicts(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 import warp as wp
@@ -53,6 +55,10 @@ class BoundSide:
         self.recorded = np.zeros(len(faces), dtype=bool)
         self.active = np.ones(len(faces), dtype=bool)
         self.failed = np.zeros(len(faces), dtype=bool)
+        # Faces that are not known to hold nor to fail.
+        self.undecided = np.zeros(len(faces), dtype=bool)
+        # Faces (n, 2), of this mesh and of the other one, that in some frame proves it beside those in the pieces.
+        self.relied_on = np.zeros((0, 2), dtype=np.int32)
 
     @property
     def unrecorded(self) -> npt.NDArray[np.int64]:
@@ -83,12 +89,27 @@ class BoundSide:
             pieces.weight[keep],
         )
         self.recorded[self.pieces.owner] = True
-        if stays is not None:
-            moved = np.zeros(len(old.faces), dtype=bool)
-            moved[pieces.owner[~stays[pieces.face]]] = True
-            self.active = ~(whole & ~moved)
+        proved = whole & ~old.undecided
+        if stays is None:
+            # No face of the other mesh has moved: those of this one decide.
+            self.active[owner[proved & (owner >= 0)]] = False
+            proved &= owner >= 0
+        else:
+            for own_face, other_face in ((pieces.owner, pieces.face), old.relied_on.T):
+                proved[own_face[~stays[other_face]]] = False
+            self.active = ~proved
+        relied_on = old.relied_on[proved[old.relied_on[:, 0]]]
+        self.relied_on = np.stack([owner[relied_on[:, 0]], face[relied_on[:, 1]]], axis=1).astype(np.int32)
         if self.faces is old.faces:
             self._mesh, self.surface.mesh = old._mesh, old.surface.mesh
+
+    def rely_on(self, pairs: Sequence[npt.NDArray[np.int32]]) -> None:
+        """Note what the proofs of the faces looked at rely on, pairs as ``relied_on``."""
+        known = np.concatenate([self.relied_on, *pairs]).astype(np.int64)
+        if len(known):
+            size = int(known[:, 1].max()) + 1
+            key = np.unique(known[:, 0] * size + known[:, 1])
+            self.relied_on = np.stack([key // size, key % size], axis=1).astype(np.int32)
 
     def show(self, block: UnitBlock, frame: int, *, searched: bool) -> None:
         """Show a frame; ``searched`` says whether the hierarchy is needed.

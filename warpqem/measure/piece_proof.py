@@ -26,7 +26,7 @@ from warpqem.parallel import launch_parts, run_parts, split_range, thread_count
 if TYPE_CHECKING:
     from warpqem.measure.bound_side import BoundSide
 
-__all__ = ["NO_ROOM", "WITHIN", "PieceArrays", "PieceProof", "run_writing"]
+__all__ = ["MORE_ROOM", "NO_ROOM", "WITHIN", "PieceArrays", "PieceProof", "run_writing"]
 
 WITHIN, NO_ROOM = int(kernels.WITHIN), int(kernels.NO_ROOM)
 # Triangles and pieces that are worth a thread: some microseconds and some tens of nanoseconds each.
@@ -34,6 +34,8 @@ MIN_PART = 256
 MIN_PIECES = 4096
 # Room for the parts of a piece that is cut anew: most are two to four.
 PARTS_PER_PIECE = 8
+# Where that is too little, so many times the room.
+MORE_ROOM = 4
 # Rounding in single precision of points of unit size, their weights and distances: each of some ten operations adds
 # no more than half a unit in the last place, 6e-8.
 SINGLE_MARGIN = 1.0e-6
@@ -123,6 +125,10 @@ class PieceProof:
         other_block: those of the other one.
         limit: distance.
         device: Warp device.
+
+    Attributes:
+        relied_on: pairs (n, 2) of faces, of ``own`` and of the other mesh that in some frame is within the limit of a
+            part of it, beside the pieces.
     """
 
     def __init__(
@@ -130,11 +136,18 @@ class PieceProof:
     ) -> None:
         self._own, self._other, self._blocks = own, other, (own_block, other_block)
         self._limit, self._device = limit, device
+        self.relied_on: list[npt.NDArray[np.int32]] = []
         self._width = block_width(len(own_block), device)
 
-    def unproved(self, pieces: PieceArrays) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int32]]:
-        """Pieces (n,) that are not proved without a search, and the bits (n, B) of the frames in which they are not."""
-        rows, left = self._apart_somewhere(pieces)
+    def unproved(
+        self, pieces: PieceArrays, left: npt.NDArray[np.int32]
+    ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int32]]:
+        """Pieces (n,) that are not proved without a search, of those left in some frames, bits (m, B).
+
+        Returns:
+            Their indices, and the bits (n, B) of the frames in which they are not.
+        """
+        rows = np.arange(len(pieces))
         hard, unproved = rows, np.zeros_like(left)
         at = np.arange(len(rows))
         for _ in range(ROUNDS):
@@ -149,7 +162,8 @@ class PieceProof:
             at, left = at[keep], left[keep]
         row, frame = self._frames_of(left)
         if len(row):
-            verdict, _ = self._bound(pieces, hard[at[row]], frame, 0, searching=False)
+            verdict, parts = self._cut_anew(pieces.chosen(hard[at[row]]), frame)
+            self._rely_on(parts)
             missed = verdict != WITHIN
             self._set_bits(unproved, at[row[missed]], frame[missed])
         keep = unproved.any(axis=1)
@@ -178,7 +192,7 @@ class PieceProof:
         beyond[here] = verdict != WITHIN
         return beyond, left
 
-    def _apart_somewhere(self, pieces: PieceArrays) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int32]]:
+    def apart_somewhere(self, pieces: PieceArrays) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int32]]:
         """Pieces that are not proved in all frames by the faces they are over, and bits of the others (n, B)."""
         frame_count = len(self._blocks[0])
         every = (np.arange(-(-frame_count // self._width) * self._width) < frame_count).reshape(-1, self._width)
@@ -239,6 +253,7 @@ class PieceProof:
     ) -> npt.NDArray[np.int32]:
         """Bits in which the parts of a piece do not prove it, where they are usable."""
         parts = parts.chosen(usable[parts.parent])
+        self._rely_on(parts)
         parts = parts.chosen(np.argsort(parts.parent, kind="stable"))
         if len(parts):
             apart = self._apart(parts, left)
@@ -247,47 +262,31 @@ class PieceProof:
             left[parts.parent[start]] = np.bitwise_or.reduceat(apart, start, axis=0)
         return left
 
+    def _rely_on(self, parts: PieceArrays) -> None:
+        self.relied_on.append(np.stack([parts.owner, parts.face], axis=1))
+
     def _cut_anew(
         self, pieces: PieceArrays, frame: npt.NDArray[np.int64], *, searching: bool = False
     ) -> tuple[npt.NDArray[np.int32], PieceArrays]:
         """Verdicts on pieces in a frame each, and their parts."""
-        room = PARTS_PER_PIECE * len(pieces) + MIN_PIECES
-        while True:
-            verdict, parts = self._bound(pieces, np.arange(len(pieces)), frame, room, searching=searching)
-            if not (verdict == NO_ROOM).any():
-                return verdict, parts
-            room *= 4
-
-    def _bound(
-        self,
-        pieces: PieceArrays,
-        chosen: npt.NDArray[np.int64],
-        frame: npt.NDArray[np.int64],
-        room: int,
-        *,
-        searching: bool,
-    ) -> tuple[npt.NDArray[np.int32], PieceArrays]:
         device = self._device
-        verdict = wp.empty(len(chosen), dtype=wp.int32, device=device)
-        inputs = [
-            self._blocks[0].double,
-            self._blocks[1].double,
-            self._own.surface,
-            self._other.surface,
-            self._limit,
-            searching,
-            pieces.on_device(device),
-            *(wp.array(a.astype(np.int32), dtype=wp.int32, device=device) for a in (chosen, frame)),
-        ]
+        verdict = wp.empty(len(pieces), dtype=wp.int32, device=device)
+        surfaces = [self._blocks[0].double, self._blocks[1].double, self._own.surface, self._other.surface]
+        given = [pieces.on_device(device), wp.array(frame.astype(np.int32), dtype=wp.int32, device=device)]
 
         def bound(part: slice, used: wp.array, parts: kernels.Pieces) -> None:
             launch(
                 kernels.bound_pieces,
                 dim=part.stop - part.start,
-                inputs=[*inputs, part.start, used],
+                inputs=[*surfaces, self._limit, searching, *given, part.start, used],
                 outputs=[parts, verdict],
                 device=device,
             )
 
-        parts = run_writing(bound, len(chosen), room, device)
-        return verdict.numpy(), parts
+        room = PARTS_PER_PIECE * len(pieces) + MIN_PIECES
+        while True:
+            parts = run_writing(bound, len(pieces), room, device)
+            verdicts: npt.NDArray[np.int32] = verdict.numpy()
+            if not (verdicts == NO_ROOM).any():
+                return verdicts, parts
+            room *= MORE_ROOM
