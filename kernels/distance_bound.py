@@ -16,6 +16,7 @@ from warpqem.kernels.near_faces import (
     Surface,
     corner_point,
     covers,
+    face_around,
     face_towards,
     nearest_face,
     squared_distance,
@@ -30,6 +31,10 @@ WITHIN = wp.constant(wp.int32(0))
 BEYOND = wp.constant(wp.int32(1))  # a point beyond the limit was found
 UNDECIDED = wp.constant(wp.int32(2))  # neither, down to the smallest pieces
 NO_ROOM = wp.constant(wp.int32(3))  # within, and not all pieces are written
+# How near faces are looked for: from neighbour to neighbour; among those around, too; or in the whole mesh.
+WALK = wp.constant(wp.int32(0))
+AROUND = wp.constant(wp.int32(1))
+SEARCH = wp.constant(wp.int32(2))
 # Pieces of a triangle that are looked at, and that may wait, before it is given up as undecided.
 MAX_PIECES = wp.constant(wp.int32(4096))
 MAX_WAITING = wp.constant(wp.int32(40))
@@ -68,7 +73,9 @@ class Look:
 
 
 @wp.func
-def nearest_or_next(other: Surface, hints: Faces, attempt: wp.int32, centre: wp.vec3d, limit: wp.float64) -> wp.int32:
+def face_to_try(
+    other: Surface, hints: Faces, attempt: wp.int32, centre: wp.vec3d, limit: wp.float64, effort: wp.int32
+) -> wp.int32:
     """The face to try, -1 for none: first those that were near before, then where a walk from the last of them ends,
     then the nearest one."""
     if attempt < HINTS:
@@ -76,7 +83,10 @@ def nearest_or_next(other: Surface, hints: Faces, attempt: wp.int32, centre: wp.
     if attempt > HINTS:
         return nearest_face(other, centre, limit)
     if hints[0] >= 0:
-        return face_towards(other, hints[0], centre)
+        near = face_towards(other, hints[0], centre)
+        if effort == AROUND and squared_distance(other, near, centre) > limit * limit:
+            near = face_around(other, near, centre)
+        return near
     return -1
 
 
@@ -90,7 +100,7 @@ def is_inside(corners: Corners, centre: wp.vec3d, squared: wp.float64, limit: wp
 
 
 @wp.func
-def look_at_piece(corners: Corners, other: Surface, limit: wp.float64, hints: Faces, searching: wp.bool) -> Look:
+def look_at_piece(corners: Corners, other: Surface, limit: wp.float64, hints: Faces, effort: wp.int32) -> Look:
     """Whether one face covers a piece, or else how to cut it."""
     look = Look()
     look.covered = wp.bool(False)
@@ -98,9 +108,9 @@ def look_at_piece(corners: Corners, other: Surface, limit: wp.float64, hints: Fa
     look.hints = hints
     centre = (corners[0] + corners[1] + corners[2]) / wp.float64(3.0)
     attempt = wp.int32(0)
-    last = HINTS + wp.where(searching, 1, 0)
+    last = HINTS + wp.where(effort == SEARCH, 1, 0)
     while attempt <= last and not look.covered and not look.is_cut:
-        near = nearest_or_next(other, look.hints, attempt, centre, limit)
+        near = face_to_try(other, look.hints, attempt, centre, limit, effort)
         if near >= 0:
             look.covered = covers(other, near, corners[0], corners[1], corners[2], limit)
             if look.covered:
@@ -191,7 +201,7 @@ def bound_piece(
     other: Surface,
     limit: wp.float64,
     hints_in: Faces,
-    searching: wp.bool,
+    effort: wp.int32,
     parent: wp.int32,
     owner: wp.int32,
     used: wp.array[wp.int32],
@@ -199,7 +209,7 @@ def bound_piece(
 ) -> Outcome:
     """Whether a piece is within the limit of a mesh; its parts are written where there is room for any.
 
-    Without ``searching``, faces are found from those next to them alone, and UNDECIDED is what that does not show.
+    ``effort`` says how faces are looked for; but for SEARCH, UNDECIDED is what that does not show.
     """
     outcome = Outcome()
     outcome.verdict = WITHIN
@@ -215,13 +225,13 @@ def bound_piece(
         corners = Corners()
         for k in range(9):
             corners[k / 3, k % 3] = waiting[count, k]
-        look = look_at_piece(corners, other, limit, outcome.hints, searching)
+        look = look_at_piece(corners, other, limit, outcome.hints, effort)
         outcome.hints = look.hints
         if look.covered:
             if not write_piece(pieces_out, used, parent, owner, look.hints[0], own, other, corners):
                 outcome.verdict = NO_ROOM
         elif not look.is_cut:
-            outcome.verdict = wp.where(searching, BEYOND, UNDECIDED)
+            outcome.verdict = wp.where(effort == SEARCH, BEYOND, UNDECIDED)
         elif looked_at == MAX_PIECES or count + 3 > MAX_WAITING:
             outcome.verdict = UNDECIDED
         else:
@@ -242,7 +252,7 @@ def bound_triangles(
     own: Surface,
     other: Surface,
     limit: wp.float64,
-    searching: wp.bool,
+    effort: wp.int32,
     chosen: wp.array[wp.int32],
     first: wp.int32,
     # in and out
@@ -265,7 +275,7 @@ def bound_triangles(
         corners[k] = corner_point(own, face, k)
     for k in range(HINTS):
         hints[k] = hint[face, k]
-    outcome = bound_piece(corners, own, other, limit, hints, searching, i, face, used, pieces_out)
+    outcome = bound_piece(corners, own, other, limit, hints, effort, i, face, used, pieces_out)
     for k in range(HINTS):
         hint[face, k] = outcome.hints[k]
     verdict_out[i] = outcome.verdict
@@ -279,7 +289,7 @@ def bound_pieces(
     own_in: Surface,
     other_in: Surface,
     limit: wp.float64,
-    searching: wp.bool,
+    effort: wp.int32,
     pieces: Pieces,
     frame: wp.array[wp.int32],
     first: wp.int32,
@@ -309,5 +319,5 @@ def bound_pieces(
     for k in range(HINTS):
         hints[k] = -1
     hints[0] = pieces.face[i]
-    outcome = bound_piece(corners, own, other, limit, hints, searching, i, owner, used, pieces_out)
+    outcome = bound_piece(corners, own, other, limit, hints, effort, i, owner, used, pieces_out)
     verdict_out[i] = outcome.verdict

@@ -13,6 +13,9 @@ HINTS = wp.constant(wp.int32(4))
 Faces = wp.types.vector(length=int(HINTS), dtype=wp.int32)
 # Steps from face to face towards a point, before the hierarchy is searched: each takes a fiftieth of a search.
 MAX_STEPS = wp.constant(wp.int32(12))
+# Faces around one that are looked through where no neighbour is nearer: those within two or three edges.
+AROUND = wp.constant(wp.int32(32))
+FacesAround = wp.types.vector(length=int(AROUND), dtype=wp.int32)
 # The search is in single precision, which places points of a mesh of unit diagonal to some 1e-7.
 SEARCH_MARGIN = wp.constant(wp.float64(1.0e-6))
 
@@ -122,6 +125,33 @@ def face_towards(surface: Surface, start: wp.int32, p: wp.vec3d) -> wp.int32:
                 p, corner_point(surface, face, 0), corner_point(surface, face, 1), corner_point(surface, face, 2)
             )
     return face
+
+
+@wp.func
+def face_around(surface: Surface, start: wp.int32, p: wp.vec3d) -> wp.int32:
+    """The face nearest to a point of those around a face, breadth first across edges."""
+    around = FacesAround()
+    around[0] = start
+    count = wp.int32(1)
+    nearest = start
+    squared = squared_distance(surface, start, p)
+    i = wp.int32(0)
+    while i < count:
+        for k in range(3):
+            face = surface.across[3 * around[i] + k]
+            is_new = face >= 0 and count < AROUND
+            for j in range(count):
+                if around[j] == face:
+                    is_new = False
+            if is_new:
+                around[count] = face
+                count += 1
+                found = squared_distance(surface, face, p)
+                if found < squared:
+                    squared = found
+                    nearest = face
+        i += 1
+    return nearest
 
 
 @wp.func

@@ -13,7 +13,7 @@ import warp as wp
 from warpqem.kernels import distance_bound as kernels
 from warpqem.launches import launch
 from warpqem.measure.bound_side import BoundSide
-from warpqem.measure.piece_proof import MORE_ROOM, NO_ROOM, WITHIN, PieceArrays, PieceProof, run_writing
+from warpqem.measure.piece_proof import MORE_ROOM, NO_ROOM, SEARCH, WALK, WITHIN, PieceArrays, PieceProof, run_writing
 from warpqem.measure.unit_frames import UnitBlock, UnitFrames
 
 __all__ = ["DistanceBound", "Excess", "UnitFrames"]
@@ -195,9 +195,9 @@ class DistanceBound:
         own, chosen = self._sides[index], self._sides[index].unrecorded
         parts = [own.pieces]
         # Most are near a face that a neighbour leads to; the hierarchy is for the others.
-        for searching in (False, True):
+        for effort in (WALK, SEARCH):
             if len(chosen):
-                verdict, found = self._verdicts(index, blocks, frame, chosen, searching=searching)
+                verdict, found = self._verdicts(index, blocks, frame, chosen, effort)
                 own.recorded[chosen[verdict == WITHIN]] = True
                 parts.append(found.chosen(own.recorded[found.owner]))
                 chosen = chosen[verdict != WITHIN]
@@ -246,13 +246,12 @@ class DistanceBound:
         blocks: Sequence[UnitBlock],
         frame: int,
         chosen: npt.NDArray[np.int64],
-        *,
-        searching: bool,
+        effort: int,
     ) -> tuple[npt.NDArray[np.int32], PieceArrays]:
         """Verdicts on some faces in a frame, and the pieces that they were cut into."""
         device, own, other = self._device, self._sides[index], self._sides[1 - index]
         own.show(blocks[index], frame, searched=False)
-        other.show(blocks[1 - index], frame, searched=searching)
+        other.show(blocks[1 - index], frame, searched=effort == SEARCH)
         indices = wp.array(chosen.astype(np.int32), dtype=wp.int32, device=device)
         verdict, hint = wp.empty(len(chosen), dtype=wp.int32, device=device), wp.clone(own.hint)
 
@@ -260,7 +259,7 @@ class DistanceBound:
             launch(
                 kernels.bound_triangles,
                 dim=part.stop - part.start,
-                inputs=[own.surface, other.surface, self._limit, searching, indices, part.start, own.hint, used],
+                inputs=[own.surface, other.surface, self._limit, effort, indices, part.start, own.hint, used],
                 outputs=[pieces, verdict],
                 device=device,
             )

@@ -26,9 +26,10 @@ from warpqem.parallel import launch_parts, run_parts, split_range, thread_count
 if TYPE_CHECKING:
     from warpqem.measure.bound_side import BoundSide
 
-__all__ = ["MORE_ROOM", "NO_ROOM", "WITHIN", "PieceArrays", "PieceProof", "run_writing"]
+__all__ = ["MORE_ROOM", "NO_ROOM", "SEARCH", "WALK", "WITHIN", "PieceArrays", "PieceProof", "run_writing"]
 
 WITHIN, NO_ROOM = int(kernels.WITHIN), int(kernels.NO_ROOM)
+WALK, AROUND, SEARCH = int(kernels.WALK), int(kernels.AROUND), int(kernels.SEARCH)
 # Triangles and pieces that are worth a thread: some microseconds and some tens of nanoseconds each.
 MIN_PART = 256
 MIN_PIECES = 4096
@@ -147,27 +148,29 @@ class PieceProof:
         Returns:
             Their indices, and the bits (n, B) of the frames in which they are not.
         """
-        rows = np.arange(len(pieces))
-        hard, unproved = rows, np.zeros_like(left)
-        at = np.arange(len(rows))
+        unproved = np.zeros_like(left)
+        at = np.arange(len(pieces))
         for _ in range(ROUNDS):
             if _BIT_COUNT[left].sum() <= LEFT_FRAMES * len(at):
                 break
             frame, left = self._take_middle(left)
-            verdict, parts = self._cut_anew(pieces.chosen(hard[at]), frame)
+            verdict, parts = self._cut_anew(pieces.chosen(at), frame)
             missed = verdict != WITHIN
             self._set_bits(unproved, at[missed], frame[missed])
             left = self._left_of_parts(left, parts, ~missed)
             keep = left.any(axis=1)
             at, left = at[keep], left[keep]
         row, frame = self._frames_of(left)
+        self._set_bits(unproved, at[row], frame)
+        row, frame = self._frames_of(unproved)
         if len(row):
-            verdict, parts = self._cut_anew(pieces.chosen(hard[at[row]]), frame)
+            verdict, parts = self._cut_anew(pieces.chosen(row), frame, effort=AROUND)
             self._rely_on(parts)
             missed = verdict != WITHIN
-            self._set_bits(unproved, at[row[missed]], frame[missed])
-        keep = unproved.any(axis=1)
-        return hard[keep], unproved[keep]
+            unproved[:] = 0
+            self._set_bits(unproved, row[missed], frame[missed])
+        rows = np.flatnonzero(unproved.any(axis=1))
+        return rows, unproved[rows]
 
     def most_common(self, left: npt.NDArray[np.int32]) -> int:
         """The frame that most of the bits (n, B) are of."""
@@ -185,7 +188,7 @@ class PieceProof:
         here = np.flatnonzero((left[:, frame // self._width] >> (frame % self._width)) & 1)
         chosen = pieces.chosen(here)
         frames = np.full(len(here), frame)
-        verdict, parts = self._cut_anew(chosen, frames, searching=True)
+        verdict, parts = self._cut_anew(chosen, frames, effort=SEARCH)
         left, beyond = left.copy(), np.zeros(len(left), dtype=bool)
         left[:, frame // self._width] &= ~np.int32(1 << (frame % self._width))
         left[here] = self._left_of_parts(left[here], parts, verdict == WITHIN)
@@ -266,7 +269,7 @@ class PieceProof:
         self.relied_on.append(np.stack([parts.owner, parts.face], axis=1))
 
     def _cut_anew(
-        self, pieces: PieceArrays, frame: npt.NDArray[np.int64], *, searching: bool = False
+        self, pieces: PieceArrays, frame: npt.NDArray[np.int64], *, effort: int = WALK
     ) -> tuple[npt.NDArray[np.int32], PieceArrays]:
         """Verdicts on pieces in a frame each, and their parts."""
         device = self._device
@@ -278,7 +281,7 @@ class PieceProof:
             launch(
                 kernels.bound_pieces,
                 dim=part.stop - part.start,
-                inputs=[*surfaces, self._limit, searching, *given, part.start, used],
+                inputs=[*surfaces, self._limit, effort, *given, part.start, used],
                 outputs=[parts, verdict],
                 device=device,
             )
