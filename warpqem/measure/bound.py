@@ -24,7 +24,7 @@ PIECES_PER_FACE = 12
 MORE_PIECES = 4096
 # A part of the frames, and at least so many, that are searched, the worst first, before faces are left undecided where
 # others do not hold.
-SEARCHED_PART = 0.1
+SEARCHED_PART = 0.05
 # Frames that are searched first: what fails in the worst ones is not looked at in the others.
 FIRST_SEARCHED = 3
 SEARCHED_FRAMES = 6

@@ -214,9 +214,7 @@ class Run:
         order: SharedOrder | None = None,
         **goal: float | int | None,
     ) -> warpqem.SimplifiedMesh:
-        options = self._core_options(job)
-        if goal.get("target_faces") is not None:
-            options["max_size_error"] = self.options.size_limit
+        options = {**self._core_options(job), "max_size_error": self.options.size_limit}
         poses = self._skin_poses(job) if self.options.pose_independent else None
         if poses is not None:
             kept = ("attributes", "lock_borders", "keep_components", "memory", "device", "max_size_error")
