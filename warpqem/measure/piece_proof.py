@@ -236,9 +236,7 @@ class PieceProof:
         pair, lane = np.nonzero((left[row, block][:, None] >> np.arange(self._width)) & 1)
         return row[pair], block[pair] * self._width + lane
 
-    def _set_bits(
-        self, bits: npt.NDArray[np.int32], row: npt.NDArray[np.int64], frame: npt.NDArray[np.int64]
-    ) -> None:
+    def _set_bits(self, bits: npt.NDArray[np.int32], row: npt.NDArray[np.int64], frame: npt.NDArray[np.int64]) -> None:
         """Set the bits of frames in rows."""
         np.bitwise_or.at(bits, (row, frame // self._width), (1 << (frame % self._width)).astype(np.int32))
 

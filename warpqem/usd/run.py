@@ -13,6 +13,7 @@ from pxr import Usd, UsdGeom
 
 import warpqem
 from warpqem.cost_models import cost_model
+from warpqem.distance_limit import DistanceLimit
 from warpqem.errors import (
     DeviceError,
     MeshShapeError,
@@ -22,8 +23,7 @@ from warpqem.errors import (
     VaryingTopologyError,
     WarpqemError,
 )
-from warpqem.frame_blocks import frame_blocks
-from warpqem.frame_stream import LaterFrames, NoFrames, read_ahead
+from warpqem.frame_stream import LaterFrames, NoFrames
 from warpqem.memory import parse_bytes
 from warpqem.options import target_count
 from warpqem.symmetry import Mirror, find_mirror, simplify_symmetric
@@ -37,14 +37,15 @@ from warpqem.usd.feature_subsets import write_feature_points
 from warpqem.usd.inheritors import heirs_first
 from warpqem.usd.job import MeshJob, ReadOptions
 from warpqem.usd.lengths import parse_length
-from warpqem.usd.measuring import measure_written
+from warpqem.usd.measuring import measure_written, written_within
 from warpqem.usd.mesh import MeshSource
 from warpqem.usd.morph import check_morph, morph_scale
 from warpqem.usd.odd_values import find_odd_values
 from warpqem.usd.point_samples import PointSamples
 from warpqem.usd.report import PrimReport, StageReport, name_prim
 from warpqem.usd.skel import StagePoses
-from warpqem.usd.skin_fit import SkinFitter, SkinPoses, simplify_by_pullback, why_not_fitted
+from warpqem.usd.skin_bound import interpolated, largest_diagonal, simplify_skinned, skin_holds
+from warpqem.usd.skin_fit import FittedMesh, SkinFitter, SkinPoses, simplify_by_pullback, why_not_fitted
 from warpqem.usd.stage_budget import simplify_to_budget
 from warpqem.usd.usd_errors import usd_errors_named
 from warpqem.usd.varying import simplify_runs
@@ -311,13 +312,11 @@ class Run:
         sink: warpqem.FrameSink,
         target_faces: int,
         order: SharedOrder | None = None,
-        *,
-        limited: bool = True,
+        limits: dict[str, float] | None = None,
     ) -> warpqem.SimplifiedMesh:
         """Simplify to a face count, or to the limits or the last legal collapse before it."""
-        limits = self._limits(job) if limited else {}
         try:
-            return self._call_core(job, progress, seams, sink, order, target_faces=target_faces, **limits)
+            return self._call_core(job, progress, seams, sink, order, target_faces=target_faces, **(limits or {}))
         except UnreachableTargetError as error:
             if error.result is None:
                 raise
@@ -344,7 +343,7 @@ class Run:
         if self._shares_order(job):
             return job, self._order(job, progress, seams, shared)
         shared.job = None
-        return job, self._as_far_as_it_goes(job, progress, seams, NoFrames(), least, limited=False)
+        return job, self._as_far_as_it_goes(job, progress, seams, NoFrames(), least)
 
     def simplify_to(
         self,
@@ -400,10 +399,10 @@ class Run:
         samples = self.layer.point_samples(job.mesh.path, job.written_times)
         try:
             with usd_errors_named(job.mesh.path):
-                result = self._result(job, progress, fitter or samples, target_faces, shared)
+                result, fitted = self._skinned_result(job, progress, fitter, samples, target_faces, shared, report)
             report.stopped = result.stopped
-            if len(result.log) or len(result.faces) < face_count:
-                self._write(job, samples, fitter, result, report)
+            if _is_simpler(job, result):
+                self._write(job, samples, fitted, result, report)
                 report.dropped += job.seams.let_go(job.faces, result.face_map)
                 return
             report.status, report.message = "kept", f"nothing could be removed ({report.stopped})"
@@ -442,8 +441,9 @@ class Run:
         taker: PointSamples | SkinFitter,
         target_faces: int | None,
         shared: SharedOrder | None,
+        share: float = 1.0,
     ) -> warpqem.SimplifiedMesh:
-        """The simplified mesh; ``taker`` gets its points in the poses."""
+        """The simplified mesh, within a share of the limits; ``taker`` gets its points in the poses."""
         sink: warpqem.FrameSink
         if isinstance(taker, SkinFitter):
             sink = taker
@@ -451,37 +451,72 @@ class Run:
             # Of a mesh with a skin the rest shape alone is written; it is the first frame.
             sink = NoFrames() if job.skin is not None else LaterFrames(taker, job.pose_start)
         seams = job.seams.hold()
+        limits = {name: share * limit for name, limit in self._limits(job).items()}
         if target_faces is None:
-            result = self._call_core(job, progress, seams, sink, **self._limits(job))
-        elif self.options.strict:
-            result = self._call_core(job, progress, seams, sink, shared, target_faces=target_faces, **self._limits(job))
-        else:
-            result = self._as_far_as_it_goes(job, progress, seams, sink, target_faces, shared)
-        return result
+            return self._call_core(job, progress, seams, sink, **limits)
+        if self.options.strict:
+            return self._call_core(job, progress, seams, sink, shared, target_faces=target_faces, **limits)
+        return self._as_far_as_it_goes(job, progress, seams, sink, target_faces, shared, limits)
 
     def _limits(self, job: MeshJob) -> dict[str, float]:
         """How far the result of a mesh may be from the input, as options of the core."""
-        limits: dict[str, float] = {}
-        if self.options.max_error is not None:
-            limits["max_error"] = self.options.max_error
+        limit = self._distance_limit(job)
+        limits = {"max_error": 100.0 * limit.part, "max_distance": limit.length}
+        if self.options.pose_independent and limit:
+            # The errors of pulled back quadrics are parts of the diagonal.
+            limits = {"max_error": 100.0 * limit.relative(largest_diagonal(job))}
+        return {name: value for name, value in limits.items() if np.isfinite(value)}
+
+    def _distance_limit(self, job: MeshJob) -> DistanceLimit:
+        """How far the result of a mesh may be from the input."""
         lengths = []
         if self.options.screen is not None:
             lengths.append(self.options.screen.length)
         if self.options.max_distance is not None:
             lengths.append(parse_length(self.options.max_distance, UsdGeom.GetStageMetersPerUnit(self.stage)))
-        if not lengths:
-            return limits
-        length = min(lengths) / job.mesh.world_scale
-        if not self.options.pose_independent:
-            return {**limits, "max_distance": length}
-        # The errors of pulled back quadrics are parts of the diagonal.
-        return {"max_error": min(100.0 * length / _diagonal(job), limits.get("max_error", np.inf))}
+        part = np.inf if self.options.max_error is None else self.options.max_error / 100.0
+        return DistanceLimit(part, min(lengths) / job.mesh.world_scale if lengths else np.inf)
+
+    def _skinned_result(
+        self,
+        job: MeshJob,
+        progress: Progress,
+        fitter: SkinFitter | None,
+        samples: PointSamples,
+        target_faces: int | None,
+        shared: SharedOrder | None,
+        report: PrimReport,
+    ) -> tuple[warpqem.SimplifiedMesh, FittedMesh | None]:
+        """The simplified mesh and its skin, which holds the limits where it is linear; None for one to interpolate."""
+        limit, fitted = self._distance_limit(job), None
+        poses = self._skin_poses(job) if limit and fitter is None else None if fitter is None else fitter.poses
+
+        def simplify(share: float) -> warpqem.SimplifiedMesh:
+            return self._result(job, progress, fitter or samples, target_faces, shared, share)
+
+        def holds(result: warpqem.SimplifiedMesh) -> bool:
+            nonlocal fitted, fitter
+            if poses is None or not _is_simpler(job, result):
+                return True
+            carrier = job.carrier(result, self.options.device)
+            if fitter is not None:
+                try:
+                    fitted = fitter.fit(result, carrier, self.options.refits, self.options.device)
+                except MeshShapeError as error:
+                    # What UsdSkel makes of the skin is not what its arrays say.
+                    report.skin, fitted = f"interpolated: {error}", None
+                    return True
+            elif limit:
+                fitted = interpolated(poses, result, carrier)
+            return not limit or fitted is None or skin_holds(poses, result, fitted, carrier, limit, self.options.device)
+
+        return simplify_skinned(simplify, holds), fitted
 
     def _write(
         self,
         job: MeshJob,
         samples: PointSamples,
-        fitter: SkinFitter | None,
+        fitted: FittedMesh | None,
         result: warpqem.SimplifiedMesh,
         report: PrimReport,
     ) -> None:
@@ -492,13 +527,8 @@ class Run:
         skin = job.skin
         if skin is not None:
             rest = job.rest_shape(result)
-            if fitter is not None:
-                try:
-                    fitted = fitter.fit(result, carrier, self.options.refits, self.options.device)
-                    skin, rest = replace(skin, fitted=fitted.influences), fitted.rest_points[None]
-                except MeshShapeError as error:
-                    # What UsdSkel makes of the skin is not what its arrays say.
-                    report.skin = f"interpolated: {error}"
+            if fitted is not None:
+                skin, rest = replace(skin, fitted=fitted.influences), fitted.rest_points[None]
             samples.begin(1, result.points.shape[1], result.faces)
             samples.write(slice(0, 1), rest)
         report.dropped = self.layer.replace_mesh(job.mesh.path, samples, job.written_times, result.faces, carrier, skin)
@@ -521,11 +551,15 @@ class Run:
         report.faces_after = len(result.faces)
         report.vertices_after = result.points.shape[1]
         report.estimate = float(result.error)
+        limit = self._distance_limit(job)
+        if skin is not None and limit:
+            self.step = "proving the limit"
+            if not written_within(job, self.layer.stage, limit, self.options.device):
+                report.problems.append(f"{job.mesh.path}: {limit}: not proved for the skin as it is written")
         if self.options.measure:
             measure_written(job, self.layer.stage, report, self.options.device)
 
 
-def _diagonal(job: MeshJob) -> float:
-    """Largest bounding-box diagonal of a frame, in local units."""
-    blocks = read_ahead(job.frames.read, frame_blocks(job.frames.frame_count, job.frames.vertex_count))
-    return max(float(np.linalg.norm(np.ptp(points.astype(np.float64), axis=1), axis=1).max()) for _, points in blocks)
+def _is_simpler(job: MeshJob, result: warpqem.SimplifiedMesh) -> bool:
+    """Whether anything was removed."""
+    return len(result.log) > 0 or len(result.faces) < len(job.mesh.faces)

@@ -65,8 +65,8 @@ class SimplifyOptions(MethodOptions):
         lod_files: With `lods`, write each level as a file of its own beside the output, which is not written itself:
             OUT_LOD1.usdc, OUT_LOD2.usdc, ... for OUT.usdc.
         max_size_error: A mesh stops above its number of faces, or within its limit, where its error would pass so many
-            % of its bounding-box diagonal, see `warpqem.SimplifyOptions`; of two triangles none goes. 5, a twentieth of its
-            size, keeps cubes and cards whole, and lets meshes of some hundred triangles come down to a twentieth of
+            % of its bounding-box diagonal, see `warpqem.SimplifyOptions`; of two triangles none goes. 5, a twentieth of
+            its size, keeps cubes and cards whole, and lets meshes of some hundred triangles come down to a twentieth of
             them. None or infinity for no limit.
         uv_weight: Weight of the error of texture coordinates in the order of collapses: at 1 an error of the whole UV
             square counts as much as one bounding-box diagonal, see `warpqem.AttributeField`; 0 does not look at them.
