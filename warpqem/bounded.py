@@ -8,7 +8,6 @@ the largest error there is left out, and the next cut is bounded where it differ
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -21,6 +20,7 @@ from warpqem.errors import OptionError
 from warpqem.frame_stream import ArraySink, FrameSink, NoFrames, SharedFrames, counted_frames
 from warpqem.measure.bound import DistanceBound, Excess
 from warpqem.measure.unit_frames import UnitBlock, UnitFrames
+from warpqem.memory import KEPT_BYTES, stage_frames
 from warpqem.mesh_input import AnimatedMesh, MeshInput
 from warpqem.order.cut import CollapseForest, Cut
 from warpqem.order.levels import OrderedLevels
@@ -47,16 +47,10 @@ NO_ERROR = 1.0e-4
 # Where the largest error of a collapse around is less than so many times below the limit, it is not the shape of fewer
 # faces that is too far, but vertices that follow the material: these are placed loosely.
 LOOSE_BELOW = 8.0
-# Frames that a level is bounded in first, far apart in pose, where there are many more. Fewer take hardly less time, as
-# many are looked at at once, and their level needs more steps in the others.
-FIRST_FRAMES = 40
-MORE_FRAMES = 5
 # Where so small a part of the faces is too far, that is left to the stage with more frames, and in the last one spots
 # go back by so many collapses at once, as each step costs as much as ten of these.
 VERY_FEW = 0.002
 MOST_GENERATIONS = 2
-# Frames of so many bytes are kept, so that of the next level only what has moved is placed.
-KEPT_BYTES = 16 * 2**20
 # A frame in which nobody sees the mesh is bounded as if it were so many times smaller: nothing in it is too far.
 UNSEEN = 1e9
 
@@ -259,18 +253,16 @@ class _Search:
         starts = [max(self._limit / part, NO_ERROR) for part in DISTANCE_PER_ERROR]
         choice = self._first_choice([_Choice(self._forest.within(error), loose) for error in starts])
         whole = not self._refit and 12 * mesh.frame_count * mesh.vertex_count <= KEPT_BYTES
-        counts = [FIRST_FRAMES]
-        while MORE_FRAMES * counts[-1] <= mesh.frame_count // 2:
-            counts.append(MORE_FRAMES * counts[-1])
-        blocks = (self._some_frames(count) for count in counts if not whole or 2 * count < mesh.frame_count)
+        count = stage_frames(mesh.vertex_count)
+        if not whole or 2 * count < mesh.frame_count:
+            choice = self._within(choice, self._some_frames(count), int(VERY_FEW * len(mesh.faces)))
         proved: np.ndarray | None = None
-        for block in itertools.chain(blocks, [self._block(slice(0, mesh.frame_count))] if whole else []):
-            is_last = whole and len(block) == mesh.frame_count
-            choice = self._within(choice, block, 0 if is_last else int(VERY_FEW * len(mesh.faces)))
-            if is_last:
-                assert self._level is not None
-                proved = block.points(self._level)
-        if not whole and self._bound is not None:
+        if whole:
+            block = self._block(slice(0, mesh.frame_count))
+            choice = self._within(choice, block, 0)
+            assert self._level is not None
+            proved = block.points(self._level)
+        elif self._bound is not None:
             self._bound.look_again()
         while True:
             level = self._level_of(choice)

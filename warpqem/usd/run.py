@@ -227,7 +227,9 @@ class Run:
         if mirror is not None:
             options |= {**self._importance(job), "seams": seams, "progress": progress}
             return simplify_symmetric(job.frames, job.faces, mirror, sink=sink, **options, **goal)
-        plan = warpqem.plan(job.frames, job.faces, sink=sink, levels=order is not None, **options, **goal)
+        plan = warpqem.plan(
+            job.frames, job.faces, sink=sink, levels=order is not None, measure=False, **options, **goal
+        )
         self.reports[job.mesh.path].plan = plan.to_dict()
         if order is None or order.order is None or not order.announced:
             self.announce(job.mesh.path, plan)
