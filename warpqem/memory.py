@@ -176,8 +176,8 @@ FRAME_OUTPUT = 120
 # vertex: pairs, search hierarchies, what lies across its edges; for each output vertex: the pairs of its two faces and
 # their equations, 9 blocks of 36 bytes each.
 REFIT_KEY, REFIT_FACE, REFIT_VERTEX, REFIT_OUTPUT = 24, 170, 160, 1700
-# The proof of a distance, for each input face: pieces of 60 bytes, some five of both meshes for each, and once more while
-# they are joined; what lies across edges and the search hierarchies. For each frame it looks at, and input
+# The proof of a distance, for each input face: pieces of 60 bytes, some five of both meshes for each, and once more
+# while they are joined; what lies across edges and the search hierarchies. For each frame it looks at, and input
 # vertex: the points as read and about the origin, in double precision, in blocks, and the level's; for each output
 # vertex: these; for each input face: two bits of each of five pieces, in 32-bit words.
 BOUND_FACE, BOUND_VERTEX, BOUND_OUTPUT, BOUND_PIECES = 700, 60, 60, 6
