@@ -22,7 +22,7 @@ from warpqem.kernels.near_faces import (
     squared_distance,
     with_first,
 )
-from warpqem.kernels.piece_cuts import Corners, cut_in_half, cut_over_edge
+from warpqem.kernels.piece_cuts import Corners, Cut, cut_in_half, cut_over_edge
 
 # No gradients are taken. Loops stay loops: unrolled, they take several times as long to compile and run no faster.
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
@@ -38,6 +38,7 @@ MAX_PIECES = wp.constant(wp.int32(4096))
 MAX_WAITING = wp.constant(wp.int32(40))
 Places = wp.types.matrix(shape=(3, 2), dtype=wp.float64)  # of three corners, as MeshPatches.place
 Waiting = wp.types.matrix(shape=(int(MAX_WAITING), 6), dtype=wp.float64)
+Parts = wp.types.matrix(shape=(3, 6), dtype=wp.float64)
 # Patches that a thread takes one after the other: the next one mostly lies beside the one before, over the same face.
 RUN = wp.constant(wp.int32(16))
 
@@ -198,6 +199,167 @@ def furthest_corner(other: Surface, face: wp.int32, corners: Corners) -> wp.floa
     return wp.sqrt(furthest)
 
 
+@wp.func
+def covering_hint(other: Surface, hints: Faces, first: wp.int32, corners: Corners, limit: wp.float64) -> wp.int32:
+    """The first one of the hints whose face covers a piece, -1 for none."""
+    found = wp.int32(-1)
+    for k in range(HINTS):
+        if hints[k] >= 0 and found < 0:  # noqa: SIM102 - a kernel evaluates both sides of an "and"
+            if covers(other, first + hints[k], corners[0], corners[1], corners[2], limit):
+                found = k
+    return found
+
+
+@wp.struct
+class Look:
+    """What was found of a piece: a face near to its middle, -1 for none; a distance, and what bounds all of them."""
+
+    near: wp.int32
+    low: wp.float64
+    bound: wp.float64
+
+
+@wp.func
+def look_at_piece(other: Surface, hints: Faces, first: wp.int32, corners: Corners, low: wp.float64) -> Look:
+    """Distances of a piece, where one of ``low`` is known."""
+    look = Look()
+    look.low = low
+    centre = (corners[0] + corners[1] + corners[2]) / wp.float64(3.0)
+    look.near = near_face(other, hints, first, centre)
+    if look.near >= 0:
+        distance = wp.sqrt(squared_distance(other, look.near, centre))
+        look.low = wp.max(low, distance)
+        size = wp.float64(0.0)
+        for k in range(3):
+            size = wp.max(size, wp.length(corners[k] - centre))
+        look.bound = wp.min(distance + size, furthest_corner(other, look.near, corners))
+        if look.bound > look.low + ROUNDING and size <= look.low:
+            # What is furthest is most often a corner. Those of large pieces are corners of small ones.
+            for k in range(3):
+                at_corner = near_face(other, hints, first, corners[k])
+                if at_corner >= 0:
+                    look.low = wp.max(look.low, wp.sqrt(squared_distance(other, at_corner, corners[k])))
+    return look
+
+
+@wp.func
+def cut_at(other: Surface, face: wp.int32, corners: Corners) -> Cut:
+    """The cut of a piece over an edge of a face, or in half."""
+    cut = cut_over_edge(other, face, corners)
+    if not cut.in_three:
+        cut = cut_in_half(corners)
+    return cut
+
+
+@wp.func
+def cut_places(places: Places, cut: Cut) -> Parts:
+    """The parts of a piece, three or two, a row each."""
+    p = places[cut.corner]
+    q = places[(cut.corner + 1) % 3]
+    r = places[(cut.corner + 2) % 3]
+    one = p + cut.after * (q - p)
+    two = p + cut.before * (r - p)
+    parts = Parts()
+    for axis in range(2):
+        parts[0, axis] = p[axis]
+        parts[0, 2 + axis] = one[axis]
+        parts[0, 4 + axis] = two[axis]
+        parts[1, axis] = one[axis]
+        parts[1, 2 + axis] = q[axis]
+        parts[1, 4 + axis] = r[axis]
+        parts[2, axis] = one[axis]
+        parts[2, 2 + axis] = r[axis]
+        parts[2, 4 + axis] = two[axis]
+    return parts
+
+
+@wp.func
+def keep_piece(
+    piece: MeshPatches, piece_count: wp.array[wp.int32], part: wp.int32, face: wp.int32, places: Places, hints: Faces
+):
+    """Add a piece to those of a part, as far as there is room."""
+    room = piece.face.shape[0] / piece_count.shape[0]
+    if room > 0:
+        place = wp.atomic_add(piece_count, part, 1)
+        if place < room:
+            row = part * room + place
+            piece.face[row] = face
+            for k in range(3):
+                piece.place[row, 2 * k] = places[k, 0]
+                piece.place[row, 2 * k + 1] = places[k, 1]
+            for k in range(HINTS):
+                piece.hint[row, k] = hints[k]
+
+
+@wp.struct
+class PatchDistance:
+    """The largest distance of a patch, see :func:`largest_distances`, and the faces near to it."""
+
+    low: wp.float64
+    high: wp.float64
+    hints: Faces
+
+
+@wp.func
+def patch_distance(
+    own: Surface,
+    other: Surface,
+    face: wp.int32,
+    first: wp.int32,
+    patches: MeshPatches,
+    patch: wp.int32,
+    found_in: PatchDistance,
+    part: wp.int32,
+    piece_count: wp.array[wp.int32],
+    piece: MeshPatches,
+) -> PatchDistance:
+    """The largest distance of a patch in one frame, by branch and bound; ``found_in`` is what is known before.
+
+    ``face`` is its face in the cell of the frame, ``first`` the first face of the other mesh there.
+    """
+    found = found_in
+    waiting = Waiting()
+    for k in range(6):
+        waiting[0, k] = patches.place[patch, k]
+    count = wp.int32(1)
+    looked_at = wp.int32(0)
+    while count > 0:
+        count -= 1
+        places = Places()
+        for k in range(6):
+            places[k / 2, k % 2] = waiting[count, k]
+        corners = place_corners(own, face, places)
+        hint = covering_hint(other, found.hints, first, corners, found.low + ROUNDING)
+        done = hint >= 0
+        if done:
+            found.hints = with_first(found.hints, found.hints[hint], hint)
+        else:
+            look = look_at_piece(other, found.hints, first, corners, found.low)
+            found.low = look.low
+            looked_at += wp.where(look.near >= 0, 1, 0)
+            if look.near < 0:
+                done = True
+            elif look.bound <= found.low * (wp.float64(1.0) + TOLERANCE) + ROUNDING:
+                done = True
+                found.hints = with_first(found.hints, look.near - first, HINTS - 1)
+                if look.bound > found.low + ROUNDING:
+                    found.high = wp.max(found.high, look.bound)
+            elif looked_at >= MAX_PIECES or count + 3 > MAX_WAITING:
+                done = True
+                found.high = wp.max(found.high, look.bound)
+            else:
+                cut = cut_at(other, look.near, corners)
+                parts = cut_places(places, cut)
+                part_count = wp.where(cut.in_three, 3, 2)
+                for i in range(part_count):
+                    for k in range(6):
+                        waiting[count + i, k] = parts[i, k]
+                count += part_count
+        if done:
+            keep_piece(piece, piece_count, part, patches.face[patch], places, found.hints)
+    return found
+
+
 @wp.kernel
 def largest_distances(
     # in
@@ -225,101 +387,21 @@ def largest_distances(
     part: (parts, room), in the order they are found.
     """
     run = first_run + wp.tid()
-    patch_count = patches.face.shape[0]
-    room = piece.face.shape[0] / piece_count.shape[0]
-    hints = Faces()
+    found = PatchDistance()
     for k in range(HINTS):
-        hints[k] = wp.int32(-1)
-    waiting = Waiting()
-    for patch in range(run * RUN, wp.min((run + 1) * RUN, patch_count)):
+        found.hints[k] = wp.int32(-1)
+    for patch in range(run * RUN, wp.min((run + 1) * RUN, patches.face.shape[0])):
         if patches.hint[patch, 0] >= 0:
             for k in range(HINTS):
-                hints[k] = patches.hint[patch, k]
+                found.hints[k] = patches.hint[patch, k]
         for frame in range(frame_count):
             face = frame * own_count + patches.face[patch]
-            first = frame * other_count
-            low = floor[frame]
-            high = wp.float64(0.0)
-            for k in range(6):
-                waiting[0, k] = patches.place[patch, k]
-            count = wp.int32(1)
-            looked_at = wp.int32(0)
-            while count > 0:
-                count -= 1
-                places = Places(
-                    waiting[count, 0],
-                    waiting[count, 1],
-                    waiting[count, 2],
-                    waiting[count, 3],
-                    waiting[count, 4],
-                    waiting[count, 5],
-                )
-                corners = place_corners(own, face, places)
-                done = wp.bool(False)
-                for k in range(HINTS):
-                    if hints[k] >= 0 and not done:
-                        done = covers(other, first + hints[k], corners[0], corners[1], corners[2], low + ROUNDING)
-                        if done:
-                            hints = with_first(hints, hints[k], k)
-                if not done:
-                    centre = (corners[0] + corners[1] + corners[2]) / wp.float64(3.0)
-                    near = near_face(other, hints, first, centre)
-                    if near < 0:
-                        done = wp.bool(True)
-                    else:
-                        distance = wp.sqrt(squared_distance(other, near, centre))
-                        low = wp.max(low, distance)
-                        size = wp.float64(0.0)
-                        for k in range(3):
-                            size = wp.max(size, wp.length(corners[k] - centre))
-                        bound = wp.min(distance + size, furthest_corner(other, near, corners))
-                        if bound > low + ROUNDING and size <= low:
-                            # What is furthest is most often a corner. Those of large pieces are corners of small ones.
-                            for k in range(3):
-                                at_corner = near_face(other, hints, first, corners[k])
-                                if at_corner >= 0:
-                                    low = wp.max(low, wp.sqrt(squared_distance(other, at_corner, corners[k])))
-                        looked_at += 1
-                        if bound <= low * (wp.float64(1.0) + TOLERANCE) + ROUNDING:
-                            done = wp.bool(True)
-                            hints = with_first(hints, near - first, HINTS - 1)
-                            if bound > low + ROUNDING:
-                                high = wp.max(high, bound)
-                        elif looked_at >= MAX_PIECES or count + 3 > MAX_WAITING:
-                            done = wp.bool(True)
-                            high = wp.max(high, bound)
-                        else:
-                            cut = cut_over_edge(other, near, corners)
-                            if not cut.in_three:
-                                cut = cut_in_half(corners)
-                            p = places[cut.corner]
-                            q = places[(cut.corner + 1) % 3]
-                            r = places[(cut.corner + 2) % 3]
-                            one = p + cut.after * (q - p)
-                            two = p + cut.before * (r - p)
-                            for axis in range(2):
-                                waiting[count, axis] = p[axis]
-                                waiting[count, 2 + axis] = one[axis]
-                                waiting[count, 4 + axis] = two[axis]
-                                waiting[count + 1, axis] = one[axis]
-                                waiting[count + 1, 2 + axis] = q[axis]
-                                waiting[count + 1, 4 + axis] = r[axis]
-                                waiting[count + 2, axis] = one[axis]
-                                waiting[count + 2, 2 + axis] = r[axis]
-                                waiting[count + 2, 4 + axis] = two[axis]
-                            # In half, there is no third.
-                            count += wp.where(cut.in_three, 3, 2)
-                if done and room > 0:
-                    place = wp.atomic_add(piece_count, part, 1)
-                    if place < room:
-                        row = part * room + place
-                        piece.face[row] = patches.face[patch]
-                        for k in range(3):
-                            piece.place[row, 2 * k] = places[k, 0]
-                            piece.place[row, 2 * k + 1] = places[k, 1]
-                        for k in range(HINTS):
-                            piece.hint[row, k] = hints[k]
-            low_out[frame, patch] = low
-            high_out[frame, patch] = high
+            found.low = floor[frame]
+            found.high = wp.float64(0.0)
+            found = patch_distance(
+                own, other, face, frame * other_count, patches, patch, found, part, piece_count, piece
+            )
+            low_out[frame, patch] = found.low
+            high_out[frame, patch] = found.high
         for k in range(HINTS):
-            patches.hint[patch, k] = hints[k]
+            patches.hint[patch, k] = found.hints[k]

@@ -5,7 +5,7 @@ import pytest
 
 import warpqem
 from tests import meshes
-from warpqem.bounded import BoundSink
+from warpqem.bound_sink import BoundSink
 from warpqem.distance_limit import DistanceLimit
 from warpqem.measure import compare
 from warpqem.mesh_input import read_mesh

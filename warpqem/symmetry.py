@@ -15,7 +15,7 @@ import numpy as np
 
 from warpqem.array_input import finite_array, is_empty
 from warpqem.attributes import checked_fields
-from warpqem.bounded import BoundSink, ExceededError
+from warpqem.bound_sink import BoundSink, ExceededError
 from warpqem.checked_frames import check_sink
 from warpqem.coarsest import find_coarsest
 from warpqem.cost_models import cost_model

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from warpqem.bounded import BoundSink, ExceededError
+from warpqem.bound_sink import BoundSink, ExceededError
 from warpqem.device import device_turn
 from warpqem.distance_limit import DistanceLimit
 from warpqem.frame_blocks import frame_blocks
