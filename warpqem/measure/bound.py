@@ -102,8 +102,8 @@ class DistanceBound:
             reference, test = reference[None], test[None]
         if frames is None:
             frames = UnitFrames(np.zeros((len(reference), 3)), np.ones(len(reference)))
-        blocks = [UnitBlock(points, frames, self._device) for points in (reference, test)]
-        return self.excess_of_blocks(first_frame, *blocks, enough=enough)
+        own, other = (UnitBlock(points, frames, self._device) for points in (reference, test))
+        return self.excess_of_blocks(first_frame, own, other, enough=enough)
 
     def excess_of_blocks(
         self, first_frame: int, reference: UnitBlock, test: UnitBlock, enough: int | None = None
@@ -126,8 +126,8 @@ class DistanceBound:
                     first = middle
         for index in (0, 1):
             if self._new(before) <= most and not single:
-                found = self._check_pieces(index, blocks, before, most)
-                first = found if first is None else first
+                beyond = self._check_pieces(index, blocks, before, most)
+                first = beyond if first is None else first
         if first is None:
             return None
         found = [np.flatnonzero(side.failed & ~old) for side, old in zip(self._sides, before, strict=True)]

@@ -60,7 +60,8 @@ class PieceArrays:
     @classmethod
     def none(cls) -> PieceArrays:
         """No piece."""
-        return cls(*(np.zeros(0, np.int32) for _ in range(3)), np.zeros((0, 3, 4), np.float32))
+        none = np.zeros(0, np.int32)
+        return cls(none, none, none, np.zeros((0, 3, 4), np.float32))
 
     @classmethod
     def joined(cls, parts: Sequence[PieceArrays]) -> PieceArrays:

@@ -51,9 +51,10 @@ class SkinnedFrames:
         codes = poses.all_codes[frames]
         transforms = poses.fit.moved(joint_transforms(poses.poser, codes))
         assert poses.job.skin is not None
-        offsets = shape_offsets(poses.poser, poses.job.skin.rest_points, codes)
-        if offsets is not None:
-            offsets = np.stack([self._rows.blend(offset) for offset in offsets]) * np.float32(poses.fit.scale)
+        shapes = shape_offsets(poses.poser, poses.job.skin.rest_points, codes)
+        offsets = None
+        if shapes is not None:
+            offsets = np.stack([self._rows.blend(shape) for shape in shapes]) * np.float32(poses.fit.scale)
         return pose_skin(self._skin, transforms, offsets).astype(np.float32)
 
 
