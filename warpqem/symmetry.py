@@ -15,7 +15,7 @@ import numpy as np
 
 from warpqem.array_input import is_empty
 from warpqem.attributes import checked_fields
-from warpqem.bounded import BoundSink, ExceededError
+from warpqem.bound_sink import BoundSink, ExceededError
 from warpqem.checked_frames import check_sink
 from warpqem.coarsest import find_coarsest
 from warpqem.cost_models import cost_model
@@ -126,7 +126,7 @@ def _simplify_within(
     if stuck:
         return reached(replace(result, stopped="no legal collapse"), goal.target_faces)
     at_target = goal.target_faces > 0 and len(result.faces) <= goal.target_faces
-    return result if at_target else replace(result, stopped="max_error")
+    return result if at_target or result.stopped == "max_size_error" else replace(result, stopped="max_error")
 
 
 def _simplify_half(half: _Half, sink: FrameSink | None, progress: Progress | None) -> SimplifiedMesh:

@@ -12,8 +12,8 @@ import warp as wp
 from warpqem.device import device_traits
 from warpqem.frame_blocks import pack_frames
 from warpqem.kernels import surface_distance as kernels
-from warpqem.kernels.distance_bound import HINTS
 from warpqem.kernels.distance_screen import SCREEN_HINTS, ScreenPatches, bound_patches
+from warpqem.kernels.near_faces import HINTS
 from warpqem.launches import launch
 from warpqem.measure.cells import Cells
 from warpqem.parallel import launch_parts, run_parts, split_range, thread_count

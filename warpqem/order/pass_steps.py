@@ -149,6 +149,10 @@ class PassSteps:
             )
         return self._gears[part_count]
 
+    def forget_gears(self) -> None:
+        """Have the steps recorded anew: recorded ones know the model as it was."""
+        self._gears.clear()
+
     def _step(self, phases: Sequence[Phase]) -> Step:
         return Step(phases, self.device)
 

@@ -106,15 +106,26 @@ class Orderer:
         return len(drops) > 0
 
     def _is_limited(self) -> bool:
-        """Whether the error limit holds back an edge: without it more edges have a price than lie asleep.
+        """Whether the error limit holds back an edge: without it one more collapse is legal.
 
         Lifts the limit and prices all edges anew, so nothing may collapse after it.
         """
-        half_edge_count = 3 * self.face_slots
-        asleep = np.isfinite(self.state.edge_cost.numpy()[:half_edge_count]).sum()
         self.model.error_limit = np.inf
+        self.steps.forget_gears()
         self.steps.price_all().run()
-        return bool(np.isfinite(self.state.edge_cost.numpy()[:half_edge_count]).sum() > asleep)
+        gear = self.steps.gear(1)
+        while True:
+            self.pass_index += 1
+            self.steps.pass_number.fill_(self.pass_index)
+            if not self._collect_candidates(gear, 1.0):
+                return False
+            for i in range(ROUNDS):
+                gear.choose[i % 2].run()
+                count = int(gear.winners.count.numpy()[0])
+                if self.steps.faces_removed[:count].numpy().any():
+                    return True
+                # None is legal: they fall asleep, which leaves others to win.
+                gear.commit[i % 2].run()
 
     def _run_pass(self, target_faces: int, cap_fraction: float) -> tuple[int, int]:
         """One pass; the numbers of candidates and of collapses made."""

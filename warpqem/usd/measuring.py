@@ -7,6 +7,7 @@ import numpy.typing as npt
 from pxr import Usd
 
 from warpqem.device import device_turn
+from warpqem.distance_limit import DistanceLimit
 from warpqem.errors import WarpqemError
 from warpqem.frame_stream import FrameSource, SomeFrames, counted_frames
 from warpqem.measure import Measured
@@ -15,8 +16,9 @@ from warpqem.usd.job import MeshJob
 from warpqem.usd.mesh import MeshSource, PoseFrames
 from warpqem.usd.report import PrimReport, name_prim
 from warpqem.usd.skel import StagePoses
+from warpqem.usd.skin_bound import is_within, largest_diagonal
 
-__all__ = ["measure_written"]
+__all__ = ["measure_written", "written_within"]
 
 
 def measure_written(job: MeshJob, stage: Usd.Stage, report: PrimReport, device: str | None) -> None:
@@ -39,6 +41,15 @@ def measure_written(job: MeshJob, stage: Usd.Stage, report: PrimReport, device: 
         report.measured = _measure(reference, faces, test, layout.right_handed_faces, device).to_dict()
     except WarpqemError as error:
         report.problems.append(f"not measured: {name_prim(job.mesh.path, error)}")
+
+
+def written_within(job: MeshJob, stage: Usd.Stage, limit: DistanceLimit, device: str | None) -> bool:
+    """Whether a mesh that was written is proved to be within a limit of the mesh as it was read, in all its poses."""
+    source = _written(stage, job)
+    layout = source.layout(job.mesh.times)
+    test = PoseFrames(source, job.mesh.times, layout.used_points)
+    reference, faces = _reference(job)
+    return is_within(reference, faces, test, layout.right_handed_faces, limit, largest_diagonal(job), device)
 
 
 def _measure(
