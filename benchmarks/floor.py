@@ -141,7 +141,7 @@ def _commit_winners(a: Arguments) -> Demand:
 
 
 def _count_costs(a: Arguments) -> Demand:
-    return Demand(_half_edges(a) / a["sample_step"] * INT)
+    return Demand(_half_edges(a) / int(a["sample_step_in"].numpy()[0]) * INT)
 
 
 def _find_cap(a: Arguments) -> Demand:

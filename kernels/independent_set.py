@@ -56,12 +56,13 @@ def claim_key(state: MeshState, h: wp.int32) -> wp.int64:
 @wp.kernel
 def count_costs(
     state: MeshState,
-    sample_step: wp.int32,
+    sample_step_in: wp.array[wp.int32],
     work: Work,
     # outputs
     histogram_out: wp.array2d[wp.int32],
 ):
     """Histogram of the costs of the candidate edges at every ``sample_step``-th half-edge, a row for each part."""
+    sample_step = sample_step_in[0]
     sample_count = (3 * state.face_count[0] + sample_step - 1) // sample_step
     for i in range(first_item(sample_count, work) + wp.tid(), last_item(sample_count, work), work.lanes):
         cost = state.edge_cost[i * sample_step]
@@ -72,13 +73,16 @@ def count_costs(
 @wp.kernel
 def find_cap(
     wanted_in: wp.array[wp.int32],
-    sample_step: wp.int32,
+    sample_step_in: wp.array[wp.int32],
     # outputs
     histogram: wp.array2d[wp.int32],
     cap_out: wp.array[wp.float32],
 ):
-    """The upper end of the bin of the ``wanted``-th cheapest edge; the histogram is cleared for the next pass."""
-    wanted = wp.max(1, wanted_in[0] // sample_step)
+    """The upper end of the bin of the ``wanted``-th cheapest edge; 0 where none is wanted.
+
+    The histogram is cleared for the next pass.
+    """
+    wanted = wp.max(wp.min(1, wanted_in[0]), wanted_in[0] // sample_step_in[0])
     seen = wp.int32(0)
     cap = wp.int32(-1)
     for b in range(histogram.shape[1]):

@@ -59,11 +59,15 @@ def priced_faces(cost, device) -> MeshState:
     return state
 
 
+def step_of(step, device) -> wp.array:
+    return wp.array([step], dtype=wp.int32, device=device)
+
+
 def histogram_of(cost, device, step=1, part_count=1) -> wp.array:
     """(P, BINS)."""
     histogram = wp.zeros((part_count, BINS), dtype=wp.int32, device=device)
     for part in range(part_count):
-        inputs = [priced_faces(cost, device), step, one_part(device, part, part_count)]
+        inputs = [priced_faces(cost, device), step_of(step, device), one_part(device, part, part_count)]
         wp.launch(kernels.count_costs, dim=1, inputs=inputs, outputs=[histogram], device=device)
     return histogram
 
@@ -86,7 +90,7 @@ def test_histograms_of_three_parts_give_the_cap_of_one(step, device):
 def cap_of(histogram, wanted, device) -> wp.array:
     cap = wp.zeros(1, dtype=wp.float32, device=device)
     wanted = wp.array([wanted], dtype=wp.int32, device=device)
-    wp.launch(kernels.find_cap, dim=1, inputs=[wanted, 1], outputs=[histogram, cap], device=device)
+    wp.launch(kernels.find_cap, dim=1, inputs=[wanted, step_of(1, device)], outputs=[histogram, cap], device=device)
     return cap
 
 

@@ -7,7 +7,7 @@ import functools
 import os
 import threading
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ParamSpec, TypeVar
 
 import warp as wp
@@ -31,6 +31,7 @@ class DeviceTraits:
         in_order: the threads of a launch run one after the other, in the order of their index.
         splits_launches: a launch runs on one core, so a long one is split over the cores of the machine.
         captures: recorded launches are captured as a graph. Nothing else may use the device meanwhile.
+        graph_loops: a graph may hold loops and branches; on a device without captures, what stands for one.
     """
 
     block_width: int
@@ -38,12 +39,17 @@ class DeviceTraits:
     in_order: bool
     splits_launches: bool
     captures: bool
+    graph_loops: bool
 
 
 # On a CPU, Warp's captures are one for the whole process, and a recorded launch takes 3 microseconds without one.
-CPU = DeviceTraits(block_width=WIDE, launch_threads=1, in_order=True, splits_launches=True, captures=False)
+CPU = DeviceTraits(
+    block_width=WIDE, launch_threads=1, in_order=True, splits_launches=True, captures=False, graph_loops=True
+)
 # 65536 threads are enough to fill any GPU of today.
-GPU = DeviceTraits(block_width=1, launch_threads=65536, in_order=False, splits_launches=False, captures=True)
+GPU = DeviceTraits(
+    block_width=1, launch_threads=65536, in_order=False, splits_launches=False, captures=True, graph_loops=True
+)
 
 _TRAITS = {"cpu": CPU, "cuda": GPU}
 
@@ -59,7 +65,10 @@ def _start_warp() -> None:
 
 def device_traits(device: str) -> DeviceTraits:
     """How launches work on a Warp device."""
-    return _TRAITS["cpu" if wp.get_device(device).is_cpu else "cuda"]
+    if wp.get_device(device).is_cpu:
+        return _TRAITS["cpu"]
+    traits = _TRAITS["cuda"]
+    return traits if wp.is_conditional_graph_supported() else replace(traits, graph_loops=False)
 
 
 def resolve_device(device: str | None = None) -> str:

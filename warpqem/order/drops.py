@@ -15,14 +15,14 @@ import warp as wp
 from warpqem.components import lowest_members
 from warpqem.kernels import collapse as kernels
 from warpqem.kernels.mesh_state import AnyKeyFrames, MeshState
+from warpqem.kernels.pass_control import MOST_REMNANT_FACES
 from warpqem.kernels.topology import LOCKED
 from warpqem.launches import launch
 from warpqem.order.nodes import read_rows
 
 __all__ = ["ComponentDrop", "Components", "DropRecord"]
 
-# A component of so many faces has hardly an edge left to collapse: a tetrahedron, or a triangle or two.
-MOST_FACES = 4
+MOST_FACES = int(MOST_REMNANT_FACES)
 # A component without area is missed by nobody; below this it has none that float32 could tell.
 NO_AREA = 1e-30
 
@@ -126,6 +126,16 @@ class Components:
         # A locked vertex stays.
         self._free = np.ones(len(with_faces), dtype=bool)
         self._free[self._component[(state.vertex_flags.numpy() & int(LOCKED)) != 0]] = False
+
+    @property
+    def vertex_component(self) -> np.ndarray:
+        """(V,) int, the component of each vertex, from 0."""
+        return self._component
+
+    @property
+    def may_vanish(self) -> np.ndarray:
+        """(C,) bool, components without a locked vertex."""
+        return self._free
 
     def drop(
         self, frames: AnyKeyFrames, cap: float, excess: int, collapse_count: int, slot_count: int

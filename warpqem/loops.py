@@ -1,0 +1,94 @@
+"""Loops on a device: operations repeated until the device itself says that it is done."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+
+import numpy as np
+import warp as wp
+
+from warpqem.device import device_traits
+from warpqem.launches import Recorder
+
+__all__ = ["DeviceLoop"]
+
+# Turns that are queued on a device beyond the one whose report the host looks at: one keeps the device busy meanwhile,
+# the second covers a host that is late.
+AHEAD = 2
+
+
+class DeviceLoop:
+    """Operations that are repeated as long as the first number of a report is not zero.
+
+    Where a graph may hold a loop, all turns are one launch. Elsewhere turns are queued ahead of the host, which looks
+    at the reports of earlier ones, so that some run after the last: they must change nothing then.
+
+    Args:
+        body: the operations of a turn, which write the report. Nothing in it may allocate memory.
+        report: (n,) int32 on the device.
+        device: Warp device.
+    """
+
+    def __init__(self, body: Recorder, report: wp.array, device: str) -> None:
+        self._body, self._report, self._device = body, report, device
+        self._whole = body.finish_loop(report[:1]) if device_traits(device).graph_loops else None
+        # Made when turns are first asked for one by one.
+        self._turn = None if self._whole is not None else body.finish()
+        self._readbacks: list[_Readback] = []
+
+    def run(self) -> np.ndarray:
+        """All turns; the last report (n,) int32."""
+        if self._whole is not None:
+            self._whole()
+            return np.array(self._report.numpy())
+        for report in self.turns(AHEAD):
+            last = report
+        return last
+
+    def turns(self, ahead: int = AHEAD) -> Iterator[np.ndarray]:
+        """Turn after turn, one at least; the report (n,) int32 after each.
+
+        Args:
+            ahead: turns that may be under way beyond the one reported. With 0, the device is where the report says.
+        """
+        if self._turn is None:
+            self._turn = self._body.finish()
+        while len(self._readbacks) <= ahead:
+            self._readbacks.append(_Readback(self._report))
+        queued: deque[_Readback] = deque()
+        spare = deque(self._readbacks)
+        while True:
+            self._turn()
+            queued.append(spare.popleft())
+            queued[-1].begin()
+            if len(queued) <= ahead:
+                continue
+            report = queued[0].wait()
+            spare.append(queued.popleft())
+            yield report
+            if not report[0]:
+                return
+
+
+class _Readback:
+    """A copy of an array on the host that is made while the device works on."""
+
+    def __init__(self, source: wp.array) -> None:
+        self._source = source
+        # A CPU device copies at once, and has no pinned memory where there is no GPU.
+        is_cuda = source.device.is_cuda
+        self._copy = wp.empty(source.shape, dtype=source.dtype, device="cpu", pinned=is_cuda)
+        self._copied = wp.Event(source.device) if is_cuda else None
+
+    def begin(self) -> None:
+        """Queue the copy."""
+        wp.copy(self._copy, self._source)
+        if self._copied is not None:
+            self._source.device.stream.record_event(self._copied)
+
+    def wait(self) -> np.ndarray:
+        """The numbers, once they are there."""
+        if self._copied is not None:
+            wp.synchronize_event(self._copied)
+        return np.array(self._copy.numpy())

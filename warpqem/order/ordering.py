@@ -1,0 +1,86 @@
+"""What every loop of passes over a mesh has: its log, the faces that are left, and what to do where it ends."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import warp as wp
+
+from warpqem.kernels import pass_control as kernels
+from warpqem.launches import launch
+from warpqem.order.drops import ComponentDrop, Components
+from warpqem.order.nodes import NodeRecorder
+from warpqem.order.pass_steps import PassSteps
+from warpqem.order.steps import part_work
+
+__all__ = ["Ordering"]
+
+
+class Ordering:
+    """Collapses the edges of one mesh state, pass by pass.
+
+    Attributes:
+        steps: what passes are made of.
+        log: the collapses so far.
+        face_slots: faces in the arrays, dead ones included.
+        live_faces: faces that are left.
+        drops: the components that vanished.
+    """
+
+    def __init__(self, steps: PassSteps) -> None:
+        self.steps = steps
+        self.state, self.frames, self.model, self.device = steps.state, steps.frames, steps.model, steps.device
+        self.log = steps.log
+        self.face_slots = len(self.state.corner_vertex) // 3
+        self.live_faces = self.face_slots
+        self.drops: list[ComponentDrop] = []
+
+    def run(
+        self,
+        target_faces: int,
+        progress: Callable[[int], None] | None = None,
+        recorder: NodeRecorder | None = None,
+        components: Components | None = None,
+    ) -> str:
+        """Collapse until the target is met; small ones of ``components``, if given, may vanish.
+
+        ``progress`` is called with the live face count after each pass, ``recorder`` is shown what each pass merged.
+
+        Returns:
+            "target"; "max_error" when every edge left would exceed the model's error limit or is illegal, and at least
+            one is held back by the limit alone; "no legal collapse" otherwise.
+        """
+        raise NotImplementedError
+
+    def drop_components(self, components: Components, target_faces: int, cap: float) -> int:
+        """Let small components vanish that cost no more than a cap.
+
+        Returns:
+            The faces that went with them.
+        """
+        collapse_count = int(self.log.count.numpy()[0])
+        excess = self.live_faces - target_faces
+        drops = components.drop(self.frames, cap, excess, collapse_count, self.face_slots)
+        self.drops += drops
+        dropped = sum(drop.face_count for drop in drops)
+        self.live_faces -= dropped
+        return dropped
+
+    def stop_reason(self) -> str:
+        """Why no edge is left to collapse, as :meth:`run` says it.
+
+        Lifts the error limit and prices all edges anew, so nothing may collapse after it.
+        """
+        counts = wp.zeros(2, dtype=wp.int32, device=self.device)
+        self._count_priced(counts[:1])
+        self.model.error_limit = np.inf
+        self.steps.price_all().run()
+        self._count_priced(counts[1:])
+        limited, free = counts.numpy().tolist()
+        return "max_error" if free > limited else "no legal collapse"
+
+    def _count_priced(self, count: wp.array) -> None:
+        cost = self.state.edge_cost[: 3 * self.face_slots]
+        work = part_work(0, 1, self.device)
+        launch(kernels.count_priced, work.lanes, [cost, work], [count], device=self.device)
