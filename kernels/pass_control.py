@@ -159,7 +159,7 @@ def has_full_pool(state: MeshState, live: wp.int32) -> wp.bool:
 
 
 @wp.func
-def close_pass(state: MeshState, control: PassControl):
+def close_pass(state: MeshState, control: PassControl, stops_for_stars: wp.int32):
     """Whether another pass follows, and how far it looks."""
     fraction = control.fraction[0]
     status = wp.int32(RUNNING)
@@ -172,15 +172,18 @@ def close_pass(state: MeshState, control: PassControl):
         control.fraction[0] = wp.min(wp.float64(1.0), FRACTION_GROWTH * fraction)
     if control.live_faces[0] <= control.target_faces[0]:
         status = TARGET
-    go_on(state, control, status)
+    go_on(state, control, status, stops_for_stars)
 
 
 @wp.func
-def go_on(state: MeshState, control: PassControl, status: wp.int32):
-    """Set the status, and whether stars are to be built anew."""
-    control.overfull[0] = wp.where(has_full_pool(state, control.live_faces[0]), 1, 0)
+def go_on(state: MeshState, control: PassControl, status: wp.int32, stops_for_stars: wp.int32):
+    """Set the status, and whether stars are to be built anew: with ``stops_for_stars`` 1 the loop ends for that."""
+    overfull = has_full_pool(state, control.live_faces[0])
+    control.overfull[0] = wp.where(overfull, 1, 0)
     control.status[0] = status
-    control.running[0] = wp.where(status == RUNNING, 1, 0)
+    if overfull and status == RUNNING and stops_for_stars == 1:
+        control.status[0] = STARS
+    control.running[0] = wp.where(control.status[0] == RUNNING, 1, 0)
 
 
 @wp.kernel
@@ -192,7 +195,7 @@ def end_pass(
     # in and out
     control: PassControl,
 ):
-    """Close a pass. With ``stops_for_stars`` 1 the loop ends where they have to be built anew."""
+    """Close a pass."""
     if control.running[0] == 0:
         return
     take_off_removed(control)
@@ -204,28 +207,26 @@ def end_pass(
         control.status[0] = COMPONENTS
         control.running[0] = 0
         return
-    close_pass(state, control)
-    if stops_for_stars == 1 and control.running[0] == 1 and control.overfull[0] == 1:
-        control.status[0] = STARS
-        control.running[0] = 0
+    close_pass(state, control, stops_for_stars)
 
 
 @wp.kernel
 def resume_passes(
     state: MeshState,
     dropped_faces: wp.int32,
+    stops_for_stars: wp.int32,
     # in and out
     control: PassControl,
 ):
     """Go on after the host has looked at the components, and has let ``dropped_faces`` vanish."""
     if dropped_faces == 0:
-        close_pass(state, control)
+        close_pass(state, control, stops_for_stars)
         return
     control.live_faces[0] = control.live_faces[0] - dropped_faces
     status = wp.int32(RUNNING)
     if control.live_faces[0] <= control.target_faces[0]:
         status = TARGET
-    go_on(state, control, status)
+    go_on(state, control, status, stops_for_stars)
 
 
 @wp.kernel

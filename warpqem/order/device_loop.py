@@ -54,6 +54,7 @@ class DeviceOrderer(Ordering):
             raise ValueError(f"stars of {corner_count} corners need a pool of {2 * corner_count}")
         self._report = steps.integers(len(_Report.__dataclass_fields__))
         self._control = self._new_control()
+        self._stops_for_stars = int(not device_traits(self.device).graph_loops)
         self._recorded = 0  # collapses that a recorder has seen
         self._work = part_work(0, 1, self.device)
 
@@ -119,20 +120,21 @@ class DeviceOrderer(Ordering):
         stuck = int(control.candidate_count.numpy()[0]) == 0 and float(control.fraction.numpy()[0]) >= 1.0
         cap = np.inf if stuck else float(control.pass_cap.numpy()[0])
         dropped = self.drop_components(components, target_faces, cap)
-        launch(kernels.resume_passes, 1, [self.state, dropped], [self._control], device=self.device)
+        inputs = [self.state, dropped, self._stops_for_stars]
+        launch(kernels.resume_passes, 1, inputs, [self._control], device=self.device)
         if progress and not dropped:
             progress(self.live_faces)
 
     def _record_pass(self, components: Components | None) -> Recorder:
-        recorder, branches = Recorder(self.device), device_traits(self.device).graph_loops
-        if branches:
+        recorder = Recorder(self.device)
+        if not self._stops_for_stars:
             building = Recorder(self.device)
             _record(building, self._building_stars())
             recorder.branch(self._control.overfull, building)
         _record(recorder, self._pass_phases())
         if components is not None:
             self._record_remnants(recorder, components)
-        inputs = [self.state, self.log, self.steps.cap, int(not branches)]
+        inputs = [self.state, self.log, self.steps.cap, self._stops_for_stars]
         recorder.launch(kernels.end_pass, 1, inputs, [self._control])
         return recorder
 
