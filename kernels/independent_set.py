@@ -97,6 +97,54 @@ def find_cap(
 
 
 @wp.kernel
+def sum_bins(
+    histogram_in: wp.array2d[wp.int32],
+    # outputs
+    sum_out: wp.array[wp.int32],
+):
+    """Costs in each stretch of the bins of one part, as many stretches as ``sum_out`` has; a thread for each."""
+    i = wp.tid()
+    width = histogram_in.shape[1] // sum_out.shape[0]
+    total = wp.int32(0)
+    for b in range(i * width, (i + 1) * width):
+        total += histogram_in[0, b]
+    sum_out[i] = total
+
+
+@wp.kernel
+def find_cap_by_sums(
+    wanted_in: wp.array[wp.int32],
+    sample_step_in: wp.array[wp.int32],
+    sum_in: wp.array[wp.int32],
+    # outputs
+    histogram: wp.array2d[wp.int32],
+    cap_out: wp.array[wp.float32],
+):
+    """The cap of :func:`find_cap`, by as many threads as there are sums: each looks through its own stretch of bins.
+
+    The cheapest edges end in the bin where their number comes to what is wanted, or else in the last one with an edge:
+    one thread has it.
+    """
+    i = wp.tid()
+    wanted = wp.max(wp.min(1, wanted_in[0]), wanted_in[0] // sample_step_in[0])
+    seen = wp.int32(0)
+    total = wp.int32(0)
+    for k in range(sum_in.shape[0]):
+        if k < i:
+            seen += sum_in[k]
+        total += sum_in[k]
+    if i == 0 and wp.min(wanted, total) == 0:
+        cap_out[0] = 0.0
+    width = histogram.shape[1] // sum_in.shape[0]
+    for b in range(i * width, (i + 1) * width):
+        n = histogram[0, b]
+        histogram[0, b] = 0
+        if n > 0 and seen < wanted and (seen + n >= wanted or seen + n == total):
+            cap_out[0] = wp.cast((b + 1) << BIN_SHIFT, wp.float32)
+        seen += n
+
+
+@wp.kernel
 def collect_candidates(
     state: MeshState,
     cap_in: wp.array[wp.float32],

@@ -144,7 +144,7 @@ def list_corners(
     key_out: wp.array[wp.int32],
     corner_out: wp.array[wp.int32],
 ):
-    """Every corner (3N,) with its vertex as the key to sort by: the number of vertices for dead ones, which come last."""
+    """Every corner (3N,) with its vertex as the key to sort by; dead ones come last, with the number of vertices."""
     for h in range(wp.tid(), corner_vertex_in.shape[0], work.lanes):
         v = wp.int32(-1)
         if h < 3 * face_count_in[0]:

@@ -28,38 +28,35 @@ class DeviceLoop:
         body: the operations of a turn, which write the report. Nothing in it may allocate memory.
         report: (n,) int32 on the device.
         device: Warp device.
+        in_turns: The host wants to see each turn; then no graph holds the loop.
     """
 
-    def __init__(self, body: Recorder, report: wp.array, device: str) -> None:
-        self._body, self._report, self._device = body, report, device
-        self._whole = body.finish_loop(report[:1]) if device_traits(device).graph_loops else None
-        # Made when turns are first asked for one by one.
-        self._turn = None if self._whole is not None else body.finish()
+    def __init__(self, body: Recorder, report: wp.array, device: str, in_turns: bool = False) -> None:
+        self._report, self._in_turns = report, in_turns or not device_traits(device).graph_loops
+        self._run = body.finish() if self._in_turns else body.finish_loop(report[:1])
         self._readbacks: list[_Readback] = []
 
     def run(self) -> np.ndarray:
         """All turns; the last report (n,) int32."""
-        if self._whole is not None:
-            self._whole()
+        if not self._in_turns:
+            self._run()
             return np.array(self._report.numpy())
         for report in self.turns(AHEAD):
             last = report
         return last
 
     def turns(self, ahead: int = AHEAD) -> Iterator[np.ndarray]:
-        """Turn after turn, one at least; the report (n,) int32 after each.
+        """Turn after turn, one at least, of a loop made ``in_turns``; the report (n,) int32 after each.
 
         Args:
             ahead: turns that may be under way beyond the one reported. With 0, the device is where the report says.
         """
-        if self._turn is None:
-            self._turn = self._body.finish()
         while len(self._readbacks) <= ahead:
             self._readbacks.append(_Readback(self._report))
         queued: deque[_Readback] = deque()
         spare = deque(self._readbacks)
         while True:
-            self._turn()
+            self._run()
             queued.append(spare.popleft())
             queued[-1].begin()
             if len(queued) <= ahead:

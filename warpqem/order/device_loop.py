@@ -84,7 +84,8 @@ class DeviceOrderer(Ordering):
         self._report.assign(np.array([1, int(RUNNING), self.live_faces, 0], dtype=np.int32))
         self._control.target_faces.fill_(target_faces)
         building = Step(self._building_stars(), self.device)
-        loop = DeviceLoop(self._record_pass(components), self._report, self.device)
+        in_turns = progress is not None or recorder is not None
+        loop = DeviceLoop(self._record_pass(components), self._report, self.device, in_turns)
         while True:
             report = self._go_on(loop, progress, recorder)
             self.live_faces = report.live_faces

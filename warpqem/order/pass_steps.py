@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import warp as wp
 
+from warpqem.device import device_traits
 from warpqem.kernels import collapse as collapse_kernels
 from warpqem.kernels import deformation as deformation_kernels
 from warpqem.kernels import edge_cost as cost_kernels
@@ -27,6 +28,8 @@ __all__ = ["Gear", "PassSteps"]
 # A face may turn over in this part of the key frames (crumpling motion); 1 of 16.
 FLIP_FRACTION = 0.07
 HISTOGRAM_BINS = 4096
+# Stretches of bins that a thread each looks through, and each of which a thread adds up: the work of both is the same.
+HISTOGRAM_STRETCHES = 128
 
 
 @dataclass(frozen=True)
@@ -175,7 +178,13 @@ class PassSteps:
             record_shared(recorder, set_kernels.count_costs, [state, self.sample_step], work, [histogram])
 
         def find_cap(recorder: Recorder, _: int) -> None:
-            recorder.launch(set_kernels.find_cap, 1, [self.wanted, self.sample_step], [histogram, self.cap])
+            inputs = [self.wanted, self.sample_step]
+            if device_traits(self.device).in_order:
+                recorder.launch(set_kernels.find_cap, 1, inputs, [histogram, self.cap])
+                return
+            sums = self.integers(HISTOGRAM_STRETCHES)
+            recorder.launch(set_kernels.sum_bins, len(sums), [histogram], [sums])
+            recorder.launch(set_kernels.find_cap_by_sums, len(sums), [*inputs, sums], [histogram, self.cap])
 
         def collect(recorder: Recorder, part: int) -> None:
             work = part_work(part, part_count, self.device)
