@@ -148,6 +148,8 @@ def device_turn(device: str | None = None) -> Iterator[str]:
         yield name
         return
     with _filling:
+        if name not in _turns:
+            _keep_freed_memory(name)
         turn = _turns.setdefault(name, _Turn())
     turn.take()
     try:
@@ -155,6 +157,17 @@ def device_turn(device: str | None = None) -> Iterator[str]:
         yield name
     finally:
         turn.give()
+
+
+def _keep_freed_memory(name: str) -> None:
+    """Keep memory that is freed for later arrays: else a GPU gives it back to the system whenever the host waits.
+
+    A threshold that the caller has set stays.
+    """
+    device = wp.get_device(name)
+    if device.is_cuda and wp.is_mempool_enabled(device) and wp.get_mempool_release_threshold(device) == 0:
+        # All of the device's memory.
+        wp.set_mempool_release_threshold(device, 1.0)
 
 
 def _refuse_capture(name: str) -> None:

@@ -41,16 +41,17 @@ class DeviceLoop:
         if not self._in_turns:
             self._run()
             return np.array(self._report.numpy())
-        for report in self.turns(AHEAD):
+        for report in self.turns():
             last = report
         return last
 
-    def turns(self, ahead: int = AHEAD) -> Iterator[np.ndarray]:
+    def turns(self, ahead: int | None = None) -> Iterator[np.ndarray]:
         """Turn after turn, one at least, of a loop made ``in_turns``; the report (n,) int32 after each.
 
         Args:
             ahead: turns that may be under way beyond the one reported. With 0, the device is where the report says.
         """
+        ahead = AHEAD if ahead is None else ahead
         while len(self._readbacks) <= ahead:
             self._readbacks.append(_Readback(self._report))
         queued: deque[_Readback] = deque()

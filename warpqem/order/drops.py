@@ -151,7 +151,7 @@ class Components:
             collapse_count: collapses so far.
             slot_count: faces in the arrays, dead ones included.
         """
-        first = self._state.corner_vertex.numpy()[: 3 * slot_count : 3]
+        first = self._state.corner_vertex[: 3 * slot_count].numpy()[::3]
         sizes = np.bincount(self._component[first[first >= 0]], minlength=len(self._free))
         small = np.flatnonzero((sizes > 0) & (sizes <= MOST_FACES) & self._free)
         if not len(small):
@@ -181,7 +181,7 @@ class Components:
         )
 
     def _remnants(self, frames: AnyKeyFrames, small: np.ndarray, slot_count: int) -> list[_Remnant]:
-        live = self._state.corner_vertex.numpy()[: 3 * slot_count].reshape(-1, 3)
+        live = self._state.corner_vertex[: 3 * slot_count].numpy().reshape(-1, 3)
         live = live[live[:, 0] >= 0]
         near = _Nearest(frames, np.unique(live), self._component)
         component = self._component[live[:, 0]]
@@ -191,7 +191,7 @@ class Components:
         face_counts = np.bincount(component[inside], minlength=len(self._free)).tolist()
         chosen = wp.array(pairs[:, 1].astype(np.int32), device=frames.position.device)
         position, quadric = (_by_frame(read_rows(array, chosen)) for array in (frames.position, frames.quadric))
-        weight = self._state.cost_weight.numpy()[pairs[:, 1]]
+        weight = read_rows(self._state.cost_weight, chosen)
         found = []
         for name in small.tolist():
             own = np.flatnonzero(pairs[:, 0] == name)

@@ -61,15 +61,15 @@ class CollapseRecord:
 def read_log(log: CollapseLog) -> CollapseRecord:
     """Fetch the log; within a round, where threads log in any order, collapses are put in the order of their cost."""
     count = int(log.count.numpy()[0])
-    round_index, cost, removed = (a.numpy()[:count] for a in (log.round_index, log.cost, log.removed))
+    round_index, cost, removed = (a[:count].numpy() for a in (log.round_index, log.cost, log.removed))
     order = _sorted_rounds(round_index, cost, removed, len(log.removed))
     return CollapseRecord(
-        kept=log.kept.numpy()[:count][order],
+        kept=log.kept[:count].numpy()[order],
         removed=removed[order],
-        wings=np.stack([log.left_wing.numpy()[:count], log.right_wing.numpy()[:count]], axis=1)[order],
-        faces_removed=log.faces_removed.numpy()[:count][order],
+        wings=np.stack([log.left_wing[:count].numpy(), log.right_wing[:count].numpy()], axis=1)[order],
+        faces_removed=log.faces_removed[:count].numpy()[order],
         cost=cost[order],
-        error=np.sqrt(log.error.numpy()[:count])[order],
+        error=np.sqrt(log.error[:count].numpy())[order],
         round_index=round_index[order],
     )
 
