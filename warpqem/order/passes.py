@@ -1,7 +1,8 @@
 """The parallel pass: cap, candidates, rounds of claim and commit, until the target is met.
 
 A pass reads aloud as: price what moved, find the cap, collect the candidates under it, then for a few rounds: claim,
-select, place, judge, commit; at last bring the stars up to date. Everything but the counts stays on the device.
+select, place, judge, commit; at last bring the stars up to date. Here the host goes from pass to pass, which suits a
+CPU; on a GPU :mod:`warpqem.order.device_loop` does.
 """
 
 from __future__ import annotations
