@@ -55,6 +55,7 @@ class DeviceOrderer(Ordering):
         self._report = steps.integers(len(_Report.__dataclass_fields__))
         self._control = self._new_control()
         self._stops_for_stars = int(not device_traits(self.device).graph_loops)
+        self._collapse_count = 0
         self._recorded = 0  # collapses that a recorder has seen
         self._work = part_work(0, 1, self.device)
 
@@ -88,7 +89,7 @@ class DeviceOrderer(Ordering):
         loop = DeviceLoop(self._record_pass(components), self._report, self.device, in_turns)
         while True:
             report = self._go_on(loop, progress, recorder)
-            self.live_faces = report.live_faces
+            self.live_faces, self._collapse_count = report.live_faces, report.collapse_count
             if report.status == STARS:
                 building.run()
             elif report.status == COMPONENTS:
@@ -98,6 +99,10 @@ class DeviceOrderer(Ordering):
                 return self.stop_reason()
             else:
                 return "target"
+
+    def collapse_count(self) -> int:
+        """See :class:`Ordering`; the device has reported it."""
+        return self._collapse_count
 
     def _go_on(
         self, loop: DeviceLoop, progress: Callable[[int], None] | None, recorder: NodeRecorder | None

@@ -53,15 +53,18 @@ class Ordering:
         """
         raise NotImplementedError
 
+    def collapse_count(self) -> int:
+        """Collapses in the log."""
+        return int(self.log.count.numpy()[0])
+
     def drop_components(self, components: Components, target_faces: int, cap: float) -> int:
         """Let small components vanish that cost no more than a cap.
 
         Returns:
             The faces that went with them.
         """
-        collapse_count = int(self.log.count.numpy()[0])
         excess = self.live_faces - target_faces
-        drops = components.drop(self.frames, cap, excess, collapse_count, self.face_slots)
+        drops = components.drop(self.frames, cap, excess, self.collapse_count(), self.face_slots)
         self.drops += drops
         dropped = sum(drop.face_count for drop in drops)
         self.live_faces -= dropped

@@ -15,9 +15,10 @@ from warpqem.kernels import independent_set as set_kernels
 from warpqem.kernels import legality as legality_kernels
 from warpqem.kernels import present_quadric as present_kernels
 from warpqem.kernels.lanes import width_of
-from warpqem.kernels.mesh_state import AnyKeyFrames, CollapseLog, CostModel, MeshState
+from warpqem.kernels.mesh_state import AnyKeyFrames, CostModel, MeshState
 from warpqem.kernels.work import EdgeList
 from warpqem.launches import Recorder
+from warpqem.order.log import new_log
 from warpqem.order.quadrics import CONSTRAINT_WEIGHT
 from warpqem.order.stars import Stars
 from warpqem.order.steps import Phase, Step, new_edge_list, part_work, record_shared
@@ -53,6 +54,7 @@ class PassSteps:
     Attributes:
         threads: CPU threads that large steps are split over.
         log: the collapses so far.
+        log_rows: where its arrays lie, see :func:`warpqem.order.log.new_log`.
         pass_number, pass_begin: (1,) int32, the pass at work, and the length of the log when it began.
         wanted: (1,) int32, edges that a pass is to look at.
         sample_step: (1,) int32, the cap is read off every so many half-edges.
@@ -79,7 +81,7 @@ class PassSteps:
         vertex_count = len(state.vertex_flags)
         self._flip_tolerance = int(FLIP_FRACTION * model.key_count)
         self.threads = thread_count(device)
-        self.log = self._new_log(vertex_count)
+        self.log, self.log_rows = new_log(vertex_count, device)
         self.pass_number, self.pass_begin, self.wanted, self.sample_step = (self.integers(1) for _ in range(4))
         self.cap = wp.zeros(1, dtype=wp.float32, device=device)
         self._claim = wp.full(vertex_count, set_kernels.UNCLAIMED, dtype=wp.int64, device=device)
@@ -96,15 +98,6 @@ class PassSteps:
     def integers(self, count: int) -> wp.array:
         """(count,) int32 zeros."""
         return wp.zeros(count, dtype=wp.int32, device=self.device)
-
-    def _new_log(self, capacity: int) -> CollapseLog:
-        log = CollapseLog()
-        log.count, log.round_count = self.integers(1), self.integers(1)
-        for name in ("kept", "removed", "left_wing", "right_wing", "faces_removed", "round_index"):
-            setattr(log, name, wp.empty(capacity, dtype=wp.int32, device=self.device))
-        for name in ("cost", "error"):
-            setattr(log, name, wp.empty(capacity, dtype=wp.float32, device=self.device))
-        return log
 
     def price_all(self) -> Step:
         """Price all edges by the model as it is now."""

@@ -289,8 +289,9 @@ def _collapse(
             outputs=[frames.quadric],
             device=device,
         )
+    log = read_log(steps.log_rows, orderer.collapse_count())
     drops = DropRecord.none(vertex_count) if components is None else components.record(orderer.drops)
-    return _Collapsed(frames.position, frames.quadric, constrained, frozen, stopped, read_log(orderer.log), drops)
+    return _Collapsed(frames.position, frames.quadric, constrained, frozen, stopped, log, drops)
 
 
 def _new_ordering(steps: PassSteps) -> Ordering:
