@@ -51,7 +51,7 @@ class Orderer(Ordering):
     def __init__(self, steps: PassSteps, compacts: bool = True) -> None:
         super().__init__(steps)
         self._compacts = compacts
-        self.pass_index = 0
+        self.pass_index, self._sample_step = 0, 0
         if not compacts:
             return
         state, device, face_count = self.state, self.device, self.face_slots
@@ -132,7 +132,10 @@ class Orderer(Ordering):
         # After a pass without a winner every edge counts: the few that are awake may be missing from a sample.
         corner_count = 3 * (self.face_slots if self._compacts else self.live_faces)
         sampled = cap_fraction == CAP_FRACTION and corner_count >= SAMPLE_STEP * int(control_kernels.LEAST_SAMPLE)
-        self.steps.sample_step.fill_(SAMPLE_STEP if sampled else 1)
+        step = SAMPLE_STEP if sampled else 1
+        if step != self._sample_step:
+            self.steps.sample_step.fill_(step)
+            self._sample_step = step
         gear.collect.run()
         return int(gear.candidates[0].count.numpy().sum())
 
