@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import warp as wp
 
+from warpqem.device import device_traits
 from warpqem.kernels import arrangement as arrangement_kernels
 from warpqem.kernels import attribute as attribute_kernels
 from warpqem.kernels.lanes import width_of
@@ -18,10 +19,12 @@ from warpqem.launches import launch
 from warpqem.order.arrangement import ARRANGED_FACES, Arrangement, arrange
 from warpqem.order.attributes import build_wedges
 from warpqem.order.deformation import build_deformation
+from warpqem.order.device_loop import DeviceOrderer
 from warpqem.order.drops import Components, DropRecord
 from warpqem.order.log import CollapseRecord, read_log
 from warpqem.order.members import build_members
 from warpqem.order.nodes import NodeRecorder
+from warpqem.order.ordering import Ordering
 from warpqem.order.pass_steps import PassSteps
 from warpqem.order.passes import Orderer
 from warpqem.order.quadric_sums import QuadricSums, add_quadric_sums
@@ -265,7 +268,8 @@ def _collapse(
     frame_count = 1 if mesh.trajectories is None else mesh.trajectories.shape[1]
     model.deformation_weight = settings.deformation_weight * mesh.key_count / frame_count
 
-    orderer = Orderer(PassSteps(state, frames, stars, model, device, settings.memoryless))
+    steps = PassSteps(state, frames, stars, model, device, settings.memoryless)
+    orderer = _new_ordering(steps)
     components = (
         None if settings.keep_components else Components(state, model.epsilon, settings.error_limit**2, lowest_limit**2)
     )
@@ -285,8 +289,14 @@ def _collapse(
             outputs=[frames.quadric],
             device=device,
         )
+    log = read_log(steps.log_rows, orderer.collapse_count())
     drops = DropRecord.none(vertex_count) if components is None else components.record(orderer.drops)
-    return _Collapsed(frames.position, frames.quadric, constrained, frozen, stopped, read_log(orderer.log), drops)
+    return _Collapsed(frames.position, frames.quadric, constrained, frozen, stopped, log, drops)
+
+
+def _new_ordering(steps: PassSteps) -> Ordering:
+    """The loop for a kind of device: a GPU waits too long for the host, and a CPU for dead faces."""
+    return DeviceOrderer(steps) if device_traits(steps.device).captures else Orderer(steps)
 
 
 def _ends(faces: np.ndarray, half_edge_flags: np.ndarray, vertex_count: int) -> np.ndarray:
