@@ -95,7 +95,7 @@ def _price_all_edges(a: Arguments) -> Demand:
     return Demand(vertices * keys * ROW + topology, half_edges / 2 * keys * PRICE_FLOPS)
 
 
-def _reprice_moved_stars(a: Arguments) -> Demand:
+def _update_moved_costs(a: Arguments) -> Demand:
     moved, keys = _moved(a), _keys(a)
     # The vertex and its ring; corners and stars to find them; a cost at either half-edge of each edge.
     return Demand(
@@ -114,7 +114,7 @@ def _place_winners(a: Arguments) -> Demand:
     return Demand(winners * (keys * (2 * ROW + POINT) + 6 * INT), winners * keys * TARGET_FLOPS)
 
 
-def _judge_winners(a: Arguments) -> Demand:
+def _check_collapses(a: Arguments) -> Demand:
     winners, keys = _length(a["winners"]), _keys(a)
     # Both stars: eight faces stay, over the two ends and a ring of eight, against one target.
     faces, vertices = 2 * (VALENCE - 2), 2 + 2 * (VALENCE - 2)
@@ -174,12 +174,12 @@ def _count_corners(a: Arguments) -> Demand:
     return Demand(3 * int(a["face_count_in"].numpy()[0]) * INT + 2 * _size(a["corner_count_out"]))
 
 
-def _fill_stars(a: Arguments) -> Demand:
-    return Demand(2 * 3 * int(a["face_count_in"].numpy()[0]) * INT + 2 * _size(a["star_cursor"]))
+def _fill_adjacency(a: Arguments) -> Demand:
+    return Demand(2 * 3 * int(a["face_count_in"].numpy()[0]) * INT + 2 * _size(a["adjacency_cursor"]))
 
 
-def _sort_stars(a: Arguments) -> Demand:
-    return Demand(2 * int(a["star_start_in"].numpy()[-1]) * INT + _size(a["star_start_in"]))
+def _sort_adjacency(a: Arguments) -> Demand:
+    return Demand(2 * int(a["adjacency_start_in"].numpy()[-1]) * INT + _size(a["adjacency_start_in"]))
 
 
 def _classify_vertices(a: Arguments) -> Demand:
@@ -276,10 +276,10 @@ _MODELS: dict[str, Callable[[Arguments], Demand]] = {
     model.__name__.removeprefix("_"): model
     for model in (
         _price_all_edges,
-        _reprice_moved_stars,
+        _update_moved_costs,
         _wake_neighbourhoods,
         _place_winners,
-        _judge_winners,
+        _check_collapses,
         _open_log,
         _drop_dead_corners,
         _commit_winners,
@@ -291,8 +291,8 @@ _MODELS: dict[str, Callable[[Arguments], Demand]] = {
         _withdraw_claims,
         _shrink_candidates,
         _count_corners,
-        _fill_stars,
-        _sort_stars,
+        _fill_adjacency,
+        _sort_adjacency,
         _classify_vertices,
         _mark_live_faces,
         _move_live_faces,

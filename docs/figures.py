@@ -24,8 +24,8 @@ from warpqem.measure import vertex_distances
 from warpqem.measure.heatmap import distance_colors
 from warpqem.picture import View, caption, render, tile, write_gif, write_png
 from warpqem.usd import SimplifyOptions, simplify_stage
-from warpqem.usd.features import feature_colors
-from warpqem.usd.report_page import write_simplify_report
+from warpqem.usd.commands.motion_features import feature_colors
+from warpqem.usd.commands.report_page import write_simplify_report
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"

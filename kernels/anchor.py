@@ -28,7 +28,7 @@ ROUNDING_PULL = wp.constant(wp.float32(1.0e-5))
 # degrees does.
 OVERHANG = wp.constant(wp.float32(0.25))
 # Added to the diagonal for clusters without any extent.
-LEAST_DIAGONAL = wp.constant(wp.float32(1.0e-20))
+MIN_DIAGONAL = wp.constant(wp.float32(1.0e-20))
 
 
 @lane_kernel(key_position_in=POINTS_ARRAY, ordered_position_in=POINTS_ARRAY)
@@ -65,7 +65,7 @@ def factorise(g: wp.array[wp.float32], o: wp.int32, n: wp.int32):
             for k in range(j):
                 s -= g[o + packed(i, k)] * g[o + packed(j, k)]
             if i == j:
-                g[o + packed(i, i)] = wp.sqrt(wp.max(s, LEAST_DIAGONAL))
+                g[o + packed(i, i)] = wp.sqrt(wp.max(s, MIN_DIAGONAL))
             else:
                 g[o + packed(i, j)] = s / g[o + packed(j, j)]
 
@@ -150,7 +150,7 @@ def fit_anchor_weights(
     total = wp.float32(0.0)
     for i in range(n):
         total += matrix[o + packed(i, i)]
-    shift = (regularisation_in[cluster] * wp.max(total, 0.0) + ROUNDING_PULL * size) / wp.float32(n) + LEAST_DIAGONAL
+    shift = (regularisation_in[cluster] * wp.max(total, 0.0) + ROUNDING_PULL * size) / wp.float32(n) + MIN_DIAGONAL
     for i in range(n):
         matrix[o + packed(i, i)] = matrix[o + packed(i, i)] + shift
     factorise(matrix, o, n)

@@ -67,7 +67,7 @@ def joined_corners(state: MeshState, u: wp.int32, v: wp.int32, side: wp.int32) -
     """The corners at ``u`` and at ``v`` of the face left (side 0) or right (1) of the edge; -1 where there is none."""
     a = wp.where(side == 0, u, v)
     b = wp.where(side == 0, v, u)
-    h = find_half_edge(state.corner_vertex, state.stars, a, b)
+    h = find_half_edge(state.corner_vertex, state.adjacency, a, b)
     if h < 0:
         return wp.vec2i(-1, -1)
     if side == 0:
@@ -143,11 +143,11 @@ def attribute_error(state: MeshState, u: wp.int32, v: wp.int32, x: Point) -> wp.
 
 
 @wp.func
-def relabel_star(state: MeshState, v: wp.int32, w: wp.int32, new: wp.int32):
+def relabel_ring(state: MeshState, v: wp.int32, w: wp.int32, new: wp.int32):
     """Corners of wedge ``w`` in the star of ``v`` become corners of wedge ``new``."""
-    for i in range(state.stars.start[v], state.stars.end[v]):
-        if state.wedges.corner_wedge[state.stars.corner[i]] == w:
-            state.wedges.corner_wedge[state.stars.corner[i]] = new
+    for i in range(state.adjacency.start[v], state.adjacency.end[v]):
+        if state.wedges.corner_wedge[state.adjacency.corner[i]] == w:
+            state.wedges.corner_wedge[state.adjacency.corner[i]] = new
 
 
 @wp.func
@@ -173,8 +173,8 @@ def merge_wedges(state: MeshState, u: wp.int32, v: wp.int32, x: Point):
                 wedges.gradient[a, k] = gradient + share * (wedges.gradient[a, k] - gradient)
             wedges.origin[a] = x
             wedges.area[a] = wedges.area[a] + wedges.area[b]
-            relabel_star(state, u, b, a)
-            relabel_star(state, v, b, a)
+            relabel_ring(state, u, b, a)
+            relabel_ring(state, v, b, a)
 
 
 @wp.kernel

@@ -69,7 +69,7 @@ def chunk_steps(state: MeshState, h: wp.int32, first: wp.int32, last: wp.int32) 
 @wp.func
 def measure_half_edge(state: MeshState, h: wp.int32, chunk: wp.int32):
     """Steps of the edge that a half-edge stands for, in one chunk of frames."""
-    if is_canonical(state.corner_vertex, state.stars, state.vertex_flags, h):
+    if is_canonical(state.corner_vertex, state.adjacency, state.vertex_flags, h):
         first = chunk * state.deformation.chunk_frames
         last = wp.min(first + state.deformation.chunk_frames, state.trajectory.shape[1])
         state.deformation.steps[h, chunk] = chunk_steps(state, h, first, last)
@@ -92,7 +92,7 @@ def length_deformation(state: MeshState, h: wp.int32) -> wp.float32:
     face = h // 3
     opposite_face = wp.int32(-1)
     opposite = find_half_edge(
-        state.corner_vertex, state.stars, half_edge_target(state.corner_vertex, h), state.corner_vertex[h]
+        state.corner_vertex, state.adjacency, half_edge_target(state.corner_vertex, h), state.corner_vertex[h]
     )
     if opposite >= 0:
         opposite_face = opposite // 3
@@ -154,8 +154,8 @@ def measure_moved_deformation(
     item_count = (log.count[0] - pass_begin[0]) * chunk_count
     for i in range(first_item(item_count, work) + wp.tid(), last_item(item_count, work), work.lanes):
         u = log.kept[pass_begin[0] + i // chunk_count]
-        for j in range(state.stars.start[u], state.stars.end[u]):
-            h = state.stars.corner[j]
+        for j in range(state.adjacency.start[u], state.adjacency.end[u]):
+            h = state.adjacency.corner[j]
             measure_face(state, h // 3, i % chunk_count)
             measure_half_edge(state, h, i % chunk_count)
             measure_half_edge(state, previous_corner(h), i % chunk_count)

@@ -23,7 +23,7 @@ from warpqem.kernels.quadric import (
 from warpqem.kernels.topology import (
     BORDER,
     CORNER,
-    FROZEN,
+    NON_MANIFOLD,
     PINNED,
     SEAM,
     find_half_edge,
@@ -38,7 +38,7 @@ wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
 INFINITE_COST = wp.constant(wp.float32(wp.inf))
 # Costs stay above zero, so that the sign is free to say "asleep" and the float's bits order the edges.
-LEAST_COST = wp.constant(wp.float32(1.0e-37))
+MIN_COST = wp.constant(wp.float32(1.0e-37))
 # Where the quadrics leave the anchor open (flat or empty stars), this pull, relative to the stiffness of the stars,
 # takes it to the middle of the edge; it is far below what any curvature asks for.
 MIDDLE_PULL = wp.constant(wp.float32(1.0e-5))
@@ -151,7 +151,7 @@ def breaks_seams(state: MeshState, h: wp.int32) -> wp.bool:
         return False
     if (common & CORNER) != 0 or state.seam[h] == 0 or closes_island(state, h):
         return True
-    return closes_island(state, find_half_edge(state.corner_vertex, state.stars, v, u))
+    return closes_island(state, find_half_edge(state.corner_vertex, state.adjacency, v, u))
 
 
 @wp.func
@@ -162,7 +162,7 @@ def is_priced(fu: wp.int32, fv: wp.int32) -> wp.bool:
     """
     if (fu & PINNED) != 0 and (fv & PINNED) != 0:
         return False
-    return ((fu & FROZEN) == 0 or (fv & BORDER) == 0) and ((fv & FROZEN) == 0 or (fu & BORDER) == 0)
+    return ((fu & NON_MANIFOLD) == 0 or (fv & BORDER) == 0) and ((fv & NON_MANIFOLD) == 0 or (fu & BORDER) == 0)
 
 
 @wp.func
@@ -197,7 +197,7 @@ def price_edge(state: MeshState, frames: AnyKeyFrames, model: CostModel, h: wp.i
     if state.wedges.channel_count > 0:
         x = merged_position(state, frames, model, u, v, 0, anchor)
         total += attribute_error(state, u, v, first_frame(x))
-    price.cost = weight * (total + LENGTH_COST * spread) + LEAST_COST
+    price.cost = weight * (total + LENGTH_COST * spread) + MIN_COST
     if model.deformation_weight > 0.0:
         price.cost += model.deformation_weight * length_deformation(state, h)
     return price
@@ -207,14 +207,14 @@ def price_edge(state: MeshState, frames: AnyKeyFrames, model: CostModel, h: wp.i
 def cost_at(state: MeshState, frames: AnyKeyFrames, model: CostModel, h: wp.int32) -> wp.float32:
     """What stands at half-edge ``h`` of a live face: the cost of its edge, once for both half-edges."""
     cost = INFINITE_COST
-    if is_canonical(state.corner_vertex, state.stars, state.vertex_flags, h):
+    if is_canonical(state.corner_vertex, state.adjacency, state.vertex_flags, h):
         price = price_edge(state, frames, model, h)
         cost = price.cost
     return cost
 
 
 @lane_kernel(frames=KEY_FRAMES)
-def price_all_edges(
+def compute_all_costs(
     state: MeshState,
     frames: AnyKeyFrames,
     model: CostModel,
@@ -233,14 +233,14 @@ def price_all_edges(
 def opposite_edge(state: MeshState, h: wp.int32) -> wp.int32:
     """The half-edge that stands for the edge across the face of ``h`` from the vertex where ``h`` begins."""
     across = next_corner(h)
-    if is_canonical(state.corner_vertex, state.stars, state.vertex_flags, across):
+    if is_canonical(state.corner_vertex, state.adjacency, state.vertex_flags, across):
         return across
     a = state.corner_vertex[across]
-    return find_half_edge(state.corner_vertex, state.stars, half_edge_target(state.corner_vertex, across), a)
+    return find_half_edge(state.corner_vertex, state.adjacency, half_edge_target(state.corner_vertex, across), a)
 
 
 @lane_kernel(frames=KEY_FRAMES)
-def reprice_moved_stars(
+def update_moved_costs(
     state: MeshState,
     frames: AnyKeyFrames,
     model: CostModel,
@@ -261,8 +261,8 @@ def reprice_moved_stars(
         u = log.kept[pass_begin[0] + i]
         # The edges of a face in one loop: a loop of two or three would be unrolled, and an edge's price is most of what
         # there is to compile.
-        for j in range(sides * state.stars.start[u], sides * state.stars.end[u]):
-            h = state.stars.corner[j // sides]
+        for j in range(sides * state.adjacency.start[u], sides * state.adjacency.end[u]):
+            h = state.adjacency.corner[j // sides]
             side = j % sides
             if side == 1:
                 h = previous_corner(h)
@@ -274,7 +274,7 @@ def reprice_moved_stars(
 
 
 @lane_kernel(frames=KEY_FRAMES)
-def reprice_neighbourhoods(
+def update_neighbourhood_costs(
     state: MeshState,
     frames: AnyKeyFrames,
     model: CostModel,
@@ -293,7 +293,7 @@ def reprice_neighbourhoods(
 
 
 @wp.kernel
-def wake_neighbourhoods(
+def resume_neighbourhoods(
     state: MeshState,
     mask_in: wp.array[wp.int32],
     pass_number_in: wp.array[wp.int32],

@@ -18,8 +18,8 @@ class Elements:
     """A symmetric matrix over C vertices as blocks of the faces between them."""
 
     corner_vertex: wp.array[wp.int32]  # (3N',)
-    star_start: wp.array[wp.int32]  # (C+1,)
-    star_corner: wp.array[wp.int32]  # (3N',)
+    adjacency_start: wp.array[wp.int32]  # (C+1,)
+    adjacent_corner: wp.array[wp.int32]  # (3N',)
     block: wp.array2d[wp.mat33]  # (N', 9), row-major over the corners of the face
 
 
@@ -47,8 +47,8 @@ def start_solve(
     c = wp.tid()
     right = wp.vec3()
     diagonal = wp.mat33()
-    for i in range(e.star_start[c], e.star_start[c + 1]):
-        h = e.star_corner[i]
+    for i in range(e.adjacency_start[c], e.adjacency_start[c + 1]):
+        h = e.adjacent_corner[i]
         right += corner_right_in[h]
         diagonal += e.block[h / 3, 4 * (h % 3)]
     s.x[c] = wp.vec3()
@@ -66,8 +66,8 @@ def multiply_direction(
     """``image = matrix direction``."""
     c = wp.tid()
     total = wp.vec3()
-    for i in range(e.star_start[c], e.star_start[c + 1]):
-        h = e.star_corner[i]
+    for i in range(e.adjacency_start[c], e.adjacency_start[c + 1]):
+        h = e.adjacent_corner[i]
         f = h / 3
         row = 3 * (h % 3)
         for k in range(3):

@@ -20,7 +20,7 @@ BIN_SHIFT = wp.constant(wp.int32(19))
 # The multipliers of murmur3's mixer.
 FIRST_MIX = wp.constant(wp.uint32(0x85EBCA6B))
 SECOND_MIX = wp.constant(wp.uint32(0xC2B2AE35))
-UNCLAIMED = wp.constant(wp.int64(0x7FFFFFFFFFFFFFFF))
+UNRESERVED = wp.constant(wp.int64(0x7FFFFFFFFFFFFFFF))
 
 
 @wp.func
@@ -48,7 +48,7 @@ def shuffled(h: wp.int32) -> wp.uint32:
 
 
 @wp.func
-def claim_key(state: MeshState, h: wp.int32) -> wp.int64:
+def reservation_key(state: MeshState, h: wp.int32) -> wp.int64:
     """``cost bits << 32 | shuffled index``."""
     return (wp.int64(wp.cast(state.edge_cost[h], wp.int32)) << wp.int64(32)) | wp.int64(shuffled(h))
 
@@ -70,32 +70,32 @@ def count_costs(
 
 
 @wp.kernel
-def find_cap(
+def find_cost_threshold(
     wanted_in: wp.array[wp.int32],
     sample_step: wp.int32,
     # outputs
     histogram: wp.array2d[wp.int32],
-    cap_out: wp.array[wp.float32],
+    threshold_out: wp.array[wp.float32],
 ):
     """The upper end of the bin of the ``wanted``-th cheapest edge; the histogram is cleared for the next pass."""
     wanted = wp.max(1, wanted_in[0] // sample_step)
     seen = wp.int32(0)
-    cap = wp.int32(-1)
+    cost_threshold = wp.int32(-1)
     for b in range(histogram.shape[1]):
         n = wp.int32(0)
         for part in range(histogram.shape[0]):
             n += histogram[part, b]
             histogram[part, b] = 0
         if n > 0 and seen < wanted:
-            cap = b
+            cost_threshold = b
         seen += n
-    cap_out[0] = wp.cast((cap + 1) << BIN_SHIFT, wp.float32)
+    threshold_out[0] = wp.cast((cost_threshold + 1) << BIN_SHIFT, wp.float32)
 
 
 @wp.kernel
 def collect_candidates(
     state: MeshState,
-    cap_in: wp.array[wp.float32],
+    threshold_in: wp.array[wp.float32],
     work: Work,
     # outputs
     candidates: EdgeList,
@@ -103,51 +103,51 @@ def collect_candidates(
     """Half-edges with a cost below the cap (counts zeroed before the launch)."""
     half_edge_count = 3 * state.face_count[0]
     last = last_item(half_edge_count, work)
-    cap = cap_in[0]
+    cost_threshold = threshold_in[0]
     h = first_item(half_edge_count, work) + wp.tid()
     while h < last:
         cost = state.edge_cost[h]
-        if cost > 0.0 and cost < cap:
+        if cost > 0.0 and cost < cost_threshold:
             append(candidates, work.part, h)
         h += work.lanes
 
 
 @wp.kernel
-def claim_vertices(
+def reserve_vertices(
     state: MeshState,
     candidates: EdgeList,
     work: Work,
     # outputs
-    claim: wp.array[wp.int64],
+    reservation: wp.array[wp.int64],
 ):
     """Each candidate claims its two ends; the smallest key stays. A part walks all candidates for its own vertices."""
-    first_vertex = first_item(claim.shape[0], work)
-    last_vertex = last_item(claim.shape[0], work)
+    first_vertex = first_item(reservation.shape[0], work)
+    last_vertex = last_item(reservation.shape[0], work)
     for part in range(work.part_count):
         for i in range(wp.tid(), candidates.count[part], work.lanes):
-            prefetch_edges(state, candidates, part, i, claim, work)
+            prefetch_edges(state, candidates, part, i, reservation, work)
             h = candidates.half_edge[part * candidates.capacity + i]
             u = state.corner_vertex[h]
             v = half_edge_target(state.corner_vertex, h)
-            key = claim_key(state, h)
+            key = reservation_key(state, h)
             if u >= first_vertex and u < last_vertex:
-                wp.atomic_min(claim, u, key)
+                wp.atomic_min(reservation, u, key)
             if v >= first_vertex and v < last_vertex:
-                wp.atomic_min(claim, v, key)
+                wp.atomic_min(reservation, v, key)
 
 
 @wp.func
-def holds_star(state: MeshState, claim: wp.array[wp.int64], v: wp.int32, key: wp.int64) -> wp.bool:
+def holds_ring(state: MeshState, reservation: wp.array[wp.int64], v: wp.int32, key: wp.int64) -> wp.bool:
     """Whether no vertex of the star of ``v`` is claimed by a smaller key."""
-    i = state.stars.start[v]
-    last = state.stars.end[v]
-    holds = claim[v] == key
+    i = state.adjacency.start[v]
+    last = state.adjacency.end[v]
+    holds = reservation[v] == key
     open_fan = (state.vertex_flags[v] & OPEN) != 0
     while holds and i < last:
-        h = state.stars.corner[i]
-        if claim[half_edge_target(state.corner_vertex, h)] < key:
+        h = state.adjacency.corner[i]
+        if reservation[half_edge_target(state.corner_vertex, h)] < key:
             holds = False
-        if open_fan and claim[state.corner_vertex[previous_corner(h)]] < key:
+        if open_fan and reservation[state.corner_vertex[previous_corner(h)]] < key:
             holds = False
         i += 1
     return holds
@@ -157,24 +157,24 @@ def holds_star(state: MeshState, claim: wp.array[wp.int64], v: wp.int32, key: wp
 def select_winners(
     state: MeshState,
     candidates: EdgeList,
-    claim_in: wp.array[wp.int64],
+    reservation_in: wp.array[wp.int64],
     work: Work,
     # outputs
     winners: EdgeList,
 ):
     """Candidates whose key is the smallest at every vertex of both ends' stars (counts zeroed before the launch)."""
     for i in range(wp.tid(), candidates.count[work.part], work.lanes):
-        prefetch_edges(state, candidates, work.part, i, claim_in, work)
+        prefetch_edges(state, candidates, work.part, i, reservation_in, work)
         h = candidates.half_edge[work.part * candidates.capacity + i]
         u = state.corner_vertex[h]
         v = half_edge_target(state.corner_vertex, h)
-        key = claim_key(state, h)
+        key = reservation_key(state, h)
         # Both ends first: most candidates lose there, without a walk around the stars.
         if (
-            claim_in[u] == key
-            and claim_in[v] == key
-            and holds_star(state, claim_in, u, key)
-            and holds_star(state, claim_in, v, key)
+            reservation_in[u] == key
+            and reservation_in[v] == key
+            and holds_ring(state, reservation_in, u, key)
+            and holds_ring(state, reservation_in, v, key)
         ):
             append(winners, work.part, h)
 
@@ -185,13 +185,13 @@ def withdraw_claims(
     candidates: EdgeList,
     work: Work,
     # outputs
-    claim_out: wp.array[wp.int64],
+    reservation_out: wp.array[wp.int64],
 ):
     """Leave every vertex unclaimed for the next round."""
     for i in range(wp.tid(), candidates.count[work.part], work.lanes):
         h = candidates.half_edge[work.part * candidates.capacity + i]
-        claim_out[state.corner_vertex[h]] = UNCLAIMED
-        claim_out[half_edge_target(state.corner_vertex, h)] = UNCLAIMED
+        reservation_out[state.corner_vertex[h]] = UNRESERVED
+        reservation_out[half_edge_target(state.corner_vertex, h)] = UNRESERVED
 
 
 @wp.kernel
@@ -199,7 +199,7 @@ def shrink_candidates(
     state: MeshState,
     mask_in: wp.array[wp.int32],
     pass_number_in: wp.array[wp.int32],
-    cap_in: wp.array[wp.float32],
+    threshold_in: wp.array[wp.float32],
     candidates_in: EdgeList,
     work: Work,
     # outputs
@@ -213,8 +213,8 @@ def shrink_candidates(
         prefetch_edges(state, candidates_in, work.part, i, mask_in, work)
         h = candidates_in.half_edge[work.part * candidates_in.capacity + i]
         u = state.corner_vertex[h]
-        # One that was found dearer than its price is no candidate any more.
-        if u >= 0 and is_candidate_cost(state.edge_cost[h]) and state.edge_cost[h] < cap_in[0]:
+        # One that was found costlier than its price is no candidate any more.
+        if u >= 0 and is_candidate_cost(state.edge_cost[h]) and state.edge_cost[h] < threshold_in[0]:
             v = half_edge_target(state.corner_vertex, h)
             if mask_in[u] != pass_number_in[0] and mask_in[v] != pass_number_in[0]:
                 append(candidates_out, work.part, h)

@@ -23,8 +23,8 @@ class OneRings:
     """The faces about each of C output vertices, and the pose that material frames start from."""
 
     corner_vertex: wp.array[wp.int32]  # (3N',)
-    star_start: wp.array[wp.int32]  # (C+1,)
-    star_corner: wp.array[wp.int32]  # (3N',)
+    adjacency_start: wp.array[wp.int32]  # (C+1,)
+    adjacent_corner: wp.array[wp.int32]  # (3N',)
     reference: wp.array[wp.vec3]  # (C,) positions in the reference frame
     reference_normal: wp.array[wp.vec3]  # (C,) of any length
 
@@ -58,8 +58,8 @@ def material_frame(
     y0 = wp.cross(n0, x0)
     m = wp.mat22()
     g = wp.mat22()
-    for i in range(rings.star_start[c], rings.star_start[c + 1]):
-        v = half_edge_target(rings.corner_vertex, rings.star_corner[i])
+    for i in range(rings.adjacency_start[c], rings.adjacency_start[c + 1]):
+        v = half_edge_target(rings.corner_vertex, rings.adjacent_corner[i])
         d = points[t, v] - points[t, c]
         d0 = rings.reference[v] - rings.reference[c]
         u = wp.vec2(wp.dot(d, x), wp.dot(d, y))

@@ -5,7 +5,7 @@ from typing import Any
 import warp as wp
 
 from warpqem.kernels.lanes import POINTS, POINTS_ARRAY, QUADRIC, QUADRIC_ARRAY, WIDTHS
-from warpqem.kernels.topology import VertexStars
+from warpqem.kernels.topology import VertexAdjacency
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
@@ -59,8 +59,8 @@ class MeshState:
 
     face_count: wp.array[wp.int32]  # (1,) faces in the arrays, dead ones included
     corner_vertex: wp.array[wp.int32]  # (3N,) vertex of each corner; -1 in a dead face
-    stars: VertexStars
-    vertex_flags: wp.array[wp.int32]  # (V,) BORDER | LOCKED | FROZEN | SEAM | CORNER
+    adjacency: VertexAdjacency
+    vertex_flags: wp.array[wp.int32]  # (V,) BORDER | LOCKED | NON_MANIFOLD | SEAM | CORNER
     cost_weight: wp.array[wp.float32]  # (V,) multiplies the cost; averaged when two vertices merge
     quadric_scale: wp.array[wp.float32]  # (V,) what planes at a vertex count; averaged when two vertices merge
     sum_row: wp.array[wp.int32]  # (V,) row of ``kept_sum``, -1 for none; empty where no sums are kept
@@ -109,8 +109,8 @@ class CollapseLog:
     round_count: wp.array[wp.int32]  # (1,) rounds of claims so far
     kept: wp.array[wp.int32]  # (V,)
     removed: wp.array[wp.int32]  # (V,)
-    left_wing: wp.array[wp.int32]  # (V,) the vertex opposite the edge in its canonical face
-    right_wing: wp.array[wp.int32]  # (V,) -1 at a border
+    left_opposite: wp.array[wp.int32]  # (V,) the vertex opposite the edge in its canonical face
+    right_opposite: wp.array[wp.int32]  # (V,) -1 at a border
     cost: wp.array[wp.float32]  # (V,)
     error: wp.array[wp.float32]  # (V,) squared, in diagonals squared
     faces_removed: wp.array[wp.int32]  # (V,)

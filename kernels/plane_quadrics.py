@@ -55,8 +55,8 @@ def weigh_face_normals(
 
 @lane_kernel(weighted_normal_in=POINTS_ARRAY, quadric_out=QUADRIC_ARRAY)
 def gather_vertex_quadrics(
-    star_start_in: wp.array[wp.int32],
-    star_corner_in: wp.array[wp.int32],
+    adjacency_start_in: wp.array[wp.int32],
+    adjacent_corner_in: wp.array[wp.int32],
     weighted_normal_in: Any,
     quadric_scale_in: wp.array[wp.float32],
     # outputs
@@ -65,8 +65,8 @@ def gather_vertex_quadrics(
     """Sum of the face quadrics of a vertex's star. The origin is the vertex, which lies on every plane: b = c = 0."""
     v, t = wp.tid()
     q = quadric_out.dtype()
-    for i in range(star_start_in[v], star_start_in[v + 1]):
-        n = weighted_normal_in[star_corner_in[i] // 3, t]
+    for i in range(adjacency_start_in[v], adjacency_start_in[v + 1]):
+        n = weighted_normal_in[adjacent_corner_in[i] // 3, t]
         q[0] += wp.cw_mul(n[0], n[0])
         q[1] += wp.cw_mul(n[0], n[1])
         q[2] += wp.cw_mul(n[0], n[2])

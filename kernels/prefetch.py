@@ -50,30 +50,30 @@ def prefetch_row(rows: Any, i: wp.int32):
 @wp.func
 def prefetch_faces(state: MeshState, v: wp.int32):
     """The faces around a vertex."""
-    for i in range(state.stars.start[v], state.stars.end[v]):
-        prefetch(state.corner_vertex, state.stars.corner[i])
+    for i in range(state.adjacency.start[v], state.adjacency.end[v]):
+        prefetch(state.corner_vertex, state.adjacency.corner[i])
 
 
 @wp.func
 def prefetch_prices(state: MeshState, v: wp.int32):
     """The faces around a vertex and the prices of their edges."""
-    for i in range(state.stars.start[v], state.stars.end[v]):
-        prefetch(state.corner_vertex, state.stars.corner[i])
-        prefetch(state.edge_cost, state.stars.corner[i])
+    for i in range(state.adjacency.start[v], state.adjacency.end[v]):
+        prefetch(state.corner_vertex, state.adjacency.corner[i])
+        prefetch(state.edge_cost, state.adjacency.corner[i])
 
 
 @wp.func
 def prefetch_ring(state: MeshState, positions: Any, v: wp.int32):
     """Positions of the neighbours of a vertex."""
-    for i in range(state.stars.start[v], state.stars.end[v]):
-        prefetch_row(positions, half_edge_target(state.corner_vertex, state.stars.corner[i]))
+    for i in range(state.adjacency.start[v], state.adjacency.end[v]):
+        prefetch_row(positions, half_edge_target(state.corner_vertex, state.adjacency.corner[i]))
 
 
 @wp.func
 def prefetch_priced_ring(state: MeshState, frames: AnyKeyFrames, v: wp.int32):
     """All that prices of the edges at a vertex ask of its neighbours."""
-    for i in range(state.stars.start[v], state.stars.end[v]):
-        w = half_edge_target(state.corner_vertex, state.stars.corner[i])
+    for i in range(state.adjacency.start[v], state.adjacency.end[v]):
+        w = half_edge_target(state.corner_vertex, state.adjacency.corner[i])
         prefetch(state.vertex_flags, w)
         prefetch(state.cost_weight, w)
         prefetch_row(frames.quadric, w)
@@ -111,19 +111,19 @@ def prefetch_ends(state: MeshState, frames: AnyKeyFrames, winners: EdgeList, wor
 
 
 @wp.func
-def prefetch_stars(state: MeshState, vertices: wp.array[wp.int32], i: wp.int32, count: wp.int32, work: Work):
+def prefetch_adjacency(state: MeshState, vertices: wp.array[wp.int32], i: wp.int32, count: wp.int32, work: Work):
     """The stars of the vertices that come after the ``i``-th of a list, and their faces; -1 is passed over."""
     if work.lanes > 1:
         return
     if i + STARS_AHEAD < count:
         v = vertices[i + STARS_AHEAD]
         if v >= 0:
-            prefetch(state.stars.start, v)
-            prefetch(state.stars.end, v)
+            prefetch(state.adjacency.start, v)
+            prefetch(state.adjacency.end, v)
     if i + LISTS_AHEAD < count:
         v = vertices[i + LISTS_AHEAD]
         if v >= 0:
-            prefetch(state.stars.corner, state.stars.start[v])
+            prefetch(state.adjacency.corner, state.adjacency.start[v])
     if i + FACES_AHEAD < count:
         v = vertices[i + FACES_AHEAD]
         if v >= 0:
@@ -143,11 +143,11 @@ def prefetch_winners(state: MeshState, frames: AnyKeyFrames, winners: EdgeList, 
     for side in range(2):
         if k + STARS_AHEAD < count:
             v = end_of(state, winners.half_edge[first + k + STARS_AHEAD], side)
-            prefetch(state.stars.start, v)
-            prefetch(state.stars.end, v)
+            prefetch(state.adjacency.start, v)
+            prefetch(state.adjacency.end, v)
         if k + LISTS_AHEAD < count:
             v = end_of(state, winners.half_edge[first + k + LISTS_AHEAD], side)
-            prefetch(state.stars.corner, state.stars.start[v])
+            prefetch(state.adjacency.corner, state.adjacency.start[v])
         if k + FACES_AHEAD < count:
             v = end_of(state, winners.half_edge[first + k + FACES_AHEAD], side)
             prefetch_faces(state, v)

@@ -82,7 +82,7 @@ def shift_origin(q: Any, d: Any):
 
 
 @wp.func
-def pulled_minimiser(q: Any, share: wp.float32, epsilon: wp.float32):
+def regularised_minimiser(q: Any, share: wp.float32, epsilon: wp.float32):
     """``x`` with ``(share A + epsilon tr(A) I) x = -b``.
 
     The system is divided by its trace, so its entries are of order one whatever the areas are, and ``epsilon > 0``
@@ -118,7 +118,7 @@ def pulled_minimiser(q: Any, share: wp.float32, epsilon: wp.float32):
 @wp.func
 def anchored_minimiser(q: Any, epsilon: wp.float32):
     """``argmin Q(x) + epsilon tr(A) |x|^2``: stiff directions follow the quadric, soft ones stay at the origin."""
-    return pulled_minimiser(q, 1.0, epsilon)
+    return regularised_minimiser(q, 1.0, epsilon)
 
 
 @wp.func
@@ -127,7 +127,7 @@ def tangential_minimiser(q: Any, epsilon: wp.float32):
 
     Across a flat place ``A`` has its whole trace, so that nothing pulls there.
     """
-    return pulled_minimiser(q, 1.0 - epsilon, epsilon)
+    return regularised_minimiser(q, 1.0 - epsilon, epsilon)
 
 
 @wp.func

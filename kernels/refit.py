@@ -39,7 +39,7 @@ VERTEX_SHARE = wp.constant(wp.float32(0.25))
 SHORTEST_SQUARED = wp.constant(wp.float32(1.0e-3))
 
 # Keeps the matrix of a vertex without pairs from being singular (weights are of order one).
-LEAST_PULL = wp.constant(wp.float32(1.0e-6))
+MIN_PULL = wp.constant(wp.float32(1.0e-6))
 
 
 @wp.struct
@@ -134,7 +134,7 @@ def match_input_samples(
     sample = pair / turns.count
     t = turns.key
     face_count = source.corner_vertex.shape[0] / 3
-    if sample >= face_count + source.star_start.shape[0] - 1:
+    if sample >= face_count + source.adjacency_start.shape[0] - 1:
         return
     pairs.face[pair] = -1
     normal = wp.vec3()
@@ -150,8 +150,8 @@ def match_input_samples(
         v = sample - face_count
         corners = wp.vec3i(v, v, v)
         x = source.points[t, v]
-        for i in range(source.star_start[v], source.star_start[v + 1]):
-            cross = face_cross(source, t, source.star_corner[i] / 3)
+        for i in range(source.adjacency_start[v], source.adjacency_start[v + 1]):
+            cross = face_cross(source, t, source.adjacent_corner[i] / 3)
             normal += cross
             area += VERTEX_SHARE / 6.0 * wp.length(cross)
     if area == 0.0:
@@ -410,7 +410,7 @@ def assemble_elements(
     # By area and not by the pairs found: where there is none, the pull is all that holds a vertex.
     share = area * pull.mass / (3.0 * wp.float32(points_in.shape[0]))
     along = share * wp.vec3(pull.tangent, pull.tangent, pull.normal)
-    nothing = LEAST_PULL * wp.vec3(1.0, 1.0, 1.0)
+    nothing = MIN_PULL * wp.vec3(1.0, 1.0, 1.0)
     block_out[f, 0] = e.m00 + wp.diag(wp.cw_mul(along, hold_in[v[0]]) + nothing)
     block_out[f, 1] = e.m01
     block_out[f, 2] = e.m02

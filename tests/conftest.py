@@ -15,7 +15,7 @@ for _name in ("SIGHUP", "SIGQUIT", "SIGINT"):
 
 # The ways of a GPU on the CPU: before any kernel is compiled.
 if "CUDA_SEMANTICS" in os.environ:
-    from tests import cuda_semantics
+    from tests.support import cuda_semantics
 
     cuda_semantics.install(os.environ["CUDA_SEMANTICS"])
 

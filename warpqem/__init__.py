@@ -10,81 +10,81 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     # What type checkers and editors read; a test holds it against the homes below.
-    from warpqem.attributes import AttributeField as AttributeField
+    from warpqem.batching.job_result import BatchResult as BatchResult
     from warpqem.batching.jobs import BatchJob as BatchJob
-    from warpqem.batching.result import BatchResult as BatchResult
-    from warpqem.batching.run import batch as batch
-    from warpqem.cost_models import CostModelSpec as CostModelSpec
-    from warpqem.cost_models import cost_model_names as cost_model_names
-    from warpqem.face.features import FacialFeatures as FacialFeatures
-    from warpqem.face.features import facial_features as facial_features
+    from warpqem.batching.run_batch import batch as batch
+    from warpqem.costs.attributes import AttributeField as AttributeField
+    from warpqem.costs.blend_shape_weights import morph_weights as morph_weights
+    from warpqem.costs.models import CostModelSpec as CostModelSpec
+    from warpqem.costs.models import cost_model_names as cost_model_names
+    from warpqem.costs.motion_features import MotionFeatures as MotionFeatures
+    from warpqem.costs.motion_features import MotionWeighting as MotionWeighting
+    from warpqem.costs.motion_features import motion_features as motion_features
+    from warpqem.face.feature_points import FacialFeatures as FacialFeatures
+    from warpqem.face.feature_points import facial_features as facial_features
     from warpqem.face.protect import FaceProtection as FaceProtection
     from warpqem.face.retarget import FaceMesh as FaceMesh
     from warpqem.face.retarget import RetargetedMotion as RetargetedMotion
     from warpqem.face.retarget import retarget as retarget
-    from warpqem.frame_stream import FrameSink as FrameSink
-    from warpqem.frame_stream import FrameSource as FrameSource
-    from warpqem.levels import LevelOrder as LevelOrder
-    from warpqem.levels import order_levels as order_levels
-    from warpqem.levels import simplify_levels as simplify_levels
-    from warpqem.memory import MemoryPlan as MemoryPlan
+    from warpqem.frames.stream import FrameSink as FrameSink
+    from warpqem.frames.stream import FrameSource as FrameSource
     from warpqem.mesh_files.sequence import MeshSequence as MeshSequence
     from warpqem.mesh_files.sequence import load as load
-    from warpqem.mirror import find_mirror as find_mirror
-    from warpqem.morph import morph_weights as morph_weights
-    from warpqem.motion import MotionFeatures as MotionFeatures
-    from warpqem.motion import MotionWeighting as MotionWeighting
-    from warpqem.motion import motion_features as motion_features
+    from warpqem.pipeline.levels import LevelOrder as LevelOrder
+    from warpqem.pipeline.levels import order_levels as order_levels
+    from warpqem.pipeline.levels import simplify_levels as simplify_levels
+    from warpqem.pipeline.memory_plan import MemoryPlan as MemoryPlan
+    from warpqem.pipeline.mirror import find_mirror as find_mirror
+    from warpqem.pipeline.result import SimplifiedMesh as SimplifiedMesh
+    from warpqem.pipeline.shared_frames import FrameShare as FrameShare
+    from warpqem.pipeline.shared_frames import help_place as help_place
+    from warpqem.pipeline.simplify import plan as plan
+    from warpqem.pipeline.simplify import simplify as simplify
+    from warpqem.pipeline.symmetry import simplify_symmetric as simplify_symmetric
     from warpqem.progressive.build import build_progressive as build_progressive
-    from warpqem.progressive.mesh import ProgressiveMesh as ProgressiveMesh
-    from warpqem.result import SimplifiedMesh as SimplifiedMesh
-    from warpqem.sharing import FrameShare as FrameShare
-    from warpqem.sharing import help_place as help_place
-    from warpqem.simplification import plan as plan
-    from warpqem.simplification import simplify as simplify
-    from warpqem.skinning.fit import FittedSkin as FittedSkin
-    from warpqem.skinning.fit import fit_skin as fit_skin
-    from warpqem.skinning.skin import LinearSkin as LinearSkin
-    from warpqem.symmetry import simplify_symmetric as simplify_symmetric
+    from warpqem.progressive.progressive_mesh import ProgressiveMesh as ProgressiveMesh
+    from warpqem.skinning.fit_skin import FittedSkin as FittedSkin
+    from warpqem.skinning.fit_skin import fit_skin as fit_skin
+    from warpqem.skinning.linear_skin import LinearSkin as LinearSkin
 
 # Loaded when first used: importing Warp takes most of a second, which `warpqem --help` need not wait for.
 _HOMES = {
     "BatchJob": "warpqem.batching.jobs",
-    "BatchResult": "warpqem.batching.result",
-    "AttributeField": "warpqem.attributes",
+    "BatchResult": "warpqem.batching.job_result",
+    "AttributeField": "warpqem.costs.attributes",
     "CostModelSpec": "warpqem.cost_models",
     "FaceMesh": "warpqem.face.retarget",
     "FaceProtection": "warpqem.face.protect",
-    "FacialFeatures": "warpqem.face.features",
-    "FittedSkin": "warpqem.skinning.fit",
-    "FrameShare": "warpqem.sharing",
-    "FrameSink": "warpqem.frame_stream",
-    "FrameSource": "warpqem.frame_stream",
-    "LinearSkin": "warpqem.skinning.skin",
-    "MemoryPlan": "warpqem.memory",
-    "MotionFeatures": "warpqem.motion",
-    "MotionWeighting": "warpqem.motion",
+    "FacialFeatures": "warpqem.face.feature_points",
+    "FittedSkin": "warpqem.skinning.fit_skin",
+    "FrameShare": "warpqem.pipeline.shared_frames",
+    "FrameSink": "warpqem.frames.stream",
+    "FrameSource": "warpqem.frames.stream",
+    "LinearSkin": "warpqem.skinning.linear_skin",
+    "MemoryPlan": "warpqem.pipeline.memory_plan",
+    "MotionFeatures": "warpqem.costs.motion_features",
+    "MotionWeighting": "warpqem.costs.motion_features",
     "RetargetedMotion": "warpqem.face.retarget",
     "retarget": "warpqem.face.retarget",
     "MeshSequence": "warpqem.mesh_files.sequence",
     "load": "warpqem.mesh_files.sequence",
-    "ProgressiveMesh": "warpqem.progressive.mesh",
-    "SimplifiedMesh": "warpqem.result",
-    "batch": "warpqem.batching.run",
+    "ProgressiveMesh": "warpqem.progressive.progressive_mesh",
+    "SimplifiedMesh": "warpqem.pipeline.result",
+    "batch": "warpqem.batching.run_batch",
     "build_progressive": "warpqem.progressive.build",
     "cost_model_names": "warpqem.cost_models",
-    "LevelOrder": "warpqem.levels",
-    "order_levels": "warpqem.levels",
-    "facial_features": "warpqem.face.features",
-    "fit_skin": "warpqem.skinning.fit",
-    "morph_weights": "warpqem.morph",
-    "motion_features": "warpqem.motion",
-    "plan": "warpqem.simplification",
-    "help_place": "warpqem.sharing",
-    "find_mirror": "warpqem.mirror",
-    "simplify_symmetric": "warpqem.symmetry",
-    "simplify": "warpqem.simplification",
-    "simplify_levels": "warpqem.levels",
+    "LevelOrder": "warpqem.pipeline.levels",
+    "order_levels": "warpqem.pipeline.levels",
+    "facial_features": "warpqem.face.feature_points",
+    "fit_skin": "warpqem.skinning.fit_skin",
+    "morph_weights": "warpqem.costs.blend_shape_weights",
+    "motion_features": "warpqem.costs.motion_features",
+    "plan": "warpqem.pipeline.simplify",
+    "help_place": "warpqem.pipeline.shared_frames",
+    "find_mirror": "warpqem.pipeline.mirror",
+    "simplify_symmetric": "warpqem.pipeline.symmetry",
+    "simplify": "warpqem.pipeline.simplify",
+    "simplify_levels": "warpqem.pipeline.levels",
 }
 
 __all__ = [*_HOMES, "__version__"]

@@ -11,15 +11,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, Literal, TypedDict
 
-from warpqem.cost_models import cost_model_names
+from warpqem.arguments.option_fields import Limits, check_options, option
+from warpqem.costs.models import cost_model_names
 from warpqem.errors import OptionError
-from warpqem.option_fields import Limits, check_options, option
 
 if TYPE_CHECKING:
-    from warpqem.attributes import AttributeField
-    from warpqem.distance_limit import DistanceLimit
+    from warpqem.arguments.distance_limit import DistanceLimit
+    from warpqem.costs.attributes import AttributeField
+    from warpqem.costs.motion_features import MotionWeighting
     from warpqem.face.protect import FaceProtection
-    from warpqem.motion import MotionWeighting
 
 __all__ = [
     "ABOVE_0",
@@ -61,7 +61,7 @@ class Goal:
     @property
     def limit(self) -> DistanceLimit:
         """How far the result may be from the input."""
-        from warpqem.distance_limit import DistanceLimit
+        from warpqem.arguments.distance_limit import DistanceLimit
 
         return DistanceLimit(self.max_error / 100.0, self.max_distance)
 
@@ -75,19 +75,19 @@ class MethodOptions:
         max_error: the largest distance between the input and the result, both ways, at every point and in every frame,
             in % of the diagonal of the input's bounding box in that frame. It is proved, not sampled
             (:mod:`warpqem.kernels.distance_bound`), for the result as it is returned; single spots are held back where
-            they would be too far (:mod:`warpqem.bounded`), which takes several times as long as a result by count.
+            they would be too far (:mod:`warpqem.pipeline.bounded`), which takes several times as long as a result by count.
         max_size_error: where to stop above the face count, so that a small mesh is not destroyed for it: no edge
             collapses whose error, as in ``SimplifiedMesh.error``, would pass so many % of the diagonal of the mesh's
             bounding box. Nothing is proved or searched for, as it is with ``max_error``. None for no limit.
         quality: "best" orders by quadrics of the present faces and fits the whole surface at the end, see
             ``memoryless`` and ``refit``: a better shape in two to three times the time of "fast", which does neither.
         metric: cost model: "dsd" (default), "qem", "dod", "aqem", "face", or one of another package; see
-            :mod:`warpqem.cost_models`.
+            :mod:`warpqem.costs.models`.
         coherence: 0 (every frame its own best fit) to 1 (vertices stay on the material).
-        refit: fit the surface as a whole to the input after placing its vertices, see :mod:`warpqem.refit.stage`: a
+        refit: fit the surface as a whole to the input after placing its vertices, see :mod:`warpqem.refit.fit_surface`: a
             better shape for about the time of the rest. No effect with "endpoint". None for what ``quality`` says.
         memoryless: order by quadrics of the present faces instead of the input's: a better shape in about 1.5 to 2
-            times the time, best together with ``refit``; see :mod:`warpqem.kernels.present_quadric`. None for what
+            times the time, best together with ``refit``; see :mod:`warpqem.kernels.memoryless_quadric`. None for what
             ``quality`` says.
         placement: "optimal", or "endpoint" to use vertices of the input only.
         key_frames: how many frames decide the order, chosen by their pose; None for all.
@@ -168,7 +168,7 @@ class MethodOptions:
         return wanted and self.placement != "endpoint"
 
     @property
-    def orders_by_present_faces(self) -> bool:
+    def memoryless_orders(self) -> bool:
         """Whether quadrics are those of the present faces."""
         return self.quality == "best" if self.memoryless is None else bool(self.memoryless)
 
@@ -225,7 +225,7 @@ class SimplifyOptions(MethodOptions):
         if self.ratio is not None and self.target_faces is not None:
             raise OptionError(f"ratio {self.ratio} and target_faces {self.target_faces} exclude each other")
         if not isinstance(self.metric, str):
-            from warpqem.number_input import shown
+            from warpqem.arguments.number_input import shown
 
             raise OptionError(f"metric must be the name of a cost model, got {shown(self.metric)}")
         return replace(self, **check_options(self), attributes=_checked_fields(self.attributes))
@@ -289,7 +289,7 @@ def read_keywords(keywords: SimplifyKeywords | MethodKeywords, **goals: Any) -> 
 
 
 def _checked_fields(attributes: Any) -> tuple[AttributeField, ...]:
-    from warpqem.number_input import shown
+    from warpqem.arguments.number_input import shown
 
     # An iterator would be empty the second time it is looked at.
     if not isinstance(attributes, (list, tuple)):
@@ -306,7 +306,7 @@ def check_ratio(ratio: Any) -> float:
     Raises:
         OptionError: it is none.
     """
-    from warpqem.number_input import real_number
+    from warpqem.arguments.number_input import real_number
 
     return real_number(ratio, "ratio", str(SHARE), SHARE.__contains__)
 

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+from warpqem.batching.job_result import FAILED, BatchResult
 from warpqem.batching.jobs import BatchJob
-from warpqem.batching.result import FAILED, BatchResult
 
 __all__ = ["TIMED_OUT", "WORKER_LOST", "Engine", "Finished", "Progressed", "Started", "Update", "lost", "timed_out"]
 

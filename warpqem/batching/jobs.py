@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from warpqem.batching.search import files_below, fixed_part, is_usd_name, match_pattern, same_file_key
+from warpqem.arguments.number_input import shown
+from warpqem.batching.input_search import files_below, fixed_part, is_usd_name, match_pattern, same_file_key
 from warpqem.errors import OptionError
-from warpqem.number_input import shown
-from warpqem.outputs import InputFile, OutputFile, OutputFiles
-from warpqem.usd.output_names import output_files
-from warpqem.usd.simplify_options import SimplifyOptions
+from warpqem.files.outputs import InputFile, OutputFile, OutputFiles
+from warpqem.usd.commands.output_names import output_files
+from warpqem.usd.commands.simplify_options import SimplifyOptions
 
 __all__ = ["BatchJob", "FoundFile", "check_jobs", "find_files", "output_path", "read_jobs"]
 

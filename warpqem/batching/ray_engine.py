@@ -18,12 +18,12 @@ from pathlib import Path
 from typing import Any
 
 from warpqem.batching.engine import Finished, Started, Update, lost, timed_out
+from warpqem.batching.job_result import FAILED, BatchResult
 from warpqem.batching.jobs import BatchJob
-from warpqem.batching.result import FAILED, BatchResult
 from warpqem.errors import BatchError, OptionError, UsdLibraryError
-from warpqem.memory import parse_bytes
-from warpqem.temporary import MARK_LENGTH, mark_temporary, remove_marked
-from warpqem.usd.library import need_usd
+from warpqem.files.temporary import MARK_LENGTH, mark_temporary, remove_marked
+from warpqem.pipeline.memory_plan import parse_bytes
+from warpqem.usd.checks.library import need_usd
 
 __all__ = ["RayEngine"]
 
@@ -217,7 +217,7 @@ def _perform(job: BatchJob, needs: dict[str, float], spread: bool, mark: str) ->
         need_usd()
     except UsdLibraryError as error:
         return BatchResult(job.input, job.output, FAILED, type(error).__name__, f"{job.input}: {error}")
-    from warpqem.batching.perform import perform
+    from warpqem.batching.perform_job import perform
 
     memory = int(needs["memory"]) or None
     helpers = _Helpers(needs)
@@ -231,7 +231,7 @@ def _perform(job: BatchJob, needs: dict[str, float], spread: bool, mark: str) ->
 def _assist(folder: str, needs: dict[str, float]) -> None:
     """The task of a helper."""
     _begin(needs)
-    from warpqem.batching.perform import assist
+    from warpqem.batching.perform_job import assist
 
     assist(folder)
 
@@ -241,9 +241,9 @@ def _begin(needs: dict[str, float]) -> None:
     os.environ["WARPQEM_THREADS"] = str(max(1, int(needs["CPU"])))
     import warp as wp
 
-    from warpqem.opening import tell_openings
+    from warpqem.runtime.load_timeout import report_loading
 
-    tell_openings(lambda file, begins: None)
+    report_loading(lambda file, begins: None)
     wp.config.log_level = wp.LOG_WARNING
 
 

@@ -1,4 +1,4 @@
-"""The process that does jobs one after another for `warpqem.batching.local`.
+"""The process that does jobs one after another for `warpqem.batching.local_engine`.
 
 It ends with the process that started it, however that ends. Little is imported before it knows how many threads it may
 use.
@@ -17,7 +17,7 @@ from multiprocessing import parent_process
 from multiprocessing.connection import Connection, wait
 from typing import Any
 
-from warpqem.opening import tell_openings
+from warpqem.runtime.load_timeout import report_loading
 
 __all__ = ["WorkerSetup", "end_with_parent", "redirect_output", "run_worker"]
 
@@ -55,7 +55,7 @@ def run_worker(connection: Connection, setup: WorkerSetup) -> None:
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT,))
     redirect_output(setup.output)
-    tell_openings(lambda file, begins: print(f"opening {file}", flush=True) if begins else None)
+    report_loading(lambda file, begins: print(f"opening {file}", flush=True) if begins else None)
     for name in THREAD_VARIABLES:
         os.environ[name] = str(setup.threads)
     # What USD splits over threads gives the same on one, and a worker has as many as it has.
@@ -75,10 +75,10 @@ def run_worker(connection: Connection, setup: WorkerSetup) -> None:
 def _serve(connection: Connection, sender: _Sender, setup: WorkerSetup) -> None:
     import warp as wp
 
-    from warpqem.batching.perform import assist, perform, warm_up
-    from warpqem.memory import parse_bytes
-    from warpqem.process_memory import limited_memory
-    from warpqem.usd.usd_errors import UsdMessages
+    from warpqem.batching.perform_job import assist, perform, warm_up
+    from warpqem.pipeline.memory_plan import parse_bytes
+    from warpqem.runtime.process_memory import limited_memory
+    from warpqem.usd.checks.usd_errors import UsdMessages
 
     wp.config.log_level = wp.LOG_WARNING
     usd_messages = UsdMessages()

@@ -8,7 +8,7 @@ from warpqem.cli.console import PlainTable
 
 if TYPE_CHECKING:
     from warpqem.measure import Appearance
-    from warpqem.usd.compare import PairReport
+    from warpqem.usd.commands.compare import PairReport
 
 __all__ = ["appearance_table"]
 

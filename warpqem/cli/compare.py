@@ -12,16 +12,16 @@ from warpqem.cli.console import (
     PlainTable,
     error_text,
     load_usd,
+    print_message,
     print_table,
     progress_bar,
     quiet_libraries,
-    tell,
     write_json,
 )
-from warpqem.cli.options import Device, Frames, JsonReport, Prims, ReportPage, Variants
+from warpqem.cli.parameters import Device, Frames, JsonReport, Prims, ReportPage, Variants
 
 if TYPE_CHECKING:
-    from warpqem.usd.compare import PairReport
+    from warpqem.usd.commands.compare import PairReport
 
 __all__ = ["compare"]
 
@@ -77,10 +77,10 @@ def compare(
     """
     quiet_libraries()
     load_usd()
-    from warpqem.outputs import named_outputs
+    from warpqem.files.outputs import named_outputs
     from warpqem.report.page import check_page_path
     from warpqem.usd import CompareOptions, FrameRange, compare_stages
-    from warpqem.usd.report_page import write_compare_report
+    from warpqem.usd.commands.report_page import write_compare_report
 
     if report is not None:
         check_page_path(report)
@@ -108,14 +108,14 @@ def _show(reference: str, test: str, pairs: list[PairReport], json: str | None) 
     """Print and write what was found."""
     for pair in pairs:
         if pair.message is not None:
-            tell("error", pair.message)
+            print_message("error", pair.message)
     print_table(_table(reference, test, pairs), to_stderr=json == "-")
     if any(pair.appearance for pair in pairs):
         print_table(appearance_table(pairs), to_stderr=json == "-")
     if json is not None:
         write_json(json, {"reference": reference, "test": test, "prims": [pair.to_dict() for pair in pairs]})
     if not pairs:
-        tell("error", f"neither {reference} nor {test} has a mesh")
+        print_message("error", f"neither {reference} nor {test} has a mesh")
 
 
 def _table(reference: str, test: str, pairs: list[PairReport]) -> PlainTable:

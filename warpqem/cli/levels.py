@@ -7,9 +7,9 @@ from typing import Annotated, Any
 import typer
 
 from warpqem.cli.option_parameters import takes_options
-from warpqem.cli.options import Input, JsonReport, ReportPage, StageOutput
+from warpqem.cli.parameters import Input, JsonReport, ReportPage, StageOutput
 from warpqem.cli.simplify import run_simplify
-from warpqem.usd.simplify_options import SimplifyOptions
+from warpqem.usd.commands.simplify_options import SimplifyOptions
 
 __all__ = ["levels"]
 

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from warpqem.option_fields import OptionField, named_options
+from warpqem.arguments.option_fields import OptionField, named_options
 
 __all__ = ["HelpAll", "parameter_of", "takes_options"]
 
@@ -37,7 +37,7 @@ def takes_options(
     """Give a command the options of a dataclass beside its own; it gets their values by name as `options`.
 
     Args:
-        options: The dataclass, see `warpqem.option_fields`.
+        options: The dataclass, see `warpqem.arguments.option_fields`.
         without: Names of options that it does not take.
         only: Names of those that it takes, and shows all in its help; empty for all others.
         hidden: Names of options that its help leaves to --help-all, whatever they say.

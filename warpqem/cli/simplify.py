@@ -11,24 +11,24 @@ from warpqem.cli.console import (
     PlainTable,
     error_text,
     load_usd,
+    print_message,
     print_table,
     progress_bar,
     quiet_libraries,
-    tell,
     write_json,
 )
 from warpqem.cli.option_parameters import takes_options
-from warpqem.cli.options import JsonReport, MeshInput, MeshOutput, ReportPage
-from warpqem.usd.simplify_options import SimplifyOptions
+from warpqem.cli.parameters import JsonReport, MeshInput, MeshOutput, ReportPage
+from warpqem.usd.commands.simplify_options import SimplifyOptions
 
 if TYPE_CHECKING:
-    from warpqem.memory import MemoryPlan
-    from warpqem.usd.report import PrimReport, StageReport
+    from warpqem.pipeline.memory_plan import MemoryPlan
+    from warpqem.usd.write.stage_report import PrimReport, StageReport
 
 __all__ = ["run_simplify", "simplify"]
 
 # Outputs that a title names.
-MOST_NAMED = 4
+MAX_NAMED = 4
 
 
 @takes_options(SimplifyOptions)
@@ -74,15 +74,15 @@ def run_simplify(
     quiet_libraries()
     load_usd()
     from warpqem.errors import OptionError
-    from warpqem.memory import parse_bytes
-    from warpqem.mesh_files.names import is_mesh_name
-    from warpqem.outputs import named_outputs
-    from warpqem.process_memory import limited_memory
+    from warpqem.files.outputs import named_outputs
+    from warpqem.mesh_files.file_names import is_mesh_name
+    from warpqem.pipeline.memory_plan import parse_bytes
     from warpqem.report.page import check_page_path
+    from warpqem.runtime.process_memory import limited_memory
     from warpqem.usd import simplify_stage
-    from warpqem.usd.option_values import read_options
-    from warpqem.usd.report_page import write_simplify_report
-    from warpqem.usd.simplify_meshes import DEFAULT_FPS, simplify_mesh_files
+    from warpqem.usd.commands.option_values import read_options
+    from warpqem.usd.commands.report_page import write_simplify_report
+    from warpqem.usd.commands.simplify_meshes import DEFAULT_FPS, simplify_mesh_files
 
     asked = read_options(options)
     if page is not None:
@@ -113,12 +113,12 @@ def run_simplify(
 
 
 def _tell_plan(name: str, plan: MemoryPlan) -> None:
-    tell("plan", f"{name}: {plan}")
+    print_message("plan", f"{name}: {plan}")
 
 
 def _level(prim: PrimReport) -> str:
     """Name of the level of detail, empty where there are none."""
-    from warpqem.usd.lods import LevelReport
+    from warpqem.usd.commands.lods import LevelReport
 
     return prim.level if isinstance(prim, LevelReport) else ""
 
@@ -127,30 +127,34 @@ def _tell_problems(report: StageReport) -> None:
     from warpqem.measure.verdict import WARNING_DISTANCE
 
     for problem in report.problems:
-        tell("warning", problem)
+        print_message("warning", problem)
     for note in report.notes:
-        tell("note", note)
+        print_message("note", note)
     for problem in dict.fromkeys(text for prim in report.prims for text in prim.problems):
-        tell("warning", problem)
+        print_message("warning", problem)
     for note in dict.fromkeys(text for prim in report.prims for text in prim.notes):
-        tell("note", note)
+        print_message("note", note)
     for prim in report.prims:
         level = f"{_level(prim)}: " if _level(prim) else ""
         if prim.dropped:
-            tell("warning", f"{level}{prim.path}: dropped, does not fit the new mesh: {', '.join(prim.dropped)}")
+            print_message(
+                "warning", f"{level}{prim.path}: dropped, does not fit the new mesh: {', '.join(prim.dropped)}"
+            )
         if prim.symmetry not in (None, "kept"):
-            tell("warning", f"{level}{prim.path}: not kept symmetric: {prim.symmetry}")
+            print_message("warning", f"{level}{prim.path}: not kept symmetric: {prim.symmetry}")
         if prim.status == "simplified" and prim.stopped == "no legal collapse":
-            tell("warning", f"{level}{prim.path}: stopped at {prim.faces_after} faces, no legal collapse is left")
+            print_message(
+                "warning", f"{level}{prim.path}: stopped at {prim.faces_after} faces, no legal collapse is left"
+            )
         if prim.status == "kept" and prim.message and prim.message.startswith("no geometry"):
-            tell("note", f"{prim.path}: kept: {prim.message}")
+            print_message("note", f"{prim.path}: kept: {prim.message}")
         if prim.measured is not None and prim.measured["hausdorff"] > WARNING_DISTANCE:
-            tell("warning", f"{level}{prim.path}: {_distance(prim.measured)}")
+            print_message("warning", f"{level}{prim.path}: {_distance(prim.measured)}")
         if prim.status == "failed":
-            tell("error", level + (prim.message or prim.path))
+            print_message("error", level + (prim.message or prim.path))
     _tell_small(report)
     if report.output is None:
-        tell("error", f"nothing written: no mesh of {report.input} could be simplified")
+        print_message("error", f"nothing written: no mesh of {report.input} could be simplified")
 
 
 def _tell_small(report: StageReport) -> None:
@@ -158,7 +162,9 @@ def _tell_small(report: StageReport) -> None:
     stopped = list(dict.fromkeys(prim.path for prim in report.prims if prim.stopped == "max_size_error"))
     if stopped:
         more = f" and {len(stopped) - 1} more" if len(stopped) > 1 else ""
-        tell("note", f"{stopped[0]}{more}: kept above the face count, where the error would pass --max-size-error")
+        print_message(
+            "note", f"{stopped[0]}{more}: kept above the face count, where the error would pass --max-size-error"
+        )
 
 
 def _table(report: StageReport) -> PlainTable:
@@ -193,7 +199,7 @@ def _table(report: StageReport) -> PlainTable:
 
 def _named(outputs: list[str]) -> str:
     """The files that were written, of many the first and the last."""
-    return ", ".join(outputs) if len(outputs) <= MOST_NAMED else f"{outputs[0]}, ..., {outputs[-1]}"
+    return ", ".join(outputs) if len(outputs) <= MAX_NAMED else f"{outputs[0]}, ..., {outputs[-1]}"
 
 
 def _distance(measured: dict[str, Any]) -> str:

@@ -7,7 +7,7 @@ import signal
 import sys
 from typing import Any
 
-from warpqem.cli.messages import EXIT_FAILED, EXIT_SIGNAL, tell
+from warpqem.cli.messages import EXIT_FAILED, EXIT_SIGNAL, print_message
 
 __all__ = ["ToleratedOutput"]
 
@@ -64,6 +64,6 @@ class ToleratedOutput:
                 # Nothing is to try again when the process ends.
                 setattr(sys, name, None)
                 if name == "stdout" and not quiet:
-                    tell("error", f"standard output: cannot be written ({error.strerror})")
+                    print_message("error", f"standard output: cannot be written ({error.strerror})")
                 code = code or EXIT_FAILED
         return code

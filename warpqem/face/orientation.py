@@ -12,7 +12,7 @@ import numpy as np
 
 from warpqem.errors import OptionError
 from warpqem.face.detect import FoundFace, find_midline, find_spots
-from warpqem.face.skin import Skin
+from warpqem.face.skin_regions import Skin
 from warpqem.face.spots import Missing, Spot
 
 __all__ = ["axes_of", "find_face"]

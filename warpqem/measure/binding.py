@@ -15,16 +15,16 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from warpqem.array_input import index_array
-from warpqem.components import lowest_members
+from warpqem.arguments.array_input import index_array
 from warpqem.errors import MeshShapeError
 from warpqem.kernels.binding import find_listed
-from warpqem.launches import launch
 from warpqem.measure.binding_surface import WALK_STEPS, ReferenceSurface, TestVertices, facing_sign
-from warpqem.measure.distance import ClosestPointSearch
-from warpqem.measure.inputs import MeshSequence, chosen_frames
-from warpqem.mesh_input import is_proper
-from warpqem.place.rows import gather_faces
+from warpqem.measure.checked_meshes import MeshSequence, chosen_frames
+from warpqem.measure.closest_points import ClosestPointSearch
+from warpqem.mesh.components import lowest_members
+from warpqem.mesh.mesh_input import is_proper
+from warpqem.place.cluster_rows import gather_faces
+from warpqem.runtime.launches import launch
 
 __all__ = ["Binding", "bind", "bind_by_record", "bind_by_shape", "check_vertex_map"]
 

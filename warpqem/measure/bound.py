@@ -11,12 +11,12 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from warpqem.edges import edge_key
-from warpqem.frame_blocks import block_width, pack_frames
+from warpqem.frames.blocks import block_width, pack_frames
 from warpqem.kernels import distance_bound as kernels
 from warpqem.kernels.distance_pieces import check_pieces
-from warpqem.launches import launch
-from warpqem.parallel import launch_parts, run_parts, split_range, thread_count
+from warpqem.mesh.edges import edge_key
+from warpqem.runtime.cpu_threads import launch_parts, run_parts, split_range, thread_count
+from warpqem.runtime.launches import launch
 
 __all__ = ["DistanceBound", "Excess", "UnitFrames", "faces_across"]
 

@@ -9,10 +9,10 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from warpqem.device import device_turn
-from warpqem.frame_stream import FrameSink, FrameSource
+from warpqem.frames.stream import FrameSink, FrameSource
 from warpqem.measure.surfaces import SurfaceComparison, sample_count
-from warpqem.measure.verdict import Verdict, judge_errors
+from warpqem.measure.verdict import Verdict, verdict_of
+from warpqem.runtime.device import device_turn
 
 __all__ = ["FrameReader", "Measured", "MeasuringSink", "measure_frames", "measured_errors"]
 
@@ -56,7 +56,7 @@ class Measured:
     @property
     def verdict(self) -> Verdict:
         """Good, look or poor, and why; see :mod:`warpqem.measure.verdict`."""
-        return judge_errors(self)
+        return verdict_of(self)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain dictionaries, numbers and text, ready for JSON."""

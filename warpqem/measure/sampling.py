@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from warpqem.errors import DegenerateMeshError
-from warpqem.measure.inputs import MeshSequence
+from warpqem.measure.checked_meshes import MeshSequence
 
 __all__ = ["MaterialSamples", "draw_material_samples", "normals_and_areas", "place"]
 

@@ -14,9 +14,9 @@ import warp as wp
 from warpqem.errors import DegenerateMeshError
 from warpqem.kernels import surface_distance as kernels
 from warpqem.kernels.distance_bound import HINTS, Surface
-from warpqem.launches import launch
 from warpqem.measure.per_frame import FrameErrors
-from warpqem.parallel import launch_parts, run_parts, split_range, thread_count
+from warpqem.runtime.cpu_threads import launch_parts, run_parts, split_range, thread_count
+from warpqem.runtime.launches import launch
 
 __all__ = ["SurfaceComparison", "sample_count"]
 

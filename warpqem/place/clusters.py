@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warpqem.mesh_input import AnimatedMesh
-from warpqem.order.quadric_sums import QuadricSums
-from warpqem.order.quadrics import CONSTRAINT_WEIGHT
-from warpqem.order.stage import OrderedMesh
+from warpqem.decimation.decimate import DecimatedMesh
+from warpqem.decimation.initial_quadrics import CONSTRAINT_WEIGHT
+from warpqem.decimation.quadric_sums import QuadricSums
+from warpqem.mesh.mesh_input import AnimatedMesh
 from warpqem.place.anchors import Anchors, fit_anchors, nearest_anchors
-from warpqem.place.blocks import BlockPlacer, ClusterData, PlacedFrames
-from warpqem.place.rows import gather_faces, match_keys, sum_repeated
+from warpqem.place.block_placer import BlockPlacer, ClusterData, PlacedFrames
+from warpqem.place.cluster_rows import gather_faces, match_keys, sum_repeated
 
 __all__ = ["ClusterPlacer", "PlaceSettings"]
 
@@ -21,13 +21,13 @@ __all__ = ["ClusterPlacer", "PlaceSettings"]
 # sequences this gains 1 to 5 % of the error at half and a quarter of the faces, where slide has room.
 PULLED_SIZE = 8.0
 # Clusters larger than so many times that size are pulled no more than those.
-MOST_PULLED = 4.0
+MAX_PULLED = 4.0
 # Weights of anchors are pulled by the fourth power of the size, as those of small clusters hardly slide at all; no more
 # than so many times as set.
-MOST_EVENED = 2.0
+MAX_EVENED = 2.0
 # The least pulls that float32 solves safely, of vertices to their anchors and of the weights of anchors to equal ones.
-LEAST_PULL = 1e-3
-LEAST_REGULARISATION = 1e-5
+MIN_PULL = 1e-3
+MIN_REGULARISATION = 1e-5
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class ClusterPlacer:
     def __init__(
         self,
         faces: np.ndarray,
-        ordered: OrderedMesh,
+        ordered: DecimatedMesh,
         kept: np.ndarray,
         cluster: np.ndarray,
         quadric_scale: np.ndarray,
@@ -94,7 +94,7 @@ class ClusterPlacer:
         pull, regularisation = _pulls(size, settings)
         if settings.loose is not None:
             loose = np.unique(cluster[settings.loose & (cluster >= 0)])
-            pull[loose], regularisation[loose] = LEAST_PULL, LEAST_REGULARISATION
+            pull[loose], regularisation[loose] = MIN_PULL, MIN_REGULARISATION
         if settings.endpoint:
             anchors = nearest_anchors(ordered, cluster, len(kept))
             solved = np.zeros(len(kept), dtype=np.int32)
@@ -189,8 +189,8 @@ class ClusterPlacer:
 def _pulls(size: np.ndarray, settings: PlaceSettings) -> tuple[np.ndarray, np.ndarray]:
     """Of clusters of ``size`` vertices, the pull to the anchor and that of its weights to equal ones: (C,) float32."""
     relative = size / PULLED_SIZE
-    pull = np.maximum(settings.epsilon * np.sqrt(np.minimum(relative, MOST_PULLED)), LEAST_PULL)
-    regularisation = settings.regularisation * np.minimum(relative**4, MOST_EVENED)
+    pull = np.maximum(settings.epsilon * np.sqrt(np.minimum(relative, MAX_PULLED)), MIN_PULL)
+    regularisation = settings.regularisation * np.minimum(relative**4, MAX_EVENED)
     return pull.astype(np.float32), regularisation.astype(np.float32)
 
 

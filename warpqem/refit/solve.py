@@ -5,14 +5,14 @@ from __future__ import annotations
 import warp as wp
 
 from warpqem.kernels import element_solve as kernels
-from warpqem.launches import launch
+from warpqem.runtime.launches import launch
 
 __all__ = ["solve_elements"]
 
 # The iteration stops where the preconditioned residual has fallen to this part of its start: corrections are a small
 # part of an edge, so three digits are plenty.
 TOLERANCE = 1e-3
-MOST_STEPS = 200
+MAX_STEPS = 200
 
 
 def solve_elements(elements: kernels.Elements, corner_right: wp.array) -> wp.array:
@@ -23,7 +23,7 @@ def solve_elements(elements: kernels.Elements, corner_right: wp.array) -> wp.arr
         corner_right: (3N',) vec3, the right side in parts, one for each corner of each face.
     """
     device = corner_right.device
-    vertex_count = len(elements.star_start) - 1
+    vertex_count = len(elements.adjacency_start) - 1
     state = kernels.Solve()
     state.x, state.residual, state.direction, state.image = (
         wp.empty(vertex_count, dtype=wp.vec3, device=device) for _ in range(4)
@@ -39,7 +39,7 @@ def solve_elements(elements: kernels.Elements, corner_right: wp.array) -> wp.arr
     run(kernels.sum_residual, kernels.SLICES)
     run(kernels.close_residual, 1)
     goal = TOLERANCE**2 * float(state.scalar.numpy()[0])
-    for _ in range(MOST_STEPS):
+    for _ in range(MAX_STEPS):
         run(kernels.turn_direction, vertex_count)
         run(kernels.multiply_direction, vertex_count, elements)
         run(kernels.sum_curvature, kernels.SLICES)

@@ -1,0 +1,122 @@
+"""Launches of kernels: once, or recorded to be run again and again."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+import warp as wp
+
+from warpqem.runtime.device import device_traits
+
+__all__ = ["Recorder", "launch", "load_kernel"]
+
+# Modules by device that are compiled and loaded. Threads that came to a module at once would each compile it, and load
+# it under the same name.
+_loaded: set[tuple[wp.Module, str]] = set()
+_loading = threading.RLock()
+
+
+def _renew_lock() -> None:
+    """Free the lock in a forked process, which has none of the threads that held it."""
+    global _loading
+    _loading = threading.RLock()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_renew_lock)
+
+
+def load_kernel(kernel: wp.Kernel, device: wp.DeviceLike) -> None:
+    """Compile and load the module of a kernel, in one thread."""
+    key = (kernel.module, str(device))
+    if key in _loaded:
+        return
+    with _loading:
+        if key not in _loaded:
+            wp.load_module(kernel.module, device, max_workers=0)
+            _loaded.add(key)
+
+
+def launch(
+    kernel: wp.Kernel,
+    dim: int | Sequence[int],
+    inputs: Sequence[Any],
+    outputs: Sequence[Any] = (),
+    *,
+    device: wp.DeviceLike,
+) -> None:
+    """Launch a kernel, from any thread."""
+    load_kernel(kernel, device)
+    wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=device)
+
+
+class Recorder:
+    """Operations on a device, recorded in the order given, and run as often as asked.
+
+    It holds every array that they use: a captured CUDA graph knows addresses only.
+    """
+
+    def __init__(self, device: str) -> None:
+        self._device = device
+        self._operations: list[Callable[[], object]] = []
+        self._arrays: list[wp.array] = []
+
+    def launch(self, kernel: wp.Kernel, dim: int, inputs: Sequence[Any], outputs: Sequence[Any] = ()) -> None:
+        """Launch a kernel. Structs must not be changed afterwards: devices differ in whether a launch sees it."""
+        load_kernel(kernel, self._device)
+        command = wp.launch(
+            kernel, dim=dim, inputs=list(inputs), outputs=list(outputs), device=self._device, record_cmd=True
+        )
+        self._add(command.launch, *inputs, *outputs)
+
+    def copy(self, target: wp.array, source: wp.array, *, source_offset: int = 0, count: int | None = None) -> None:
+        """Copy ``count`` items, or all."""
+        count = len(source) if count is None else count
+        self._add(partial(wp.copy, target, source, 0, source_offset, count), target, source)
+
+    def zero(self, array: wp.array) -> None:
+        """Fill with zeros."""
+        self._add(array.zero_, array)
+
+    def scan(self, target: wp.array, source: wp.array) -> None:
+        """Sums of the items before each one."""
+        self._add(partial(wp.utils.array_scan, source, target, inclusive=False), target, source)
+
+    def finish(self) -> Callable[[], None]:
+        """What runs the operations; on a device that captures, as one graph."""
+        arrays, operations = _unique(self._arrays), tuple(self._operations)
+        if not device_traits(self._device).captures:
+            return partial(_run_all, operations)
+        with wp.ScopedCapture(device=self._device) as capture:
+            _run_all(operations)
+        return partial(_run_graph, capture.graph, arrays)
+
+    def _add(self, operation: Callable[[], object], *arguments: Any) -> None:
+        self._operations.append(operation)
+        self._arrays += [array for argument in arguments for array in _arrays_of(argument)]
+
+
+def _arrays_of(argument: Any) -> list[wp.array]:
+    """The arrays in an argument of a kernel: itself, or the members of a struct."""
+    if isinstance(argument, wp.array):
+        return [argument]
+    members = argument._cls.vars if hasattr(argument, "_cls") else ()
+    return [array for name in members for array in _arrays_of(getattr(argument, name))]
+
+
+def _unique(arrays: Sequence[wp.array]) -> tuple[wp.array, ...]:
+    return tuple({id(array): array for array in arrays}.values())
+
+
+def _run_all(operations: Sequence[Callable[[], object]]) -> None:
+    for operation in operations:
+        operation()
+
+
+def _run_graph(graph: wp.Graph, arrays: tuple[wp.array, ...]) -> None:
+    """Launch a graph; ``arrays`` are what it uses, held as long as it can be run."""
+    wp.capture_launch(graph)

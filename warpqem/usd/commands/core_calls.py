@@ -1,0 +1,251 @@
+"""What the core is asked for each mesh of a pass over a stage: options, limits, and which of its ways is taken."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from pxr import UsdGeom
+
+import warpqem
+from warpqem.costs.models import cost_model
+from warpqem.errors import OptionError, UnreachableTargetError
+from warpqem.frames.blocks import frame_blocks
+from warpqem.frames.stream import LaterFrames, NoFrames, read_ahead
+from warpqem.mesh.mesh_input import is_proper
+from warpqem.pipeline.mirror import Mirror, find_mirror
+from warpqem.pipeline.symmetry import simplify_symmetric
+from warpqem.usd.commands.attributes import weighted_fields
+from warpqem.usd.commands.blend_shape_weights import morph_scale
+from warpqem.usd.commands.context import Context, Progress, SharedOrder
+from warpqem.usd.commands.face_points import FacePoints, face_protection
+from warpqem.usd.commands.mesh_job import MeshJob
+from warpqem.usd.commands.skin_fit import SkinFitter, SkinPoses, simplify_by_pullback, why_not_fitted
+from warpqem.usd.commands.weights import painted_options
+from warpqem.usd.read.lengths import parse_length
+from warpqem.usd.write.point_samples import PointSamples
+from warpqem.usd.write.stage_report import PrimReport
+
+__all__ = ["CoreCalls"]
+
+# Options of the core that simplifying by pulled back quadrics has, too.
+PULLBACK_OPTIONS = ("attributes", "lock_borders", "keep_components", "memory", "device", "max_size_error")
+
+Seams = npt.NDArray[np.int32]
+
+
+class CoreCalls:
+    """The calls of the core for the meshes of one pass.
+
+    Attributes:
+        face_points: Feature points of a face that a file gives; None for none.
+    """
+
+    def __init__(self, context: Context, reports: dict[str, PrimReport]) -> None:
+        """Start.
+
+        Args:
+            context: What all passes share.
+            reports: The report on each mesh by its path, which gets the plan and how symmetry and skin are treated.
+        """
+        self._stage, self._options = context.stage, context.options
+        self._announce, self._share = context.announce, context.share
+        self._reports = reports
+        self.face_points: FacePoints | None = None
+        self._faces: dict[str, warpqem.FaceProtection] = {}
+
+    def simplify(
+        self,
+        job: MeshJob,
+        progress: Progress,
+        taker: PointSamples | SkinFitter,
+        target_faces: int | None,
+        shared: SharedOrder | None,
+    ) -> warpqem.SimplifiedMesh:
+        """Simplify a mesh to a face count, or to the limits alone; ``taker`` gets its points in the poses."""
+        sink: warpqem.FrameSink
+        if isinstance(taker, SkinFitter):
+            sink = taker
+        else:
+            # Of a mesh with a skin the rest shape alone is written; it is the first frame.
+            sink = NoFrames() if job.skin is not None else LaterFrames(taker, job.pose_start)
+        seams = job.seams.hold()
+        limits = self._limits(job)
+        if target_faces is None:
+            return self._call(job, progress, seams, sink, **limits)
+        call = self._call if self._options.strict else self._as_far_as_it_goes
+        return call(job, progress, seams, sink, shared, target_faces=target_faces, **limits)
+
+    def try_out(
+        self, job: MeshJob, progress: Progress, shared: SharedOrder, least: int
+    ) -> warpqem.SimplifiedMesh | warpqem.LevelOrder:
+        """Collapse the edges of a mesh down to ``least`` faces, whatever the limits, to learn what that costs.
+
+        Returns:
+            The ordering, which ``shared`` gets, too; the result where levels of the mesh cannot share one.
+        """
+        seams = job.seams.hold()
+        if self._shares_order(job):
+            return self._order(job, progress, seams, shared)
+        shared.job = None
+        return self._as_far_as_it_goes(job, progress, seams, NoFrames(), target_faces=least)
+
+    def fitter(self, job: MeshJob) -> SkinFitter | None:
+        """What fits the skin of a mesh; None if it has none, or it is to be interpolated."""
+        if job.skin is None or not job.skin.influences:
+            return None
+        report = self._reports[job.mesh.path]
+        reason: str | None = "as asked for"
+        if self._options.skin_fit and not self._options.pose_independent:
+            reason = why_not_fitted(job.skin, job.examples or job.source)
+        if reason is None:
+            report.skin = "fitted"
+            return SkinFitter(self._skin_poses(job))
+        report.skin = f"interpolated: {reason}"
+        return None
+
+    def face(self, job: MeshJob) -> warpqem.FaceProtection | None:
+        """How the feature points of a mesh are kept, found once for each mesh; None for other cost models."""
+        if not cost_model(self._options.metric).keeps_face:
+            return None
+        path = job.mesh.path
+        if path not in self._faces:
+            given = FacePoints() if self.face_points is None or self.face_points.prim != path else self.face_points
+            self._faces[path] = face_protection(job, self._options, given)
+        return self._faces[path]
+
+    def _call(
+        self,
+        job: MeshJob,
+        progress: Progress,
+        seams: Seams,
+        sink: warpqem.FrameSink,
+        shared: SharedOrder | None = None,
+        **goal: float | int | None,
+    ) -> warpqem.SimplifiedMesh:
+        options = self._method(job)
+        if goal.get("target_faces") is not None:
+            options["max_size_error"] = self._options.size_limit
+        if self._is_pulled_back(job):
+            options = {name: value for name, value in options.items() if name in PULLBACK_OPTIONS}
+            options |= {**self._importance(job), "seams": seams, "progress": progress}
+            return simplify_by_pullback(self._skin_poses(job), **options, **goal)
+        mirror = self._mirror(job)
+        if mirror is not None:
+            options |= {**self._importance(job), "seams": seams, "progress": progress}
+            return simplify_symmetric(job.frames, job.faces, mirror, sink=sink, **options, **goal)
+        plan = warpqem.plan(job.frames, job.faces, sink=sink, levels=shared is not None, **options, **goal)
+        self._reports[job.mesh.path].plan = plan.to_dict()
+        if shared is None or shared.order is None or not shared.announced:
+            self._announce(job.mesh.path, plan)
+        if shared is None:
+            # What is measured is what the file shows.
+            options |= {**self._importance(job), "seams": seams, "progress": progress, "measure": False}
+            return warpqem.simplify(job.frames, job.faces, sink=sink, share=self._share, **options, **goal)
+        shared.announced = True
+        placed = self._order(job, progress, seams, shared)
+        return placed.level(int(goal["target_faces"] or 0), sink=sink, share=self._share, progress=progress)
+
+    def _as_far_as_it_goes(
+        self,
+        job: MeshJob,
+        progress: Progress,
+        seams: Seams,
+        sink: warpqem.FrameSink,
+        shared: SharedOrder | None = None,
+        **goal: float | int | None,
+    ) -> warpqem.SimplifiedMesh:
+        """Simplify to a goal, or to the last legal collapse before it."""
+        try:
+            return self._call(job, progress, seams, sink, shared, **goal)
+        except UnreachableTargetError as error:
+            if error.result is None:
+                raise
+            return error.result
+
+    def _order(self, job: MeshJob, progress: Progress, seams: Seams, shared: SharedOrder) -> warpqem.LevelOrder:
+        """The ordering that levels of a mesh share, made when it is first asked for."""
+        if shared.order is None:
+            shared.order = warpqem.order_levels(
+                job.frames,
+                job.faces,
+                target_faces=shared.least(len(job.mesh.faces)),
+                keep_frames=False,
+                max_size_error=self._options.size_limit,
+                seams=seams,
+                progress=progress,
+                **self._method(job),
+                **self._importance(job),
+            )
+        return shared.order
+
+    def _shares_order(self, job: MeshJob) -> bool:
+        """True if levels of a mesh come from one ordering."""
+        return not (self._is_pulled_back(job) or self._limits(job) or self._mirror(job) is not None)
+
+    def _method(self, job: MeshJob) -> dict[str, Any]:
+        """Options of the core that say how a mesh is simplified."""
+        return {
+            **self._options.method(),
+            "motion": self._options.motion,
+            "attributes": weighted_fields(job.source, self._options.texture_weight, self._options.attribute_weights),
+        }
+
+    def _importance(self, job: MeshJob) -> dict[str, Any]:
+        """Options of the core that say what matters on a mesh."""
+        options: dict[str, Any] = painted_options(job, self._options.weight_primvar, self._options.weight_scales)
+        scale = morph_scale(job, self._options.morph_weights, job.examples)
+        if scale is not None:
+            options["quadric_scale"] = scale * options.get("quadric_scale", np.ones_like(scale))
+        face = self.face(job)
+        return options if face is None else {**options, "face": face}
+
+    def _limits(self, job: MeshJob) -> dict[str, float]:
+        """How far the result of a mesh may be from the input, as options of the core."""
+        limits: dict[str, float] = {}
+        if self._options.max_error is not None:
+            limits["max_error"] = self._options.max_error
+        lengths = []
+        if self._options.screen is not None:
+            lengths.append(self._options.screen.length)
+        if self._options.max_distance is not None:
+            lengths.append(parse_length(self._options.max_distance, UsdGeom.GetStageMetersPerUnit(self._stage)))
+        if not lengths:
+            return limits
+        length = min(lengths) / job.mesh.world_scale
+        if not self._options.pose_independent:
+            return {**limits, "max_distance": length}
+        # The errors of pulled back quadrics are parts of the diagonal.
+        return {"max_error": min(100.0 * length / _diagonal(job), limits.get("max_error", np.inf))}
+
+    def _mirror(self, job: MeshJob) -> Mirror | None:
+        """How a mesh that is to stay symmetric maps to itself; None for one that is not."""
+        if self._options.symmetry is None:
+            return None
+        report, faces = self._reports[job.mesh.path], job.faces[is_proper(job.faces)]
+        try:
+            mirror = find_mirror(job.frames.read(slice(0, 1))[0], faces, self._options.symmetry)
+        except OptionError as error:
+            report.symmetry = str(error)
+            return None
+        report.symmetry = "kept"
+        return mirror
+
+    def _is_pulled_back(self, job: MeshJob) -> bool:
+        """True of a mesh that is simplified in its rest shape."""
+        if not self._options.pose_independent or job.skin is None or not job.skin.influences:
+            return False
+        return why_not_fitted(job.skin, job.examples or job.source) is None
+
+    def _skin_poses(self, job: MeshJob) -> SkinPoses:
+        """The poses of a mesh with a linear skin."""
+        if job.examples is not None:
+            return SkinPoses(job, job.examples, job.examples.frame_times())
+        return SkinPoses(job, job.source, job.source.frame_times(self._options.frames))
+
+
+def _diagonal(job: MeshJob) -> float:
+    """Largest bounding-box diagonal of a frame, in local units."""
+    blocks = read_ahead(job.frames.read, frame_blocks(job.frames.frame_count, job.frames.vertex_count))
+    return max(float(np.linalg.norm(np.ptp(points.astype(np.float64), axis=1), axis=1).max()) for _, points in blocks)
