@@ -1,7 +1,8 @@
 """Collapse edges of a skinned mesh in passes, by any :class:`benchmarks.skin_order.Order`, on the host.
 
-A pass takes an independent set among the cheapest few percent of the edges, as :mod:`warpqem.decimation.passes` does, with
-the rules of :mod:`warpqem.kernels.legality` for manifolds, flips (in no pose) and distances of merged vertices.
+A pass takes an independent set among the cheapest few percent of the edges, as :mod:`warpqem.decimation.passes`
+does, with the rules of :mod:`warpqem.kernels.legality` for manifolds, flips (in no pose) and distances of merged
+vertices.
 """
 
 from __future__ import annotations

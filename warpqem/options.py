@@ -75,7 +75,8 @@ class MethodOptions:
         max_error: the largest distance between the input and the result, both ways, at every point and in every frame,
             in % of the diagonal of the input's bounding box in that frame. It is proved, not sampled
             (:mod:`warpqem.kernels.distance_bound`), for the result as it is returned; single spots are held back where
-            they would be too far (:mod:`warpqem.pipeline.bounded`), which takes several times as long as a result by count.
+            they would be too far (:mod:`warpqem.pipeline.bounded`), which takes several times as long as a result by
+            count.
         max_size_error: where to stop above the face count, so that a small mesh is not destroyed for it: no edge
             collapses whose error, as in ``SimplifiedMesh.error``, would pass so many % of the diagonal of the mesh's
             bounding box. Nothing is proved or searched for, as it is with ``max_error``. None for no limit.
@@ -84,17 +85,19 @@ class MethodOptions:
         metric: cost model: "dsd" (default), "qem", "dod", "aqem", "face", or one of another package; see
             :mod:`warpqem.costs.models`.
         coherence: 0 (every frame its own best fit) to 1 (vertices stay on the material).
-        refit: fit the surface as a whole to the input after placing its vertices, see :mod:`warpqem.refit.fit_surface`: a
-            better shape for about the time of the rest. No effect with "endpoint". None for what ``quality`` says.
+        refit: fit the surface as a whole to the input after placing its vertices, see
+            :mod:`warpqem.refit.fit_surface`: a better shape for about the time of the rest. No effect with "endpoint".
+            None for what ``quality`` says.
         memoryless: order by quadrics of the present faces instead of the input's: a better shape in about 1.5 to 2
             times the time, best together with ``refit``; see :mod:`warpqem.kernels.memoryless_quadric`. None for what
             ``quality`` says.
         placement: "optimal", or "endpoint" to use vertices of the input only.
         key_frames: how many frames decide the order, chosen by their pose; None for all.
         lock_borders: lock the vertices at edges with one face too.
-        keep_components: no component vanishes. Otherwise small ones do as a whole, once collapses have left four faces
-            of them or fewer, where the shape misses that less than the next collapses, and where no other collapse is
-            legal; the result may then have up to three faces fewer than asked for. A locked vertex keeps its component.
+        keep_components: no component is pruned. Otherwise small ones are, as a whole, once collapses have left four
+            faces of them or fewer, where the shape misses that less than the next collapses, and where no other
+            collapse is legal; the result may then have up to three faces fewer than asked for. A locked vertex keeps
+            its component.
         memory: bytes that the work may take, beside what the process holds already, or text such as "8G"; None for
             most of what is free. It decides how many frames are in memory at once, and no bit of the result.
         device: Warp device; None takes cuda:0 if present, else cpu.
@@ -150,9 +153,7 @@ class MethodOptions:
         16, "Number of frames, different in pose, that decide the topology.", "FRAMES", COUNT
     )
     lock_borders: bool = option(False, "Keep the points of open borders.")
-    keep_components: bool = option(
-        False, "Let no small component vanish, even if the shape would miss it less than others."
-    )
+    keep_components: bool = option(False, "Prune no small component, even if the shape would miss it less than others.")
     memory: int | str | None = option(
         None,
         "Memory that the work on a mesh may take beside the program itself, such as 8G or 500M; by default most of "

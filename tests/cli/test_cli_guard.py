@@ -250,5 +250,8 @@ def test_work_ends_with_its_watcher():
 
 
 def test_process_that_nobody_watches_has_no_limit():
-    code = "import warpqem.runtime.load_timeout as o; o.MIN_SECONDS = 0.1\nwith o.load_timeout('x'):\n    sum(range(30_000_000))"
+    code = (
+        "import warpqem.runtime.load_timeout as o; o.MIN_SECONDS = 0.1\n"
+        "with o.load_timeout('x'):\n    sum(range(30_000_000))"
+    )
     assert subprocess.run([sys.executable, "-c", code], timeout=60).returncode == 0

@@ -1,4 +1,4 @@
-"""Helpers of the tests of: the command line."""
+"""The command line, run in this process."""
 
 from __future__ import annotations
 

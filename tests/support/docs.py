@@ -1,4 +1,4 @@
-"""Helpers of the tests of: the documentation: its commands and its Python run, its links lead somewhere, its errors exist."""
+"""Commands and Python of the documentation, run as a reader would."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Helpers of the tests of: frames that come and go in blocks: the same bits as all at once, in the memory allowed."""
+"""A small mesh whose frames come and go in blocks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Helpers of the tests of: the HTML report, without a browser."""
+"""A waving mesh, and the data that a report's page holds."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Helpers of the tests of: rest positions and skin weights fitted together over poses."""
+"""A skin to fit, its poses, and how far a fit is off."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Helpers of the tests of: symmetric meshes that stay symmetric."""
+"""A symmetric mesh."""
 
 import numpy as np
 

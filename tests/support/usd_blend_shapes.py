@@ -1,4 +1,4 @@
-"""Helpers of the tests of: blend shapes of the simplified mesh."""
+"""Stages with blend shapes."""
 
 from __future__ import annotations
 

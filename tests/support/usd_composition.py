@@ -1,4 +1,4 @@
-"""Helpers of the tests of: meshes that come through references, payloads, sublayers, variants, value clips, instances and packages."""
+"""Stages with references, payloads, sublayers, variants and value clips."""
 
 from __future__ import annotations
 

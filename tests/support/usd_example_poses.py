@@ -1,4 +1,4 @@
-"""Helpers of the tests of: example poses from another file, and a limit on the joints that move a point."""
+"""A clip with poses of a stage's meshes."""
 
 from __future__ import annotations
 

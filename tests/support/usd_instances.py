@@ -1,4 +1,4 @@
-"""Helpers of the tests of: meshes below instances: of other files, of other variants, in each other, of what is inactive where it is written."""
+"""Stages with instances of other files and variants."""
 
 from __future__ import annotations
 

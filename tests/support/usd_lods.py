@@ -1,4 +1,4 @@
-"""Helpers of the tests of: levels of detail as variants, end to end."""
+"""Levels of detail written by the command line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Helpers of the tests of: skinned meshes that stay skinned."""
+"""A skinned body, and how far two files' meshes are apart."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Helpers of the tests of: stages for the tests of the USD layer and the command line, and tests of finding meshes on them."""
+"""Stages that the tests are made on: a cloth, a skinned tube, instances."""
 
 from __future__ import annotations
 

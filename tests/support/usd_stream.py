@@ -1,4 +1,4 @@
-"""Helpers of the tests of: point samples read and written a block at a time: the same bits, bounded memory, and nothing left behind."""
+"""Stages with many point samples, and blocks that are small."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Helpers of the tests of: meshes whose topology varies over time: captures and remeshed simulations, done run by run."""
+"""Captures: meshes whose topology varies over time."""
 
 from __future__ import annotations
 

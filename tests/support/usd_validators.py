@@ -1,4 +1,4 @@
-"""Helpers of the tests of: validators of USD and of NVIDIA find in an output nothing that they do not find in its input."""
+"""What validators find in an output and not in its input."""
 
 from __future__ import annotations
 

@@ -82,7 +82,7 @@ class Adjacency:
 def build_adjacency(
     corner_vertex: wp.array, vertex_count: int, face_count: wp.array | None = None, spare: int = 0
 ) -> Adjacency:
-    """Adjacency of a mesh given as ``corner_vertex`` (3N,) int32, of all its faces unless ``face_count`` (1,) is given."""
+    """Adjacency of a mesh given as ``corner_vertex`` (3N,) int32: of all faces, or of the first ``face_count`` (1,)."""
     device = corner_vertex.device
     if face_count is None:
         face_count = wp.array([len(corner_vertex) // 3], dtype=wp.int32, device=device)

@@ -2,8 +2,8 @@
 
 A memoryless quadric is that of the faces around a vertex as they are (Lindstrom & Turk 1998), so that it changes with
 every collapse nearby and is no sum that could be recorded once. It is made anew from what is recorded: where the
-vertices were, and which collapses there were. Adjacency hold their corners in ascending order, and so do those built here,
-so that the sums have the bits that ordering had.
+vertices were, and which collapses there were. One-rings hold their corners in ascending order, and so do those built
+here, so that the sums have the bits that decimation had.
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
 """Simplify as far as a distance allows: about the fewest faces whose surface is proved to be within it, in every frame.
 
-Edges are collapsed once. A level is a cut through the forest of these collapses (:mod:`warpqem.decimation.forest_cut`): first those
-whose errors, means over frames, are well within the limit. It is placed and bounded
-(:class:`warpqem.measure.bound.DistanceBound`); where a face is not proved to be within the limit, the last collapse of
-the largest error there is left out, and the next cut is bounded where it differs. So a spot holds back itself alone.
+Edges are collapsed once. A level is a cut through the forest of these collapses
+(:mod:`warpqem.decimation.forest_cut`): first those whose errors, means over frames, are well within the limit. It is
+placed and bounded (:class:`warpqem.measure.bound.DistanceBound`); where a face is not proved to be within the limit,
+the last collapse of the largest error there is left out, and the next cut is bounded where it differs. So a spot holds
+back itself alone.
 """
 
 from __future__ import annotations

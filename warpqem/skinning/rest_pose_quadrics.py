@@ -1,10 +1,10 @@
 """Simplify the rest pose of a skinned mesh by the quadrics of all poses, pulled back to it.
 
 "Pose-independent simplification of articulated meshes" (DeCoro & Rusinkiewicz 2005), one of the two methods that the
-fit of :mod:`warpqem.skinning.fit_skin` is measured against: in pose ``j`` the joints take a vertex by the blended transform
-``L``; its quadric there, ``A``, measures displacements ``d`` of the rest position as ``d^T L^T A L d``. These matrices
-are summed over the poses, edges collapse in the rest pose by that sum, and one solve places each vertex. Skin weights
-are interpolated. (The other one is ``dsd`` over the poses with interpolated weights, Mohr & Gleicher 2003.)
+fit of :mod:`warpqem.skinning.fit_skin` is measured against: in pose ``j`` the joints take a vertex by the blended
+transform ``L``; its quadric there, ``A``, measures displacements ``d`` of the rest position as ``d^T L^T A L d``. These
+matrices are summed over the poses, edges collapse in the rest pose by that sum, and one solve places each vertex. Skin
+weights are interpolated. (The other one is ``dsd`` over the poses with interpolated weights, Mohr & Gleicher 2003.)
 """
 
 from __future__ import annotations

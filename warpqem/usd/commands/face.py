@@ -79,8 +79,8 @@ class StageFace:
 def read_face(path: str | os.PathLike[str], options: FaceOptions | None = None) -> StageFace:
     """Read a mesh and find its feature points.
 
-    Points of a JSON file take precedence over those that the mesh names itself, see `warpqem.usd.commands.face_points`, and
-    these over what is found.
+    Points of a JSON file take precedence over those that the mesh names itself, see
+    `warpqem.usd.commands.face_points`, and these over what is found.
 
     Raises:
         StageError: the file cannot be read, or has no mesh.

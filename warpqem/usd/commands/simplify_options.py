@@ -83,8 +83,9 @@ class SimplifyOptions(MethodOptions):
         morph_weights: Scale the error of what moves more between the shapes of a mesh, see `warpqem.morph_weights`:
             "thirds", "rank", "distance" or "usage"; None for no weights.
         face_points: JSON file with feature points by name for the metric "face", such as `warpqem face detect` writes;
-            they take precedence over those that the mesh names itself, see `warpqem.usd.commands.face_points`, and these over
-            those that are found. They are of the mesh that the file names, or of the largest one.
+            they take precedence over those that the mesh names itself, see
+            `warpqem.usd.commands.face_points`, and these over those that are found. They are of the mesh that the file
+            names, or of the largest one.
         face_weight: Weight of the feature points, see `warpqem.FaceProtection`; None for its default.
         face_ring: Neighbours up to so many edges away count at a feature point; None for the default.
         face_keep: Feature points stay where they are, as points, whatever the face count.

@@ -30,7 +30,8 @@ def check_output_path(
 
     Args:
         output: The file to write.
-        inputs: Files to read, themselves; `warpqem.usd.checks.input_files.check_stage_outputs` looks at all that they name.
+        inputs: Files to read, themselves; `warpqem.usd.checks.input_files.check_stage_outputs` looks at all that they
+            name.
         option: Name of the option that names the output, for messages.
         packages: Whether it may be a package (.usdz), too.
 
