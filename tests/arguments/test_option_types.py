@@ -22,7 +22,7 @@ from warpqem.face import FaceProtection, FacialFeatures, facial_features
 from warpqem.measure import compare, distance_colors
 from warpqem.picture import View, fit_view, render
 from warpqem.pipeline.mirror import MirrorPlane, find_mirror
-from warpqem.place.surface_transfer import surface_transfer
+from warpqem.pipeline.surface_transfer import surface_transfer
 from warpqem.progressive import load, save
 from warpqem.skinning.fit_skin import fit_skin
 from warpqem.usd import SimplifyOptions

@@ -12,7 +12,7 @@ from tests.support import meshes
 from warpqem.errors import MeshShapeError
 from warpqem.measure import CornerValues, SurfaceValues, compare_appearance
 from warpqem.measure.texture_coordinates import make_chart
-from warpqem.place.surface_transfer import surface_transfer
+from warpqem.pipeline.surface_transfer import surface_transfer
 
 DIAGONAL = np.sqrt(2)  # of the unit square
 

@@ -8,7 +8,7 @@ from tests.support import meshes
 from warpqem.errors import MeshShapeError, OptionError
 from warpqem.mesh.components import lowest_members
 from warpqem.mesh.seams import read_seams
-from warpqem.place.surface_transfer import joined_faces
+from warpqem.pipeline.surface_transfer import joined_faces
 
 POINTS, FACES = meshes.waving_grid(16, 4)
 COLUMN = np.array([[17 * row + 8, 17 * (row + 1) + 8] for row in range(16)])

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import warpqem
-import warpqem.place.surface_transfer
+import warpqem.pipeline.surface_transfer
 from tests.support import meshes
 from tests.support.moving_meshes import rms
 from warpqem.errors import OptionError
@@ -199,7 +199,7 @@ def test_any_dirty_mesh_comes_through(mesh, ratio):
     np.testing.assert_array_equal(np.sort(clusters, axis=1), np.sort(result.faces, axis=1))
     after = face_repair(result.faces, result.points.shape[1])
     assert after is None or after.findings.repeated_faces == 0
-    transfer = warpqem.place.surface_transfer.surface_transfer(points, faces, result, device="cpu")
+    transfer = warpqem.pipeline.surface_transfer.surface_transfer(points, faces, result, device="cpu")
     assert transfer.corner_wedge.shape == result.faces.shape
     assert np.isfinite(transfer.wedges_from_corners(values)).all()
 

@@ -17,7 +17,7 @@ from tests.support.meshes import bending_bar, waving_grid
 from warpqem.errors import DeviceError
 from warpqem.measure import compare
 from warpqem.picture.render import fit_view, render
-from warpqem.place.surface_transfer import surface_transfer
+from warpqem.pipeline.surface_transfer import surface_transfer
 from warpqem.runtime import device as devices
 from warpqem.usd.commands.simplify import simplify_stage
 from warpqem.usd.commands.simplify_options import SimplifyOptions

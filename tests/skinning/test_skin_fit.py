@@ -18,7 +18,7 @@ from tests.support.skin_fit import (
 )
 from warpqem.errors import MeshShapeError, OptionError
 from warpqem.kernels.skin_fit import REACH
-from warpqem.place.surface_transfer import surface_transfer
+from warpqem.pipeline.surface_transfer import surface_transfer
 from warpqem.skinning.fit_problem import SURFACE_PULL, WEIGHT_PULL
 from warpqem.skinning.fit_skin import fit_skin
 from warpqem.skinning.linear_skin import LinearSkin, blend_influences, blend_skin, normalised_weights, pose_skin

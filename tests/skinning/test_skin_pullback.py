@@ -7,7 +7,7 @@ import warpqem
 from tests.support.meshes import rotation, tube
 from tests.support.skin_fit import FACES, POSES, SKIN, TRANSFORMS, error, random_poses
 from warpqem.errors import OptionError, UnreachableTargetError
-from warpqem.place.surface_transfer import surface_transfer
+from warpqem.pipeline.surface_transfer import surface_transfer
 from warpqem.skinning.linear_skin import LinearSkin, blend_skin, pose_skin
 from warpqem.skinning.rest_pose_quadrics import pulled_back_matrices, simplify_pulled_back
 

@@ -18,7 +18,7 @@ from warpqem.face import facial_features
 from warpqem.measure import compare, distance_colors, topology, vertex_distances
 from warpqem.picture import fit_view, render
 from warpqem.pipeline.mirror import find_mirror
-from warpqem.place.surface_transfer import surface_transfer
+from warpqem.pipeline.surface_transfer import surface_transfer
 from warpqem.skinning.fit_skin import fit_skin
 from warpqem.skinning.linear_skin import LinearSkin, pose_skin
 from warpqem.skinning.rest_pose_quadrics import simplify_pulled_back

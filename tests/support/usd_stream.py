@@ -61,8 +61,8 @@ def in_small_blocks(monkeypatch):
         monkeypatch.setattr("warpqem.usd.commands.mesh_job.KEPT_BYTES", 0)
         monkeypatch.setattr("warpqem.frames.blocks.BLOCK_BYTES", 1)
         monkeypatch.setattr("warpqem.pipeline.memory_plan.BLOCK_BYTES", 1)
-        monkeypatch.setattr("warpqem.usd.write.sample_saver.UNSAVED_BYTES", 1)
-        monkeypatch.setattr("warpqem.usd.write.sample_saver.TABLE_SHARE", 0)
+        monkeypatch.setattr("warpqem.usd.layers.sample_saver.UNSAVED_BYTES", 1)
+        monkeypatch.setattr("warpqem.usd.layers.sample_saver.TABLE_SHARE", 0)
 
     return shrink
 

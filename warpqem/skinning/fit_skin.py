@@ -17,7 +17,7 @@ from warpqem.arguments.number_input import flag, shown, whole_number
 from warpqem.errors import MeshShapeError, OptionError
 from warpqem.mesh.mesh_input import read_faces
 from warpqem.pipeline.result import SimplifiedMesh
-from warpqem.place.surface_transfer import check_fit, check_result, surface_transfer
+from warpqem.pipeline.surface_transfer import check_fit, check_result, surface_transfer
 from warpqem.runtime.device import on_device, resolve_device
 from warpqem.skinning.fit_problem import CandidateRows, ClusterPlanes, SkinFit
 from warpqem.skinning.linear_skin import (

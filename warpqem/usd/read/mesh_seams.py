@@ -14,7 +14,7 @@ from pxr import Usd, UsdGeom
 from warpqem.mesh.components import lowest_members
 from warpqem.mesh.edges import edge_key
 from warpqem.mesh.mesh_input import is_proper
-from warpqem.place.surface_transfer import joined_faces
+from warpqem.pipeline.surface_transfer import joined_faces
 from warpqem.repair.mended_mesh import MeshRepair
 from warpqem.usd.read.descendants import subsets_of
 from warpqem.usd.read.flat_shading import facet_signs

@@ -11,7 +11,7 @@ from pxr import UsdGeom
 
 from warpqem.mesh.mesh_input import is_proper
 from warpqem.pipeline.result import SimplifiedMesh
-from warpqem.place.surface_transfer import SurfaceTransfer, blend, surface_transfer
+from warpqem.pipeline.surface_transfer import SurfaceTransfer, blend, surface_transfer
 from warpqem.usd.read.mesh_seams import MeshSeams
 from warpqem.usd.read.read_mesh import MeshSource
 from warpqem.usd.write.feature_subsets import FAMILY
