@@ -20,13 +20,13 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="signals, and pr
 # The program, with output files that are never finished: it says so, and is stuck in native code.
 STUCK = """
 import ctypes, sys
-import warpqem.picture.sheet, warpqem.usd.layers.layer_files
+import warpqem.picture.sheet, warpqem.usd.write.layer_files
 
 def stuck(*_, **__):
     open("writing", "w").close()
     ctypes.PyDLL(None).sleep(60)
 
-warpqem.usd.layers.layer_files.make_readable = stuck
+warpqem.usd.write.layer_files.make_readable = stuck
 warpqem.files.temporary.os.replace = stuck
 sys.argv[0] = "warpqem"
 from warpqem.cli.main import run

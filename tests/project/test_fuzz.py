@@ -98,8 +98,8 @@ def test_damaged_metadata_is_named(tmp_path, monkeypatch):
     stage = cloth_stage(tmp_path / "in.usda")
     stage.GetRootLayer().pseudoRoot.SetInfo("customLayerData", {"a": 1})
     stage.Save()
-    monkeypatch.setattr("warpqem.usd.layers.stage_views.anchored", lambda value, layer: 3)
-    monkeypatch.setattr("warpqem.usd.layers.stage_views.Sdf.AssetPath", dict)
+    monkeypatch.setattr("warpqem.usd.read.stage_views.anchored", lambda value, layer: 3)
+    monkeypatch.setattr("warpqem.usd.read.stage_views.Sdf.AssetPath", dict)
     with pytest.raises(StageError, match=r"in\.usda: the metadata 'customLayerData' is damaged") as raised:
         simplify_stage(tmp_path / "in.usda", tmp_path / "out.usda", HALF)
     # Not even while the error is at hand.

@@ -59,7 +59,7 @@ def take_memory(marker: str) -> None:
 
 
 def full_disk(marker: str) -> None:
-    import warpqem.usd.layers.layer_files as module
+    import warpqem.usd.write.layer_files as module
 
     whole = module.os.replace
 
@@ -72,7 +72,7 @@ def full_disk(marker: str) -> None:
 
 def stop_while_writing(stop: Callable[[], None]) -> None:
     """Do something when the next output lies under its temporary name."""
-    import warpqem.usd.layers.layer_files as module
+    import warpqem.usd.write.layer_files as module
 
     module.make_readable = lambda path: stop()
 

@@ -14,11 +14,11 @@ import warpqem
 from tests.support.usd_stages import FRAMES, cloth_stage, skinned_stage
 from warpqem.errors import OptionError, StageError
 from warpqem.usd.commands.mesh_job import MeshJob, ReadOptions
-from warpqem.usd.layers.layer_files import check_output_path
-from warpqem.usd.layers.stage_views import copy_stage_metadata
 from warpqem.usd.read.read_mesh import MeshSource
 from warpqem.usd.read.skeleton_poses import StagePoses
+from warpqem.usd.read.stage_views import copy_stage_metadata
 from warpqem.usd.write.attribute_transfer import AttributeTransfer
+from warpqem.usd.write.layer_files import check_output_path
 from warpqem.usd.write.write import OverLayer
 
 CLOTH = "/Root/Cloth"

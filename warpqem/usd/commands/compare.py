@@ -17,7 +17,6 @@ from warpqem.measure import Appearance, Comparison, compare, compare_appearance,
 from warpqem.usd.checks.input_files import check_stage_outputs
 from warpqem.usd.commands.compare_runs import VaryingMesh, combine, pair_runs, run_colors
 from warpqem.usd.commands.level_stages import level_stages
-from warpqem.usd.layers.layer_files import check_output_path
 from warpqem.usd.read.open_stage import find_meshes, open_stage
 from warpqem.usd.read.read_mesh import MeshSource, StageMesh
 from warpqem.usd.read.skeleton_poses import StagePoses
@@ -25,6 +24,7 @@ from warpqem.usd.read.surface_values import compare_as_posed, surface_values
 from warpqem.usd.read.time_codes import FrameRange
 from warpqem.usd.read.variants import select_variants
 from warpqem.usd.read.visibility import seen_frames
+from warpqem.usd.write.layer_files import check_output_path
 from warpqem.usd.write.stage_report import name_prim
 from warpqem.usd.write.write import OverLayer
 

@@ -19,12 +19,12 @@ from warpqem.picture import View, fit_view, render, tile, write_png
 from warpqem.picture.marks import mark
 from warpqem.usd.checks.input_files import check_stage_outputs
 from warpqem.usd.commands.face_points import FacePoints, face_axes, largest_mesh
-from warpqem.usd.layers.layer_files import check_output_path, export_layer
-from warpqem.usd.layers.stage_views import copy_stage_metadata
 from warpqem.usd.read.open_stage import find_meshes, open_stage
 from warpqem.usd.read.skeleton_poses import StagePoses
+from warpqem.usd.read.stage_views import copy_stage_metadata
 from warpqem.usd.read.time_codes import FrameRange
 from warpqem.usd.write.face_output import write_blend_shapes, write_samples
+from warpqem.usd.write.layer_files import check_output_path, export_layer
 
 __all__ = ["FaceOptions", "StageFace", "check_face_outputs", "draw_face", "read_face", "retarget_file", "write_points"]
 

@@ -10,8 +10,8 @@ from pxr import Sdf, Usd
 from warpqem.errors import OptionError
 from warpqem.usd.commands.lods import VARIANT_SET
 from warpqem.usd.commands.output_names import LEVEL_NAME
-from warpqem.usd.layers.stage_views import copy_stage_metadata
 from warpqem.usd.read.open_stage import open_stage
+from warpqem.usd.read.stage_views import copy_stage_metadata
 
 __all__ = ["level_names", "level_root", "level_stages"]
 

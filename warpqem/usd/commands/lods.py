@@ -15,9 +15,9 @@ from warpqem.files.outputs import OutputFile
 from warpqem.usd.commands.output_names import LEVEL_NAME, level_file
 from warpqem.usd.layers.asset_paths import move_asset_paths, relative_path
 from warpqem.usd.layers.field_order import with_fields_in_order
-from warpqem.usd.layers.layer_files import export_layer
-from warpqem.usd.layers.stage_views import copy_stage_metadata, layer_name, unopened
 from warpqem.usd.read.open_stage import MeshSelection
+from warpqem.usd.read.stage_views import copy_stage_metadata, layer_name, unopened
+from warpqem.usd.write.layer_files import export_layer
 from warpqem.usd.write.lod_targets import OutsideTargets
 from warpqem.usd.write.package import is_package, write_package_with_layers
 from warpqem.usd.write.stage_report import PrimReport

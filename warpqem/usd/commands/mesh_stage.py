@@ -17,9 +17,9 @@ from warpqem.mesh_files.reading import has_shared_points, read_mesh_file
 from warpqem.mesh_files.sequence import MeshSequence, Progress, scan
 from warpqem.mesh_files.writing import SurfaceValues, write_frames
 from warpqem.usd.checks.usd_errors import first_line
-from warpqem.usd.layers.layer_files import check_output_path, export_layer
 from warpqem.usd.layers.sample_saver import SampleSaver
 from warpqem.usd.write.collect_files import Collection
+from warpqem.usd.write.layer_files import check_output_path, export_layer
 from warpqem.usd.write.package import is_package, write_package
 from warpqem.usd.write.point_samples import PointSamples
 

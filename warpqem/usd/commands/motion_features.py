@@ -15,11 +15,11 @@ from warpqem.costs.motion_features import MotionWeighting
 from warpqem.errors import DeviceError, OptionError, StageError, WarpqemError
 from warpqem.files.outputs import OutputFile
 from warpqem.usd.checks.input_files import check_stage_outputs
-from warpqem.usd.layers.layer_files import check_output_path
 from warpqem.usd.read.open_stage import find_meshes, open_stage
 from warpqem.usd.read.read_mesh import MeshSource, PoseFrames
 from warpqem.usd.read.skeleton_poses import StagePoses
 from warpqem.usd.read.time_codes import FrameRange
+from warpqem.usd.write.layer_files import check_output_path
 from warpqem.usd.write.stage_report import name_prim
 from warpqem.usd.write.write import OverLayer
 

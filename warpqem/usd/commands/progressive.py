@@ -22,10 +22,10 @@ from warpqem.usd.checks.input_files import check_stage_outputs
 from warpqem.usd.checks.usd_errors import usd_errors_named
 from warpqem.usd.commands.mesh_job import MeshJob, ReadOptions
 from warpqem.usd.commands.progressive_options import NOT_TO_BUILD, BuildOptions, LevelChoice
-from warpqem.usd.layers.layer_files import check_output_path, export_layer
 from warpqem.usd.read.open_stage import find_meshes, open_stage
 from warpqem.usd.read.read_mesh import MeshSource
 from warpqem.usd.read.skeleton_poses import StagePoses
+from warpqem.usd.write.layer_files import check_output_path, export_layer
 
 __all__ = ["BuildOptions", "LevelChoice", "build_file", "extract_level"]
 

@@ -25,8 +25,8 @@ from warpqem.usd.commands.run import Run
 from warpqem.usd.commands.run_info import run_info
 from warpqem.usd.commands.simplify_options import SimplifyOptions
 from warpqem.usd.commands.usd_lod import UsdLodLevels
-from warpqem.usd.layers.layer_files import check_output_path
 from warpqem.usd.read.open_stage import find_meshes, open_input, open_stage
+from warpqem.usd.write.layer_files import check_output_path
 from warpqem.usd.write.layer_output import check_output_layer
 from warpqem.usd.write.package import is_package
 from warpqem.usd.write.stage_report import PrimReport, StageReport

@@ -18,7 +18,7 @@ from warpqem.usd.commands.mesh_stage import export_meshes, mesh_numbers, write_m
 from warpqem.usd.commands.output_names import output_files
 from warpqem.usd.commands.simplify import simplify_stage
 from warpqem.usd.commands.simplify_options import SimplifyOptions
-from warpqem.usd.layers.layer_files import check_output_path
+from warpqem.usd.write.layer_files import check_output_path
 from warpqem.usd.write.package import is_package
 from warpqem.usd.write.stage_report import StageReport
 

@@ -1,4 +1,4 @@
-"""Layers and stages as files: opened as another stage is, saved while written, paths of what they name.
+"""Layers as files: saved while they are written, the order of their fields, paths of what they name.
 
 Imports checks.
 """

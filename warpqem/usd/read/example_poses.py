@@ -8,10 +8,10 @@ import numpy as np
 from pxr import Sdf, Usd
 
 from warpqem.errors import StageError
-from warpqem.usd.layers.stage_views import layer_name, open_like
 from warpqem.usd.read.open_stage import open_stage
 from warpqem.usd.read.read_mesh import MeshSource
 from warpqem.usd.read.skeleton_poses import StagePoses
+from warpqem.usd.read.stage_views import layer_name, open_like
 
 __all__ = ["ExamplePoses"]
 

@@ -11,8 +11,8 @@ from pxr import Sdf, Tf, Usd, UsdGeom
 from warpqem.errors import StageError
 from warpqem.usd.checks.input_check import check_composition, open_layers
 from warpqem.usd.checks.usd_errors import first_line
-from warpqem.usd.layers.stage_views import is_as_on_disk, private_view
 from warpqem.usd.read.instances import SharedPrototype, end_instancing, open_instances, spec_places
+from warpqem.usd.read.stage_views import is_as_on_disk, private_view
 
 __all__ = [
     "MeshSelection",

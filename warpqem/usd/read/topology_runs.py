@@ -22,7 +22,7 @@ from pxr import Sdf, Usd, UsdGeom
 from warpqem.errors import StageError
 from warpqem.files.temporary import temporary_path
 from warpqem.usd.layers.sample_saver import SampleSaver
-from warpqem.usd.layers.stage_views import copy_stage_metadata, open_like
+from warpqem.usd.read.stage_views import copy_stage_metadata, open_like
 from warpqem.usd.read.time_codes import FrameRange
 from warpqem.usd.read.value_arrays import anchored
 

@@ -10,10 +10,10 @@ from pxr import Sdf, Usd
 from warpqem.files.outputs import OutputFile
 from warpqem.usd.checks.input_files import check_stage_outputs
 from warpqem.usd.layers.asset_paths import move_asset_paths
-from warpqem.usd.layers.layer_files import export_layer
-from warpqem.usd.layers.stage_views import open_like, without_edits
 from warpqem.usd.read.instances import flat_places
+from warpqem.usd.read.stage_views import open_like, without_edits
 from warpqem.usd.write.collect_files import collect_files, lies_elsewhere, write_collected
+from warpqem.usd.write.layer_files import export_layer
 from warpqem.usd.write.package import is_package, write_package
 from warpqem.usd.write.remove_properties import Dropped
 
