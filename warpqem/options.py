@@ -11,7 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, Literal, TypedDict
 
-from warpqem.arguments.option_fields import Limits, check_options, option
+from warpqem.arguments.limits import ABOVE_0, COUNT, SHARE, Limits
+from warpqem.arguments.option_fields import check_options, option
 from warpqem.costs.models import cost_model_names
 from warpqem.errors import OptionError
 
@@ -22,10 +23,6 @@ if TYPE_CHECKING:
     from warpqem.face.protect import FaceProtection
 
 __all__ = [
-    "ABOVE_0",
-    "COUNT",
-    "SHARE",
-    "WEIGHTS",
     "Goal",
     "MethodKeywords",
     "MethodOptions",
@@ -36,12 +33,6 @@ __all__ = [
     "read_keywords",
     "target_count",
 ]
-
-ABOVE_0 = Limits(0.0, open_low=True)
-SHARE = Limits(0.0, 1.0, open_low=True)
-COUNT = Limits(1)
-# Squares of values times the weight of their attribute go into float32 costs, which end at 1e38.
-WEIGHTS = Limits(0.0, 1e6)
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,8 @@ from hypothesis import strategies as st
 import warpqem
 import warpqem.usd
 from tests.support import meshes
-from warpqem.arguments.option_fields import Limits, check_options, named_options, option, option_fields
+from warpqem.arguments.limits import Limits
+from warpqem.arguments.option_fields import check_options, named_options, option, option_fields
 from warpqem.cli.batch import batch
 from warpqem.cli.face import simplify as simplify_face
 from warpqem.cli.levels import levels

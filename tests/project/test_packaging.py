@@ -135,14 +135,77 @@ def test_trimesh_is_imported_by_the_readers_and_writers_of_mesh_files_alone(path
     assert "trimesh" not in names or path.parent.name == "mesh_files"
 
 
-@pytest.mark.parametrize("path", sorted((PACKAGE / "usd").glob("*.py")), ids=lambda p: p.name)
+@pytest.mark.parametrize(
+    "path", sorted((PACKAGE / "usd").rglob("*.py")), ids=lambda p: p.relative_to(PACKAGE).as_posix()
+)
 def test_usd_layer_does_not_import_the_command_line(path):
     assert [n for n in imported(path) if within(n, {"warpqem.cli", "typer", "rich"})] == []
 
 
-@pytest.mark.parametrize("path", sorted((PACKAGE / "order").glob("*.py")), ids=lambda p: p.name)
-def test_order_stage_does_not_import_the_place_stage(path):
-    assert [n for n in imported(path) if within(n, {"warpqem.place", "warpqem.pipeline.simplify"})] == []
+# Rooms from the ground up; one imports those before it. What a type checker alone reads does not count.
+FLOORS = [
+    "errors",
+    "printable",
+    "requirements",
+    "runtime",
+    "files",
+    "arguments",
+    "frames",
+    "mesh",
+    "decimation",
+    "costs",
+    "options",
+    "repair",
+    "place",
+    "refit",
+    "measure",
+    "picture",
+    "mesh_files",
+    "face",
+    "pipeline",
+    "skinning",
+    "progressive",
+    "report",
+    "usd.checks",
+    "usd.layers",
+    "usd.read",
+    "usd.write",
+    "usd.commands",
+    "usd",
+    "batching",
+    "cli",
+]
+
+
+def room_of(module) -> str:
+    """The room of a module of the package, given without `warpqem.`."""
+    parts = module.split(".")
+    return ".".join(parts[:2]) if parts[0] == "usd" and ".".join(parts[:2]) in FLOORS else parts[0]
+
+
+def imported_when_run(path) -> set[str]:
+    """Modules of the package that a file imports, but for those that only a type checker reads."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    blocks = [n for n in ast.walk(tree) if isinstance(n, ast.If) and ast.unparse(n.test) == "TYPE_CHECKING"]
+    left_out = {id(n) for block in blocks for n in ast.walk(block)}
+    nodes = [n for n in ast.walk(tree) if isinstance(n, ast.ImportFrom) and id(n) not in left_out]
+    return {n.module.removeprefix("warpqem.") for n in nodes if n.module.startswith("warpqem.")}
+
+
+@pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.py")), ids=lambda p: p.relative_to(PACKAGE).as_posix())
+def test_no_room_imports_one_above_it(path):
+    if path.parent == PACKAGE and path.stem in ("__init__", "__main__"):
+        return
+    own = room_of(".".join(path.relative_to(PACKAGE).with_suffix("").parts).removesuffix(".__init__"))
+    floor = FLOORS.index(own)
+    others = {room_of(module) for module in imported_when_run(path)} - {own, "kernels"}
+    assert {other for other in others if FLOORS.index(other) > floor} == set()
+
+
+def test_every_room_has_a_floor():
+    rooms = {p.name for p in PACKAGE.iterdir() if p.is_dir() and (p / "__init__.py").exists()} - {"kernels"}
+    files = {p.stem for p in PACKAGE.glob("*.py")} - {"__init__", "__main__"}
+    assert {floor.split(".")[0] for floor in FLOORS} == rooms | files
 
 
 def loaded_by(statement) -> set[str]:

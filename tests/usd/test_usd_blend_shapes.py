@@ -11,7 +11,7 @@ from pxr import Gf, Usd, UsdGeom, UsdSkel
 from tests.support.usd_blend_shapes import BODY, SHAPE, shaped_stage
 from tests.support.usd_stages import define_cloth, skinned_stage
 from warpqem.usd import SimplifyOptions, simplify_stage
-from warpqem.usd.write.blend_shapes import MAX_TARGETS, ShapeData, choose_targets
+from warpqem.usd.read.blend_shapes import MAX_TARGETS, ShapeData, choose_targets
 
 
 def simplified(folder: Path, **options: object) -> tuple[Usd.Stage, list[str]]:

@@ -10,8 +10,9 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 
 from tests.support.usd_stages import cloth_stage
 from warpqem.usd import SimplifyOptions, simplify_stage
+from warpqem.usd.read.blend_shapes import ShapeData
 from warpqem.usd.write.attribute_transfer import Rows
-from warpqem.usd.write.blend_shapes import ShapeData, write_shape
+from warpqem.usd.write.blend_shape_output import write_shape
 from warpqem.usd.write.stage_report import PrimReport
 
 NAMES = Sdf.ValueTypeNames

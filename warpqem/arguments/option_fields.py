@@ -7,7 +7,6 @@ option is written once, in the dataclass.
 from __future__ import annotations
 
 import functools
-import math
 import sys
 import types
 import typing
@@ -15,32 +14,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
 from typing import Any, Literal, Union
 
-__all__ = ["Limits", "Option", "OptionField", "check_options", "named_options", "option", "option_fields"]
+from warpqem.arguments.limits import Limits
+
+__all__ = ["Option", "OptionField", "check_options", "named_options", "option", "option_fields"]
 
 KEY = "warpqem option"
-
-
-@dataclass(frozen=True)
-class Limits:
-    """The numbers that an option takes: from ``low`` to ``high``, each with or without the end itself."""
-
-    low: float = -math.inf
-    high: float = math.inf
-    open_low: bool = False
-    open_high: bool = False
-    infinite: bool = False
-
-    def __contains__(self, value: float) -> bool:
-        """Whether a number is one of them; NaN is not, and infinity only where ``infinite`` says so."""
-        above = value > self.low if self.open_low else value >= self.low
-        below = value < self.high if self.open_high else value <= self.high
-        return above and below and (self.infinite or math.isfinite(value))
-
-    def __str__(self) -> str:
-        """The range as messages and help name it, such as "in (0, 1]" or "above 0"."""
-        if math.isinf(self.high):
-            return f"{'above' if self.open_low else 'at least'} {self.low:g}"
-        return f"in {'(' if self.open_low else '['}{self.low:g}, {self.high:g}{')' if self.open_high else ']'}"
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from warpqem.arguments.array_input import FLOAT32_MAX, first_beyond, real_array
+from warpqem.arguments.limits import WEIGHTS
 from warpqem.arguments.number_input import real_number
 from warpqem.errors import MeshShapeError, OptionError
 from warpqem.mesh.mesh_input import MeshInput
-from warpqem.options import WEIGHTS
 
 __all__ = ["AttributeField", "channel_count", "checked_fields", "field_weight", "weighted_corner_values"]
 

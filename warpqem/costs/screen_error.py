@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import MISSING, dataclass
 
-from warpqem.arguments.option_fields import Limits, check_options, option
-from warpqem.options import ABOVE_0, COUNT
+from warpqem.arguments.limits import ABOVE_0, COUNT, Limits
+from warpqem.arguments.option_fields import check_options, option
 
 __all__ = ["ScreenView"]
 

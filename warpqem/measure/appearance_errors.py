@@ -19,7 +19,7 @@ from warpqem.measure.texture_coordinates import (
     segment_distances,
     texture_jacobians,
 )
-from warpqem.pipeline.surface_transfer import blend
+from warpqem.mesh.blending import blend
 
 __all__ = ["SEAM_SAMPLES", "ErrorSums", "FieldErrors", "MeshPair", "UvErrors", "UvMeasure", "angles"]
 

@@ -16,6 +16,7 @@ from warpqem.arguments.array_input import is_empty, real_array
 from warpqem.arguments.number_input import shown, whole_number
 from warpqem.errors import MeshShapeError, OptionError
 from warpqem.kernels import transfer as kernels
+from warpqem.mesh.blending import blend
 from warpqem.mesh.components import lowest_members
 from warpqem.mesh.edges import edge_key
 from warpqem.mesh.mesh_input import finite_points, is_proper, read_faces, read_points
@@ -25,7 +26,7 @@ from warpqem.place.cluster_rows import gather_faces, group_rows
 from warpqem.runtime.device import on_device, resolve_device
 from warpqem.runtime.launches import launch
 
-__all__ = ["SurfaceTransfer", "blend", "check_fit", "check_result", "joined_faces", "surface_transfer"]
+__all__ = ["SurfaceTransfer", "check_fit", "check_result", "joined_faces", "surface_transfer"]
 
 
 @dataclass(frozen=True)
@@ -59,22 +60,6 @@ class SurfaceTransfer:
     def wedges_from_corners(self, values: np.ndarray) -> np.ndarray:
         """Values at wedges, (W, ...) float64, from values at input corners (N, 3, ...)."""
         return blend(values[self.wedge_face], self.wedge_weight)
-
-
-def blend(values: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Weighted means, (R, ...) float64, of values (R, K, ...) with weights (R, K) that sum to one.
-
-    They are taken from the first value on, so that K equal values give just that value, however the weights round.
-    """
-    values = values.astype(np.float64)
-    if not np.isfinite(values).all():
-        # An infinite value, as a painted weight may be, counts only where it has a weight.
-        values = np.where(weight.reshape(*weight.shape, *[1] * (values.ndim - 2)) > 0, values, 0.0)
-        infinite: np.ndarray = np.einsum("rk,rk...->r...", weight.astype(np.float64), values)
-        return infinite
-    first = values[:, :1]
-    mean: np.ndarray = first[:, 0] + np.einsum("rk,rk...->r...", weight.astype(np.float64), values - first)
-    return mean
 
 
 @on_device

@@ -10,8 +10,8 @@ import numpy as np
 from warpqem.arguments.array_input import finite_array, index_array, real_array
 from warpqem.errors import MeshShapeError
 from warpqem.frames.stream import ArrayFrames
+from warpqem.mesh.blending import blend
 from warpqem.mesh.mesh_input import finite_points, read_points
-from warpqem.pipeline.surface_transfer import blend
 
 __all__ = [
     "LinearSkin",

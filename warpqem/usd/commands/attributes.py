@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
 from typing import Any
 
@@ -15,8 +14,9 @@ from warpqem.errors import OptionError, StageError
 from warpqem.usd.commands.option_checks import AttributeWeights, bare_name
 from warpqem.usd.read.mesh_seams import DISPLAY_COLORS, corner_values
 from warpqem.usd.read.read_mesh import MeshSource
+from warpqem.usd.read.texture_coordinates import is_uv
 
-__all__ = ["check_names", "is_uv", "weighted_fields"]
+__all__ = ["check_names", "weighted_fields"]
 
 # Weight of display colours that nobody has given one. On a rolling sheet of 8192 faces with a soft disc, the colours at
 # a tenth of the faces come 3 times as near to the input's by it as without, and the RMS distance stays; at 3 % of the
@@ -31,10 +31,6 @@ BORDER_WEIGHT = 0.01
 # Colours have borders where so many of the triangles of several colours lie between triangles of one. All do, but for
 # corners of the border; on a gradient next to none.
 BORDER_SHARE = 0.5
-
-# What exporters call texture coordinates that they author as plain pairs of floats.
-PAIR_TYPES = ("VtArray<GfVec2h>", "VtArray<GfVec2f>", "VtArray<GfVec2d>")
-UV_NAME = re.compile(r"(st|uv|uvmap|uvset|map|texcoord)[_:]?\d*", re.IGNORECASE)
 
 
 def check_names(prims: Iterable[Usd.Prim], weights: AttributeWeights) -> None:
@@ -107,12 +103,3 @@ def _color_field(values: npt.NDArray[Any], triangles: npt.NDArray[np.int32]) -> 
     weight = BORDER_WEIGHT if has_borders else COLOR_WEIGHT
     # Display colours lie between 0 and 1; what ranges further, as colours of high dynamic range, counts as if it did.
     return AttributeField(corners, weight / max(1.0, float(np.ptp(corners.astype(np.float64)))))
-
-
-def is_uv(primvar: UsdGeom.Primvar) -> bool:
-    """True for texture coordinates, by their type or, for plain pairs of floats, by their name."""
-    kind = primvar.GetTypeName()
-    if str(kind.role) == "TextureCoordinate":
-        return True
-    is_pair = kind.cppTypeName in PAIR_TYPES
-    return is_pair and UV_NAME.fullmatch(str(primvar.GetPrimvarName())) is not None

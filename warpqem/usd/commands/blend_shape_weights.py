@@ -12,8 +12,8 @@ from warpqem.costs.blend_shape_weights import MORPH_METHODS, morph_weights
 from warpqem.errors import OptionError, StageError
 from warpqem.frames.stream import SomeFrames
 from warpqem.usd.commands.mesh_job import MeshJob
+from warpqem.usd.read.blend_shapes import read_shapes
 from warpqem.usd.read.read_mesh import MeshSource
-from warpqem.usd.write.blend_shapes import read_shapes
 
 __all__ = ["check_morph", "morph_scale"]
 

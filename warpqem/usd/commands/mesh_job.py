@@ -15,13 +15,13 @@ from warpqem.frames.blocks import frame_blocks
 from warpqem.frames.stream import ArrayFrames, FrameSource, JoinedFrames, KeptFrames, read_ahead
 from warpqem.pipeline.result import SimplifiedMesh
 from warpqem.repair.mended_mesh import MeshRepair, face_repair
+from warpqem.usd.read.blend_shapes import choose_targets
 from warpqem.usd.read.mesh_seams import MeshSeams, find_seams
 from warpqem.usd.read.mesh_skin import Skin, read_skin
 from warpqem.usd.read.read_mesh import MeshLayout, MeshSource, PoseFrames
 from warpqem.usd.read.time_codes import FrameRange
 from warpqem.usd.read.weld import weld
 from warpqem.usd.write.attribute_transfer import AttributeTransfer
-from warpqem.usd.write.blend_shapes import choose_targets
 
 __all__ = ["MeshJob", "ReadOptions", "RestFit"]
 

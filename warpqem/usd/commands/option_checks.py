@@ -7,8 +7,8 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
+from warpqem.arguments.limits import WEIGHTS
 from warpqem.errors import OptionError
-from warpqem.options import WEIGHTS
 from warpqem.usd.read.time_codes import FrameRange
 
 __all__ = [

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from warpqem.arguments.limits import ABOVE_0, COUNT, SHARE
 from warpqem.arguments.option_fields import check_options, option
 from warpqem.costs.screen_error import ScreenView
 from warpqem.errors import OptionError
-from warpqem.options import ABOVE_0, COUNT, SHARE, MethodOptions
+from warpqem.options import MethodOptions
 from warpqem.usd.commands.option_checks import FRAMES_HELP, read_frames
 from warpqem.usd.read.time_codes import FrameRange
 

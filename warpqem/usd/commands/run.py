@@ -23,12 +23,12 @@ from warpqem.usd.commands.mesh_result import MeshResult
 from warpqem.usd.commands.stage_budget import simplify_to_budget
 from warpqem.usd.commands.varying import simplify_runs
 from warpqem.usd.commands.weights import check_weight_primvar
+from warpqem.usd.read.blend_shapes import count_shape_users
 from warpqem.usd.read.example_poses import ExamplePoses
 from warpqem.usd.read.inheritors import heirs_first
 from warpqem.usd.read.odd_values import find_odd_values
 from warpqem.usd.read.read_mesh import MeshSource
 from warpqem.usd.read.skeleton_poses import StagePoses
-from warpqem.usd.write.blend_shapes import count_shape_users
 from warpqem.usd.write.stage_report import PrimReport, StageReport, name_prim
 from warpqem.usd.write.write import OverLayer
 

@@ -8,11 +8,12 @@ from dataclasses import dataclass
 from numbers import Real
 from typing import TYPE_CHECKING, Any, Literal
 
-from warpqem.arguments.option_fields import Limits, check_options, option
+from warpqem.arguments.limits import COUNT, WEIGHTS, Limits
+from warpqem.arguments.option_fields import check_options, option
 from warpqem.costs.models import cost_model
 from warpqem.costs.screen_error import ScreenView
 from warpqem.errors import OptionError
-from warpqem.options import COUNT, WEIGHTS, MethodOptions
+from warpqem.options import MethodOptions
 from warpqem.usd.commands.option_checks import (
     FRAMES_HELP,
     AttributeWeights,

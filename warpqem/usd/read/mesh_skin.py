@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
+from warpqem.usd.read.blend_shapes import ShapeData, read_shapes
 from warpqem.usd.read.read_mesh import MeshSource
 from warpqem.usd.read.value_arrays import sample_codes
-from warpqem.usd.write.blend_shapes import ShapeData, read_shapes
 
 __all__ = ["Influences", "Skin", "read_skin"]
 

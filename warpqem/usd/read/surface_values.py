@@ -9,8 +9,8 @@ import numpy.typing as npt
 from pxr import Usd, UsdGeom
 
 from warpqem.measure.surface_values import CornerValues, SurfaceValues
-from warpqem.usd.commands.attributes import is_uv
 from warpqem.usd.read.read_mesh import MeshSource
+from warpqem.usd.read.texture_coordinates import is_uv
 from warpqem.usd.read.value_arrays import blocked_codes, primvar_samples, sample_codes, to_numpy
 
 __all__ = ["compare_as_posed", "surface_values"]

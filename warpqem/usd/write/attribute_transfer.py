@@ -9,9 +9,10 @@ import numpy as np
 import numpy.typing as npt
 from pxr import UsdGeom
 
+from warpqem.mesh.blending import blend
 from warpqem.mesh.mesh_input import is_proper
 from warpqem.pipeline.result import SimplifiedMesh
-from warpqem.pipeline.surface_transfer import SurfaceTransfer, blend, surface_transfer
+from warpqem.pipeline.surface_transfer import SurfaceTransfer, surface_transfer
 from warpqem.usd.read.mesh_seams import MeshSeams
 from warpqem.usd.read.read_mesh import MeshSource
 from warpqem.usd.write.feature_subsets import FAMILY

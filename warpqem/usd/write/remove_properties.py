@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
+from warpqem.usd.read.blend_shapes import count_shape_users
 from warpqem.usd.read.descendants import children_of
-from warpqem.usd.write.blend_shapes import count_shape_users
 
 __all__ = ["Dropped", "block", "drop_skin", "drop_subdivision"]
 

@@ -9,7 +9,7 @@ from warpqem.skinning.linear_skin import blend_influences as blend_arrays
 from warpqem.skinning.linear_skin import normalised_weights
 from warpqem.usd.read.mesh_skin import Influences, Skin
 from warpqem.usd.write.attribute_transfer import AttributeTransfer, Rows
-from warpqem.usd.write.blend_shapes import write_shape
+from warpqem.usd.write.blend_shape_output import write_shape
 
 __all__ = ["blend_influences", "write_skin"]
 
