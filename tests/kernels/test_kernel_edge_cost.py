@@ -237,8 +237,8 @@ def test_updating_moved_costs_equals_computing_all(device):
     begin = wp.zeros(1, dtype=wp.int32, device=device)
     inputs = [mesh.state, mesh.frames, model, log, begin, one_part(device)]
     wp.launch(update_moved_costs[width_of(mesh.frames.position)], dim=1, inputs=inputs, device=device)
-    repriced = mesh.state.edge_cost.numpy().copy()
-    np.testing.assert_array_equal(repriced, prices(mesh, model, device))
+    updated = mesh.state.edge_cost.numpy().copy()
+    np.testing.assert_array_equal(updated, prices(mesh, model, device))
 
 
 def test_sleeping_edges_wake_around_a_moved_vertex_only(device):

@@ -82,19 +82,19 @@ def test_mirror_rule_refuses_an_inner_edge_between_two_vertices_of_the_plane(dev
     assert (checked(built, half_edges, target, device, flip_tolerance=1) > 0).tolist() == [False, True, False, True]
 
 
-def test_wing_rule_keeps_three_faces_inside(device):
+def test_opposite_vertex_keeps_three_faces_inside(device):
     points, faces = meshes.split_faces(meshes.icosphere(1))
     u, v = meshes.icosphere(1)[1][0, :2]
     assert checked_at_middle((points, faces), u, v, device) == 0
     assert checked_at_middle(meshes.icosphere(1), u, v, device) == 2
 
 
-def test_wing_rule_keeps_one_face_at_a_border(device):
+def test_opposite_vertex_keeps_one_face_at_a_border(device):
     assert checked_at_middle(meshes.triangle(), 0, 1, device) == 0
     assert checked_at_middle(meshes.grid(1, 1), 0, 1, device) == 1
 
 
-def test_wing_rule_keeps_the_last_triangles_of_a_tetrahedron(device):
+def test_opposite_vertex_keeps_the_last_triangles_of_a_tetrahedron(device):
     assert checked_at_middle(meshes.tetrahedron(), 0, 1, device) == 0
 
 
