@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 import argparse
+import importlib
 import os
-from collections.abc import Callable, Sequence
+import sys
+from collections.abc import Sequence
 from pathlib import Path
 
-from benchmarks import articulated, kernels, peers, scaling, startup, static, stream
-from benchmarks.report import Report, write_report
+from benchmarks.device.parts import PARTS
+from benchmarks.report import write_report
 from benchmarks.settings import Settings
 
-COMMANDS: dict[str, Callable[[Settings], Report]] = {
-    "peers": peers.run,
-    "scaling": scaling.run,
-    "static": static.run,
-    "kernels": kernels.run,
-    "startup": startup.run,
-    "stream": stream.run,
-    "articulated": articulated.run,
-}
+# Each is a module of that name with a function `run`; loaded when it is asked for, as each needs something else.
+COMMANDS = ("peers", "scaling", "static", "kernels", "startup", "stream", "articulated", "device")
 TURNS, QUICK_TURNS = 5, 2
 
 
@@ -34,7 +29,7 @@ def parse(arguments: Sequence[str] | None = None) -> tuple[str, Settings]:
         help="peers (default): an animation through warpqem and its peers; scaling: faces and frames; static: one "
         "large frame; kernels: time and floor of each kernel; startup: the command line on a small file; "
         "stream: memory on long clips and a large mesh; articulated: the order of collapses of a skinned mesh by the "
-        "error of its skin",
+        "error of its skin; device: verify and measure a GPU in six minutes, with NumPy and Warp alone",
     )
     parser.add_argument("--out", type=Path, default=Path("benchmark_results"), help="folder for the reports")
     parser.add_argument("--quick", action="store_true", help="small meshes, few turns: whether it works, not how fast")
@@ -43,25 +38,34 @@ def parse(arguments: Sequence[str] | None = None) -> tuple[str, Settings]:
     parser.add_argument("--ratio", type=float, default=0.1, help="part of the faces to keep")
     parser.add_argument("--usd", type=Path, help="peers, articulated: this file instead of a quadruped")
     parser.add_argument("--prim", help="peers, articulated: the mesh in that file; by default the largest")
+    parser.add_argument(
+        "--data",
+        type=Path,
+        help="device: folder that --pack has filled; or .npz files, with points (F, V, 3) and faces (N, 3)",
+    )
+    parser.add_argument("--pack", type=Path, help="device: put the shipped scenes and what a CPU makes of them here")
+    parser.add_argument("--part", action="append", choices=[part.name for part in PARTS], help="device: this part only")
     given = parser.parse_args(arguments)
     turns = given.turns if given.turns is not None else QUICK_TURNS if given.quick else TURNS
     if turns < 1:
         parser.error(f"--turns must be at least 1, got {turns}")
     if not 0.0 < given.ratio <= 1.0:
         parser.error(f"--ratio must be in (0, 1], got {given.ratio}")
-    settings = Settings(given.out, given.quick, given.device, turns, given.ratio, given.usd, given.prim)
+    own = (given.data, given.pack, tuple(given.part or ()))
+    settings = Settings(given.out, given.quick, given.device, turns, given.ratio, given.usd, given.prim, *own)
     return given.command, settings
 
 
-def main() -> None:
-    """Run one command; print its tables' file."""
+def main() -> int:
+    """Run one command; print its tables' file. The exit code: 1 where something did not hold."""
     command, settings = parse()
-    report = COMMANDS[command](settings)
+    report = importlib.import_module(f"benchmarks.{command}").run(settings)
     report.machine = {**report.machine, "load_after": [round(x, 2) for x in os.getloadavg()]}
     markdown, data = write_report(report, settings.out)
     print(markdown.read_text(encoding="utf-8"))
     print(f"written: {markdown}, {data}")
+    return int(bool(report.failed))
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

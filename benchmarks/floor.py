@@ -8,84 +8,34 @@ what this launch finds, not what would fit the list. A kernel without an entry h
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable
 
 import numpy as np
-import warp as wp
 
-from warpqem.kernels.lanes import width_of
+from benchmarks.cards import H200, Card
+from benchmarks.demand import INT, PLANE_FLOPS, POINT, PRICE_FLOPS, ROW, VALENCE, Arguments, Demand
+from benchmarks.demand import frames_of as _frames
+from benchmarks.demand import half_edges_of as _half_edges
+from benchmarks.demand import keys_of as _keys
+from benchmarks.demand import length_of as _length
+from benchmarks.demand import moved_of as _moved
+from benchmarks.demand import size_of as _size
+from benchmarks.floor_options import OPTION_MODELS, frame_items
 
-__all__ = ["BYTES_PER_SECOND", "COUNTED", "FLOPS_PER_SECOND", "Demand", "count_demand", "floor_seconds"]
+__all__ = ["COUNTED", "Demand", "count_demand", "floor_seconds"]
 
-# What a copy moved on an H200, bytes read and written (its datasheet says 4.8e12), and the float32 rate without tensor
-# cores in the datasheet.
-BYTES_PER_SECOND = 4.3e12
-FLOPS_PER_SECOND = 67.0e12
-
-INT, POINT, QUADRIC = 4, 12, 40
-# Edges, faces and neighbours at a vertex of a closed triangle mesh, on average; half-edges that leave or enter it.
-VALENCE = 6
-# Position and quadric of a vertex in one frame.
-ROW = POINT + QUADRIC
-# Operations per edge and frame: the anchor 67; the merged quadric 70, its minimiser 56, value and sums 27.
-PRICE_FLOPS = 220
 # The anchor 67, the merged quadric 70, its minimiser 56, the sums of the target 9.
 TARGET_FLOPS = 202
 # Per face and frame: two edges and two normals 39, their dot product and test 8.
 FLIP_FLOPS = 47
 # Two shifts and a sum of quadrics, error and trace.
 MERGE_FLOPS = 95
-# A face plane in a vertex quadric: cross product 15, length 7, plane and products 30, ten sums.
-PLANE_FLOPS = 62
 SOLVE_FLOPS = 60
 
-Arguments = Mapping[str, Any]
 
-
-@dataclass(frozen=True)
-class Demand:
-    """Bytes moved to and from memory, and floating-point operations."""
-
-    bytes: float
-    flops: float = 0.0
-
-    def __add__(self, other: Demand) -> Demand:
-        return Demand(self.bytes + other.bytes, self.flops + other.flops)
-
-
-def floor_seconds(demand: Demand) -> float:
-    """The longer of the two times that an H200 needs: for the bytes, and for the operations."""
-    return max(demand.bytes / BYTES_PER_SECOND, demand.flops / FLOPS_PER_SECOND)
-
-
-def _length(edges: Any) -> int:
-    """Length of a list that the device counts, all parts of it."""
-    return int(edges.count.numpy().sum())
-
-
-def _size(array: Any) -> int:
-    """Bytes of an array."""
-    return int(array.size) * int(wp.types.type_size_in_bytes(array.dtype))
-
-
-def _frames(blocks: Any) -> int:
-    """Frames in an array (V, B) of blocks of points (3, width), those that fill up the last block included."""
-    return int(blocks.shape[1]) * width_of(blocks)
-
-
-def _keys(a: Arguments) -> int:
-    return _frames(a["frames"].position)
-
-
-def _half_edges(a: Arguments) -> int:
-    return 3 * int(a["state"].face_count.numpy()[0])
-
-
-def _moved(a: Arguments) -> int:
-    """Vertices that the last pass moved."""
-    return max(0, _length(a["log"]) - int(a["pass_begin"].numpy()[0]))
+def floor_seconds(demand: Demand, card: Card = H200) -> float:
+    """The longer of the two times that a card needs: for the bytes, and for the operations."""
+    return max(demand.bytes / card.bytes_per_second, demand.flops / card.flops_per_second)
 
 
 def _price_all_edges(a: Arguments) -> Demand:
@@ -311,6 +261,8 @@ _MODELS: dict[str, Callable[[Arguments], Demand]] = {
     )
 }
 
+_MODELS |= OPTION_MODELS
+
 # Names of the kernels that have a floor.
 COUNTED = frozenset(_MODELS)
 
@@ -338,4 +290,6 @@ def _share(a: Arguments, threads: int) -> float:
         return threads / a["points_out"].size
     if "first_vertex" in a:
         return threads / a["vertex_flags"].size
+    if "turns" in a:
+        return min(1.0, threads / frame_items(a))
     return 1.0

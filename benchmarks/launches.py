@@ -99,7 +99,10 @@ def profile_launches() -> Iterator[LaunchProfile]:
 
     def launch(kernel: Any, dim: Any, inputs: Sequence = (), outputs: Sequence = (), **options: Any) -> None:
         # Recorded first: most of what a launch takes on the host stays out of its time.
-        profile.time(plain_launch(kernel, dim, inputs, outputs, record_cmd=True, **options), _thread_count(dim))
+        command = plain_launch(kernel, dim, inputs, outputs, record_cmd=True, **options)
+        # A launch without threads is none.
+        if command is not None:
+            profile.time(command, _thread_count(dim))
 
     def keep_phases(self: Any, phases: Sequence[Phase], device: str) -> None:
         self.phases, self.device = list(phases), device

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 import platform
+import shutil
 import subprocess
 from collections.abc import Iterable
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-__all__ = ["available_memory", "describe_machine"]
+__all__ = ["available_memory", "describe_host", "describe_machine"]
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -20,11 +21,17 @@ def describe_machine(packages: Iterable[str]) -> dict[str, Any]:
     import warp as wp
 
     wp.config.log_level = wp.LOG_WARNING
+    gpus = [device.name for device in wp.get_cuda_devices()] if wp.is_cuda_available() else []
+    return describe_host(packages) | {"gpus": gpus}
+
+
+def describe_host(packages: Iterable[str]) -> dict[str, Any]:
+    """The same without a look at GPUs, which are none in it: for where one may hang."""
     return {
         "cpu": _cpu_model(),
         "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
         "load": [round(x, 2) for x in os.getloadavg()],
-        "gpus": [device.name for device in wp.get_cuda_devices()] if wp.is_cuda_available() else [],
+        "gpus": [],
         "memory_gb": round(_memory("MemTotal") / 1e9, 1),
         "system": platform.platform(),
         "python": platform.python_version(),
@@ -62,7 +69,9 @@ def _memory(field: str) -> int:
 
 
 def _commit() -> str:
-    """The checkout's commit, with a + where files differ from it; empty outside a checkout."""
+    """The checkout's commit, with a + where files differ from it; empty outside a checkout and without git."""
+    if shutil.which("git") is None:
+        return ""
     command = ["git", "-C", str(ROOT)]
     head = subprocess.run([*command, "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
     changed = subprocess.run([*command, "diff", "--quiet", "HEAD"], capture_output=True, check=False)

@@ -41,6 +41,8 @@ class Report:
         machine: from :func:`benchmarks.machine.describe_machine`.
         tables: what was measured.
         notes: sentences under the tables: what was left out, and why.
+        level: of the heading, 1 for a page of its own, 2 for a section of one.
+        failed: what did not hold; anything makes the command end with exit code 1.
     """
 
     name: str
@@ -48,6 +50,8 @@ class Report:
     machine: Mapping[str, Any]
     tables: list[Table] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    level: int = 1
+    failed: list[str] = field(default_factory=list)
 
 
 def _cell(value: Any, spec: str) -> str:
@@ -80,9 +84,10 @@ def _machine_lines(machine: Mapping[str, Any]) -> list[str]:
 def write_report(report: Report, folder: Path) -> tuple[Path, Path]:
     """Write ``NAME.md`` and ``NAME.json`` into the folder; their paths."""
     folder.mkdir(parents=True, exist_ok=True)
-    text = [f"# {report.title}", "", *_machine_lines(report.machine)]
+    hashes = report.level * "#"
+    text = [f"{hashes} {report.title}", "", *_machine_lines(report.machine)]
     for table in report.tables:
-        text += ["", f"## {table.title}", "", markdown_table(table)]
+        text += ["", f"{hashes}# {table.title}", "", markdown_table(table)]
     if report.notes:
         text += ["", *(f"- {note}" for note in report.notes)]
     markdown, data = folder / f"{report.name}.md", folder / f"{report.name}.json"
@@ -92,6 +97,7 @@ def write_report(report: Report, folder: Path) -> tuple[Path, Path]:
         "machine": report.machine,
         "tables": [{"title": t.title, "rows": [dict(row) for row in t.rows]} for t in report.tables],
         "notes": report.notes,
+        "failed": report.failed,
     }
     data.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     return markdown, data

@@ -53,14 +53,6 @@ def merge_vertex(
 
 
 @wp.func
-def carry_trajectory(state: MeshState, u: wp.int32, v: wp.int32, anchor: wp.float32):
-    """Move the trajectory of ``u`` to the material point ``(1 - anchor) p_u + anchor p_v`` in every frame."""
-    for t in range(state.trajectory.shape[1]):
-        p = state.trajectory[u, t]
-        state.trajectory[u, t] = p + anchor * (state.trajectory[v, t] - p)
-
-
-@wp.func
 def join_seams(state: MeshState, u: wp.int32, v: wp.int32, h: wp.int32):
     """The two edges that the face of ``h`` keeps apart become one: a seam when either is.
 
@@ -262,7 +254,9 @@ def commit_winners(
             mask_ring(state, mask, pass_number_in[0], u)
             mask_ring(state, mask, pass_number_in[0], v)
             if state.trajectory.shape[0] > 0:
-                carry_trajectory(state, u, v, wp.where(u == a, anchor_in[i], 1.0 - anchor_in[i]))
+                # Every frame of it moves after the pass, see :func:`move_trajectories`.
+                for chunk in range(state.deformation.anchor.shape[1]):
+                    state.deformation.anchor[u, chunk] = wp.where(u == a, anchor_in[i], 1.0 - anchor_in[i])
             if state.wedges.channel_count > 0:
                 merge_wedges(state, u, v, first_frame(target_in[i, 0]))
             log.error[slot] = wp.max(error_in[i], merge_vertex(state, frames, u, v, target_in, i))

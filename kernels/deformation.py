@@ -129,14 +129,43 @@ def measure_all_deformation(
     state: MeshState,
     work: Work,
 ):
-    """Areas of all faces and steps of all edges."""
+    """Areas of all faces and steps of all edges, the threads dealt out to the chunks of frames."""
+    chunk_count = state.deformation.steps.shape[1]
     half_edge_count = 3 * state.face_count[0]
-    for h in range(first_item(half_edge_count, work) + wp.tid(), last_item(half_edge_count, work), work.lanes):
-        if state.corner_vertex[h] >= 0:
-            for chunk in range(state.deformation.steps.shape[1]):
+    threads = wp.max(work.lanes // wp.max(chunk_count, 1), 1)  # for each chunk
+    begin = first_item(half_edge_count, work) + wp.tid() % threads
+    end = last_item(half_edge_count, work)
+    for chunk in range(wp.tid() // threads, chunk_count, work.lanes // threads):
+        for h in range(begin, end, threads):
+            if state.corner_vertex[h] >= 0:
                 measure_half_edge(state, h, chunk)
                 if h % 3 == 0:
                     measure_face(state, h // 3, chunk)
+
+
+@wp.kernel
+def move_trajectories(
+    state: MeshState,
+    log: CollapseLog,
+    pass_begin: wp.array[wp.int32],
+    work: Work,
+):
+    """Every frame of each vertex that the last pass moved becomes the material point ``(1 - anchor) p_u + anchor p_v``.
+
+    No vertex takes part in two collapses of a pass. An anchor counts once: a second launch changes nothing.
+    """
+    chunk_count = state.deformation.anchor.shape[1]
+    item_count = (log.count[0] - pass_begin[0]) * chunk_count
+    for i in range(first_item(item_count, work) + wp.tid(), last_item(item_count, work), work.lanes):
+        u = log.kept[pass_begin[0] + i // chunk_count]
+        v = log.removed[pass_begin[0] + i // chunk_count]
+        chunk = i % chunk_count
+        anchor = state.deformation.anchor[u, chunk]
+        state.deformation.anchor[u, chunk] = 0.0
+        first = chunk * state.deformation.chunk_frames
+        for t in range(first, wp.min(first + state.deformation.chunk_frames, state.trajectory.shape[1])):
+            p = state.trajectory[u, t]
+            state.trajectory[u, t] = p + anchor * (state.trajectory[v, t] - p)
 
 
 @wp.kernel

@@ -51,6 +51,7 @@ class Deformation:
     chunk_frames: wp.int32  # frames in a chunk
     face_area: wp.array2d[wp.float32]  # (N, C) sum of the areas, in diagonals squared
     steps: wp.array2d[wp.vec3]  # (3N, C) at canonical half-edges: mean, squared deviations, largest above mean
+    anchor: wp.array2d[wp.float32]  # (V, C) how far a kept vertex is yet to move towards the removed one; else 0
 
 
 @wp.struct

@@ -30,23 +30,28 @@ def wrapped(angle: wp.float32) -> wp.float32:
 def measure_dihedral_changes(
     edge_in: wp.array2d[wp.int32],
     points_in: wp.array2d[wp.vec3],
-    # outputs
+    chunk_steps: wp.int32,
+    # in and out
     change: wp.array[wp.float32],
 ):
     """Largest ``|theta^{t+1} - theta^t|`` in radians, taken on over a block of frames (B, V).
 
-    ``edge_in`` (E, 4) holds the two ends and the two wings. The block's first frame is its predecessor's last.
+    ``edge_in`` (E, 4) holds the two ends and the two wings. The block's first frame is its predecessor's last. A thread
+    takes ``chunk_steps`` steps of one edge; the largest of all is the same in whichever order the threads come.
     """
-    e = wp.tid()
+    chunk, e = wp.tid()
     p = edge_in[e, 0]
     q = edge_in[e, 1]
     left = edge_in[e, 2]
     right = edge_in[e, 3]
-    largest = change[e]
+    first = chunk * chunk_steps
+    largest = wp.float32(0.0)
     before = wp.float32(0.0)
-    for t in range(points_in.shape[0]):
+    for t in range(first, wp.min(first + chunk_steps + 1, points_in.shape[0])):
         angle = dihedral_angle(points_in[t, p], points_in[t, q], points_in[t, left], points_in[t, right])
-        if t > 0:
+        if t > first:
             largest = wp.max(largest, wp.abs(wrapped(angle - before)))
         before = angle
-    change[e] = largest
+    # What is no larger needs no atomic operation: most chunks of later blocks.
+    if largest > change[e]:
+        wp.atomic_max(change, e, largest)

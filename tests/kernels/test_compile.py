@@ -1,26 +1,12 @@
 """Every kernel module compiles for GPUs, also on machines without one."""
 
-import importlib
-import pkgutil
-
 import pytest
 import warp as wp
 
-import warpqem.kernels
+from warpqem.precompile import gpu_modules
 
 ARCHITECTURES = [80, 90]
-PYTHON_MODULES = [m.name for m in pkgutil.iter_modules(warpqem.kernels.__path__)]
-
-
-def modules_for_gpus(name: str) -> list[str]:
-    """The Warp modules that hold the kernels of a file, those for the width of blocks on a GPU among them."""
-    values = vars(importlib.import_module(f"warpqem.kernels.{name}")).values()
-    kernels = [v for v in values if isinstance(v, wp.Kernel)]
-    kernels += [v[1] for v in values if isinstance(v, dict) and isinstance(v.get(1), wp.Kernel)]
-    return sorted({kernel.module.name for kernel in kernels})
-
-
-MODULES = [module for name in PYTHON_MODULES for module in modules_for_gpus(name)]
+MODULES = [module.name for module in gpu_modules()]
 
 
 @pytest.mark.parametrize("name", MODULES)

@@ -19,6 +19,7 @@ from tests.support.mesh_state import (
 )
 from warpqem.decimation.adjacency import build_adjacency
 from warpqem.kernels.collapse import commit_winners, drop_dead_corners, mark_live_faces, move_live_faces, open_log
+from warpqem.kernels.deformation import move_trajectories
 from warpqem.kernels.lanes import width_of
 from warpqem.kernels.legality import place_winners
 from warpqem.kernels.topology import CORNER, SEAM
@@ -77,6 +78,12 @@ class Commit:
         outputs = [self.mask, self.log, slot, pool_slot]
         wp.launch(commit_winners[width_of(target)], dim=1, inputs=inputs, outputs=outputs, device=device)
         self.number = number
+        if self.state.trajectory.shape[0]:
+            self.move_trajectories(device)
+
+    def move_trajectories(self, device):
+        begin = wp.zeros(1, dtype=wp.int32, device=device)
+        wp.launch(move_trajectories, dim=1, inputs=[self.state, self.log, begin, one_part(device)], device=device)
 
     def live_faces(self):
         faces = self.state.corner_vertex.numpy().reshape(-1, 3)
@@ -316,6 +323,15 @@ def test_trajectory_of_the_kept_vertex_is_the_material_point(device):
     moved = commit.state.trajectory.numpy()
     np.testing.assert_allclose(moved[u], points[:, u] + anchor * (points[:, v] - points[:, u]), atol=1e-6)
     np.testing.assert_array_equal(moved[v], points[:, v])
+
+
+@pytest.mark.parametrize("chunk_frames", [1, 2])
+def test_trajectory_in_chunks_has_the_same_bits_and_moves_once(chunk_frames, device):
+    whole = closed_commit(device, with_trajectory=True)
+    parts = closed_commit(device, with_trajectory=True, chunk_frames=chunk_frames)
+    assert parts.state.deformation.anchor.shape[1] > 1
+    parts.move_trajectories(device)
+    np.testing.assert_array_equal(parts.state.trajectory.numpy(), whole.state.trajectory.numpy())
 
 
 def test_trajectory_is_the_same_material_point_whichever_way_the_half_edge_runs(device):

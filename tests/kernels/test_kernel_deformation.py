@@ -10,11 +10,15 @@ from tests.oracles.quadrics import unpack
 from tests.support import meshes
 from tests.support.mesh_state import build_mesh, cost_model
 from warpqem.decimation.adjacency import build_adjacency
+from warpqem.decimation.deformation import build_deformation
 from warpqem.decimation.pass_steps import PassSteps
 from warpqem.decimation.passes import CANDIDATE_FRACTION, Orderer
-from warpqem.kernels.deformation import length_deformation
+from warpqem.decimation.recorded_steps import part_work
+from warpqem.frames.blocks import CHUNK_FRAMES
+from warpqem.kernels.deformation import length_deformation, measure_all_deformation
 from warpqem.kernels.mesh_state import MeshState
 from warpqem.kernels.topology import is_canonical
+from warpqem.runtime.device import _TRAITS, GPU
 
 MESHES = {"open": meshes.waving_grid(4, 6), "closed": meshes.swaying_sphere(1, 5)}
 # Frames that a thread sums: all of them, or some, so that sums are put together.
@@ -50,6 +54,28 @@ def test_deformation_matches_the_oracle(name, chunk_frames, device):
     found = np.isfinite(actual)
     assert found.sum() == len(oracle.edge_opposites(faces))
     np.testing.assert_allclose(actual[found], expected[found], rtol=1e-4, atol=1e-10)
+
+
+@pytest.mark.parametrize("lanes", [1, 2, 3, 5, 64, 1000])
+def test_threads_share_the_chunks_whatever_their_number(lanes, device):
+    points, faces = MESHES["closed"]
+    state = build_mesh(points, faces, device, with_trajectory=True, chunk_frames=1).state
+    expected = [state.deformation.face_area.numpy().copy(), state.deformation.steps.numpy().copy()]
+    state.deformation.face_area.fill_(-1.0)
+    state.deformation.steps.fill_(-1.0)
+    work = part_work(0, 1, device)
+    work.lanes = lanes
+    wp.launch(measure_all_deformation, dim=lanes, inputs=[state, work], device=device)
+    canonical = ~np.isnan(deformation(points, faces, device))
+    np.testing.assert_array_equal(state.deformation.face_area.numpy(), expected[0])
+    np.testing.assert_array_equal(state.deformation.steps.numpy()[canonical], expected[1][canonical])
+
+
+def test_a_device_with_threads_out_of_order_sums_chunks_of_frames(monkeypatch):
+    monkeypatch.setitem(_TRAITS, "cpu", GPU)
+    points, faces = meshes.waving_grid(4, 2 * CHUNK_FRAMES + 3)
+    trajectories = np.ascontiguousarray(points.transpose(1, 0, 2))
+    assert build_deformation(trajectories, len(faces), "cpu")[1].steps.shape[1] == 3
 
 
 def test_deformation_of_a_still_mesh_is_zero(device):

@@ -7,8 +7,13 @@ import warp as wp
 import warpqem
 from tests.oracles import motion as oracle
 from tests.support import meshes
+from warpqem.costs.motion_features import MotionWatch
 from warpqem.errors import OptionError
+from warpqem.frames.blocks import MIN_STEPS, chunk_steps
 from warpqem.kernels.motion import dihedral_angle, measure_dihedral_changes, wrapped
+from warpqem.mesh.edges import edge_table
+from warpqem.mesh.mesh_input import read_mesh
+from warpqem.runtime.device import _TRAITS, GPU
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
@@ -40,10 +45,13 @@ def hinge(angles) -> np.ndarray:
     return np.asarray(frames, dtype=np.float32)
 
 
-def changes(points, edges, device) -> np.ndarray:
+def changes(points, edges, device, chunk=None) -> np.ndarray:
+    steps = len(points) - 1
+    chunk = max(steps, 1) if chunk is None else chunk
     change = wp.zeros(len(edges), dtype=wp.float32, device=device)
-    inputs = [wp.array(edges, dtype=wp.int32, device=device), wp.array(points, dtype=wp.vec3, device=device)]
-    wp.launch(measure_dihedral_changes, dim=len(edges), inputs=inputs, outputs=[change], device=device)
+    inputs = [wp.array(edges, dtype=wp.int32, device=device), wp.array(points, dtype=wp.vec3, device=device), chunk]
+    dim = (-(-steps // chunk), len(edges))
+    wp.launch(measure_dihedral_changes, dim=dim, inputs=inputs, outputs=[change], device=device)
     return np.degrees(change.numpy())
 
 
@@ -95,6 +103,37 @@ def test_edge_factors_match_the_oracle(mesh, device):
     expected = oracle.dihedral_changes(points, faces)
     assert result.edges.tolist() == [list(edge) for edge in expected]
     np.testing.assert_allclose(result.factor, list(expected.values()), atol=0.05)
+
+
+@pytest.mark.parametrize("chunk", [1, 2, 3, 7])
+def test_chunks_of_frames_give_the_same_bits(chunk, device):
+    points, faces = meshes.waving_grid(6, 8)
+    table = edge_table(faces)
+    edges = np.concatenate([table.ends, table.opposites], axis=1)[table.face_count == 2]
+    whole = changes(points, edges, device)
+    assert whole.max() > 1
+    np.testing.assert_array_equal(changes(points, edges, device, chunk), whole)
+
+
+@pytest.mark.parametrize("block_frames", [1, 2, 5])
+def test_blocks_of_frames_give_the_same_bits(block_frames, device):
+    points, faces = meshes.waving_grid(6, 11)
+    mesh = read_mesh(points, faces)
+    watch = MotionWatch(mesh, device)
+    for first in range(0, len(points), block_frames):
+        block = slice(first, min(first + block_frames, len(points)))
+        watch.observe(block, points[block])
+    whole = warpqem.motion_features(points, faces, device=device)
+    np.testing.assert_array_equal(watch.features().factor, whole.factor)
+
+
+@pytest.mark.parametrize(("steps", "edges"), [(1, 5), (47, 5), (47, 30_000), (300, 2_000_000)])
+def test_a_thread_of_a_gpu_takes_no_more_steps_than_fill_it(steps, edges, monkeypatch):
+    monkeypatch.setitem(_TRAITS, "cpu", GPU)
+    chunk = chunk_steps(steps, edges, "cpu")
+    assert 1 <= chunk <= steps
+    # As many threads as the GPU wants, where that leaves each the least number of steps.
+    assert -(-steps // chunk) * edges >= min(GPU.launch_threads // 2, edges * -(-steps // MIN_STEPS))
 
 
 def test_threshold_is_the_mean_factor(device):

@@ -8,15 +8,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import warp as wp
 from pxr import Usd, UsdGeom
 
 from benchmarks import scaling, stream, turns
 from benchmarks.__main__ import parse
+from benchmarks.cards import CARDS, H200, card_of
 from benchmarks.figures import log_slope, median, ratio_in_turn
-from benchmarks.floor import BYTES_PER_SECOND, FLOPS_PER_SECOND, Demand, count_demand, floor_seconds
+from benchmarks.floor import Demand, count_demand, floor_seconds
+from benchmarks.floor_options import OPTION_MODELS
 from benchmarks.generated import moving_torus
 from benchmarks.kernels import kernel_rows
 from benchmarks.launches import profile_launches
+from benchmarks.machine import describe_host
 from benchmarks.quality import measure_quality
 from benchmarks.report import Column, Report, Table, markdown_table, write_report
 from benchmarks.settings import Settings
@@ -24,6 +28,12 @@ from benchmarks.simplified import Simplified, load_simplified, save_simplified
 from benchmarks.work import torus_work
 from warpqem import simplify
 from warpqem.measure import topology
+
+
+@wp.kernel
+def do_nothing():
+    pass
+
 
 MACHINE = {
     "cpu": "a CPU",
@@ -145,8 +155,23 @@ def test_a_contender_that_dies_says_why():
 
 
 def test_floor_is_the_longer_of_moving_and_computing():
-    assert floor_seconds(Demand(BYTES_PER_SECOND, FLOPS_PER_SECOND / 2)) == pytest.approx(1.0)
-    assert floor_seconds(Demand(BYTES_PER_SECOND, FLOPS_PER_SECOND * 2)) == pytest.approx(2.0)
+    for card in CARDS:
+        most_bytes, most_flops = card.bytes_per_second, card.flops_per_second
+        assert floor_seconds(Demand(most_bytes, most_flops / 2), card) == pytest.approx(1.0)
+        assert floor_seconds(Demand(most_bytes, most_flops * 2), card) == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "bandwidth"),
+    [("NVIDIA H200", H200.bytes_per_second), ("NVIDIA H100 80GB HBM3", 3.35e12), ("NVIDIA H100 PCIe", 2.0e12)],
+)
+def test_a_card_is_known_by_its_name(name, bandwidth):
+    assert card_of(name).bytes_per_second == bandwidth
+
+
+def test_no_card_hides_behind_a_more_general_one():
+    assert [card_of(card.name) for card in CARDS] == list(CARDS)
+    assert card_of("AMD EPYC") is None
 
 
 def test_a_kernel_without_an_entry_has_no_floor():
@@ -172,6 +197,29 @@ def test_every_kernel_of_a_simplification_has_a_floor(profile):
     table = profile[2].by_kernel()
     assert {"compute_all_costs", "update_moved_costs", "commit_winners", "place_vertices"} <= set(table)
     assert [name for name, launches in table.items() if any(demand is None for _, demand in launches)] == []
+
+
+@pytest.mark.parametrize("options", [{"quality": "best"}, {"metric": "dod"}, {"metric": "aqem"}], ids=str)
+def test_every_kernel_of_an_option_has_a_floor_that_is_above_none_and_below_the_whole_mesh(options):
+    work = torus_work(600, 6, 0.3)
+    with profile_launches() as taken:
+        simplify(work.points, work.faces, target_faces=work.target_faces, device="cpu", **options)
+    table = taken.by_kernel()
+    assert [name for name, launches in table.items() if any(demand is None for _, demand in launches)] == []
+    further = set(table) & set(OPTION_MODELS)
+    assert further
+    # No launch needs more than all matrices of the refit, which are the largest arrays, or all pairs of points.
+    most = 1000 * len(work.faces) * len(work.points)
+    for name in further:
+        assert all(0 <= demand.bytes < most for _, demand in table[name]), name
+        assert sum(demand.bytes for _, demand in table[name]) > 0, name
+
+
+def test_a_launch_without_threads_is_none():
+    with profile_launches() as taken:
+        wp.launch(do_nothing, dim=0, inputs=[], device="cpu")
+        wp.launch(do_nothing, dim=1, inputs=[], device="cpu")
+    assert [entry.kernel for entry in taken.entries] == ["do_nothing"]
 
 
 def test_parts_of_a_launch_add_up_to_the_whole(profile):
@@ -209,6 +257,11 @@ def test_sizes_beyond_the_memory_are_skipped_and_named(monkeypatch, tmp_path):
 def test_table_writes_missing_values_as_dashes():
     table = Table("t", (Column("name", "who"), Column("x", "ratio", ".2f")), [{"name": "a|b", "x": 1.0}, {"name": "c"}])
     assert markdown_table(table).splitlines() == ["| who | ratio |", "|---|---:|", "| a\\|b | 1.00 |", "| c | - |"]
+
+
+def test_a_machine_without_git_has_no_commit(monkeypatch):
+    monkeypatch.setenv("PATH", "")
+    assert describe_host([])["commit"] == ""
 
 
 def test_report_holds_the_machine_and_every_figure(tmp_path):

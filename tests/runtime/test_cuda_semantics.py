@@ -14,6 +14,7 @@ import warpqem
 from tests.support import cuda_semantics
 from tests.support.meshes import waving_grid
 from warpqem.decimation.pass_steps import HISTOGRAM_BINS
+from warpqem.frames.blocks import CHUNK_FRAMES
 from warpqem.kernels.work import EdgeList
 from warpqem.runtime import launches
 from warpqem.runtime.launches import Recorder
@@ -54,6 +55,28 @@ OPTIONS = {
     "one frame": {"ratio": 0.3, "metric": "qem"},
     "error": {"max_error": 0.5, "lock_borders": True},
 }
+
+
+@pytest.fixture
+def every_order():
+    """The orders of threads to try, shuffled twice; afterwards the one asked for."""
+    yield [*cuda_semantics.ORDERS, "shuffled"]
+    cuda_semantics.set_order(os.environ["CUDA_SEMANTICS"])
+
+
+@under_cuda_semantics
+def test_sums_over_chunks_of_frames_do_not_depend_on_the_order_of_threads(every_order):
+    points, faces = waving_grid(9, frames=2 * CHUNK_FRAMES + 6)
+    results, factors = [], []
+    for order in every_order:
+        cuda_semantics.set_order(order)
+        results.append(warpqem.simplify(points, faces, ratio=0.3, metric="dod", device="cpu"))
+        factors.append(warpqem.motion_features(points, faces, device="cpu").factor)
+    for result, factor in zip(results[1:], factors[1:], strict=True):
+        assert np.array_equal(result.log.removed, results[0].log.removed)
+        assert np.array_equal(result.log.cost, results[0].log.cost)
+        assert np.array_equal(result.points, results[0].points)
+        assert np.array_equal(factor, factors[0])
 
 
 @under_cuda_semantics

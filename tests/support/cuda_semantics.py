@@ -81,7 +81,9 @@ def install(order: str) -> None:
     set_order(order)
     codegen.cpu_module_template_forward = codegen.cpu_module_template_forward.replace(_IN_ORDER, _PERMUTED)
     wp.config.kernel_cache_dir = str(Path(tempfile.gettempdir()) / f"warpqem-cuda-semantics-{os.getuid()}-{VERSION}")
-    warpqem.runtime.device._TRAITS["cpu"] = replace(warpqem.runtime.device.GPU, launch_threads=LAUNCH_THREADS)
+    # Kernels are compiled for the CPU, one module after the other.
+    traits = replace(warpqem.runtime.device.GPU, launch_threads=LAUNCH_THREADS, compiles_together=False)
+    warpqem.runtime.device._TRAITS["cpu"] = traits
     _copy_arrays()
     _fill_with_garbage()
     _hold_no_references()

@@ -17,6 +17,7 @@ import warp as wp
 
 from warpqem.costs.weights import check_factors
 from warpqem.errors import OptionError
+from warpqem.frames.blocks import chunk_steps
 from warpqem.kernels import motion as kernels
 from warpqem.mesh.components import lowest_members
 from warpqem.mesh.edges import edge_table
@@ -149,10 +150,14 @@ class MotionWatch:
         self._last = points[-1:].copy()
 
     def _measure(self, points: np.ndarray) -> None:
+        steps = len(points) - 1
+        if steps < 1 or not len(self._edge):
+            return
+        chunk = chunk_steps(steps, len(self._edge), self._device)
         launch(
             kernels.measure_dihedral_changes,
-            dim=len(self._edge),
-            inputs=[self._edge, wp.array(points, dtype=wp.vec3, device=self._device, copy=False)],
+            dim=(-(-steps // chunk), len(self._edge)),
+            inputs=[self._edge, wp.array(points, dtype=wp.vec3, device=self._device, copy=False), chunk],
             outputs=[self._change],
             device=self._device,
         )

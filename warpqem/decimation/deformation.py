@@ -30,4 +30,5 @@ def build_deformation(
     rows = face_count if chunk_count else 0
     measured.face_area = wp.empty((rows, chunk_count), dtype=wp.float32, device=device)
     measured.steps = wp.empty((3 * rows, chunk_count), dtype=wp.vec3, device=device)
+    measured.anchor = wp.zeros((len(given), chunk_count), dtype=wp.float32, device=device)
     return wp.array(given, dtype=wp.vec3, device=device, copy=False), measured

@@ -269,7 +269,8 @@ class PassSteps:
             record_shared(recorder, cost_kernels.resume_neighbourhoods, [state, self._mask, self.pass_number], work)
 
         moved = [state, self.log, self.pass_begin]
-        measured = self._measuring(deformation_kernels.measure_moved_deformation, moved)
+        measured = self._measuring(deformation_kernels.move_trajectories, moved)
+        measured += self._measuring(deformation_kernels.measure_moved_deformation, moved)
         if self._memoryless:
             return [*measured, *self._renewing_quadrics()]
         return [*measured, Phase(update_costs, self.threads), Phase(resume, part_count)]

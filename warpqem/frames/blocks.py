@@ -10,7 +10,7 @@ from warpqem.runtime.cpu_threads import launch_parts
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import launch
 
-__all__ = ["block_width", "chunk_frames", "frame_blocks", "pack_frames", "unpack_frames"]
+__all__ = ["block_width", "chunk_frames", "chunk_steps", "frame_blocks", "pack_frames", "unpack_frames"]
 
 # Frames are worked on in blocks of so many bytes of input: ten milliseconds of work on a CPU core, so that starting it
 # costs nothing to speak of, and small beside what a program takes anyway. Larger blocks are no faster.
@@ -18,6 +18,8 @@ BLOCK_BYTES = 8 * 2**20
 # Frames that a GPU thread sums for the deformation term: a moved vertex then has F / 32 threads, and the sums take a
 # fifth of the memory that the trajectories do.
 CHUNK_FRAMES = 32
+# Steps that a GPU thread takes at least: each chunk sees one frame more than it has steps, here a quarter more.
+MIN_STEPS = 4
 
 
 def frame_blocks(frame_count: int, vertex_count: int, block_frames: int | None = None) -> list[slice]:
@@ -34,7 +36,18 @@ def block_width(frame_count: int, device: str) -> int:
 
 def chunk_frames(frame_count: int, device: str) -> int:
     """Frames that one thread sums for the deformation term: all of them on a CPU, which has no thread to spare."""
-    return max(1, frame_count) if wp.get_device(device).is_cpu else CHUNK_FRAMES
+    return max(1, frame_count) if device_traits(device).in_order else CHUNK_FRAMES
+
+
+def chunk_steps(step_count: int, item_count: int, device: str) -> int:
+    """Steps between frames that one thread takes for one of so many items, where a maximum over all is wanted.
+
+    All of them on a CPU, and on a GPU that has an item for every thread; else as many as give each thread its share.
+    """
+    traits = device_traits(device)
+    if traits.in_order:
+        return max(1, step_count)
+    return min(max(MIN_STEPS, -(-step_count * item_count // traits.launch_threads)), max(1, step_count))
 
 
 def pack_frames(

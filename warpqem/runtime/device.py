@@ -31,6 +31,7 @@ class DeviceTraits:
         in_order: the threads of a launch run one after the other, in the order of their index.
         splits_launches: a launch runs on one core, so a long one is split over the cores of the machine.
         captures: recorded launches are captured as a graph. Nothing else may use the device meanwhile.
+        compiles_together: the first launch that finds no compiled code compiles all kernels, several at once.
     """
 
     block_width: int
@@ -38,12 +39,17 @@ class DeviceTraits:
     in_order: bool
     splits_launches: bool
     captures: bool
+    compiles_together: bool
 
 
 # On a CPU, Warp's captures are one for the whole process, and a recorded launch takes 3 microseconds without one.
-CPU = DeviceTraits(block_width=WIDE, launch_threads=1, in_order=True, splits_launches=True, captures=False)
+CPU = DeviceTraits(
+    block_width=WIDE, launch_threads=1, in_order=True, splits_launches=True, captures=False, compiles_together=False
+)
 # 65536 threads are enough to fill any GPU of today.
-GPU = DeviceTraits(block_width=1, launch_threads=65536, in_order=False, splits_launches=False, captures=True)
+GPU = DeviceTraits(
+    block_width=1, launch_threads=65536, in_order=False, splits_launches=False, captures=True, compiles_together=True
+)
 
 _TRAITS = {"cpu": CPU, "cuda": GPU}
 

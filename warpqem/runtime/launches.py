@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any
 
@@ -31,14 +32,56 @@ if hasattr(os, "register_at_fork"):
 
 
 def load_kernel(kernel: wp.Kernel, device: wp.DeviceLike) -> None:
-    """Compile and load the module of a kernel, in one thread."""
+    """Compile and load the module of a kernel, in one thread.
+
+    Where a GPU has no code of it yet, that of all modules is compiled at once: one after the other takes a minute.
+    """
     key = (kernel.module, str(device))
     if key in _loaded:
         return
     with _loading:
         if key not in _loaded:
-            wp.load_module(kernel.module, device, max_workers=0)
+            with _machine_code():
+                if device_traits(str(device)).compiles_together:
+                    _compile_all(kernel.module, wp.get_device(device).arch)
+                wp.load_module(kernel.module, device, max_workers=0)
             _loaded.add(key)
+
+
+@contextlib.contextmanager
+def _machine_code() -> Iterator[None]:
+    """Let Warp load machine code, which may have been compiled ahead of time, and not PTX, which the driver compiles.
+
+    By itself Warp takes PTX where the driver is as new as its compiler, and machine code elsewhere.
+    """
+    asked = wp.config.cuda_output
+    wp.config.cuda_output = asked or "cubin"
+    try:
+        yield
+    finally:
+        wp.config.cuda_output = asked
+
+
+def _compile_all(module: wp.Module, arch: int) -> None:
+    """Compile all modules for a GPU, if this one is not compiled yet."""
+    from warpqem.precompile import Compiled, binary_path, compile_modules, gpu_modules
+
+    # GPUs newer than Warp's compiler, and formats that the caller has asked for, are left to Warp.
+    own = wp.config.cuda_output != "cubin" or wp.config.cuda_arch_suffix is not None
+    if own or arch not in wp.get_cuda_supported_archs() or binary_path(module, arch).exists():
+        return
+
+    def show(done: int, total: int, compiled: Compiled) -> None:
+        if wp.config.log_level <= wp.LOG_INFO:
+            result = "(compiled)" if compiled.error is None else f"(error: {compiled.error})"
+            wp.get_logger().info(f"Kernels for sm_{arch}: {done} of {total}, module {compiled.name} {result}")
+
+    modules = gpu_modules()
+    if module not in modules:
+        return
+    missing = [other for other in modules if not binary_path(other, arch).exists()]
+    # What does not compile is an error where it is needed: then Warp raises it.
+    compile_modules(arch, missing, report=show)
 
 
 def launch(
