@@ -148,6 +148,7 @@ FLOORS = [
     "printable",
     "requirements",
     "runtime",
+    "precompile",
     "files",
     "arguments",
     "frames",
