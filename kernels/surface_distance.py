@@ -5,13 +5,12 @@ The frames of a mesh are cells of one mesh, so far apart that the nearest face o
 The distance to one face is convex, so over a piece of a triangle it is at most the largest at the piece's corners. The
 search for the largest distance is done with a piece where one face shows that the piece holds nothing larger than what
 was found, and cuts the other pieces where the face nearest to their middle ends. Pieces stay good pieces while the mesh
-moves: those of the first frame, the patches, are what the search starts from in the others, each with the faces that
-were enough before. So most of them take one look at one face.
+moves: those of the frames before, the patches, are what the search starts from in the next ones, and most of them need
+none there, as :mod:`warpqem.kernels.distance_screen` shows.
 """
 
 import warp as wp
 
-from warpqem.kernels.closest_point import closest_on_mesh
 from warpqem.kernels.distance_bound import (
     HINTS,
     ON_PLANE,
@@ -31,6 +30,11 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 TOLERANCE = wp.constant(wp.float64(1.0e-3))
 # Distances of a mesh of unit diagonal that are only rounding.
 ROUNDING = wp.constant(wp.float64(5.0e-15))
+# The search is in single precision, which may pick the other one of two faces that are as near to 2e-7. Below this
+# distance that is more than a fifth of a percent of it, and the choice is made again in double precision.
+EXACT_BELOW = wp.constant(wp.float64(1.0e-4))
+# A search of this radius finds whatever there is; its square fits single precision.
+SEARCH_RADIUS = wp.constant(1.0e15)
 # Beyond every distance; its square fits single precision.
 ANYWHERE = wp.constant(wp.float64(1.0e15))
 # Pieces of a patch that are looked at, and that may wait, before it is given up with what bounds it.
@@ -39,17 +43,29 @@ MAX_WAITING = wp.constant(wp.int32(40))
 Places = wp.types.matrix(shape=(3, 2), dtype=wp.float64)  # of three corners, as MeshPatches.place
 Corners = wp.types.matrix(shape=(3, 3), dtype=wp.float64)
 Waiting = wp.types.matrix(shape=(int(MAX_WAITING), 6), dtype=wp.float64)
+# Two faces whose normals have a cosine below this are the two sides of one spot.
+OPPOSITE = wp.constant(wp.float64(-0.99))
 # Patches that a thread takes one after the other: the next one mostly lies beside the one before, over the same face.
 RUN = wp.constant(wp.int32(16))
 
 
 @wp.struct
-class MeshPatches:
-    """Parts of the faces of a mesh that together are the whole of it, in all frames."""
+class SearchItems:
+    """Patches, each to be searched in one frame: parts of the faces of a mesh."""
 
-    face: wp.array[wp.int32]  # (P,)
-    place: wp.array2d[wp.float64]  # (P, 6), barycentric coordinates of corners 1 and 2 of the face, at three corners
-    hint: wp.array2d[wp.int32]  # (P, HINTS), faces of the other mesh that were near before, -1 for none
+    face: wp.array[wp.int32]  # (n,)
+    place: wp.array2d[wp.float64]  # (n, 6), barycentric coordinates of corners 1 and 2 of the face, at three corners
+    hint: wp.array2d[wp.int32]  # (n, HINTS), faces of the other mesh that were near before, -1 for none
+    frame: wp.array[wp.int32]  # (n,)
+
+
+@wp.struct
+class FoundPieces:
+    """What patches were cut into: no point of a piece is further from its first face than the largest distance."""
+
+    item: wp.array[wp.int32]  # (M,)
+    place: wp.array2d[wp.float64]  # (M, 6)
+    hint: wp.array2d[wp.int32]  # (M, HINTS)
 
 
 @wp.func
@@ -71,6 +87,52 @@ def face_areas(
     area_out[face] = wp.float64(0.5) * wp.length(face_normal(surface, face))
 
 
+@wp.func
+def exactly_nearest(other: Surface, near: wp.int32, squared: wp.float64, p: wp.vec3d) -> wp.int32:
+    """The face nearest to a point in double precision, the first of equal ones; one is known at a squared distance."""
+    best = near
+    best_squared = squared
+    centre = wp.vec3(wp.float32(p[0]), wp.float32(p[1]), wp.float32(p[2]))
+    reach = wp.float32(wp.sqrt(squared) + SEARCH_MARGIN)
+    extent = wp.vec3(reach, reach, reach)
+    query = wp.mesh_query_aabb(other.mesh, centre - extent, centre + extent)
+    face = wp.int32(0)
+    while wp.mesh_query_next(query, face):
+        found = squared_distance(other, face, p)
+        if found < best_squared or (found == best_squared and face < best):
+            best = face
+            best_squared = found
+    return best
+
+
+@wp.func
+def side_facing(other: Surface, near: wp.int32, squared: wp.float64, p: wp.vec3d, normal: wp.vec3d) -> wp.int32:
+    """The face nearest to a point, or a face of the same spot that does not oppose a normal, if there is one.
+
+    Where a surface has two sides on the same points, or faces twice, the nearest face is any of them. ``near`` is the
+    nearest one at a squared distance. Of the same spot are faces as near that are the other side of it; where the point
+    lies on the surface, all that are as near; and a nearer one, which the search left out as a sliver.
+    """
+    found = near
+    normal_near = face_normal(other, near)
+    if wp.dot(normal, normal_near) < wp.float64(0.0):
+        distance = wp.sqrt(squared)
+        centre = wp.vec3(wp.float32(p[0]), wp.float32(p[1]), wp.float32(p[2]))
+        reach = wp.float32(distance + SEARCH_MARGIN)
+        extent = wp.vec3(reach, reach, reach)
+        query = wp.mesh_query_aabb(other.mesh, centre - extent, centre + extent)
+        face = wp.int32(0)
+        while wp.mesh_query_next(query, face):
+            normal_there = face_normal(other, face)
+            if found == near and wp.dot(normal, normal_there) > wp.float64(0.0):
+                away = wp.sqrt(squared_distance(other, face, p)) - distance
+                lengths = wp.length(normal_near) * wp.length(normal_there)
+                same_spot = distance <= SEARCH_MARGIN or wp.dot(normal_near, normal_there) < OPPOSITE * lengths
+                if away < -SEARCH_MARGIN or (away <= SEARCH_MARGIN and same_spot):
+                    found = face
+    return found
+
+
 @wp.kernel
 def sample_distances(
     # in
@@ -82,11 +144,13 @@ def sample_distances(
     # out
     distance_out: wp.array[wp.float64],
     angle_out: wp.array[wp.float64],
+    near_out: wp.array[wp.int32],
 ):
     """Distance of samples from the other surface, and the angle between the normals of both faces, in degrees.
 
-    ``sample_place`` (S,) are the barycentric coordinates of the second and third corner. A distance is -1 where the
-    search finds no face, as all of them are slivers.
+    ``sample_place`` (S,) are the barycentric coordinates of the second and third corner. Of a surface with two sides on
+    the same points, the one that faces the sample's way counts. A distance is -1 where the search finds no face, as all
+    of them are slivers.
     """
     i = first_sample + wp.tid()
     face = sample_face[i]
@@ -94,13 +158,25 @@ def sample_distances(
     a = corner_point(own, face, 0)
     b = corner_point(own, face, 1)
     c = corner_point(own, face, 2)
-    hit = closest_on_mesh(other.mesh, other.points, other.corner_vertex, a + place[0] * (b - a) + place[1] * (c - a))
+    p = a + place[0] * (b - a) + place[1] * (c - a)
+    found = wp.mesh_query_point_no_sign(
+        other.mesh, wp.vec3(wp.float32(p[0]), wp.float32(p[1]), wp.float32(p[2])), SEARCH_RADIUS
+    )
+    near_out[i] = wp.int32(-1)
     distance_out[i] = wp.float64(-1.0)
     angle_out[i] = wp.float64(0.0)
-    if hit.face >= 0:
-        distance_out[i] = wp.sqrt(hit.squared)
+    if found.result:
+        nearest = found.face
+        squared = squared_distance(other, nearest, p)
+        if squared < EXACT_BELOW * EXACT_BELOW:
+            nearest = exactly_nearest(other, nearest, squared, p)
+            squared = squared_distance(other, nearest, p)
+        distance_out[i] = wp.sqrt(squared)
+        normal = face_normal(own, face)
+        near = side_facing(other, nearest, squared, p, normal)
+        near_out[i] = near
         # A face without area has no normal, which counts as a right angle.
-        cosine = wp.dot(wp.normalize(face_normal(own, face)), wp.normalize(face_normal(other, hit.face)))
+        cosine = wp.dot(wp.normalize(normal), wp.normalize(face_normal(other, near)))
         angle_out[i] = wp.degrees(wp.acos(wp.clamp(cosine, wp.float64(-1.0), wp.float64(1.0))))
 
 
@@ -147,18 +223,19 @@ def find_flips(
     # in
     first_face: wp.int32,
     # out
-    flipped_out: wp.array2d[wp.int32],
+    opposed_out: wp.array2d[wp.int32],
 ):
-    """1 for each face with more than the smallest area whose normal opposes that of the face nearest to its middle.
+    """The face that each face with more than the smallest area opposes, where it does: the one nearest to its middle.
 
-    ``nearest`` (N,) is that face when it was last looked for, -1 for none; it bounds the search.
+    -1 for the others. Of a surface with two sides on the same points, a face opposes neither. ``nearest`` (N,) is the
+    nearest face when it was last looked for, -1 for none; it bounds the search.
     """
     face = first_face + wp.tid()
     near = nearest[face]
     for frame in range(frame_count):
         cell_face = frame * own_count + face
         first = frame * other_count
-        flipped_out[frame, face] = 0
+        opposed_out[frame, face] = wp.int32(-1)
         normal = face_normal(own, cell_face)
         if wp.float64(0.5) * wp.length(normal) > smallest:
             corners = Corners()
@@ -173,8 +250,9 @@ def find_flips(
             found = nearer_face(other, known, squared, middle)
             if found >= 0:
                 near = found - first
-                if wp.dot(normal, face_normal(other, found)) < wp.float64(0.0):
-                    flipped_out[frame, face] = 1
+                side = side_facing(other, found, squared_distance(other, found, middle), middle, normal)
+                if wp.dot(normal, face_normal(other, side)) < wp.float64(0.0):
+                    opposed_out[frame, face] = side - first
     nearest[face] = near
 
 
@@ -256,119 +334,120 @@ def largest_distances(
     other: Surface,
     own_count: wp.int32,
     other_count: wp.int32,
-    frame_count: wp.int32,
     floor: wp.array[wp.float64],
+    items: SearchItems,
     part: wp.int32,
     first_run: wp.int32,
     # in and out
-    patches: MeshPatches,
     piece_count: wp.array[wp.int32],
     # out
-    piece: MeshPatches,
-    low_out: wp.array2d[wp.float64],
-    high_out: wp.array2d[wp.float64],
+    piece: FoundPieces,
+    low_out: wp.array[wp.float64],
+    high_out: wp.array[wp.float64],
+    hint_out: wp.array2d[wp.int32],
 ):
-    """The largest distance of each patch of ``own`` from ``other``, where that is beyond the floor (n,) of the frame.
+    """The largest distance of each patch of ``own`` from ``other``, where that is beyond the floor (F,) of its frame.
 
     No point of the patch is further than the larger of ``low`` and ``high``, and one is at ``low``, if that is above
     the floor. ``high`` is above ``low`` by no more than the tolerance, but where a patch was given up. The pieces that
     the patches were cut into are counted in ``piece_count`` of this part, and kept as far as ``piece`` has room for the
-    part: (parts, room), in the order they are found.
+    part: (parts, room), in the order they are found. ``hint_out`` are faces that were near last.
     """
     run = first_run + wp.tid()
-    patch_count = patches.face.shape[0]
-    room = piece.face.shape[0] / piece_count.shape[0]
+    item_count = items.face.shape[0]
+    room = piece.item.shape[0] / piece_count.shape[0]
     hints = Faces()
     for k in range(HINTS):
         hints[k] = wp.int32(-1)
     waiting = Waiting()
-    for patch in range(run * RUN, wp.min((run + 1) * RUN, patch_count)):
-        if patches.hint[patch, 0] >= 0:
+    for item in range(run * RUN, wp.min((run + 1) * RUN, item_count)):
+        if items.hint[item, 0] >= 0:
             for k in range(HINTS):
-                hints[k] = patches.hint[patch, k]
-        for frame in range(frame_count):
-            face = frame * own_count + patches.face[patch]
-            first = frame * other_count
-            low = floor[frame]
-            high = wp.float64(0.0)
-            for k in range(6):
-                waiting[0, k] = patches.place[patch, k]
-            count = wp.int32(1)
-            looked_at = wp.int32(0)
-            while count > 0:
-                count -= 1
-                places = Places(
-                    waiting[count, 0],
-                    waiting[count, 1],
-                    waiting[count, 2],
-                    waiting[count, 3],
-                    waiting[count, 4],
-                    waiting[count, 5],
-                )
-                corners = place_corners(own, face, places)
-                done = wp.bool(False)
-                for k in range(HINTS):
-                    if hints[k] >= 0 and not done:
-                        done = covers(other, first + hints[k], corners[0], corners[1], corners[2], low + ROUNDING)
-                        if done:
-                            hints = with_first(hints, hints[k], k)
-                if not done:
-                    centre = (corners[0] + corners[1] + corners[2]) / wp.float64(3.0)
-                    near = near_face(other, hints, first, centre)
-                    if near < 0:
+                hints[k] = items.hint[item, k]
+        frame = items.frame[item]
+        face = frame * own_count + items.face[item]
+        first = frame * other_count
+        low = floor[frame]
+        high = wp.float64(0.0)
+        for k in range(6):
+            waiting[0, k] = items.place[item, k]
+        count = wp.int32(1)
+        looked_at = wp.int32(0)
+        while count > 0:
+            count -= 1
+            places = Places(
+                waiting[count, 0],
+                waiting[count, 1],
+                waiting[count, 2],
+                waiting[count, 3],
+                waiting[count, 4],
+                waiting[count, 5],
+            )
+            corners = place_corners(own, face, places)
+            done = wp.bool(False)
+            for k in range(HINTS):
+                if hints[k] >= 0 and not done:
+                    done = covers(other, first + hints[k], corners[0], corners[1], corners[2], low + ROUNDING)
+                    if done:
+                        hints = with_first(hints, hints[k], k)
+            if not done:
+                centre = (corners[0] + corners[1] + corners[2]) / wp.float64(3.0)
+                near = near_face(other, hints, first, centre)
+                if near < 0:
+                    done = wp.bool(True)
+                else:
+                    distance = wp.sqrt(squared_distance(other, near, centre))
+                    low = wp.max(low, distance)
+                    size = wp.float64(0.0)
+                    for k in range(3):
+                        size = wp.max(size, wp.length(corners[k] - centre))
+                    bound = furthest_corner(other, near, corners)
+                    if bound > low + ROUNDING and size <= low:
+                        # What is furthest is most often a corner. Those of large pieces are corners of small ones.
+                        for k in range(3):
+                            at_corner = near_face(other, hints, first, corners[k])
+                            if at_corner >= 0:
+                                low = wp.max(low, wp.sqrt(squared_distance(other, at_corner, corners[k])))
+                    looked_at += 1
+                    if bound <= low * (wp.float64(1.0) + TOLERANCE) + ROUNDING:
                         done = wp.bool(True)
-                    else:
-                        distance = wp.sqrt(squared_distance(other, near, centre))
-                        low = wp.max(low, distance)
-                        size = wp.float64(0.0)
-                        for k in range(3):
-                            size = wp.max(size, wp.length(corners[k] - centre))
-                        bound = wp.min(distance + size, furthest_corner(other, near, corners))
-                        if bound > low + ROUNDING and size <= low:
-                            # What is furthest is most often a corner. Those of large pieces are corners of small ones.
-                            for k in range(3):
-                                at_corner = near_face(other, hints, first, corners[k])
-                                if at_corner >= 0:
-                                    low = wp.max(low, wp.sqrt(squared_distance(other, at_corner, corners[k])))
-                        looked_at += 1
-                        if bound <= low * (wp.float64(1.0) + TOLERANCE) + ROUNDING:
-                            done = wp.bool(True)
-                            hints = with_first(hints, near - first, HINTS - 1)
-                            if bound > low + ROUNDING:
-                                high = wp.max(high, bound)
-                        elif looked_at >= MAX_PIECES or count + 3 > MAX_WAITING:
-                            done = wp.bool(True)
+                        hints = with_first(hints, near - first, HINTS - 1)
+                        if bound > low + ROUNDING:
                             high = wp.max(high, bound)
-                        else:
-                            cut = cut_piece(other, near, corners)
-                            p = places[cut.corner]
-                            q = places[(cut.corner + 1) % 3]
-                            r = places[(cut.corner + 2) % 3]
-                            one = p + cut.after * (q - p)
-                            two = p + cut.before * (r - p)
-                            for axis in range(2):
-                                waiting[count, axis] = p[axis]
-                                waiting[count, 2 + axis] = one[axis]
-                                waiting[count, 4 + axis] = two[axis]
-                                waiting[count + 1, axis] = one[axis]
-                                waiting[count + 1, 2 + axis] = q[axis]
-                                waiting[count + 1, 4 + axis] = r[axis]
-                                waiting[count + 2, axis] = one[axis]
-                                waiting[count + 2, 2 + axis] = r[axis]
-                                waiting[count + 2, 4 + axis] = two[axis]
-                            # In half, there is no third.
-                            count += wp.where(cut.in_three, 3, 2)
-                if done and room > 0:
-                    place = wp.atomic_add(piece_count, part, 1)
-                    if place < room:
-                        row = part * room + place
-                        piece.face[row] = patches.face[patch]
-                        for k in range(3):
-                            piece.place[row, 2 * k] = places[k, 0]
-                            piece.place[row, 2 * k + 1] = places[k, 1]
-                        for k in range(HINTS):
-                            piece.hint[row, k] = hints[k]
-            low_out[frame, patch] = low
-            high_out[frame, patch] = high
+                    elif looked_at >= MAX_PIECES or count + 3 > MAX_WAITING:
+                        done = wp.bool(True)
+                        hints = with_first(hints, near - first, HINTS - 1)
+                        high = wp.max(high, bound)
+                    else:
+                        cut = cut_piece(other, near, corners)
+                        p = places[cut.corner]
+                        q = places[(cut.corner + 1) % 3]
+                        r = places[(cut.corner + 2) % 3]
+                        one = p + cut.after * (q - p)
+                        two = p + cut.before * (r - p)
+                        for axis in range(2):
+                            waiting[count, axis] = p[axis]
+                            waiting[count, 2 + axis] = one[axis]
+                            waiting[count, 4 + axis] = two[axis]
+                            waiting[count + 1, axis] = one[axis]
+                            waiting[count + 1, 2 + axis] = q[axis]
+                            waiting[count + 1, 4 + axis] = r[axis]
+                            waiting[count + 2, axis] = one[axis]
+                            waiting[count + 2, 2 + axis] = r[axis]
+                            waiting[count + 2, 4 + axis] = two[axis]
+                        # In half, there is no third.
+                        count += wp.where(cut.in_three, 3, 2)
+            if done and room > 0:
+                place = wp.atomic_add(piece_count, part, 1)
+                if place < room:
+                    row = part * room + place
+                    piece.item[row] = item
+                    for k in range(3):
+                        piece.place[row, 2 * k] = places[k, 0]
+                        piece.place[row, 2 * k + 1] = places[k, 1]
+                    for k in range(HINTS):
+                        piece.hint[row, k] = hints[k]
+        low_out[item] = low
+        high_out[item] = high
         for k in range(HINTS):
-            patches.hint[patch, k] = hints[k]
+            hint_out[item, k] = hints[k]

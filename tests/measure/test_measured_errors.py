@@ -103,7 +103,7 @@ def test_threads_and_blocks_change_no_digit(device, monkeypatch):
     coarse, coarse_faces = waves(9, 20)
     found = []
     for threads in (1, 2, 3):
-        monkeypatch.setattr("warpqem.measure.surfaces.thread_count", lambda device, threads=threads: threads)
+        monkeypatch.setattr("warpqem.measure.patches.thread_count", lambda device, threads=threads: threads)
         monkeypatch.setattr("warpqem.runtime.cpu_threads.thread_count", lambda device, threads=threads: threads)
         found.append(compare(fine, fine_faces, coarse, coarse_faces, device=device).to_dict())
     assert found[0] == found[1] == found[2]
@@ -113,7 +113,7 @@ def test_frames_without_room_for_all_pieces_give_the_same(device, monkeypatch):
     fine, fine_faces = waves(20, 6)
     coarse, coarse_faces = waves(5, 6)
     found = compare(fine, fine_faces, coarse, coarse_faces, device=device).to_dict()
-    monkeypatch.setattr("warpqem.measure.surfaces.PIECES_PER_FACE", 0)
+    monkeypatch.setattr("warpqem.measure.patches.PIECES_PER_FACE", 0)
     assert compare(fine, fine_faces, coarse, coarse_faces, device=device).to_dict() == found
 
 
@@ -251,4 +251,4 @@ def test_groups_of_frames_are_bounded_by_faces_and_frames():
         SurfaceComparison(np.tile([[0, 1, 2]], (count, 1)), np.array([[0, 1, 2]]), frames, 1, 0, "cpu").group
         for count, frames in ((10, 5), (400, 5000), (20000, 48))
     ]
-    assert sizes == [5, 32, 1]
+    assert sizes == [5, 32, 8]

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pxr import Sdf, UsdGeom, Vt
 from typer.testing import CliRunner
 
 from tests.support import meshes
@@ -70,7 +71,7 @@ def test_data_hold_what_the_page_shows():
     data = report_data(report, device="cpu")
     [level] = data["levels"]
     assert level["measures"]["perFrame"]["rms"] == pytest.approx([level["measures"]["rms"]] * 4, rel=0.2)
-    assert 0 < level["mesh"]["heatScale"] < 1
+    assert level["mesh"]["heatScale"] == level["measures"]["hausdorff"]
     heat = decode(level["mesh"]["heat"], np.uint8, (4, len(report.points[0])))
     assert heat.max() == 255
     nodes = np.cumsum(decode(data["original"]["mesh"]["points"], np.uint16, report.points.shape), 0, np.uint16)
@@ -204,6 +205,28 @@ def test_compare_writes_a_report(tmp_path):
     assert done.exit_code == 0, done.stderr
     [level] = data_of(page.read_text("utf-8"))["levels"]
     assert level["measures"]["rms"] < 1e-4
+
+
+def test_pages_of_simplify_and_compare_say_the_same_of_texture_and_motion(tmp_path):
+    stage = cloth_stage(tmp_path / "in.usda")
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/Root/Cloth"))
+    st = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.vertex)
+    st.Set(Vt.Vec2fArray.FromNumpy(np.array(mesh.GetPointsAttr().Get(1.0))[:, :2].copy()))
+    stage.Save()
+    files = tmp_path / "in.usda", tmp_path / "out.usda"
+    pages = tmp_path / "simplify.html", tmp_path / "compare.html"
+    assert run("simplify", files[0], "-o", files[1], "--ratio", 0.5, "--report", pages[0]).exit_code == 0
+    assert run("compare", *files, "--report", pages[1]).exit_code == 0
+    one, other = (data_of(page.read_text("utf-8")) for page in pages)
+    looks = [[t for t in data["tables"] if t["title"] == "Texture, shading and colours"] for data in (one, other)]
+    assert looks[0] == looks[1]
+    [row] = looks[0][0]["rows"]
+    assert row[1] == "st"
+    assert row[5] == "UV"
+    assert row[6] > 0
+    assert one["levels"][0]["measures"] == other["levels"][0]["measures"]
+    assert one["levels"][0]["measures"]["slideP95"] > 0
+    assert any(note == "/Root/Cloth: colors: none, as neither mesh has colours" for note in one["notes"])
 
 
 def test_other_suffix_of_a_report_is_wrong_usage_before_any_work(tmp_path):

@@ -79,7 +79,7 @@ def test_heat_map_colors_the_test_mesh_in_every_frame(tmp_path):
     assert colors.GetInterpolation() == "vertex"
     assert colors.GetTimeSamples() == FRAMES
     assert len(colors.Get(2.0)) == 81
-    assert pair.heatmap_scale > 0
+    assert pair.heatmap_scale == pair.comparison.hausdorff
 
 
 def test_heat_map_over_an_input_is_refused(tmp_path):

@@ -55,7 +55,8 @@ def compare(
         float | None,
         typer.Option(
             metavar="PCT",
-            help="Distance of the heat map's last colour, in % of the bounding-box diagonal; by default the largest",
+            help="Distance of the heat map's last colour, in % of the bounding-box diagonal; by default the Hausdorff "
+            "distance",
         ),
     ] = None,
     device: Device = None,

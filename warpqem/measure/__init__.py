@@ -2,9 +2,8 @@
 
 from warpqem.measure.appearance import (
     Appearance,
-    ColorErrors,
     CornerValues,
-    NormalErrors,
+    SampledErrors,
     SurfaceValues,
     UvErrors,
     compare_appearance,
@@ -18,12 +17,11 @@ from warpqem.measure.verdict import LIMITS, Verdict
 __all__ = [
     "LIMITS",
     "Appearance",
-    "ColorErrors",
     "Comparison",
     "CornerValues",
     "FrameErrors",
     "Measured",
-    "NormalErrors",
+    "SampledErrors",
     "SurfaceValues",
     "Topology",
     "UvErrors",

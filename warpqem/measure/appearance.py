@@ -16,16 +16,15 @@ from warpqem.measure.appearance_errors import SEAM_SAMPLES, FieldErrors, MeshPai
 from warpqem.measure.checked_meshes import MeshSequence, check_same_frame_count, chosen_frames
 from warpqem.measure.color_difference import color_difference
 from warpqem.measure.followed_points import MovingMesh
-from warpqem.measure.sampling import MaterialSamples, draw_material_samples
+from warpqem.measure.sampling import draw_material_samples
 from warpqem.measure.surface_values import CornerValues, SurfaceValues, shared_names, shared_normals
 from warpqem.mesh.mesh_input import finite_points, read_faces, read_points
 from warpqem.runtime.device import on_device, resolve_device
 
 __all__ = [
     "Appearance",
-    "ColorErrors",
     "CornerValues",
-    "NormalErrors",
+    "SampledErrors",
     "SurfaceValues",
     "UvErrors",
     "compare_appearance",
@@ -41,38 +40,20 @@ SAMPLE_FRAMES = 1_000_000
 # Frames measured at most, evenly spread, the first and the last one included: a frame of a small mesh takes about 4 ms.
 MAX_FRAMES = 500
 
-# Frames, evenly spread, whose mean areas decide where samples lie.
-AREA_FRAMES = 8
-
 
 @dataclass(frozen=True)
-class NormalErrors:
-    """Angles between shading normals at samples of one mesh and at the nearest points of the other, in degrees.
+class SampledErrors:
+    """Differences between samples of one mesh and the nearest points of the other, both ways.
 
     Attributes:
-        angle: mean over samples and frames, both ways.
-        angle_p95: the 95th percentile over the samples, each with its mean over time.
-        angle_largest: the largest at any sample in any frame.
+        mean: over samples and frames.
+        p95: the 95th percentile over the samples, each with its mean over time.
+        largest: at any sample in any frame.
     """
 
-    angle: float
-    angle_p95: float
-    angle_largest: float
-
-
-@dataclass(frozen=True)
-class ColorErrors:
-    """CIEDE2000 differences of linear Rec. 709 colours at samples of one mesh and the nearest points of the other.
-
-    Attributes:
-        difference: mean over samples and frames, both ways; 1 is about what an eye can just see.
-        difference_p95: the 95th percentile over the samples, each with its mean over time.
-        difference_largest: the largest at any sample in any frame.
-    """
-
-    difference: float
-    difference_p95: float
-    difference_largest: float
+    mean: float
+    p95: float
+    largest: float
 
 
 @dataclass(frozen=True)
@@ -81,8 +62,9 @@ class Appearance:
 
     Attributes:
         uvs: errors of each set of texture coordinates that both meshes have.
-        normals: errors of the shading normals; None where one of the meshes has none.
-        colors: errors of each set of colours that both meshes have.
+        normals: angles between the shading normals, in degrees; None where one of the meshes has none.
+        colors: CIEDE2000 differences of each set of colours that both meshes have, which are linear Rec. 709; 1 is
+            about what an eye can just see.
         not_measured: why a measure has no value, by its name.
         sample_count: samples on each mesh.
         seam_sample_count: samples on the seams of each mesh.
@@ -90,8 +72,8 @@ class Appearance:
     """
 
     uvs: dict[str, UvErrors]
-    normals: NormalErrors | None
-    colors: dict[str, ColorErrors]
+    normals: SampledErrors | None
+    colors: dict[str, SampledErrors]
     not_measured: dict[str, str]
     sample_count: int
     seam_sample_count: int
@@ -161,8 +143,8 @@ def compare_appearance(
         _measure_frames(pair, list(uvs.values()), fields, frames, progress)
     return Appearance(
         uvs={name: measure.errors(name, reasons) for name, measure in uvs.items()},
-        normals=None if shading is None else NormalErrors(*shading.figures()),
-        colors={name: ColorErrors(*errors.figures()) for name, errors in colors.items()},
+        normals=None if shading is None else SampledErrors(*shading.figures()),
+        colors={name: SampledErrors(*errors.figures()) for name, errors in colors.items()},
         not_measured=reasons,
         sample_count=samples,
         seam_sample_count=SEAM_SAMPLES,
@@ -204,7 +186,7 @@ def _sequence(points: npt.ArrayLike, faces: npt.ArrayLike, name: str) -> MeshSeq
 def _make_pair(reference: MeshSequence, test: MeshSequence, samples: int, seed: int, device: str) -> MeshPair:
     centre, diagonal = _scale(reference)
     drawn = tuple(
-        _draw(mesh, samples, seed + number, name)
+        draw_material_samples(mesh, samples, seed + number, name)
         for number, (mesh, name) in enumerate(((reference, "reference"), (test, "test")))
     )
     return MeshPair(
@@ -212,12 +194,6 @@ def _make_pair(reference: MeshSequence, test: MeshSequence, samples: int, seed: 
         MovingMesh(test, centre, diagonal, device),
         (drawn[0], drawn[1]),
     )
-
-
-def _draw(mesh: MeshSequence, samples: int, seed: int, name: str) -> MaterialSamples:
-    frames = chosen_frames(AREA_FRAMES, len(mesh.points))
-    some = MeshSequence(mesh.points[frames].astype(np.float64), mesh.faces, mesh.used)
-    return draw_material_samples(some, samples, seed, name)
 
 
 def _scale(reference: MeshSequence) -> tuple[Floats, Floats]:

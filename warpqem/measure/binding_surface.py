@@ -8,6 +8,7 @@ import warp as wp
 
 from warpqem.kernels.binding import find_facing, walk_surface
 from warpqem.measure.checked_meshes import MeshSequence
+from warpqem.measure.coincidence import coincident
 from warpqem.measure.sampling import normals_and_areas, place
 from warpqem.measure.validity import unique_edges
 from warpqem.mesh.edges import edge_key
@@ -19,7 +20,6 @@ __all__ = [
     "ReferenceSurface",
     "Rings",
     "TestVertices",
-    "coincident",
     "facing_sign",
     "make_rings",
     "nearest_facing",
@@ -44,6 +44,7 @@ def nearest_facing(
     reach: Floats,
     device: str,
     labels: tuple[Ints, Ints] | None = None,
+    mesh: wp.Mesh | None = None,
 ) -> Ints:
     """The nearest face to each query that faces as its normal does, (S,) int64; -1 where none is in reach.
 
@@ -56,9 +57,11 @@ def nearest_facing(
         reach: (S,) the largest distance looked at.
         device: Warp device.
         labels: (N,) and (S,), labels of the faces, and the label that a query wants, -1 for any; None for any.
+        mesh: the hierarchy of these points, where there is one.
     """
     face_label, label = labels or (np.zeros(1, dtype=np.int64), np.full(len(query), -1))
-    mesh = wp.Mesh(points=wp.array(points, dtype=wp.vec3, device=device), indices=corner_vertex)
+    if mesh is None:
+        mesh = wp.Mesh(points=wp.array(points, dtype=wp.vec3, device=device), indices=corner_vertex)
     face = wp.empty(len(query), dtype=wp.int32, device=device)
     doubles = [wp.array(values, dtype=wp.vec3d, device=device) for values in (points, query, normal)]
     launch(
@@ -206,18 +209,6 @@ class TestVertices:
 
     def __len__(self) -> int:
         return len(self.reach)
-
-
-def coincident(points: Floats) -> Ints:
-    """(V,) the first vertex at the place of each in all frames of (K, V, 3)."""
-    rows = points.transpose(1, 0, 2).reshape(points.shape[1], -1)
-    order = np.lexsort(rows.T)
-    new = np.ones(len(rows), dtype=bool)
-    new[1:] = (rows[order[1:]] != rows[order[:-1]]).any(axis=1)
-    first = np.minimum.reduceat(order, np.flatnonzero(new)) if len(rows) else order
-    label = np.empty(len(rows), dtype=np.int64)
-    label[order] = first[np.cumsum(new) - 1]
-    return label
 
 
 def _vertex_normals(points: Floats, faces: Ints, count: int) -> Floats:

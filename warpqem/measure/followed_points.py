@@ -6,9 +6,10 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from warpqem.measure.binding_surface import WALK_STEPS, coincident, facing_sign, make_rings, nearest_facing, walk
+from warpqem.measure.binding_surface import WALK_STEPS, facing_sign, make_rings, nearest_facing, walk
 from warpqem.measure.checked_meshes import MeshSequence
 from warpqem.measure.closest_points import ClosestPointSearch
+from warpqem.measure.coincidence import coincident
 from warpqem.measure.sampling import MaterialSamples, normals_and_areas, place
 
 __all__ = ["Correspondence", "MovingMesh", "match_islands"]
@@ -48,12 +49,26 @@ class MovingMesh:
         frames = np.unique(np.linspace(0, len(mesh.points) - 1, PLACE_FRAMES).round().astype(np.int64))
         self.place: Ints = coincident(mesh.points[frames])[mesh.faces]
         self.corner_vertex = wp.array(mesh.faces.ravel(), dtype=wp.int32, device=device)
+        self._mesh: wp.Mesh | None = None
         self.show(0)
 
     def show(self, frame: int) -> None:
         """Go to a frame."""
         self.points: Floats = (self.mesh.points[frame].astype(np.float64) - self._centre[frame]) / self._diagonal[frame]
         self.exact = wp.array(self.points, dtype=wp.vec3d, device=self.device)
+        self._is_fitted = False
+
+    def hierarchy(self) -> wp.Mesh:
+        """The hierarchy of the frame shown: built once, refitted in later frames in which it is asked for."""
+        if not self._is_fitted:
+            single = wp.array(self.points, dtype=wp.vec3, device=self.device)
+            if self._mesh is None:
+                self._mesh = wp.Mesh(points=single, indices=self.corner_vertex)
+            else:
+                # Setting the points refits it.
+                self._mesh.points = single
+            self._is_fitted = True
+        return self._mesh
 
 
 class Correspondence:
@@ -141,7 +156,15 @@ class Correspondence:
         normal = self._sign * normals_and_areas(self._source.points, corner)[0]
         target, labels = self._target, (self._label, self._wanted[chosen])
         found = nearest_facing(
-            target.points, target.corner_vertex, query, normal, distance, reach, target.device, labels
+            target.points,
+            target.corner_vertex,
+            query,
+            normal,
+            distance,
+            reach,
+            target.device,
+            labels,
+            target.hierarchy(),
         )
         return found
 

@@ -33,6 +33,7 @@ class Measured:
         mean: mean over the frames of the average of the two mean distances.
         normal_deviation: mean angle in degrees between the normals of a sample's face and of the nearest face.
         flips: mean number, over the frames, of simplified faces that oppose the reference face nearest to their middle.
+            Both sides of a sheet, and faces of mixed winding, are opposed by nothing.
         rms_length: mean over the frames of the root mean square distance, in units of the points.
         hausdorff_length: what no distance is above, in units of the points: ``hausdorff`` of the largest diagonal.
         sample_count: samples on each surface in each frame.

@@ -27,7 +27,9 @@ class FrameErrors:
         rms_backward: root mean square distance from the test to the reference mesh.
         normal_deviation: mean angle in degrees between a sample's face normal and that of the nearest face, averaged
             over both directions.
-        flips: test faces whose normal opposes that of the reference face nearest to their centroid, int64.
+        flips: test faces whose normal opposes that of the reference face nearest to their centroid, int64. A sheet with
+            both sides, and faces whose winding is unlike that around them (:mod:`warpqem.measure.winding`), have either
+            normal; the two sides of a sheet of the test mesh oppose nothing. The same holds for normal deviation.
         degenerate_faces: test faces with less area than 1e-14 squared diagonals, int64.
     """
 

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from warpqem.errors import DegenerateMeshError
-from warpqem.measure.checked_meshes import MeshSequence
+from warpqem.measure.checked_meshes import MeshSequence, chosen_frames
 
 __all__ = ["MaterialSamples", "draw_material_samples", "normals_and_areas", "place"]
 
@@ -37,6 +37,10 @@ def place(
     return sum(barycentric[:, k, None] * points[corner[:, k]] for k in range(3))  # type: ignore[return-value]
 
 
+# Frames, evenly spread, whose mean areas decide where samples lie.
+AREA_FRAMES = 8
+
+
 @dataclass(frozen=True)
 class MaterialSamples:
     """Points fixed to the surface: the same face and barycentric coordinates in every frame.
@@ -44,7 +48,7 @@ class MaterialSamples:
     Attributes:
         face: (S,) int64.
         barycentric: (S, 3) float64.
-        mean_area: (S,) float64, area of the sample's face averaged over the frames.
+        mean_area: (S,) float64, area of the sample's face averaged over those frames.
     """
 
     face: npt.NDArray[np.int64]
@@ -58,24 +62,25 @@ class MaterialSamples:
 
 
 def draw_material_samples(mesh: MeshSequence, count: int, seed: int, name: str) -> MaterialSamples:
-    """Samples drawn in proportion to the face areas averaged over the frames.
+    """Samples drawn in proportion to the face areas averaged over eight frames, in strata of the area.
 
     Within a face the square-root map of Osada et al., "Shape Distributions" (2002), equation 1, is uniform.
 
     Raises:
-        DegenerateMeshError: all faces have zero area in some frame.
+        DegenerateMeshError: all faces have zero area in one of these frames.
     """
     mean_area = np.zeros(len(mesh.faces))
-    for frame, points in enumerate(mesh.points):
-        area = normals_and_areas(points, mesh.faces)[1]
+    frames = chosen_frames(AREA_FRAMES, len(mesh.points)).tolist()
+    for frame in frames:
+        area = normals_and_areas(mesh.points[frame].astype(np.float64), mesh.faces)[1]
         if not area.any():
             raise DegenerateMeshError(f"{name} mesh: every face has zero area in frame {frame}")
-        mean_area += area / len(mesh.points)
+        mean_area += area / len(frames)
     random = np.random.default_rng(seed)
     cumulative = np.cumsum(mean_area)
     # A draw that rounding puts at the very end must not fall on a face without area behind the last one with area.
     last = int(np.flatnonzero(mean_area)[-1])
-    face = np.searchsorted(cumulative, random.random(count) * cumulative[-1]).clip(0, last)
+    face = np.searchsorted(cumulative, (np.arange(count) + random.random(count)) / count * cumulative[-1]).clip(0, last)
     root, second = np.sqrt(random.random(count)), random.random(count)
     barycentric = np.stack([1 - root, root * (1 - second), root * second], axis=1)
     return MaterialSamples(face, barycentric, mean_area[face])

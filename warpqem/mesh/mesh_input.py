@@ -63,6 +63,11 @@ class MeshInput:
         """Input vertices V, unreferenced ones included."""
         return self.source.vertex_count
 
+    @property
+    def given_faces(self) -> np.ndarray:
+        """The caller's faces (K, 3) int32, but those that use a vertex twice, before the topology was mended."""
+        return self.faces if self.repair is None else self.repair.given_faces
+
 
 @dataclass(frozen=True)
 class AnimatedMesh(MeshInput):

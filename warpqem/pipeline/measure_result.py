@@ -24,7 +24,7 @@ class ResultMeasure:
 
     Attributes:
         source: frames of the input, which are read once more.
-        faces: (N, 3) faces of the input.
+        faces: (N, 3) faces of the input, as the caller gave them.
         device: Warp device.
     """
 
@@ -35,7 +35,7 @@ class ResultMeasure:
     @classmethod
     def of(cls, mesh: MeshInput, device: str) -> ResultMeasure:
         """Against a mesh that was read."""
-        return cls(mesh.source, mesh.faces, device)
+        return cls(mesh.source, mesh.given_faces, device)
 
     def __call__(self, result: SimplifiedMesh) -> Measured:
         """The errors of a result."""
@@ -49,7 +49,7 @@ def measured_on_the_way(work: Prepared, sink: FrameSink) -> tuple[Prepared, Meas
     """A sink that measures before it passes on, and the mesh with frames that it can read while others do."""
     source = SharedFrames(work.mesh.source)
     shared = replace(work, mesh=replace(work.mesh, source=source))
-    return shared, MeasuringSink(sink, source, work.mesh.faces, work.device)
+    return shared, MeasuringSink(sink, source, work.mesh.given_faces, work.device)
 
 
 def with_errors(

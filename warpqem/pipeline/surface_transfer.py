@@ -7,7 +7,7 @@ corner's side of the seams: values never leak from one UV island, or one side of
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
@@ -21,10 +21,12 @@ from warpqem.mesh.components import lowest_members
 from warpqem.mesh.edges import edge_key
 from warpqem.mesh.mesh_input import finite_points, is_proper, read_faces, read_points
 from warpqem.mesh.seams import seam_ends
-from warpqem.pipeline.result import SimplifiedMesh
 from warpqem.place.cluster_rows import gather_faces, group_rows
 from warpqem.runtime.device import on_device, resolve_device
 from warpqem.runtime.launches import launch
+
+if TYPE_CHECKING:
+    from warpqem.pipeline.result import SimplifiedMesh
 
 __all__ = ["SurfaceTransfer", "check_fit", "check_result", "joined_faces", "surface_transfer"]
 
@@ -170,6 +172,9 @@ def _wedge_sources(
 
 def check_result(result: Any) -> None:
     """Raise an OptionError for what is no result of simplifying."""
+    # What simplifies is loaded where there is a result: comparing meshes needs none of it.
+    from warpqem.pipeline.result import SimplifiedMesh
+
     if not isinstance(result, SimplifiedMesh):
         raise OptionError(f"result must be a SimplifiedMesh, as warpqem.simplify returns, got {shown(result)}")
 

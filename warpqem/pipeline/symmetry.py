@@ -83,7 +83,7 @@ def simplify_symmetric(
     # Those of a sink are not measured.
     measuring = None
     if sink is None:
-        measuring = ResultMeasure(ArrayFrames(frames), given.faces, resolve_device(asked.device))
+        measuring = ResultMeasure(ArrayFrames(frames), given.given_faces, resolve_device(asked.device))
     if not asked.bounded:
         return with_errors(lambda: _simplify_half(_Half(given, frames, mirror, asked), sink, progress), measuring)
     return with_errors(lambda: _simplify_within(given, frames, mirror, asked, sink, progress), measuring)

@@ -11,7 +11,6 @@ import numpy as np
 from warpqem.arguments.array_input import is_empty
 from warpqem.costs.attributes import checked_fields
 from warpqem.costs.weights import lock_mask, read_quadric_scale, read_weights
-from warpqem.decimation.decimate import DecimatedMesh, faces_left
 from warpqem.frames.stream import FrameSource, held_bytes
 from warpqem.mesh.edges import edge_key
 from warpqem.mesh.mesh_input import MeshInput, is_proper
@@ -19,6 +18,7 @@ from warpqem.mesh.seams import read_seams, seam_ends
 from warpqem.repair.mended_topology import TopologyFindings, repair_topology
 
 if TYPE_CHECKING:
+    from warpqem.decimation.decimate import DecimatedMesh
     from warpqem.options import SimplifyOptions
 
 __all__ = ["MeshRepair", "face_repair", "faces_for", "repaired_mesh", "repaired_options"]
@@ -38,6 +38,7 @@ class MeshRepair:
         face_index: (M,) int32, the caller's face that each face is.
         back: (M,) int32, the caller's face on the other side of each; -1 where there is none.
         turned: (M,) bool, faces whose corners are in the reverse order.
+        given_faces: (K, 3) int32, the caller's faces, but those that use a vertex twice.
         findings: what was mended.
     """
 
@@ -47,6 +48,7 @@ class MeshRepair:
     face_index: np.ndarray
     back: np.ndarray
     turned: np.ndarray
+    given_faces: np.ndarray
     findings: TopologyFindings
 
     @cached_property
@@ -170,6 +172,7 @@ def _repair(
         face_index=face_index[mended.kept],
         back=np.where(mended.back >= 0, face_index[mended.back], np.int32(-1)),
         turned=mended.turned,
+        given_faces=faces,
         findings=mended.findings,
     )
 
@@ -226,6 +229,9 @@ def faces_for(ordered: DecimatedMesh, mesh: MeshInput, target: int) -> int:
         mesh: what was ordered.
         target: faces asked for.
     """
+    # Whoever has ordered a mesh has loaded it; those who only look at a topology need not.
+    from warpqem.decimation.decimate import faces_left
+
     assert mesh.repair is not None
     log, drops = ordered.log, ordered.drops
     collapses = np.arange(len(log))

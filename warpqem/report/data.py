@@ -30,6 +30,8 @@ BYTES_PER_FACE = 12
 MAX_FRAMES = 120
 # The page has room for so many colours in one byte; the last value stands for no feature.
 NO_FEATURE = 255
+# Distances in % of the diagonal that are rounding: double precision leaves some 1e-13.
+NO_DISTANCE = 1e-9
 # Distances have 8 bits, as a share of the largest.
 DISTANCE_STEPS = 255
 
@@ -115,6 +117,7 @@ def mesh_data(
     grid: Grid,
     labels: np.ndarray | None = None,
     distance: np.ndarray | None = None,
+    scale: float | None = None,
 ) -> dict[str, Any]:
     """A mesh as the page decodes it.
 
@@ -124,11 +127,13 @@ def mesh_data(
         grid: what positions are rounded to.
         labels: (V,) integers, motion feature of each vertex, -1 for none; None where nothing was looked for.
         distance: (F, V), in % of the diagonal; None where nothing was measured.
+        scale: distance of the last colour; None for the largest of these.
     """
-    largest = 0.0 if distance is None else float(distance.max(initial=0.0))
+    largest = scale if scale is not None else 0.0 if distance is None else float(distance.max(initial=0.0))
     heat = None
     if distance is not None:
-        heat = encode(np.rint(distance * (DISTANCE_STEPS / largest if largest > 0 else 0)).astype(np.uint8))
+        steps = np.rint(distance * (DISTANCE_STEPS / largest if largest > 0 else 0))
+        heat = encode(np.minimum(steps, DISTANCE_STEPS).astype(np.uint8))
     return {
         "vertexCount": points.shape[1],
         "faceCount": len(faces),
@@ -201,12 +206,14 @@ def _level_data(
     meshes = (original, report.faces, level.points, level.faces)
     distance = vertex_distances(*meshes, device=device)
     own_labels = None if labels is None else _carried(labels, original[0], report.faces, level.points[0], device)
-    measures = compare(*meshes, device=device, progress=progress)
+    measures = _measures(compare(*meshes, device=device, progress=progress), report.thinned, level.measured or {})
+    # The colours end at the largest distance of the table.
+    scale = measures["hausdorff"] if distance.max(initial=0.0) > NO_DISTANCE else 0.0
     return {
         "name": level.name,
         **_counts(level.points, level.faces),
-        "mesh": mesh_data(level.points, level.faces, grid, own_labels, distance) if shown else None,
-        "measures": _measures(measures, report.thinned, level.measured or {}),
+        "mesh": mesh_data(level.points, level.faces, grid, own_labels, distance, scale) if shown else None,
+        "measures": measures,
     }
 
 
@@ -224,6 +231,7 @@ def _measures(found: Comparison, thinned: bool, known: Mapping[str, Any]) -> dic
         # Between frames that do not follow each other these say nothing.
         "jitter": None if thinned else found.jitter,
         "slide": None if thinned else found.slide,
+        "slideP95": None if thinned else found.slide_p95,
         "edgeLength": found.edge_length_error,
         "perFrame": {
             name: [float(f"{value:.4g}") for value in getattr(frames, name)]

@@ -47,12 +47,12 @@
   function addTables() {
     const measured = data.levels.filter((one) => one.measures);
     if (measured.length) {
-      const names = ["", "faces", "vertices", "verdict", "RMS %", "mean %", "Hausdorff %", "normals °", "flips a frame", "jitter %", "slide %", "edges %"];
+      const names = ["", "faces", "vertices", "verdict", "RMS %", "mean %", "Hausdorff %", "normals °", "flips a frame", "jitter %", "slide %", "slide 95 %", "edges %"];
       const rows = measured.map((one) => {
         const m = one.measures;
-        return [one.name, one.faces, one.vertices, m.verdict, m.rms, m.mean, m.hausdorff, m.normals, m.flips, m.jitter, m.slide, m.edgeLength];
+        return [one.name, one.faces, one.vertices, m.verdict, m.rms, m.mean, m.hausdorff, m.normals, m.flips, m.jitter, m.slide, m.slideP95, m.edgeLength];
       });
-      addTable("Distance from the original", names, [["original", data.original.faces, data.original.vertices, ...Array(9).fill(null)], ...rows], true);
+      addTable("Distance from the original", names, [["original", data.original.faces, data.original.vertices, ...Array(names.length - 3).fill(null)], ...rows], true);
       const original = measured[0].measures.originalTopology;
       const figures = [
         ["connected components", "components"], ["Euler number", "euler_number"], ["border edges", "border_edges"],

@@ -13,14 +13,14 @@ from pxr import Sdf, Usd
 
 from warpqem.errors import DeviceError, OptionError, StageError, VaryingTopologyError, WarpqemError
 from warpqem.files.outputs import OutputFile, named_outputs
-from warpqem.measure import Appearance, Comparison, compare, compare_appearance, distance_colors
+from warpqem.measure import Appearance, Comparison, compare, distance_colors
 from warpqem.usd.checks.input_files import check_stage_outputs
+from warpqem.usd.commands.appearance import compare_looks
 from warpqem.usd.commands.compare_runs import VaryingMesh, combine, pair_runs, run_colors
 from warpqem.usd.commands.level_stages import level_stages
 from warpqem.usd.read.open_stage import find_meshes, open_stage
 from warpqem.usd.read.read_mesh import MeshSource, StageMesh
 from warpqem.usd.read.skeleton_poses import StagePoses
-from warpqem.usd.read.surface_values import compare_as_posed, surface_values
 from warpqem.usd.read.time_codes import FrameRange
 from warpqem.usd.read.variants import select_variants
 from warpqem.usd.read.visibility import seen_frames
@@ -29,6 +29,9 @@ from warpqem.usd.write.stage_report import name_prim
 from warpqem.usd.write.write import OverLayer
 
 __all__ = ["CompareOptions", "PairReport", "compare_stages"]
+
+# Distances in % of the diagonal that are rounding: double precision leaves some 1e-13.
+NO_DISTANCE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -41,7 +44,8 @@ class CompareOptions:
         prims: Prim paths; meshes at and below them are compared. Empty for all.
         device: Warp device; None for the default.
         heatmap: File to write a heat map over the test file to; None for none.
-        heatmap_scale: Distance of the last colour, in % of the bounding-box diagonal; None for the largest that occurs.
+        heatmap_scale: Distance of the last colour, in % of the bounding-box diagonal; None for the largest distance,
+            which is the Hausdorff distance of the tables.
         variants: Variants to compare, `SET=NAME` or `/Prim/Path{SET=NAME}`, of each file that has them.
         all_lods: Compare every level of detail of the test file below the original, one after the other.
     """
@@ -240,7 +244,8 @@ class _SideComparison:
         report.times = [time for pair in pairs for time in pair.times]
         report.comparison = combine(reference, test, pairs, progress, samples=options.samples, device=options.device)
         if self.heatmap is not None:
-            colors, report.heatmap_scale = run_colors(reference, test, pairs, options.heatmap_scale, options.device)
+            scale = _heatmap_scale(report.comparison, options)
+            colors, report.heatmap_scale = run_colors(reference, test, pairs, scale, options.device)
             self.heatmap.set_vertex_colors(report.path, report.times, colors)
 
     def _compare_constant(self, report: PairReport, progress: Callable[[int, int], None]) -> None:
@@ -261,12 +266,18 @@ class _SideComparison:
         report.comparison = compare(
             *meshes, samples=options.samples, frames=frames, device=options.device, progress=half[0]
         )
-        values = compare_as_posed(sources, [surface_values(source, times) for source in sources])
-        sides = [value for side in zip(meshes[::2], meshes[1::2], values, strict=True) for value in side]
-        report.appearance = compare_appearance(*sides, device=options.device, progress=half[1])
+        report.appearance = compare_looks(sources, (reference, test), options.device, half[1])
         if self.heatmap is not None:
-            colors, report.heatmap_scale = distance_colors(*meshes, scale=options.heatmap_scale, device=options.device)
+            scale = _heatmap_scale(report.comparison, options)
+            colors, report.heatmap_scale = distance_colors(*meshes, scale=scale, device=options.device)
             self.heatmap.set_vertex_colors(report.path, times, _for_all_points(colors, test, sources[1].point_count))
+
+
+def _heatmap_scale(found: Comparison, options: CompareOptions) -> float | None:
+    """The scale asked for, else the largest distance, as tables have it; None for meshes that are the same."""
+    if options.heatmap_scale is not None:
+        return options.heatmap_scale
+    return found.hausdorff if found.hausdorff > NO_DISTANCE else None
 
 
 def _for_all_points(colors: npt.NDArray[np.float32], mesh: StageMesh, point_count: int) -> npt.NDArray[np.float32]:

@@ -14,9 +14,11 @@ import warpqem
 from warpqem.costs.models import cost_model
 from warpqem.errors import WarpqemError
 from warpqem.files.outputs import OutputFile
+from warpqem.measure.appearance_rows import APPEARANCE_COLUMNS, APPEARANCE_TITLE, appearance_rows
 from warpqem.report import Level, Report, Table, chosen_frames, write_report
 from warpqem.runtime.device import resolve_device
 from warpqem.usd.checks.input_files import check_stage_outputs
+from warpqem.usd.commands.appearance import stage_looks
 from warpqem.usd.commands.level_stages import level_names, level_root
 from warpqem.usd.commands.lods import VARIANT_SET, LevelReport
 from warpqem.usd.commands.simplify_options import SimplifyOptions
@@ -26,6 +28,7 @@ from warpqem.usd.read.world import WorldMeshes, chosen_times
 from warpqem.usd.write.stage_report import PrimReport, StageReport
 
 if TYPE_CHECKING:
+    from warpqem.measure import Appearance
     from warpqem.usd.commands.compare import CompareOptions, PairReport
     from warpqem.usd.read.time_codes import FrameRange
 
@@ -71,6 +74,8 @@ def write_simplify_report(
         if prim.measured is not None and prim.measured["reason"]
     ]
     notes += [f"{prim.path}: dropped: {', '.join(prim.dropped)}" for prim in report.prims if prim.dropped]
+    if options.measure:
+        tables[1:1] = _appearance_tables(_looks(report, original, levels, options, notes), notes)
     title = f"{original.name} → {os.path.basename(output)}"
     page = _gather(title, original, levels, options.frames, tables, list(dict.fromkeys(notes)))
     if len(report.prims) == len(page.levels):
@@ -117,17 +122,8 @@ def write_compare_report(
         levels = [(level.name, level)]
     check_stage_outputs([OutputFile("report", path)], [original.stage, *(level.stage for _, level in levels)])
     notes = [pair.message for pair in pairs if pair.message]
-    errors = ("RMS %", "Hausdorff %", "flips a frame", "verdict", "jitter %", "slide %", "edge length %")
-    head = ("mesh", "frames", *errors)
-    rows = []
-    for pair in pairs:
-        found = pair.comparison
-        if found is not None:
-            motion = (found.jitter, found.slide, found.edge_length_error)
-            values = (found.rms, found.hausdorff, found.flips, found.verdict.word, *motion)
-            name = pair.path if pair.level is None else f"{pair.path} ({pair.level})"
-            rows.append((name, found.frame_count, *values))
-    tables = [Table("Meshes", head, rows)]
+    looks = [(_name(pair.path, pair.level), pair.appearance) for pair in pairs if pair.appearance is not None]
+    tables = [_pair_table(pairs), *_appearance_tables(looks, notes)]
     title = f"{original.name} – {os.path.basename(test)}"
     page = _gather(title, original, levels, options.frames, tables, notes)
     if len(pairs) == 1 and not options.all_lods and pairs[0].comparison is not None:
@@ -257,6 +253,56 @@ def _mesh_table(prims: Sequence[PrimReport]) -> Table:
         figures = [found.get(name) for name in ("rms", "hausdorff", "flips", "verdict")]
         rows.append((prim.path + level, *counts, *figures, stopped, round(prim.seconds, 2)))
     return Table("Meshes", head, rows)
+
+
+def _name(path: str, level: str | None) -> str:
+    """What tables call a mesh."""
+    return path if level is None else f"{path} ({level})"
+
+
+def _pair_table(pairs: Sequence[PairReport]) -> Table:
+    errors = ("RMS %", "Hausdorff %", "flips a frame", "verdict")
+    motion = ("jitter %", "slide %", "slide 95 %", "edge length %")
+    rows = []
+    for pair in pairs:
+        found = pair.comparison
+        if found is not None:
+            figures = (found.rms, found.hausdorff, found.flips, found.verdict.word)
+            moving = (found.jitter, found.slide, found.slide_p95, found.edge_length_error)
+            rows.append((_name(pair.path, pair.level), found.frame_count, *figures, *moving))
+    return Table("Meshes", ("mesh", "frames", *errors, *motion), rows)
+
+
+def _appearance_tables(found: Sequence[tuple[str, Appearance]], notes: list[str]) -> list[Table]:
+    """The table of how meshes look different, if there is anything in it; ``notes`` takes why some have no figure."""
+    rows = []
+    for name, appearance in found:
+        rows += [(name, *row) for row in appearance_rows(appearance)]
+        notes += [f"{name}: {kind}: none, as {reason}" for kind, reason in appearance.not_measured.items()]
+    return [Table(APPEARANCE_TITLE, ("mesh", "values", *APPEARANCE_COLUMNS), rows)] if rows else []
+
+
+def _looks(
+    report: StageReport,
+    original: WorldMeshes,
+    levels: Sequence[tuple[str, WorldMeshes]],
+    options: SimplifyOptions,
+    notes: list[str],
+) -> list[tuple[str, Appearance]]:
+    """How the simplified meshes of each level look different, by name; ``notes`` takes why one cannot be compared."""
+    found = []
+    for prim in report.prims:
+        # Runs of different topologies have no appearance as a whole.
+        if prim.status != "simplified" or prim.runs:
+            continue
+        level = prim.level if isinstance(prim, LevelReport) else levels[0][0]
+        name = _name(prim.path, level if isinstance(prim, LevelReport) else None)
+        stage = dict(levels)[level].stage
+        try:
+            found.append((name, stage_looks(original.stage, stage, prim.path, options.frames, options.device)))
+        except WarpqemError as error:
+            notes.append(f"{name}: texture, shading and colours: not compared: {error}")
+    return found
 
 
 def _option_table(options: SimplifyOptions) -> Table:

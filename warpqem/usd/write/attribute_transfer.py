@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -11,12 +11,14 @@ from pxr import UsdGeom
 
 from warpqem.mesh.blending import blend
 from warpqem.mesh.mesh_input import is_proper
-from warpqem.pipeline.result import SimplifiedMesh
 from warpqem.pipeline.surface_transfer import SurfaceTransfer, surface_transfer
 from warpqem.usd.read.mesh_seams import MeshSeams
 from warpqem.usd.read.read_mesh import MeshSource
 from warpqem.usd.write.feature_subsets import FAMILY
 from warpqem.usd.write.vertex_colors import fitted_values
+
+if TYPE_CHECKING:
+    from warpqem.pipeline.result import SimplifiedMesh
 
 __all__ = ["AttributeTransfer", "Rows"]
 

@@ -1,0 +1,205 @@
+"""The largest distance between two surfaces in motion, frame by frame: at any point, not at samples only."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import warp as wp
+
+from warpqem.measure.cells import Cells
+from warpqem.measure.patches import Found, Patches, bound_frames, pack_points, search_patches, vertex_distances
+
+__all__ = ["LargestDistance"]
+
+# What is added to a bound in single precision: several times its rounding on a mesh of unit diagonal.
+BOUND_MARGIN = 1e-6
+# Patches that held the largest distances of late, whose corners are looked at before any search: mostly it is there in
+# the next frames, too, and patches are not searched for what is known.
+LEADING = 32
+# The pieces of a search that finds this much more than was known are smaller than they need to be, and are cut again.
+CUT_AGAIN = 1.2
+# Patches are no longer replaced by their pieces when there are this many times as many as after the first cut.
+MAX_GROWTH = 8
+
+Doubles = npt.NDArray[np.float64]
+
+
+class _Direction:
+    """The patches of one mesh against the other, and what bounds them in the frames of a block."""
+
+    def __init__(self, own: Cells, other: Cells, device: str) -> None:
+        self.own, self.other, self._device = own, other, device
+        # Rows beyond the count are room for more.
+        self._patches, self._count = Patches.whole(own.face_count), own.face_count
+        self._bound = np.empty((0, 0), dtype=np.float32)
+        self._points: tuple[wp.array, wp.array] | None = None
+        self.leading = Patches.whole(0)
+        self._most = 0
+        # The least that was known in a frame of the block before.
+        self.enough = 0.0
+
+    def search_all(self, floor: Doubles, *, cut: bool) -> Found:
+        """Search all patches in the first cell."""
+        first = np.zeros(self._count, dtype=np.int32)
+        patches = self._patches.rows(slice(self._count))
+        return search_patches(self.own, self.other, patches, first, floor, self._device, cut=cut)
+
+    def cut_first(self, floor: float) -> float:
+        """Cut the faces so that each patch is near one face in the first cell; the largest distance, or the floor."""
+        # The more is known, the larger the pieces, and what is furthest is mostly a vertex.
+        distance, face = vertex_distances(self.own, self.other, self._device)
+        floor = max(floor, float(distance.max()))
+        self.leading = self._patches.rows(np.unique(face[np.argsort(-distance, kind="stable")[:LEADING]]))
+        found = self.search_all(np.array([floor]), cut=True)
+        low = float(found.low.max())
+        if low > CUT_AGAIN * floor:
+            self._patches = Patches(self._patches.face, self._patches.place, found.hint)
+            found = self.search_all(np.array([low]), cut=True)
+        self._patches, self._count = found.pieces, len(found.pieces)
+        self._most = MAX_GROWTH * self._count
+        return low
+
+    def show(self, points: tuple[wp.array, wp.array]) -> None:
+        """Go to a block of frames, packed."""
+        self._points = points
+        # (F, P): 0 where a patch was searched.
+        self._bound = self._bounded(self._patches.rows(slice(self._count)))
+
+    def _bounded(self, patches: Patches) -> npt.NDArray[np.float32]:
+        assert self._points is not None
+        found = bound_frames(self.own, self.other, patches, self._points, self.enough, self._device)
+        found += np.float32(BOUND_MARGIN)
+        return found
+
+    def beyond(self, frames: slice, floor: Doubles, *, lowest: bool) -> tuple[npt.NDArray, npt.NDArray]:
+        """Patches (n,) whose bound is above the floor (F,) of a frame, and that frame (n,), patch by patch.
+
+        ``frames`` are those of the block that the cells show. With ``lowest``, of the frames of a patch only the one
+        where the floor is lowest.
+        """
+        bound = self._bound[frames, : self._count]
+        # Rounded up, a floor would be above what it is not.
+        above = bound > np.nextafter(floor.astype(np.float32), np.float32(0))[:, None]
+        patch = np.flatnonzero(above.any(axis=0))
+        if lowest:
+            return patch, np.where(above[:, patch], floor[:, None], np.inf).argmin(axis=0)
+        index, frame = np.nonzero(above[:, patch].T)
+        return patch[index], frame
+
+    def search(self, patch: npt.NDArray, frame: npt.NDArray, first: int, floor: Doubles, *, cut: bool) -> Found:
+        """Search patches, each in one of the cells' frames, and with ``cut`` put their pieces in their place.
+
+        ``first`` is the block's frame in the first cell, ``floor`` (n,) that of each cell.
+        """
+        grows = cut and self._count < self._most
+        patches = self._patches.rows(patch)
+        found = search_patches(self.own, self.other, patches, frame, floor, self._device, cut=grows)
+        self._bound[first + frame, patch] = 0
+        above = np.flatnonzero(found.low > floor[frame])
+        if len(above):
+            above = above[np.argsort(-found.low[above], kind="stable")][:LEADING]
+            self.leading = patches.rows(above)
+        if grows:
+            bound = self._bounded(found.pieces)
+            # Where a patch has been searched, its pieces have.
+            bound[self._bound[:, patch[found.owner]] == 0] = 0
+            self._replace(patch, found, bound)
+        return found
+
+    def _replace(self, patch: npt.NDArray, found: Found, bound: npt.NDArray[np.float32]) -> None:
+        """Put the first piece of each patch in its place, and the others behind all."""
+        is_first = np.append(True, found.owner[1:] != found.owner[:-1])
+        count = self._count + int((~is_first).sum())
+        if count > len(self._patches):
+            self._patches = self._patches.grown(2 * count)
+        if count > self._bound.shape[1]:
+            larger = np.empty((len(self._bound), 2 * count), dtype=np.float32)
+            larger[:, : self._count] = self._bound[:, : self._count]
+            self._bound = larger
+        rows = patch[found.owner]
+        rows[~is_first] = np.arange(self._count, count)
+        self._patches.put(rows, found.pieces)
+        self._bound[:, rows] = bound
+        self._count = count
+
+
+class LargestDistance:
+    """Finds the largest distance in each frame, both ways.
+
+    In a block of frames, all patches are bounded at once by the faces that they were near to before; those that may
+    hold more than what is known are searched by branch and bound (:mod:`warpqem.kernels.surface_distance`), and give
+    way to the pieces that they were cut into, which fit this frame and mostly the next ones.
+
+    Args:
+        reference: one mesh.
+        test: the other one.
+        frame_count: frames to come.
+        device: Warp device.
+    """
+
+    def __init__(self, reference: Cells, test: Cells, frame_count: int, device: str) -> None:
+        self._ways = (_Direction(reference, test, device), _Direction(test, reference, device))
+        self._frame_count, self._device = frame_count, device
+        self._block: tuple[Doubles, Doubles] | None = None
+        self._is_cut = False
+        self._least = np.inf
+
+    def begin_block(self, reference: Doubles, test: Doubles) -> None:
+        """Take a block of frames, (F, U, 3) and (F, W, 3) of unit diagonal about the origin."""
+        self._block = (reference, test)
+        for way in self._ways:
+            way.enough = 0.0 if np.isinf(self._least) else self._least
+        self._least = np.inf
+        if self._is_cut:
+            self._show()
+
+    def _show(self) -> None:
+        assert self._block is not None
+        one, two = (pack_points(points, self._device) for points in self._block)
+        for way, points in zip(self._ways, ((one, two), (two, one)), strict=True):
+            way.show(points)
+
+    def find(self, frames: slice, sampled: Doubles) -> Doubles:
+        """The largest distance in frames of the block that the cells show, (n,); some are known from samples (n,).
+
+        It is no smaller than that of any point, and at most a thousandth larger than that of one.
+        """
+        found, bound = sampled.copy(), sampled.copy()
+        if self._frame_count == 1:
+            for way in self._ways:
+                result = way.search_all(found, cut=False)
+                found, bound = np.maximum(found, result.low.max()), np.maximum(bound, result.high.max())
+            return np.maximum(found, bound)
+        if not self._is_cut:
+            for way in self._ways:
+                found[0] = way.cut_first(float(found[0]))
+            self._is_cut = True
+            self._show()
+        for way in self._ways:
+            self._search(way, frames, found, bound)
+        self._least = min(self._least, float(found.min()))
+        return np.maximum(found, bound)
+
+    def leading_corners(self, side: int, frames: slice) -> tuple[npt.NDArray, Doubles]:
+        """Points of a mesh (0 the reference, 1 the test mesh) that may be among the furthest in frames of the block.
+
+        Returns:
+            Faces (n, C) and barycentric coordinates of their second and third corner (n, C, 2).
+        """
+        leading = self._ways[side].leading
+        face = np.repeat(leading.face, 3)
+        count = frames.stop - frames.start
+        return np.tile(face, (count, 1)), np.tile(leading.place.reshape(-1, 2), (count, 1, 1))
+
+    def _search(self, way: _Direction, frames: slice, found: Doubles, bound: Doubles) -> None:
+        """Search patches that may hold more than what was found, and note what they hold.
+
+        First each in one frame, which its pieces then fit, and mostly the others, too; then in all that are left.
+        """
+        for lowest in (True, False):
+            patch, frame = way.beyond(frames, found, lowest=lowest)
+            if not len(patch):
+                return
+            result = way.search(patch, frame, frames.start, found, cut=lowest)
+            np.maximum.at(found, frame, result.low)
+            np.maximum.at(bound, frame, result.high)

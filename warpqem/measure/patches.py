@@ -1,0 +1,218 @@
+"""Parts of a moving surface, each with faces of the other surface that it stays near to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+import numpy.typing as npt
+import warp as wp
+
+from warpqem.frames.blocks import pack_frames
+from warpqem.kernels import surface_distance as kernels
+from warpqem.kernels.distance_bound import HINTS
+from warpqem.kernels.distance_screen import SCREEN_HINTS, ScreenPatches, bound_patches
+from warpqem.measure.cells import Cells
+from warpqem.runtime.cpu_threads import launch_parts, run_parts, split_range, thread_count
+from warpqem.runtime.device import device_traits
+from warpqem.runtime.launches import launch
+
+__all__ = ["Found", "Patches", "bound_frames", "pack_points", "search_patches", "vertex_distances"]
+
+# Patches that are worth a thread.
+MIN_PART = 512
+# Pieces that there is room for at first, for each patch that is searched and each face of the other mesh.
+PIECES_PER_FACE = 3
+
+Doubles = npt.NDArray[np.float64]
+Singles = npt.NDArray[np.float32]
+Ints = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Patches:
+    """Parts of the faces of a mesh that together are the whole of it, in all frames.
+
+    Attributes:
+        face: (P,) int32.
+        place: (P, 6) float64, barycentric coordinates of corners 1 and 2 of the face, at three corners.
+        hint: (P, HINTS) int32, faces of the other mesh that were near before, the last one first, -1 for none.
+    """
+
+    face: npt.NDArray[np.int32]
+    place: Doubles
+    hint: npt.NDArray[np.int32]
+
+    def __len__(self) -> int:
+        return len(self.face)
+
+    @classmethod
+    def whole(cls, face_count: int) -> Patches:
+        """The faces themselves, of which nothing is known."""
+        place = np.tile([0.0, 0.0, 1.0, 0.0, 0.0, 1.0], (face_count, 1))
+        hint = np.full((face_count, int(HINTS)), -1, dtype=np.int32)
+        return cls(np.arange(face_count, dtype=np.int32), place, hint)
+
+    def rows(self, chosen: npt.NDArray[np.integer] | npt.NDArray[np.bool_]) -> Patches:
+        """Some of them."""
+        return Patches(self.face[chosen], self.place[chosen], self.hint[chosen])
+
+    def grown(self, capacity: int) -> Patches:
+        """The same at the beginning of larger arrays."""
+        larger = Patches(*(np.empty((capacity, *values.shape[1:]), values.dtype) for values in vars(self).values()))
+        larger.put(slice(len(self)), self)
+        return larger
+
+    def put(self, rows: npt.NDArray[np.integer] | slice, patches: Patches) -> None:
+        """Put others in the place of some."""
+        for mine, given in zip(vars(self).values(), vars(patches).values(), strict=True):
+            mine[rows] = given
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a search of n patches gives, see :func:`warpqem.kernels.surface_distance.largest_distances`.
+
+    Attributes:
+        low: (n,) distance of a point, or the floor.
+        high: (n,) what no distance is above, where that is above ``low``; else 0.
+        hint: (n, HINTS) int32, faces that were near last.
+        pieces: what the patches were cut into, where pieces were asked for.
+        owner: (M,) which of the patches each piece is of, ascending.
+    """
+
+    low: Doubles
+    high: Doubles
+    hint: npt.NDArray[np.int32]
+    pieces: Patches
+    owner: Ints
+
+
+def pack_points(points: Doubles, device: str) -> wp.array:
+    """Frames (F, U, 3) of a mesh of unit diagonal as :func:`bound_frames` takes them."""
+    width = device_traits(device).block_width
+    return pack_frames(np.ascontiguousarray(points, dtype=np.float32), device, width=width)
+
+
+def bound_frames(
+    own: Cells, other: Cells, patches: Patches, points: tuple[wp.array, wp.array], enough: float, device: str
+) -> Singles:
+    """What the distances of patches of ``own`` from ``other`` are not above in any frame, but for rounding, (F, P).
+
+    ``points`` are the frames of both, packed. Frames that fill up the last block are included. Below ``enough`` a bound
+    is not made smaller.
+    """
+    width = device_traits(device).block_width
+    screen = ScreenPatches()
+    screen.face = wp.array(patches.face, dtype=wp.int32, device=device)
+    screen.place = wp.array(patches.place, dtype=wp.float32, device=device)
+    hint = np.ascontiguousarray(patches.hint[:, : int(SCREEN_HINTS)])
+    screen.hint = wp.array(hint, dtype=wp.int32, device=device)
+    block_count = points[0].shape[1]
+    bound = wp.empty((len(patches), block_count * width), dtype=wp.float32, device=device)
+
+    def one(part: slice) -> None:
+        launch(
+            bound_patches[width],
+            dim=(part.stop - part.start, block_count),
+            inputs=[*points, own.corner_vertex, other.corner_vertex, screen, float(enough), part.start],
+            outputs=[bound],
+            device=device,
+        )
+
+    launch_parts(one, len(patches), device, MIN_PART)
+    # Frame by frame, as they are asked for.
+    found: Singles = np.ascontiguousarray(bound.numpy().T)
+    return found
+
+
+def vertex_distances(own: Cells, other: Cells, device: str) -> tuple[Doubles, Ints]:
+    """Distances (U,) of the vertices of ``own`` from ``other`` in the first cell, and a face (U,) of each."""
+    _, corner = np.unique(own.faces, return_index=True)
+    # Barycentric coordinates of the second and third corner.
+    place = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])[corner % 3]
+    distance, angle = (wp.empty(len(corner), dtype=wp.float64, device=device) for _ in range(2))
+    face = wp.array(corner // 3, dtype=wp.int32, device=device)
+    inputs = [own.surface, other.surface, face, wp.array(place, dtype=wp.vec2d, device=device)]
+    near = wp.empty(len(corner), dtype=wp.int32, device=device)
+
+    def one(part: slice) -> None:
+        launch(
+            kernels.sample_distances,
+            dim=part.stop - part.start,
+            inputs=[*inputs, part.start],
+            outputs=[distance, angle, near],
+            device=device,
+        )
+
+    launch_parts(one, len(corner), device, MIN_PART)
+    return distance.numpy(), corner // 3
+
+
+def search_patches(
+    own: Cells,
+    other: Cells,
+    patches: Patches,
+    frame: npt.NDArray[np.integer],
+    floor: Doubles,
+    device: str,
+    *,
+    cut: bool,
+) -> Found:
+    """Search patches of ``own``, each in one of the cells (n,), for what is beyond a floor (G,) in that cell.
+
+    With ``cut``, the pieces are kept that the patches had to be cut into.
+    """
+    runs = -(-len(patches) // int(kernels.RUN))
+    parts = split_range(runs, min(thread_count(device), max(1, len(patches) // MIN_PART)))
+    items = kernels.SearchItems()
+    items.face = wp.array(patches.face, dtype=wp.int32, device=device)
+    items.place = wp.array(patches.place, dtype=wp.float64, device=device)
+    items.hint = wp.array(patches.hint, dtype=wp.int32, device=device)
+    items.frame = wp.array(frame, dtype=wp.int32, device=device)
+    inputs = [own.surface, other.surface, own.face_count, other.face_count]
+    inputs += [wp.array(floor, dtype=wp.float64, device=device), items]
+    low, high = (wp.empty(len(patches), dtype=wp.float64, device=device) for _ in range(2))
+    hint = wp.empty(patches.hint.shape, dtype=wp.int32, device=device)
+    room = max(1, PIECES_PER_FACE * (len(patches) + other.face_count)) if cut else 0
+    while True:
+        piece = _piece_room(len(parts) * room, device)
+        counts = wp.zeros(len(parts), dtype=wp.int32, device=device)
+
+        def search(index: int, part: slice, counts: wp.array = counts, piece: kernels.FoundPieces = piece) -> None:
+            launch(
+                kernels.largest_distances,
+                dim=part.stop - part.start,
+                inputs=[*inputs, index, part.start, counts],
+                outputs=[piece, low, high, hint],
+                device=device,
+            )
+
+        run_parts([partial(search, index, part) for index, part in enumerate(parts)])
+        needed = int(counts.numpy().max(initial=0))
+        if not cut or needed <= room:
+            break
+        room = needed
+    return Found(low.numpy(), high.numpy(), hint.numpy(), *_read_pieces(patches, piece, counts.numpy(), room, cut))
+
+
+def _piece_room(count: int, device: str) -> kernels.FoundPieces:
+    piece = kernels.FoundPieces()
+    piece.item = wp.empty(count, dtype=wp.int32, device=device)
+    piece.place = wp.empty((count, 6), dtype=wp.float64, device=device)
+    piece.hint = wp.empty((count, int(HINTS)), dtype=wp.int32, device=device)
+    return piece
+
+
+def _read_pieces(
+    patches: Patches, piece: kernels.FoundPieces, counts: npt.NDArray[np.int32], room: int, cut: bool
+) -> tuple[Patches, Ints]:
+    if not cut:
+        return patches.rows(slice(0)), np.zeros(0, dtype=np.int64)
+    rows = np.concatenate([part * room + np.arange(count) for part, count in enumerate(counts)])
+    item = piece.item.numpy()[rows]
+    # A patch is cut by one thread, in order; threads come in any order.
+    order = np.argsort(item, kind="stable")
+    rows, item = rows[order], item[order].astype(np.int64)
+    return Patches(patches.face[item], piece.place.numpy()[rows], piece.hint.numpy()[rows]), item
