@@ -205,16 +205,3 @@ def add_attribute_quadrics(
     for i in range(10):
         block[i, 0] = block[i, 0] + attribute_quadric_in[v][i, 0]
     quadric[v, 0] = block
-
-
-@wp.kernel
-def measure_merged_attributes(
-    state: MeshState,
-    ends_in: wp.array[wp.vec2i],
-    point_in: wp.array[Point],
-    # outputs
-    error_out: wp.array[wp.float32],
-):
-    """``E`` of each edge's merged vertex at a point of the reference frame."""
-    i = wp.tid()
-    error_out[i] = attribute_error(state, ends_in[i][0], ends_in[i][1], point_in[i])

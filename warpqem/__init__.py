@@ -36,8 +36,6 @@ if TYPE_CHECKING:
     from warpqem.pipeline.memory_plan import MemoryPlan as MemoryPlan
     from warpqem.pipeline.mirror import find_mirror as find_mirror
     from warpqem.pipeline.result import SimplifiedMesh as SimplifiedMesh
-    from warpqem.pipeline.shared_frames import FrameShare as FrameShare
-    from warpqem.pipeline.shared_frames import help_place as help_place
     from warpqem.pipeline.simplify import plan as plan
     from warpqem.pipeline.simplify import simplify as simplify
     from warpqem.pipeline.symmetry import simplify_symmetric as simplify_symmetric
@@ -57,7 +55,6 @@ _HOMES = {
     "FaceProtection": "warpqem.face.protect",
     "FacialFeatures": "warpqem.face.feature_points",
     "FittedSkin": "warpqem.skinning.fit_skin",
-    "FrameShare": "warpqem.pipeline.shared_frames",
     "FrameSink": "warpqem.frames.stream",
     "FrameSource": "warpqem.frames.stream",
     "LinearSkin": "warpqem.skinning.linear_skin",
@@ -80,12 +77,17 @@ _HOMES = {
     "morph_weights": "warpqem.costs.blend_shape_weights",
     "motion_features": "warpqem.costs.motion_features",
     "plan": "warpqem.pipeline.simplify",
-    "help_place": "warpqem.pipeline.shared_frames",
     "find_mirror": "warpqem.pipeline.mirror",
     "simplify_symmetric": "warpqem.pipeline.symmetry",
     "simplify": "warpqem.pipeline.simplify",
     "simplify_levels": "warpqem.pipeline.levels",
 }
+
+# Names of an earlier version, and what became of them.
+_REMOVED = dict.fromkeys(
+    ("FrameShare", "help_place"),
+    "it was removed: one process places all frames of a mesh, and `warpqem batch` does several assets at once",
+)
 
 __all__ = [*_HOMES, "__version__"]
 
@@ -105,7 +107,8 @@ def __getattr__(name: str) -> Any:
         return _version()
     if name in _HOMES:
         return getattr(importlib.import_module(_HOMES[name]), name)
-    raise AttributeError(f"module 'warpqem' has no attribute {name!r}")
+    why = f" ({_REMOVED[name]})" if name in _REMOVED else ""
+    raise AttributeError(f"module 'warpqem' has no attribute {name!r}{why}")
 
 
 def __dir__() -> list[str]:

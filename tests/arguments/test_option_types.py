@@ -152,14 +152,10 @@ OTHERS: list[tuple[Any, Any, str]] = [
     (calls("memory", simplify, ratio=0.5), True, "memory True: expected bytes"),
     (calls("memory", simplify, ratio=0.5), b"8G", "expected bytes"),
     (calls("memory", simplify, ratio=0.5), float("nan"), "expected bytes"),
-    (calls("share", simplify, ratio=0.5), print, "share must be a FrameShare"),
-    (calls("share", simplify, ratio=0.5), warpqem.FrameShare("/tmp", print), r"share\.make_folder must be a function"),
     (calls("face", simplify, ratio=0.5, metric="face"), "auto", "face must be a FaceProtection"),
-    (level("share"), {}, "share must be a FrameShare"),
     (lambda value: warpqem.simplify_levels(POINTS, FACES, ratios=value), "0.5", "ratios must be a list of numbers"),
     (lambda value: warpqem.simplify_levels(POINTS, FACES, ratios=value), 0.5, "ratios must be a list of numbers"),
     (lambda value: warpqem.simplify_levels(POINTS, FACES, ratios=value), (r for r in ()), "need ratios"),
-    (lambda value: warpqem.help_place(value), 3, r"folder must be a path, got 3"),
     (measured("frames"), slice(0, 2), "frames: expected None, a number or a list of frame indices, got slice"),
     (measured("frames"), "0:2", "frames: expected None, a number"),
     (measured("frames"), True, "frames: expected None, a number"),
@@ -235,8 +231,6 @@ def test_devices_of_the_wrong_type_are_named(device):
     for call in (simplify, functools.partial(warpqem.plan, POINTS, FACES)):
         with pytest.raises(DeviceError, match=r"no Warp device .* it has: "):
             call(ratio=0.5, device=device)
-    with pytest.raises(DeviceError):
-        warpqem.help_place("nowhere", device=device)
 
 
 @pytest.mark.parametrize("device", [wp.get_device("cpu"), np.str_("cpu")])

@@ -22,7 +22,6 @@ from warpqem.arguments.limits import Limits
 from warpqem.arguments.option_fields import check_options, named_options, option, option_fields
 from warpqem.cli.batch import batch
 from warpqem.cli.face import simplify as simplify_face
-from warpqem.cli.levels import levels
 from warpqem.cli.option_parameters import takes_options
 from warpqem.cli.progressive import build, extract
 from warpqem.cli.simplify import simplify
@@ -56,7 +55,7 @@ def test_every_number_says_its_unit_and_its_range(options):
         assert entry.option.help.endswith("."), name
 
 
-@pytest.mark.parametrize("command", [simplify, batch, levels, build, extract, simplify_face])
+@pytest.mark.parametrize("command", [simplify, batch, build, extract, simplify_face])
 def test_help_shows_a_screen_of_options(command):
     signature = inspect.signature(command)
     shown = [
@@ -90,6 +89,13 @@ def test_type_checkers_find_each_public_name_in_its_home(package):
     found = {name.asname: node.module for node in block.body for name in node.names}
     assert found == package._HOMES
     assert set(dir(package)) == set(package.__all__)
+
+
+@pytest.mark.parametrize("name", ["FrameShare", "help_place"])
+def test_a_name_that_was_removed_says_so(name):
+    with pytest.raises(AttributeError, match=rf"no attribute '{name}' \(it was removed: "):
+        getattr(warpqem, name)
+    assert name not in dir(warpqem)
 
 
 def test_a_type_checker_knows_the_options(tmp_path):

@@ -126,6 +126,10 @@ def test_engine_refuses_values_out_of_range(value):
         LocalEngine(**value)
 
 
+def test_there_are_no_more_workers_than_assets():
+    assert [LocalEngine(4).worker_count(count, ["cpu"]) for count in (2, 6)] == [2, 4]
+
+
 def test_workers_that_cannot_start_end_the_batch(tmp_path, monkeypatch):
     cloth_stage(tmp_path / "in.usda")
     # USD is not to be found in a process that is started now.

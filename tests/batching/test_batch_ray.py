@@ -167,20 +167,6 @@ def test_handler_of_the_program_for_sigterm_stays():
     subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
 
 
-def test_frames_of_one_asset_are_placed_on_both_nodes(cluster, tmp_path):
-    from tests.support.batch_traps import TrapOptions
-
-    cloth_stage(tmp_path / "in.usda", times=[float(time) for time in range(21)])
-    plain = SimplifyOptions(ratio=0.3, device="cpu")
-    trap = TrapOptions(ratio=0.3, device="cpu", trap="helped", marker=str(tmp_path / "marker"))
-    for name, options in (("alone", plain), ("together", trap)):
-        job = warpqem.BatchJob(str(tmp_path / "in.usda"), str(tmp_path / name / "o.usdc"), options)
-        [result] = warpqem.batch([job], RayEngine(spread=name == "together"))
-        assert result.status == "done"
-    assert outputs(tmp_path, "together") == outputs(tmp_path, "alone")
-    assert int((tmp_path / "marker").read_text()) > 0
-
-
 def test_node_that_goes_away_costs_nothing(cluster, folder, local):
     node = cluster.add_node(num_cpus=1)
     cluster.wait_for_nodes()

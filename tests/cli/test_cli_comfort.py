@@ -73,6 +73,13 @@ def test_every_number_says_what_it_counts(callback):
             assert re.search(UNITS, f"{option.help} {option.metavar}"), name
 
 
+@pytest.mark.parametrize("arguments", [["in.usda", "-o", "out.usda", "--ratios", "0.5"], ["--help"], []])
+def test_command_that_was_removed_names_what_does_the_same(arguments):
+    done = CliRunner().invoke(app, ["levels", *arguments])
+    assert (done.exit_code, done.stdout) == (2, "")
+    assert done.stderr == "error: warpqem levels was removed: use warpqem simplify IN -o OUT --lods RATIOS\n"
+
+
 def test_help_comes_first_with_what_a_command_does():
     for name, command in COMMANDS.items():
         assert len(command.help.strip().split("\n\n")[0].splitlines()) <= 2, name

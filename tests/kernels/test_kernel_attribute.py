@@ -10,9 +10,22 @@ from tests.support import meshes
 from tests.support.mesh_state import build_mesh, collapse_log, edge_list, half_edge_between, one_part, packed
 from warpqem.decimation.adjacency import build_adjacency
 from warpqem.decimation.attribute_quadrics import build_wedges
-from warpqem.kernels.attribute import measure_merged_attributes, move_corner_wedges
+from warpqem.kernels.attribute import attribute_error, move_corner_wedges
 from warpqem.kernels.collapse import commit_winners
-from warpqem.kernels.mesh_state import Point
+from warpqem.kernels.mesh_state import MeshState, Point
+
+
+@wp.kernel
+def measure_merged_attributes(
+    state: MeshState,
+    ends_in: wp.array[wp.vec2i],
+    point_in: wp.array[Point],
+    # outputs
+    error_out: wp.array[wp.float32],
+):
+    """``E`` of each edge's merged vertex at a point of the reference frame."""
+    i = wp.tid()
+    error_out[i] = attribute_error(state, ends_in[i][0], ends_in[i][1], point_in[i])
 
 
 def bumpy(points):

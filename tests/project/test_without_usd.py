@@ -73,7 +73,6 @@ def test_commands_say_what_they_are(no_usd, arguments):
 def test_every_command_on_stages_names_what_is_missing(no_usd):
     commands = [
         f"simplify {SCENE} -o out.usda --ratio 0.5",
-        f"levels {SCENE} -o out.usda --ratios 0.5",
         f"batch {SCENE} -o out --ratio 0.5",
         f"info {SCENE}",
         f"compare {SCENE} {SCENE}",
@@ -121,7 +120,7 @@ except ImportError as error:
     print(error)
 from warpqem.batching.ray_engine import _perform
 job = warpqem.BatchJob("in.usda", "out.usda", warpqem.usd.SimplifyOptions(ratio=0.5))
-result = _perform(job, {"CPU": 1.0}, False, "mark")
+result = _perform(job, {"CPU": 1.0}, "mark")
 assert (result.status, result.error) == ("failed", "UsdLibraryError")
 print(result.message.removeprefix("in.usda: "))
 """

@@ -166,7 +166,7 @@ def test_levels_are_all_in_the_report(tmp_path, schemas):
     cloth_stage(tmp_path / "in.usda")
     page = tmp_path / "page.html"
     form = ["--usd-lod"] if schemas else []
-    done = run("levels", tmp_path / "in.usda", "-o", tmp_path / "out.usda", "--ratios", "0.5,0.25", *form,
+    done = run("simplify", tmp_path / "in.usda", "-o", tmp_path / "out.usda", "--lods", "0.5,0.25", *form,
                "--device", "cpu", "--report", page)  # fmt: skip
     assert done.exit_code == 0, done.stderr
     levels = data_of(page.read_text("utf-8"))["levels"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import pickle
 import signal
 import time
 from collections.abc import Callable
@@ -99,69 +98,6 @@ def hang_while_writing(marker: str) -> None:
     stop_while_writing(stop)
 
 
-def wait_for(found: Callable[[], bool]) -> None:
-    end = time.monotonic() + 60
-    while not found() and time.monotonic() < end:
-        time.sleep(0.01)
-
-
-def share_with(prepare: Callable[[Path], None], come: Callable[[Path], bool]) -> None:
-    """Let the next job share its frames, however few, and wait until the call for help has had some effect."""
-    import warpqem.batching.perform_job as module
-    import warpqem.pipeline.memory_plan
-
-    whole = module.FrameShare
-    warpqem.pipeline.memory_plan.BLOCK_BYTES = 1
-
-    def share(make_folder: Any, call: Any) -> Any:
-        module.FrameShare = whole
-
-        def call_and_wait(folder: Path) -> None:
-            prepare(folder)
-            call(folder)
-            wait_for(lambda: come(folder))
-
-        return whole(make_folder, call_and_wait, min_bytes=0)
-
-    module.FrameShare = share
-
-
-def helped(marker: str) -> None:
-    """Wait for frames that another process placed, and count them."""
-
-    def come(folder: Path) -> bool:
-        count = len(list(folder.glob("*.placed.npy")))
-        if count:
-            Path(marker).write_text(str(count))
-        return count > 0
-
-    share_with(lambda folder: None, come)
-
-
-class Bomb:
-    """Kills the process that unpickles it."""
-
-    def __init__(self, marker: str) -> None:
-        self.marker = marker
-
-    def __reduce__(self) -> Any:
-        return explode, (self.marker,)
-
-
-def explode(marker: str) -> None:
-    Path(marker).touch()
-    os.kill(os.getpid(), signal.SIGKILL)
-
-
-def helper_killed(marker: str) -> None:
-    """Kill the process that comes to help."""
-
-    def lay_bomb(folder: Path) -> None:
-        (folder / "work.pickle").write_bytes(pickle.dumps(Bomb(marker)))
-
-    share_with(lay_bomb, lambda folder: Path(marker).exists())
-
-
 TRAPS = {
     "hang": hang,
     "crash": crash,
@@ -171,6 +107,4 @@ TRAPS = {
     "hang while writing": hang_while_writing,
     "memory": take_memory,
     "full disk": full_disk,
-    "helped": helped,
-    "helper killed": helper_killed,
 }

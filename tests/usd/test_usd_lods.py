@@ -8,11 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pxr import Sdf, Usd, UsdGeom, UsdShade, UsdSkel
-from typer.testing import CliRunner
 
 from tests.support.usd_lods import GALLOP, LEVELS, build_levels, properties, run
 from tests.support.usd_stages import FRAMES, cloth_stage, define_cloth, instanced_stage, skinned_stage
-from warpqem.cli.main import app
 from warpqem.errors import OptionError, StageError
 from warpqem.usd import FrameRange, SimplifyOptions, simplify_stage
 from warpqem.usd.commands.option_checks import read_ratios
@@ -304,12 +302,3 @@ def test_table_and_json_list_the_faces_of_every_level(tmp_path):
     for row, prim in zip(rows, prims, strict=True):
         assert prim["level"] in row
         assert str(prim["faces_after"]) in row
-
-
-def test_levels_command_writes_what_the_option_writes(tmp_path):
-    cloth_stage(tmp_path / "in.usda")
-    runner, source = CliRunner(), str(tmp_path / "in.usda")
-    for name, arguments in (("a", ["levels", source, "--ratios"]), ("b", ["simplify", source, "--lods"])):
-        result = runner.invoke(app, [*arguments, "0.5,0.2", "-o", str(tmp_path / f"{name}.usda"), "--device", "cpu"])
-        assert result.exit_code == 0, result.output
-    assert (tmp_path / "a.usda").read_text() == (tmp_path / "b.usda").read_text()

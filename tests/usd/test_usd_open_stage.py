@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import pickle
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from pxr import Ar, Sdf, Usd, UsdGeom
 
@@ -15,9 +13,6 @@ from tests.support.usd_instances import faces_at, scene_of, tile_file
 from tests.support.usd_stages import FRAMES, cloth_stage, define_cloth
 from warpqem.errors import OptionError, StageError
 from warpqem.usd import SimplifyOptions, simplify_stage
-from warpqem.usd.read.open_stage import find_meshes, open_input
-from warpqem.usd.read.read_mesh import MeshSource, PoseFrames
-from warpqem.usd.read.skeleton_poses import StagePoses
 from warpqem.usd.write.stage_report import StageReport
 
 CLOTH = "/Root/Cloth"
@@ -201,22 +196,6 @@ def test_edits_go_through_the_offset_of_a_sublayer(tmp_path):
     simplify(stage, sublayer)
     assert (faces_at(stage, CLOTH), points.GetTimeSamples()) == (51, times)
     assert sublayer.ListTimeSamplesForPath(points.GetPath()) == FRAMES
-
-
-@pytest.mark.parametrize("where", ["memory", "mask", "session"])
-def test_poses_of_any_open_stage_are_read_in_another_process(where, tmp_path):
-    stage = cloth_stage(None if where == "memory" else tmp_path / "in.usda")
-    if where == "session":
-        with Usd.EditContext(stage, stage.GetSessionLayer()):
-            define_cloth(stage, CLOTH, size=6, times=FRAMES)
-    elif where == "mask":
-        stage.SetPopulationMask(Usd.StagePopulationMask([CLOTH]))
-    view, _problems = open_input(stage)
-    [prim] = find_meshes(view).prims
-    source = MeshSource(prim, StagePoses(view))
-    frames = PoseFrames(source, FRAMES, np.arange(9, dtype=np.int32))
-    again = pickle.loads(pickle.dumps(frames))
-    np.testing.assert_array_equal(again.read(slice(0, 3)), frames.read(slice(0, 3)))
 
 
 @pytest.fixture

@@ -114,7 +114,7 @@ def real_array(value: Any, name: str, *shapes: Shape, expected: str | None = Non
 
 
 def finite_array(
-    value: Any, name: str, *shapes: Shape, expected: str | None = None, bools: bool = False, single: bool = False
+    value: Any, name: str, *shapes: Shape, expected: str | None = None, single: bool = False
 ) -> np.ndarray:
     """The same, of which every value is finite.
 
@@ -123,13 +123,12 @@ def finite_array(
         name: what messages call it.
         shapes: shapes that are taken.
         expected: what messages say is expected, instead of the shapes and the kind of value.
-        bools: take False and True for 0 and 1.
         single: values must be finite in single precision too.
 
     Raises:
         MeshShapeError: see :func:`real_array`; or a value is not finite, which the message names with its place.
     """
-    array = real_array(value, name, *shapes, expected=expected, bools=bools)
+    array = real_array(value, name, *shapes, expected=expected)
     where = first_beyond(array, FLOAT32_MAX if single else float(np.finfo(np.float64).max))
     if where is not None:
         raise MeshShapeError(f"{name} at {_place(where)} is {array[where]}, expected a finite number")

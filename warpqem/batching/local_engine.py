@@ -14,7 +14,7 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
@@ -68,9 +68,6 @@ class _Worker:
     ready: bool = False
     task: _Task | None = None
     started: float = 0.0
-    # Folders of the frames that its job shares, or that it places for another worker.
-    calls: list[str] = field(default_factory=list)
-    helping: str | None = None
 
 
 class LocalEngine:
@@ -83,7 +80,6 @@ class LocalEngine:
         memory: int | str | None = None,
         retries: int = 1,
         device: str | None = None,
-        spread: bool = False,
     ) -> None:
         """Nothing is started yet.
 
@@ -93,8 +89,6 @@ class LocalEngine:
             memory: What a worker may take for a job whose options do not say; None for its part of what is free.
             retries: How often a job is begun again whose worker was stopped from outside.
             device: Warp device of jobs whose options name none.
-            spread: Let workers that have no job left place frames of the jobs that are still at work, where those have
-                many. There are then as many workers as asked for, also for fewer jobs.
 
         Raises:
             OptionError: a value is out of range.
@@ -108,7 +102,7 @@ class LocalEngine:
             raise OptionError(f"timeout {timeout:g}: expected seconds above 0")
         if retries < 0:
             raise OptionError(f"retries {retries}: expected 0 or more")
-        self.timeout, self.retries, self.spread = timeout, retries, spread
+        self.timeout, self.retries = timeout, retries
         self.device = None if device is None else resolve_device(device)
         self._asked = workers
         self._memory = None if memory is None else parse_bytes(memory)
@@ -126,8 +120,7 @@ class LocalEngine:
     def worker_count(self, job_count: int, devices: Sequence[str]) -> int:
         """How many processes there are for so many jobs on some devices."""
         each = thread_count("cpu") if list(devices) == ["cpu"] else len(devices)
-        count = self._asked or each
-        return count if self.spread else min(count, job_count)
+        return min(self._asked or each, job_count)
 
     def setup(self, workers: int, device: str, output: str) -> WorkerSetup:
         """What one of so many workers is to be like."""
@@ -135,7 +128,7 @@ class LocalEngine:
         if memory is None:
             free = available_memory("cpu")
             memory = None if free is None else int(DEFAULT_SHARE * free) // workers
-        return WorkerSetup(max(1, thread_count("cpu") // workers), device, memory, output, self.spread)
+        return WorkerSetup(max(1, thread_count("cpu") // workers), device, memory, output)
 
 
 class _Pool:
@@ -193,7 +186,7 @@ class _Pool:
 
     def _assign(self) -> Iterator[Update]:
         for worker in self.workers:
-            if worker.ready and worker.task is None and worker.helping is None and self._waiting:
+            if worker.ready and worker.task is None and self._waiting:
                 task = self._waiting.popleft()
                 task.attempts += 1
                 worker.task, worker.started = task, time.monotonic()
@@ -202,30 +195,6 @@ class _Pool:
                     worker.connection.send(task.job)
                 _log.info("%s: begun by worker %s", task.job.input, worker.process.pid)
                 yield Started(task.job)
-        self._help()
-
-    def _help(self) -> None:
-        """Send workers without a job to where frames are shared."""
-        for worker in self.workers:
-            calls = [folder for other in self.workers if other is not worker for folder in other.calls]
-            if calls and worker.ready and worker.task is None and worker.helping is None:
-                worker.helping = calls[-1]
-                with suppress(OSError):  # it has just died, which is seen next
-                    worker.connection.send(worker.helping)
-
-    def _take_call(self, worker: _Worker, folder: str) -> Iterator[Update]:
-        worker.calls.append(folder)
-        yield from ()
-
-    def _take_helped(self, worker: _Worker, value: None) -> Iterator[Update]:
-        self._end_help(worker)
-        yield from ()
-
-    def _end_help(self, worker: _Worker) -> None:
-        """Nothing is left to do there, or it is no place to send a worker to again."""
-        for other in self.workers:
-            other.calls = [folder for folder in other.calls if folder != worker.helping]
-        worker.helping = None
 
     def _wait(self) -> list[_Worker]:
         """The workers that have something to say, or have ended."""
@@ -280,7 +249,7 @@ class _Pool:
         yield from ()
 
     def _take_result(self, worker: _Worker, result: BatchResult) -> Iterator[Update]:
-        task, worker.task, worker.calls = worker.task, None, []
+        task, worker.task = worker.task, None
         assert task is not None
         result.attempts = task.attempts
         self._left -= 1
@@ -299,7 +268,6 @@ class _Pool:
             if self._failed_starts >= MAX_FAILED_STARTS:
                 raise BatchError(f"no worker can be started: the last one {how} ({MAIN_HINT})")
         task = worker.task
-        self._end_help(worker)
         yield from self._replace(worker)
         if task is None:
             return

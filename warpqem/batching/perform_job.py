@@ -14,9 +14,7 @@ from warpqem.batching.fingerprint import take_fingerprint
 from warpqem.batching.job_result import DONE, FAILED, PARTIAL, BatchResult, named
 from warpqem.batching.jobs import BatchJob
 from warpqem.errors import StageError, WarpqemError
-from warpqem.files.temporary import temporary_path
 from warpqem.pipeline.memory_plan import DEFAULT_SHARE, available_memory
-from warpqem.pipeline.shared_frames import FrameShare, help_place
 from warpqem.runtime.device import resolve_device
 from warpqem.runtime.process_limits import with_limit
 from warpqem.runtime.process_memory import peak_memory, reset_peak
@@ -25,7 +23,7 @@ from warpqem.usd.commands.simplify import simplify_stage
 from warpqem.usd.commands.simplify_options import SimplifyOptions
 from warpqem.usd.write.stage_report import StageReport
 
-__all__ = ["assist", "perform", "warm_up"]
+__all__ = ["perform", "warm_up"]
 
 _log = logging.getLogger(__name__)
 
@@ -35,7 +33,6 @@ def perform(
     progress: Callable[[float, str], None] | None = None,
     device: str | None = None,
     memory: int | None = None,
-    call: Callable[[Path], None] | None = None,
 ) -> BatchResult:
     """Simplify an asset. Whatever is raised on the way becomes the result.
 
@@ -46,7 +43,6 @@ def perform(
         progress: Called with the fraction done and what is being done.
         device: Warp device where the options name none.
         memory: Bytes that the work may take, where the options do not say.
-        call: Lets other processes know of a folder for `warpqem.help_place`; None to work alone.
     """
     start, begun = time.perf_counter(), time.time()
     reset_peak()
@@ -57,8 +53,7 @@ def perform(
         # Held, so that USD reads no layer twice.
         opened = [open_layers(path, options.asset_roots) for path in (job.input, options.poses) if path is not None]
         result.fingerprint = take_fingerprint(job, begun, [file for each in opened for file in each.files])
-        share = None if call is None else FrameShare(lambda: temporary_path(Path(job.output).parent, ".share"), call)
-        _fill(result, simplify_stage(job.input, job.output, options, progress, share=share))
+        _fill(result, simplify_stage(job.input, job.output, options, progress))
         del opened
     except MemoryError as error:
         result.error = type(error).__name__
@@ -73,15 +68,6 @@ def perform(
     result.seconds = time.perf_counter() - start
     result.peak_memory = peak_memory()
     return result
-
-
-def assist(folder: str, device: str | None = None) -> None:
-    """Place frames for another process. Whatever is raised on the way costs that process nothing but the help."""
-    try:
-        count = help_place(folder, device)
-        _log.info("%s: placed %d blocks of frames for another process", folder, count)
-    except Exception as error:
-        _log.warning("%s: no help for the process there (%s)", folder, " ".join(str(error).split()), exc_info=error)
 
 
 def warm_up(device: str | None = None) -> None:

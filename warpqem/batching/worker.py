@@ -38,14 +38,12 @@ class WorkerSetup:
         device: Warp device for jobs that name none.
         memory: Bytes it may take for a job that does not say; None for no limit.
         output: File that takes what libraries print.
-        spread: Let other workers place frames of a job.
     """
 
     threads: int
     device: str
     memory: int | None
     output: str
-    spread: bool = False
 
 
 def run_worker(connection: Connection, setup: WorkerSetup) -> None:
@@ -75,7 +73,7 @@ def run_worker(connection: Connection, setup: WorkerSetup) -> None:
 def _serve(connection: Connection, sender: _Sender, setup: WorkerSetup) -> None:
     import warp as wp
 
-    from warpqem.batching.perform_job import assist, perform, warm_up
+    from warpqem.batching.perform_job import perform, warm_up
     from warpqem.pipeline.memory_plan import parse_bytes
     from warpqem.runtime.process_memory import limited_memory
     from warpqem.usd.checks.usd_errors import UsdMessages
@@ -87,18 +85,12 @@ def _serve(connection: Connection, sender: _Sender, setup: WorkerSetup) -> None:
     connection.recv()
     warm_up(setup.device)
     sender.send("ready", None)
-    call = (lambda folder: sender.send("call", str(folder))) if setup.spread else None
     while True:
         job = connection.recv()
-        if isinstance(job, str):  # a folder where another worker would be helped
-            with limited_memory(setup.memory):
-                assist(job, setup.device)
-            sender.send("helped", None)
-            continue
         own = job.options.memory
         limit = setup.memory if own is None else parse_bytes(own)
         with limited_memory(limit):
-            result = perform(job, sender.progress, setup.device, setup.memory, call)
+            result = perform(job, sender.progress, setup.device, setup.memory)
         for text in usd_messages.take():
             _log.info("%s: USD: %s", job.input, text)
         sender.send("result", result)

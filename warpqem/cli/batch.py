@@ -85,15 +85,6 @@ def batch(
     timeout: Annotated[
         float | None, typer.Option(metavar="SECONDS", help="Stop an asset that takes longer, and go on without it.")
     ] = None,
-    spread: Annotated[
-        bool,
-        typer.Option(
-            "--spread",
-            hidden=True,
-            help="Let processes or tasks without an asset place frames of large ones that are still at work; "
-            "--jobs may then be more than there are assets. No bit changes.",
-        ),
-    ] = False,
     retries: Annotated[int, typer.Option(hidden=True, help="How often to begin anew what has lost its process.")] = 1,
     engine: Annotated[
         EngineName, typer.Option(hidden=True, help="Processes on this machine, or tasks on a Ray cluster.")
@@ -145,9 +136,7 @@ def batch(
         check_batch_outputs(work, [*others, *named_outputs({"journal": journal})])
         _show_plan(work, wrong, journal if resume else None, to_stderr=json == "-")
         return
-    chosen = _engine(
-        engine, options, jobs=jobs, timeout=timeout, retries=retries, spread=spread, ray=(address, cpus, gpus)
-    )
+    chosen = _engine(engine, options, jobs=jobs, timeout=timeout, retries=retries, ray=(address, cpus, gpus))
     display = BatchDisplay(work)
     updates = run_batch(work, chosen, journal=journal, resume=resume, on_update=display.update, other_outputs=others)
     # Nothing has been written up to here.
@@ -259,7 +248,6 @@ def _engine(
     jobs: int | None,
     timeout: float | None,
     retries: int,
-    spread: bool,
     ray: tuple[str | None, float, float | None],
 ) -> Engine:
     if name is EngineName.ray:
@@ -268,12 +256,12 @@ def _engine(
         if jobs is not None:
             raise OptionError("--jobs is for --engine local; on Ray --cpus and --gpus say how many run at once")
         address, cpus, gpus = ray
-        return RayEngine(address, cpus, gpus, timeout, options["memory"], retries, spread)
+        return RayEngine(address, cpus, gpus, timeout, options["memory"], retries)
     from warpqem.batching.local_engine import LocalEngine
 
     if ray != (None, 1.0, None):
         raise OptionError("--address, --cpus and --gpus need --engine ray")
-    return LocalEngine(jobs, timeout, options["memory"], retries, options["device"], spread)
+    return LocalEngine(jobs, timeout, options["memory"], retries, options["device"])
 
 
 def _make_folder(folder: Path) -> None:

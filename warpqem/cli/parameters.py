@@ -21,7 +21,6 @@ __all__ = [
     "Output",
     "Prims",
     "ReportPage",
-    "StageOutput",
     "Variants",
 ]
 
@@ -58,16 +57,6 @@ MeshOutput = Annotated[
         metavar="OUT",
         help="USD file to write (.usd, .usda, .usdc, .usdz), or with mesh files as IN such files, for example "
         "out/horse_####.ply (.ply, .obj, .stl, .off, .glb); replaced if it exists, never IN.",
-    ),
-]
-
-StageOutput = Annotated[
-    str,
-    typer.Option(
-        "--output",
-        "-o",
-        metavar="OUT",
-        help="USD file to write (.usd, .usda, .usdc, .usdz); replaced if it exists, never IN.",
     ),
 ]
 

@@ -77,8 +77,8 @@ def _read(path: str) -> str:
 def temporary_path(folder: Path, suffix: str) -> Path:
     """A new name in a folder; a file is written under it and then renamed, which cannot be seen half done.
 
-    A folder of this name is for what processes hand each other while they work on an output. The first name that a
-    process asks for in a folder removes what dead processes left there.
+    A folder of this name holds several such files. The first name that a process asks for in a folder removes what dead
+    processes left there.
     """
     own = own_id()
     if (own.number, folder) not in _cleared:

@@ -201,10 +201,6 @@ class SharedFrames:
         self.frame_count, self.vertex_count, self.dtype = source.frame_count, source.vertex_count, source.dtype
         self.held_bytes, self.counted = held_bytes(source), counted_frames(source)
 
-    def __reduce__(self) -> tuple[type[SharedFrames], tuple[FrameSource]]:
-        """The source: another process has threads of its own."""
-        return SharedFrames, (self._source,)
-
     def read(self, frames: slice) -> np.ndarray:
         """Consecutive frames."""
         with self._reading:

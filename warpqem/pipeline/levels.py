@@ -22,7 +22,6 @@ from warpqem.pipeline.measure_result import ResultMeasure
 from warpqem.pipeline.memory_plan import admit_faces
 from warpqem.pipeline.prepare import ORDER_END, Prepared, Progress, prepare
 from warpqem.pipeline.result import Delivery, Outcome, SimplifiedMesh, finish, reached
-from warpqem.pipeline.shared_frames import FrameShare, check_share
 from warpqem.repair.mended_mesh import faces_for
 from warpqem.runtime.device import device_turn, on_device, resolve_device
 
@@ -75,7 +74,6 @@ class LevelOrder:
         target_faces: int,
         *,
         sink: FrameSink | None = None,
-        share: FrameShare | None = None,
         progress: Progress | None = None,
     ) -> SimplifiedMesh:
         """What :func:`warpqem.simplify` gives for so many faces, to the bit.
@@ -83,7 +81,6 @@ class LevelOrder:
         Args:
             target_faces: at least as many as were asked for when ordering, which ended there.
             sink: takes the frames of the result, block by block, in place of an array; the result is not measured then.
-            share: lets other processes place some of the frames.
             progress: called with the part done, 0 to 1, and the stage "place".
 
         Raises:
@@ -93,9 +90,8 @@ class LevelOrder:
         expected = f"a whole number of at least {self._least}, which edges were collapsed down to"
         target_faces = whole_number(target_faces, "target_faces", least=self._least, expected=expected)
         check_sink(sink)
-        check_share(share)
         check_function(progress, "progress")
-        delivery = Delivery(sink, progress, share)
+        delivery = Delivery(sink, progress)
         with device_turn(self._work.device):
             ordered = self._levels.at(self._levels.steps_to(self._base_faces(target_faces)))
             result = finish(self._work, self._work.placer(ordered), Outcome.of(ordered), self._refit, delivery)
@@ -129,13 +125,13 @@ def order_levels(
         target_faces: faces of the coarsest level.
         keep_frames: plan memory for the frames of one level; not where all levels are to have a sink.
         progress: called with the part done, 0 to 1, and the stage, "read" or "order".
-        options: other keyword arguments of :func:`warpqem.simplify`, but for its goals, ``sink`` and ``share``.
+        options: other keyword arguments of :func:`warpqem.simplify`, but for its goals and ``sink``.
 
     Raises:
         OptionError: also for an option that does not apply.
         WarpqemError: the other errors of :func:`warpqem.simplify`, but for an unreachable target.
     """
-    refused = {"ratio", "max_error", "sink", "share"} & set(options)
+    refused = {"ratio", "max_error", "sink"} & set(options)
     if refused:
         raise OptionError(f"{', '.join(sorted(refused))}: not with levels")
     asked = read_keywords(options, target_faces=target_faces)

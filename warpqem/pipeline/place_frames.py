@@ -9,7 +9,6 @@ import numpy as np
 
 from warpqem.frames.stream import FrameSink, FrameWriter, read_ahead
 from warpqem.mesh.mesh_input import AnimatedMesh
-from warpqem.pipeline.shared_frames import FrameShare, placed_blocks
 from warpqem.place.block_placer import PlacedFrames
 from warpqem.place.frame_store import FrameStore
 from warpqem.place.place import Placer
@@ -44,7 +43,6 @@ class Placing:
         blocks: frames to work on at once.
         faces: (N', 3) int32, the faces that the sink is to have.
         progress: called with the number of frames placed.
-        share: lets other processes place some of them.
     """
 
     mesh: AnimatedMesh
@@ -53,12 +51,11 @@ class Placing:
     blocks: Sequence[slice]
     faces: np.ndarray
     progress: Progress = None
-    share: FrameShare | None = None
 
     def placed(self) -> Iterator[tuple[slice, PlacedFrames]]:
         """All frames, block by block."""
-        for frames, placed in placed_blocks(self.mesh, self.placer, self.blocks, self.share):
-            yield frames, placed
+        for frames, points in read_ahead(self.mesh.points, self.blocks):
+            yield frames, self.placer.place(self.mesh, points)
             if self.progress:
                 self.progress(frames.stop)
 

@@ -19,7 +19,6 @@ from warpqem.mesh.mesh_input import MeshInput
 from warpqem.pipeline.memory_plan import MemoryPlan
 from warpqem.pipeline.place_frames import Placing, place_frames, place_refitted
 from warpqem.pipeline.prepare import ORDER_END, Prepared, Progress
-from warpqem.pipeline.shared_frames import FrameShare
 from warpqem.place.place import Placer
 from warpqem.repair.mended_mesh import MeshRepair
 
@@ -171,12 +170,10 @@ class Delivery:
     Attributes:
         sink: takes them; None to keep them in an array.
         progress: called with the part done and "place".
-        share: lets other processes place some of them.
     """
 
     sink: FrameSink | None = None
     progress: Progress | None = None
-    share: FrameShare | None = None
 
 
 def finish(work: Prepared, placer: Placer, outcome: Outcome, refit: bool, delivery: Delivery) -> SimplifiedMesh:
@@ -186,7 +183,7 @@ def finish(work: Prepared, placer: Placer, outcome: Outcome, refit: bool, delive
     array = ArraySink()
     faces, face_map = written_faces(mesh, placer.faces, outcome.face_map)
     progress = _place_progress(delivery.progress, mesh.frame_count)
-    placing = Placing(mesh, placer, array if sink is None else sink, work.blocks, faces, progress, delivery.share)
+    placing = Placing(mesh, placer, array if sink is None else sink, work.blocks, faces, progress)
     if refit and not work.place_settings.endpoint and placer.free.any():
         on_disk = work.plan.scratch_bytes > 0
         finished = place_refitted(placing, key_frames=work.key_frames, error=error, on_disk=on_disk)

@@ -18,7 +18,6 @@ from warpqem.pipeline.measure_result import ResultMeasure, measured_on_the_way, 
 from warpqem.pipeline.memory_plan import MemoryPlan, admit_faces
 from warpqem.pipeline.prepare import Progress, plan_work, prepare
 from warpqem.pipeline.result import Delivery, Outcome, SimplifiedMesh, finish, reached
-from warpqem.pipeline.shared_frames import FrameShare, check_share
 from warpqem.repair.mended_mesh import repaired_mesh, repaired_options
 from warpqem.runtime.device import on_device, resolve_device
 
@@ -36,7 +35,6 @@ def simplify(
     faces: Any = None,
     *,
     sink: FrameSink | None = None,
-    share: FrameShare | None = None,
     measure: bool = True,
     progress: Progress | None = None,
     **options: Unpack[SimplifyKeywords],
@@ -57,8 +55,6 @@ def simplify(
             frames; or a ``trimesh.Trimesh``, or what :func:`warpqem.load` gives, then without ``faces``.
         faces: (N, 3) vertex indices.
         sink: takes the frames of the result, block by block, in place of an array.
-        share: lets other processes place some of the frames, see :class:`warpqem.FrameShare`; it decides no bit of the
-            result.
         measure: give the result its ``measured`` errors: where it is an array, they are computed when they are first
             asked for, and the result holds on to the input; where there is a sink, on the way to it, for which the
             frames are read once more. It decides no bit of the result.
@@ -77,7 +73,6 @@ def simplify(
     """
     asked = read_keywords(options)
     check_sink(sink)
-    check_share(share)
     bounded = asked.bounded
     work = prepare(points, faces, asked, keep_frames=sink is None, keep_nodes=bounded, progress=progress)
     measuring: Callable[[SimplifiedMesh], Measured] | None = None
@@ -87,7 +82,7 @@ def simplify(
         else:
             work, sink = measured_on_the_way(work, sink)
             measuring = sink.measured
-    delivery = Delivery(sink, progress, share)
+    delivery = Delivery(sink, progress)
     if bounded:
         return with_errors(partial(simplify_within, work, asked.refits, delivery), measuring)
     ordered = work.order(progress)

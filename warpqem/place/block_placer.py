@@ -1,7 +1,7 @@
 """Place clusters of input vertices in a block of frames at a time.
 
 Memory is that of the block and of the clusters; the number of frames does not matter. Frames do not know of each other,
-so how they are cut into blocks, and which process has which block, makes no difference to a single bit.
+so how they are cut into blocks makes no difference to a single bit.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class PlacedFrames:
 
 @dataclass(frozen=True)
 class ClusterData:
-    """What placing takes, in arrays that can go to another process.
+    """What placing takes, in arrays on the host.
 
     Attributes:
         corner_vertex: (3N,) int32, the input's faces.

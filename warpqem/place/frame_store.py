@@ -8,12 +8,7 @@ import numpy as np
 
 from warpqem.place.block_placer import PlacedFrames
 
-__all__ = ["FrameStore", "store_bytes"]
-
-
-def store_bytes(frame_count: int, vertex_count: int, copied_count: int) -> int:
-    """What a store takes: points, normals and copied points of every frame."""
-    return 12 * frame_count * (2 * vertex_count + copied_count)
+__all__ = ["FrameStore"]
 
 
 class FrameStore:

@@ -58,9 +58,8 @@ SEAM_STIFFNESS = 250.0
 # point got lost. The surfaces themselves are nowhere further apart than about three times that.
 REACH = 4.0
 
-# A vertex that turns a face over is pulled back so much more, so many times, and then it does not move.
+# A vertex that turns a face over is pulled back so much more; where it still does, it does not move.
 HOLD = 30.0
-HOLDINGS = 1
 # The pull on a vertex that does not move, for its neighbours to be solved with.
 MAX_HOLD = 1e6
 
@@ -257,7 +256,7 @@ class _Refit:
                 marked |= self._turned_over(block)
             if not marked.any():
                 return
-            hold[marked] = np.where(hold[marked] < HOLD**HOLDINGS, HOLD * hold[marked], np.inf)
+            hold[marked] = np.where(hold[marked] < HOLD, HOLD * hold[marked], np.inf)
             self._hold.assign(self._stiffness * np.minimum(hold, MAX_HOLD)[:, None])
             solution = solve_elements(*self._assemble(matched_at)).numpy()
             solution[np.isinf(hold)] = 0.0

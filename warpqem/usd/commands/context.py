@@ -34,7 +34,6 @@ class Context:
         progress: Called with the fraction done and what is being done.
         announce: Called with the plan of each mesh.
         cleanup: Ends when all is saved.
-        share: Lets other processes place some of the frames.
     """
 
     stage: Usd.Stage
@@ -44,7 +43,6 @@ class Context:
     progress: Progress
     announce: Announce
     cleanup: ExitStack
-    share: warpqem.FrameShare | None = None
 
 
 @dataclass

@@ -50,8 +50,7 @@ class CoreCalls:
             reports: The report on each mesh by its path, which gets the plan and how symmetry and skin are treated.
         """
         self._stage, self._options = context.stage, context.options
-        self._announce, self._share = context.announce, context.share
-        self._reports = reports
+        self._announce, self._reports = context.announce, reports
         self.face_points: FacePoints | None = None
         self._faces: dict[str, warpqem.FaceProtection] = {}
 
@@ -142,10 +141,10 @@ class CoreCalls:
         if shared is None:
             # What is measured is what the file shows.
             options |= {**self._importance(job), "seams": seams, "progress": progress, "measure": False}
-            return warpqem.simplify(job.frames, job.faces, sink=sink, share=self._share, **options, **goal)
+            return warpqem.simplify(job.frames, job.faces, sink=sink, **options, **goal)
         shared.announced = True
         placed = self._order(job, progress, seams, shared)
-        return placed.level(int(goal["target_faces"] or 0), sink=sink, share=self._share, progress=progress)
+        return placed.level(int(goal["target_faces"] or 0), sink=sink, progress=progress)
 
     def _as_far_as_it_goes(
         self,

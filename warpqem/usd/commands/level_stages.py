@@ -47,7 +47,7 @@ def level_stages(path: str | os.PathLike[str]) -> list[tuple[str, Usd.Stage]]:
     """Name and stage of each level below the original, as variants or prims of UsdLod.
 
     Args:
-        path: USD file with levels, as `warpqem levels` writes them.
+        path: USD file with levels, as `warpqem simplify --lods` writes them.
 
     Raises:
         StageError: the file cannot be read.

@@ -15,7 +15,6 @@ from pxr import Sdf, Usd
 
 from warpqem.errors import OptionError, StageError
 from warpqem.files.outputs import InputFile, OutputFile
-from warpqem.pipeline.shared_frames import FrameShare
 from warpqem.usd.checks.input_files import check_stage_outputs
 from warpqem.usd.checks.usd_errors import usd_errors_named
 from warpqem.usd.commands.context import Announce, Context, Progress, SharedOrder
@@ -44,7 +43,6 @@ def simplify_stage(
     options: SimplifyOptions,
     progress: Progress | None = None,
     announce: Announce | None = None,
-    share: FrameShare | None = None,
     other_outputs: Sequence[OutputFile] = (),
 ) -> StageReport:
     """Simplify every mesh of a USD file over all its frames and write the result.
@@ -66,8 +64,6 @@ def simplify_stage(
         options: What to do.
         progress: Called with the fraction done and what is being done.
         announce: Called with the name of each mesh and the memory plan for it, before the work on it.
-        share: Lets other processes place some of the frames; see `warpqem.simplify`. Meshes that are to stay symmetric
-            or are simplified in their rest shape are done alone.
         other_outputs: What else the caller is going to write. Neither the output nor one of these may be a file that is
             read, such as a layer or a texture of the input, or the same file as another of them.
 
@@ -110,7 +106,6 @@ def simplify_stage(
             progress or (lambda fraction, text: None),
             announce or (lambda name, plan: None),
             cleanup,
-            share,
         )
         report, save = (_simplify_levels if options.lods else _simplify_once)(context, [*written, *other_outputs])
         report.input = name

@@ -12,11 +12,10 @@ from warpqem.errors import StageError
 from warpqem.usd.checks.input_check import check_composition, open_layers
 from warpqem.usd.checks.usd_errors import first_line
 from warpqem.usd.read.instances import SharedPrototype, end_instancing, open_instances, spec_places
-from warpqem.usd.read.stage_views import is_as_on_disk, private_view
+from warpqem.usd.read.stage_views import private_view
 
 __all__ = [
     "MeshSelection",
-    "SavedStage",
     "find_meshes",
     "open_input",
     "open_stage",
@@ -101,44 +100,6 @@ def open_input(
         return open_with_problems(source, roots)
     view = private_view(source)
     return view, check_composition(view)
-
-
-@dataclass(frozen=True)
-class SavedStage:
-    """What another process opens a stage by.
-
-    Attributes:
-        path: File of the root layer; None for one in memory.
-        text: What that layer holds, as .usda; None for a file.
-        session: What the session layer holds, as .usda.
-    """
-
-    path: str | None
-    text: str | None
-    session: str
-
-    @classmethod
-    def of(cls, stage: Usd.Stage) -> SavedStage:
-        """Of any stage; one that is not as a file of it would be opened is flattened."""
-        session = stage.GetSessionLayer().ExportToString()
-        if is_as_on_disk(stage):
-            return cls(stage.GetRootLayer().realPath, None, session)
-        return cls(None, stage.Flatten(addSourceFileComment=False).ExportToString(), "#usda 1.0\n")
-
-    def open(self) -> Usd.Stage:
-        """The stage.
-
-        Raises:
-            StageError: see `open_stage`.
-        """
-        if self.path is not None:
-            stage = open_stage(self.path)
-        else:
-            layer = Sdf.Layer.CreateAnonymous(".usda")
-            layer.ImportFromString(self.text)
-            stage = Usd.Stage.Open(layer)
-        stage.GetSessionLayer().ImportFromString(self.session)
-        return stage
 
 
 def find_meshes(stage: Usd.Stage, prim_paths: Sequence[str] = (), by_root: bool = False) -> MeshSelection:

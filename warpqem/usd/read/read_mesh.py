@@ -14,7 +14,7 @@ from pxr import Usd, UsdGeom, Vt
 from warpqem.errors import StageError, VaryingTopologyError
 from warpqem.usd.read.bake_times import bake_times
 from warpqem.usd.read.declared_types import check_declared_types
-from warpqem.usd.read.open_stage import SavedStage, world_scale
+from warpqem.usd.read.open_stage import world_scale
 from warpqem.usd.read.skeleton_poses import MeshPoser, StagePoses
 from warpqem.usd.read.time_codes import FrameRange
 from warpqem.usd.read.triangulation import Topology, read_topology
@@ -102,11 +102,6 @@ class PoseFrames:
         """Poses that anybody sees, shape (F,)."""
         return np.ones(1, dtype=bool) if self.times is None else seen_frames(self.source.prim, self.times)
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Where to read them in another process."""
-        stage = SavedStage.of(self.source.prim.GetStage())
-        return _open_frames, (stage, self.source.path, self.times, self.point)
-
     def read(self, frames: slice) -> npt.NDArray[np.float32]:
         """Points of consecutive frames, float32, shape (n, V, 3), local space.
 
@@ -119,11 +114,6 @@ class PoseFrames:
         for pose, time in zip(points, chosen, strict=True):
             np.take(self.source.points_at(time), self.point, axis=0, out=pose)
         return points
-
-
-def _open_frames(stage: SavedStage, path: str, times: list[float] | None, point: npt.NDArray[np.int32]) -> PoseFrames:
-    opened = stage.open()
-    return PoseFrames(MeshSource(opened.GetPrimAtPath(path), StagePoses(opened)), times, point)
 
 
 class MeshSource:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 
-from pxr import Ar, Sdf, Tf, Usd
+from pxr import Sdf, Tf, Usd
 
 from warpqem.errors import StageError
 from warpqem.usd.checks.usd_errors import first_line
@@ -12,7 +12,6 @@ from warpqem.usd.read.value_arrays import anchored
 
 __all__ = [
     "copy_stage_metadata",
-    "is_as_on_disk",
     "layer_name",
     "open_like",
     "private_view",
@@ -60,20 +59,6 @@ def private_view(stage: Usd.Stage) -> Usd.Stage:
 def unopened(view: Usd.Stage) -> Usd.Stage:
     """A view of a stage without what was edited in its own session layer, such as instances that were opened."""
     return open_like(view, view.GetRootLayer(), without_edits(view.GetSessionLayer()))
-
-
-def is_as_on_disk(stage: Usd.Stage) -> bool:
-    """Whether a stage shows what opening the file of its root layer shows, but for edits in its session layer."""
-    session, root = stage.GetSessionLayer(), stage.GetRootLayer()
-    layers = [layer for layer in stage.GetUsedLayers() if layer != session]
-    return (
-        not any(layer.anonymous or layer.dirty for layer in layers)
-        and not session.subLayerPaths
-        and not stage.GetMutedLayers()
-        and stage.GetPopulationMask() == Usd.StagePopulationMask.All()
-        and stage.GetLoadRules() == Usd.StageLoadRules.LoadAll()
-        and stage.GetPathResolverContext() == Ar.GetResolver().CreateDefaultContextForAsset(root.realPath)
-    )
 
 
 def without_edits(session: Sdf.Layer) -> Sdf.Layer:

@@ -33,7 +33,6 @@ class Topology:
         corner_count: number of entries of faceVertexIndices.
         hole_count: number of authored faces marked as holes; they have no triangles.
         degenerate_count: number of triangles left out because they name a point twice.
-        max_corners: corners of the largest authored face.
     """
 
     triangles: npt.NDArray[np.int32]
@@ -43,7 +42,6 @@ class Topology:
     corner_count: int
     hole_count: int
     degenerate_count: int
-    max_corners: int
 
 
 def fan_triangulate(
@@ -213,7 +211,6 @@ def read_topology(
         corner_count=len(indices),
         hole_count=len(holes),
         degenerate_count=int((~proper).sum()),
-        max_corners=int(counts.max(initial=0)),
     )
 
 
