@@ -189,17 +189,19 @@ class SimplifyOptions(MethodOptions):
         vertex_weights: (V,) factors from 0 to 1e12 on the cost at each vertex; infinity locks it. A merged vertex gets
             the mean of its ends'.
         quadric_scale: (V,) factors from 0 to 1e12 on each vertex's own quadric (Kho & Garland 2003), which stay with
-            its planes as they add up; see :func:`warpqem.morph_weights`. Vertices are placed by the scaled quadrics.
+            its planes as they add up; see :func:`warpqem.costs.morph_weights`. Vertices are placed by the
+            scaled quadrics.
         locked: (V,) bool, or indices, of vertices that keep their position in every frame.
         seams: (S, 2) vertex pairs: edges that values on the surface do not cross, such as UV seams. They stay closed
             polylines of edges near where they were, with the same ends and forks, as long as the shape has something
             to spare: beyond that the islands between them that cost the shape least are given up.
         attributes: UVs and other values on the surface, each with the weight of its error in the order of collapses;
-            see :class:`warpqem.AttributeField`. ``max_error`` and ``SimplifiedMesh.error`` stay errors of the shape.
-        face: how ``metric="face"`` keeps the feature points of a face, see :class:`warpqem.FaceProtection`; None for
-            its defaults.
-        motion: how ``metric="aqem"`` finds the joints and what they weigh, see :class:`warpqem.MotionWeighting`; None
-            for the ways of its paper.
+            see :class:`warpqem.costs.AttributeField`. ``max_error`` and ``SimplifiedMesh.error`` stay errors of the
+            shape.
+        face: how ``metric="face"`` keeps the feature points of a face, see :class:`warpqem.face.FaceProtection`; None
+            for its defaults.
+        motion: how ``metric="aqem"`` finds the joints and what they weigh, see :class:`warpqem.costs.MotionWeighting`;
+            None for the ways of its paper.
     """
 
     target_faces: int | None = option(None, "Faces to keep.", "FACES", COUNT)

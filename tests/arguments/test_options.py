@@ -82,11 +82,14 @@ def test_an_argument_that_is_no_option_is_a_type_error_that_lists_them():
             call(POINTS, FACES, ratio=0.5, nonsense=3)
 
 
-@pytest.mark.parametrize("package", [warpqem, warpqem.usd])
+@pytest.mark.parametrize("package", [warpqem, warpqem.costs, warpqem.usd])
 def test_type_checkers_find_each_public_name_in_its_home(package):
     tree = ast.parse(inspect.getsource(package))
-    [block] = [node for node in tree.body if isinstance(node, ast.If)]
-    found = {name.asname: node.module for node in block.body for name in node.names}
+    block = next(node for node in tree.body if isinstance(node, ast.If))
+    imports = [node for node in block.body if isinstance(node, ast.ImportFrom)]
+    rooms = [name.asname for node in imports if node.module == "warpqem" for name in node.names]
+    found = {name.asname: node.module for node in imports if node.module != "warpqem" for name in node.names}
+    assert rooms == list(getattr(package, "_ROOMS", ()))
     assert found == package._HOMES
     assert set(dir(package)) == set(package.__all__)
 

@@ -122,7 +122,7 @@ def test_plug_in_of_another_type_is_named(site):
 )  # fmt: skip
 def test_weights_that_are_none_are_refused(site, weights, message):
     (site / "speedy.py").write_text(
-        "import numpy\nfrom warpqem import CostModelSpec\n"
+        "import numpy\nfrom warpqem.costs import CostModelSpec\n"
         f"speed = CostModelSpec('speed', vertex_weight=lambda points, faces: {weights})\n"
     )
     points, faces = meshes.grid(4, 4)

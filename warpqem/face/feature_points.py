@@ -1,4 +1,4 @@
-"""``warpqem.facial_features``: the named feature points of a face mesh."""
+"""``warpqem.face.facial_features``: the named feature points of a face mesh."""
 
 from __future__ import annotations
 

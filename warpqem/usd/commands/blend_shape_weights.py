@@ -46,7 +46,7 @@ def morph_scale(job: MeshJob, method: str | None, examples: MeshSource | None = 
 
     Args:
         job: The mesh.
-        method: See `warpqem.morph_weights`; None for no weights.
+        method: See `warpqem.costs.morph_weights`; None for no weights.
         examples: The mesh in example poses, if there are any.
 
     Raises:

@@ -53,7 +53,7 @@ class CoreCalls:
         self._announce, self._share = context.announce, context.share
         self._reports = reports
         self.face_points: FacePoints | None = None
-        self._faces: dict[str, warpqem.FaceProtection] = {}
+        self._faces: dict[str, warpqem.face.FaceProtection] = {}
 
     def simplify(
         self,
@@ -105,7 +105,7 @@ class CoreCalls:
         report.skin = f"interpolated: {reason}"
         return None
 
-    def face(self, job: MeshJob) -> warpqem.FaceProtection | None:
+    def face(self, job: MeshJob) -> warpqem.face.FaceProtection | None:
         """How the feature points of a mesh are kept, found once for each mesh; None for other cost models."""
         if not cost_model(self._options.metric).keeps_face:
             return None

@@ -86,7 +86,7 @@ def color_features(
         output_path: .usd, .usda or .usdc file; replaced if it exists.
         prims: Prim paths; meshes at and below them are coloured. Empty for all.
         frames: Time codes to read; None for all authored ones.
-        weighting: Threshold of the features, see `warpqem.MotionWeighting`; None for that of the paper.
+        weighting: Threshold of the features, see `warpqem.costs.MotionWeighting`; None for that of the paper.
         device: Warp device; None for the default.
         progress: Called with the fraction done and what is being done.
         other_outputs: What else the caller is going to write; see `warpqem.usd.simplify_stage`.

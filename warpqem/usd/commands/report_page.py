@@ -275,7 +275,7 @@ def _option_table(options: SimplifyOptions) -> Table:
 def _feature_points(page: Report) -> dict[str, int]:
     """The feature points of the face on a page; none where it shows more than a face."""
     try:
-        return dict(warpqem.facial_features(page.points, page.faces).vertices)
+        return dict(warpqem.face.facial_features(page.points, page.faces).vertices)
     except WarpqemError:
         return {}
 
