@@ -16,6 +16,7 @@ from warpqem.costs.models import cost_model_names
 from warpqem.errors import OptionError
 
 if TYPE_CHECKING:
+    from warpqem.arguments.array_types import ArrayInput
     from warpqem.arguments.distance_limit import DistanceLimit
     from warpqem.costs.attributes import AttributeField
     from warpqem.costs.motion_features import MotionWeighting
@@ -27,6 +28,7 @@ __all__ = [
     "SHARE",
     "WEIGHTS",
     "Goal",
+    "LevelKeywords",
     "MethodKeywords",
     "MethodOptions",
     "SimplifyKeywords",
@@ -175,7 +177,7 @@ class MethodOptions:
     def method(self) -> MethodKeywords:
         """These options but for the goals, as keyword arguments of :func:`warpqem.simplify`."""
         names = {entry.name for entry in fields(MethodOptions)} - {"ratio", "max_error", "max_size_error"}
-        return {name: getattr(self, name) for name in sorted(names)}  # type: ignore[return-value]
+        return {name: getattr(self, name) for name in sorted(names)}  # type: ignore[return-value]  # a field each
 
 
 @dataclass(frozen=True)
@@ -208,10 +210,10 @@ class SimplifyOptions(MethodOptions):
     max_distance: float | None = option(
         None, "Largest distance of the result from the input, in units of the points.", "UNITS", ABOVE_0
     )
-    vertex_weights: Any = None
-    quadric_scale: Any = None
-    locked: Any = None
-    seams: Any = None
+    vertex_weights: ArrayInput | None = None
+    quadric_scale: ArrayInput | None = None
+    locked: ArrayInput | None = None
+    seams: ArrayInput | None = None
     attributes: Sequence[AttributeField] = ()
     face: FaceProtection | None = None
     motion: MotionWeighting | None = None
@@ -257,21 +259,26 @@ class MethodKeywords(TypedDict, total=False):
     keep_components: bool
     memory: int | str | None
     device: str | None
-    vertex_weights: Any
-    quadric_scale: Any
-    locked: Any
-    seams: Any
+    vertex_weights: ArrayInput | None
+    quadric_scale: ArrayInput | None
+    locked: ArrayInput | None
+    seams: ArrayInput | None
     attributes: Sequence[AttributeField]
     face: FaceProtection | None
     motion: MotionWeighting | None
 
 
-class SimplifyKeywords(MethodKeywords, total=False):
+class LevelKeywords(MethodKeywords, total=False):
+    """The same with the limit that levels of a mesh share."""
+
+    max_size_error: float | None
+
+
+class SimplifyKeywords(LevelKeywords, total=False):
     """Keyword arguments of :func:`warpqem.simplify`, for type checkers: the fields of :class:`SimplifyOptions`."""
 
     ratio: float | None
     target_faces: int | None
-    max_size_error: float | None
     max_error: float | None
     max_distance: float | None
 

@@ -94,17 +94,46 @@ def test_type_checkers_find_each_public_name_in_its_home(package):
     assert set(dir(package)) == set(package.__all__)
 
 
-def test_a_type_checker_knows_the_options(tmp_path):
+# What a user may write, each line with the end of mypy's message, or none where it is right.
+USES = {
+    "simplify(points, faces, ratio=0.5, quality='best')": None,
+    "simplify([[0.0, 0.0, 0.0]], [(0, 1, 2)], target_faces=2)": None,
+    "simplify(points, faces, ratio=0.5, vertex_weights=np.ones(3), seams=[(0, 1)])": None,
+    "simplify(wp.zeros((3, 3)), wp.zeros((1, 3), dtype=wp.int32), max_error=1.0)": None,
+    "simplify(trimesh.Trimesh(), ratio=0.5)": None,
+    "simplify(warpqem.load('a.obj'), ratio=0.5)": None,
+    "shape: tuple[int, ...] = simplify(points, faces, ratio=0.1).points.shape": None,
+    "warpqem.face.FaceProtection(weight=2.0)": None,
+    "warpqem.costs.AttributeField(points[0])": None,
+    "warpqem.measure.compare(points, faces, points, faces).rms.is_integer()": None,
+    "warpqem.usd.SimplifyOptions(ratio=0.5)": None,
+    "levels: list[warpqem.SimplifiedMesh] = warpqem.simplify_levels(points, faces, ratios=[0.5])": None,
+    "simplify(1, 2, nonsense=3)": "call-arg",
+    "simplify(1, faces, ratio=0.5)": "arg-type",
+    "simplify(points, 2, ratio=0.5)": "arg-type",
+    "simplify(points, faces, quality='bset')": "arg-type",
+    "simplify(points, faces, ratio='half')": "arg-type",
+    "simplify(points, faces, locked=3)": "arg-type",
+    "simplify(points, faces, ratio=0.1).points.nonsense": "attr-defined",
+    "simplify(points, faces, ratio=0.1).nonsense": "attr-defined",
+    "warpqem.plan(points, faces, nonsense=3)": "call-arg",
+    "warpqem.build_progressive(points, faces, nonsense=3)": "call-arg",
+    "warpqem.usd.SimplifyOptions(nonsense=3)": "call-arg",
+    "warpqem.nonsense": "attr-defined",
+    "warpqem.usd.nonsense": "attr-defined",
+    "warpqem.costs.nonsense": "attr-defined",
+    "warpqem.face.nonsense": "attr-defined",
+}
+
+
+def test_a_type_checker_knows_the_public_names_and_their_options(tmp_path):
     pytest.importorskip("mypy")
     file = tmp_path / "uses.py"
-    file.write_text(
-        "import numpy as np\nimport warpqem\n"
+    head = (
+        "import numpy as np\nimport trimesh\nimport warp as wp\nimport warpqem\nfrom warpqem import simplify\n"
         "points, faces = np.zeros((1, 3, 3)), np.zeros((1, 3))\n"
-        "warpqem.simplify(points, faces, ratio=0.5, quality='best')\n"
-        "warpqem.simplify(points, faces, nonsense=3)\n"
-        "warpqem.simplify(points, faces, quality='bset')\n"
-        "warpqem.simplify(points, faces, ratio='half')\n"
     )
+    file.write_text(head + "\n".join(USES) + "\n")
     command = [
         sys.executable,
         "-m",
@@ -115,8 +144,11 @@ def test_a_type_checker_knows_the_options(tmp_path):
         str(file),
     ]
     found = subprocess.run(command, capture_output=True, text=True, check=False).stdout
-    lines = [int(line.split(":")[1]) for line in found.splitlines() if ": error:" in line]
-    assert lines == [5, 6, 7], found
+    codes = {
+        int(line.split(":")[1]): line.rsplit("[")[-1].rstrip("]") for line in found.splitlines() if ": error:" in line
+    }
+    first = head.count("\n") + 1
+    assert {use: codes.get(line) for line, use in enumerate(USES, first)} == USES, found
 
 
 @given(st.floats(allow_nan=True))

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -117,8 +118,8 @@ class _Cells:
         if len(rows):
             rows = rows[np.argsort(-above[rows], kind="stable")][:LEADING]
             patches = self.patches
-            arrays = (array.numpy()[rows] for array in (patches.face, patches.place, patches.hint))
-            self.leading = _patches(*arrays, self._device)
+            face, place, hint = (array.numpy()[rows] for array in (patches.face, patches.place, patches.hint))
+            self.leading = _patches(face, place, hint, self._device)
 
     def areas(self) -> Doubles:
         """Face areas (G, N)."""
@@ -191,11 +192,11 @@ class SurfaceComparison:
         self._test = _Cells(test_faces, self.group, "test", device)
         self.test_faces = len(test_faces)
         self.sample_count, self._seed, self._device = samples, seed, device
-        self._rows: list[dict[str, npt.NDArray]] = []
+        self._rows: list[dict[str, npt.NDArray[Any]]] = []
         self._diagonals: list[Doubles] = []
         self._frame_count, self._seen = frame_count, 0
 
-    def add(self, frames: Sequence[int], reference: npt.NDArray, test: npt.NDArray) -> None:
+    def add(self, frames: Sequence[int], reference: npt.NDArray[Any], test: npt.NDArray[Any]) -> None:
         """Measure a group of frames: ``group`` of them, or fewer at the end.
 
         Args:
@@ -393,7 +394,7 @@ class SurfaceComparison:
         total: npt.NDArray[np.int64] = flipped.numpy().sum(axis=1, dtype=np.int64)
         return total
 
-    def _launch(self, kernel: wp.Kernel, count: int, inputs: list, outputs: list[wp.array]) -> None:
+    def _launch(self, kernel: wp.Kernel, count: int, inputs: list[Any], outputs: list[wp.array]) -> None:
         def one(part: slice) -> None:
             launch(
                 kernel,

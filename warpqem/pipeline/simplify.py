@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from warpqem.arguments.number_input import flag
 from warpqem.costs.models import cost_model
@@ -25,6 +25,7 @@ from warpqem.runtime.device import on_device, resolve_device
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
+    from warpqem.arguments.array_types import ArrayInput, MeshPoints
     from warpqem.measure.measured import Measured
 
 __all__ = ["plan", "simplify"]
@@ -32,8 +33,8 @@ __all__ = ["plan", "simplify"]
 
 @on_device
 def simplify(
-    points: Any,
-    faces: Any = None,
+    points: MeshPoints,
+    faces: ArrayInput | None = None,
     *,
     sink: FrameSink | None = None,
     share: FrameShare | None = None,
@@ -100,8 +101,8 @@ def simplify(
 
 
 def plan(
-    points: Any,
-    faces: Any = None,
+    points: MeshPoints,
+    faces: ArrayInput | None = None,
     *,
     sink: FrameSink | None = None,
     levels: bool = False,

@@ -39,13 +39,15 @@ from warpqem.runtime.device import on_device, resolve_device
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
+    from warpqem.arguments.array_types import ArrayInput, Points
+
 __all__ = ["simplify_symmetric"]
 
 
 @on_device
 def simplify_symmetric(
-    points: Any,
-    faces: Any,
+    points: Points,
+    faces: ArrayInput,
     symmetry: str | MirrorPlane | Mirror = "auto",
     *,
     sink: FrameSink | None = None,

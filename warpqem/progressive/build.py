@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,13 +22,15 @@ from warpqem.runtime.device import on_device
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
+    from warpqem.arguments.array_types import ArrayInput, MeshPoints
+
 __all__ = ["build_progressive"]
 
 
 @on_device
 def build_progressive(
-    points: Any,
-    faces: Any = None,
+    points: MeshPoints,
+    faces: ArrayInput | None = None,
     *,
     base_faces: int | None = None,
     progress: Progress | None = None,

@@ -262,8 +262,9 @@ class _SideComparison:
             *meshes, samples=options.samples, frames=frames, device=options.device, progress=half[0]
         )
         values = compare_as_posed(sources, [surface_values(source, times) for source in sources])
-        sides = [value for side in zip(meshes[::2], meshes[1::2], values, strict=True) for value in side]
-        report.appearance = compare_appearance(*sides, device=options.device, progress=half[1])
+        report.appearance = compare_appearance(
+            *meshes[:2], values[0], *meshes[2:], values[1], device=options.device, progress=half[1]
+        )
         if self.heatmap is not None:
             colors, report.heatmap_scale = distance_colors(*meshes, scale=options.heatmap_scale, device=options.device)
             self.heatmap.set_vertex_colors(report.path, times, _for_all_points(colors, test, sources[1].point_count))

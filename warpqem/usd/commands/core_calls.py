@@ -122,7 +122,7 @@ class CoreCalls:
         seams: Seams,
         sink: warpqem.FrameSink,
         shared: SharedOrder | None = None,
-        **goal: float | int | None,
+        **goal: Any,
     ) -> warpqem.SimplifiedMesh:
         options = self._method(job)
         if goal.get("target_faces") is not None:
@@ -154,7 +154,7 @@ class CoreCalls:
         seams: Seams,
         sink: warpqem.FrameSink,
         shared: SharedOrder | None = None,
-        **goal: float | int | None,
+        **goal: Any,
     ) -> warpqem.SimplifiedMesh:
         """Simplify to a goal, or to the last legal collapse before it."""
         try:
@@ -201,9 +201,9 @@ class CoreCalls:
         face = self.face(job)
         return options if face is None else {**options, "face": face}
 
-    def _limits(self, job: MeshJob) -> dict[str, float]:
+    def _limits(self, job: MeshJob) -> dict[str, Any]:
         """How far the result of a mesh may be from the input, as options of the core."""
-        limits: dict[str, float] = {}
+        limits: dict[str, Any] = {}
         if self._options.max_error is not None:
             limits["max_error"] = self._options.max_error
         lengths = []

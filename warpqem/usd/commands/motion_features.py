@@ -135,8 +135,8 @@ def _color_mesh(
     if times is None or len(times) < 2:
         raise StageError(f"{report.path}: the mesh has one pose only, so nothing moves")
     mesh = source.layout(times)
-    frames = PoseFrames(source, mesh.times, mesh.used_points)
-    found = warpqem.motion_features(frames, mesh.faces, weighting=weighting, device=device)
+    poses = PoseFrames(source, mesh.times, mesh.used_points)
+    found = warpqem.motion_features(poses, mesh.faces, weighting=weighting, device=device)
     labels = np.full(source.point_count, -1, dtype=np.int32)
     labels[mesh.used_points] = found.label
     layer.set_vertex_colors(report.path, None, feature_colors(labels)[None])

@@ -108,8 +108,8 @@ def write_compare_report(
     failed = [pair.path for pair in pairs if pair.comparison is None]
     if options.all_lods:
         original = WorldMeshes(reference, options.prims, passing=failed)
-        found = [(name, _open_level(test, name, options.prims, failed)) for name in _level_names(test)]
-        levels = [(name, level) for name, level in found if any(pair.level == name for pair in pairs)]
+        opened = [(name, _open_level(test, name, options.prims, failed)) for name in _level_names(test)]
+        levels = [(name, level) for name, level in opened if any(pair.level == name for pair in pairs)]
     else:
         stages = open_stages([reference, test], options.variants)
         both = zip((reference, test), stages, strict=True)
