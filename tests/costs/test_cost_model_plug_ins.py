@@ -48,7 +48,7 @@ def add_model(site: Path, name: str, value: str) -> None:
     information = site / f"{name}-1.0.dist-info"
     information.mkdir()
     (information / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n", "utf-8")
-    (information / "entry_points.txt").write_text(f"[warpqem.costs.models]\n{name} = {value}\n", "utf-8")
+    (information / "entry_points.txt").write_text(f"[warpqem.cost_models]\n{name} = {value}\n", "utf-8")
 
 
 def half_still() -> tuple[np.ndarray, np.ndarray]:
