@@ -95,7 +95,8 @@ _MOVED = {
     "retarget": "warpqem.face",
 }
 
-__all__ = [*_HOMES, *_ROOMS, "__version__"]
+# Without the rooms: a star import is to load no USD.
+__all__ = [*_HOMES, "__version__"]
 
 
 def _version() -> str:
@@ -125,4 +126,4 @@ if not TYPE_CHECKING:  # to a type checker every name would exist
 
 
 def __dir__() -> list[str]:
-    return sorted(__all__)
+    return sorted([*__all__, *_ROOMS])

@@ -11,12 +11,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, Literal, TypedDict
 
+from warpqem.arguments.array_types import ArrayInput
 from warpqem.arguments.option_fields import Limits, check_options, option
 from warpqem.costs.models import cost_model_names
 from warpqem.errors import OptionError
 
 if TYPE_CHECKING:
-    from warpqem.arguments.array_types import ArrayInput
     from warpqem.arguments.distance_limit import DistanceLimit
     from warpqem.costs.attributes import AttributeField
     from warpqem.costs.motion_features import MotionWeighting

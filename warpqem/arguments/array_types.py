@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Protocol, Union
 
-import numpy as np
-
 if TYPE_CHECKING:
+    import numpy as np
     import trimesh
     import warp as wp
 
@@ -43,11 +42,15 @@ class HasDlpack(Protocol):
         ...
 
 
-# An array on the host or on a GPU, or nested lists.
-ArrayInput = Union[
-    "np.ndarray[Any, Any]", "wp.array[Any]", HasArrayInterface, HasCudaArrayInterface, HasDlpack, Sequence[Any]
-]
-# Points (F, V, 3) or (V, 3), or a source of frames.
-Points = Union[ArrayInput, "FrameSource"]
-# The same, or a mesh that has faces of its own.
-MeshPoints = Union[Points, "MeshSequence", "trimesh.Trimesh"]
+if TYPE_CHECKING:
+    # An array on the host or on a GPU, or nested lists.
+    ArrayInput = Union[
+        np.ndarray[Any, Any], wp.array[Any], HasArrayInterface, HasCudaArrayInterface, HasDlpack, Sequence[Any]
+    ]
+    # Points (F, V, 3) or (V, 3), or a source of frames.
+    Points = Union[ArrayInput, FrameSource]
+    # The same, or a mesh that has faces of its own.
+    MeshPoints = Union[Points, MeshSequence, trimesh.Trimesh]
+else:
+    # What they name is loaded when it is used; here nothing is.
+    ArrayInput = Points = MeshPoints = Any

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warpqem.arguments.array_types import ArrayInput, MeshPoints
 from warpqem.arguments.number_input import check_function, flag, shown, whole_number
 from warpqem.decimation.collapse_log import CollapseRecord
 from warpqem.decimation.collapse_nodes import NodeRecorder
@@ -29,7 +30,6 @@ from warpqem.runtime.device import device_turn, on_device, resolve_device
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-    from warpqem.arguments.array_types import ArrayInput, MeshPoints
 
 __all__ = ["LevelOrder", "order_levels", "simplify_levels"]
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
+from warpqem.arguments.array_types import ArrayInput, MeshPoints
 from warpqem.arguments.number_input import flag
 from warpqem.costs.models import cost_model
 from warpqem.frames.checked_frames import check_sink
@@ -25,7 +26,6 @@ from warpqem.runtime.device import on_device, resolve_device
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-    from warpqem.arguments.array_types import ArrayInput, MeshPoints
     from warpqem.measure.measured import Measured
 
 __all__ = ["plan", "simplify"]

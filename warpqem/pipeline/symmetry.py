@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpqem.arguments.array_input import is_empty
+from warpqem.arguments.array_types import ArrayInput, Points
 from warpqem.arguments.number_input import check_function
 from warpqem.costs.attributes import checked_fields
 from warpqem.costs.models import cost_model
@@ -39,7 +40,6 @@ from warpqem.runtime.device import on_device, resolve_device
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-    from warpqem.arguments.array_types import ArrayInput, Points
 
 __all__ = ["simplify_symmetric"]
 

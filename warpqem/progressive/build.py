@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from warpqem.arguments.array_types import ArrayInput, MeshPoints
 from warpqem.arguments.number_input import whole_number
 from warpqem.decimation.collapse_nodes import NodeRecorder
 from warpqem.decimation.replay import OrderedLevels
@@ -22,7 +23,6 @@ from warpqem.runtime.device import on_device
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-    from warpqem.arguments.array_types import ArrayInput, MeshPoints
 
 __all__ = ["build_progressive"]
 
