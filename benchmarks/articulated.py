@@ -177,7 +177,7 @@ class _Study:
         return row
 
     def _fitted_error(self, result: SimplifiedMesh, refit: bool) -> float:
-        fitted = warpqem.fit_skin(
+        fitted = warpqem.skinning.fit_skin(
             self._poses,
             self._clip.faces,
             result,

@@ -123,7 +123,7 @@ def morph(path: Path) -> None:
     # As many triangles as there, or nearly.
     scene = head.build(face_count=3128)
     frames = paper_tables.shapes_of(scene)
-    thirds = warpqem.morph_weights(frames[0], frames[1:], method="thirds")
+    thirds = warpqem.costs.morph_weights(frames[0], frames[1:], method="thirds")
     options = {"ratio": paper_tables.PAPER_RATIO, "metric": "qem"}
     results = {
         "qem": warpqem.simplify(frames, scene.faces, **options),

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, Literal, TypedDict
 
+from warpqem.arguments.array_types import ArrayInput
 from warpqem.arguments.limits import ABOVE_0, COUNT, SHARE, Limits
 from warpqem.arguments.option_fields import check_options, option
 from warpqem.costs.models import cost_model_names
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Goal",
+    "LevelKeywords",
     "MethodKeywords",
     "MethodOptions",
     "SimplifyKeywords",
@@ -167,7 +169,7 @@ class MethodOptions:
     def method(self) -> MethodKeywords:
         """These options but for the goals, as keyword arguments of :func:`warpqem.simplify`."""
         names = {entry.name for entry in fields(MethodOptions)} - {"ratio", "max_error", "max_size_error"}
-        return {name: getattr(self, name) for name in sorted(names)}  # type: ignore[return-value]
+        return {name: getattr(self, name) for name in sorted(names)}  # type: ignore[return-value]  # a field each
 
 
 @dataclass(frozen=True)
@@ -181,27 +183,29 @@ class SimplifyOptions(MethodOptions):
         vertex_weights: (V,) factors from 0 to 1e12 on the cost at each vertex; infinity locks it. A merged vertex gets
             the mean of its ends'.
         quadric_scale: (V,) factors from 0 to 1e12 on each vertex's own quadric (Kho & Garland 2003), which stay with
-            its planes as they add up; see :func:`warpqem.morph_weights`. Vertices are placed by the scaled quadrics.
+            its planes as they add up; see :func:`warpqem.costs.morph_weights`. Vertices are placed by the
+            scaled quadrics.
         locked: (V,) bool, or indices, of vertices that keep their position in every frame.
         seams: (S, 2) vertex pairs: edges that values on the surface do not cross, such as UV seams. They stay closed
             polylines of edges near where they were, with the same ends and forks, as long as the shape has something
             to spare: beyond that the islands between them that cost the shape least are given up.
         attributes: UVs and other values on the surface, each with the weight of its error in the order of collapses;
-            see :class:`warpqem.AttributeField`. ``max_error`` and ``SimplifiedMesh.error`` stay errors of the shape.
-        face: how ``metric="face"`` keeps the feature points of a face, see :class:`warpqem.FaceProtection`; None for
-            its defaults.
-        motion: how ``metric="aqem"`` finds the joints and what they weigh, see :class:`warpqem.MotionWeighting`; None
-            for the ways of its paper.
+            see :class:`warpqem.costs.AttributeField`. ``max_error`` and ``SimplifiedMesh.error`` stay errors of the
+            shape.
+        face: how ``metric="face"`` keeps the feature points of a face, see :class:`warpqem.face.FaceProtection`; None
+            for its defaults.
+        motion: how ``metric="aqem"`` finds the joints and what they weigh, see :class:`warpqem.costs.MotionWeighting`;
+            None for the ways of its paper.
     """
 
     target_faces: int | None = option(None, "Faces to keep.", "FACES", COUNT)
     max_distance: float | None = option(
         None, "Largest distance of the result from the input, in units of the points.", "UNITS", ABOVE_0
     )
-    vertex_weights: Any = None
-    quadric_scale: Any = None
-    locked: Any = None
-    seams: Any = None
+    vertex_weights: ArrayInput | None = None
+    quadric_scale: ArrayInput | None = None
+    locked: ArrayInput | None = None
+    seams: ArrayInput | None = None
     attributes: Sequence[AttributeField] = ()
     face: FaceProtection | None = None
     motion: MotionWeighting | None = None
@@ -247,21 +251,26 @@ class MethodKeywords(TypedDict, total=False):
     keep_components: bool
     memory: int | str | None
     device: str | None
-    vertex_weights: Any
-    quadric_scale: Any
-    locked: Any
-    seams: Any
+    vertex_weights: ArrayInput | None
+    quadric_scale: ArrayInput | None
+    locked: ArrayInput | None
+    seams: ArrayInput | None
     attributes: Sequence[AttributeField]
     face: FaceProtection | None
     motion: MotionWeighting | None
 
 
-class SimplifyKeywords(MethodKeywords, total=False):
+class LevelKeywords(MethodKeywords, total=False):
+    """The same with the limit that levels of a mesh share."""
+
+    max_size_error: float | None
+
+
+class SimplifyKeywords(LevelKeywords, total=False):
     """Keyword arguments of :func:`warpqem.simplify`, for type checkers: the fields of :class:`SimplifyOptions`."""
 
     ratio: float | None
     target_faces: int | None
-    max_size_error: float | None
     max_error: float | None
     max_distance: float | None
 

@@ -82,7 +82,7 @@ NUMBERS: dict[str, tuple[Any, list[Any]]] = {
     "key_frames": (calls("key_frames", simplify, ratio=0.5), [0, -1, 1.5, np.inf]),
     "plan ratio": (calls("ratio", functools.partial(warpqem.plan, POINTS, FACES), max_error=1.0), [0, np.inf]),
     "attribute weight": (
-        lambda value: simplify(ratio=0.5, attributes=[warpqem.AttributeField(np.ones(42), value)]),
+        lambda value: simplify(ratio=0.5, attributes=[warpqem.costs.AttributeField(np.ones(42), value)]),
         [-1, np.inf, 1e7],
     ),
     "ratios": (lambda value: warpqem.simplify_levels(POINTS, FACES, ratios=[value]), [0, 2]),
@@ -141,10 +141,10 @@ OTHERS: list[tuple[Any, Any, str]] = [
     (calls("metric", simplify, ratio=0.5), ["dsd"], r"metric must be the name of a cost model, got \['dsd'\] \(list\)"),
     (calls("metric", simplify, ratio=0.5), None, "metric must be the name"),
     (calls("placement", simplify, ratio=0.5), np.array(["optimal"]), "placement must be 'optimal' or 'endpoint'"),
-    (calls("attributes", simplify, ratio=0.5), warpqem.AttributeField(np.ones(42)), "attributes must be a list"),
+    (calls("attributes", simplify, ratio=0.5), warpqem.costs.AttributeField(np.ones(42)), "attributes must be a list"),
     (
         calls("attributes", simplify, ratio=0.5),
-        (warpqem.AttributeField(np.ones(42)) for _ in range(1)),
+        (warpqem.costs.AttributeField(np.ones(42)) for _ in range(1)),
         r"attributes must be a list of AttributeField, got .*\(generator\)",
     ),
     (calls("attributes", simplify, ratio=0.5), [np.ones(42)], r"attributes\[0\] must be an AttributeField"),
@@ -167,9 +167,9 @@ OTHERS: list[tuple[Any, Any, str]] = [
     (lambda value: facial_features(POINTS, FACES, overrides={"nose_tip": value}), True, "nose_tip: vertex True"),
     (lambda value: facial_features(POINTS, FACES, overrides={"nose_tip": value}), 1.0, "nose_tip: vertex 1.0"),
     (lambda value: FaceProtection(features=value), {}, "features must be FacialFeatures"),
-    (lambda value: warpqem.retarget(value, value, POINTS), (POINTS, FACES), "source must be a FaceMesh"),
-    (lambda value: warpqem.morph_weights(POINTS[0], POINTS, value), 3, "method must be one of thirds, rank"),
-    (lambda value: warpqem.morph_weights(POINTS[0], POINTS, value), None, "method must be one of thirds, rank"),
+    (lambda value: warpqem.face.retarget(value, value, POINTS), (POINTS, FACES), "source must be a FaceMesh"),
+    (lambda value: warpqem.costs.morph_weights(POINTS[0], POINTS, value), 3, "method must be one of thirds, rank"),
+    (lambda value: warpqem.costs.morph_weights(POINTS[0], POINTS, value), None, "method must be one of thirds, rank"),
     (lambda value: find_mirror(POINTS[0], FACES, value), 3, "symmetry must be auto, x, y, z or a MirrorPlane, got 3"),
     (lambda value: find_mirror(POINTS[0], FACES, MirrorPlane(value, 0.0)), np.array([2.0, 0, 0]), "must have length 1"),
     (lambda value: surface_transfer(POINTS[0], FACES, value), (POINTS, FACES), "result must be a SimplifiedMesh"),
@@ -271,7 +271,7 @@ def test_a_feature_point_that_is_no_vertex_is_named(vertex):
 
 def test_attributes_at_vertices_serve_a_symmetric_mesh():
     points, faces = meshes.octahedron()
-    for attributes in ([warpqem.AttributeField(points)], [warpqem.AttributeField(points[faces])]):
+    for attributes in ([warpqem.costs.AttributeField(points)], [warpqem.costs.AttributeField(points[faces])]):
         result = warpqem.simplify_symmetric(points, faces, ratio=1.0, attributes=attributes, device="cpu")
         assert len(result.faces) == 8
 

@@ -5,7 +5,7 @@ import pytest
 
 import warpqem
 from tests.support import meshes
-from warpqem import AttributeField
+from warpqem.costs import AttributeField
 from warpqem.errors import MeshShapeError, OptionError
 from warpqem.runtime import cpu_threads as parallel
 

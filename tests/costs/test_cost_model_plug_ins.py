@@ -48,7 +48,7 @@ def add_model(site: Path, name: str, value: str) -> None:
     information = site / f"{name}-1.0.dist-info"
     information.mkdir()
     (information / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n", "utf-8")
-    (information / "entry_points.txt").write_text(f"[warpqem.costs.models]\n{name} = {value}\n", "utf-8")
+    (information / "entry_points.txt").write_text(f"[warpqem.cost_models]\n{name} = {value}\n", "utf-8")
 
 
 def half_still() -> tuple[np.ndarray, np.ndarray]:
@@ -122,7 +122,7 @@ def test_plug_in_of_another_type_is_named(site):
 )  # fmt: skip
 def test_weights_that_are_none_are_refused(site, weights, message):
     (site / "speedy.py").write_text(
-        "import numpy\nfrom warpqem import CostModelSpec\n"
+        "import numpy\nfrom warpqem.costs import CostModelSpec\n"
         f"speed = CostModelSpec('speed', vertex_weight=lambda points, faces: {weights})\n"
     )
     points, faces = meshes.grid(4, 4)

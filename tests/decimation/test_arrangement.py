@@ -78,7 +78,7 @@ def test_result_is_that_of_the_rearranged_mesh_under_the_input_names(metric, dev
     weights = rng.uniform(0.5, 2, points.shape[1])
     locked = np.zeros(points.shape[1], dtype=bool)
     locked[rng.integers(points.shape[1], size=3)] = True
-    field = warpqem.AttributeField
+    field = warpqem.costs.AttributeField
     options = {"ratio": 0.3, "metric": metric, "device": device}
     plain = warpqem.simplify(
         np.ascontiguousarray(points[:, a.vertex]),

@@ -12,9 +12,8 @@ from tests.oracles import quadrics as oracle
 from tests.oracles.face import equation_one
 from tests.support import meshes
 from tests.support.mesh_state import build_mesh
-from warpqem import FaceProtection, FacialFeatures
 from warpqem.decimation.quadric_sums import QuadricSums, add_quadric_sums
-from warpqem.face import face_sums
+from warpqem.face import FaceProtection, FacialFeatures, face_sums
 from warpqem.options import SimplifyOptions
 from warpqem.pipeline.prepare import prepare
 from warpqem.place.cluster_rows import match_keys

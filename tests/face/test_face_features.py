@@ -20,7 +20,7 @@ from warpqem.face.walks import from_chord, walk_to_extremum
 
 @cache
 def found() -> FacialFeatures:
-    return warpqem.facial_features(*talking_head())
+    return warpqem.face.facial_features(*talking_head())
 
 
 def errors(features: FacialFeatures) -> dict[str, float]:
@@ -60,7 +60,7 @@ def test_other_axes_give_the_same_points() -> None:
     points, faces = talking_head()
     # z up, -y forward.
     turned = points @ np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]], dtype=np.float32).T
-    again = warpqem.facial_features(turned, faces, up="+z", forward="-y")
+    again = warpqem.face.facial_features(turned, faces, up="+z", forward="-y")
     assert again.vertices == found().vertices
 
 
@@ -68,8 +68,8 @@ def test_a_turned_head_gives_the_same_points_when_its_orientation_is_found() -> 
     points, faces = talking_head()
     angle = np.radians(20.0)
     turn = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
-    straight = warpqem.facial_features(points[0], faces, up=None, forward=None)
-    turned = warpqem.facial_features((points[0] @ turn.T).astype(np.float32), faces, up=None, forward=None)
+    straight = warpqem.face.facial_features(points[0], faces, up=None, forward=None)
+    turned = warpqem.face.facial_features((points[0] @ turn.T).astype(np.float32), faces, up=None, forward=None)
     assert turned.vertices == straight.vertices
     assert np.abs(turned.axes - straight.axes @ turn.T).max() < 1e-3
     assert sum(error <= 5.0 for error in errors(straight).values()) >= 26
@@ -79,7 +79,7 @@ def test_a_mask_has_no_top_no_sides_and_no_throat() -> None:
     points, faces = talking_head()
     at = points[0][faces].mean(axis=1)
     mask = faces[(at[:, 2] > 4.5) & (at[:, 1] > -10.2) & (at[:, 1] < 7.0)]
-    features = warpqem.facial_features(points, mask)
+    features = warpqem.face.facial_features(points, mask)
     assert {"head_top", "head_side_left", "head_side_right", "throat"} <= features.missing.keys()
     assert len(features.vertices) >= 20
 
@@ -95,14 +95,14 @@ def test_a_ball_has_no_face() -> None:
     row, column = np.meshgrid(np.arange(19), np.arange(40), indexing="ij")
     a, b = row * 40 + column, row * 40 + (column + 1) % 40
     faces = np.concatenate([np.stack([a, b, a + 40], -1), np.stack([b, b + 40, a + 40], -1)]).reshape(-1, 3)
-    features = warpqem.facial_features(ball, faces)
+    features = warpqem.face.facial_features(ball, faces)
     assert features.vertices == {}
     assert features.missing.keys() == set(FEATURE_NAMES)
 
 
 def test_points_that_the_caller_names_are_taken_as_they_are() -> None:
     points, faces = talking_head()
-    features = warpqem.facial_features(points[0], faces, overrides={"nose_tip": 7, "throat": None})
+    features = warpqem.face.facial_features(points[0], faces, overrides={"nose_tip": 7, "throat": None})
     assert features.vertices["nose_tip"] == 7
     assert features.confidence["nose_tip"] == 1.0
     assert "throat" in features.missing
@@ -120,7 +120,7 @@ def test_points_that_the_caller_names_are_taken_as_they_are() -> None:
 )
 def test_wrong_options_are_refused(options: dict) -> None:
     with pytest.raises(OptionError):
-        warpqem.facial_features(*talking_head(), **options)
+        warpqem.face.facial_features(*talking_head(), **options)
 
 
 # Walks
@@ -166,7 +166,7 @@ def test_a_lid_that_closes_tells_where_the_eye_is() -> None:
 
 def test_lips_of_a_still_head_are_found_as_those_of_one_that_moves() -> None:
     points, faces = talking_head()
-    still = warpqem.facial_features(points[0], faces)
+    still = warpqem.face.facial_features(points[0], faces)
     mouth = [name for name in found().names if "lip" in name or "mouth" in name]
     assert len(mouth) == 10
     for name in mouth:
@@ -175,7 +175,7 @@ def test_lips_of_a_still_head_are_found_as_those_of_one_that_moves() -> None:
 
 def test_corners_of_the_mouth_are_where_the_cut_between_the_lips_ends() -> None:
     points, faces = talking_head()
-    at = errors(warpqem.facial_features(points[0], faces))
+    at = errors(warpqem.face.facial_features(points[0], faces))
     assert at["mouth_corner_left"] < 1.0
     assert at["mouth_corner_right"] < 1.0
 
@@ -205,7 +205,7 @@ def test_a_slit_without_a_pocket_is_found_at_any_size(scale: float) -> None:
     points, faces = talking_head()
     open_faces = outside_of_lips(points[0], faces)
     assert len(open_faces) < len(faces)
-    features = warpqem.facial_features(points[0] * np.float32(scale), open_faces)
+    features = warpqem.face.facial_features(points[0] * np.float32(scale), open_faces)
     at = errors(features)
     assert at["mouth_corner_left"] < 1.0
     assert at["mouth_corner_right"] < 1.0

@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 import warpqem
 from tests.support.faces import FACE_HEIGHT, talking_head
-from warpqem import FaceProtection, FacialFeatures
 from warpqem.errors import FeaturePointError, OptionError
-from warpqem.face import face_sums
+from warpqem.face import FaceProtection, FacialFeatures, face_sums
 from warpqem.measure import compare
 from warpqem.pipeline.symmetry import simplify_symmetric
 
@@ -22,7 +21,7 @@ LEVELS = (1420, 1120, 820, 620)
 def head_of_2000() -> tuple[NDArray[np.float32], NDArray[np.int32], FacialFeatures]:
     """Three frames of the talking head at 2000 faces, and its feature points there."""
     points, faces = talking_head()
-    features = warpqem.facial_features(points, faces)
+    features = warpqem.face.facial_features(points, faces)
     head = warpqem.simplify(
         points[::4], faces, target_faces=2000, metric="face", face=FaceProtection(features=features)
     )
@@ -67,7 +66,7 @@ def test_the_default_keeps_every_point_at_no_more_error(face_count: int) -> None
 
 def test_points_that_are_kept_are_there_where_weights_alone_give_way() -> None:
     points, faces = talking_head()
-    features = warpqem.facial_features(points, faces)
+    features = warpqem.face.facial_features(points, faces)
     levels = [
         warpqem.simplify(
             points, faces, target_faces=220, metric="face", face=FaceProtection(features, weight=10.0, keep=keep)
@@ -81,7 +80,7 @@ def test_points_that_are_kept_are_there_where_weights_alone_give_way() -> None:
 
 def test_larger_rings_hold_longer() -> None:
     points, faces = talking_head()
-    features = warpqem.facial_features(points, faces)
+    features = warpqem.face.facial_features(points, faces)
     kept = []
     for ring in (0, 1, 2):
         face = FaceProtection(features, weight=10.0, ring=ring, keep=False)
@@ -117,7 +116,7 @@ def mirrored_face() -> tuple[NDArray[np.float32], NDArray[np.int32], FacialFeatu
 
 def test_points_are_found_where_none_are_given() -> None:
     points, faces = talking_head()
-    features = warpqem.facial_features(points[:1], faces)
+    features = warpqem.face.facial_features(points[:1], faces)
     level = warpqem.simplify(points[:1], faces, target_faces=9000, metric="face")
     kept = points[:1, features.indices]
     np.testing.assert_allclose(level.points[:, level.vertex_map[features.indices]], kept, atol=1e-4)
@@ -140,7 +139,7 @@ def test_rings_hold_the_neighbours_so_many_edges_away() -> None:
 def test_texture_coordinates_count_beside_the_points() -> None:
     points, faces, features = head_of_2000()
     # A texture with a frequency that the shape knows nothing of.
-    texture = warpqem.AttributeField(np.sin(3.0 * points[0][:, :2]), weight=0.2)
+    texture = warpqem.costs.AttributeField(np.sin(3.0 * points[0][:, :2]), weight=0.2)
     common = {"target_faces": 820, "metric": "face", "face": FaceProtection(features=features)}
     plain = warpqem.simplify(points, faces, **common)
     textured = warpqem.simplify(points, faces, attributes=[texture], **common)

@@ -10,8 +10,8 @@ from scipy.spatial import cKDTree
 
 import warpqem
 from tests.support.faces import FACE_HEIGHT, talking_head
-from warpqem import FaceMesh, FaceProtection, FacialFeatures, RetargetedMotion
 from warpqem.errors import FeaturePointError, MeshShapeError
+from warpqem.face import FaceMesh, FaceProtection, FacialFeatures, RetargetedMotion
 from warpqem.face.lips import keep_apart, lip_pairs
 from warpqem.face.skin_regions import without_head_motion
 from warpqem.measure.closest_points import ClosestPointSearch
@@ -20,7 +20,7 @@ from warpqem.measure.closest_points import ClosestPointSearch
 @cache
 def head() -> tuple[NDArray[np.float32], NDArray[np.int32], FacialFeatures]:
     points, faces = talking_head()
-    return points, faces, warpqem.facial_features(points, faces)
+    return points, faces, warpqem.face.facial_features(points, faces)
 
 
 def source() -> FaceMesh:
@@ -41,13 +41,13 @@ def stretched() -> tuple[NDArray[np.float64], NDArray[np.float64], RetargetedMot
     points, faces, features = head()
     linear = np.array([[1.8, 0.0, 0.1], [0.0, 2.3, 0.2], [0.0, 0.0, 2.0]])
     target = points[0] @ linear.T
-    own = warpqem.facial_features(target, faces, overrides=features.vertices)
-    return linear, target, warpqem.retarget(source(), FaceMesh(target, faces, own), expressions())
+    own = warpqem.face.facial_features(target, faces, overrides=features.vertices)
+    return linear, target, warpqem.face.retarget(source(), FaceMesh(target, faces, own), expressions())
 
 
 def test_a_face_gets_its_own_motion_back() -> None:
     points, _, _ = head()
-    found = warpqem.retarget(source(), source(), points)
+    found = warpqem.face.retarget(source(), source(), points)
     error = np.linalg.norm(found.points - points, axis=2) / FACE_HEIGHT
     # Some vertices of the lips are pushed out of each other.
     assert np.quantile(error, 0.99) < 1e-4
@@ -66,7 +66,9 @@ def test_a_level_moves_more_like_the_original_than_by_its_nearest_vertices() -> 
     points, faces, features = head()
     level = warpqem.simplify(points[:1], faces, target_faces=820, metric="face", face=FaceProtection(features=features))
     own = {name: int(level.vertex_map[vertex]) for name, vertex in features.vertices.items()}
-    found = warpqem.retarget(source(), FaceMesh(level.points[0], level.faces, replace(features, vertices=own)), points)
+    found = warpqem.face.retarget(
+        source(), FaceMesh(level.points[0], level.faces, replace(features, vertices=own)), points
+    )
     middle, size = points[0].mean(axis=0), 40.0
     search = ClosestPointSearch(faces.astype(np.int64), "cpu", "original")
     at = search.closest(*(((mesh - middle) / size).astype(float) for mesh in (points[0], level.points[0])), 0)
@@ -82,7 +84,9 @@ def test_what_the_source_lacks_keeps_still() -> None:
     at = points[0][faces].mean(axis=1)
     mask = faces[(at[:, 2] > 4.0) & (at[:, 1] > -11.0)]
     still = expressions().astype(np.float32)
-    found = warpqem.retarget(FaceMesh(still[0], mask, warpqem.facial_features(still[:1], mask)), source(), still)
+    found = warpqem.face.retarget(
+        FaceMesh(still[0], mask, warpqem.face.facial_features(still[:1], mask)), source(), still
+    )
     back = points[0, :, 2] < -5.0
     assert (found.share[back] == 0.0).all()
     np.testing.assert_allclose(found.points[:, back], np.broadcast_to(points[0, back], (12, back.sum(), 3)), atol=0.3)
@@ -118,16 +122,16 @@ def test_lips_that_part_are_left_alone() -> None:
 
 def test_runs_repeat_bit_for_bit() -> None:
     points, _, _ = head()
-    first, again = (warpqem.retarget(source(), source(), points[:3]).points for _ in range(2))
+    first, again = (warpqem.face.retarget(source(), source(), points[:3]).points for _ in range(2))
     np.testing.assert_array_equal(first, again)
 
 
 def test_wrong_input_is_refused() -> None:
     points, faces, features = head()
     with pytest.raises(MeshShapeError, match="motion"):
-        warpqem.retarget(source(), source(), points[:, :10])
+        warpqem.face.retarget(source(), source(), points[:, :10])
     few = replace(features, vertices={name: features.vertices[name] for name in ("chin", "nose_tip")})
     with pytest.raises(FeaturePointError, match="share 2 feature points"):
-        warpqem.retarget(source(), FaceMesh(points[0], faces, few), points)
+        warpqem.face.retarget(source(), FaceMesh(points[0], faces, few), points)
     with pytest.raises(FeaturePointError, match="nose"):
-        warpqem.retarget(source(), FaceMesh(points[0], faces, replace(features, units=None)), points)
+        warpqem.face.retarget(source(), FaceMesh(points[0], faces, replace(features, units=None)), points)

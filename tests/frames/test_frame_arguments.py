@@ -73,7 +73,7 @@ CALLS = {
     "build_progressive": lambda source: warpqem.build_progressive(source, FACES, base_faces=60, device="cpu"),
     "motion_features": lambda source: warpqem.motion_features(source, FACES, device="cpu"),
     "facial_features": lambda source: facial_features(source, FACES),
-    "morph_weights": lambda source: warpqem.morph_weights(POINTS[0], source),
+    "morph_weights": lambda source: warpqem.costs.morph_weights(POINTS[0], source),
 }
 READERS = sorted(CALLS.keys() - {"plan"})
 

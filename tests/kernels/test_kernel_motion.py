@@ -178,7 +178,7 @@ BAR = meshes.bending_bar(8, 12, 5)
 @pytest.mark.parametrize("threshold", [0.0, 3.0, 20.0])
 def test_threshold_and_floor_are_what_is_asked_for(threshold, device):
     points, faces = BAR
-    weighting = warpqem.MotionWeighting(threshold=threshold, floor=2.0)
+    weighting = warpqem.costs.MotionWeighting(threshold=threshold, floor=2.0)
     result = warpqem.motion_features(points, faces, weighting=weighting, device=device)
     assert result.threshold == max(threshold, 2.0)
     label, weight = oracle.features(points, faces, points.shape[1], threshold, 2.0)
@@ -189,7 +189,9 @@ def test_threshold_and_floor_are_what_is_asked_for(threshold, device):
 @pytest.mark.parametrize("method", ["root", "log", "bend"])
 def test_other_weights_match_the_oracle(method, device):
     points, faces = BAR
-    result = warpqem.motion_features(points, faces, weighting=warpqem.MotionWeighting(weight=method), device=device)
+    result = warpqem.motion_features(
+        points, faces, weighting=warpqem.costs.MotionWeighting(weight=method), device=device
+    )
     expected = oracle.feature_weights(points, faces, points.shape[1], method)
     np.testing.assert_allclose(result.weight, expected, rtol=2e-3)
     assert (result.weight >= 1).all()
@@ -202,7 +204,9 @@ def test_function_gets_the_features_and_gives_the_weights(device):
         return np.where(features.label < 0, 5.0, features.weight)
 
     points, faces = BAR
-    result = warpqem.motion_features(points, faces, weighting=warpqem.MotionWeighting(weight=outside), device=device)
+    result = warpqem.motion_features(
+        points, faces, weighting=warpqem.costs.MotionWeighting(weight=outside), device=device
+    )
     plain = warpqem.motion_features(points, faces, device=device)
     np.testing.assert_array_equal(result.weight, np.where(plain.label < 0, 5.0, plain.weight))
 
@@ -212,7 +216,9 @@ def test_function_that_gives_no_weights_is_refused(given, device):
     points, faces = BAR
     assert points.shape[1] == 104
     with pytest.raises(OptionError, match="weights of motion features"):
-        warpqem.motion_features(points, faces, weighting=warpqem.MotionWeighting(weight=lambda _: given), device=device)
+        warpqem.motion_features(
+            points, faces, weighting=warpqem.costs.MotionWeighting(weight=lambda _: given), device=device
+        )
 
 
 @pytest.mark.parametrize(
@@ -220,12 +226,12 @@ def test_function_that_gives_no_weights_is_refused(given, device):
 )
 def test_weighting_that_is_none_is_refused(wrong):
     with pytest.raises(OptionError, match=f"{next(iter(wrong))} of motion features"):
-        warpqem.MotionWeighting(**wrong)
+        warpqem.costs.MotionWeighting(**wrong)
 
 
 def test_weights_of_one_make_aqem_dsd(device):
     points, faces = BAR
-    motion = warpqem.MotionWeighting(weight=lambda features: np.ones(len(features.label)))
+    motion = warpqem.costs.MotionWeighting(weight=lambda features: np.ones(len(features.label)))
     even = warpqem.simplify(points, faces, ratio=0.4, metric="aqem", motion=motion, device=device)
     dsd = warpqem.simplify(points, faces, ratio=0.4, device=device)
     aqem = warpqem.simplify(points, faces, ratio=0.4, metric="aqem", device=device)
@@ -235,4 +241,4 @@ def test_weights_of_one_make_aqem_dsd(device):
 
 def test_weighting_needs_a_metric_that_keeps_features(device):
     with pytest.raises(OptionError, match="not 'dsd'"):
-        warpqem.simplify(*BAR, ratio=0.5, motion=warpqem.MotionWeighting(), device=device)
+        warpqem.simplify(*BAR, ratio=0.5, motion=warpqem.costs.MotionWeighting(), device=device)

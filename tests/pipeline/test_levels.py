@@ -37,7 +37,7 @@ PARTS = {
     "refit": lambda points, faces: {"refit": True},
     "quadric_scale": lambda points, faces: {"quadric_scale": weights_of(points, faces)},
     "vertex_weights": lambda points, faces: {"vertex_weights": weights_of(points, faces)},
-    "attributes": lambda points, faces: {"attributes": [warpqem.AttributeField(points[0][:, :2].copy(), 0.3)]},
+    "attributes": lambda points, faces: {"attributes": [warpqem.costs.AttributeField(points[0][:, :2].copy(), 0.3)]},
     "seams": lambda points, faces: {"seams": faces[: len(faces) // 4, :2]},
     "locked borders": lambda points, faces: {"lock_borders": True},
     "components": lambda points, faces: {"keep_components": True},

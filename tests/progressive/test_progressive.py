@@ -70,7 +70,7 @@ def test_level_is_what_simplify_gives_with_every_option(options, device):
 
 def test_level_is_what_simplify_gives_with_attributes(device):
     points, faces = MESHES["open"]
-    field = warpqem.AttributeField(np.sin(points[0, :, :2] * 9), weight=0.5)
+    field = warpqem.costs.AttributeField(np.sin(points[0, :, :2] * 9), weight=0.5)
     mesh = warpqem.build_progressive(points, faces, device=device, attributes=[field])
     level = mesh.level(mesh.splits_for(ratio=0.3))
     result = warpqem.simplify(points, faces, ratio=0.3, device=device, attributes=[field])

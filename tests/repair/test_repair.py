@@ -186,7 +186,7 @@ def dirty_meshes(draw):
 def test_any_dirty_mesh_comes_through(mesh, ratio):
     points, faces, random = mesh
     values = random.random((len(faces), 3, 2))
-    field = warpqem.AttributeField(values, 0.1)
+    field = warpqem.costs.AttributeField(values, 0.1)
     try:
         result = warpqem.simplify(points, faces, ratio=ratio, attributes=[field], device="cpu")
     except warpqem.errors.UnreachableTargetError as error:

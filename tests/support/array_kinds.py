@@ -187,7 +187,7 @@ def _simplify_slots() -> dict[str, Slot]:
     simplify = functools.partial(warpqem.simplify, **options)
 
     def fields(values: Any) -> Any:
-        return simplify(points, faces, attributes=[warpqem.AttributeField(values)])
+        return simplify(points, faces, attributes=[warpqem.costs.AttributeField(values)])
 
     slots = {
         "vertex_weights": Slot(ones, lambda a: simplify(points, faces, vertex_weights=a), "reals"),
@@ -198,7 +198,7 @@ def _simplify_slots() -> dict[str, Slot]:
         "attributes at corners": Slot(points[0][faces], fields, "reals", ("rows short",)),
         "plan attributes": Slot(
             points[0].copy(),
-            lambda a: warpqem.plan(points, faces, attributes=[warpqem.AttributeField(a)], memory="1G", **options),
+            lambda a: warpqem.plan(points, faces, attributes=[warpqem.costs.AttributeField(a)], memory="1G", **options),
             "reals",
             ("rows short",),
         ),
@@ -275,16 +275,16 @@ def _other_slots() -> dict[str, Slot]:
     sides = (points, faces, points, faces)
     compared = functools.partial(compare, samples=50, device="cpu")
     slots = {
-        "morph_weights neutral": Slot(rest, lambda a: warpqem.morph_weights(a, targets), "reals"),
-        "morph_weights targets": Slot(targets, lambda a: warpqem.morph_weights(rest, a), "reals"),
+        "morph_weights neutral": Slot(rest, lambda a: warpqem.costs.morph_weights(a, targets), "reals"),
+        "morph_weights targets": Slot(targets, lambda a: warpqem.costs.morph_weights(rest, a), "reals"),
         "morph_weights usage": Slot(
             np.ones((5, 3)),
-            lambda a: warpqem.morph_weights(rest, targets, "usage", a),
+            lambda a: warpqem.costs.morph_weights(rest, targets, "usage", a),
             "reals",
             ("beyond single",),
         ),
         "morph_weights method": Slot(
-            np.ones(len(rest)), lambda a: warpqem.morph_weights(rest, targets, lambda distance: a), "reals"
+            np.ones(len(rest)), lambda a: warpqem.costs.morph_weights(rest, targets, lambda distance: a), "reals"
         ),
         "find_mirror points": Slot(even, lambda a: find_mirror(a, even_faces), "reals"),
         "find_mirror faces": Slot(even_faces, lambda a: find_mirror(even, a), "indices"),

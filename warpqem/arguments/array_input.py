@@ -70,7 +70,7 @@ def _converted(array: Any) -> np.ndarray:
         # The plain array of a subclass: rows of a matrix are no matrices, nor values of a masked array masked.
         return array if type(array) is np.ndarray else np.asarray(array)
     if isinstance(array, (wp.array, wp.indexedarray)):
-        copied: np.ndarray = array.numpy()  # type: ignore[union-attr]
+        copied: np.ndarray = array.numpy()
         return copied
     if hasattr(array, "__array_interface__"):
         return np.asarray(array)
@@ -78,7 +78,7 @@ def _converted(array: Any) -> np.ndarray:
         return wp.array(array, copy=False).numpy()
     # Before __array__, which tensors on a GPU have only to raise from it.
     if hasattr(array, "__dlpack__"):
-        imported: np.ndarray = wp.from_dlpack(array).numpy()  # type: ignore[union-attr]
+        imported: np.ndarray = wp.from_dlpack(array).numpy()
         return imported
     return np.asarray(array)
 

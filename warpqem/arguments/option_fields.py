@@ -75,7 +75,7 @@ class OptionField:
     @property
     def has_parts(self) -> bool:
         """Whether its values are made of options themselves."""
-        return is_dataclass(self.kind) and bool(option_fields(self.kind))  # type: ignore[arg-type]
+        return is_dataclass(self.kind) and bool(option_fields(self.kind))  # type: ignore[arg-type]  # a dataclass is a type
 
     @property
     def literals(self) -> tuple[str, ...]:
@@ -88,10 +88,14 @@ def option(default: Any, help: str, unit: str | None = None, limits: Limits | No
     return field(default=default, metadata={KEY: Option(help, unit, limits, **more)})
 
 
-@functools.cache
 def option_fields(options: type) -> Mapping[str, OptionField]:
     """The options of a dataclass by the names of its fields, in order."""
-    hints = {}
+    return _option_fields(options)
+
+
+@functools.cache
+def _option_fields(options: type) -> Mapping[str, OptionField]:
+    hints: dict[str, Any] = {}
     for base in reversed(options.__mro__):
         # Fields that are no options may have types that are loaded for type checkers only.
         own = {entry.name for entry in fields(options) if KEY in entry.metadata} & vars(base).get(

@@ -69,7 +69,7 @@ def find_files(inputs: Sequence[str | os.PathLike[str]], leave_out: Path | None 
         OptionError: an input names nothing.
     """
     found: list[FoundFile] = []
-    for text in map(os.fspath, inputs):
+    for text in (os.fspath(given) for given in inputs):
         files = _files_of(text, leave_out)
         if not files:
             raise OptionError(f"{text}: no such file, and no folder or pattern with a USD file in it")

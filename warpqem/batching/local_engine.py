@@ -200,7 +200,7 @@ class _Pool:
         """The workers that have something to say, or have ended."""
         handles = {worker.connection: worker for worker in self.workers}
         sentinels = {worker.process.sentinel: worker for worker in self.workers}
-        found = wait([*handles, *sentinels], self._patience())
+        found: list[Any] = wait([*handles, *sentinels], self._patience())
         told = {id(worker): worker for worker in (handles.get(item) or sentinels[item] for item in found)}
         return list(told.values())
 

@@ -108,7 +108,7 @@ def _results(
                 on_update(Finished(job, result))
                 yield result
         updates = engine.run(todo)
-        stack.callback(updates.close)  # type: ignore[attr-defined]
+        stack.callback(updates.close)  # type: ignore[attr-defined]  # engines are generators
         for update in updates:
             if isinstance(update, Finished) and notes is not None:
                 notes.add(update.result)

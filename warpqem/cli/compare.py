@@ -131,9 +131,9 @@ def _table(reference: str, test: str, pairs: list[PairReport]) -> PlainTable:
     table.add_column("verdict")
     for pair in sorted(pairs, key=_badness):
         measures = pair.comparison
-        name = [pair.level or "", pair.path] if levels else [pair.path]
+        cells = [pair.level or "", pair.path] if levels else [pair.path]
         if measures is None:
-            table.add_row(*name, "failed")
+            table.add_row(*cells, "failed")
             continue
         values = (
             measures.rms,
@@ -148,7 +148,7 @@ def _table(reference: str, test: str, pairs: list[PairReport]) -> PlainTable:
         )
         faces = f"{measures.reference_topology.faces} / {measures.test_topology.faces}"
         verdict = measures.verdict
-        table.add_row(*name, str(measures.frame_count), faces, *map(error_text, values), verdict.word)
+        table.add_row(*cells, str(measures.frame_count), faces, *map(error_text, values), verdict.word)
         if verdict.reason:
             table.add_note(f"{verdict.word}: {pair.path}: {verdict.reason}")
     return table

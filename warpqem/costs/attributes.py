@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from warpqem.arguments.array_input import FLOAT32_MAX, first_beyond, real_array
+from warpqem.arguments.array_types import ArrayInput
 from warpqem.arguments.limits import WEIGHTS
 from warpqem.arguments.number_input import real_number
 from warpqem.errors import MeshShapeError, OptionError
@@ -33,7 +34,7 @@ class AttributeField:
             bounding-box diagonal in position, in every key frame.
     """
 
-    values: Any
+    values: ArrayInput
     weight: float = 1.0
 
 

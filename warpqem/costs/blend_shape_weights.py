@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from warpqem.arguments.array_input import FLOAT32_MAX, finite_array, first_beyond, real_array
+from warpqem.arguments.array_types import ArrayInput, Points
 from warpqem.arguments.number_input import shown
 from warpqem.errors import MeshShapeError, OptionError
 from warpqem.frames.blocks import frame_blocks
@@ -33,7 +34,9 @@ MIN_SCALE = THIRDS[0]
 WeightFunction = Callable[[np.ndarray], Any]
 
 
-def morph_weights(neutral: Any, targets: Any, method: str | WeightFunction = "thirds", usage: Any = None) -> np.ndarray:
+def morph_weights(
+    neutral: ArrayInput, targets: Points, method: str | WeightFunction = "thirds", usage: ArrayInput | None = None
+) -> np.ndarray:
     """Quadric scales of the vertices of a mesh with morph targets, for :func:`warpqem.simplify`.
 
     Args:
@@ -70,7 +73,7 @@ def morph_weights(neutral: Any, targets: Any, method: str | WeightFunction = "th
     return scale.astype(np.float32)
 
 
-def morph_distances(neutral: Any, targets: Any, usage: Any = None) -> np.ndarray:
+def morph_distances(neutral: ArrayInput, targets: Points, usage: Any = None) -> np.ndarray:
     """``DS`` of every vertex, (V,) float64: distances from the neutral shape, summed over the targets by their usage.
 
     Arguments as for :func:`morph_weights`.

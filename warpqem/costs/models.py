@@ -46,7 +46,7 @@ class CostModelSpec:
         keeps_face: the quadrics of the feature points of a face hold those of their neighbours, and the points stay
             vertices.
         uv_weight: weight of the error of texture coordinates where the caller names none, see
-            :class:`warpqem.AttributeField`; for USD files, which say what texture coordinates are.
+            :class:`warpqem.costs.AttributeField`; for USD files, which say what texture coordinates are.
         source: the paper, for reports.
     """
 

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from warpqem.arguments.array_types import ArrayInput, MeshPoints
 from warpqem.costs.weights import check_factors
 from warpqem.errors import OptionError
 from warpqem.frames.blocks import chunk_steps
@@ -102,7 +103,11 @@ def motion_weighting(
 
 @on_device
 def motion_features(
-    points: Any, faces: Any = None, *, weighting: MotionWeighting | None = None, device: str | None = None
+    points: MeshPoints,
+    faces: ArrayInput | None = None,
+    *,
+    weighting: MotionWeighting | None = None,
+    device: str | None = None,
 ) -> MotionFeatures:
     """Find the motion features over all frames.
 

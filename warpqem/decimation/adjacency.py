@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import warp as wp
 
@@ -61,7 +63,7 @@ class Adjacency:
         # Threads in order fill a list in ascending order.
         return phases if device_traits(self._device).in_order else [*phases, Phase(self._sort)]
 
-    def _record(self, recorder: Recorder, kernel: wp.Kernel, outputs: list, part: int, part_count: int) -> None:
+    def _record(self, recorder: Recorder, kernel: wp.Kernel, outputs: list[Any], part: int, part_count: int) -> None:
         work = part_work(part, part_count, self._device)
         record_shared(recorder, kernel, [self._corner_vertex, self._face_count], work, outputs)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import warp as wp
 
@@ -115,7 +116,7 @@ class PassSteps:
         measured = self._measuring(deformation_kernels.measure_all_deformation, [self.state])
         return self._step([*measured, Phase(price, self.threads)])
 
-    def _measuring(self, kernel: wp.Kernel, inputs: list) -> list[Phase]:
+    def _measuring(self, kernel: wp.Kernel, inputs: list[Any]) -> list[Phase]:
         """Measure anew what the deformation term sums over all frames; nothing where there is none."""
 
         def measure(recorder: Recorder, part: int) -> None:

@@ -1,14 +1,14 @@
-"""``warpqem.facial_features``: the named feature points of a face mesh."""
+"""``warpqem.face.facial_features``: the named feature points of a face mesh."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
 from warpqem.arguments.array_input import finite_array, first_outside
+from warpqem.arguments.array_types import ArrayInput, MeshPoints
 from warpqem.arguments.number_input import shown
 from warpqem.errors import OptionError
 from warpqem.face.detect import find_spots
@@ -63,7 +63,7 @@ class FacialFeatures:
         """The same points on a mesh where vertices have other numbers, ``vertex`` (V,): a level's ``vertex_map``."""
         return replace(self, vertices={name: int(vertex[index]) for name, index in self.vertices.items()})
 
-    def face_height(self, points: Any) -> float | None:
+    def face_height(self, points: ArrayInput) -> float | None:
         """Height of the face from chin to hair in points (V, 3): half as much again as from chin to nose root."""
         if not {"nose_top", "chin"} <= self.vertices.keys():
             return None
@@ -75,8 +75,8 @@ class FacialFeatures:
 
 
 def facial_features(
-    points: Any,
-    faces: Any = None,
+    points: MeshPoints,
+    faces: ArrayInput | None = None,
     *,
     up: str | None = "+y",
     forward: str | None = "+z",
@@ -131,7 +131,8 @@ def features_of(
         axes = axes_of(up, forward)
         face = find_spots(frames, skin, axes)
     no_nose = Missing("no nose stands out of the surface")
-    spots = dict.fromkeys(FEATURE_NAMES, no_nose) if face is None else face.spots
+    spots: dict[str, Spot | Missing] = {}
+    spots |= dict.fromkeys(FEATURE_NAMES, no_nose) if face is None else face.spots
     units = None if face is None else face.units
     return _to_vertices(spots, units, frames[0], skin.vertices, axes, given)
 

@@ -8,11 +8,11 @@ scales space at that point. Motion of the whole head is taken off first, and put
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from warpqem.arguments.array_input import first_outside, real_array
+from warpqem.arguments.array_types import ArrayInput, Points
 from warpqem.arguments.number_input import shown
 from warpqem.errors import FeaturePointError, MeshShapeError, OptionError
 from warpqem.face.face_correspondence import Correspondence, LipLine, correspond
@@ -43,8 +43,8 @@ class FaceMesh:
         features: its feature points; None finds them with +y up and +z forward.
     """
 
-    points: Any
-    faces: Any
+    points: ArrayInput
+    faces: ArrayInput
     features: FacialFeatures | None = None
 
 
@@ -78,7 +78,7 @@ class RetargetedMotion:
 
 
 @on_device
-def retarget(source: FaceMesh, target: FaceMesh, motion: Any, *, device: str | None = None) -> RetargetedMotion:
+def retarget(source: FaceMesh, target: FaceMesh, motion: Points, *, device: str | None = None) -> RetargetedMotion:
     """Move the target as the source moves.
 
     Args:

@@ -11,7 +11,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from types import TracebackType
-from typing import Protocol, TypeVar, runtime_checkable
+from typing import Generic, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
@@ -292,7 +292,7 @@ def read_ahead(read: Callable[[slice], Block], blocks: Sequence[slice]) -> Itera
             del block
 
 
-class FrameWriter:
+class FrameWriter(Generic[Block]):
     """Writes blocks on a thread, in order; used with ``with``, whose end waits for the last one.
 
     Args:
@@ -320,7 +320,7 @@ class FrameWriter:
             with turns_released():
                 pending.result()
 
-    def __enter__(self) -> FrameWriter:
+    def __enter__(self) -> FrameWriter[Block]:
         return self
 
     def __exit__(

@@ -137,7 +137,8 @@ class _Side:
     ) -> None:
         if across is None:
             across = wp.array(faces_across(faces), dtype=wp.int32, device=device)
-        self._device, self._mesh = device, None
+        self._device = device
+        self._mesh: wp.Mesh | None = None
         self.faces = np.ascontiguousarray(faces, dtype=np.int32)
         self.surface = kernels.Surface()
         self.corner_vertex = wp.array(self.faces.ravel(), dtype=wp.int32, device=device, copy=False)
@@ -279,8 +280,8 @@ class DistanceBound:
             reference, test = reference[None], test[None]
         if frames is None:
             frames = UnitFrames(np.zeros((len(reference), 3)), np.ones(len(reference)))
-        blocks = [UnitBlock(points, frames, self._device) for points in (reference, test)]
-        return self.excess_of_blocks(first_frame, *blocks, enough=enough)
+        first, second = (UnitBlock(points, frames, self._device) for points in (reference, test))
+        return self.excess_of_blocks(first_frame, first, second, enough=enough)
 
     def excess_of_blocks(
         self, first_frame: int, reference: UnitBlock, test: UnitBlock, enough: int | None = None

@@ -34,7 +34,7 @@ def place(
 ) -> npt.NDArray[np.float64]:
     """Positions (S, 3) of material points, given by face (S,) and barycentric coordinates (S, 3), in one frame."""
     corner = faces[face]
-    return sum(barycentric[:, k, None] * points[corner[:, k]] for k in range(3))  # type: ignore[return-value]
+    return sum(barycentric[:, k, None] * points[corner[:, k]] for k in range(3))
 
 
 # Frames, evenly spread, whose mean areas decide where samples lie.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -110,10 +111,10 @@ class SurfaceComparison:
         self._largest = LargestDistance(self._reference, self._test, frame_count, device)
         self.test_faces = len(test_faces)
         self.sample_count, self._seed, self._device = samples, seed, device
-        self._rows: list[dict[str, npt.NDArray]] = []
+        self._rows: list[dict[str, npt.NDArray[Any]]] = []
         self._diagonals: list[Doubles] = []
 
-    def add(self, frames: Sequence[int], reference: npt.NDArray, test: npt.NDArray) -> None:
+    def add(self, frames: Sequence[int], reference: npt.NDArray[Any], test: npt.NDArray[Any]) -> None:
         """Measure a group of frames: ``group`` of them, or fewer at the end.
 
         Args:
@@ -241,7 +242,7 @@ class SurfaceComparison:
         total: npt.NDArray[np.int64] = flipped.sum(axis=1, dtype=np.int64)
         return total
 
-    def _launch(self, kernel: wp.Kernel, count: int, inputs: list, outputs: list[wp.array]) -> None:
+    def _launch(self, kernel: wp.Kernel, count: int, inputs: list[Any], outputs: list[wp.array]) -> None:
         def one(part: slice) -> None:
             launch(
                 kernel,

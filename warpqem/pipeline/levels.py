@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warpqem.arguments.array_types import ArrayInput, MeshPoints
 from warpqem.arguments.number_input import check_function, flag, shown, whole_number
 from warpqem.decimation.collapse_log import CollapseRecord
 from warpqem.decimation.collapse_nodes import NodeRecorder
@@ -17,7 +18,7 @@ from warpqem.errors import OptionError, UnreachableTargetError
 from warpqem.frames.checked_frames import check_sink
 from warpqem.frames.stream import FrameSink
 from warpqem.mesh.mesh_input import read_mesh
-from warpqem.options import MethodKeywords, check_ratio, read_keywords, target_count
+from warpqem.options import LevelKeywords, check_ratio, read_keywords, target_count
 from warpqem.pipeline.measure_result import ResultMeasure
 from warpqem.pipeline.memory_plan import admit_faces
 from warpqem.pipeline.prepare import ORDER_END, Prepared, Progress, prepare
@@ -27,6 +28,7 @@ from warpqem.runtime.device import device_turn, on_device, resolve_device
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
+
 
 __all__ = ["LevelOrder", "order_levels", "simplify_levels"]
 
@@ -109,13 +111,13 @@ class LevelOrder:
 
 @on_device
 def order_levels(
-    points: Any,
-    faces: Any = None,
+    points: MeshPoints,
+    faces: ArrayInput | None = None,
     *,
     target_faces: int,
     keep_frames: bool = True,
     progress: Progress | None = None,
-    **options: Unpack[MethodKeywords],
+    **options: Unpack[LevelKeywords],
 ) -> LevelOrder:
     """Collapse the edges of an animated mesh down to its coarsest level.
 
@@ -142,12 +144,12 @@ def order_levels(
 
 @on_device
 def simplify_levels(
-    points: Any,
-    faces: Any = None,
+    points: MeshPoints,
+    faces: ArrayInput | None = None,
     *,
     ratios: Sequence[float],
     progress: Progress | None = None,
-    **options: Unpack[MethodKeywords],
+    **options: Unpack[LevelKeywords],
 ) -> list[SimplifiedMesh]:
     """Simplify an animated mesh to several levels that nest: edges are collapsed once, each level is placed on its own.
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from warpqem.arguments.array_input import finite_array
+from warpqem.arguments.array_types import ArrayInput
 from warpqem.arguments.number_input import real_number, shown
 from warpqem.errors import MeshShapeError, OptionError
 from warpqem.mesh.mesh_input import finite_points, is_proper, read_faces, read_points
@@ -60,7 +61,7 @@ class Mirror:
     half: np.ndarray
 
 
-def find_mirror(points: Any, faces: Any, plane: str | MirrorPlane = "auto") -> Mirror:
+def find_mirror(points: ArrayInput, faces: ArrayInput, plane: str | MirrorPlane = "auto") -> Mirror:
     """Find how a mesh maps to itself under reflection.
 
     Where the topology has to be mended (:mod:`warpqem.repair`), the mirror is that of the mended mesh.

@@ -68,7 +68,7 @@ class _Finish:
         self.finished = FinishedFrames(np.empty(work.mesh.frame_count, dtype=np.int32))
         work.sink.begin(work.mesh.frame_count, work.placer.vertex_count, work.faces)
 
-    def take(self, frames: slice, placed: PlacedFrames, write: FrameWriter) -> None:
+    def take(self, frames: slice, placed: PlacedFrames, write: FrameWriter[np.ndarray]) -> None:
         """Finish consecutive frames."""
         self.finished.flips[frames] = self._placer.count_flips(self._mesh, placed)
         points = self._placer.original_points(self._mesh, placed)

@@ -22,7 +22,7 @@ from warpqem.errors import OptionError
 from warpqem.frames.blocks import frame_blocks, pack_frames
 from warpqem.frames.stream import held_bytes, read_ahead
 from warpqem.kernels.topology import CORNER, LOCKED, SEAM
-from warpqem.mesh.mesh_input import AnimatedMesh, MeshInput, measure_mesh, read_mesh
+from warpqem.mesh.mesh_input import AnimatedMesh, FrameObserver, MeshInput, measure_mesh, read_mesh
 from warpqem.mesh.seams import Seams, read_seams
 from warpqem.options import Goal, SimplifyOptions
 from warpqem.pipeline.key_frames import KeyFrameChoice
@@ -234,7 +234,7 @@ def _look_through(
     """Read all frames once: the mesh's size, its key frames (K,), and the weight of the cost at each vertex (V,)."""
     choice = KeyFrameChoice(given, planned.key_frames)
     motion = MotionWatch(given, device, weighting) if spec.uses_motion_features else None
-    observers = [choice] if motion is None else [choice, motion]
+    observers: list[FrameObserver] = [choice] if motion is None else [choice, motion]
     mesh = measure_mesh(given, observers, planned.block_frames, _read_progress(progress, given.frame_count))
     keys = choice.choose()
     if motion is not None:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from warpqem.arguments.array_types import ArrayInput, MeshPoints
 from warpqem.arguments.number_input import flag
 from warpqem.costs.models import cost_model
 from warpqem.frames.checked_frames import check_sink
@@ -31,8 +32,8 @@ __all__ = ["plan", "simplify"]
 
 @on_device
 def simplify(
-    points: Any,
-    faces: Any = None,
+    points: MeshPoints,
+    faces: ArrayInput | None = None,
     *,
     sink: FrameSink | None = None,
     measure: bool = True,
@@ -95,8 +96,8 @@ def simplify(
 
 
 def plan(
-    points: Any,
-    faces: Any = None,
+    points: MeshPoints,
+    faces: ArrayInput | None = None,
     *,
     sink: FrameSink | None = None,
     levels: bool = False,

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpqem.arguments.array_input import is_empty
+from warpqem.arguments.array_types import ArrayInput, Points
 from warpqem.arguments.number_input import check_function
 from warpqem.costs.attributes import checked_fields
 from warpqem.costs.models import cost_model
@@ -39,13 +40,14 @@ from warpqem.runtime.device import on_device, resolve_device
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
+
 __all__ = ["simplify_symmetric"]
 
 
 @on_device
 def simplify_symmetric(
-    points: Any,
-    faces: Any,
+    points: Points,
+    faces: ArrayInput,
     symmetry: str | MirrorPlane | Mirror = "auto",
     *,
     sink: FrameSink | None = None,

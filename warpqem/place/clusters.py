@@ -150,14 +150,19 @@ class ClusterPlacer:
             np.concatenate([half_edge, half_edge]),
             np.concatenate([weight, weight]) * quadric_scale[end_vertex],
         )
-        other: tuple[np.ndarray, ...] = (np.empty(0, dtype=np.int32), np.empty(0, dtype=np.int64), np.empty(0))
+        other: tuple[np.ndarray, np.ndarray, np.ndarray] = (
+            np.empty(0, dtype=np.int32),
+            np.empty(0, dtype=np.int64),
+            np.empty(0),
+        )
         if sums is not None:
             owner = self._cluster[sums.entry_row]
             entry, corner = match_keys(sums.vertex, corner_vertex)
             other = (owner[entry], corner // 3, sums.weight[entry] * quadric_scale[corner_vertex[corner]])
             entry, end = match_keys(sums.vertex, end_vertex)
             joined = (owner[entry], border[1][end], sums.weight[entry] * border[2][end])
-            border = tuple(np.concatenate(pair) for pair in zip(border, joined, strict=True))
+            rows, items, weights = (np.concatenate(pair) for pair in zip(border, joined, strict=True))
+            border = (rows, items, weights)
         other_start, other_face, other_weight = sum_repeated(*other, self.vertex_count)
         border_start, border_half_edge, border_weight = sum_repeated(*border, self.vertex_count)
         return {

@@ -25,7 +25,7 @@ class FrameStore:
         self.frame_count, self.vertex_count = frame_count, vertex_count
         self._row = (2 * vertex_count + copied_count, 3)
         self._file = tempfile.TemporaryFile(prefix="warpqem-") if on_disk else None  # noqa: SIM115
-        self._rows = None if on_disk else np.empty((frame_count, *self._row), dtype=np.float32)
+        self._rows = np.empty((0 if on_disk else frame_count, *self._row), dtype=np.float32)
 
     def write(self, frames: slice, placed: PlacedFrames) -> None:
         """Keep consecutive frames."""
@@ -58,6 +58,6 @@ class FrameStore:
 
     def close(self) -> None:
         """Let go of the memory or the file."""
-        self._rows = None
+        self._rows = self._rows[:0].copy()
         if self._file is not None:
             self._file.close()

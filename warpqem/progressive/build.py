@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from warpqem.arguments.array_types import ArrayInput, MeshPoints
 from warpqem.arguments.number_input import whole_number
 from warpqem.decimation.collapse_nodes import NodeRecorder
 from warpqem.decimation.replay import OrderedLevels
@@ -22,13 +23,14 @@ from warpqem.runtime.device import on_device
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
+
 __all__ = ["build_progressive"]
 
 
 @on_device
 def build_progressive(
-    points: Any,
-    faces: Any = None,
+    points: MeshPoints,
+    faces: ArrayInput | None = None,
     *,
     base_faces: int | None = None,
     progress: Progress | None = None,

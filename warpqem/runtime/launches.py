@@ -64,7 +64,7 @@ def _machine_code() -> Iterator[None]:
 
 def _compile_all(module: wp.Module, arch: int) -> None:
     """Compile all modules for a GPU, if this one is not compiled yet."""
-    from warpqem.precompile import Compiled, binary_path, compile_modules, gpu_modules
+    from warpqem.runtime.precompile import Compiled, binary_path, compile_modules, gpu_modules
 
     # GPUs newer than Warp's compiler, and formats that the caller has asked for, are left to Warp.
     own = wp.config.cuda_output != "cubin" or wp.config.cuda_arch_suffix is not None

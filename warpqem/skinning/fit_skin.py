@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from warpqem.arguments.array_input import is_empty
+from warpqem.arguments.array_types import ArrayInput, Points
 from warpqem.arguments.number_input import flag, shown, whole_number
 from warpqem.errors import MeshShapeError, OptionError
 from warpqem.mesh.mesh_input import read_faces
@@ -61,17 +62,17 @@ class FittedSkin:
 
 @on_device
 def fit_skin(
-    points: Any,
-    faces: Any,
+    points: Points,
+    faces: ArrayInput,
     result: SimplifiedMesh,
     skin: LinearSkin,
-    transforms: Any,
+    transforms: ArrayInput,
     *,
     start: LinearSkin | None = None,
     influences: int | None = None,
-    offsets: Any = None,
-    start_offsets: Any = None,
-    seams: Any = None,
+    offsets: ArrayInput | None = None,
+    start_offsets: ArrayInput | None = None,
+    seams: ArrayInput | None = None,
     to_planes: bool = True,
     device: str | None = None,
 ) -> FittedSkin:
@@ -109,7 +110,7 @@ def fit_skin(
         raise MeshShapeError(f"start has {len(start.rest)} points, the result {result.points.shape[1]}")
     start = replace(start.checked(given.transforms.shape[1]), rest=result.points[0].astype(np.float64))
     corner, poses, skin, most = given.faces, given.poses, given.skin, given.most
-    if result.repair is not None:
+    if result.repair is not None and result.copy_map is not None:
         # On the vertices and faces that were simplified.
         repair = result.repair
         corner = repair.faces

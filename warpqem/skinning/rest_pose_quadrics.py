@@ -172,8 +172,10 @@ def _place(rest: np.ndarray, vertex_map: np.ndarray, matrices: np.ndarray, pinne
     used = np.flatnonzero(vertex_map >= 0)
     cluster, count = vertex_map[used], int(vertex_map.max()) + 1
     size = np.bincount(cluster, minlength=count)
-    mean = np.stack([np.bincount(cluster, weights=rest[used, k], minlength=count) for k in range(3)], axis=1)
-    mean /= size[:, None]
+    mean = (
+        np.stack([np.bincount(cluster, weights=rest[used, k], minlength=count) for k in range(3)], axis=1)
+        / size[:, None]
+    )
     matrix, right = np.zeros((count, 3, 3)), np.zeros((count, 3))
     np.add.at(matrix, cluster, matrices[used])
     np.add.at(right, cluster, np.einsum("vij,vj->vi", matrices[used], rest[used] - mean[cluster]))

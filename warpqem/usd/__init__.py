@@ -35,12 +35,14 @@ __all__ = [*_HOMES]
 _WITHOUT_USD = {"FrameRange", "SimplifyOptions"}
 
 
-def __getattr__(name: str) -> Any:
-    if name in _HOMES:
-        if name not in _WITHOUT_USD:
-            importlib.import_module("warpqem.usd.checks.library").need_usd()
-        return getattr(importlib.import_module(_HOMES[name]), name)
-    raise AttributeError(f"module 'warpqem.usd' has no attribute {name!r}")
+if not TYPE_CHECKING:  # to a type checker every name would exist
+
+    def __getattr__(name: str) -> Any:
+        if name in _HOMES:
+            if name not in _WITHOUT_USD:
+                importlib.import_module("warpqem.usd.checks.library").need_usd()
+            return getattr(importlib.import_module(_HOMES[name]), name)
+        raise AttributeError(f"module 'warpqem.usd' has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:

@@ -95,8 +95,9 @@ def _clips_of_set(
     template = values.get("templateAssetPath")
     if isinstance(template, str) and template:
         times = [values.get(f"template{name}") for name in ("StartTime", "EndTime", "Stride")]
-        if all(isinstance(time, (int, float)) for time in times):
-            _check_times(f"{layer.identifier}: {owner}", *map(float, times))  # type: ignore[arg-type]
+        numbers = [float(time) for time in times if isinstance(time, (int, float))]
+        if len(numbers) == len(times):
+            _check_times(f"{layer.identifier}: {owner}", *numbers)
         for asset in _files_of_template(layer, evaluated(template, {**layer.expressionVariables, **variables})):
             yield NamedAsset(owner, template, asset)
 

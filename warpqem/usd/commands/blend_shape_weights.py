@@ -46,7 +46,7 @@ def morph_scale(job: MeshJob, method: str | None, examples: MeshSource | None = 
 
     Args:
         job: The mesh.
-        method: See `warpqem.morph_weights`; None for no weights.
+        method: See `warpqem.costs.morph_weights`; None for no weights.
         examples: The mesh in example poses, if there are any.
 
     Raises:
@@ -69,14 +69,14 @@ def morph_scale(job: MeshJob, method: str | None, examples: MeshSource | None = 
         return None
     own = SomeFrames(job.frames, job.pose_start, job.frames.frame_count)
     if job.pose_start:
-        targets = SomeFrames(job.frames, 0, job.pose_start)
+        moved = SomeFrames(job.frames, 0, job.pose_start)
     else:
-        targets = SomeFrames(job.frames, 1, job.frames.frame_count)
-    if not targets.frame_count:
+        moved = SomeFrames(job.frames, 1, job.frames.frame_count)
+    if not moved.frame_count:
         return None
     if method == "usage":
         raise StageError(f"{job.mesh.path}: morph weights by usage need blend shapes that an animation drives")
-    return morph_weights(own.read(slice(0, 1))[0], targets, method)
+    return morph_weights(own.read(slice(0, 1))[0], moved, method)
 
 
 def _shape_weights(source: MeshSource) -> npt.NDArray[np.float64]:

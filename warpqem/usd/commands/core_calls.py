@@ -52,7 +52,7 @@ class CoreCalls:
         self._stage, self._options = context.stage, context.options
         self._announce, self._reports = context.announce, reports
         self.face_points: FacePoints | None = None
-        self._faces: dict[str, warpqem.FaceProtection] = {}
+        self._faces: dict[str, warpqem.face.FaceProtection] = {}
 
     def simplify(
         self,
@@ -104,7 +104,7 @@ class CoreCalls:
         report.skin = f"interpolated: {reason}"
         return None
 
-    def face(self, job: MeshJob) -> warpqem.FaceProtection | None:
+    def face(self, job: MeshJob) -> warpqem.face.FaceProtection | None:
         """How the feature points of a mesh are kept, found once for each mesh; None for other cost models."""
         if not cost_model(self._options.metric).keeps_face:
             return None
@@ -121,7 +121,7 @@ class CoreCalls:
         seams: Seams,
         sink: warpqem.FrameSink,
         shared: SharedOrder | None = None,
-        **goal: float | int | None,
+        **goal: Any,
     ) -> warpqem.SimplifiedMesh:
         options = self._method(job)
         if goal.get("target_faces") is not None:
@@ -153,7 +153,7 @@ class CoreCalls:
         seams: Seams,
         sink: warpqem.FrameSink,
         shared: SharedOrder | None = None,
-        **goal: float | int | None,
+        **goal: Any,
     ) -> warpqem.SimplifiedMesh:
         """Simplify to a goal, or to the last legal collapse before it."""
         try:
@@ -200,9 +200,9 @@ class CoreCalls:
         face = self.face(job)
         return options if face is None else {**options, "face": face}
 
-    def _limits(self, job: MeshJob) -> dict[str, float]:
+    def _limits(self, job: MeshJob) -> dict[str, Any]:
         """How far the result of a mesh may be from the input, as options of the core."""
-        limits: dict[str, float] = {}
+        limits: dict[str, Any] = {}
         if self._options.max_error is not None:
             limits["max_error"] = self._options.max_error
         lengths = []

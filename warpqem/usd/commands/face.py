@@ -146,8 +146,8 @@ def draw_face(face: StageFace, output: str | os.PathLike[str], device: str | Non
     for azimuth in AZIMUTHS:
         view = fit_view(points, azimuth=azimuth, elevation=0.0, aspect=SIZE[0] / SIZE[1])
         if face.features.units is not None:
-            tip = face.features.axes @ face.features.units.tip
-            view = View(azimuth, 0.0, tuple(map(float, tip)), NOSES * face.features.units.nose)
+            x, y, z = (face.features.axes @ face.features.units.tip).tolist()
+            view = View(azimuth, 0.0, (x, y, z), NOSES * face.features.units.nose)
         picture = render(points, face.faces, view, size=SIZE, smooth=True, device=device)
         # From the side, points of the other side lie behind the face.
         seen = marked @ view.axes()[2] >= (np.array(view.middle) @ view.axes()[2]) - 2.0 * view.height / NOSES

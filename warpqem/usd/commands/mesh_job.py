@@ -148,7 +148,7 @@ class MeshJob:
         clips = [(source, mesh.times)]
         if examples is not None:
             clips.insert(0, (examples, examples.frame_times()))
-        joined = np.arange(len(mesh.used_points))
+        joined: np.ndarray = np.arange(len(mesh.used_points))
         if options.weld:
             shown = [PoseFrames(*clip, mesh.used_points) for clip in clips]
             joined = weld(mesh.faces, _what_moves(mesh, skin, shown))
@@ -172,8 +172,8 @@ class MeshJob:
         targets = [rest + offsets[vertex_point] for offsets in choose_targets(skin.shapes)]
         fit = RestFit.of(rest, poses[0].read(slice(0, 1))[0])
         extra = fit.apply(np.stack([rest, *targets]))
-        frames = JoinedFrames([ArrayFrames(extra), poses[0]])
-        return cls(source, mesh, faces, seams, skin, None, frames, len(extra), fit, repair, examples)
+        shapes = JoinedFrames([ArrayFrames(extra), poses[0]])
+        return cls(source, mesh, faces, seams, skin, None, shapes, len(extra), fit, repair, examples)
 
     @property
     def pose_count(self) -> int:

@@ -41,7 +41,7 @@ class MeshResult:
     mesh: warpqem.SimplifiedMesh
     samples: PointSamples
     fitter: SkinFitter | None
-    face: warpqem.FaceProtection | None
+    face: warpqem.face.FaceProtection | None
 
     def write(self, layer: OverLayer, report: PrimReport, options: SimplifyOptions) -> None:
         """Write the mesh, and measure what was written if the options say so.

@@ -86,7 +86,7 @@ def color_features(
         output_path: .usd, .usda or .usdc file; replaced if it exists.
         prims: Prim paths; meshes at and below them are coloured. Empty for all.
         frames: Time codes to read; None for all authored ones.
-        weighting: Threshold of the features, see `warpqem.MotionWeighting`; None for that of the paper.
+        weighting: Threshold of the features, see `warpqem.costs.MotionWeighting`; None for that of the paper.
         device: Warp device; None for the default.
         progress: Called with the fraction done and what is being done.
         other_outputs: What else the caller is going to write; see `warpqem.usd.simplify_stage`.
@@ -135,8 +135,8 @@ def _color_mesh(
     if times is None or len(times) < 2:
         raise StageError(f"{report.path}: the mesh has one pose only, so nothing moves")
     mesh = source.layout(times)
-    frames = PoseFrames(source, mesh.times, mesh.used_points)
-    found = warpqem.motion_features(frames, mesh.faces, weighting=weighting, device=device)
+    poses = PoseFrames(source, mesh.times, mesh.used_points)
+    found = warpqem.motion_features(poses, mesh.faces, weighting=weighting, device=device)
     labels = np.full(source.point_count, -1, dtype=np.int32)
     labels[mesh.used_points] = found.label
     layer.set_vertex_colors(report.path, None, feature_colors(labels)[None])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, TypeVar
+from typing import Any, TypeVar, overload
 
 from warpqem.arguments.option_fields import OptionField, named_options, option_fields
 from warpqem.errors import OptionError
@@ -15,7 +15,15 @@ Options = TypeVar("Options")
 TRUE, FALSE = ("true", "yes", "on", "1"), ("false", "no", "off", "0")
 
 
-def read_options(values: Mapping[str, Any], options: type[Options] = SimplifyOptions) -> Options:  # type: ignore[assignment]
+@overload
+def read_options(values: Mapping[str, Any]) -> SimplifyOptions: ...
+
+
+@overload
+def read_options(values: Mapping[str, Any], options: type[Options]) -> Options: ...
+
+
+def read_options(values: Mapping[str, Any], options: type[Any] = SimplifyOptions) -> Any:
     """Options from values of the right type, or text that says the same.
 
     Args:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import reprlib
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -59,13 +60,14 @@ def build_file(
         raise StageError(f"{job.mesh.path}: the mesh has no faces")
     points = _in_world(job)
     faces = job.faces[:, ::-1] if job.mesh.left_handed else job.faces
+    chosen: dict[str, Any] = {name: value for name, value in options.method().items() if name not in NOT_TO_BUILD}
     mesh = build_progressive(
         points,
         faces,
         base_faces=options.base_faces,
         seams=job.seams.hold(),
         progress=progress,
-        **{name: value for name, value in options.method().items() if name not in NOT_TO_BUILD},
+        **chosen,
     )
     extra = {
         "prim": job.mesh.path,

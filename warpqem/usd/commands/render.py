@@ -106,7 +106,7 @@ def render_sheet(
         up=drawn[0].up,
         aspect=width / height,
     )
-    pictures = []
+    pictures: list[np.ndarray] = []
     count = len(times or [None])
     for row in rows:
         for frame in range(count):

@@ -113,8 +113,8 @@ def write_compare_report(
     failed = [pair.path for pair in pairs if pair.comparison is None]
     if options.all_lods:
         original = WorldMeshes(reference, options.prims, passing=failed)
-        found = [(name, _open_level(test, name, options.prims, failed)) for name in _level_names(test)]
-        levels = [(name, level) for name, level in found if any(pair.level == name for pair in pairs)]
+        opened = [(name, _open_level(test, name, options.prims, failed)) for name in _level_names(test)]
+        levels = [(name, level) for name, level in opened if any(pair.level == name for pair in pairs)]
     else:
         stages = open_stages([reference, test], options.variants)
         both = zip((reference, test), stages, strict=True)
@@ -321,7 +321,7 @@ def _option_table(options: SimplifyOptions) -> Table:
 def _feature_points(page: Report) -> dict[str, int]:
     """The feature points of the face on a page; none where it shows more than a face."""
     try:
-        return dict(warpqem.facial_features(page.points, page.faces).vertices)
+        return dict(warpqem.face.facial_features(page.points, page.faces).vertices)
     except WarpqemError:
         return {}
 

@@ -132,20 +132,21 @@ class Run:
         except MemoryError as error:
             if not isinstance(error, WarpqemError):
                 raise
-            return self._failed(report, name_prim(report.path, error), error)
+            self._failed(report, name_prim(report.path, error), error)
         except WarpqemError as error:
             # A wrong option or device is no fault of this mesh.
             if isinstance(error, (OptionError, DeviceError)):
                 raise
-            return self._failed(report, name_prim(report.path, error), error)
+            self._failed(report, name_prim(report.path, error), error)
         except Exception as error:
             # Not meant to happen; the other meshes of the stage have no part in it.
             self.layer.discard(report.path)
             report.faces_after, report.vertices_after = report.faces_before, report.vertices_before
             what = " ".join(f"{type(error).__name__}: {error}".split())
-            return self._failed(report, f"{report.path}: unexpected error while {self.step}: {what}", error)
+            self._failed(report, f"{report.path}: unexpected error while {self.step}: {what}", error)
         finally:
             report.seconds += time.perf_counter() - start
+        return None
 
     def _failed(self, report: PrimReport, message: str, error: Exception) -> None:
         """Note that a mesh could not be done; a strict run ends there."""

@@ -72,8 +72,8 @@ class SimplifyOptions(MethodOptions):
             size, keeps cubes and cards whole, and lets meshes of some hundred triangles come down to a twentieth of
             them. None or infinity for no limit.
         uv_weight: Weight of the error of texture coordinates in the order of collapses: at 1 an error of the whole UV
-            square counts as much as one bounding-box diagonal, see `warpqem.AttributeField`; 0 does not look at them.
-            None for the weight of the metric: 0.1 of "face", 0 of the others.
+            square counts as much as one bounding-box diagonal, see `warpqem.costs.AttributeField`; 0 does not look at
+            them. None for the weight of the metric: 0.1 of "face", 0 of the others.
         attribute_weights: Names of primvars and the weights of their error; for a texture coordinate it takes the place
             of `uv_weight`.
         weight_primvar: Name of a primvar of numbers that say how much the surface counts where it is painted; infinity
@@ -81,17 +81,17 @@ class SimplifyOptions(MethodOptions):
         weight_scales: What those numbers scale: "cost", that of collapses, or "quadrics" (Kho & Garland 2003), so that
             merged vertices go nearer to what counts more, too; see `vertex_weights` and `quadric_scale` of
             `warpqem.SimplifyOptions`.
-        morph_weights: Scale the error of what moves more between the shapes of a mesh, see `warpqem.morph_weights`:
-            "thirds", "rank", "distance" or "usage"; None for no weights.
+        morph_weights: Scale the error of what moves more between the shapes of a mesh, see
+            `warpqem.costs.morph_weights`: "thirds", "rank", "distance" or "usage"; None for no weights.
         face_points: JSON file with feature points by name for the metric "face", such as `warpqem face detect` writes;
             they take precedence over those that the mesh names itself, see
             `warpqem.usd.commands.face_points`, and these over those that are found. They are of the mesh that the file
             names, or of the largest one.
-        face_weight: Weight of the feature points, see `warpqem.FaceProtection`; None for its default.
+        face_weight: Weight of the feature points, see `warpqem.face.FaceProtection`; None for its default.
         face_ring: Neighbours up to so many edges away count at a feature point; None for the default.
         face_keep: Feature points stay where they are, as points, whatever the face count.
         feature_threshold: With a metric that keeps motion features, such as "aqem": degrees that an edge bends by
-            between two frames to be part of one, see `warpqem.MotionWeighting`; None for the mean over all edges.
+            between two frames to be part of one, see `warpqem.costs.MotionWeighting`; None for the mean over all edges.
         feature_floor: Degrees that it bends by in any case; None for 1.
         feature_weight: What a vertex in a motion feature weighs: "size", "root", "log" or "bend"; None for "size".
         measure: Measure every mesh that was written against the input; no bit of the output depends on it.

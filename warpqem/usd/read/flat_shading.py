@@ -49,7 +49,8 @@ def facet_signs(
     constant = np.ones(count, dtype=bool)
     constant[polygon[(np.abs(unit - first[polygon][:, None]) > SAME_NORMAL).any(axis=(1, 2))]] = False
     plane = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).astype(np.float64)
-    sums = np.stack([np.bincount(polygon, plane[:, axis], count) for axis in range(3)], axis=1)
+    columns = [np.bincount(polygon, plane[:, axis], count) for axis in range(3)]
+    sums = np.asarray(np.stack(columns, axis=1), dtype=np.float64)
     cosine = (_unit(sums) * first).sum(axis=1)
     face = edge_corner[:, :, 0] // 3
     outer = polygon[face[:, 0]] != polygon[face[:, 1]]

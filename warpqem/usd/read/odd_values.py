@@ -68,8 +68,10 @@ def _primvar_layout(source: MeshSource) -> Iterator[str]:
 def _not_finite(attribute: Usd.Attribute) -> str | None:
     for code in sample_codes(attribute):
         array = _numbers(attribute, code)
-        bad = np.flatnonzero(~np.isfinite(array.reshape(len(array), -1)).all(axis=1)) if array is not None else ()
-        if array is not None and len(bad):
+        if array is None:
+            continue
+        bad = np.flatnonzero(~np.isfinite(array.reshape(len(array), -1)).all(axis=1))
+        if len(bad):
             value = array[bad[0]].tolist()
             return f"{attribute.GetPath()}: value {bad[0]} at time {_name(code)} is {value} ({len(bad)} such values)"
     return None

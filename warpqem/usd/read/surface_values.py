@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -33,7 +34,9 @@ def surface_values(source: MeshSource, times: Sequence[float] | None) -> Surface
         source: The mesh.
         times: Time code of each frame; None for one frame at the default time.
     """
-    uvs, colors, unusable = {}, {}, {}
+    uvs: dict[str, Any] = {}
+    colors: dict[str, Any] = {}
+    unusable: dict[str, str] = {}
     for primvar in UsdGeom.PrimvarsAPI(source.prim).FindPrimvarsWithInheritance():
         name = str(primvar.GetPrimvarName())
         kind = uvs if is_uv(primvar) else colors if str(primvar.GetTypeName().role) == "Color" else None
@@ -132,6 +135,7 @@ def _corner_index(source: MeshSource, interpolation: str, name: str) -> tuple[np
     topology = source.topology
     tokens = UsdGeom.Tokens
     shape = topology.triangles.shape
+    index: npt.NDArray[np.integer]
     if interpolation == tokens.constant:
         index, count = np.zeros(shape, dtype=np.int64), 1
     elif interpolation == tokens.uniform:
