@@ -132,7 +132,7 @@ def _renew_quadrics(a: Arguments) -> Demand:
     return Demand(size_of(a["mask_in"]) + needed, masked * keys * VALENCE * PLANE_FLOPS)
 
 
-def _reprice_neighbourhoods(a: Arguments) -> Demand:
+def _update_neighbourhood_costs(a: Arguments) -> Demand:
     masked, keys = _masked(a), keys_of(a)
     # Every masked vertex has six edges, each shared with one other at most.
     edges = masked * VALENCE / 2
@@ -178,7 +178,7 @@ OPTION_MODELS: dict[str, Callable[[Arguments], Demand]] = {
     "match_border_samples": _match_border_samples,
     "assemble_elements": _assemble_elements,
     "renew_quadrics": _renew_quadrics,
-    "update_neighbourhood_costs": _reprice_neighbourhoods,
+    "update_neighbourhood_costs": _update_neighbourhood_costs,
     "measure_dihedral_changes": _measure_dihedral_changes,
     "measure_all_deformation": _measure_all_deformation,
     "measure_moved_deformation": _measure_moved_deformation,

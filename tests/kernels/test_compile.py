@@ -3,7 +3,7 @@
 import pytest
 import warp as wp
 
-from warpqem.precompile import gpu_modules
+from warpqem.runtime.precompile import gpu_modules
 
 ARCHITECTURES = [80, 90]
 MODULES = [module.name for module in gpu_modules()]

@@ -10,11 +10,10 @@ import pytest
 import warp as wp
 from warp._src.context import Device
 
-from warpqem import precompile
 from warpqem.errors import OptionError
-from warpqem.precompile import binary_path, compile_modules, gpu_modules
-from warpqem.runtime import launches
+from warpqem.runtime import launches, precompile
 from warpqem.runtime.launches import _compile_all, _machine_code
+from warpqem.runtime.precompile import binary_path, compile_modules, gpu_modules
 
 ROOT = Path(__file__).resolve().parents[2]
 ARCH = 90
@@ -146,7 +145,7 @@ sys.exit(precompile.main(sys.argv[1:]))
     look = f"""
 import warp as wp
 wp.config.log_level = wp.LOG_WARNING
-from warpqem.precompile import binary_path, gpu_modules
+from warpqem.runtime.precompile import binary_path, gpu_modules
 module = next(m for m in gpu_modules() if m.name == "warpqem.kernels.transfer")
 print([binary_path(module, arch).exists() for arch in (80, {ARCH}, 75)])
 """

@@ -1,6 +1,6 @@
 """Kernels compiled ahead of time: GPU code made on a machine without a GPU, for an image or another machine.
 
-python -m warpqem.precompile --arch 90 --out FOLDER
+python -m warpqem.runtime.precompile --arch 90 --out FOLDER
 
 FOLDER is a kernel cache of Warp: where ``WARP_CACHE_PATH`` names it, a GPU of that architecture compiles nothing. It
 belongs to one version of Warp and of warpqem: a kernel that has changed has another name there, and is compiled anew.
@@ -128,7 +128,7 @@ def _print(done: int, total: int, module: Compiled) -> None:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Compile for the architectures asked for; the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m warpqem.precompile",
+        prog="python -m warpqem.runtime.precompile",
         description="Compile all GPU kernels of warpqem ahead of time. This machine needs no GPU.",
     )
     parser.add_argument(
