@@ -91,11 +91,24 @@ def _commit_winners(a: Arguments) -> Demand:
 
 
 def _count_costs(a: Arguments) -> Demand:
-    return Demand(_half_edges(a) / a["sample_step"] * INT)
+    return Demand(_half_edges(a) / int(a["sample_step_in"].numpy()[0]) * INT)
 
 
 def _find_cap(a: Arguments) -> Demand:
     return Demand(2 * _size(a["histogram"]))
+
+
+def _sum_bins(a: Arguments) -> Demand:
+    return Demand(_size(a["histogram_in"]) + _size(a["sum_out"]))
+
+
+def _find_cap_by_sums(a: Arguments) -> Demand:
+    return Demand(2 * _size(a["histogram"]) + _size(a["sum_in"]))
+
+
+def _trim_winners(a: Arguments) -> Demand:
+    # Faces read and written; only the last rounds look at keys.
+    return Demand(2 * _length(a["winners"]) * INT)
 
 
 def _collect_candidates(a: Arguments) -> Demand:
@@ -128,8 +141,12 @@ def _fill_adjacency(a: Arguments) -> Demand:
     return Demand(2 * 3 * int(a["face_count_in"].numpy()[0]) * INT + 2 * _size(a["adjacency_cursor"]))
 
 
-def _sort_adjacency(a: Arguments) -> Demand:
-    return Demand(2 * int(a["adjacency_start_in"].numpy()[-1]) * INT + _size(a["adjacency_start_in"]))
+def _list_corners(a: Arguments) -> Demand:
+    return Demand(3 * _size(a["corner_vertex_in"]))
+
+
+def _find_starts(a: Arguments) -> Demand:
+    return Demand(a["corner_count"] * INT + _size(a["star_start_out"]))
 
 
 def _classify_vertices(a: Arguments) -> Demand:
@@ -197,6 +214,15 @@ def _choose_nearest(a: Arguments) -> Demand:
     return Demand((members * 2 + chosen) * INT + 2 * _size(a["start_in"]))
 
 
+def _key_members(a: Arguments) -> Demand:
+    # Cluster and distance read, a key of eight bytes and the vertex written.
+    return Demand(a["cluster_in"].size * (3 * INT + 8))
+
+
+def _take_nearest(a: Arguments) -> Demand:
+    return Demand(a["start_in"].size * 2 * INT + a["chosen_out"].size * (8 + 2 * INT))
+
+
 def _count_faces(a: Arguments) -> Demand:
     corners = int(a["start_in"].numpy()[-1] - a["start_in"].numpy()[0])
     return Demand(corners * INT + 2 * _size(a["start_in"]))
@@ -235,6 +261,9 @@ _MODELS: dict[str, Callable[[Arguments], Demand]] = {
         _commit_winners,
         _count_costs,
         _find_cap,
+        _sum_bins,
+        _find_cap_by_sums,
+        _trim_winners,
         _collect_candidates,
         _claim_vertices,
         _select_winners,
@@ -242,7 +271,8 @@ _MODELS: dict[str, Callable[[Arguments], Demand]] = {
         _shrink_candidates,
         _count_corners,
         _fill_adjacency,
-        _sort_adjacency,
+        _list_corners,
+        _find_starts,
         _classify_vertices,
         _mark_live_faces,
         _move_live_faces,
@@ -254,6 +284,8 @@ _MODELS: dict[str, Callable[[Arguments], Demand]] = {
         _measure_cluster_distances,
         _fit_anchor_weights,
         _choose_nearest,
+        _key_members,
+        _take_nearest,
         _count_faces,
         _list_faces,
         _place_vertices,
@@ -262,6 +294,9 @@ _MODELS: dict[str, Callable[[Arguments], Demand]] = {
 }
 
 _MODELS |= OPTION_MODELS
+# One thread with some numbers of the loop of passes.
+_BOOKKEEPING = ("begin_pass", "begin_round", "end_pass", "note_new_stars", "resume_passes", "begin_steps", "end_step")
+_MODELS |= dict.fromkeys(_BOOKKEEPING, lambda _: Demand(8 * INT))
 
 # Names of the kernels that have a floor.
 COUNTED = frozenset(_MODELS)

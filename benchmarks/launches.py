@@ -1,15 +1,16 @@
 """Times of kernel launches, by standing in for ``warp.launch`` while a profile is taken.
 
-A replayed graph does not tell its kernels apart, so the steps of the ordering make their launches one by one meanwhile,
-part after part on one thread.
+A replayed graph does not tell its kernels apart, so steps and loops make their launches one by one meanwhile, part
+after part on one thread.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from math import prod
 from typing import Any
 from unittest.mock import patch
@@ -112,10 +113,17 @@ def profile_launches() -> Iterator[LaunchProfile]:
             for part in range(phase.part_count):
                 phase.record(_AtOnce(self.device), part)
 
+    def record(self: Any, kernel: wp.Kernel, dim: int, inputs: Sequence, outputs: Sequence = ()) -> None:
+        self._add(partial(launch, kernel, dim, list(inputs), list(outputs), device=self._device), *inputs, *outputs)
+
     stand_ins = (
         patch.object(wp, "launch", launch),
+        patch.object(Recorder, "launch", record),
+        patch.object(Recorder, "_finish", lambda self, run: run),
         patch.object(Step, "__init__", keep_phases),
         patch.object(Step, "run", run_phases),
     )
-    with stand_ins[0], stand_ins[1], stand_ins[2]:
+    with ExitStack() as stack:
+        for stand_in in stand_ins:
+            stack.enter_context(stand_in)
         yield profile

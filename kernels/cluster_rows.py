@@ -36,6 +36,43 @@ def choose_nearest(
 
 
 @wp.kernel
+def key_members(
+    cluster_in: wp.array[wp.int32],
+    distance_in: wp.array[wp.float32],
+    cluster_count: wp.int32,
+    # outputs
+    key_out: wp.array[wp.int64],
+    vertex_out: wp.array[wp.int32],
+):
+    """Every vertex with a key to sort by: its cluster, then the bits of its distance, which ascend with it.
+
+    A vertex without a cluster (-1) comes last.
+    """
+    v = wp.tid()
+    cluster = wp.where(cluster_in[v] >= 0, cluster_in[v], cluster_count)
+    key_out[v] = (wp.int64(cluster) << wp.int64(32)) | wp.int64(wp.cast(distance_in[v], wp.int32))
+    vertex_out[v] = v
+
+
+@wp.kernel
+def take_nearest(
+    key_in: wp.array[wp.int64],
+    vertex_in: wp.array[wp.int32],
+    start_in: wp.array[wp.int32],
+    chosen_start_in: wp.array[wp.int32],
+    # outputs
+    chosen_out: wp.array[wp.int32],
+):
+    """What :func:`choose_nearest` finds, of sorted vertices: the first of each cluster, a thread for each vertex."""
+    i = wp.tid()
+    cluster = wp.int32(key_in[i] >> wp.int64(32))
+    if cluster < chosen_start_in.shape[0] - 1:
+        place = chosen_start_in[cluster] + i - start_in[cluster]
+        if place < chosen_start_in[cluster + 1]:
+            chosen_out[place] = vertex_in[i]
+
+
+@wp.kernel
 def count_faces(
     start_in: wp.array[wp.int32],
     corner_in: wp.array[wp.int32],

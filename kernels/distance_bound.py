@@ -9,7 +9,20 @@ not cut them, in half.
 
 import warp as wp
 
-from warpqem.kernels.closest_point import closest_barycentric, offset_squared
+from warpqem.kernels.closest_point import closest_barycentric
+from warpqem.kernels.near_faces import (
+    HINTS,
+    Faces,
+    Surface,
+    corner_point,
+    covers,
+    face_around,
+    face_towards,
+    nearest_face,
+    squared_distance,
+    with_first,
+)
+from warpqem.kernels.piece_cuts import Corners, Cut, cut_in_half, cut_over_edge
 
 # No gradients are taken. Loops stay loops: unrolled, one inside another, they take ten times as long to compile.
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
@@ -18,36 +31,22 @@ WITHIN = wp.constant(wp.int32(0))
 BEYOND = wp.constant(wp.int32(1))  # a point beyond the limit was found
 UNDECIDED = wp.constant(wp.int32(2))  # neither, down to the smallest pieces
 NO_ROOM = wp.constant(wp.int32(3))  # within, and not all pieces are written
+# How near faces are looked for: from neighbour to neighbour; among those around, too; or in the whole mesh.
+WALK = wp.constant(wp.int32(0))
+AROUND = wp.constant(wp.int32(1))
+SEARCH = wp.constant(wp.int32(2))
 # Pieces of a triangle that are looked at, and that may wait, before it is given up as undecided.
 MAX_PIECES = wp.constant(wp.int32(4096))
 MAX_WAITING = wp.constant(wp.int32(40))
 Waiting = wp.types.matrix(shape=(int(MAX_WAITING), 9), dtype=wp.float64)
-# Corners as near to a plane as that, in areas, lie on it.
-ON_PLANE = wp.constant(wp.float64(1.0e-13))
-# Faces kept for each triangle that covered pieces of it before: a triangle across a vertex of the other mesh meets some
-# four. Trying one takes a twentieth of a search.
-HINTS = wp.constant(wp.int32(4))
-Faces = wp.types.vector(length=int(HINTS), dtype=wp.int32)
-# Steps from face to face towards a point, before the hierarchy is searched: each takes a fiftieth of a search.
-MAX_STEPS = wp.constant(wp.int32(12))
-# The search is in single precision, which places points of a mesh of unit diagonal to some 1e-7.
-SEARCH_MARGIN = wp.constant(wp.float64(1.0e-6))
-
-
-@wp.struct
-class Surface:
-    """A mesh of about unit size around the origin, in one frame."""
-
-    points: wp.array[wp.vec3d]
-    corner_vertex: wp.array[wp.int32]
-    across: wp.array[wp.int32]  # (3N,) the face beyond the edge from each corner to the next, -1 at a border
-    mesh: wp.uint64  # its hierarchy, in single precision
+Parts = wp.types.matrix(shape=(3, 9), dtype=wp.float64)
 
 
 @wp.struct
 class Pieces:
     """Pieces of triangles, each within the limit of one face of the other mesh."""
 
+    parent: wp.array[wp.int32]  # (M,) the thread that wrote it
     owner: wp.array[wp.int32]  # (M,) the triangle
     face: wp.array[wp.int32]  # (M,) the face
     # (M, 3, 4) of each corner, the weights of the owner's second and third corner, and of the face's at the point there
@@ -55,199 +54,102 @@ class Pieces:
     weight: wp.array3d[wp.float32]
 
 
-@wp.func
-def corner_point(surface: Surface, face: wp.int32, k: wp.int32) -> wp.vec3d:
-    """A corner of a face."""
-    return surface.points[surface.corner_vertex[3 * face + k]]
+@wp.struct
+class Outcome:
+    """What was found of a piece or a triangle, and the faces that covered pieces."""
+
+    verdict: wp.int32
+    hints: Faces
+
+
+@wp.struct
+class Look:
+    """What a look at a piece gave: covered, or how to cut it, or neither."""
+
+    covered: wp.bool
+    is_cut: wp.bool
+    cut: Cut
+    hints: Faces
 
 
 @wp.func
-def squared_distance(surface: Surface, face: wp.int32, p: wp.vec3d) -> wp.float64:
-    """Squared distance of a point from a face."""
-    a = corner_point(surface, face, 0)
-    b = corner_point(surface, face, 1)
-    c = corner_point(surface, face, 2)
-    return offset_squared(p, a, b, c, closest_barycentric(p, a, b, c))
-
-
-@wp.func
-def is_near(
-    p: wp.vec3d,
-    a: wp.vec3d,
-    b: wp.vec3d,
-    c: wp.vec3d,
-    normal: wp.vec3d,
-    normal_squared: wp.float64,
-    squared: wp.float64,
-) -> wp.bool:
-    """Whether a point is within a distance, given squared, of triangle abc; ``normal`` is (b - a) x (c - a)."""
-    ap = p - a
-    height = wp.dot(ap, normal)
-    # No point of the triangle is nearer than its plane.
-    if height * height > squared * normal_squared:
-        return False
-    v = wp.dot(wp.cross(ap, c - a), normal)
-    w = wp.dot(wp.cross(b - a, ap), normal)
-    if v >= wp.float64(0.0) and w >= wp.float64(0.0) and v + w < normal_squared:
-        return True
-    return offset_squared(p, a, b, c, closest_barycentric(p, a, b, c)) <= squared
-
-
-@wp.func
-def covers(surface: Surface, face: wp.int32, p: wp.vec3d, q: wp.vec3d, r: wp.vec3d, limit: wp.float64) -> wp.bool:
-    """Whether a face is within the limit of all points of a piece."""
-    squared = limit * limit
-    a = corner_point(surface, face, 0)
-    b = corner_point(surface, face, 1)
-    c = corner_point(surface, face, 2)
-    normal = wp.cross(b - a, c - a)
-    normal_squared = wp.length_sq(normal)
-    if not is_near(p, a, b, c, normal, normal_squared, squared):
-        return False
-    if not is_near(q, a, b, c, normal, normal_squared, squared):
-        return False
-    return is_near(r, a, b, c, normal, normal_squared, squared)
-
-
-@wp.func
-def nearest_face(surface: Surface, p: wp.vec3d, limit: wp.float64) -> wp.int32:
-    """The face nearest to a point, -1 where none is within the limit."""
-    radius = wp.float32(limit + SEARCH_MARGIN)
-    found = wp.mesh_query_point_no_sign(
-        surface.mesh, wp.vec3(wp.float32(p[0]), wp.float32(p[1]), wp.float32(p[2])), radius
-    )
-    if found.result:
-        return found.face
+def face_to_try(
+    other: Surface, hints: Faces, attempt: wp.int32, centre: wp.vec3d, limit: wp.float64, effort: wp.int32
+) -> wp.int32:
+    """The face to try, -1 for none: first those that were near before, then where a walk from the last of them ends,
+    then the nearest one."""
+    if attempt < HINTS:
+        return hints[attempt]
+    if attempt > HINTS:
+        return nearest_face(other, centre, limit)
+    if hints[0] >= 0:
+        near = face_towards(other, hints[0], centre)
+        if effort == AROUND and squared_distance(other, near, centre) > limit * limit:
+            near = face_around(other, near, centre)
+        return near
     return -1
 
 
 @wp.func
-def face_towards(surface: Surface, start: wp.int32, p: wp.vec3d) -> wp.int32:
-    """A face that no neighbour across an edge is nearer than to a point, from ``start`` on, or one on the way there."""
-    face = start
-    weights = closest_barycentric(
-        p, corner_point(surface, face, 0), corner_point(surface, face, 1), corner_point(surface, face, 2)
+def is_inside(corners: Corners, centre: wp.vec3d, squared: wp.float64, limit: wp.float64) -> wp.bool:
+    """Whether a piece is within the limit as its middle is within a distance, given squared."""
+    size = wp.max(
+        wp.length_sq(corners[0] - centre), wp.max(wp.length_sq(corners[1] - centre), wp.length_sq(corners[2] - centre))
     )
-    squared = squared_distance(surface, face, p)
-    steps = wp.int32(0)
-    while steps < MAX_STEPS:
-        steps += 1
-        nearer = wp.int32(-1)
-        for k in range(3):
-            # The closest point lies on this edge.
-            if nearer < 0 and weights[(k + 2) % 3] <= wp.float64(0.0):
-                next_face = surface.across[3 * face + k]
-                if next_face >= 0:
-                    found = squared_distance(surface, next_face, p)
-                    if found < squared:
-                        nearer = next_face
-                        squared = found
-        if nearer < 0:
-            steps = MAX_STEPS
-        else:
-            face = nearer
-            weights = closest_barycentric(
-                p, corner_point(surface, face, 0), corner_point(surface, face, 1), corner_point(surface, face, 2)
-            )
-    return face
-
-
-@wp.struct
-class Piece:
-    """A part of a triangle, by its corners."""
-
-    p: wp.vec3d
-    q: wp.vec3d
-    r: wp.vec3d
-
-
-@wp.struct
-class Cut:
-    """Where a plane cuts a piece: its corners in order from the one alone on its side, and how far along both edges."""
-
-    piece: Piece
-    first: wp.float64
-    second: wp.float64
-    found: wp.bool
+    return wp.sqrt(squared) + wp.sqrt(size) <= limit
 
 
 @wp.func
-def cut_at_edges(surface: Surface, face: wp.int32, piece: Piece) -> Cut:
-    """The cut at the plane over that edge of a face beyond which the piece reaches furthest."""
-    cut = Cut()
-    cut.piece = piece
-    cut.found = wp.bool(False)
-    a = corner_point(surface, face, 0)
-    normal = wp.cross(corner_point(surface, face, 1) - a, corner_point(surface, face, 2) - a)
-    furthest = ON_PLANE
+def look_at_piece(corners: Corners, other: Surface, limit: wp.float64, hints: Faces, effort: wp.int32) -> Look:
+    """Whether one face covers a piece, or else how to cut it."""
+    look = Look()
+    look.covered = wp.bool(False)
+    look.is_cut = wp.bool(False)
+    look.hints = hints
+    centre = (corners[0] + corners[1] + corners[2]) / wp.float64(3.0)
+    attempt = wp.int32(0)
+    last = HINTS + wp.where(effort == SEARCH, 1, 0)
+    while attempt <= last and not look.covered and not look.is_cut:
+        near = face_to_try(other, look.hints, attempt, centre, limit, effort)
+        if near >= 0:
+            look.covered = covers(other, near, corners[0], corners[1], corners[2], limit)
+            if look.covered:
+                look.hints = with_first(look.hints, near, wp.min(attempt, HINTS - 1))
+            elif attempt >= HINTS:
+                squared = squared_distance(other, near, centre)
+                if squared <= limit * limit:
+                    look.covered = is_inside(corners, centre, squared, limit)
+                    if not look.covered:
+                        look.cut = cut_over_edge(other, near, corners)
+                        look.is_cut = look.cut.in_three
+                        if not look.is_cut and attempt == last:
+                            look.cut = cut_in_half(corners)
+                            look.is_cut = True
+                    look.hints = with_first(look.hints, near, HINTS - 1)
+        attempt += 1
+    return look
+
+
+@wp.func
+def cut_parts(corners: Corners, cut: Cut) -> Parts:
+    """The parts of a piece, three or two, by the coordinates of their corners."""
+    p = corners[cut.corner]
+    q = corners[(cut.corner + 1) % 3]
+    r = corners[(cut.corner + 2) % 3]
+    one = p + (q - p) * cut.after
+    two = p + (r - p) * cut.before
+    parts = Parts()
     for k in range(3):
-        start = corner_point(surface, face, k)
-        outward = wp.normalize(wp.cross(corner_point(surface, face, (k + 1) % 3) - start, normal))
-        side = wp.vec3d(
-            wp.dot(piece.p - start, outward), wp.dot(piece.q - start, outward), wp.dot(piece.r - start, outward)
-        )
-        most = wp.max(side[0], wp.max(side[1], side[2]))
-        least = wp.min(side[0], wp.min(side[1], side[2]))
-        if most > furthest and least < -ON_PLANE:
-            furthest = most
-            cut.found = wp.bool(True)
-            # The corner alone on its side.
-            alone = wp.int32(0)
-            for i in range(3):
-                before = side[(i + 1) % 3]
-                after = side[(i + 2) % 3]
-                own_side = side[i] > wp.float64(0.0)
-                if own_side != (before > wp.float64(0.0)) and own_side != (after > wp.float64(0.0)):
-                    alone = i
-            if alone == 0:
-                cut.piece = piece
-            elif alone == 1:
-                cut.piece.p = piece.q
-                cut.piece.q = piece.r
-                cut.piece.r = piece.p
-            else:
-                cut.piece.p = piece.r
-                cut.piece.q = piece.p
-                cut.piece.r = piece.q
-            own = side[alone]
-            cut.first = own / (own - side[(alone + 1) % 3])
-            cut.second = own / (own - side[(alone + 2) % 3])
-    return cut
-
-
-@wp.func
-def cut_in_half(piece: Piece) -> Cut:
-    """The cut across the longest edge, through the corner opposite to it."""
-    cut = Cut()
-    cut.piece = piece
-    pq = wp.length_sq(piece.p - piece.q)
-    qr = wp.length_sq(piece.q - piece.r)
-    rp = wp.length_sq(piece.r - piece.p)
-    # The longest edge becomes that from p to q.
-    if qr >= pq and qr >= rp:
-        cut.piece.p = piece.q
-        cut.piece.q = piece.r
-        cut.piece.r = piece.p
-    elif rp >= pq and rp >= qr:
-        cut.piece.p = piece.r
-        cut.piece.q = piece.p
-        cut.piece.r = piece.q
-    cut.first = wp.float64(0.5)
-    cut.second = wp.float64(1.0)
-    cut.found = wp.bool(False)
-    return cut
-
-
-@wp.func
-def with_first(hints: Faces, face: wp.int32, place: wp.int32) -> Faces:
-    """The hints with a face in front, and those before ``place`` one further back."""
-    moved = hints
-    for back in range(HINTS - 1):
-        i = HINTS - 1 - back
-        if i <= place:
-            moved[i] = hints[i - 1]
-    moved[0] = face
-    return moved
+        parts[0, k] = p[k]
+        parts[0, 3 + k] = one[k]
+        parts[0, 6 + k] = two[k]
+        parts[1, k] = one[k]
+        parts[1, 3 + k] = q[k]
+        parts[1, 6 + k] = r[k]
+        parts[2, k] = one[k]
+        parts[2, 3 + k] = r[k]
+        parts[2, 6 + k] = two[k]
+    return parts
 
 
 @wp.func
@@ -266,146 +168,82 @@ def write_corner(pieces: Pieces, index: wp.int32, k: wp.int32, own: Surface, oth
 
 
 @wp.func
-def piece_corner(pieces: Pieces, index: wp.int32, k: wp.int32, own: Surface) -> wp.vec3d:
-    """A corner of a piece, where its owner is now."""
-    owner = pieces.owner[index]
-    a = corner_point(own, owner, 0)
-    ab = corner_point(own, owner, 1) - a
-    ac = corner_point(own, owner, 2) - a
-    return a + wp.float64(pieces.weight[index, k, 0]) * ab + wp.float64(pieces.weight[index, k, 1]) * ac
-
-
-@wp.struct
-class Outcome:
-    """A verdict, and the faces that covered pieces."""
-
-    verdict: wp.int32
-    hints: Faces
+def write_piece(
+    pieces: Pieces,
+    used: wp.array[wp.int32],
+    parent: wp.int32,
+    owner: wp.int32,
+    face: wp.int32,
+    own: Surface,
+    other: Surface,
+    corners: Corners,
+) -> wp.bool:
+    """Add a piece; False where there is no room."""
+    room = pieces.owner.shape[0]
+    # Without any room, none is wanted.
+    if room == 0:
+        return True
+    index = wp.atomic_add(used, 0, 1)
+    if index >= room:
+        return False
+    pieces.parent[index] = parent
+    pieces.owner[index] = owner
+    pieces.face[index] = face
+    for k in range(3):
+        write_corner(pieces, index, k, own, other, corners[k])
+    return True
 
 
 @wp.func
 def bound_piece(
-    whole: Piece,
+    whole: Corners,
     own: Surface,
     other: Surface,
     limit: wp.float64,
     hints_in: Faces,
-    searching: wp.bool,
+    effort: wp.int32,
+    parent: wp.int32,
     owner: wp.int32,
     used: wp.array[wp.int32],
     pieces_out: Pieces,
 ) -> Outcome:
     """Whether a piece is within the limit of a mesh; its parts are written where there is room for any.
 
-    Without ``searching``, faces are found from those next to them alone, and UNDECIDED is what that does not show.
+    ``effort`` says how faces are looked for; but for SEARCH, UNDECIDED is what that does not show.
     """
-    hints = hints_in
-    room = pieces_out.owner.shape[0]
-    verdict = wp.int32(WITHIN)
+    outcome = Outcome()
+    outcome.verdict = WITHIN
+    outcome.hints = hints_in
     waiting = Waiting()
-    for k in range(3):
-        waiting[0, k] = whole.p[k]
-        waiting[0, 3 + k] = whole.q[k]
-        waiting[0, 6 + k] = whole.r[k]
+    for k in range(9):
+        waiting[0, k] = whole[k / 3, k % 3]
     count = wp.int32(1)
     looked_at = wp.int32(0)
     while count > 0:
         count -= 1
         looked_at += 1
-        piece = Piece()
-        piece.p = wp.vec3d(waiting[count, 0], waiting[count, 1], waiting[count, 2])
-        piece.q = wp.vec3d(waiting[count, 3], waiting[count, 4], waiting[count, 5])
-        piece.r = wp.vec3d(waiting[count, 6], waiting[count, 7], waiting[count, 8])
-        centre = (piece.p + piece.q + piece.r) / wp.float64(3.0)
-        cut = Cut()
-        covered = wp.bool(False)
-        done = wp.bool(False)
-        # First the faces that were near before, then the one where a walk from the last of them ends, then a search.
-        attempt = wp.int32(0)
-        last = HINTS + wp.where(searching, 1, 0)
-        while attempt <= last and not done:
-            near = wp.int32(-1)
-            if attempt < HINTS:
-                near = hints[attempt]
-            elif attempt == HINTS:
-                if hints[0] >= 0:
-                    near = face_towards(other, hints[0], centre)
-            else:
-                near = nearest_face(other, centre, limit)
-            if near >= 0:
-                covered = covers(other, near, piece.p, piece.q, piece.r, limit)
-            if covered:
-                hints = with_first(hints, near, wp.min(attempt, HINTS - 1))
-                done = True
-            elif attempt >= HINTS and near >= 0:
-                squared = squared_distance(other, near, centre)
-                if squared <= limit * limit:
-                    size = wp.max(
-                        wp.length_sq(piece.p - centre),
-                        wp.max(wp.length_sq(piece.q - centre), wp.length_sq(piece.r - centre)),
-                    )
-                    if wp.sqrt(squared) + wp.sqrt(size) <= limit:
-                        covered = True
-                        done = True
-                    else:
-                        cut = cut_at_edges(other, near, piece)
-                        done = cut.found
-                    hints = with_first(hints, near, HINTS - 1)
-                    if not done and attempt == last:
-                        cut = cut_in_half(piece)
-                        done = True
-            attempt += 1
-        if not done:
-            verdict = wp.where(searching, BEYOND, UNDECIDED)
-        elif covered:
-            if room > 0 and not write_piece(pieces_out, room, used, owner, hints[0], own, other, piece):
-                verdict = wp.where(verdict == WITHIN, NO_ROOM, verdict)
+        corners = Corners()
+        for k in range(9):
+            corners[k / 3, k % 3] = waiting[count, k]
+        look = look_at_piece(corners, other, limit, outcome.hints, effort)
+        outcome.hints = look.hints
+        if look.covered:
+            if not write_piece(pieces_out, used, parent, owner, look.hints[0], own, other, corners):
+                outcome.verdict = NO_ROOM
+        elif not look.is_cut:
+            outcome.verdict = wp.where(effort == SEARCH, BEYOND, UNDECIDED)
         elif looked_at == MAX_PIECES or count + 3 > MAX_WAITING:
-            verdict = UNDECIDED
+            outcome.verdict = UNDECIDED
         else:
-            one = cut.piece.p + (cut.piece.q - cut.piece.p) * cut.first
-            two = cut.piece.p + (cut.piece.r - cut.piece.p) * cut.second
-            for k in range(3):
-                waiting[count, k] = cut.piece.p[k]
-                waiting[count, 3 + k] = one[k]
-                waiting[count, 6 + k] = two[k]
-                waiting[count + 1, k] = one[k]
-                waiting[count + 1, 3 + k] = cut.piece.q[k]
-                waiting[count + 1, 6 + k] = cut.piece.r[k]
-                waiting[count + 2, k] = one[k]
-                waiting[count + 2, 3 + k] = cut.piece.r[k]
-                waiting[count + 2, 6 + k] = two[k]
-            # In half, there is no third.
-            count += wp.where(cut.found, 3, 2)
-        if verdict == BEYOND or verdict == UNDECIDED:  # noqa: SIM109
+            parts = cut_parts(corners, look.cut)
+            part_count = wp.where(look.cut.in_three, 3, 2)
+            for part in range(part_count):
+                for k in range(9):
+                    waiting[count + part, k] = parts[part, k]
+            count += part_count
+        if outcome.verdict == BEYOND or outcome.verdict == UNDECIDED:
             count = 0
-    outcome = Outcome()
-    outcome.verdict = verdict
-    outcome.hints = hints
     return outcome
-
-
-@wp.func
-def write_piece(
-    pieces: Pieces,
-    room: wp.int32,
-    used: wp.array[wp.int32],
-    owner: wp.int32,
-    face: wp.int32,
-    own: Surface,
-    other: Surface,
-    piece: Piece,
-) -> wp.bool:
-    """Add a piece, if there is room."""
-    index = wp.atomic_add(used, 0, 1)
-    if index >= room:
-        return False
-    pieces.owner[index] = owner
-    pieces.face[index] = face
-    write_corner(pieces, index, 0, own, other, piece.p)
-    write_corner(pieces, index, 1, own, other, piece.q)
-    write_corner(pieces, index, 2, own, other, piece.r)
-    return True
 
 
 @wp.kernel
@@ -414,8 +252,9 @@ def bound_triangles(
     own: Surface,
     other: Surface,
     limit: wp.float64,
-    searching: wp.bool,
+    effort: wp.int32,
     chosen: wp.array[wp.int32],
+    first: wp.int32,
     # in and out
     hint: wp.array2d[wp.int32],
     used: wp.array[wp.int32],
@@ -426,18 +265,17 @@ def bound_triangles(
     """Whether some faces of ``own``, ``chosen`` (n,), are within the limit of ``other``, see :func:`bound_piece`.
 
     ``hint`` (N, HINTS) are faces of ``other`` that covered pieces of it before, the last one first, -1 for none. Pieces
-    are written from the ``used``-th (1,) on as long as there is room for them.
+    are written from the ``used``-th (1,) on as long as there is room for them. The threads begin at ``first``.
     """
-    i = wp.tid()
+    i = first + wp.tid()
     face = chosen[i]
-    whole = Piece()
-    whole.p = corner_point(own, face, 0)
-    whole.q = corner_point(own, face, 1)
-    whole.r = corner_point(own, face, 2)
+    corners = Corners()
     hints = Faces()
+    for k in range(3):
+        corners[k] = corner_point(own, face, k)
     for k in range(HINTS):
         hints[k] = hint[face, k]
-    outcome = bound_piece(whole, own, other, limit, hints, searching, face, used, pieces_out)
+    outcome = bound_piece(corners, own, other, limit, hints, effort, i, face, used, pieces_out)
     for k in range(HINTS):
         hint[face, k] = outcome.hints[k]
     verdict_out[i] = outcome.verdict
@@ -451,32 +289,35 @@ def bound_pieces(
     own_in: Surface,
     other_in: Surface,
     limit: wp.float64,
+    effort: wp.int32,
     pieces: Pieces,
-    chosen: wp.array[wp.int32],
     frame: wp.array[wp.int32],
-    no_pieces: Pieces,
+    first: wp.int32,
     # in and out
     used: wp.array[wp.int32],
     # out
+    pieces_out: Pieces,
     verdict_out: wp.array[wp.int32],
 ):
-    """Whether some pieces, ``chosen`` (n,), are within the limit in the frames (n,), without a search.
+    """The same for pieces (n,) in the frames (n,), starting at the faces that they were within before.
 
-    Points are (F, V) and (F, W).
+    Points are (F, V) and (F, W); a search needs all frames to be that of ``other_in``.
     """
-    i = wp.tid()
-    index = chosen[i]
+    i = first + wp.tid()
     own = own_in
     other = other_in
     own.points = own_points[frame[i]]
     other.points = other_points[frame[i]]
-    piece = Piece()
-    piece.p = piece_corner(pieces, index, 0, own)
-    piece.q = piece_corner(pieces, index, 1, own)
-    piece.r = piece_corner(pieces, index, 2, own)
+    owner = pieces.owner[i]
+    a = corner_point(own, owner, 0)
+    ab = corner_point(own, owner, 1) - a
+    ac = corner_point(own, owner, 2) - a
+    corners = Corners()
+    for k in range(3):
+        corners[k] = a + wp.float64(pieces.weight[i, k, 0]) * ab + wp.float64(pieces.weight[i, k, 1]) * ac
     hints = Faces()
     for k in range(HINTS):
         hints[k] = -1
-    hints[0] = pieces.face[index]
-    outcome = bound_piece(piece, own, other, limit, hints, False, pieces.owner[index], used, no_pieces)
+    hints[0] = pieces.face[i]
+    outcome = bound_piece(corners, own, other, limit, hints, effort, i, owner, used, pieces_out)
     verdict_out[i] = outcome.verdict

@@ -136,3 +136,4 @@ def bound_patches(
 # Loops over corners and faces stay loops: unrolled, they take several times as long to compile and run no faster.
 for _kernel in bound_patches.values():
     wp.set_module_options({"max_unroll": 1}, _kernel.module)
+del _kernel

@@ -45,6 +45,8 @@ MIDDLE_PULL = wp.constant(wp.float32(1.0e-5))
 # On flat ground every edge costs nothing. This part of area x length^2 makes short edges go first, far below the cost
 # of any visible bend, so that triangles stay compact.
 LENGTH_COST = wp.constant(wp.float32(1.0e-8))
+# Lanes for the star of a vertex: most have six faces, so that each prices one or two edges.
+STAR_SLOTS = wp.constant(wp.int32(8))
 # A collapse that changes how seams run counts as an error of this part of the edge's length, squared: dear enough that
 # seams hold as long as the shape has something to spare, and that the smallest go first.
 SEAM_COST = wp.constant(wp.float32(0.01))
@@ -253,15 +255,20 @@ def update_moved_costs(
     Winners of one pass are never neighbours, so each such edge has exactly one moved end. The deformation term weighs
     an edge by the area of its faces, so with it the edges opposite a moved vertex cost something else too. Their ends
     stay; two moved vertices may share one, and both then write the same cost.
+
+    Where there are many lanes, those of a vertex take turns with its edges.
     """
     moved_count = log.count[0] - pass_begin[0]
     sides = wp.where(model.deformation_weight > 0.0, 3, 2)
-    for i in range(first_item(moved_count, work) + wp.tid(), last_item(moved_count, work), work.lanes):
+    slots = wp.where(work.lanes > 1, STAR_SLOTS, 1)
+    first = slots * first_item(moved_count, work)
+    for item in range(first + wp.tid(), slots * last_item(moved_count, work), work.lanes):
+        i = item // slots
         prefetch_moved(state, frames, log.kept, pass_begin[0] + i, log.count[0], work)
         u = log.kept[pass_begin[0] + i]
         # The edges of a face in one loop: a loop of two or three would be unrolled, and an edge's price is most of what
         # there is to compile.
-        for j in range(sides * state.adjacency.start[u], sides * state.adjacency.end[u]):
+        for j in range(sides * state.adjacency.start[u] + item % slots, sides * state.adjacency.end[u], slots):
             h = state.adjacency.corner[j // sides]
             side = j % sides
             if side == 1:

@@ -33,7 +33,8 @@ class Solve:
     image: wp.array[wp.vec3]
     inverse: wp.array[wp.mat33]  # of the diagonal blocks: the preconditioner
     slice_sum: wp.array[wp.float64]  # (SLICES,)
-    scalar: wp.array[wp.float64]  # (3,) residual . preconditioned residual now and before, curvature
+    scalar: wp.array[wp.float64]  # (4,) residual . preconditioned residual now and before, curvature, where to stop
+    report: wp.array[wp.int32]  # (2,) 1 as long as there is another step; steps made
 
 
 @wp.kernel
@@ -97,30 +98,55 @@ def sum_residual(s: Solve):
     s.slice_sum[j] = total
 
 
+@wp.func
+def sum_slices(s: Solve) -> wp.float64:
+    """The slices added up in their order."""
+    total = wp.float64(0.0)
+    for j in range(SLICES):
+        total += s.slice_sum[j]
+    return total
+
+
 @wp.kernel
 def close_curvature(s: Solve):
     """One thread: the slices of ``direction . image`` added up."""
-    total = wp.float64(0.0)
-    for j in range(SLICES):
-        total += s.slice_sum[j]
-    s.scalar[2] = total
+    s.scalar[2] = sum_slices(s)
 
 
 @wp.kernel
-def close_residual(s: Solve):
-    """One thread: the slices of the residual added up, after the sum before is put aside."""
-    total = wp.float64(0.0)
-    for j in range(SLICES):
-        total += s.slice_sum[j]
+def begin_steps(
+    tolerance_squared: wp.float64,
+    # outputs
+    s: Solve,
+):
+    """One thread: the residual at the beginning, and where it has fallen far enough."""
+    s.scalar[0] = sum_slices(s)
+    s.scalar[1] = wp.float64(0.0)
+    s.scalar[3] = tolerance_squared * s.scalar[0]
+    s.report[0] = 1
+    s.report[1] = 0
+
+
+@wp.kernel
+def end_step(
+    most_steps: wp.int32,
+    # outputs
+    s: Solve,
+):
+    """One thread: the residual after a step, with the one before put aside, and whether another step follows."""
+    if s.report[0] == 0:
+        return
     s.scalar[1] = s.scalar[0]
-    s.scalar[0] = total
+    s.scalar[0] = sum_slices(s)
+    s.report[1] = s.report[1] + 1
+    s.report[0] = wp.where(s.scalar[0] <= s.scalar[3] or s.report[1] >= most_steps, 0, 1)
 
 
 @wp.kernel
 def step_forward(s: Solve):
-    """Along the direction to its minimum."""
+    """Along the direction to its minimum. After the last step nothing moves any more."""
     c = wp.tid()
-    if s.scalar[2] > wp.float64(0.0):
+    if s.report[0] == 1 and s.scalar[2] > wp.float64(0.0):
         step = wp.float32(s.scalar[0] / s.scalar[2])
         s.x[c] = s.x[c] + step * s.direction[c]
         s.residual[c] = s.residual[c] - step * s.image[c]

@@ -56,12 +56,13 @@ def reservation_key(state: MeshState, h: wp.int32) -> wp.int64:
 @wp.kernel
 def count_costs(
     state: MeshState,
-    sample_step: wp.int32,
+    sample_step_in: wp.array[wp.int32],
     work: Work,
     # outputs
     histogram_out: wp.array2d[wp.int32],
 ):
     """Histogram of the costs of the candidate edges at every ``sample_step``-th half-edge, a row for each part."""
+    sample_step = sample_step_in[0]
     sample_count = (3 * state.face_count[0] + sample_step - 1) // sample_step
     for i in range(first_item(sample_count, work) + wp.tid(), last_item(sample_count, work), work.lanes):
         cost = state.edge_cost[i * sample_step]
@@ -72,13 +73,16 @@ def count_costs(
 @wp.kernel
 def find_cost_threshold(
     wanted_in: wp.array[wp.int32],
-    sample_step: wp.int32,
+    sample_step_in: wp.array[wp.int32],
     # outputs
     histogram: wp.array2d[wp.int32],
     threshold_out: wp.array[wp.float32],
 ):
-    """The upper end of the bin of the ``wanted``-th cheapest edge; the histogram is cleared for the next pass."""
-    wanted = wp.max(1, wanted_in[0] // sample_step)
+    """The upper end of the bin of the ``wanted``-th cheapest edge; 0 where none is wanted.
+
+    The histogram is cleared for the next pass.
+    """
+    wanted = wp.max(wp.min(1, wanted_in[0]), wanted_in[0] // sample_step_in[0])
     seen = wp.int32(0)
     cost_threshold = wp.int32(-1)
     for b in range(histogram.shape[1]):
@@ -90,6 +94,55 @@ def find_cost_threshold(
             cost_threshold = b
         seen += n
     threshold_out[0] = wp.cast((cost_threshold + 1) << BIN_SHIFT, wp.float32)
+
+
+@wp.kernel
+def sum_bins(
+    histogram_in: wp.array2d[wp.int32],
+    # outputs
+    sum_out: wp.array[wp.int32],
+):
+    """Costs in each stretch of the bins of one part, as many stretches as ``sum_out`` has; a thread for each."""
+    i = wp.tid()
+    width = histogram_in.shape[1] // sum_out.shape[0]
+    total = wp.int32(0)
+    for b in range(i * width, (i + 1) * width):
+        total += histogram_in[0, b]
+    sum_out[i] = total
+
+
+@wp.kernel
+def find_cap_by_sums(
+    wanted_in: wp.array[wp.int32],
+    sample_step_in: wp.array[wp.int32],
+    sum_in: wp.array[wp.int32],
+    # outputs
+    histogram: wp.array2d[wp.int32],
+    threshold_out: wp.array[wp.float32],
+):
+    """The cap of :func:`find_cost_threshold`, by as many threads as there are sums: each looks through its own stretch
+    of bins.
+
+    The cheapest edges end in the bin where their number comes to what is wanted, or else in the last one with an edge:
+    one thread has it.
+    """
+    i = wp.tid()
+    wanted = wp.max(wp.min(1, wanted_in[0]), wanted_in[0] // sample_step_in[0])
+    seen = wp.int32(0)
+    total = wp.int32(0)
+    for k in range(sum_in.shape[0]):
+        if k < i:
+            seen += sum_in[k]
+        total += sum_in[k]
+    if i == 0 and wp.min(wanted, total) == 0:
+        threshold_out[0] = 0.0
+    width = histogram.shape[1] // sum_in.shape[0]
+    for b in range(i * width, (i + 1) * width):
+        n = histogram[0, b]
+        histogram[0, b] = 0
+        if n > 0 and seen < wanted and (seen + n >= wanted or seen + n == total):
+            threshold_out[0] = wp.cast((b + 1) << BIN_SHIFT, wp.float32)
+        seen += n
 
 
 @wp.kernel

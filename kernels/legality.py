@@ -248,7 +248,7 @@ def check_collapses(
     Also 0 for one that is costlier than its price says: input vertices would be far from the faces left, or a seam has
     come to the edge from across its faces, where nothing prices it again. ``error_out`` is the mean squared distance of
     the input vertices that a legal winner merges. Counts the legal ones of each part too, and what their stars take
-    together (both zeroed before the launch).
+    together (both zeroed before the launch, or empty: then not).
     """
     first_slot = count_before(winners, work.part)
     for k in range(wp.tid(), winners.count[work.part], work.lanes):
@@ -284,8 +284,9 @@ def check_collapses(
         elif legal:
             opposite = find_half_edge(state.corner_vertex, state.adjacency, v, u)
             faces_removed_out[i] = wp.where(opposite >= 0, 2, 1)
-            wp.atomic_add(legal_count, work.part, 1)
-            wp.atomic_add(space, work.part, degree(state, u) + degree(state, v))
+            if legal_count.shape[0] > 0:
+                wp.atomic_add(legal_count, work.part, 1)
+                wp.atomic_add(space, work.part, degree(state, u) + degree(state, v))
         else:
             faces_removed_out[i] = 0
             state.edge_cost[h] = -state.edge_cost[h]

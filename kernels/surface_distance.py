@@ -11,9 +11,8 @@ none there, as :mod:`warpqem.kernels.distance_screen` shows.
 
 import warp as wp
 
-from warpqem.kernels.distance_bound import (
+from warpqem.kernels.near_faces import (
     HINTS,
-    ON_PLANE,
     SEARCH_MARGIN,
     Faces,
     Surface,
@@ -22,6 +21,7 @@ from warpqem.kernels.distance_bound import (
     squared_distance,
     with_first,
 )
+from warpqem.kernels.piece_cuts import Corners, Cut, cut_in_half, cut_over_edge
 
 # No gradients are taken. Loops stay loops: unrolled, they take several times as long to compile and run no faster.
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
@@ -41,7 +41,6 @@ ANYWHERE = wp.constant(wp.float64(1.0e15))
 MAX_PIECES = wp.constant(wp.int32(4096))
 MAX_WAITING = wp.constant(wp.int32(40))
 Places = wp.types.matrix(shape=(3, 2), dtype=wp.float64)  # of three corners, as MeshPatches.place
-Corners = wp.types.matrix(shape=(3, 3), dtype=wp.float64)
 Waiting = wp.types.matrix(shape=(int(MAX_WAITING), 6), dtype=wp.float64)
 # Two faces whose normals have a cosine below this are the two sides of one spot.
 OPPOSITE = wp.constant(wp.float64(-0.99))
@@ -277,53 +276,12 @@ def furthest_corner(other: Surface, face: wp.int32, corners: Corners) -> wp.floa
     return wp.sqrt(furthest)
 
 
-@wp.struct
-class Cut:
-    """How a piece is cut: from the edge to the corner after ``corner`` to the edge to the one before it."""
-
-    corner: wp.int32
-    after: wp.float64  # how far along the edge to the next corner
-    before: wp.float64  # how far along the edge to the previous corner
-    in_three: wp.bool
-
-
 @wp.func
 def cut_piece(other: Surface, face: wp.int32, corners: Corners) -> Cut:
     """The cut at the plane over that edge of a face beyond which the piece reaches furthest; else in half."""
-    cut = Cut()
-    cut.in_three = wp.bool(False)
-    a = corner_point(other, face, 0)
-    normal = wp.cross(corner_point(other, face, 1) - a, corner_point(other, face, 2) - a)
-    furthest = ON_PLANE
-    for edge in range(3):
-        start = corner_point(other, face, edge)
-        outward = wp.normalize(wp.cross(corner_point(other, face, (edge + 1) % 3) - start, normal))
-        side = wp.vec3d()
-        for k in range(3):
-            side[k] = wp.dot(corners[k] - start, outward)
-        most = wp.max(side[0], wp.max(side[1], side[2]))
-        if most > furthest and wp.min(side[0], wp.min(side[1], side[2])) < -ON_PLANE:
-            furthest = most
-            cut.in_three = wp.bool(True)
-            # The corner alone on its side.
-            for k in range(3):
-                own_side = side[k] > wp.float64(0.0)
-                if own_side != (side[(k + 1) % 3] > wp.float64(0.0)) and own_side != (
-                    side[(k + 2) % 3] > wp.float64(0.0)
-                ):
-                    cut.corner = k
-            own = side[cut.corner]
-            cut.after = own / (own - side[(cut.corner + 1) % 3])
-            cut.before = own / (own - side[(cut.corner + 2) % 3])
+    cut = cut_over_edge(other, face, corners)
     if not cut.in_three:
-        longest = wp.float64(-1.0)
-        for k in range(3):
-            length = wp.length_sq(corners[(k + 1) % 3] - corners[k])
-            if length > longest:
-                longest = length
-                cut.corner = k
-        cut.after = wp.float64(0.5)
-        cut.before = wp.float64(1.0)
+        cut = cut_in_half(corners)
     return cut
 
 

@@ -135,21 +135,49 @@ def fill_adjacency(
 
 
 @wp.kernel
-def sort_adjacency(
-    adjacency_start_in: wp.array[wp.int32],
+def list_corners(
+    corner_vertex_in: wp.array[wp.int32],
+    face_count_in: wp.array[wp.int32],
+    vertex_count: wp.int32,
+    work: Work,
     # outputs
-    adjacent_corner: wp.array[wp.int32],
+    key_out: wp.array[wp.int32],
+    corner_out: wp.array[wp.int32],
 ):
-    """Ascending order in each list, so that nothing depends on the order of threads (insertion sort, short lists)."""
-    v = wp.tid()
-    first = adjacency_start_in[v]
-    for i in range(first + 1, adjacency_start_in[v + 1]):
-        h = adjacent_corner[i]
-        j = i - 1
-        while j >= first and adjacent_corner[j] > h:
-            adjacent_corner[j + 1] = adjacent_corner[j]
-            j -= 1
-        adjacent_corner[j + 1] = h
+    """Every corner (3N,) with its vertex as the key to sort by; dead ones come last, with the number of vertices."""
+    for h in range(wp.tid(), corner_vertex_in.shape[0], work.lanes):
+        v = wp.int32(-1)
+        if h < 3 * face_count_in[0]:
+            v = corner_vertex_in[h]
+        key_out[h] = wp.where(v >= 0, v, vertex_count)
+        corner_out[h] = h
+
+
+@wp.func
+def count_below(key: wp.array[wp.int32], count: wp.int32, value: wp.int32) -> wp.int32:
+    """How many of ``count`` ascending keys are below a value (Warp's ``lower_bound`` never says all)."""
+    first = wp.int32(0)
+    last = wp.int32(count)
+    while first < last:
+        middle = first + (last - first) // 2
+        if key[middle] < value:
+            first = middle + 1
+        else:
+            last = middle
+    return first
+
+
+@wp.kernel
+def find_starts(
+    key_in: wp.array[wp.int32],
+    corner_count: wp.int32,
+    work: Work,
+    # outputs
+    star_start_out: wp.array[wp.int32],
+):
+    """Where the corners of each vertex (V+1,) begin among ``corner_count`` sorted keys: a binary search each."""
+    for v in range(wp.tid(), star_start_out.shape[0], work.lanes):
+        star_start_out[v] = count_below(key_in, corner_count, v)
 
 
 @wp.func

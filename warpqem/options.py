@@ -64,15 +64,15 @@ class MethodOptions:
     """How a mesh is simplified, wherever it comes from.
 
     Attributes:
-        ratio: share of the faces to keep, in (0, 1].
+        ratio: share of the faces to keep, in (0, 1], to the nearest whole number.
         max_error: the largest distance between the input and the result, both ways, at every point and in every frame,
             in % of the diagonal of the input's bounding box in that frame. It is proved, not sampled
             (:mod:`warpqem.kernels.distance_bound`), for the result as it is returned; single spots are held back where
             they would be too far (:mod:`warpqem.pipeline.bounded`), which takes several times as long as a result by
             count.
-        max_size_error: where to stop above the face count, so that a small mesh is not destroyed for it: no edge
-            collapses whose error, as in ``SimplifiedMesh.error``, would pass so many % of the diagonal of the mesh's
-            bounding box. Nothing is proved or searched for, as it is with ``max_error``. None for no limit.
+        max_size_error: where to stop above the face count or within a limit, so that a small mesh is not destroyed: no
+            edge collapses whose error, as in ``SimplifiedMesh.error``, would pass so many % of the diagonal of the
+            mesh's bounding box. Nothing is proved or searched for, as it is with ``max_error``. None for no limit.
         quality: "best" orders by quadrics of the present faces and fits the whole surface at the end, see
             ``memoryless`` and ``refit``: a better shape in two to three times the time of "fast", which does neither.
         metric: cost model: "dsd" (default), "qem", "dod", "aqem", "face", or one of another package; see
@@ -100,15 +100,14 @@ class MethodOptions:
     max_error: float | None = option(
         None,
         "Largest distance of each mesh from the input, in % of its bounding-box diagonal, proved for every point and "
-        "pose, with about the fewest faces; of a skinned mesh before its skin is fitted, and not with "
-        "--pose-independent.",
+        "pose, with about the fewest faces; of a skinned mesh as its skin has it, if that is linear.",
         "PCT",
         ABOVE_0,
         basic=True,
     )
     max_size_error: float | None = option(
         None,
-        "Above the face count a mesh stops where its error would pass so many % of its bounding-box diagonal.",
+        "A mesh stops where its error would pass so many % of its bounding-box diagonal, whatever the goal.",
         "PCT",
         ABOVE_0,
     )
@@ -313,7 +312,10 @@ def check_ratio(ratio: Any) -> float:
 
 
 def target_count(ratio: float, face_count: int) -> int:
-    """The faces that a part of them is."""
+    """The faces that a part of them is, to the nearest whole number: of 72 faces 0.3 are 22.
+
+    Everywhere it is a part of the faces that the caller gave, with those that repeat others.
+    """
     return max(1, round(ratio * face_count))
 
 

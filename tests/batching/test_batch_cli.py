@@ -6,11 +6,13 @@ import json
 from pathlib import Path
 
 import pytest
+from pxr import Sdf, UsdGeom
 
 from tests.support.cli import run
 from tests.support.usd_stages import cloth_stage
 from warpqem.batching.job_result import BatchResult
 from warpqem.cli.batch import _line
+from warpqem.cli.batch_losses import loss_lines
 
 
 @pytest.fixture
@@ -111,3 +113,63 @@ def test_manifest_is_refused_as_a_whole_where_it_is_to_be(folder, rows, options,
     result = run("batch", folder / "list.jsonl", "-o", folder / "out", *options)
     assert result.exit_code == code
     assert "line 1: " in result.stderr
+
+
+def report_of(prims: list[dict[str, object]], **more: object) -> BatchResult:
+    """A result with so many meshes, of which each lost something or has notes."""
+    plain = {"dropped": [], "problems": [], "notes": [], "symmetry": None, "status": "simplified", "stopped": "target"}
+    found = [{**plain, "path": f"/M{index}", **prim} for index, prim in enumerate(prims)]
+    return BatchResult("in.usd", "out.usd", "done", report={"prims": found, "problems": [], "notes": [], **more})
+
+
+def test_meshes_that_lost_the_same_share_a_line():
+    result = report_of([{"dropped": ["skin", "creaseIndices"]}, {"dropped": ["heat"]}, {"dropped": ["skin", "heat"]}])
+    assert loss_lines(result) == [
+        ("warning", "in.usd: /M0 and 1 more: dropped, does not fit the new mesh: skin"),
+        ("warning", "in.usd: /M0: dropped, does not fit the new mesh: creaseIndices"),
+        ("warning", "in.usd: /M1 and 1 more: dropped, does not fit the new mesh: heat"),
+    ]
+
+
+def test_level_that_lost_something_is_named():
+    [(_, text)] = loss_lines(report_of([{"dropped": ["heat"], "level": "LOD2"}]))
+    assert text == "in.usd: /M0 (LOD2): dropped, does not fit the new mesh: heat"
+
+
+def test_problems_and_notes_of_meshes_are_told_once_for_those_that_have_them():
+    prims = [
+        {"problems": [f"/M{index}: a normal is no number"], "notes": [f"/M{index}: done run by run"]}
+        for index in (0, 1)
+    ]
+    assert loss_lines(report_of(prims, problems=["a file is missing"], notes=["come from the class /C"])) == [
+        ("warning", "in.usd: a file is missing"),
+        ("warning", "in.usd: /M0 and 1 more: a normal is no number"),
+        ("note", "in.usd: come from the class /C"),
+        ("note", "in.usd: /M0 and 1 more: done run by run"),
+    ]
+
+
+def test_notes_of_one_asset_end_somewhere_but_its_losses_do_not():
+    prims = [{"notes": [f"note {index}"], "dropped": [f"value {index}"]} for index in range(60)]
+    lines = loss_lines(report_of(prims))
+    assert sum("dropped" in text for _, text in lines) == 60
+    assert lines[-1] == ("note", "in.usd: and 40 more notes, see --json")
+
+
+def test_batch_tells_everything_that_simplify_tells(folder):
+    stage = cloth_stage(folder / "in" / "lossy.usda")
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/Root/Cloth"))
+    mesh.CreateCreaseIndicesAttr([0, 1])
+    mesh.CreateCreaseLengthsAttr([2])
+    mesh.CreateCreaseSharpnessesAttr([1.0])
+    UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("heat", Sdf.ValueTypeNames.FloatArray, "vertex").Set([1.0, 2.0])
+    stage.Save()
+    options = ("--ratio", 0.5, "--device", "cpu")
+    alone = run("simplify", folder / "in" / "lossy.usda", "-o", folder / "alone.usda", *options)
+    batch = run("batch", folder / "in" / "lossy.usda", "-o", folder / "out", *options, "--jobs", 1)
+    told = [line for line in alone.stderr.splitlines() if "dropped, does not fit" in line]
+    assert told
+    for name in ("creaseIndices", "primvars:heat (vertex)"):
+        assert name in told[0]
+        assert name in batch.stderr
+    assert "1 of 1 assets lost what does not fit the new meshes" in " ".join(batch.stdout.split())

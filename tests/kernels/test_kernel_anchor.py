@@ -9,11 +9,9 @@ import warp as wp
 from tests.oracles import quadrics as oracle
 from tests.support import meshes
 from tests.support.mesh_state import build_mesh, packed, packed_quadrics
-from warpqem.decimation.adjacency import group_items
 from warpqem.kernels.anchor import fit_anchor_weights, measure_cluster_distances
-from warpqem.kernels.cluster_rows import choose_nearest
 from warpqem.kernels.lanes import width_of
-from warpqem.place.anchors import fit_anchors, nearest_anchors
+from warpqem.place.anchors import _find_by_sort, _find_in_order, fit_anchors, nearest_anchors
 
 POINTS, FACES = meshes.swaying_sphere(1, 3)
 # A vertex with its ring, three times.
@@ -232,22 +230,21 @@ def test_anchor_stays_near_the_end_of_a_ridge_that_its_planes_share(device):
     assert place[0] == pytest.approx(-1 - 0.25 * 3.75, abs=0.01)
 
 
+@pytest.mark.parametrize("find", [_find_in_order, _find_by_sort])
 @pytest.mark.parametrize("most", [1, 3, 32])
-def test_nearest_vertices_come_first_and_equal_ones_in_their_order(most, device):
+def test_nearest_vertices_come_first_and_equal_ones_in_their_order(most, find, device):
     rng = np.random.default_rng(11)
     cluster = rng.integers(-1, 6, size=200).astype(np.int32)
     cluster[cluster == 4] = 5  # a cluster without a vertex
     distance = rng.integers(0, 9, size=200).astype(np.float32)
-    groups = group_items(cluster, 6, device)
-    size = np.minimum(np.bincount(cluster[cluster >= 0], minlength=6), most)
+    first = np.concatenate([[0], np.cumsum(np.bincount(cluster[cluster >= 0], minlength=6))]).astype(np.int32)
+    size = np.minimum(np.diff(first), most)
     start = np.concatenate([[0], np.cumsum(size)]).astype(np.int32)
-    chosen = wp.empty(int(start[-1]), dtype=wp.int32, device=device)
-    inputs = [groups.start, groups.corner, wp.array(distance, device=device), wp.array(start, device=device)]
-    wp.launch(choose_nearest, dim=6, inputs=inputs, outputs=[chosen], device=device)
+    chosen = find(cluster, wp.array(distance, device=device), first, start).numpy()
     for c in range(6):
         members = np.flatnonzero(cluster == c)
         expected = members[np.argsort(distance[members], kind="stable")][:most]
-        np.testing.assert_array_equal(chosen.numpy()[start[c] : start[c + 1]], expected)
+        np.testing.assert_array_equal(chosen[start[c] : start[c + 1]], expected)
 
 
 def test_nearly_coincident_cluster_gets_equal_weights(device):

@@ -227,7 +227,8 @@ def rebuilt(mesh, device):
     return mesh
 
 
-def test_updating_moved_costs_equals_computing_all(device):
+@pytest.mark.parametrize("lanes", [1, 3, 8, 61])
+def test_updating_moved_costs_equals_computing_all(lanes, device):
     points, faces = MESHES["closed"]
     mesh, model = build_mesh(points, faces, device), cost_model()
     prices(mesh, model, device)
@@ -235,8 +236,10 @@ def test_updating_moved_costs_equals_computing_all(device):
     log, *_ = commit_one(mesh, h, placed(mesh, model, [h], device)[0], device)
     rebuilt(mesh, device)
     begin = wp.zeros(1, dtype=wp.int32, device=device)
-    inputs = [mesh.state, mesh.frames, model, log, begin, one_part(device)]
-    wp.launch(update_moved_costs[width_of(mesh.frames.position)], dim=1, inputs=inputs, device=device)
+    work = one_part(device)
+    work.lanes = lanes
+    inputs = [mesh.state, mesh.frames, model, log, begin, work]
+    wp.launch(update_moved_costs[width_of(mesh.frames.position)], dim=lanes, inputs=inputs, device=device)
     updated = mesh.state.edge_cost.numpy().copy()
     np.testing.assert_array_equal(updated, prices(mesh, model, device))
 

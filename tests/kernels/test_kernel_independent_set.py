@@ -59,11 +59,15 @@ def priced_faces(cost, device) -> MeshState:
     return state
 
 
+def step_of(step, device) -> wp.array:
+    return wp.array([step], dtype=wp.int32, device=device)
+
+
 def histogram_of(cost, device, step=1, part_count=1) -> wp.array:
     """(P, BINS)."""
     histogram = wp.zeros((part_count, BINS), dtype=wp.int32, device=device)
     for part in range(part_count):
-        inputs = [priced_faces(cost, device), step, one_part(device, part, part_count)]
+        inputs = [priced_faces(cost, device), step_of(step, device), one_part(device, part, part_count)]
         wp.launch(kernels.count_costs, dim=1, inputs=inputs, outputs=[histogram], device=device)
     return histogram
 
@@ -87,9 +91,39 @@ def cap_of(histogram, wanted, device) -> wp.array:
     cost_threshold = wp.zeros(1, dtype=wp.float32, device=device)
     wanted = wp.array([wanted], dtype=wp.int32, device=device)
     wp.launch(
-        kernels.find_cost_threshold, dim=1, inputs=[wanted, 1], outputs=[histogram, cost_threshold], device=device
+        kernels.find_cost_threshold,
+        dim=1,
+        inputs=[wanted, step_of(1, device)],
+        outputs=[histogram, cost_threshold],
+        device=device,
     )
     return cost_threshold
+
+
+@pytest.mark.parametrize("stretches", [1, 64, 4096])
+@pytest.mark.parametrize("wanted", [0, 1, 2, 50, 999, 1000, 5000])
+@pytest.mark.parametrize("step", [1, 7])
+def test_cap_by_sums_is_that_of_one_thread(stretches, wanted, step, device):
+    histogram, other = (histogram_of(random_costs(), device, step) for _ in range(2))
+    sums = wp.empty(stretches, dtype=wp.int32, device=device)
+    cost_threshold = wp.zeros(1, dtype=wp.float32, device=device)
+    wp.launch(kernels.sum_bins, dim=stretches, inputs=[histogram], outputs=[sums], device=device)
+    inputs = [wp.array([wanted], dtype=wp.int32, device=device), step_of(step, device), sums]
+    wp.launch(
+        kernels.find_cap_by_sums, dim=stretches, inputs=inputs, outputs=[histogram, cost_threshold], device=device
+    )
+    one = wp.zeros(1, dtype=wp.float32, device=device)
+    wp.launch(kernels.find_cost_threshold, dim=1, inputs=inputs[:2], outputs=[other, one], device=device)
+    assert cost_threshold.numpy()[0] == one.numpy()[0]
+    assert not histogram.numpy().any()
+
+
+def test_cap_by_sums_of_no_costs_is_zero(device):
+    histogram, sums = wp.zeros((1, BINS), dtype=wp.int32, device=device), wp.zeros(64, dtype=wp.int32, device=device)
+    cost_threshold = wp.full(1, 7.0, dtype=wp.float32, device=device)
+    inputs = [wp.array([5], dtype=wp.int32, device=device), step_of(1, device), sums]
+    wp.launch(kernels.find_cap_by_sums, dim=64, inputs=inputs, outputs=[histogram, cost_threshold], device=device)
+    assert cost_threshold.numpy()[0] == 0.0
 
 
 def collected(cost, cost_threshold, device) -> np.ndarray:

@@ -19,7 +19,6 @@ from warpqem.kernels.topology import (
     is_canonical,
     next_corner,
     previous_corner,
-    sort_adjacency,
 )
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
@@ -110,17 +109,6 @@ def test_stars_are_sorted_where_threads_fill_them_in_any_order(device):
     centre = adjacency.corner.numpy()[: adjacency.start.numpy()[1]]
     assert len(centre) == 300
     assert (np.diff(centre) > 0).all()
-
-
-def test_sorting_puts_every_list_in_ascending_order(device):
-    random = np.random.default_rng(0)
-    start = np.array([0, 0, 1, 8, 40, 41])
-    corner = random.permutation(41)
-    sorted_corner = wp.array(corner, dtype=wp.int32, device=device)
-    inputs = [wp.array(start, dtype=wp.int32, device=device)]
-    wp.launch(sort_adjacency, dim=5, inputs=inputs, outputs=[sorted_corner], device=device)
-    expected = np.concatenate([np.sort(corner[a:b]) for a, b in pairwise(start)])
-    np.testing.assert_array_equal(sorted_corner.numpy(), expected)
 
 
 def test_dead_faces_are_left_out_of_the_stars(device):

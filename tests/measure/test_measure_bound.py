@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.support.meshes import bumpy_sphere, grid, icosphere
@@ -76,6 +76,7 @@ def test_points_without_faces_do_not_count(device):
     assert excess((more, faces), (points, faces), 1e-6, device) is None
 
 
+@settings(deadline=None)
 @given(seed=st.integers(0, 2**31), noise=st.floats(0.005, 0.2), factor=st.floats(0.3, 1.6))
 def test_what_is_proved_no_sample_contradicts(seed, noise, factor):
     rng = np.random.default_rng(seed)
@@ -89,3 +90,53 @@ def test_what_is_proved_no_sample_contradicts(seed, noise, factor):
         assert found is not None
     elif factor > 1.2:  # samples miss some of the distance
         assert found is None
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 2**31), factor=st.floats(0.3, 1.6), frames=st.integers(2, 20))
+def test_what_is_proved_in_many_frames_no_sample_of_any_contradicts(seed, factor, frames):
+    rng = np.random.default_rng(seed)
+    (points, faces), (rough, rough_faces) = icosphere(2), icosphere(1)
+    # What is near to a face differs from frame to frame.
+    reference = points + 0.03 * rng.standard_normal((frames, *points.shape))
+    test = rough + 0.1 * rng.standard_normal((frames, *rough.shape))
+    largest = max(
+        sampled_distance((own, faces), (other, rough_faces)) for own, other in zip(reference, test, strict=True)
+    )
+    found = DistanceBound(faces, rough_faces, largest * factor, "cpu").excess(0, reference, test)
+    if factor < 0.999:
+        assert found is not None
+        frame = sampled_distance((reference[found.frame], faces), (test[found.frame], rough_faces))
+        assert frame > 0.5 * largest * factor
+    elif factor > 1.2:  # samples miss some of the distance
+        assert found is None
+
+
+def test_what_is_proved_by_a_face_that_then_moves_is_looked_at_again(device):
+    triangle = np.float64([[0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    far = np.float64([10, 0, 0])
+    # Two faces; the reference lies on the first one, where it is cut, and in the last frame on the second one.
+    reference = np.stack([triangle, triangle, triangle + far])
+    test = np.repeat(np.concatenate([triangle, triangle + far])[None], 3, axis=0)
+    bound = DistanceBound(np.int32([[0, 1, 2]]), np.int32([[0, 1, 2], [3, 4, 5]]), 0.1, device)
+    assert len(bound.excess(0, reference, test).reference_faces) == 0
+    unknown = np.full(2, -1, dtype=np.int32)
+    after = bound.succeeded_by(
+        np.int32([[0, 1, 2], [3, 4, 5]]), np.arange(2), np.array([True, False]), unknown, unknown[:1]
+    )
+    test[:, 3:, 2] = 5.0
+    found = after.excess(0, reference, test)
+    assert list(found.reference_faces) == [0]
+
+
+def test_nothing_counts_as_proved_in_frames_that_were_not_seen(device):
+    points, faces = icosphere(2)
+    bound = DistanceBound(faces, faces, 0.05, device)
+    still = points.astype(np.float64)
+    assert bound.excess(0, still, still) is None
+    bound.look_again()
+    same = np.ones(len(faces), dtype=bool)
+    after = bound.succeeded_by(faces, np.arange(len(faces)), same, np.arange(len(faces)), np.arange(len(faces)))
+    moved = still.copy()
+    moved[7] *= 1.2
+    assert set(after.excess(0, still, moved).test_faces) == set(np.flatnonzero((faces == 7).any(axis=1)))

@@ -8,6 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 from pxr import Usd, UsdGeom
 from typer.testing import CliRunner
 
@@ -16,7 +19,8 @@ from tests.support.meshes import grid, icosphere
 from warpqem.cli.app import app
 from warpqem.errors import MeshFileError, OptionError
 from warpqem.mesh_files.file_names import find_mesh_files, frame_numbers, is_mesh_name, numbered_files
-from warpqem.mesh_files.writing import as_trimesh
+from warpqem.mesh_files.reading import read_mesh_file
+from warpqem.mesh_files.writing import SurfaceValues, as_trimesh, write_frames
 from warpqem.usd import SimplifyOptions, simplify_stage
 from warpqem.usd.commands.mesh_stage import save_stage
 from warpqem.usd.commands.simplify_meshes import simplify_mesh_files
@@ -403,3 +407,15 @@ def test_long_sequence_takes_no_more_memory_than_a_short_one(tmp_path):
     grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) * 1024
     # All points would be 120 x 2562 x 3 x 8 bytes, and what trimesh keeps of each mesh several times as much.
     assert grown < 5 * 2**20
+
+
+@pytest.mark.parametrize("with_colors", [False, True])
+@pytest.mark.parametrize("suffix", [".obj", ".off"])
+@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(points=arrays(np.float32, (4, 3), elements=st.floats(-1e6, 1e6, width=32)))
+def test_text_formats_hold_every_bit_of_points_of_any_size(tmp_path, suffix, with_colors, points):
+    faces = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
+    colors = np.random.default_rng(0).random((2, 3, 4)).astype(np.float32) if with_colors else None
+    write_frames([points], faces, 4, [str(tmp_path / f"a{suffix}")], SurfaceValues(colors=colors))
+    found = read_mesh_file(str(tmp_path / f"a{suffix}"))
+    np.testing.assert_array_equal(found.points.astype(np.float32)[found.faces], points[faces])

@@ -8,7 +8,7 @@ from tests.support import meshes
 from warpqem.arguments.distance_limit import DistanceLimit
 from warpqem.measure import compare
 from warpqem.mesh.mesh_input import read_mesh
-from warpqem.pipeline.bounded import BoundSink
+from warpqem.pipeline.bound_sink import BoundSink
 
 BAR = meshes.bending_bar(20, 40, frames=6)
 WAYS = {
@@ -139,3 +139,21 @@ def test_every_frame_is_bounded_where_poses_come_later(device):
     points[:24] = points[0]
     result = warpqem.simplify(points, faces, max_error=0.3, device=device)
     assert largest_distance((points, faces), result, device) <= 0.3
+
+
+def test_the_plan_counts_the_proof_and_measuring_on_the_way_to_a_sink(device):
+    def place_bytes(measure=False, sink=None, **goal):
+        return warpqem.plan(*BAR, sink=sink, measure=measure, device=device, **goal).place_bytes
+
+    nearly_all = {"target_faces": len(BAR[1]) - 1}
+    assert place_bytes(max_error=0.6, **nearly_all) > place_bytes(**nearly_all)
+    assert place_bytes(sink=Kept(), measure=True, **nearly_all) > place_bytes(sink=Kept(), **nearly_all)
+    assert place_bytes(measure=True, **nearly_all) == place_bytes(**nearly_all)
+
+
+def test_a_distance_beyond_the_size_stops_where_the_size_does(device):
+    points, faces = meshes.icosphere(3)
+    result = warpqem.simplify(points, faces, max_distance=100.0, max_size_error=5.0, device=device)
+    assert result.stopped == "max_size_error"
+    by_count = warpqem.simplify(points, faces, target_faces=1, max_size_error=5.0, device=device)
+    assert len(result.faces) == len(by_count.faces)

@@ -1,11 +1,15 @@
 """The refit: a better fit of the whole surface that adds neither flips nor motion over the surface."""
 
+import os
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import warp as wp
 
 import warpqem
-from tests.support import meshes
+import warpqem.runtime.device
+from tests.support import cuda_semantics, meshes
 from tests.support.moving_meshes import BAR, SPHERE, rms
 from warpqem.decimation.adjacency import build_adjacency
 from warpqem.kernels.element_solve import Elements
@@ -169,7 +173,16 @@ def test_samples_of_a_face_have_its_middle():
     np.testing.assert_allclose(OUTPUT_SAMPLES.mean(axis=0), 1 / 3, atol=1e-12)
 
 
-def test_conjugate_gradients_solve_the_assembled_system(device):
+@pytest.fixture(params=[True, False], ids=["loop in the graph", "turns"])
+def graph_loops(request, monkeypatch, device):
+    """Devices whose graphs hold loops, and those whose do not."""
+    name = "cpu" if wp.get_device(device).is_cpu else "cuda"
+    traits = replace(warpqem.runtime.device._TRAITS[name], graph_loops=request.param)
+    monkeypatch.setitem(warpqem.runtime.device._TRAITS, name, traits)
+
+
+def random_system(device):
+    """Elements and the right side of their corners; the same as a matrix and a vector."""
     faces = meshes.icosphere(1)[1]
     vertex_count = int(faces.max()) + 1
     random = np.random.default_rng(0)
@@ -187,6 +200,30 @@ def test_conjugate_gradients_solve_the_assembled_system(device):
     elements.adjacency_start, elements.adjacent_corner = adjacency.start, adjacency.corner
     blocks = local.reshape(-1, 3, 3, 3, 3).transpose(0, 1, 3, 2, 4).reshape(-1, 9, 3, 3)
     elements.block = wp.array(np.ascontiguousarray(blocks), dtype=wp.mat33, device=device)
-    solution = solve_elements(elements, wp.array(right.reshape(-1, 3), dtype=wp.vec3, device=device)).numpy()
+    return elements, wp.array(right.reshape(-1, 3), dtype=wp.vec3, device=device), matrix, vector
+
+
+def test_conjugate_gradients_solve_the_assembled_system(graph_loops, device):
+    elements, right, matrix, vector = random_system(device)
+    solution = solve_elements(elements, right).numpy()
     expected = np.linalg.solve(matrix, vector).reshape(-1, 3)
     assert np.abs(solution - expected).max() <= 2e-3 * np.abs(expected).max()
+
+
+def test_turns_ahead_of_the_host_move_the_solution_no_further(monkeypatch, device):
+    elements, right, *_ = random_system(device)
+    once = solve_elements(elements, right).numpy()
+    name = "cpu" if wp.get_device(device).is_cpu else "cuda"
+    monkeypatch.setitem(
+        warpqem.runtime.device._TRAITS, name, replace(warpqem.runtime.device._TRAITS[name], graph_loops=False)
+    )
+    monkeypatch.setattr("warpqem.runtime.loops.AHEAD", 9)
+    np.testing.assert_array_equal(solve_elements(elements, right).numpy(), once)
+
+
+@pytest.mark.skipif("CUDA_SEMANTICS" not in os.environ, reason="needs CUDA_SEMANTICS")
+def test_solving_waits_for_the_device_once():
+    elements, right, *_ = random_system("cpu")
+    with cuda_semantics.counted() as traffic:
+        solve_elements(elements, right)
+    assert (traffic.graph_launches, traffic.readbacks, traffic.values_read) == (1, 1, 2)

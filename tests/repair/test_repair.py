@@ -10,7 +10,6 @@ import warpqem
 import warpqem.pipeline.surface_transfer
 from tests.support import meshes
 from tests.support.moving_meshes import rms
-from warpqem.errors import OptionError
 from warpqem.measure import topology
 from warpqem.progressive import load, save
 from warpqem.repair.mended_mesh import face_repair
@@ -204,19 +203,26 @@ def test_any_dirty_mesh_comes_through(mesh, ratio):
     assert np.isfinite(transfer.wedges_from_corners(values)).all()
 
 
-def test_progressive_mesh_of_a_mended_mesh_comes_back_from_its_file(tmp_path, device):
-    points, faces = meshes.book(3, 6)
-    mesh = warpqem.build_progressive(points, faces, device=device)
-    save(mesh, tmp_path / "book.wpqm")
-    again = load(tmp_path / "book.wpqm")
-    for split_count in (0, mesh.topology.split_count // 2, mesh.topology.split_count):
-        assert again.level(split_count).points.tobytes() == mesh.level(split_count).points.tobytes()
-        assert again.level(split_count).faces.tobytes() == mesh.level(split_count).faces.tobytes()
+def two_sided(points: np.ndarray, faces: np.ndarray, share: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    """A mesh with the backs of a share of its faces."""
+    return points, np.concatenate([faces, faces[: int(share * len(faces)), ::-1]])
 
 
-def test_progressive_mesh_with_faces_on_both_sides_has_no_file(tmp_path, device):
-    points, faces = meshes.grid(8, 8)
-    mesh = warpqem.build_progressive(points, np.concatenate([faces, faces[:, ::-1]]), device=device)
-    with pytest.raises(OptionError, match="faces lie on both sides of the same vertices"):
-        save(mesh, tmp_path / "sheet.wpqm")
-    assert not list(tmp_path.iterdir())
+@pytest.mark.parametrize(
+    "mesh",
+    [
+        meshes.book(3, 6),
+        two_sided(*meshes.grid(8, 8)),
+        two_sided(*meshes.grid(8, 8), 0.4),
+        two_sided(*meshes.icosphere(2)),
+    ],
+    ids=["book", "two_sided", "backs_of_some", "ball_in_itself"],
+)
+def test_progressive_mesh_of_a_mended_mesh_comes_back_from_its_file(mesh, tmp_path, device):
+    built = warpqem.build_progressive(*mesh, device=device)
+    save(built, tmp_path / "mended.wpqm")
+    again = load(tmp_path / "mended.wpqm")
+    for split_count in (0, built.topology.split_count // 2, built.topology.split_count):
+        assert again.level(split_count).points.tobytes() == built.level(split_count).points.tobytes()
+        assert again.level(split_count).faces.tobytes() == built.level(split_count).faces.tobytes()
+    assert len(again.level(again.topology.split_count).faces) == len(mesh[1])

@@ -5,6 +5,7 @@ Most of it runs under ``CUDA_SEMANTICS`` only, see ``cuda_semantics.py``.
 
 import os
 import weakref
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from tests.support.meshes import waving_grid
 from warpqem.decimation.pass_steps import HISTOGRAM_BINS
 from warpqem.frames.blocks import CHUNK_FRAMES
 from warpqem.kernels.work import EdgeList
-from warpqem.runtime import launches
+from warpqem.runtime import device, launches
 from warpqem.runtime.launches import Recorder
 
 under_cuda_semantics = pytest.mark.skipif("CUDA_SEMANTICS" not in os.environ, reason="needs CUDA_SEMANTICS")
@@ -96,6 +97,17 @@ def test_results_do_not_depend_on_the_order_of_threads(options):
         assert np.array_equal(result.points, results[0].points)
         assert np.array_equal(result.faces, results[0].faces)
         assert np.array_equal(result.vertex_map, results[0].vertex_map)
+
+
+@pytest.mark.parametrize(("threshold", "expected"), [(0, [1.0]), (2**30, [])], ids=["not set", "set by the caller"])
+def test_a_gpu_keeps_freed_memory_unless_the_caller_says_how_much(threshold, expected, monkeypatch):
+    kept = []
+    monkeypatch.setattr(wp, "get_device", lambda name: SimpleNamespace(is_cuda=True))
+    monkeypatch.setattr(wp, "is_mempool_enabled", lambda device: True)
+    monkeypatch.setattr(wp, "get_mempool_release_threshold", lambda device: threshold)
+    monkeypatch.setattr(wp, "set_mempool_release_threshold", lambda device, share: kept.append(share))
+    device._keep_freed_memory("cuda:0")
+    assert kept == expected
 
 
 @under_cuda_semantics

@@ -10,9 +10,8 @@ import pytest
 import warp as wp
 from warp._src.context import Device
 
-from warpqem import precompile
 from warpqem.errors import OptionError
-from warpqem.runtime import launches
+from warpqem.runtime import launches, precompile
 from warpqem.runtime.launches import _compile_all, _machine_code
 from warpqem.runtime.precompile import binary_path, compile_modules, gpu_modules
 

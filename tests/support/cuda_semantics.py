@@ -6,19 +6,23 @@
 - warpqem works as on a GPU: frames in blocks of one, many threads over a work list, no split launches, captured graphs;
 - ``array.numpy()`` and ``wp.array(data)`` copy, and ``numpy()`` fails during a capture;
 - memory of ``wp.empty`` holds garbage;
-- a captured graph holds no reference to its arrays: launching it after one of them is gone is an error.
+- a captured graph holds no reference to its arrays: launching it after one of them is gone is an error;
+- memory that is allocated in the body of a captured loop or branch is an error, also by Warp's own functions.
 
 It changes Warp's code generator, so it is made for one version. Kernels get a cache of their own.
 """
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
+import functools
 import mmap
 import os
 import tempfile
 import weakref
-from dataclasses import replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +31,16 @@ from warp._src import codegen
 
 import warpqem.runtime.device
 
-__all__ = ["ORDERS", "VERSION", "FreedArrayError", "install", "set_order"]
+__all__ = [
+    "ORDERS",
+    "VERSION",
+    "AllocationInLoopError",
+    "FreedArrayError",
+    "Traffic",
+    "counted",
+    "install",
+    "set_order",
+]
 
 VERSION = "1.19"
 ORDERS = {"forward": 0, "reversed": 1, "shuffled": 2}
@@ -62,8 +75,39 @@ _PERMUTED = f"""    volatile int* const order_page = (volatile int*){PAGE:#x}ull
 """
 
 
+# Functions of Warp that allocate on a CUDA device, which the CPU does not show.
+ALLOCATING = ("array_inner", "array_scan", "array_sum", "runlength_encode")
+
+
 class FreedArrayError(RuntimeError):
     """A graph is launched, and an array that it uses is gone."""
+
+
+class AllocationInLoopError(RuntimeError):
+    """Memory is allocated in the body of a loop or branch of a graph."""
+
+
+@dataclass
+class Traffic:
+    """What passes between the host and the device: times that the host waits, values that it reads, graphs launched."""
+
+    readbacks: int = 0
+    values_read: int = 0
+    graph_launches: int = 0
+
+
+_traffic = Traffic()
+
+
+@contextlib.contextmanager
+def counted() -> Iterator[Traffic]:
+    """Count the traffic within."""
+    global _traffic
+    before, _traffic = _traffic, Traffic()
+    try:
+        yield _traffic
+    finally:
+        _traffic = before
 
 
 def install(order: str) -> None:
@@ -87,6 +131,7 @@ def install(order: str) -> None:
     _copy_arrays()
     _fill_with_garbage()
     _hold_no_references()
+    _refuse_allocation()
 
 
 def set_order(order: str) -> None:
@@ -110,6 +155,8 @@ def _copy_arrays() -> None:
     def copied(self: wp.array) -> np.ndarray:
         if wp.get_device("cpu").is_capturing:
             raise RuntimeError("numpy() while a graph is captured: a GPU cannot synchronise then")
+        _traffic.readbacks += 1
+        _traffic.values_read += self.size
         return np.array(numpy(self), copy=True)
 
     def made(self: wp.array, data: object = None, *args: object, **kwargs: object) -> None:
@@ -146,6 +193,43 @@ def _hold_no_references() -> None:
         gone = sum(array() is None for array in used.get(graph, ()))
         if gone:
             raise FreedArrayError(f"{gone} arrays of a captured graph are freed")
+        _traffic.graph_launches += 1
         launch(graph, *args, **kwargs)
 
     wp.ScopedCapture.__exit__, wp.capture_launch = ended, launched
+
+
+def _refuse_allocation() -> None:
+    device, depth = wp.get_device("cpu"), 0
+
+    def within(body: Callable | None) -> Callable | None:
+        if body is None:
+            return None
+
+        def run(**kwargs: object) -> None:
+            nonlocal depth
+            depth += device.is_capturing
+            try:
+                body(**kwargs)
+            finally:
+                depth -= device.is_capturing
+
+        return run
+
+    def checked(function: Callable, name: str) -> Callable:
+        @functools.wraps(function)
+        def run(*args: object, **kwargs: object) -> object:
+            if depth:
+                raise AllocationInLoopError(f"{name} in the body of a captured loop allocates memory")
+            return function(*args, **kwargs)
+
+        return run
+
+    branch, loop, allocator = wp.capture_if, wp.capture_while, device.default_allocator
+    wp.capture_if = lambda condition, on_true=None, on_false=None, **kwargs: branch(
+        condition, within(on_true), within(on_false), **kwargs
+    )
+    wp.capture_while = lambda condition, body, **kwargs: loop(condition, within(body), **kwargs)
+    allocator.allocate = checked(allocator.allocate, "a new array")
+    for name in ALLOCATING:
+        setattr(wp.utils, name, checked(getattr(wp.utils, name), name))

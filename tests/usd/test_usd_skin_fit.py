@@ -150,3 +150,33 @@ def test_pose_independent_simplification_is_there_to_compare_with(tmp_path):
 def test_pose_independent_simplification_excludes_what_places_points_in_poses():
     with pytest.raises(OptionError, match="pose_independent excludes"):
         SimplifyOptions(ratio=0.5, pose_independent=True, refit=True)
+
+
+@pytest.mark.parametrize("way", [{}, {"skin_fit": False}, {"pose_independent": True}])
+@pytest.mark.parametrize("limit", [{"max_error": 1.0}, {"max_distance": 0.1}])
+def test_limits_hold_for_what_the_skin_makes_of_the_result(limit, way, tmp_path):
+    skinned_stage(tmp_path / "in.usda")
+    _, report = simplified(tmp_path, ratio=None, **limit, **way)
+    assert report.faces_after < report.faces_before
+    beyond = report.measured["hausdorff"] > limit.get("max_error", np.inf)
+    # A point beyond the limit is named, and nothing else is.
+    assert [problem for problem in report.problems if "not proved" in problem] or not beyond
+
+
+def test_a_fitted_skin_holds_its_limit(tmp_path):
+    skinned_stage(tmp_path / "in.usda")
+    _, report = simplified(tmp_path, ratio=None, max_error=0.5)
+    assert report.skin == "fitted"
+    assert not report.problems
+    assert report.measured["hausdorff"] <= 0.5
+
+
+def test_a_skin_that_is_not_linear_is_proved_as_it_is_written_or_named(tmp_path):
+    stage = skinned_stage(tmp_path / "in.usda")
+    UsdSkel.BindingAPI(stage.GetPrimAtPath(BODY)).CreateSkinningMethodAttr("dualQuaternion")
+    stage.Save()
+    _, loose = simplified(tmp_path, ratio=None, max_error=20.0)
+    assert not loose.problems
+    _, tight = simplified(tmp_path, ratio=None, max_error=0.5)
+    named = [problem for problem in tight.problems if "not proved for the skin" in problem]
+    assert len(named) == (tight.measured["hausdorff"] > 0.5)

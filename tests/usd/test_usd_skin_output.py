@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pxr import Gf, Usd, UsdGeom, UsdSkel
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
 
 from tests.support.usd_skin_output import BODY, rms
 from tests.support.usd_stages import FRAMES, skinned_stage
@@ -14,6 +14,7 @@ from warpqem.usd import SimplifyOptions, simplify_stage
 from warpqem.usd.read.mesh_skin import Influences
 from warpqem.usd.write.attribute_transfer import Rows
 from warpqem.usd.write.skin_output import blend_influences
+from warpqem.usd.write.smooth_normals import vertex_normals
 
 
 def simplified(folder: Path, **options: object) -> tuple[Usd.Stage, list[str]]:
@@ -119,13 +120,48 @@ def test_normals_of_the_rest_shape_are_carried(tmp_path):
     assert len(mesh.GetNormalsAttr().Get()) == len(mesh.GetPointsAttr().Get())
 
 
-def test_normals_of_the_rest_shape_are_dropped_from_poses(tmp_path):
+@pytest.mark.parametrize("name", ["normals", "primvars:normals"])
+def test_normals_of_the_rest_shape_are_made_anew_for_poses(tmp_path, flatten, name):
     source = skinned_stage(tmp_path / "in.usda")
-    UsdGeom.Mesh(source.GetPrimAtPath(BODY)).CreateNormalsAttr([Gf.Vec3f(0, 0, 1)] * 81)
+    body = source.GetPrimAtPath(BODY)
+    if name == "normals":
+        UsdGeom.Mesh(body).CreateNormalsAttr([Gf.Vec3f(0, 0, 1)] * 81)
+    else:
+        primvar = UsdGeom.PrimvarsAPI(body).CreatePrimvar("normals", Sdf.ValueTypeNames.Normal3fArray, "vertex")
+        primvar.Set([Gf.Vec3f(0, 0, 1)] * 81)
     source.Save()
-    stage, dropped = simplified(tmp_path, bake=True)
-    assert "normals of the rest pose" in dropped
-    assert not UsdGeom.Mesh(stage.GetPrimAtPath(BODY)).GetNormalsAttr().HasAuthoredValue()
+    stage, dropped = simplified(tmp_path, bake=True, flatten=flatten)
+    assert f"{name} of the rest pose (made anew from the poses)" in dropped
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath(BODY))
+    assert (mesh.GetNormalsInterpolation(), mesh.GetNormalsAttr().GetTimeSamples()) == ("vertex", FRAMES)
+    assert not mesh.GetPrim().GetAttribute("primvars:normals").HasAuthoredValue()
+    faces = np.array(mesh.GetFaceVertexIndicesAttr().Get()).reshape(-1, 3)
+    for time in FRAMES:
+        points = np.array(mesh.GetPointsAttr().Get(time))
+        np.testing.assert_allclose(mesh.GetNormalsAttr().Get(time), vertex_normals(points, faces), atol=1e-6)
+
+
+def test_hard_edges_of_the_rest_shape_are_hard_in_poses(tmp_path, flatten):
+    source = skinned_stage(tmp_path / "in.usda")
+    mesh = UsdGeom.Mesh(source.GetPrimAtPath(BODY))
+    # Half of the faces turned away, so that there is one hard edge across the middle.
+    indices = np.array(mesh.GetFaceVertexIndicesAttr().Get()).reshape(-1, 4)
+    points = np.array(mesh.GetPointsAttr().Get())
+    left = points[indices, 0].mean(axis=1) < points[:, 0].mean()
+    normals = np.where(left[:, None, None], [[[0.0, 0.0, 1.0]]], [[[1.0, 0.0, 0.0]]])
+    mesh.CreateNormalsAttr(np.repeat(normals, 4, axis=1).reshape(-1, 3).astype(np.float32))
+    mesh.SetNormalsInterpolation("faceVarying")
+    source.Save()
+    stage, _ = simplified(tmp_path, bake=True, flatten=flatten)
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath(BODY))
+    assert mesh.GetNormalsInterpolation() == "faceVarying"
+    faces = np.array(mesh.GetFaceVertexIndicesAttr().Get())
+    normals = np.array(mesh.GetNormalsAttr().Get(FRAMES[-1]))
+    assert len(normals) == len(faces)
+    counts = [len(np.unique(normals[faces == vertex].round(5), axis=0)) for vertex in np.unique(faces)]
+    # A vertex of the edge has two normals, all others one.
+    assert max(counts) == 2
+    assert 1 <= counts.count(2) <= len(counts) / 3
 
 
 def test_mesh_whose_rest_points_move_is_baked_and_says_why(tmp_path):

@@ -78,6 +78,19 @@ def test_budget_that_small_meshes_cannot_meet_says_why(tmp_path):
     ]
 
 
+@pytest.mark.parametrize("goal", [{"max_distance": 100.0}, {"max_error": 90.0}])
+def test_a_distance_larger_than_the_mesh_leaves_the_card_and_the_cube(goal, tmp_path):
+    prims = run(tmp_path, [CARD, box(1, 1, 1)], **goal).prims
+    assert [prim.faces_after for prim in prims] == [2, 12]
+    [prim] = run(tmp_path, [CARD], max_size_error=None, **goal).prims
+    assert prim.faces_after == 1
+
+
+def test_a_mesh_without_a_legal_collapse_is_not_said_to_be_held_by_its_size(tmp_path):
+    [prim] = run(tmp_path, [meshes.tetrahedron()], ratio=0.5).prims
+    assert (prim.status, prim.stopped) == ("kept", "no legal collapse")
+
+
 def test_without_the_limit_the_count_is_all_that_matters(tmp_path):
     [prim] = run(tmp_path, [CARD], ratio=0.25, max_size_error=None).prims
     assert prim.faces_after == 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -59,3 +60,17 @@ def test_subset_of_points_is_dropped_by_name(tmp_path, flatten):
     names = [subset.GetPrim().GetName() for subset in subsets]
     assert names == ["left", "right"]
     assert dropped == ["1 GeomSubset of points or edges"]
+
+
+def test_subset_that_has_no_face_left_is_named(tmp_path):
+    stage = cloth_stage(tmp_path / "in.usda", times=None)
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath(CLOTH))
+    # One quad in the middle and a corner: too small to be kept at a twentieth.
+    for name, faces in (("spot", [27]), ("empty", []), ("most", [face for face in range(64) if face != 27])):
+        UsdGeom.Subset.CreateGeomSubset(mesh, name, "face", faces, "materialBind", "nonOverlapping")
+    stage.Save()
+    options = SimplifyOptions(ratio=0.05, device="cpu", max_size_error=math.inf)
+    [prim] = simplify_stage(tmp_path / "in.usda", tmp_path / "out.usda", options).prims
+    result = Usd.Stage.Open(str(tmp_path / "out.usda"))
+    assert len(UsdGeom.Subset(result.GetPrimAtPath(f"{CLOTH}/spot")).GetIndicesAttr().Get()) == 0
+    assert "all faces of GeomSubset spot" in prim.dropped

@@ -171,6 +171,8 @@ def _collect(
     wrong: list[WrongLine], updates: Generator[BatchResult, None, None], write: Callable[[BatchResult], None]
 ) -> tuple[list[BatchResult], bool]:
     """The results of all assets as they come, and whether an interrupt ended that."""
+    from warpqem.cli.batch_losses import loss_lines
+
     results: list[BatchResult] = []
     try:
         for result in chain((line.result() for line in wrong), updates):
@@ -178,6 +180,8 @@ def _collect(
             write(result)
             if not result.ok:
                 print_message("error", f"{result.error}: {result.message}")
+            for kind, text in loss_lines(result):
+                print_message(kind, text)
     except KeyboardInterrupt:
         return results, True
     finally:

@@ -16,6 +16,7 @@ from warpqem.batching.engine import Finished, Progressed, Started, Update
 from warpqem.batching.job_result import DONE, FAILED, PARTIAL, SKIPPED, BatchResult
 from warpqem.batching.jobs import BatchJob
 from warpqem.batching.journal import Journal
+from warpqem.cli.batch_losses import has_losses
 from warpqem.cli.console import PlainTable, QuietProgress
 from warpqem.files.file_kinds import kind_of
 from warpqem.printable import printable
@@ -130,6 +131,9 @@ def summary_table(results: Sequence[BatchResult], job_count: int, seconds: float
                 str(peak >> 20) if peak else "",
             )
     _add_verdicts(table, results)
+    losing = sum(map(has_losses, results))
+    if losing:
+        table.add_note(f"{losing} of {len(results)} assets lost what does not fit the new meshes, named above")
     bad = [result for result in results if not result.ok]
     for result in bad[:MAX_NAMED]:
         table.add_note(f"{result.error}: {result.input}")

@@ -28,7 +28,9 @@ __all__ = ["compare"]
 
 def compare(
     reference: Annotated[str, typer.Argument(metavar="REFERENCE", help="USD file with the original meshes.")],
-    test: Annotated[str, typer.Argument(metavar="TEST", help="USD file with simplified meshes at the same paths.")],
+    test: Annotated[
+        str, typer.Argument(metavar="TEST", help="USD file that shows simplified meshes at the same paths.")
+    ],
     samples: Annotated[
         int | None,
         typer.Option(
@@ -63,7 +65,8 @@ def compare(
     report: ReportPage = None,
     json: JsonReport = None,
 ) -> None:
-    """Measure the meshes of TEST against those of REFERENCE with the same prim path, at the frames of both.
+    """Measure the meshes that TEST shows against those that REFERENCE shows at the same prim path, at the frames of
+    both. What instances share is measured once.
 
     Distances are in % of the reference's bounding-box diagonal in the frame, angles in degrees. RMS is the root mean
     square distance, of the two directions the larger, as a mean over the frames; Hausdorff the largest distance of any

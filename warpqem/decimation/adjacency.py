@@ -24,7 +24,6 @@ class Adjacency:
         corner_vertex: (3N,) int32, vertex of each corner; -1 in a dead face, which is left out.
         face_count: (1,) int32, how many of the N faces there are now.
         vertex_count: vertices V.
-
         spare: entries of the pool besides the 3N that stars built from the faces take, for stars of vertices that move.
 
     Attributes:
@@ -42,10 +41,23 @@ class Adjacency:
             wp.empty(vertex_count, dtype=wp.int32, device=self._device) for _ in range(2)
         )
         self.lists.corner, self.lists.used = self.corner, wp.zeros(1, dtype=wp.int32, device=self._device)
-        self._cursor = wp.zeros(vertex_count + 1, dtype=wp.int32, device=self._device)
+        self._in_order = device_traits(self._device).in_order
+        if self._in_order:
+            self._cursor = wp.zeros(vertex_count + 1, dtype=wp.int32, device=self._device)
+        else:
+            # A sort works between the two halves.
+            self._keys, self._sorted = (
+                wp.empty(2 * len(corner_vertex), dtype=wp.int32, device=self._device) for _ in range(2)
+            )
 
     def phases(self, part_count: int) -> list[Phase]:
-        """What builds the lists, in ``part_count`` parts."""
+        """What builds the lists, in ``part_count`` parts.
+
+        Threads in order put each corner behind those of its vertex that came before; others leave the order to a sort
+        that keeps it among equal keys. Either way a list is ascending.
+        """
+        if not self._in_order:
+            return [Phase(self._sort), Phase(self._hand_out)]
 
         def count(recorder: Recorder, part: int) -> None:
             self._record(recorder, kernels.count_corners, [self._cursor], part, part_count)
@@ -53,15 +65,13 @@ class Adjacency:
         def fill(recorder: Recorder, part: int) -> None:
             self._record(recorder, kernels.fill_adjacency, [self._cursor, self.corner], part, part_count)
 
-        phases = [
+        return [
             Phase(lambda recorder, _: recorder.zero(self._cursor)),
             Phase(count, part_count),
             Phase(self._scan),
             Phase(fill, part_count),
             Phase(self._hand_out),
         ]
-        # Threads in order fill a list in ascending order.
-        return phases if device_traits(self._device).in_order else [*phases, Phase(self._sort)]
 
     def _record(self, recorder: Recorder, kernel: wp.Kernel, outputs: list[Any], part: int, part_count: int) -> None:
         work = part_work(part, part_count, self._device)
@@ -78,7 +88,13 @@ class Adjacency:
         recorder.copy(self.lists.used, self.start, source_offset=vertex_count, count=1)
 
     def _sort(self, recorder: Recorder, _: int) -> None:
-        recorder.launch(kernels.sort_adjacency, len(self.start) - 1, [self.start], [self.corner])
+        corner_count, vertex_count = len(self._corner_vertex), len(self.start) - 1
+        work = part_work(0, 1, self._device)
+        inputs = [self._corner_vertex, self._face_count, vertex_count]
+        record_shared(recorder, kernels.list_corners, inputs, work, [self._keys, self._sorted])
+        recorder.sort_pairs(self._keys, self._sorted, corner_count, vertex_count.bit_length())
+        record_shared(recorder, kernels.find_starts, [self._keys, corner_count], work, [self.start])
+        recorder.copy(self.corner, self._sorted, count=corner_count)
 
 
 def build_adjacency(

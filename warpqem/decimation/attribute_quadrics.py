@@ -31,7 +31,7 @@ def build_wedges(faces: np.ndarray, key_position: wp.array, values: np.ndarray |
         wedges.corner_wedge = wp.empty(0, dtype=wp.int32, device=device)
         return wedges
     vertex_count = len(key_position)
-    points = key_position.numpy()[:, 0, :, 0].astype(np.float64)
+    points = key_position[:, :1].numpy()[:, 0, :, 0].astype(np.float64)
     # Differences count, not values: float32 is finest about the middle.
     corner_value = (values - values.mean(axis=(0, 1))).reshape(faces.size, -1) * np.sqrt(key_count)
     corner_wedge, first = _share_values(faces.ravel(), corner_value)

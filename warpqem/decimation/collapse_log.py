@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 import numpy as np
+import warp as wp
 
 from warpqem.kernels.mesh_state import CollapseLog
 
-__all__ = ["CollapseRecord", "read_log"]
+__all__ = ["CollapseRecord", "new_log", "read_log"]
 
 
 @dataclass(frozen=True)
@@ -58,19 +59,36 @@ class CollapseRecord:
             parent = grandparent
 
 
-def read_log(log: CollapseLog) -> CollapseRecord:
-    """Fetch the log; within a round, where threads log in any order, collapses are put in the order of their cost."""
-    count = int(log.count.numpy()[0])
-    round_index, cost, removed = (a.numpy()[:count] for a in (log.round_index, log.cost, log.removed))
-    order = _sorted_rounds(round_index, cost, removed, len(log.removed))
+# The arrays of a log in rows of four bytes each, so that one copy brings all of it to the host.
+_INTEGERS = ("kept", "removed", "left_opposite", "right_opposite", "faces_removed", "round_index")
+_NUMBERS = ("cost", "error")
+
+
+def new_log(capacity: int, device: str) -> tuple[CollapseLog, wp.array]:
+    """An empty log on the device, and the rows (8, capacity) int32 that its arrays are."""
+    log, rows = CollapseLog(), wp.empty((len(_INTEGERS) + len(_NUMBERS), capacity), dtype=wp.int32, device=device)
+    log.count, log.round_count = (wp.zeros(1, dtype=wp.int32, device=device) for _ in range(2))
+    for index, name in enumerate(_INTEGERS):
+        setattr(log, name, rows[index])
+    for index, name in enumerate(_NUMBERS, len(_INTEGERS)):
+        setattr(log, name, rows[index].view(wp.float32))
+    return log, rows
+
+
+def read_log(rows: wp.array, count: int) -> CollapseRecord:
+    """Fetch ``count`` collapses; those of a round, which threads log in any order, are put in order of their cost."""
+    values = rows[:, :count].numpy()
+    integers = dict(zip(_INTEGERS, values, strict=False))
+    cost, error = (row.view(np.float32) for row in values[len(_INTEGERS) :])
+    order = _sorted_rounds(integers["round_index"], cost, integers["removed"], rows.shape[1])
     return CollapseRecord(
-        kept=log.kept.numpy()[:count][order],
-        removed=removed[order],
-        opposites=np.stack([log.left_opposite.numpy()[:count], log.right_opposite.numpy()[:count]], axis=1)[order],
-        faces_removed=log.faces_removed.numpy()[:count][order],
+        kept=integers["kept"][order],
+        removed=integers["removed"][order],
+        opposites=np.stack([integers["left_opposite"], integers["right_opposite"]], axis=1)[order],
+        faces_removed=integers["faces_removed"][order],
         cost=cost[order],
-        error=np.sqrt(log.error.numpy()[:count])[order],
-        round_index=round_index[order],
+        error=np.sqrt(error)[order],
+        round_index=integers["round_index"][order],
     )
 
 

@@ -63,14 +63,14 @@ class NodeRecorder:
 
     def record(self, state: MeshState, frames: AnyKeyFrames, log: CollapseLog, begin: int, end: int) -> None:
         """Keep the vertices of the collapses that stand in the log from ``begin`` to ``end``."""
-        row = np.sort(log.kept.numpy()[begin:end])
+        row = np.sort(log.kept[begin:end].numpy())
         chosen = wp.array(row, dtype=wp.int32, device=frames.position.device)
         position = read_rows(frames.position, chosen)
         # As order_collapses adds it for the vertices that are left at the end.
         attribute = read_rows(state.wedges.quadric, chosen)[:, :, 0] if state.wedges.channel_count > 0 else None
         if self.present:
-            scale = state.quadric_scale.numpy()[row]
-            added = self._added(state, frames, row, attribute)
+            scale = read_rows(state.quadric_scale, chosen)
+            added = self._added(state, frames, chosen, attribute)
             self.passes.append(PassNodes(row, position, None, scale, added))
             return
         quadric = read_rows(frames.quadric, chosen)
@@ -80,11 +80,11 @@ class NodeRecorder:
 
     @staticmethod
     def _added(
-        state: MeshState, frames: AnyKeyFrames, row: np.ndarray, attribute: np.ndarray | None
+        state: MeshState, frames: AnyKeyFrames, row: wp.array, attribute: np.ndarray | None
     ) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
         added = []
         if state.sum_row is not None and len(state.sum_row) > 0:
-            sum_row = state.sum_row.numpy()[row]
+            sum_row = read_rows(state.sum_row, row)
             place = np.flatnonzero(sum_row >= 0)
             chosen = wp.array(sum_row[place], dtype=wp.int32, device=frames.position.device)
             added.append((place, read_rows(frames.kept_sum, chosen)))

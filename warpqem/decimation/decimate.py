@@ -16,7 +16,9 @@ from warpqem.decimation.cluster_vertices import build_members
 from warpqem.decimation.collapse_log import CollapseRecord, read_log
 from warpqem.decimation.collapse_nodes import NodeRecorder
 from warpqem.decimation.deformation import build_deformation
+from warpqem.decimation.device_loop import DeviceOrderer
 from warpqem.decimation.initial_quadrics import given_quadrics, initial_quadrics
+from warpqem.decimation.ordering import Ordering
 from warpqem.decimation.pass_steps import PassSteps
 from warpqem.decimation.passes import Orderer
 from warpqem.decimation.pruning import Components, DropRecord
@@ -27,6 +29,7 @@ from warpqem.kernels.lanes import width_of
 from warpqem.kernels.mesh_state import KEY_FRAMES, CostModel, MeshState
 from warpqem.kernels.topology import CORNER, NON_MANIFOLD
 from warpqem.runtime.cpu_threads import launch_parts
+from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import launch
 
 __all__ = ["DecimatedMesh", "DecimationInput", "OrderSettings", "faces_left", "order_collapses"]
@@ -265,7 +268,8 @@ def _collapse(
     frame_count = 1 if mesh.trajectories is None else mesh.trajectories.shape[1]
     model.deformation_weight = settings.deformation_weight * mesh.key_count / frame_count
 
-    orderer = Orderer(PassSteps(state, frames, adjacency, model, device, settings.memoryless))
+    steps = PassSteps(state, frames, adjacency, model, device, settings.memoryless)
+    orderer = _new_ordering(steps)
     components = (
         None if settings.keep_components else Components(state, model.epsilon, settings.error_limit**2, lowest_limit**2)
     )
@@ -285,8 +289,14 @@ def _collapse(
             outputs=[frames.quadric],
             device=device,
         )
+    log = read_log(steps.log_rows, orderer.collapse_count())
     drops = DropRecord.none(vertex_count) if components is None else components.record(orderer.drops)
-    return _Collapsed(frames.position, frames.quadric, constrained, frozen, stopped, read_log(orderer.log), drops)
+    return _Collapsed(frames.position, frames.quadric, constrained, frozen, stopped, log, drops)
+
+
+def _new_ordering(steps: PassSteps) -> Ordering:
+    """The loop for a kind of device: a GPU waits too long for the host, and a CPU for dead faces."""
+    return DeviceOrderer(steps) if device_traits(steps.device).captures else Orderer(steps)
 
 
 def _ends(faces: np.ndarray, half_edge_flags: np.ndarray, vertex_count: int) -> np.ndarray:

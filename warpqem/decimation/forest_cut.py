@@ -91,6 +91,15 @@ class CollapseForest:
         kept[collapses], dropped[drops] = False, False
         return self._closed(kept, dropped)
 
+    def with_parts(self, collapses: np.ndarray, generations: int) -> np.ndarray:
+        """Collapses (indices), and so many generations of those that made their clusters."""
+        found = newest = collapses
+        for _ in range(generations):
+            newest = self._parts[newest].ravel()
+            newest = np.unique(newest[newest >= 0])
+            found = np.concatenate([found, newest])
+        return np.unique(found)
+
     def faces_removed(self, cut: Cut) -> int:
         """Faces of the input that a cut is without."""
         return int(self.log.faces_removed[cut.kept].sum()) + int(self.drops.face_count[cut.dropped].sum())

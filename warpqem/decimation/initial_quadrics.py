@@ -83,8 +83,9 @@ def initial_quadrics(
 
     launch_parts(weigh, face_count, device)
     launch_parts(gather, vertex_count, device)
+    corners = corner_vertex.numpy()
     for kind, weight in CONSTRAINT_WEIGHT.items():
-        vertex, start, half_edge = constraint_lists(corner_vertex.numpy(), constrained == kind)
+        vertex, start, half_edge = constraint_lists(corners, constrained == kind)
         if not len(vertex):
             continue
         launch(

@@ -9,6 +9,7 @@ from typing import Any
 import warp as wp
 
 from warpqem.decimation.adjacency import Adjacency
+from warpqem.decimation.collapse_log import new_log
 from warpqem.decimation.initial_quadrics import CONSTRAINT_WEIGHT
 from warpqem.decimation.recorded_steps import Phase, Step, new_edge_list, part_work, record_shared
 from warpqem.kernels import collapse as collapse_kernels
@@ -18,26 +19,29 @@ from warpqem.kernels import independent_set as set_kernels
 from warpqem.kernels import legality as legality_kernels
 from warpqem.kernels import memoryless_quadric as memoryless_kernels
 from warpqem.kernels.lanes import width_of
-from warpqem.kernels.mesh_state import AnyKeyFrames, CollapseLog, CostModel, MeshState
+from warpqem.kernels.mesh_state import AnyKeyFrames, CostModel, MeshState
 from warpqem.kernels.work import EdgeList
 from warpqem.runtime.cpu_threads import thread_count
+from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import Recorder
 
-__all__ = ["SAMPLE_STEP", "PassLaunches", "PassSteps"]
+__all__ = ["ROUNDS", "PassLaunches", "PassSteps"]
+
+# Rounds of claims a pass; each finds winners among the candidates that the earlier ones left free.
+ROUNDS = 3
 
 # A face may turn over in this part of the key frames (crumpling motion); 1 of 16.
 FLIP_FRACTION = 0.07
 HISTOGRAM_BINS = 4096
-# The cap is read off every so many half-edges; a step without the factor 3 sees all corners alike.
-SAMPLE_STEP = 7
+# Stretches of bins that a thread each looks through, and each of which a thread adds up: the work of both is the same.
+HISTOGRAM_STRETCHES = 128
 
 
 @dataclass(frozen=True)
 class PassLaunches:
     """The steps of a pass, recorded for a number of parts. Rounds take turns with two lists of candidates."""
 
-    collect_sampled: Step
-    collect_all: Step
+    collect: Step
     choose: tuple[Step, Step]
     commit: tuple[Step, Step]
     build_adjacency: Step
@@ -54,10 +58,13 @@ class PassSteps:
     Attributes:
         threads: CPU threads that large steps are split over.
         log: the collapses so far.
+        log_rows: where its arrays lie, see :func:`warpqem.decimation.collapse_log.new_log`.
         pass_number, pass_begin: (1,) int32, the pass at work, and the length of the log when it began.
         wanted: (1,) int32, edges that a pass is to look at.
+        sample_step: (1,) int32, the cap is read off every so many half-edges.
         cap: (1,) float32, the cost that candidates stay below.
         faces_removed: int32, the faces that each winner removes; 0 for an illegal one.
+        lists: room (3N,) int32 for the two lists of candidates that rounds take turns with, and for the winners.
 
     Args:
         memoryless: quadrics are those of the present faces.
@@ -78,31 +85,23 @@ class PassSteps:
         vertex_count = len(state.vertex_flags)
         self._flip_tolerance = int(FLIP_FRACTION * model.key_count)
         self.threads = thread_count(device)
-        self.log = self._new_log(vertex_count)
-        self.pass_number, self.pass_begin, self.wanted = (self._integers(1) for _ in range(3))
+        self.log, self.log_rows = new_log(vertex_count, device)
+        self.pass_number, self.pass_begin, self.wanted, self.sample_step = (self.integers(1) for _ in range(4))
         self.cost_threshold = wp.zeros(1, dtype=wp.float32, device=device)
         self._reservation = wp.full(vertex_count, set_kernels.UNRESERVED, dtype=wp.int64, device=device)
-        self._mask, self._dropped = self._integers(vertex_count), self._integers(vertex_count)
+        self._mask, self._dropped = self.integers(vertex_count), self.integers(vertex_count)
         # Winners share no vertex, so there are V / 2 at most; an edge stands at one of its two half-edges.
         max_selected = vertex_count // 2 + 1
-        self._lists = [wp.empty(3 * face_count, dtype=wp.int32, device=device) for _ in range(3)]
-        self.faces_removed = self._integers(max_selected)
+        self.lists = [wp.empty(3 * face_count, dtype=wp.int32, device=device) for _ in range(3)]
+        self.faces_removed = self.integers(max_selected)
         shape = (max_selected, frames.position.shape[1])
         self._target = wp.empty(shape, dtype=frames.position.dtype, device=device)
         self._anchor, self._error = (wp.empty(max_selected, dtype=wp.float32, device=device) for _ in range(2))
         self._launches: dict[int, PassLaunches] = {}
 
-    def _integers(self, count: int) -> wp.array:
+    def integers(self, count: int) -> wp.array:
+        """(count,) int32 zeros."""
         return wp.zeros(count, dtype=wp.int32, device=self.device)
-
-    def _new_log(self, capacity: int) -> CollapseLog:
-        log = CollapseLog()
-        log.count, log.round_count = self._integers(1), self._integers(1)
-        for name in ("kept", "removed", "left_opposite", "right_opposite", "faces_removed", "round_index"):
-            setattr(log, name, wp.empty(capacity, dtype=wp.int32, device=self.device))
-        for name in ("cost", "error"):
-            setattr(log, name, wp.empty(capacity, dtype=wp.float32, device=self.device))
-        return log
 
     def price_all(self) -> Step:
         """Price all edges by the model as it is now."""
@@ -127,46 +126,66 @@ class PassSteps:
     def launches(self, part_count: int) -> PassLaunches:
         """The steps for so many parts, recorded when they are first asked for."""
         if part_count not in self._launches:
-            candidates = tuple(new_edge_list(storage, part_count) for storage in self._lists[:2])
-            winners = new_edge_list(self._lists[2], part_count)
-            legal, space, slot, pool_slot = (self._integers(part_count) for _ in range(4))
-            orders = [(candidates[0], candidates[1]), (candidates[1], candidates[0])]
-            choose = [self._choosing(now, winners, legal, space, part_count) for now, _ in orders]
-            commit = [
-                self._committing(*order, winners, (legal, space, slot, pool_slot), part_count) for order in orders
-            ]
+            candidates = tuple(new_edge_list(storage, part_count) for storage in self.lists[:2])
+            winners = new_edge_list(self.lists[2], part_count)
+            legal, space, slot, pool_slot = (self.integers(part_count) for _ in range(4))
+            choose, commit = [], []
+            for now, left in ((candidates[0], candidates[1]), (candidates[1], candidates[0])):
+                choose.append([self._emptying(winners), *self.choosing(now, winners, legal, space, part_count)])
+                commit.append(
+                    [
+                        self._opening(legal, space, slot, pool_slot),
+                        self._emptying(left),
+                        *self.committing(now, left, winners, self.faces_removed, slot, pool_slot, part_count),
+                    ]
+                )
             histogram = wp.zeros((part_count, HISTOGRAM_BINS), dtype=wp.int32, device=self.device)
             self._launches[part_count] = PassLaunches(
-                collect_sampled=self._step(self._collecting(candidates[0], SAMPLE_STEP, histogram, part_count)),
-                collect_all=self._step(self._collecting(candidates[0], 1, histogram, part_count)),
+                collect=self._step(
+                    [
+                        Phase(lambda recorder, _: recorder.copy(self.pass_begin, self.log.count)),
+                        self._emptying(candidates[0]),
+                        *self.collecting(candidates[0], histogram, part_count),
+                    ]
+                ),
                 choose=(self._step(choose[0]), self._step(choose[1])),
                 commit=(self._step(commit[0]), self._step(commit[1])),
                 build_adjacency=self._step(self.adjacency.phases(part_count)),
-                update_adjacency=self._step(self._updating_adjacency(part_count)),
-                renew=self._step(self._renewing(part_count)),
+                update_adjacency=self._step(self.keeping_stars(part_count)),
+                renew=self._step(self.renewing(part_count)),
                 candidates=candidates,
                 winners=winners,
                 legal=legal,
             )
         return self._launches[part_count]
 
+    def forget_gears(self) -> None:
+        """Have the steps recorded anew: recorded ones know the model as it was."""
+        self._launches.clear()
+
     def _step(self, phases: Sequence[Phase]) -> Step:
         return Step(phases, self.device)
 
-    def _collecting(self, candidates: EdgeList, sample_step: int, histogram: wp.array, part_count: int) -> list[Phase]:
-        """Fill the list of candidates with the cheapest edges; ``histogram`` is zero between passes."""
+    @staticmethod
+    def _emptying(edges: EdgeList) -> Phase:
+        return Phase(lambda recorder, _: recorder.zero(edges.count))
+
+    def collecting(self, candidates: EdgeList, histogram: wp.array, part_count: int) -> list[Phase]:
+        """Fill an empty list of candidates with the cheapest edges; ``histogram`` is zero between passes."""
         state = self.state
 
         def count(recorder: Recorder, part: int) -> None:
             work = part_work(part, part_count, self.device)
-            record_shared(recorder, set_kernels.count_costs, [state, sample_step], work, [histogram])
+            record_shared(recorder, set_kernels.count_costs, [state, self.sample_step], work, [histogram])
 
         def find_cost_threshold(recorder: Recorder, _: int) -> None:
-            recorder.copy(self.pass_begin, self.log.count)
-            recorder.launch(
-                set_kernels.find_cost_threshold, 1, [self.wanted, sample_step], [histogram, self.cost_threshold]
-            )
-            recorder.zero(candidates.count)
+            inputs = [self.wanted, self.sample_step]
+            if device_traits(self.device).in_order:
+                recorder.launch(set_kernels.find_cost_threshold, 1, inputs, [histogram, self.cost_threshold])
+                return
+            sums = self.integers(HISTOGRAM_STRETCHES)
+            recorder.launch(set_kernels.sum_bins, len(sums), [histogram], [sums])
+            recorder.launch(set_kernels.find_cap_by_sums, len(sums), [*inputs, sums], [histogram, self.cost_threshold])
 
         def collect(recorder: Recorder, part: int) -> None:
             work = part_work(part, part_count, self.device)
@@ -174,15 +193,17 @@ class PassSteps:
 
         return [Phase(count, part_count), Phase(find_cost_threshold), Phase(collect, part_count)]
 
-    def _choosing(
+    def choosing(
         self, candidates: EdgeList, winners: EdgeList, legal: wp.array, space: wp.array, part_count: int
     ) -> list[Phase]:
-        """Claim, select, place and judge."""
+        """Claim, select, place and judge, into an empty list of winners.
+
+        ``legal`` and ``space`` count the legal ones of each part, and the entries of the pool for their stars; empty
+        where nobody asks.
+        """
         state, frames = self.state, self.frames
 
         def reservation(recorder: Recorder, part: int) -> None:
-            if part == 0:
-                recorder.zero(winners.count)
             work = part_work(part, part_count, self.device)
             record_shared(recorder, set_kernels.reserve_vertices, [state, candidates], work, [self._reservation])
 
@@ -207,29 +228,30 @@ class PassSteps:
 
         return [Phase(reservation, part_count), Phase(select, part_count), Phase(check, part_count)]
 
-    def _committing(
+    def _opening(self, legal: wp.array, space: wp.array, slot: wp.array, pool_slot: wp.array) -> Phase:
+        """Reserve room for what was counted, from the first slot of each part on."""
+        outputs = [legal, space, self.log, slot, self.state.adjacency.used, pool_slot]
+        return Phase(lambda recorder, _: recorder.launch(collapse_kernels.open_log, 1, [], outputs))
+
+    def committing(
         self,
         candidates: EdgeList,
         candidates_left: EdgeList,
         winners: EdgeList,
-        reserve: Sequence[wp.array],
+        faces_removed: wp.array,
+        slot: wp.array,
+        pool_slot: wp.array,
         part_count: int,
     ) -> list[Phase]:
-        """Collapse the legal winners, and keep the candidates that they leave free.
+        """Collapse the winners that remove faces, and keep the candidates that they leave free, in an empty list.
 
-        ``reserve`` holds, for each part: legal winners, entries of the pool for their stars, the first slots of both.
+        ``slot`` and ``pool_slot`` count up from the first free places of each part, in the log and the pool of stars.
         """
         state, frames = self.state, self.frames
-        legal, space, slot, pool_slot = reserve
-
-        def open_log(recorder: Recorder, _: int) -> None:
-            outputs = [legal, space, self.log, slot, state.adjacency.used, pool_slot]
-            recorder.launch(collapse_kernels.open_log, 1, [], outputs)
-            recorder.zero(candidates_left.count)
 
         def commit(recorder: Recorder, part: int) -> None:
             work = part_work(part, part_count, self.device)
-            checked = [self.faces_removed, self._target, self._anchor, self._error]
+            checked = [faces_removed, self._target, self._anchor, self._error]
             inputs = [state, frames, winners, *checked, self.pass_number]
             record_shared(
                 recorder,
@@ -244,9 +266,9 @@ class PassSteps:
             inputs = [state, self._mask, self.pass_number, self.cost_threshold, candidates]
             record_shared(recorder, set_kernels.shrink_candidates, inputs, work, [candidates_left])
 
-        return [Phase(open_log), Phase(commit, part_count), Phase(shrink, part_count)]
+        return [Phase(commit, part_count), Phase(shrink, part_count)]
 
-    def _updating_adjacency(self, part_count: int) -> list[Phase]:
+    def keeping_stars(self, part_count: int) -> list[Phase]:
         """Bring the stars of the wings up to date; those of the vertices that moved are since the commit."""
 
         def drop(recorder: Recorder, part: int) -> None:
@@ -256,7 +278,7 @@ class PassSteps:
 
         return [Phase(drop, part_count)]
 
-    def _renewing(self, part_count: int) -> list[Phase]:
+    def renewing(self, part_count: int) -> list[Phase]:
         """Price what moved, wake what lies around it. Prices are worth all threads on any mesh."""
         state = self.state
 

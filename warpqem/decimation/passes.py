@@ -1,7 +1,8 @@
 """The parallel pass: cap, candidates, rounds of claim and commit, until the target is met.
 
 A pass reads aloud as: price what moved, find the cap, collect the candidates under it, then for a few rounds: claim,
-select, place, judge, commit; at last bring the stars up to date. Everything but the counts stays on the device.
+select, place, judge, commit; at last bring the stars up to date. Here the host goes from pass to pass, which suits a
+CPU; on a GPU :mod:`warpqem.decimation.device_loop` does.
 """
 
 from __future__ import annotations
@@ -12,28 +13,23 @@ import numpy as np
 import warp as wp
 
 from warpqem.decimation.collapse_nodes import NodeRecorder
-from warpqem.decimation.pass_steps import SAMPLE_STEP, PassLaunches, PassSteps
-from warpqem.decimation.pruning import ComponentDrop, Components
+from warpqem.decimation.ordering import Ordering
+from warpqem.decimation.pass_steps import ROUNDS, PassLaunches, PassSteps
+from warpqem.decimation.pruning import Components
 from warpqem.kernels import attribute as attribute_kernels
 from warpqem.kernels import collapse as collapse_kernels
 from warpqem.kernels import deformation as deformation_kernels
+from warpqem.kernels import pass_control as control_kernels
 from warpqem.kernels.topology import PINNED
 from warpqem.runtime.cpu_threads import launch_parts
 from warpqem.runtime.launches import launch
 
 __all__ = ["Orderer"]
 
-# Part of the edges that one pass may touch. More is faster and further from the serial greedy order.
-CANDIDATE_FRACTION = 0.05
-# A pass looks at this many edges at least, or on small meshes each would do one collapse.
-MIN_CANDIDATES = 32
-# Rounds of claims a pass; each finds winners among the candidates that the earlier ones left free.
-ROUNDS = 3
+CANDIDATE_FRACTION, FRACTION_GROWTH = float(control_kernels.CANDIDATE_FRACTION), float(control_kernels.FRACTION_GROWTH)
+EDGES_PER_FACE, SAMPLE_STEP = float(control_kernels.EDGES_PER_FACE), int(control_kernels.SAMPLE_STEP)
 # Faces are compacted when fewer than this part of them is alive.
 LIVE_FRACTION = 0.7
-# The cap is read off all half-edges where a sample would hold fewer than so many: it need not be exact, only the same
-# on every run.
-MIN_SAMPLE = 2048
 # Meshes of at least so many faces are worked on by all CPU threads throughout; below it a thread takes longer to start
 # than most kernels of a pass run.
 SHARED_FACES = 60_000
@@ -41,19 +37,22 @@ SHARED_FACES = 60_000
 COMPACTED_FACES = 30_000
 
 
-class Orderer:
-    """Collapses the edges of one mesh state, pass by pass."""
+class Orderer(Ordering):
+    """Goes from pass to pass on the host.
 
-    def __init__(self, steps: PassSteps) -> None:
-        self.steps = steps
-        self.state, self.frames, self.model, self.device = steps.state, steps.frames, steps.model, steps.device
-        self.log = self.steps.log
-        state, device = self.state, self.device
-        face_count = len(state.corner_vertex) // 3
-        self.face_slots = face_count  # faces in the arrays, dead ones included
-        self.live_faces = face_count
-        self.pass_index = 0
-        self.drops: list[ComponentDrop] = []
+    Args:
+        steps: what passes are made of.
+        compacts: close the gaps that dead faces leave. That renumbers half-edges, so it decides how ties are broken;
+            the loop on a device does not.
+    """
+
+    def __init__(self, steps: PassSteps, compacts: bool = True) -> None:
+        super().__init__(steps)
+        self._compacts = compacts
+        self.pass_index, self._sample_step = 0, 0
+        if not compacts:
+            return
+        state, device, face_count = self.state, self.device, self.face_slots
         self._live_rank = wp.empty(face_count, dtype=wp.int32, device=device)
         self._spare_corner_vertex = wp.empty_like(state.corner_vertex)
         self._spare_edge_cost = wp.empty_like(state.edge_cost)
@@ -69,14 +68,7 @@ class Orderer:
         recorder: NodeRecorder | None = None,
         components: Components | None = None,
     ) -> str:
-        """Collapse until the target is met; small ones of ``components``, if given, may vanish.
-
-        ``progress`` is called with the live face count after each pass, ``recorder`` is shown what each pass merged.
-
-        Returns:
-            "target"; "max_error" when every edge left would exceed the model's error limit or is illegal, and at least
-            one is held back by the limit alone; "no legal collapse" otherwise.
-        """
+        """See :class:`Ordering`."""
         self.steps.price_all().run()
         candidate_fraction = CANDIDATE_FRACTION
         while self.live_faces > target_faces:
@@ -85,36 +77,18 @@ class Orderer:
                 end = int(self.log.count.numpy()[0])
                 recorder.record(self.state, self.frames, self.log, end - collapsed, end)
             stuck = candidate_count == 0 and candidate_fraction >= 1.0
-            if components and self._drop_components(components, target_faces, stuck):
-                continue
+            if components:
+                # Any may vanish where no edge is left.
+                cost_threshold = np.inf if stuck else float(self.steps.cost_threshold.numpy()[0])
+                if self.drop_components(components, target_faces, cost_threshold):
+                    continue
             if stuck:
-                return "max_error" if self._is_limited() else "no legal collapse"
+                return self.stop_reason()
             # No legal winner under the cap: look further, at all edges, until every one has been refused.
-            candidate_fraction = CANDIDATE_FRACTION if collapsed else min(1.0, 4.0 * candidate_fraction)
+            candidate_fraction = CANDIDATE_FRACTION if collapsed else min(1.0, FRACTION_GROWTH * candidate_fraction)
             if progress:
                 progress(self.live_faces)
         return "target"
-
-    def _drop_components(self, components: Components, target_faces: int, stuck: bool) -> bool:
-        """Let small components vanish that cost less than the last pass's cap; any, where no edge is left."""
-        cost_threshold = np.inf if stuck else float(self.steps.cost_threshold.numpy()[0])
-        collapse_count = int(self.log.count.numpy()[0])
-        excess = self.live_faces - target_faces
-        drops = components.drop(self.frames, cost_threshold, excess, collapse_count, self.face_slots)
-        self.live_faces -= sum(drop.face_count for drop in drops)
-        self.drops += drops
-        return len(drops) > 0
-
-    def _is_limited(self) -> bool:
-        """Whether the error limit holds back an edge: without it more edges have a price than lie asleep.
-
-        Lifts the limit and prices all edges anew, so nothing may collapse after it.
-        """
-        half_edge_count = 3 * self.face_slots
-        suspended = np.isfinite(self.state.edge_cost.numpy()[:half_edge_count]).sum()
-        self.model.error_limit = np.inf
-        self.steps.price_all().run()
-        return bool(np.isfinite(self.state.edge_cost.numpy()[:half_edge_count]).sum() > suspended)
 
     def _run_pass(self, target_faces: int, candidate_fraction: float) -> tuple[int, int]:
         """One pass; the numbers of candidates and of collapses made."""
@@ -148,14 +122,21 @@ class Orderer:
 
     def _wanted_count(self, candidate_fraction: float) -> int:
         """Edges that a pass looks at. The target has no part in it, so that all targets share one order."""
-        return max(MIN_CANDIDATES, int(candidate_fraction * 1.5 * self.live_faces))
+        return max(int(control_kernels.MIN_CANDIDATES), int(candidate_fraction * EDGES_PER_FACE * self.live_faces))
 
     def _collect_candidates(self, launches: PassLaunches, candidate_fraction: float) -> int:
         """Fill the list of candidates with the cheapest edges; their number."""
         self.steps.wanted.fill_(self._wanted_count(candidate_fraction))
         # After a pass without a winner every edge counts: the few that are awake may be missing from a sample.
-        sampled = candidate_fraction == CANDIDATE_FRACTION and 3 * self.face_slots >= SAMPLE_STEP * MIN_SAMPLE
-        (launches.collect_sampled if sampled else launches.collect_all).run()
+        corner_count = 3 * (self.face_slots if self._compacts else self.live_faces)
+        sampled = candidate_fraction == CANDIDATE_FRACTION and corner_count >= SAMPLE_STEP * int(
+            control_kernels.MIN_SAMPLE
+        )
+        step = SAMPLE_STEP if sampled else 1
+        if step != self._sample_step:
+            self.steps.sample_step.fill_(step)
+            self._sample_step = step
+        launches.collect.run()
         return int(launches.candidates[0].count.numpy().sum())
 
     def _run_counted_rounds(self, launches: PassLaunches, remaining: int) -> None:
@@ -191,7 +172,7 @@ class Orderer:
 
     def _compact(self) -> bool:
         """Close the gaps that dead faces leave, once they are many; whether that was so. It renumbers the corners."""
-        if self.live_faces >= LIVE_FRACTION * self.face_slots:
+        if not self._compacts or self.live_faces >= LIVE_FRACTION * self.face_slots:
             return False
         state = self.state
         rank = self._live_rank[: self.face_slots]

@@ -15,14 +15,14 @@ import warp as wp
 from warpqem.decimation.collapse_nodes import read_rows
 from warpqem.kernels import collapse as kernels
 from warpqem.kernels.mesh_state import AnyKeyFrames, MeshState
+from warpqem.kernels.pass_control import MAX_REMNANT_FACES
 from warpqem.kernels.topology import LOCKED
 from warpqem.mesh.components import lowest_members
 from warpqem.runtime.launches import launch
 
 __all__ = ["ComponentDrop", "Components", "DropRecord"]
 
-# A component of so many faces has hardly an edge left to collapse: a tetrahedron, or a triangle or two.
-MAX_FACES = 4
+MAX_FACES = int(MAX_REMNANT_FACES)
 # A component without area is missed by nobody; below this it has none that float32 could tell.
 NO_AREA = 1e-30
 
@@ -127,6 +127,16 @@ class Components:
         self._free = np.ones(len(with_faces), dtype=bool)
         self._free[self._component[(state.vertex_flags.numpy() & int(LOCKED)) != 0]] = False
 
+    @property
+    def vertex_component(self) -> np.ndarray:
+        """(V,) int, the component of each vertex, from 0."""
+        return self._component
+
+    @property
+    def may_vanish(self) -> np.ndarray:
+        """(C,) bool, components without a locked vertex."""
+        return self._free
+
     def drop(
         self, frames: AnyKeyFrames, cost_threshold: float, excess: int, collapse_count: int, slot_count: int
     ) -> list[ComponentDrop]:
@@ -141,7 +151,7 @@ class Components:
             collapse_count: collapses so far.
             slot_count: faces in the arrays, dead ones included.
         """
-        first = self._state.corner_vertex.numpy()[: 3 * slot_count : 3]
+        first = self._state.corner_vertex[: 3 * slot_count].numpy()[::3]
         sizes = np.bincount(self._component[first[first >= 0]], minlength=len(self._free))
         small = np.flatnonzero((sizes > 0) & (sizes <= MAX_FACES) & self._free)
         if not len(small):
@@ -171,7 +181,7 @@ class Components:
         )
 
     def _remnants(self, frames: AnyKeyFrames, small: np.ndarray, slot_count: int) -> list[_Remnant]:
-        live = self._state.corner_vertex.numpy()[: 3 * slot_count].reshape(-1, 3)
+        live = self._state.corner_vertex[: 3 * slot_count].numpy().reshape(-1, 3)
         live = live[live[:, 0] >= 0]
         near = _Nearest(frames, np.unique(live), self._component)
         component = self._component[live[:, 0]]
@@ -181,7 +191,7 @@ class Components:
         face_counts = np.bincount(component[inside], minlength=len(self._free)).tolist()
         chosen = wp.array(pairs[:, 1].astype(np.int32), device=frames.position.device)
         position, quadric = (_by_frame(read_rows(array, chosen)) for array in (frames.position, frames.quadric))
-        weight = self._state.cost_weight.numpy()[pairs[:, 1]]
+        weight = read_rows(self._state.cost_weight, chosen)
         found = []
         for name in small.tolist():
             own = np.flatnonzero(pairs[:, 0] == name)

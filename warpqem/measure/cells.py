@@ -9,7 +9,7 @@ import numpy.typing as npt
 import warp as wp
 
 from warpqem.kernels import surface_distance as kernels
-from warpqem.kernels.distance_bound import Surface
+from warpqem.kernels.near_faces import Surface
 from warpqem.measure.winding import Winding, read_winding
 from warpqem.runtime.launches import launch
 

@@ -11,8 +11,8 @@ import warp as wp
 
 from warpqem.frames.blocks import pack_frames
 from warpqem.kernels import surface_distance as kernels
-from warpqem.kernels.distance_bound import HINTS
 from warpqem.kernels.distance_screen import SCREEN_HINTS, ScreenPatches, bound_patches
+from warpqem.kernels.near_faces import HINTS
 from warpqem.measure.cells import Cells
 from warpqem.runtime.cpu_threads import launch_parts, run_parts, split_range, thread_count
 from warpqem.runtime.device import device_traits

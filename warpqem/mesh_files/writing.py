@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 __all__ = ["SurfaceValues", "as_trimesh", "check_mesh_output", "write_frames"]
 
-# Digits behind the point: of numbers around 1 so many hold every bit of single precision. Normals are left out, as the
-# programs that read the files make them.
+# Digits behind the point. They hold every bit of single precision of numbers above a tenth, so that points are written
+# again. Normals are left out, as the programs that read the files make them.
 TEXT: dict[str, Any] = {"digits": 9}
 OPTIONS: Mapping[str, dict[str, Any]] = {
     "obj": {**TEXT, "include_normals": False},
@@ -30,6 +30,10 @@ OPTIONS: Mapping[str, dict[str, Any]] = {
 }
 # Formats that hold a mesh in one file and need no further package.
 WRITTEN = (".glb", ".obj", ".off", ".ply", ".stl")
+# The points of an OBJ, the lines before those of an OFF, and digits that hold every bit of single precision.
+OBJ_POINT = re.compile(r"^v \S+ \S+ \S+", re.MULTILINE)
+OFF_HEADER = 2
+POINT = "%.9g %.9g %.9g"
 # Lines of an OBJ that name materials in another file, which is not written.
 MATERIALS = re.compile(r"^(mtllib|usemtl).*\n", re.MULTILINE)
 # Largest value of a colour in a file.
@@ -99,13 +103,28 @@ def write_frames(
         kind = target.suffix.lower()[1:]
         try:
             target.parent.mkdir(parents=True, exist_ok=True)
-            data = template.mesh(points).export(file_type=kind, **OPTIONS.get(kind, {}))
+            mesh = template.mesh(points)
+            data = mesh.export(file_type=kind, **OPTIONS.get(kind, {}))
             if isinstance(data, str):
+                data = _with_all_digits(data, kind, mesh.vertices)
                 data = (MATERIALS.sub("", data) if kind == "obj" else data).encode()
             with replacing(target) as temporary:
                 temporary.write_bytes(data)
         except OSError as error:
             raise MeshFileError(f"{file}: cannot be written ({error.strerror or error})") from error
+
+
+def _with_all_digits(text: str, kind: str, points: npt.NDArray[np.floating]) -> str:
+    """The text of a file with its points as they are."""
+    rows = [POINT % tuple(point) for point in points.tolist()]
+    if kind == "obj":
+        row = iter(rows)
+        return OBJ_POINT.sub(lambda _: f"v {next(row)}", text)
+    if kind == "off":
+        lines = text.split("\n")
+        lines[OFF_HEADER : OFF_HEADER + len(rows)] = rows
+        return "\n".join(lines)
+    return text
 
 
 class _Template:

@@ -13,121 +13,44 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
-from warpqem.arguments.distance_limit import DistanceLimit
 from warpqem.decimation.collapse_nodes import NodeRecorder
 from warpqem.decimation.decimate import DecimatedMesh
 from warpqem.decimation.forest_cut import CollapseForest, Cut
 from warpqem.decimation.replay import OrderedLevels
 from warpqem.errors import OptionError
-from warpqem.frames.stream import ArraySink, FrameSink, NoFrames, SharedFrames, counted_frames
-from warpqem.measure.bound import DistanceBound, Excess, UnitBlock, UnitFrames
-from warpqem.mesh.mesh_input import AnimatedMesh, MeshInput
+from warpqem.frames.stream import ArraySink, FrameSink, NoFrames, SharedFrames
+from warpqem.measure.bound import DistanceBound, Excess
+from warpqem.measure.unit_frames import UnitBlock, UnitFrames
+from warpqem.mesh.mesh_input import AnimatedMesh
+from warpqem.pipeline.bound_sink import LimitFrames
+from warpqem.pipeline.memory_plan import KEPT_BYTES, stage_frames
 from warpqem.pipeline.prepare import ORDER_END, Prepared, Progress
 from warpqem.pipeline.result import Delivery, Outcome, SimplifiedMesh, finish, in_input_terms, reached, written_faces
 from warpqem.place.clusters import ClusterPlacer
 from warpqem.repair.mended_mesh import faces_for
 from warpqem.runtime.device import device_turn
 
-__all__ = ["BoundSink", "ExceededError", "simplify_within"]
+__all__ = ["simplify_within"]
 
-# Errors of collapses are means over frames and faces; the largest distance is so many times as large or more.
-# The first level is where the limit is this many times the error; where few faces are too far, the next is tried.
+# Errors of collapses are means over frames and faces; the largest distance is so many times as large or more. The first
+# level is where the limit is this many times the error; where few faces are too far, the next is tried. The further the
+# first level goes, the fewer faces the search ends with, as each spot goes back as far as it needs, and the longer that
+# takes.
 DISTANCE_PER_ERROR = (3.0, 2.0, 1.5)
-# So few, as a part of the input's faces.
+# So few, as a part of the faces looked at: of so many one, in so many frames, far apart in pose.
 FEW = 0.005
+SAMPLED_FACES = 8
+SAMPLED_FRAMES = 8
 # Errors below may be those of single precision, which on flat parts are all there is: they hold nothing back.
 NO_ERROR = 1.0e-4
 # Where the largest error of a collapse around is less than so many times below the limit, it is not the shape of fewer
 # faces that is too far, but vertices that follow the material: these are placed loosely.
 LOOSE_BELOW = 8.0
-# Frames that a level is bounded in first, far apart in pose: as many as are looked at together.
-FIRST_FRAMES = 8
-# Frames of so many bytes are kept, so that of the next level only what has moved is placed.
-KEPT_BYTES = 16 * 2**20
-# A frame in which nobody sees the mesh is bounded as if it were so many times smaller: nothing in it is too far.
-UNSEEN = 1e9
-
-
-class ExceededError(Exception):
-    """A distance does not hold; ``excess`` says where. Never seen by callers of the package."""
-
-    def __init__(self, excess: Excess) -> None:
-        super().__init__()
-        self.excess = excess
-
-
-class _Frames:
-    """Frames of the input at a size of one or less, in which the limit is the same in all; the last block is kept.
-
-    Args:
-        mesh: the input.
-        limit: distance.
-        diagonal: the largest diagonal, which stands for that of a frame without extent.
-        device: Warp device.
-    """
-
-    def __init__(self, mesh: MeshInput, limit: DistanceLimit, diagonal: float, device: str) -> None:
-        self._mesh, self._limit, self._diagonal, self._device = mesh, limit, diagonal, device
-        self._counted = counted_frames(mesh.source)
-        self._kept: tuple[object, UnitFrames, UnitBlock] | None = None
-
-    def block(self, frames: slice) -> tuple[UnitFrames, UnitBlock]:
-        """Consecutive frames."""
-        key = frames.start, frames.stop
-        if self._kept is None or self._kept[0] != key:
-            points = self._mesh.source.read(frames)
-            units = self.units(points, np.arange(frames.start, frames.stop))
-            self._kept = key, units, UnitBlock(points, units, self._device)
-        return self._kept[1:]
-
-    def units(self, points: npt.NDArray[np.floating], frames: npt.NDArray[np.integer]) -> UnitFrames:
-        """What brings frames (n, V, 3) to unit size, those in which nobody sees the mesh to next to none."""
-        used = points if self._mesh.used.all() else points[:, self._mesh.used]
-        low, high = used.min(axis=1).astype(np.float64), used.max(axis=1).astype(np.float64)
-        diagonal = np.linalg.norm(high - low, axis=1)
-        diagonal = np.where(diagonal > 0.0, diagonal, self._diagonal)
-        units = self._limit.units(diagonal, self._diagonal)
-        return UnitFrames((low + high) / 2, np.where(self._counted[frames], units, UNSEEN * units))
-
-
-class BoundSink:
-    """Passes frames on, and looks for those that are too far from the input.
-
-    Args:
-        sink: takes the frames.
-        mesh: the input.
-        limit: distance.
-        diagonal: the largest diagonal, which stands for that of a frame without extent.
-        device: Warp device.
-    """
-
-    def __init__(self, sink: FrameSink, mesh: MeshInput, limit: DistanceLimit, diagonal: float, device: str) -> None:
-        self._sink, self._mesh, self._limit, self._device = sink, mesh, limit.relative(diagonal), device
-        self._frames = _Frames(mesh, limit, diagonal, device)
-        self._bound: DistanceBound | None = None
-
-    def begin(self, frame_count: int, vertex_count: int, faces: np.ndarray) -> None:
-        """Begin a mesh of so many frames."""
-        self._sink.begin(frame_count, vertex_count, faces)
-        self._bound = DistanceBound(self._mesh.faces, faces, self._limit, self._device)
-
-    def write(self, frames: slice, points: np.ndarray) -> None:
-        """Check consecutive frames.
-
-        Raises:
-            ExceededError: one is too far.
-        """
-        self._sink.write(frames, points)
-        assert self._bound is not None
-        with device_turn(self._device):
-            units, reference = self._frames.block(frames)
-            excess = self._bound.excess_of_blocks(
-                frames.start, reference, UnitBlock(points, units, self._device), enough=0
-            )
-        if excess is not None:
-            raise ExceededError(excess)
+# Where so small a part of the faces is too far, that is left to the stage with more frames, and in the last one spots
+# go back by so many collapses at once, as each step costs as much as ten of these.
+VERY_FEW = 0.002
+MAX_GENERATIONS = 2
 
 
 @dataclass(frozen=True)
@@ -175,6 +98,9 @@ class _Block:
         self.reference = UnitBlock(own, units, work.device)
         self._points = np.empty(about.shape, dtype=np.float32)
 
+    def __len__(self) -> int:
+        return len(self._points)
+
     def place(self, placer: ClusterPlacer, kept: np.ndarray) -> None:
         """Place the clusters that go by some vertices."""
         self._points[:, kept] = placer.original_points(self._work.mesh, placer.place(self._work.mesh, self._about))
@@ -197,7 +123,7 @@ class _BoundFrames:
     """
 
     def __init__(
-        self, sink: FrameSink, frames: _Frames, bound: DistanceBound, device: str, proved: np.ndarray | None
+        self, sink: FrameSink, frames: LimitFrames, bound: DistanceBound, device: str, proved: np.ndarray | None
     ) -> None:
         self._sink, self._frames, self._bound, self._device = sink, frames, bound, device
         self._proved, self.differs = proved, False
@@ -234,7 +160,7 @@ class _Search:
         self._work, self._refit, self._known, self._forest = work, refit, known, forest
         limit = work.goal.limit
         self._limit = limit.relative(work.mesh.diagonal)
-        self._frames = _Frames(work.mesh, limit, work.mesh.diagonal, work.device)
+        self._frames = LimitFrames(work.mesh, limit, work.mesh.diagonal, work.device)
         self._bound: DistanceBound | None = None
         self._level: _Level | None = None
 
@@ -243,13 +169,15 @@ class _Search:
         left, mesh = 1.0 - ORDER_END, self._work.mesh
         loose = np.zeros(len(mesh.used), dtype=bool)
         starts = [max(self._limit / part, NO_ERROR) for part in DISTANCE_PER_ERROR]
-        choice, *coarser = [_Choice(self._forest.within(error), loose) for error in starts]
-        if self._refit or mesh.frame_count > 2 * FIRST_FRAMES:
-            choice, coarser = self._within(choice, self._first_block(), coarser), []
+        choice = self._first_choice([_Choice(self._forest.within(error), loose) for error in starts])
+        whole = not self._refit and 12 * mesh.frame_count * mesh.vertex_count <= KEPT_BYTES
+        count = stage_frames(mesh.vertex_count)
+        if not whole or 2 * count < mesh.frame_count:
+            choice = self._within(choice, self._some_frames(count), int(VERY_FEW * len(mesh.faces)))
         proved: np.ndarray | None = None
-        if not self._refit and 12 * mesh.frame_count * mesh.vertex_count <= KEPT_BYTES:
+        if whole:
             block = self._block(slice(0, mesh.frame_count))
-            choice = self._within(choice, block, coarser)
+            choice = self._within(choice, block, 0)
             assert self._level is not None
             proved = block.points(self._level)
         elif self._bound is not None:
@@ -271,7 +199,7 @@ class _Search:
                 self._bound_of(level).look_again()
                 continue
             for excess in sink.excess:
-                choice = self._finer(level, choice, excess)
+                choice = self._finer(level, choice, excess, 1)
 
     def place(self, choice: _Choice, delivery: Delivery, mesh: AnimatedMesh) -> SimplifiedMesh:
         """The result of a level, in the terms of the mesh as it is given."""
@@ -286,10 +214,11 @@ class _Search:
         settings = replace(self._work.place_settings, loose=level.choice.loose)
         return replace(self._work, place_settings=settings)
 
-    def _first_block(self) -> _Block:
+    def _some_frames(self, count: int) -> _Block:
         """Some frames, far apart in pose."""
         mesh, keys = self._work.mesh, self._work.key_frames
-        chosen = keys[np.unique(np.linspace(0, len(keys) - 1, FIRST_FRAMES).astype(int))]
+        chosen = keys if count <= len(keys) else np.arange(mesh.frame_count)
+        chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, count).astype(int))]
         own = np.concatenate([mesh.source.read(slice(frame, frame + 1)) for frame in chosen.tolist()])
         return _Block(self._work, mesh.chosen_points(chosen), own, self._frames.units(own, chosen))
 
@@ -298,33 +227,47 @@ class _Search:
         units = self._frames.units(own, np.arange(frames.start, frames.stop))
         return _Block(self._work, self._work.mesh.points(frames), own, units)
 
-    def _within(self, choice: _Choice, block: _Block, coarser: Sequence[_Choice]) -> _Choice:
-        """The level that holds in some frames, before it is refitted.
+    def _first_choice(self, choices: Sequence[_Choice]) -> _Choice:
+        """The first one in which more than few faces are too far, or the last one, as some of the faces show."""
+        block = self._some_frames(min(SAMPLED_FRAMES, self._work.mesh.frame_count))
+        before: _Level | None = None
+        for choice in choices[:-1]:
+            level = self._level_of(choice)
+            bound = self._bound_of(level)
+            self._place(level, before, block)
+            looked_at = bound.look_at_some(SAMPLED_FACES)
+            excess = bound.excess_of_blocks(0, block.reference, block.test(level))
+            if excess is not None and excess.face_count > FEW * looked_at:
+                return choice
+            before = level
+        return choices[-1]
 
-        ``coarser`` are tried in place of the first one, as long as few faces are too far.
-        """
-        next_choices = iter(coarser)
+    def _within(self, choice: _Choice, block: _Block, enough: int) -> _Choice:
+        """The level that holds in some frames, before it is refitted, but for so many faces."""
+        small = 0
+        # Levels before may have been placed in other frames.
         before: _Level | None = None
         if self._bound is not None:
             self._bound.look_again()
         while True:
             level = self._level_of(choice)
             bound = self._bound_of(level)
-            moved = level.kept if before is None else level.kept[~level.unmoved(before)[level.kept]]
-            if len(moved):
-                placer = self._placer_of(level, moved)
-                block.place(placer, moved)
+            self._place(level, before, block)
             excess = bound.excess_of_blocks(0, block.reference, block.test(level))
-            count = 0 if excess is None else len(excess.reference_faces) + len(excess.test_faces)
-            following = next(next_choices, None) if count <= FEW * len(self._work.mesh.faces) else None
-            if following is not None:
-                choice = following
-            elif excess is None:
+            if excess is None:
                 return choice
-            else:
-                next_choices = iter(())
-                choice = self._finer(level, choice, excess)
+            if excess.face_count <= VERY_FEW * len(self._work.mesh.faces):
+                small = min(small + 1, MAX_GENERATIONS)
+            choice = self._finer(level, choice, excess, small)
+            if excess.face_count <= enough:
+                return choice
             before = level
+
+    def _place(self, level: _Level, before: _Level | None, block: _Block) -> None:
+        """Place a level in some frames, in which another one was placed before."""
+        moved = level.kept if before is None else level.kept[~level.unmoved(before)[level.kept]]
+        if len(moved):
+            block.place(self._placer_of(level, moved), moved)
 
     def _placer_of(self, level: _Level, kept: np.ndarray) -> ClusterPlacer:
         """What places the clusters that go by some vertices."""
@@ -373,8 +316,8 @@ class _Search:
         self._bound, self._level = bound, level
         return bound
 
-    def _finer(self, level: _Level, choice: _Choice, excess: Excess) -> _Choice:
-        """A choice that is to come nearer around what is too far.
+    def _finer(self, level: _Level, choice: _Choice, excess: Excess, generations: int) -> _Choice:
+        """A choice that is to come nearer around what is too far, by so many generations of collapses.
 
         Raises:
             OptionError: there is none.
@@ -400,7 +343,8 @@ class _Search:
         loose = choice.loose.copy()
         loose[corners[loosen]] = True
         dropped = np.flatnonzero(level.choice.cut.dropped)[np.unique(lost)]
-        return _Choice(forest.without(choice.cut, np.unique(collapses[~loosen]), dropped), loose)
+        left_out = forest.with_parts(np.unique(collapses[~loosen]), generations - 1)
+        return _Choice(forest.without(choice.cut, left_out, dropped), loose)
 
 
 def simplify_within(work: Prepared, refit: bool, delivery: Delivery) -> SimplifiedMesh:

@@ -22,7 +22,17 @@ from warpqem.frames.blocks import BLOCK_BYTES, block_width, chunk_frames
 from warpqem.kernels.lanes import WIDE
 from warpqem.pipeline.key_frames import pose_bytes
 
-__all__ = ["MemoryNeeds", "MemoryPlan", "admit_faces", "available_memory", "format_bytes", "parse_bytes", "plan_memory"]
+__all__ = [
+    "KEPT_BYTES",
+    "MemoryNeeds",
+    "MemoryPlan",
+    "admit_faces",
+    "available_memory",
+    "format_bytes",
+    "parse_bytes",
+    "plan_memory",
+    "stage_frames",
+]
 
 UNITS = {"": 1, "K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40}
 # Without a limit this part of what is free is used: other programs need some, and the factors are not exact.
@@ -100,6 +110,8 @@ class MemoryNeeds:
         keep_nodes: every vertex on the way down is kept, for levels that are placed later.
         memoryless: the quadrics of such levels are made anew, of their own faces.
         source_bytes: what the source of the frames keeps in memory.
+        bounded: the distance to the input is proved.
+        measured: the result is measured on its way to a sink.
     """
 
     frame_count: int
@@ -116,8 +128,27 @@ class MemoryNeeds:
     keep_nodes: bool = False
     memoryless: bool = False
     source_bytes: int = 0
+    bounded: bool = False
+    measured: bool = False
+
+    @property
+    def stage_frames(self) -> int:
+        """Frames that the levels of a search within a limit are placed in, see :mod:`warpqem.pipeline.bounded`."""
+        if 12 * self.frame_count * self.vertex_count <= KEPT_BYTES:
+            return self.frame_count
+        return min(stage_frames(self.vertex_count), self.frame_count)
 
 
+def stage_frames(vertex_count: int) -> int:
+    """Frames that a level is bounded in first: as many as are kept, within what is worth it."""
+    return min(MAX_STAGE_FRAMES, max(WIDE, KEPT_BYTES // (12 * vertex_count)))
+
+
+# Frames of so many bytes are kept, so that of the next level of a search only what has moved is placed.
+KEPT_BYTES = 16 * 2**20
+# Where there are many more frames, levels are bounded first in so many, far apart in pose: fewer take hardly less time,
+# as many are looked at at once, and leave more steps to be done in all of them.
+MAX_STAGE_FRAMES = 40
 # Bytes per face and per vertex for the topology: the caller's faces checked, edges, flags, vertex map, log.
 HELD_FACE, HELD_VERTEX = 60, 80
 # While faces are read: their 32-bit copy, and that of those with three different vertices with the index of each.
@@ -145,6 +176,14 @@ FRAME_OUTPUT = 120
 # vertex: pairs, search hierarchies, what lies across its edges; for each output vertex: the pairs of its two faces and
 # their equations, 9 blocks of 36 bytes each.
 REFIT_KEY, REFIT_FACE, REFIT_VERTEX, REFIT_OUTPUT = 24, 170, 160, 1700
+# The proof of a distance, for each input face: pieces of 60 bytes, some five of both meshes for each, and once more
+# while they are joined; what lies across edges and the search hierarchies. For each frame it looks at, and input
+# vertex: the points as read and about the origin, in double precision, in blocks, and the level's; for each output
+# vertex: these; for each input face: two bits of each of five pieces, in 32-bit words.
+BOUND_FACE, BOUND_VERTEX, BOUND_OUTPUT, BOUND_PIECES = 700, 60, 60, 6
+# Measuring, for each face of both meshes, in groups of frames of so many faces: corners, search hierarchies, patches
+# and room for theirs, distances; and the samples.
+MEASURE_FACE, MEASURE_GROUP, MEASURE_SAMPLES = 400, 2**14, 8 * 2**20
 
 
 def plan_memory(needs: MemoryNeeds, limit: int | str | None, device: str) -> MemoryPlan:
@@ -258,6 +297,13 @@ def _place(needs: MemoryNeeds, device: str) -> tuple[int, int]:
         refit = REFIT_KEY * needs.key_frames * needs.vertex_count
         refit += REFIT_FACE * needs.face_count + REFIT_VERTEX * needs.vertex_count
         fixed += refit + REFIT_OUTPUT * needs.output_vertices
+    if needs.bounded:
+        bound = BOUND_VERTEX * needs.vertex_count + BOUND_OUTPUT * needs.output_vertices
+        bound += BOUND_PIECES * needs.face_count
+        fixed += BOUND_FACE * needs.face_count + needs.stage_frames * bound
+        per_frame += bound
+    if needs.measured:
+        fixed += 2 * MEASURE_FACE * max(needs.face_count, MEASURE_GROUP) + MEASURE_SAMPLES
     return max(fixed, anchors + PLACE_OUTPUT * needs.output_vertices), per_frame
 
 

@@ -122,11 +122,13 @@ def prepare(
     *,
     keep_frames: bool = True,
     keep_nodes: bool = False,
+    measured: bool = False,
     progress: Progress | None = None,
 ) -> Prepared:
     """Make a mesh ready, with the arguments and errors of :func:`warpqem.simplify`.
 
-    ``keep_frames`` says whether the result stays in memory, ``keep_nodes`` whether every vertex on the way down does.
+    ``keep_frames`` says whether the result stays in memory, ``keep_nodes`` whether every vertex on the way down does,
+    ``measured`` whether the result is measured on its way to a sink.
     """
     options = options.checked()
     check_function(progress, "progress")
@@ -136,7 +138,7 @@ def prepare(
     given = repaired_mesh(read, device)
     options = repaired_options(options, read, given)
     goal = options.goal(len(given.faces))
-    planned = plan_work(given, spec, options, device, keep_frames=keep_frames, keep_nodes=keep_nodes)
+    planned = plan_work(given, spec, options, device, keep_frames=keep_frames, keep_nodes=keep_nodes, measured=measured)
     seam = read_seams(options.seams, given.faces, given.vertex_count)
     factors, pinned = read_weights(options.vertex_weights, given)
     pinned |= lock_mask(options.locked, given.vertex_count)
@@ -190,6 +192,7 @@ def plan_work(
     *,
     keep_frames: bool,
     keep_nodes: bool,
+    measured: bool = False,
 ) -> MemoryPlan:
     """The memory plan for arguments of :func:`prepare`."""
     frame_count, face_count = mesh.frame_count, len(mesh.faces)
@@ -216,6 +219,8 @@ def plan_work(
             keep_nodes=keep_nodes,
             memoryless=options.memoryless_orders,
             source_bytes=held_bytes(mesh.source),
+            bounded=options.bounded,
+            measured=measured,
         ),
         options.memory,
         device,

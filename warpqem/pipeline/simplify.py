@@ -75,9 +75,18 @@ def simplify(
     asked = read_keywords(options)
     check_sink(sink)
     bounded = asked.bounded
-    work = prepare(points, faces, asked, keep_frames=sink is None, keep_nodes=bounded, progress=progress)
+    measure = flag(measure, "measure")
+    work = prepare(
+        points,
+        faces,
+        asked,
+        keep_frames=sink is None,
+        keep_nodes=bounded,
+        measured=measure and sink is not None,
+        progress=progress,
+    )
     measuring: Callable[[SimplifiedMesh], Measured] | None = None
-    if flag(measure, "measure"):
+    if measure:
         if sink is None:
             measuring = ResultMeasure.of(work.mesh, work.device)
         else:
@@ -101,6 +110,7 @@ def plan(
     *,
     sink: FrameSink | None = None,
     levels: bool = False,
+    measure: bool = True,
     **options: Unpack[SimplifyKeywords],
 ) -> MemoryPlan:
     """What :func:`simplify` would do with these arguments, and the memory for it; no frame is read.
@@ -110,6 +120,7 @@ def plan(
         faces: likewise.
         sink: likewise.
         levels: plan for the coarsest level of :func:`order_levels`.
+        measure: as for :func:`simplify`.
         options: the other options of :func:`simplify`, but for ``progress``.
 
     Raises:
@@ -124,4 +135,5 @@ def plan(
     mesh = repaired_mesh(given, device)
     asked = repaired_options(asked, given, mesh)
     keep_nodes = levels or asked.bounded
-    return plan_work(mesh, spec, asked, device, keep_frames=sink is None, keep_nodes=keep_nodes)
+    measured = flag(measure, "measure") and sink is not None and not levels
+    return plan_work(mesh, spec, asked, device, keep_frames=sink is None, keep_nodes=keep_nodes, measured=measured)

@@ -28,7 +28,7 @@ from warpqem.mesh.edges import edge_key
 from warpqem.mesh.mesh_input import MeshInput, finite_points, read_mesh
 from warpqem.mesh.seams import read_seams, seam_ends
 from warpqem.options import SimplifyKeywords, SimplifyOptions, read_keywords
-from warpqem.pipeline.bounded import BoundSink, ExceededError
+from warpqem.pipeline.bound_sink import BoundSink, ExceededError
 from warpqem.pipeline.coarsest import find_coarsest
 from warpqem.pipeline.measure_result import ResultMeasure, with_errors
 from warpqem.pipeline.mirror import Mirror, MirrorPlane, find_mirror
@@ -128,7 +128,7 @@ def _simplify_within(
     if stuck:
         return reached(replace(result, stopped="no legal collapse"), goal.target_faces)
     at_target = goal.target_faces > 0 and len(result.faces) <= goal.target_faces
-    return result if at_target else replace(result, stopped="max_error")
+    return result if at_target or result.stopped == "max_size_error" else replace(result, stopped="max_error")
 
 
 def _simplify_half(half: _Half, sink: FrameSink | None, progress: Progress | None) -> SimplifiedMesh:

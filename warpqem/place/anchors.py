@@ -13,6 +13,7 @@ from warpqem.kernels import anchor as kernels
 from warpqem.kernels import cluster_rows as row_kernels
 from warpqem.kernels.lanes import width_of
 from warpqem.runtime.cpu_threads import launch_parts
+from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import launch
 
 __all__ = ["Anchors", "fit_anchors", "nearest_anchors"]
@@ -45,10 +46,25 @@ def nearest_members(ordered: DecimatedMesh, cluster: np.ndarray, cluster_count: 
     device = ordered.position.device
     distance = _cluster_distances(ordered, device)
     eligible = np.where(_may_anchor(ordered, cluster, cluster_count), cluster, np.int32(-1))
-    groups = group_items(eligible, cluster_count, device)
-    group_start = groups.start.numpy()
-    size = np.minimum(np.diff(group_start), most)
+    first = np.concatenate([[0], np.cumsum(np.bincount(eligible[eligible >= 0], minlength=cluster_count))])
+    size = np.minimum(np.diff(first), most)
     start = np.concatenate([[0], np.cumsum(size)]).astype(np.int32)
+    find = _find_in_order if device_traits(str(device)).in_order else _find_by_sort
+    vertex = find(eligible, distance, first.astype(np.int32), start)
+    return Anchors(start, vertex.numpy(), np.repeat(1.0 / size, size).astype(np.float32))
+
+
+def _find_in_order(cluster: np.ndarray, distance: wp.array, first: np.ndarray, start: np.ndarray) -> wp.array:
+    """The nearest vertices of each cluster, the nearest first: a thread walks all vertices of a cluster.
+
+    Args:
+        cluster: (V,) int32, -1 for a vertex to leave out.
+        distance: (V,) float32.
+        first: (C+1,) int32, how many vertices come before those of each cluster.
+        start: (C+1,) int32, where each has its part of the result.
+    """
+    device = distance.device
+    groups = group_items(cluster, len(start) - 1, device)
     chosen_start, vertex = wp.array(start, device=device), wp.empty(int(start[-1]), dtype=wp.int32, device=device)
 
     def choose(part: slice) -> None:
@@ -61,8 +77,22 @@ def nearest_members(ordered: DecimatedMesh, cluster: np.ndarray, cluster_count: 
             device=device,
         )
 
-    launch_parts(choose, cluster_count, device)
-    return Anchors(start, vertex.numpy(), np.repeat(1.0 / size, size).astype(np.float32))
+    launch_parts(choose, len(start) - 1, device)
+    return vertex
+
+
+def _find_by_sort(cluster: np.ndarray, distance: wp.array, first: np.ndarray, start: np.ndarray) -> wp.array:
+    """The same by one sort of all vertices, which keeps the order of those as near as each other."""
+    device, count, cluster_count = distance.device, len(cluster), len(start) - 1
+    # A sort works between the two halves.
+    keys, vertices = (wp.empty(2 * count, dtype=dtype, device=device) for dtype in (wp.int64, wp.int32))
+    inputs = [wp.array(cluster, device=device), distance, cluster_count]
+    launch(row_kernels.key_members, count, inputs, [keys, vertices], device=device)
+    wp.utils.radix_sort_pairs(keys, vertices, count, 0, 32 + cluster_count.bit_length())
+    chosen = wp.empty(int(start[-1]), dtype=wp.int32, device=device)
+    inputs = [keys, vertices, *(wp.array(a, device=device) for a in (first, start))]
+    launch(row_kernels.take_nearest, count, inputs, [chosen], device=device)
+    return chosen
 
 
 def _cluster_distances(ordered: DecimatedMesh, device: str) -> wp.array:

@@ -65,4 +65,4 @@ class Placer(ClusterPlacer):
             outputs=[count],
             device=self.device,
         )
-        return count.numpy()[: len(placed.points)]
+        return count[: len(placed.points)].numpy()

@@ -12,7 +12,7 @@ import numpy as np
 
 from warpqem.errors import ProgressiveFileError
 from warpqem.progressive import coding
-from warpqem.progressive.header import FileInfo
+from warpqem.progressive.header import MAX_FACES_PER_SPLIT, FileInfo
 from warpqem.progressive.progressive_mesh import ProgressiveMesh
 from warpqem.progressive.vertex_splits import SplitTopology
 
@@ -109,7 +109,7 @@ class ChunkDecoder:
         self._use_vertices(vertex)
         waves = self._waves(parent, int(kept[0]))
         brought = coding.unpack(parts[3], count)
-        if (brought < 0).any() or (brought > 2).any() or brought.sum() != faces.stop - faces.start:
+        if (brought < 0).any() or (brought > MAX_FACES_PER_SPLIT).any() or brought.sum() != faces.stop - faces.start:
             raise ProgressiveFileError("splits bring other faces than the header says")
         self._read_faces(parts[4], parts[5], faces)
         self._face_split[faces] = np.repeat(split, brought)

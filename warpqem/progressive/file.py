@@ -42,17 +42,13 @@ def save(mesh: ProgressiveMesh, path: str | os.PathLike[str], extra: dict[str, A
 
     Raises:
         OptionError: not all splits of the mesh are loaded, it was loaded from this file, ``extra`` is nothing that JSON
-            holds, or a split brings more than two faces, as where faces lie on both sides of the same vertices.
+            holds.
         OSError: the file cannot be written; nothing is left behind.
     """
     if not isinstance(mesh, ProgressiveMesh):
         raise OptionError(f"mesh must be a ProgressiveMesh, got {shown(mesh)}")
     if not mesh.is_complete:
         raise OptionError(f"only {mesh.loaded_face_count} of {mesh.face_count} faces are loaded")
-    if (np.diff(mesh.topology.face_counts()) > 2).any():
-        raise OptionError(
-            "faces lie on both sides of the same vertices; a split in a file brings two at most: leave one side out"
-        )
     loaded = [] if mesh.source is None else [InputFile(mesh.source, "the file that the mesh was loaded from")]
     check_outputs([OutputFile("output", path)], loaded)
     topology, face_counts = mesh.topology, mesh.topology.face_counts()

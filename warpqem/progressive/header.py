@@ -15,7 +15,7 @@ from typing import Any, NoReturn
 
 from warpqem.errors import ProgressiveFileError
 
-__all__ = ["MAX_HEADER_BYTES", "FileInfo", "header_bytes", "parse_header"]
+__all__ = ["MAX_FACES_PER_SPLIT", "MAX_HEADER_BYTES", "FileInfo", "header_bytes", "parse_header"]
 
 # A header lists chunks of thousands of splits and a time for each frame; one longer than this is none.
 MAX_HEADER_BYTES = 64 * 2**20
@@ -23,6 +23,8 @@ MAX_HEADER_BYTES = 64 * 2**20
 MAX_NESTED = 64
 # Digits of an integer: 64 bits have 20. Python takes quadratic time for long ones.
 MAX_DIGITS = 20
+# Faces that a split brings at most: two, and their backs where faces lie on both sides of the same vertices.
+MAX_FACES_PER_SPLIT = 4
 # First split, first face, offset, length, CRC-32.
 CHUNK_FIELDS = 5
 
@@ -169,7 +171,7 @@ def _check_counts(info: FileInfo) -> None:
         info.frame_count > 0
         and info.base_vertex_count > 0
         and info.rank_count == info.base_vertex_count + info.split_count <= info.vertex_count
-        and info.base_face_count <= info.face_count <= info.base_face_count + 2 * info.split_count
+        and info.base_face_count <= info.face_count <= info.base_face_count + MAX_FACES_PER_SPLIT * info.split_count
         and info.row_count < 2**31
         and isinstance(info.extra, dict)
     )

@@ -5,7 +5,8 @@ from __future__ import annotations
 import warp as wp
 
 from warpqem.kernels import element_solve as kernels
-from warpqem.runtime.launches import launch
+from warpqem.runtime.launches import Recorder, launch
+from warpqem.runtime.loops import DeviceLoop
 
 __all__ = ["solve_elements"]
 
@@ -30,23 +31,18 @@ def solve_elements(elements: kernels.Elements, corner_right: wp.array) -> wp.arr
     )
     state.inverse = wp.empty(vertex_count, dtype=wp.mat33, device=device)
     state.slice_sum = wp.empty(kernels.SLICES, dtype=wp.float64, device=device)
-    state.scalar = wp.zeros(3, dtype=wp.float64, device=device)
-
-    def run(kernel: wp.Kernel, count: int, *inputs: object) -> None:
-        launch(kernel, dim=count, inputs=[*inputs, state], device=device)
-
-    run(kernels.start_solve, vertex_count, elements, corner_right)
-    run(kernels.sum_residual, kernels.SLICES)
-    run(kernels.close_residual, 1)
-    goal = TOLERANCE**2 * float(state.scalar.numpy()[0])
-    for _ in range(MAX_STEPS):
-        run(kernels.turn_direction, vertex_count)
-        run(kernels.multiply_direction, vertex_count, elements)
-        run(kernels.sum_curvature, kernels.SLICES)
-        run(kernels.close_curvature, 1)
-        run(kernels.step_forward, vertex_count)
-        run(kernels.sum_residual, kernels.SLICES)
-        run(kernels.close_residual, 1)
-        if float(state.scalar.numpy()[0]) <= goal:
-            break
+    state.scalar = wp.zeros(4, dtype=wp.float64, device=device)
+    state.report = wp.zeros(2, dtype=wp.int32, device=device)
+    launch(kernels.start_solve, vertex_count, [elements, corner_right, state], device=device)
+    launch(kernels.sum_residual, kernels.SLICES, [state], device=device)
+    launch(kernels.begin_steps, 1, [TOLERANCE**2, state], device=device)
+    step = Recorder(str(device))
+    step.launch(kernels.turn_direction, vertex_count, [state])
+    step.launch(kernels.multiply_direction, vertex_count, [elements, state])
+    step.launch(kernels.sum_curvature, kernels.SLICES, [state])
+    step.launch(kernels.close_curvature, 1, [state])
+    step.launch(kernels.step_forward, vertex_count, [state])
+    step.launch(kernels.sum_residual, kernels.SLICES, [state])
+    step.launch(kernels.end_step, 1, [MAX_STEPS, state])
+    DeviceLoop(step, state.report, str(device)).run()
     return state.x

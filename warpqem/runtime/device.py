@@ -7,7 +7,7 @@ import functools
 import os
 import threading
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ParamSpec, TypeVar
 
 import warp as wp
@@ -32,6 +32,7 @@ class DeviceTraits:
         splits_launches: a launch runs on one core, so a long one is split over the cores of the machine.
         captures: recorded launches are captured as a graph. Nothing else may use the device meanwhile.
         compiles_together: the first launch that finds no compiled code compiles all kernels, several at once.
+        graph_loops: a graph may hold loops and branches; on a device without captures, what stands for one.
     """
 
     block_width: int
@@ -40,15 +41,28 @@ class DeviceTraits:
     splits_launches: bool
     captures: bool
     compiles_together: bool
+    graph_loops: bool
 
 
 # On a CPU, Warp's captures are one for the whole process, and a recorded launch takes 3 microseconds without one.
 CPU = DeviceTraits(
-    block_width=WIDE, launch_threads=1, in_order=True, splits_launches=True, captures=False, compiles_together=False
+    block_width=WIDE,
+    launch_threads=1,
+    in_order=True,
+    splits_launches=True,
+    captures=False,
+    compiles_together=False,
+    graph_loops=True,
 )
 # 65536 threads are enough to fill any GPU of today.
 GPU = DeviceTraits(
-    block_width=1, launch_threads=65536, in_order=False, splits_launches=False, captures=True, compiles_together=True
+    block_width=1,
+    launch_threads=65536,
+    in_order=False,
+    splits_launches=False,
+    captures=True,
+    compiles_together=True,
+    graph_loops=True,
 )
 
 _TRAITS = {"cpu": CPU, "cuda": GPU}
@@ -65,7 +79,10 @@ def _start_warp() -> None:
 
 def device_traits(device: str) -> DeviceTraits:
     """How launches work on a Warp device."""
-    return _TRAITS["cpu" if wp.get_device(device).is_cpu else "cuda"]
+    if wp.get_device(device).is_cpu:
+        return _TRAITS["cpu"]
+    traits = _TRAITS["cuda"]
+    return traits if wp.is_conditional_graph_supported() else replace(traits, graph_loops=False)
 
 
 def resolve_device(device: str | None = None) -> str:
@@ -145,6 +162,8 @@ def device_turn(device: str | None = None) -> Iterator[str]:
         yield name
         return
     with _filling:
+        if name not in _turns:
+            _keep_freed_memory(name)
         turn = _turns.setdefault(name, _Turn())
     turn.take()
     try:
@@ -152,6 +171,17 @@ def device_turn(device: str | None = None) -> Iterator[str]:
         yield name
     finally:
         turn.give()
+
+
+def _keep_freed_memory(name: str) -> None:
+    """Keep memory that is freed for later arrays: else a GPU gives it back to the system whenever the host waits.
+
+    A threshold that the caller has set stays.
+    """
+    device = wp.get_device(name)
+    if device.is_cuda and wp.is_mempool_enabled(device) and wp.get_mempool_release_threshold(device) == 0:
+        # All of the device's memory.
+        wp.set_mempool_release_threshold(device, 1.0)
 
 
 def _refuse_capture(name: str) -> None:

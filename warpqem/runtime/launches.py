@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import os
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -129,18 +130,52 @@ class Recorder:
         """Sums of the items before each one."""
         self._add(partial(wp.utils.array_scan, source, target, inclusive=False), target, source)
 
+    def sort_pairs(self, keys: wp.array, values: wp.array, count: int, bits: int) -> None:
+        """Sort ``count`` keys, int32 or int64, that differ in the lower ``bits`` at most, and values along with them.
+
+        Equal keys keep their order. Both arrays have room for twice as many.
+        """
+        self._add(partial(wp.utils.radix_sort_pairs, keys, values, count, 0, bits), keys, values)
+
+    def branch(self, condition: wp.array, taken: Recorder) -> None:
+        """Run what another recorder has recorded where ``condition`` (1,) int32 is not zero at that time."""
+        body = partial(_run_all, tuple(taken._operations))
+        self._add(partial(wp.capture_if, condition, body), condition, *taken._arrays)
+
     def finish(self) -> Callable[[], None]:
         """What runs the operations; on a device that captures, as one graph."""
-        arrays, operations = _unique(self._arrays), tuple(self._operations)
+        return self._finish(partial(_run_all, tuple(self._operations)))
+
+    def finish_loop(self, running: wp.array) -> Callable[[], None]:
+        """What runs the operations again and again as long as ``running`` (1,) int32 is not zero.
+
+        Nothing may be allocated in between; :meth:`scan` does so. A device that captures needs ``graph_loops``.
+        """
+        self._arrays.append(running)
+        return self._finish(partial(wp.capture_while, running, partial(_run_all, tuple(self._operations))))
+
+    def _finish(self, run: Callable[[], None]) -> Callable[[], None]:
         if not device_traits(self._device).captures:
-            return partial(_run_all, operations)
-        with wp.ScopedCapture(device=self._device) as capture:
-            _run_all(operations)
-        return partial(_run_graph, capture.graph, arrays)
+            return run
+        with _no_collection(), wp.ScopedCapture(device=self._device) as capture:
+            run()
+        return partial(_run_graph, capture.graph, _unique(self._arrays))
 
     def _add(self, operation: Callable[[], object], *arguments: Any) -> None:
         self._operations.append(operation)
         self._arrays += [array for argument in arguments for array in _arrays_of(argument)]
+
+
+@contextlib.contextmanager
+def _no_collection() -> Iterator[None]:
+    """Collect no garbage within: an array that is freed while a graph is captured becomes a node of it."""
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collects:
+            gc.enable()
 
 
 def _arrays_of(argument: Any) -> list[wp.array]:

@@ -27,12 +27,20 @@ class CostCurve:
         faces_removed: int64, shape (C,), faces each collapse removed.
         weight: What a face of it counts in the budget: 1, or the share of the frames that a run of constant topology
             has, of a mesh whose topology varies over time.
+        input_faces: Faces of the mesh as the input has it, with those that repeat others and go for nothing, of which
+            shares are taken; None for as many as `face_count`.
     """
 
     face_count: int
     cost: npt.NDArray[np.float64]
     faces_removed: npt.NDArray[np.int64]
     weight: float = 1.0
+    input_faces: int | None = None
+
+    @property
+    def counted_faces(self) -> float:
+        """What its faces are of those of the stage as the input has them."""
+        return self.weight * (self.face_count if self.input_faces is None else self.input_faces)
 
     @classmethod
     def from_log(
@@ -43,6 +51,7 @@ class CostCurve:
         unit_length: float,
         frame_count: int,
         weight: float = 1.0,
+        input_faces: int | None = None,
     ) -> CostCurve:
         """Bring the costs of a collapse log to world units.
 
@@ -53,10 +62,11 @@ class CostCurve:
             unit_length: World length of the bounding-box diagonal that the log takes as 1.
             frame_count: Frames the cost is summed over.
             weight: See above.
+            input_faces: See above.
         """
         # Squared distance times area is a length to the fourth power.
         scale = unit_length**4 / frame_count
-        return cls(face_count, cost.astype(np.float64) * scale, faces_removed.astype(np.int64), weight)
+        return cls(face_count, cost.astype(np.float64) * scale, faces_removed.astype(np.int64), weight, input_faces)
 
 
 def split_budget(curves: Sequence[CostCurve], budget: int) -> list[int]:

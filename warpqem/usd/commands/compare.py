@@ -17,7 +17,8 @@ from warpqem.measure import Appearance, Comparison, compare, distance_colors
 from warpqem.usd.checks.input_files import check_stage_outputs
 from warpqem.usd.commands.appearance import compare_looks
 from warpqem.usd.commands.compare_runs import VaryingMesh, combine, pair_runs, run_colors
-from warpqem.usd.commands.level_stages import level_stages
+from warpqem.usd.commands.level_stages import ORIGINAL, level_stages, original_of_levels
+from warpqem.usd.read.mesh_pairs import pair_meshes
 from warpqem.usd.read.open_stage import find_meshes, open_stage
 from warpqem.usd.read.read_mesh import MeshSource, StageMesh
 from warpqem.usd.read.skeleton_poses import StagePoses
@@ -68,16 +69,17 @@ class CompareOptions:
 
 @dataclass
 class PairReport:
-    """The comparison of two meshes at the same path.
+    """The comparison of two meshes that the files show at the same places.
 
     Attributes:
-        path: Prim path.
+        path: Prim path of the mesh of the reference; see `warpqem.usd.read.mesh_pairs.MeshPair`.
         times: Time codes compared at; None for one frame at the default time.
         comparison: The measures; None if the comparison failed.
         appearance: How texture, shading and colours differ; None if the comparison failed.
         heatmap_scale: Distance of the last colour of the heat map, in % of the diagonal; None without a heat map.
         message: Why it failed.
-        level: Name of the level of detail, with `CompareOptions.all_lods`; else None.
+        level: Name of the level of detail, with `CompareOptions.all_lods`, or of the original in a file with levels as
+            prims; else None.
     """
 
     path: str
@@ -109,7 +111,9 @@ def compare_stages(
     progress: Callable[[float, str], None] | None = None,
     other_outputs: Sequence[OutputFile] = (),
 ) -> list[PairReport]:
-    """Compare meshes that have the same path in both files, in their local space, at the union of their frames.
+    """Compare meshes that both files show at the same path, in their local space, at the union of their frames.
+
+    What instances share is compared once, wherever either file defines it.
 
     Args:
         reference_path: USD file.
@@ -132,6 +136,7 @@ def compare_stages(
     stages = [open_stage(path) for path in inputs]
     outputs = [*named_outputs({"heatmap": options.heatmap}), *other_outputs]
     check_stage_outputs(outputs, stages)
+    level = None if options.all_lods else _original_level(inputs, stages, options)
     chosen = select_variants(stages, options.variants)
     reference = _Side(reference_path, stages[0], options.prims)
     if options.all_lods:
@@ -143,15 +148,36 @@ def compare_stages(
             found = _SideComparison(reference, test, options).reports(part)
             reports += [replace(report, level=name) for report in found]
         return reports
-    layer = None if heatmap is None else OverLayer(stages[1])
     test = _Side(test_path, stages[1], options.prims)
-    reports = _SideComparison(reference, test, options, layer).reports(progress)
+    layer = None if heatmap is None else OverLayer(stages[1])
+    comparison = _SideComparison(reference, test, options, layer)
+    reports = [replace(report, level=level) for report in comparison.reports(progress)]
     if heatmap is not None and layer is not None and any(report.comparison for report in reports):
+        layer.share_instances(test.selection, by_root=False)
         # The colours are those of the variants that were compared.
         for choice in chosen[1]:
             Sdf.CreatePrimInLayer(layer.layer, choice.prim).variantSelections[choice.set] = choice.name
         layer.save(heatmap)
     return reports
+
+
+def _original_level(
+    paths: Sequence[str | os.PathLike[str]], stages: list[Usd.Stage], options: CompareOptions
+) -> str | None:
+    """Take the original alone of a test file that holds levels as prims, and the reference none; the level's name.
+
+    Raises:
+        OptionError: a heat map is to be written, which has no file to be a layer over.
+    """
+    original = original_of_levels(paths[1], stages[1])
+    if original is None or original_of_levels(paths[0], stages[0]) is not None:
+        return None
+    if options.heatmap is not None:
+        raise OptionError(
+            f"heatmap {options.heatmap}: {paths[1]} holds levels as prims; colour files of one level each"
+        )
+    stages[1] = original
+    return ORIGINAL
 
 
 def _part_of(
@@ -166,32 +192,46 @@ class _Side:
 
     def __init__(self, path: str | os.PathLike[str], stage: Usd.Stage, prims: Sequence[str]) -> None:
         self.name = os.fspath(path)
-        self.stage = stage
-        selection = find_meshes(self.stage, prims)
-        self.prims = {str(prim.GetPath()): prim for prim in selection.prims}
-        self.refused = selection.refused
-        self.poses = StagePoses(self.stage)
+        self.selection = find_meshes(stage, prims)
+        self._prims = {prim.GetPath(): prim for prim in self.selection.prims}
+        self._poses = StagePoses(stage)
 
-    def source(self, path: str) -> MeshSource:
-        if path not in self.prims:
-            raise StageError(f"{path}: no such mesh in {self.name}")
-        return MeshSource(self.prims[path], self.poses)
+    def mesh(self, path: Sdf.Path | None, name: str) -> _SideMesh:
+        """One of them.
 
-    def varying(self, path: str) -> VaryingMesh:
-        """A mesh of which the topology may vary over time.
+        Raises:
+            StageError: there is none.
+        """
+        if path is None:
+            raise StageError(f"{name}: no such mesh in {self.name}")
+        return _SideMesh(self._prims[path], self._poses)
+
+
+@dataclass(frozen=True)
+class _SideMesh:
+    """A mesh of one of the two files."""
+
+    prim: Usd.Prim
+    poses: StagePoses
+
+    def source(self) -> MeshSource:
+        return MeshSource(self.prim, self.poses)
+
+    def varying(self) -> VaryingMesh:
+        """It as a mesh of which the topology may vary over time.
 
         Raises:
             VaryingTopologyError: it varies although a skeleton deforms it.
         """
         try:
-            source = self.source(path)
+            source = self.source()
             # The number of points may change without the faces.
             source.read(source.frame_times())
         except VaryingTopologyError:
-            if self.poses.poser(self.prims[path]) is not None:
+            if self.poses.poser(self.prim) is not None:
                 raise
-            return VaryingMesh.of(self.prims[path], self.poses, None)
-        return VaryingMesh.of(self.prims[path], self.poses, source)
+            return VaryingMesh.of(self.prim, self.poses, None)
+        return VaryingMesh.of(self.prim, self.poses, source)
 
 
 @dataclass(frozen=True)
@@ -213,44 +253,51 @@ class _SideComparison:
     def reports(self, progress: Callable[[float, str], None] | None) -> list[PairReport]:
         """One report for each mesh of either file."""
         reports = []
-        paths = list(dict.fromkeys([*self.reference.prims, *self.test.prims]))
-        for index, path in enumerate(paths):
-            report = PairReport(path)
+        pairs = pair_meshes(self.reference.selection, self.test.selection)
+        for index, pair in enumerate(pairs):
+            report = PairReport(pair.name)
             reports.append(report)
 
-            def part(done: int, total: int, index: int = index, path: str = path) -> None:
+            def part(done: int, total: int, index: int = index, name: str = pair.name) -> None:
                 if progress is not None:
-                    progress((index + done / total) / len(paths), path)
+                    progress((index + done / total) / len(pairs), name)
 
             try:
-                self._compare(report, part)
+                sides = self.reference.mesh(pair.reference, pair.name), self.test.mesh(pair.test, pair.name)
+                self._compare(report, sides, part)
             except WarpqemError as error:
                 if isinstance(error, (OptionError, DeviceError)):
                     raise
-                report.message = name_prim(path, error)
-        refused = [*self.reference.refused, *self.test.refused]
-        return reports + [PairReport(path, message=str(refusal)) for path, refusal in refused]
+                report.message = name_prim(pair.name, error)
+        refused = dict(self.reference.selection.refused + self.test.selection.refused)
+        return reports + [PairReport(path, message=str(refusal)) for path, refusal in refused.items()]
 
-    def _compare(self, report: PairReport, progress: Callable[[int, int], None]) -> None:
+    def _compare(
+        self, report: PairReport, sides: tuple[_SideMesh, _SideMesh], progress: Callable[[int, int], None]
+    ) -> None:
         try:
-            self._compare_constant(report, progress)
+            self._compare_constant(report, sides, progress)
         except VaryingTopologyError:
-            self._compare_runs(report, progress)
+            self._compare_runs(report, sides, progress)
 
-    def _compare_runs(self, report: PairReport, progress: Callable[[int, int], None]) -> None:
+    def _compare_runs(
+        self, report: PairReport, sides: tuple[_SideMesh, _SideMesh], progress: Callable[[int, int], None]
+    ) -> None:
         options = self.options
-        reference, test = self.reference.varying(report.path), self.test.varying(report.path)
+        reference, test = (side.varying() for side in sides)
         pairs = pair_runs(reference, test, options.frames)
         report.times = [time for pair in pairs for time in pair.times]
         report.comparison = combine(reference, test, pairs, progress, samples=options.samples, device=options.device)
         if self.heatmap is not None:
             scale = _heatmap_scale(report.comparison, options)
             colors, report.heatmap_scale = run_colors(reference, test, pairs, scale, options.device)
-            self.heatmap.set_vertex_colors(report.path, report.times, colors)
+            self.heatmap.set_vertex_colors(str(sides[1].prim.GetPath()), report.times, colors)
 
-    def _compare_constant(self, report: PairReport, progress: Callable[[int, int], None]) -> None:
+    def _compare_constant(
+        self, report: PairReport, sides: tuple[_SideMesh, _SideMesh], progress: Callable[[int, int], None]
+    ) -> None:
         options = self.options
-        sources = [self.reference.source(report.path), self.test.source(report.path)]
+        sources = [side.source() for side in sides]
         times: list[float] | None = sorted({time for source in sources for time in source.authored_times}) or None
         if times is not None and options.frames is not None:
             times = options.frames.select(times)
@@ -270,7 +317,8 @@ class _SideComparison:
         if self.heatmap is not None:
             scale = _heatmap_scale(report.comparison, options)
             colors, report.heatmap_scale = distance_colors(*meshes, scale=scale, device=options.device)
-            self.heatmap.set_vertex_colors(report.path, times, _for_all_points(colors, test, sources[1].point_count))
+            colors = _for_all_points(colors, test, sources[1].point_count)
+            self.heatmap.set_vertex_colors(sources[1].path, times, colors)
 
 
 def _heatmap_scale(found: Comparison, options: CompareOptions) -> float | None:

@@ -9,10 +9,10 @@ import numpy.typing as npt
 from pxr import UsdGeom
 
 import warpqem
+from warpqem.arguments.distance_limit import DistanceLimit
 from warpqem.costs.models import cost_model
-from warpqem.errors import OptionError, UnreachableTargetError
-from warpqem.frames.blocks import frame_blocks
-from warpqem.frames.stream import LaterFrames, NoFrames, read_ahead
+from warpqem.errors import MeshShapeError, OptionError, UnreachableTargetError
+from warpqem.frames.stream import LaterFrames, NoFrames
 from warpqem.mesh.mesh_input import is_proper
 from warpqem.pipeline.mirror import Mirror, find_mirror
 from warpqem.pipeline.symmetry import simplify_symmetric
@@ -21,7 +21,8 @@ from warpqem.usd.commands.blend_shape_weights import morph_scale
 from warpqem.usd.commands.context import Context, Progress, SharedOrder
 from warpqem.usd.commands.face_points import FacePoints, face_protection
 from warpqem.usd.commands.mesh_job import MeshJob
-from warpqem.usd.commands.skin_fit import SkinFitter, SkinPoses, simplify_by_pullback, why_not_fitted
+from warpqem.usd.commands.skin_bound import interpolated, largest_diagonal, simplify_skinned, skin_holds
+from warpqem.usd.commands.skin_fit import FittedMesh, SkinFitter, SkinPoses, simplify_by_pullback, why_not_fitted
 from warpqem.usd.commands.weights import painted_options
 from warpqem.usd.read.lengths import parse_length
 from warpqem.usd.write.point_samples import PointSamples
@@ -61,8 +62,9 @@ class CoreCalls:
         taker: PointSamples | SkinFitter,
         target_faces: int | None,
         shared: SharedOrder | None,
+        share: float = 1.0,
     ) -> warpqem.SimplifiedMesh:
-        """Simplify a mesh to a face count, or to the limits alone; ``taker`` gets its points in the poses."""
+        """Simplify a mesh to a face count, within a share of the limits; ``taker`` gets its points in the poses."""
         sink: warpqem.FrameSink
         if isinstance(taker, SkinFitter):
             sink = taker
@@ -70,11 +72,50 @@ class CoreCalls:
             # Of a mesh with a skin the rest shape alone is written; it is the first frame.
             sink = NoFrames() if job.skin is not None else LaterFrames(taker, job.pose_start)
         seams = job.seams.hold()
-        limits = self._limits(job)
+        limits = {name: share * limit for name, limit in self._limits(job).items()}
         if target_faces is None:
             return self._call(job, progress, seams, sink, **limits)
         call = self._call if self._options.strict else self._as_far_as_it_goes
         return call(job, progress, seams, sink, shared, target_faces=target_faces, **limits)
+
+    def simplify_with_skin(
+        self,
+        job: MeshJob,
+        progress: Progress,
+        fitter: SkinFitter | None,
+        samples: PointSamples,
+        target_faces: int | None,
+        shared: SharedOrder | None,
+    ) -> tuple[warpqem.SimplifiedMesh, FittedMesh | None]:
+        """The simplified mesh and its skin, which holds the limits where it is linear; None for one to interpolate."""
+        limit, fitted = self.distance_limit(job), None
+        if fitter is not None:
+            poses = fitter.poses
+        else:
+            poses = self._skin_poses(job) if limit and self._has_linear_skin(job) else None
+
+        def simplify(share: float) -> warpqem.SimplifiedMesh:
+            return self.simplify(job, progress, fitter or samples, target_faces, shared, share)
+
+        def holds(result: warpqem.SimplifiedMesh) -> bool:
+            nonlocal fitted
+            if poses is None or not job.is_simplified_by(result):
+                return True
+            transfer = job.transfer(result, self._options.device)
+            if fitter is not None:
+                try:
+                    fitted = fitter.fit(result, transfer, self._options.refits, self._options.device)
+                except MeshShapeError as error:
+                    # What UsdSkel makes of the skin is not what its arrays say.
+                    self._reports[job.mesh.path].skin, fitted = f"interpolated: {error}", None
+                    return True
+            elif limit:
+                fitted = interpolated(poses, result, transfer)
+            return (
+                not limit or fitted is None or skin_holds(poses, result, fitted, transfer, limit, self._options.device)
+            )
+
+        return simplify_skinned(simplify, holds), fitted
 
     def try_out(
         self, job: MeshJob, progress: Progress, shared: SharedOrder, least: int
@@ -123,9 +164,7 @@ class CoreCalls:
         shared: SharedOrder | None = None,
         **goal: Any,
     ) -> warpqem.SimplifiedMesh:
-        options = self._method(job)
-        if goal.get("target_faces") is not None:
-            options["max_size_error"] = self._options.size_limit
+        options = {**self._method(job), "max_size_error": self._options.size_limit}
         if self._is_pulled_back(job):
             options = {name: value for name, value in options.items() if name in PULLBACK_OPTIONS}
             options |= {**self._importance(job), "seams": seams, "progress": progress}
@@ -134,7 +173,9 @@ class CoreCalls:
         if mirror is not None:
             options |= {**self._importance(job), "seams": seams, "progress": progress}
             return simplify_symmetric(job.frames, job.faces, mirror, sink=sink, **options, **goal)
-        plan = warpqem.plan(job.frames, job.faces, sink=sink, levels=shared is not None, **options, **goal)
+        plan = warpqem.plan(
+            job.frames, job.faces, sink=sink, levels=shared is not None, measure=False, **options, **goal
+        )
         self._reports[job.mesh.path].plan = plan.to_dict()
         if shared is None or shared.order is None or not shared.announced:
             self._announce(job.mesh.path, plan)
@@ -202,21 +243,22 @@ class CoreCalls:
 
     def _limits(self, job: MeshJob) -> dict[str, Any]:
         """How far the result of a mesh may be from the input, as options of the core."""
-        limits: dict[str, Any] = {}
-        if self._options.max_error is not None:
-            limits["max_error"] = self._options.max_error
+        limit = self.distance_limit(job)
+        limits = {"max_error": 100.0 * limit.part, "max_distance": limit.length}
+        if self._options.pose_independent and limit:
+            # The errors of pulled back quadrics are parts of the diagonal.
+            limits = {"max_error": 100.0 * limit.relative(largest_diagonal(job))}
+        return {name: value for name, value in limits.items() if np.isfinite(value)}
+
+    def distance_limit(self, job: MeshJob) -> DistanceLimit:
+        """How far the result of a mesh may be from the input."""
         lengths = []
         if self._options.screen is not None:
             lengths.append(self._options.screen.length)
         if self._options.max_distance is not None:
             lengths.append(parse_length(self._options.max_distance, UsdGeom.GetStageMetersPerUnit(self._stage)))
-        if not lengths:
-            return limits
-        length = min(lengths) / job.mesh.world_scale
-        if not self._options.pose_independent:
-            return {**limits, "max_distance": length}
-        # The errors of pulled back quadrics are parts of the diagonal.
-        return {"max_error": min(100.0 * length / _diagonal(job), limits.get("max_error", np.inf))}
+        part = np.inf if self._options.max_error is None else self._options.max_error / 100.0
+        return DistanceLimit(part, min(lengths) / job.mesh.world_scale if lengths else np.inf)
 
     def _mirror(self, job: MeshJob) -> Mirror | None:
         """How a mesh that is to stay symmetric maps to itself; None for one that is not."""
@@ -233,7 +275,10 @@ class CoreCalls:
 
     def _is_pulled_back(self, job: MeshJob) -> bool:
         """True of a mesh that is simplified in its rest shape."""
-        if not self._options.pose_independent or job.skin is None or not job.skin.influences:
+        return self._options.pose_independent and self._has_linear_skin(job)
+
+    def _has_linear_skin(self, job: MeshJob) -> bool:
+        if job.skin is None or not job.skin.influences:
             return False
         return why_not_fitted(job.skin, job.examples or job.source) is None
 
@@ -242,9 +287,3 @@ class CoreCalls:
         if job.examples is not None:
             return SkinPoses(job, job.examples, job.examples.frame_times())
         return SkinPoses(job, job.source, job.source.frame_times(self._options.frames))
-
-
-def _diagonal(job: MeshJob) -> float:
-    """Largest bounding-box diagonal of a frame, in local units."""
-    blocks = read_ahead(job.frames.read, frame_blocks(job.frames.frame_count, job.frames.vertex_count))
-    return max(float(np.linalg.norm(np.ptp(points.astype(np.float64), axis=1), axis=1).max()) for _, points in blocks)

@@ -13,7 +13,7 @@ from warpqem.usd.commands.output_names import LEVEL_NAME
 from warpqem.usd.read.open_stage import open_stage
 from warpqem.usd.read.stage_views import copy_stage_metadata
 
-__all__ = ["level_names", "level_root", "level_stages"]
+__all__ = ["ORIGINAL", "level_names", "level_root", "level_stages", "original_of_levels"]
 
 # The finest level, which is the original.
 ORIGINAL = f"{LEVEL_NAME}0"
@@ -60,6 +60,21 @@ def level_stages(path: str | os.PathLike[str]) -> list[tuple[str, Usd.Stage]]:
             f"or prim {VARIANT_SET!r} of a root prim"
         )
     return [(name, _level_stage(path, name)) for name in names]
+
+
+def original_of_levels(path: str | os.PathLike[str], stage: Usd.Stage) -> Usd.Stage | None:
+    """The original alone of a file whose levels are prims of UsdLod; None for other files.
+
+    What does not know UsdLod would show all levels at once, while of levels that are variants it shows the original.
+
+    Args:
+        path: USD file.
+        stage: The same file, open.
+    """
+    root = level_root(stage)
+    if root is None or root.GetVariantSets().HasVariantSet(VARIANT_SET):
+        return None
+    return _level_stage(path, ORIGINAL)
 
 
 def _level_stage(path: str | os.PathLike[str], name: str) -> Usd.Stage:

@@ -6,17 +6,19 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Usd
 
+from warpqem.arguments.distance_limit import DistanceLimit
 from warpqem.errors import WarpqemError
 from warpqem.frames.stream import FrameSource, SomeFrames, counted_frames
 from warpqem.measure import Measured
 from warpqem.measure.measured import measure_frames, measured_errors
 from warpqem.runtime.device import device_turn
 from warpqem.usd.commands.mesh_job import MeshJob
+from warpqem.usd.commands.skin_bound import is_within, largest_diagonal
 from warpqem.usd.read.read_mesh import MeshSource, PoseFrames
 from warpqem.usd.read.skeleton_poses import StagePoses
 from warpqem.usd.write.stage_report import PrimReport, name_prim
 
-__all__ = ["measure_written"]
+__all__ = ["measure_written", "written_within"]
 
 
 def measure_written(job: MeshJob, stage: Usd.Stage, report: PrimReport, device: str | None) -> None:
@@ -39,6 +41,15 @@ def measure_written(job: MeshJob, stage: Usd.Stage, report: PrimReport, device: 
         report.measured = _measure(reference, faces, test, layout.right_handed_faces, device).to_dict()
     except WarpqemError as error:
         report.problems.append(f"not measured: {name_prim(job.mesh.path, error)}")
+
+
+def written_within(job: MeshJob, stage: Usd.Stage, limit: DistanceLimit, device: str | None) -> bool:
+    """Whether a mesh that was written is proved to be within a limit of the mesh as it was read, in all its poses."""
+    source = _written(stage, job)
+    layout = source.layout(job.mesh.times)
+    test = PoseFrames(source, job.mesh.times, layout.used_points)
+    reference, faces = _reference(job)
+    return is_within(reference, faces, test, layout.right_handed_faces, limit, largest_diagonal(job), device)
 
 
 def _measure(

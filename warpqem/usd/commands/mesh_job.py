@@ -190,6 +190,10 @@ class MeshJob:
         """Times of the points to write: those of the poses; None for the rest shape of a mesh with a skin."""
         return self.mesh.times if self.rest_fit is None else None
 
+    def is_simplified_by(self, result: SimplifiedMesh) -> bool:
+        """Whether anything was removed."""
+        return len(result.log) > 0 or len(result.faces) < len(self.mesh.faces)
+
     def rest_shape(self, result: SimplifiedMesh) -> npt.NDArray[np.float32]:
         """The rest shape of a mesh with a skin, simplified: float32, shape (1, V', 3)."""
         assert self.rest_fit is not None

@@ -9,14 +9,13 @@ import numpy.typing as npt
 from pxr import UsdGeom
 
 import warpqem
-from warpqem.errors import MeshShapeError
+from warpqem.arguments.distance_limit import DistanceLimit
 from warpqem.usd.commands.face_points import points_on_level
-from warpqem.usd.commands.measuring import measure_written
+from warpqem.usd.commands.measuring import measure_written, written_within
 from warpqem.usd.commands.mesh_job import MeshJob
 from warpqem.usd.commands.simplify_options import SimplifyOptions
-from warpqem.usd.commands.skin_fit import SkinFitter
+from warpqem.usd.commands.skin_fit import FittedMesh
 from warpqem.usd.read.mesh_skin import Skin
-from warpqem.usd.write.attribute_transfer import AttributeTransfer
 from warpqem.usd.write.feature_subsets import write_feature_points
 from warpqem.usd.write.point_samples import PointSamples
 from warpqem.usd.write.stage_report import PrimReport
@@ -33,14 +32,16 @@ class MeshResult:
         job: The mesh.
         mesh: What came of it.
         samples: What has its points in the poses already, where these are written.
-        fitter: What fits its skin; None for a mesh without one, or whose skin is interpolated.
+        fitted: Its skin; None for a mesh without one, or whose skin is to be interpolated.
+        limit: How far it may be from the input.
         face: How the feature points of a face were kept; None for other cost models.
     """
 
     job: MeshJob
     mesh: warpqem.SimplifiedMesh
     samples: PointSamples
-    fitter: SkinFitter | None
+    fitted: FittedMesh | None
+    limit: DistanceLimit
     face: warpqem.face.FaceProtection | None
 
     def write(self, layer: OverLayer, report: PrimReport, options: SimplifyOptions) -> None:
@@ -56,7 +57,7 @@ class MeshResult:
         transfer.feature_points = points_on_level(job, self.face, mesh.vertex_map)
         skin = job.skin
         if skin is not None:
-            skin, rest = self._at_rest(skin, transfer, report, options)
+            skin, rest = self._at_rest(skin)
             self.samples.begin(1, mesh.points.shape[1], mesh.faces)
             self.samples.write(slice(0, 1), rest)
         dropped = layer.replace_mesh(job.mesh.path, self.samples, job.written_times, mesh.faces, transfer, skin)
@@ -67,23 +68,16 @@ class MeshResult:
         report.faces_after = len(mesh.faces)
         report.vertices_after = mesh.points.shape[1]
         report.estimate = float(mesh.error)
+        if skin is not None and self.limit and not written_within(job, layer.stage, self.limit, options.device):
+            report.problems.append(f"{job.mesh.path}: {self.limit}: not proved for the skin as it is written")
         if options.measure:
             measure_written(job, layer.stage, report, options.device)
 
-    def _at_rest(
-        self, skin: Skin, transfer: AttributeTransfer, report: PrimReport, options: SimplifyOptions
-    ) -> tuple[Skin, npt.NDArray[np.float32]]:
+    def _at_rest(self, skin: Skin) -> tuple[Skin, npt.NDArray[np.float32]]:
         """The skin of the new points and their rest shape (1, V', 3)."""
-        rest = self.job.rest_shape(self.mesh)
-        if self.fitter is None:
-            return skin, rest
-        try:
-            fitted = self.fitter.fit(self.mesh, transfer, options.refits, options.device)
-        except MeshShapeError as error:
-            # What UsdSkel makes of the skin is not what its arrays say.
-            report.skin = f"interpolated: {error}"
-            return skin, rest
-        return replace(skin, fitted=fitted.influences), fitted.rest_points[None]
+        if self.fitted is None:
+            return skin, self.job.rest_shape(self.mesh)
+        return replace(skin, fitted=self.fitted.influences), self.fitted.rest_points[None]
 
     def _explained(self, dropped: list[str], bake: bool) -> list[str]:
         """What was taken off the mesh, with why its skin was."""

@@ -119,6 +119,7 @@ def color_features(
             progress((index + 1) / len(selection.prims), prim.GetName())
     reports += [FeatureReport(path, message=str(error)) for path, error in selection.refused]
     if any(report.message is None for report in reports):
+        layer.share_instances(selection, by_root=False)
         layer.save(output)
     return reports
 

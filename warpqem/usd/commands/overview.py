@@ -17,7 +17,7 @@ from warpqem.picture import fit_view, render
 from warpqem.report.overview import Asset, overview_page
 from warpqem.report.page import check_page_path, save_page
 from warpqem.usd.commands.report_page import coarsest_level
-from warpqem.usd.read.world import WorldMeshes, chosen_times
+from warpqem.usd.read.world import WorldMeshes, chosen_times, limit_places
 
 __all__ = ["write_overview"]
 
@@ -130,6 +130,7 @@ def _address(path: str) -> str:
 
 def _pictures(before: str, after: str, prims: Sequence[str], device: str | None) -> list[np.ndarray]:
     meshes = [WorldMeshes(before, prims), coarsest_level(after, prims)]
+    limit_places(meshes)
     times = chosen_times(meshes)
     shapes = [item.read([times[len(times) // 2]] if times else None) for item in meshes]
     view = fit_view(shapes[0][0], up=meshes[0].up, aspect=SIZE[0] / SIZE[1])

@@ -14,9 +14,10 @@ from warpqem.files.outputs import OutputFile
 from warpqem.measure import distance_colors
 from warpqem.picture import caption, fit_view, render, tile, write_png
 from warpqem.usd.checks.input_files import check_stage_outputs
+from warpqem.usd.commands.level_stages import original_of_levels
 from warpqem.usd.read.time_codes import FrameRange
-from warpqem.usd.read.variants import open_stages
-from warpqem.usd.read.world import WorldMeshes, chosen_times
+from warpqem.usd.read.variants import open_stages, select_variants
+from warpqem.usd.read.world import WorldMeshes, chosen_times, limit_places
 
 __all__ = ["RenderOptions", "render_sheet"]
 
@@ -90,10 +91,14 @@ def render_sheet(
     if options.heatmap and reference_path is None:
         raise OptionError("heatmap needs a reference")
     paths = [path for path in (reference_path, input_path) if path is not None]
-    stages = open_stages(paths, options.variants)
+    stages = open_stages(paths)
+    check_stage_outputs([OutputFile("output", output_path)], stages)
+    both = zip(paths, stages, strict=True)
+    stages = [original_of_levels(path, stage) or stage for path, stage in both]
+    select_variants(stages, options.variants)
     both = zip(paths, stages, strict=True)
     drawn = [WorldMeshes(path, options.prims, varying=True, stage=stage) for path, stage in both]
-    check_stage_outputs([OutputFile("output", output_path)], [item.stage for item in drawn])
+    limit_places(drawn)
     times = _spread(chosen_times(drawn, options.frames), options)
     # Each time for itself: the topology may be another one.
     meshes = [[item.read(None if times is None else [time]) for time in times or [0.0]] for item in drawn]

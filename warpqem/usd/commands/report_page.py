@@ -24,7 +24,7 @@ from warpqem.usd.commands.lods import VARIANT_SET, LevelReport
 from warpqem.usd.commands.simplify_options import SimplifyOptions
 from warpqem.usd.read.open_stage import open_stage
 from warpqem.usd.read.variants import open_stages
-from warpqem.usd.read.world import WorldMeshes, chosen_times
+from warpqem.usd.read.world import WorldMeshes, chosen_times, limit_places
 from warpqem.usd.write.stage_report import PrimReport, StageReport
 
 if TYPE_CHECKING:
@@ -216,6 +216,8 @@ def _gather(
 ) -> Report:
     """Read as many frames as a page has room for."""
     all_meshes = [original, *(level for _, level in levels)]
+    if limit_places(all_meshes):
+        notes = [*notes, "Each mesh is shown once: its instances have more points than this page has room for."]
     times = chosen_times(all_meshes, frames)
     shown = chosen_frames(len(times), sum(meshes.point_count for meshes in all_meshes)) if times else range(0)
     own = [times[index] for index in shown] or None

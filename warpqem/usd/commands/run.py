@@ -255,11 +255,12 @@ class Run:
         samples = self.layer.point_samples(job.mesh.path, job.written_times)
         try:
             with usd_errors_named(job.mesh.path):
-                result = self.core.simplify(job, progress, fitter or samples, target_faces, shared)
+                result, fitted = self.core.simplify_with_skin(job, progress, fitter, samples, target_faces, shared)
             report.stopped = result.stopped
-            if len(result.log) or len(result.faces) < face_count:
+            if job.is_simplified_by(result):
                 self.step = "writing the simplified mesh"
-                done = MeshResult(job, result, samples, fitter, self.core.face(job))
+                limit = self.core.distance_limit(job)
+                done = MeshResult(job, result, samples, fitted, limit, self.core.face(job))
                 done.write(self.layer, report, self.options)
                 report.dropped += job.seams.let_go(job.faces, result.face_map)
                 return

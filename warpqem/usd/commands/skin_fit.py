@@ -71,13 +71,15 @@ class SkinPoses:
 
     Attributes:
         codes: Time codes of the chosen poses.
+        all_codes: Those of all poses.
         frames: The frames of `job` that the rest shape and these poses are.
     """
 
     def __init__(self, job: MeshJob, poses: MeshSource, times: list[float] | None) -> None:
         self.job, self._poses = job, poses
         chosen = _choose_poses(job)
-        self.codes = [Usd.TimeCode.Default() if times is None else Usd.TimeCode(times[index]) for index in chosen]
+        self.all_codes = [Usd.TimeCode.Default()] if times is None else [Usd.TimeCode(time) for time in times]
+        self.codes = [self.all_codes[index] for index in chosen]
         self.frames = np.concatenate([[0], job.pose_start + chosen])
 
     @property
@@ -142,7 +144,7 @@ class SkinFitter:
 
     def __init__(self, poses: SkinPoses) -> None:
         """Fit to these poses of a mesh."""
-        self._poses, self._frames = poses, poses.frames
+        self.poses, self._frames = poses, poses.frames
         self._points = np.zeros((0, 0, 3), dtype=np.float32)
 
     def begin(self, frame_count: int, vertex_count: int, faces: npt.NDArray[np.int32]) -> None:
@@ -168,7 +170,7 @@ class SkinFitter:
         Raises:
             MeshShapeError: the poses are not what joints and blend shapes give.
         """
-        poses, job = self._poses, self._poses.job
+        poses, job = self.poses, self.poses.job
         assert job.skin is not None
         rows = transfer.vertices()
         start = blend_influences(poses.influences, rows, job.skin.influence_limit)

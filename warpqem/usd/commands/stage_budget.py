@@ -58,7 +58,7 @@ def simplify_to_budget(run: Run, prims: Sequence[Usd.Prim], faces: int | str) ->
     Args:
         run: The pass over the stage.
         prims: The meshes.
-        faces: A number, or a share such as "25%" of the faces of those meshes that can be read.
+        faces: A number, or a share such as "25%" of the faces that the input has of those meshes that can be read.
     """
     trials, kept = [], 0
     most = KEPT_BYTES if run.options.memory is None else min(KEPT_BYTES, parse_bytes(run.options.memory) // KEPT_PART)
@@ -69,7 +69,7 @@ def simplify_to_budget(run: Run, prims: Sequence[Usd.Prim], faces: int | str) ->
             trials.append(trial)
             kept += _bytes_of(trial.shared)
     curves = [curve for trial in trials for curve in trial.curves]
-    total = round(sum(curve.weight * curve.face_count for curve in curves))
+    total = round(sum(curve.counted_faces for curve in curves))
     budget = face_budget(faces, total)
     split = split_budget(curves, budget)
     counts = iter(split)
@@ -134,6 +134,7 @@ def _curve(run: Run, prim: Usd.Prim, progress: Progress, shared: SharedOrder, we
         unit_length=costs.diagonal * job.mesh.world_scale,
         frame_count=len(costs.key_frames),
         weight=weight,
+        input_faces=len(job.mesh.faces),
     )
 
 

@@ -55,6 +55,8 @@ class MeshSeams:
         by_name: The seams of each attribute with one value per corner, and of colours and normals of faces, int32,
             shape (S, 2).
         borders: Subset borders and creases, int32, shape (S, 2).
+        hard: Edges where shading breaks although no normals come along: creases, and where normals that are dropped
+            differ.
         dense: Names of the attributes whose seams are too many to be held closed.
         two_sided: Names of the attributes with other values on the back of a sheet with two sides.
         facets: Of normals by which some faces are shaded flat: what `facet_signs` gives for the triangles.
@@ -62,6 +64,7 @@ class MeshSeams:
 
     by_name: dict[str, Pairs] = field(default_factory=dict)
     borders: Pairs = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int32))
+    hard: Pairs = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int32))
     dense: list[str] = field(default_factory=list)
     two_sided: list[str] = field(default_factory=list)
     facets: dict[str, npt.NDArray[np.int8]] = field(default_factory=dict)
@@ -176,19 +179,23 @@ def find_seams(
     edges = _InnerEdges.of(faces, faces if repair is None else repair.sheets)
     sides, vertex_count = None if repair is None else repair.back_corners(), int(faces.max()) + 1
     found = corner_values(source, welded) + face_values(source)
+    creases = _creases(source, edges, faces)
+    hard = [creases]
     for name, samples, normals in found:
-        if name in NORMALS and not with_normals:
-            continue
         differ = np.zeros(len(edges.ends), dtype=bool)
         for values in samples.values():
             differ |= edges.values_differ(values, normals)
             if sides is not None and name not in seams.two_sided and (values[sides[0]] != values[sides[1]]).any():
                 seams.two_sided.append(name)
+        if name in NORMALS and not with_normals:
+            hard.append(edges.where(differ))
+            continue
         seams.add(name, edges.where(differ), vertex_count)
         signs = _facets(source, edges, samples) if name in NORMALS else None
         if signs is not None and signs.any():
             seams.facets[name] = signs
-    borders = [_subset_borders(source, edges), _creases(source, edges, faces)]
+    seams.hard = np.unique(np.concatenate(hard), axis=0).astype(np.int32)
+    borders = [_subset_borders(source, edges), creases]
     seams.borders = np.unique(np.concatenate(borders), axis=0).astype(np.int32)
     return seams
 

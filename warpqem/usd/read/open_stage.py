@@ -6,7 +6,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from pxr import Sdf, Tf, Usd, UsdGeom
+from pxr import Sdf, Tf, Usd, UsdGeom, UsdSkel
 
 from warpqem.errors import StageError
 from warpqem.usd.checks.input_check import check_composition, open_layers
@@ -37,6 +37,8 @@ class MeshSelection:
         empty: (prim path, what it has none of) of meshes without geometry, which show nothing.
         shared: The prototypes whose meshes are edited in an instance that is opened.
         own_instances: Meshes that were instances themselves, which they cannot stay: their subsets are edited below.
+        places: Every path at which the stage shows a mesh with geometry, in stage order, and the path of the mesh of
+            `prims` or `refused` that it shows there: the mesh itself, or that of which it is an instance.
     """
 
     prims: list[Usd.Prim] = field(default_factory=list)
@@ -44,6 +46,7 @@ class MeshSelection:
     empty: list[tuple[str, str]] = field(default_factory=list)
     shared: list[SharedPrototype] = field(default_factory=list)
     own_instances: list[Sdf.Path] = field(default_factory=list)
+    places: dict[Sdf.Path, Sdf.Path] = field(default_factory=dict)
 
     def paths(self) -> list[Sdf.Path]:
         """Paths of all of them."""
@@ -131,7 +134,9 @@ def find_meshes(stage: Usd.Stage, prim_paths: Sequence[str] = (), by_root: bool 
             lacking = _lacking_geometry(UsdGeom.Mesh(prim))
             if lacking:
                 selection.empty.append((str(prim.GetPath()), lacking))
-            elif prim.IsInstanceProxy():
+                continue
+            selection.places[prim.GetPath()] = prim.GetPath()
+            if prim.IsInstanceProxy():
                 instanced.setdefault(prim.GetPrimInPrototype().GetPath(), []).append(prim)
             else:
                 selection.prims.append(prim)
@@ -142,15 +147,20 @@ def find_meshes(stage: Usd.Stage, prim_paths: Sequence[str] = (), by_root: bool 
         source = _instance_source(proxies[0], [root.GetPath() for root in roots], by_root)
         if source is None:
             apart.append(proxies)
-        elif source not in selection.prims:
+            continue
+        selection.places.update((proxy.GetPath(), source.GetPath()) for proxy in proxies)
+        if source not in selection.prims:
             selection.prims.append(source)
-    paths = [str(proxies[0].GetPath()) for proxies in apart]
+    # Proxies expire when instances are opened.
+    groups = [[proxy.GetPath() for proxy in proxies] for proxies in apart]
     opened = open_instances(stage, apart)
-    for path, mesh in zip(paths, opened.meshes, strict=True):
+    for paths, mesh in zip(groups, opened.meshes, strict=True):
         if isinstance(mesh, StageError):
-            selection.refused.append((path, mesh))
+            selection.refused.append((str(paths[0]), mesh))
         else:
             selection.prims.append(mesh)
+        shown = paths[0] if isinstance(mesh, StageError) else mesh.GetPath()
+        selection.places.update((path, shown) for path in paths)
     selection.shared = opened.shared
     selection.own_instances = [prim.GetPath() for prim in selection.prims if prim.IsInstance()]
     if selection.own_instances:
@@ -176,7 +186,8 @@ def _instance_source(proxy: Usd.Prim, roots: Sequence[Sdf.Path], by_root: bool) 
     """The mesh of the same file that an instance proxy gets its opinions from, which all its instances share.
 
     Opinions below an instance are ignored, but not those below the prim that it refers to or inherits from. A mesh of
-    another variant, or with opinions from elsewhere, is another mesh.
+    another variant, or with opinions from elsewhere, is another mesh, and so is one that nothing deforms there, such as
+    below a class that has not the type of its instances, SkelRoot.
     """
     stage = proxy.GetStage()
     places = spec_places(proxy)
@@ -189,9 +200,15 @@ def _instance_source(proxy: Usd.Prim, roots: Sequence[Sdf.Path], by_root: bool) 
             prim = stage.GetPrimAtPath(path) if spec.layer in layers and path.HasPrefix(within) else None
             if prim and prim.IsA(UsdGeom.Mesh) and not prim.IsInstanceProxy():
                 chosen = any(path.HasPrefix(root) for root in roots)
-                return prim if chosen and spec_places(prim) == places else None
+                same = chosen and spec_places(prim) == places and _is_bound(prim) == _is_bound(proxy)
+                return prim if same else None
         ancestor = ancestor.GetParent()
     return None
+
+
+def _is_bound(prim: Usd.Prim) -> tuple[bool, bool]:
+    """Whether a mesh is where UsdSkel deforms meshes, and whether a skeleton is bound to it."""
+    return bool(UsdSkel.Root.Find(prim)), bool(UsdSkel.BindingAPI(prim).GetInheritedSkeleton())
 
 
 def world_scale(prim: Usd.Prim, time: Usd.TimeCode) -> float:

@@ -110,6 +110,11 @@ class AttributeTransfer:
         self._device = device
         self._transfers: dict[bytes, SurfaceTransfer] = {}
 
+    def hard_edges(self) -> npt.NDArray[np.int32]:
+        """Pairs (S, 2) of new points between which the input has `MeshSeams.hard`."""
+        pairs: npt.NDArray[np.int32] = self._input[2].vertex_map[self.seams.hard]
+        return pairs[(pairs[:, 0] != pairs[:, 1]) & (pairs >= 0).all(axis=1)]
+
     def names_feature_point(self, subset: UsdGeom.Subset) -> bool:
         """True of a point subset that names one of `feature_points`."""
         family = subset.GetFamilyNameAttr().Get()

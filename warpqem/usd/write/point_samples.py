@@ -9,7 +9,7 @@ import numpy.typing as npt
 from pxr import Sdf, UsdGeom, Vt
 
 from warpqem.errors import StageError
-from warpqem.usd.write.smooth_normals import is_shaded_by_subdivision, vertex_normals
+from warpqem.usd.write.smooth_normals import is_creased, is_shaded_by_subdivision, vertex_normals
 
 __all__ = ["PointSamples"]
 
@@ -19,7 +19,8 @@ Points = npt.NDArray[np.float32]
 class PointSamples:
     """A `warpqem.FrameSink` that authors the points of a mesh, their extents, and normals where it is to be smooth.
 
-    A mesh is to be smooth if it was so by subdivision alone.
+    A mesh is to be smooth if it was so by subdivision alone. Of one that is `creased` besides the normals are written
+    afterwards, when it is known where the creases are; see `warpqem.usd.read.hard_edges`.
 
     Args:
         mesh: The mesh on the stage of the edits, before any.
@@ -38,7 +39,9 @@ class PointSamples:
             "normals": False,
         }
         self._left_handed = mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded
-        self.smooth: bool = is_shaded_by_subdivision(mesh)
+        shaded = is_shaded_by_subdivision(mesh)
+        self.creased: bool = shaded and is_creased(mesh)
+        self.smooth: bool = shaded and not self.creased
         self._outward = np.empty((0, 3), dtype=np.int32)
 
     def begin(self, frame_count: int, vertex_count: int, faces: npt.NDArray[np.int32]) -> None:

@@ -33,6 +33,7 @@ class Dropped:
         blocked: Paths of the properties that were blocked.
         deactivated: Paths of the child prims that were deactivated.
         unbound: Paths of skel:skeleton relationships that must stay, empty, to stop the inheritance of a binding.
+        rest_normals: Whether it had normals of a rest shape that it is no longer.
         unskinned: Paths of the prims that need no SkelBindingAPI once nothing of their skin is left.
     """
 
@@ -41,6 +42,7 @@ class Dropped:
     deactivated: list[Sdf.Path] = field(default_factory=list)
     unbound: list[Sdf.Path] = field(default_factory=list)
     unskinned: list[Sdf.Path] = field(default_factory=list)
+    rest_normals: bool = False
 
 
 def block(attribute: Usd.Attribute, dropped: Dropped) -> bool:
@@ -68,7 +70,7 @@ def drop_subdivision(mesh: UsdGeom.Mesh, dropped: Dropped) -> None:
 def drop_skin(prim: Usd.Prim, dropped: Dropped) -> None:
     """Take the binding to a skeleton and the blend shapes off a mesh whose points are poses, no rest shape.
 
-    Normals of the rest shape go with them.
+    Normals of the rest shape go with them; those of the poses are made anew, see `warpqem.usd.read.hard_edges`.
     """
     shapes = [child for child in children_of(prim) if child.IsA(UsdSkel.BlendShape)]
     properties = prim.GetAuthoredPropertiesInNamespace("skel")
@@ -101,7 +103,8 @@ def drop_skin(prim: Usd.Prim, dropped: Dropped) -> None:
     deformed = shapes or inherited or prim.HasAttribute("primvars:skel:jointIndices")
     for name in ("normals", "primvars:normals", "primvars:normals:indices") if deformed else ():
         if block(prim.GetAttribute(name), dropped) and not name.endswith("indices"):
-            dropped.names.append(f"{name} of the rest pose")
+            dropped.rest_normals = True
+            dropped.names.append(f"{name} of the rest pose (made anew from the poses)")
     count = f" with {len(shapes)} blend shape{'s' if len(shapes) > 1 else ''}" if shapes else ""
     dropped.names.append("skin binding" + count)
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from pxr import UsdGeom
+from pxr import Usd, UsdGeom
 
-__all__ = ["is_shaded_by_subdivision", "vertex_normals"]
+__all__ = ["is_creased", "is_shaded_by_subdivision", "vertex_normals"]
 
 SMOOTH_SCHEMES = (UsdGeom.Tokens.catmullClark, UsdGeom.Tokens.loop)
 
@@ -15,11 +15,18 @@ SHORTEST = 1e-12
 
 
 def is_shaded_by_subdivision(mesh: UsdGeom.Mesh) -> bool:
-    """True for a subdivision surface without creases or normals of its own, which looks smooth everywhere."""
+    """True for a subdivision surface without normals of its own, which looks smooth but at creases.
+
+    Sharp corners say where the surface passes, and are smooth beside the point itself.
+    """
     if mesh.GetSubdivisionSchemeAttr().Get() not in SMOOTH_SCHEMES:
         return False
-    names = ("normals", "primvars:normals", "creaseIndices", "cornerIndices")
-    return not any(mesh.GetPrim().GetAttribute(name).HasAuthoredValue() for name in names)
+    return not any(mesh.GetPrim().GetAttribute(name).HasAuthoredValue() for name in ("normals", "primvars:normals"))
+
+
+def is_creased(mesh: UsdGeom.Mesh) -> bool:
+    """True for a mesh with creases, which has no one normal at each point."""
+    return bool(mesh.GetCreaseIndicesAttr().Get(Usd.TimeCode.EarliestTime()))
 
 
 def vertex_normals(points: npt.NDArray[np.float32], faces: npt.NDArray[np.int32]) -> npt.NDArray[np.float32]:

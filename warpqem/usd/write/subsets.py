@@ -18,7 +18,7 @@ def transfer_subsets(mesh: UsdGeom.Mesh, transfer: AttributeTransfer, dropped: D
 
     Each new face goes on from one authored face, so subsets that do not overlap, or that share out all faces, still do.
     """
-    lost = 0
+    lost, emptied = 0, []
     for subset in subsets_of(mesh):
         if subset.GetElementTypeAttr().Get() != UsdGeom.Tokens.face:
             if transfer.names_feature_point(subset):
@@ -30,10 +30,16 @@ def transfer_subsets(mesh: UsdGeom.Mesh, transfer: AttributeTransfer, dropped: D
         attribute = subset.GetIndicesAttr()
         members = {code: np.asarray(attribute.Get(code), dtype=np.int64) for code in sample_codes(attribute)}
         blocked = blocked_codes(attribute)
+        left = 0
         for code, polygons in members.items():
             faces = np.flatnonzero(np.isin(transfer.face_polygon, polygons)).astype(np.int32)
             attribute.Set(Vt.IntArray.FromNumpy(faces), code)
+            left += len(faces)
+        if not left and any(map(len, members.values())):
+            emptied.append(subset.GetPrim().GetName())
         for code in blocked:
             attribute.Set(Sdf.ValueBlock(), code)
+    if emptied:
+        dropped.names.append(f"all faces of GeomSubset{'s' if len(emptied) > 1 else ''} {', '.join(emptied)}")
     if lost:
         dropped.names.append(f"{lost} GeomSubset{'s' if lost > 1 else ''} of points or edges")

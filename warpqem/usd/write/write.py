@@ -17,6 +17,7 @@ from warpqem.files.temporary import temporary_path
 from warpqem.usd.checks.usd_errors import first_line
 from warpqem.usd.layers.asset_paths import move_asset_paths, name_from
 from warpqem.usd.layers.sample_saver import SampleSaver
+from warpqem.usd.read.hard_edges import write_hard_edged_normals
 from warpqem.usd.read.inheritors import keep_heirs
 from warpqem.usd.read.instances import end_instancing, move_to_classes
 from warpqem.usd.read.mesh_skin import Skin
@@ -142,10 +143,17 @@ class OverLayer:
         """
         mesh = UsdGeom.Mesh(self.stage.OverridePrim(path))
         dropped = self._transfer_values(mesh, transfer, times, skin, with_normals=not samples.smooth)
+        shaded = samples.creased or dropped.rest_normals
+        if shaded:
+            # They hide what was blocked, and are to be in a flat file.
+            normals = mesh.GetNormalsAttr().GetPath()
+            dropped.blocked = [path for path in dropped.blocked if path != normals]
         counts = np.full(len(faces), 3, dtype=np.int32)
         mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(counts))
         mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(np.ascontiguousarray(faces.reshape(-1))))
         mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+        if shaded:
+            write_hard_edged_normals(mesh, faces, transfer.hard_edges(), times, self.count_sample)
         return dropped.names
 
     def _transfer_values(

@@ -1,0 +1,166 @@
+"""Faces of a mesh near to points and to pieces of triangles, in double precision; see :mod:`.distance_bound`."""
+
+import warp as wp
+
+from warpqem.kernels.closest_point import closest_barycentric, offset_squared
+
+# No gradients are taken. Loops stay loops: unrolled, one inside another, they take ten times as long to compile.
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+
+# Faces kept for each triangle that covered pieces of it before: a triangle across a vertex of the other mesh meets some
+# four. Trying one takes a twentieth of a search.
+HINTS = wp.constant(wp.int32(4))
+Faces = wp.types.vector(length=int(HINTS), dtype=wp.int32)
+# Steps from face to face towards a point, before the hierarchy is searched: each takes a fiftieth of a search.
+MAX_STEPS = wp.constant(wp.int32(12))
+# Faces around one that are looked through where no neighbour is nearer: those within two or three edges.
+AROUND = wp.constant(wp.int32(32))
+FacesAround = wp.types.vector(length=int(AROUND), dtype=wp.int32)
+# The search is in single precision, which places points of a mesh of unit diagonal to some 1e-7.
+SEARCH_MARGIN = wp.constant(wp.float64(1.0e-6))
+
+
+@wp.struct
+class Surface:
+    """A mesh of about unit size around the origin, in one frame."""
+
+    points: wp.array[wp.vec3d]
+    corner_vertex: wp.array[wp.int32]
+    across: wp.array[wp.int32]  # (3N,) the face beyond the edge from each corner to the next, -1 at a border
+    mesh: wp.uint64  # its hierarchy, in single precision
+
+
+@wp.func
+def corner_point(surface: Surface, face: wp.int32, k: wp.int32) -> wp.vec3d:
+    """A corner of a face."""
+    return surface.points[surface.corner_vertex[3 * face + k]]
+
+
+@wp.func
+def squared_distance(surface: Surface, face: wp.int32, p: wp.vec3d) -> wp.float64:
+    """Squared distance of a point from a face."""
+    a = corner_point(surface, face, 0)
+    b = corner_point(surface, face, 1)
+    c = corner_point(surface, face, 2)
+    return offset_squared(p, a, b, c, closest_barycentric(p, a, b, c))
+
+
+@wp.func
+def is_near(
+    p: wp.vec3d,
+    a: wp.vec3d,
+    b: wp.vec3d,
+    c: wp.vec3d,
+    normal: wp.vec3d,
+    normal_squared: wp.float64,
+    squared: wp.float64,
+) -> wp.bool:
+    """Whether a point is within a distance, given squared, of triangle abc; ``normal`` is (b - a) x (c - a)."""
+    ap = p - a
+    height = wp.dot(ap, normal)
+    # No point of the triangle is nearer than its plane.
+    if height * height > squared * normal_squared:
+        return False
+    v = wp.dot(wp.cross(ap, c - a), normal)
+    w = wp.dot(wp.cross(b - a, ap), normal)
+    if v >= wp.float64(0.0) and w >= wp.float64(0.0) and v + w < normal_squared:
+        return True
+    return offset_squared(p, a, b, c, closest_barycentric(p, a, b, c)) <= squared
+
+
+@wp.func
+def covers(surface: Surface, face: wp.int32, p: wp.vec3d, q: wp.vec3d, r: wp.vec3d, limit: wp.float64) -> wp.bool:
+    """Whether a face is within the limit of all points of a piece."""
+    squared = limit * limit
+    a = corner_point(surface, face, 0)
+    b = corner_point(surface, face, 1)
+    c = corner_point(surface, face, 2)
+    normal = wp.cross(b - a, c - a)
+    normal_squared = wp.length_sq(normal)
+    if not is_near(p, a, b, c, normal, normal_squared, squared):
+        return False
+    if not is_near(q, a, b, c, normal, normal_squared, squared):
+        return False
+    return is_near(r, a, b, c, normal, normal_squared, squared)
+
+
+@wp.func
+def nearest_face(surface: Surface, p: wp.vec3d, limit: wp.float64) -> wp.int32:
+    """The face nearest to a point, -1 where none is within the limit."""
+    radius = wp.float32(limit + SEARCH_MARGIN)
+    found = wp.mesh_query_point_no_sign(
+        surface.mesh, wp.vec3(wp.float32(p[0]), wp.float32(p[1]), wp.float32(p[2])), radius
+    )
+    if found.result:
+        return found.face
+    return -1
+
+
+@wp.func
+def face_towards(surface: Surface, start: wp.int32, p: wp.vec3d) -> wp.int32:
+    """A face that no neighbour across an edge is nearer than to a point, from ``start`` on, or one on the way there."""
+    face = start
+    weights = closest_barycentric(
+        p, corner_point(surface, face, 0), corner_point(surface, face, 1), corner_point(surface, face, 2)
+    )
+    squared = squared_distance(surface, face, p)
+    steps = wp.int32(0)
+    while steps < MAX_STEPS:
+        steps += 1
+        nearer = wp.int32(-1)
+        for k in range(3):
+            # The closest point lies on this edge.
+            if nearer < 0 and weights[(k + 2) % 3] <= wp.float64(0.0):
+                next_face = surface.across[3 * face + k]
+                if next_face >= 0:
+                    found = squared_distance(surface, next_face, p)
+                    if found < squared:
+                        nearer = next_face
+                        squared = found
+        if nearer < 0:
+            steps = MAX_STEPS
+        else:
+            face = nearer
+            weights = closest_barycentric(
+                p, corner_point(surface, face, 0), corner_point(surface, face, 1), corner_point(surface, face, 2)
+            )
+    return face
+
+
+@wp.func
+def face_around(surface: Surface, start: wp.int32, p: wp.vec3d) -> wp.int32:
+    """The face nearest to a point of those around a face, breadth first across edges."""
+    around = FacesAround()
+    around[0] = start
+    count = wp.int32(1)
+    nearest = start
+    squared = squared_distance(surface, start, p)
+    i = wp.int32(0)
+    while i < count:
+        for k in range(3):
+            face = surface.across[3 * around[i] + k]
+            is_new = face >= 0 and count < AROUND
+            for j in range(count):
+                if around[j] == face:
+                    is_new = False
+            if is_new:
+                around[count] = face
+                count += 1
+                found = squared_distance(surface, face, p)
+                if found < squared:
+                    squared = found
+                    nearest = face
+        i += 1
+    return nearest
+
+
+@wp.func
+def with_first(hints: Faces, face: wp.int32, place: wp.int32) -> Faces:
+    """The hints with a face in front, and those before ``place`` one further back."""
+    moved = hints
+    for back in range(HINTS - 1):
+        i = HINTS - 1 - back
+        if i <= place:
+            moved[i] = hints[i - 1]
+    moved[0] = face
+    return moved

@@ -1,0 +1,270 @@
+"""Where a loop of passes stands, kept on the device, so that it goes from pass to pass without the host."""
+
+import warp as wp
+
+from warpqem.kernels.mesh_state import CollapseLog, MeshState
+from warpqem.kernels.topology import PINNED, half_edge_target
+from warpqem.kernels.work import EdgeList, Work
+
+wp.set_module_options({"enable_backward": False})  # no gradients are taken
+
+# Part of the edges that one pass may touch. More is faster and further from the serial greedy order.
+CANDIDATE_FRACTION = wp.constant(wp.float64(0.05))
+# Where none of these is legal, the next pass looks at so many times as many.
+FRACTION_GROWTH = wp.constant(wp.float64(4.0))
+# A closed surface has so many edges for each face.
+EDGES_PER_FACE = wp.constant(wp.float64(1.5))
+# A pass looks at this many edges at least, or on small meshes each would do one collapse.
+MIN_CANDIDATES = wp.constant(wp.int32(32))
+# The cap is read off every so many half-edges; a step without the factor 3 sees all corners alike.
+SAMPLE_STEP = wp.constant(wp.int32(7))
+# The cap is read off all half-edges where a sample would hold fewer than so many: it need not be exact, only the same
+# on every run.
+MIN_SAMPLE = wp.constant(wp.int32(2048))
+# A component of so many faces has hardly an edge left to collapse: a tetrahedron, or a triangle or two.
+MAX_REMNANT_FACES = wp.constant(wp.int32(4))
+
+# Why a loop of passes ended. STARS: they have to be built anew first. COMPONENTS: some are small enough to vanish.
+RUNNING = wp.constant(wp.int32(0))
+TARGET = wp.constant(wp.int32(1))
+STUCK = wp.constant(wp.int32(2))
+STARS = wp.constant(wp.int32(3))
+COMPONENTS = wp.constant(wp.int32(4))
+
+
+@wp.struct
+class PassControl:
+    """Numbers of a loop of passes, in arrays of one each."""
+
+    running: wp.array[wp.int32]  # 1: there is another pass
+    status: wp.array[wp.int32]  # one of the above
+    live_faces: wp.array[wp.int32]  # without those that the round at work removes
+    collapse_count: wp.array[wp.int32]  # length of the log after the last pass
+    target_faces: wp.array[wp.int32]
+    removed_faces: wp.array[wp.int32]  # by the round at work
+    candidate_count: wp.array[wp.int32]  # of the last pass
+    pass_collapses: wp.array[wp.int32]  # of the last pass
+    pass_cap: wp.array[wp.float32]  # of the last pass
+    overfull: wp.array[wp.int32]  # 1: the pool of stars may be too small for another pass
+    remnant_count: wp.array[wp.int32]  # components that may vanish as a whole
+    fraction: wp.array[wp.float64]  # of the edges that the pass may touch
+    pass_number: wp.array[wp.int32]
+    pass_begin: wp.array[wp.int32]  # length of the log when the pass began
+    wanted: wp.array[wp.int32]  # edges that the pass is to look at; 0: none
+    sample_step: wp.array[wp.int32]  # the cap is read off every so many half-edges
+
+
+@wp.kernel
+def begin_pass(
+    log: CollapseLog,
+    # in and out
+    control: PassControl,
+    # outputs
+    candidates: EdgeList,
+):
+    """How many edges the pass looks at, with empty lists. After the end it looks at none, and changes nothing."""
+    candidates.count[0] = 0
+    control.pass_begin[0] = log.count[0]
+    control.sample_step[0] = 1
+    control.wanted[0] = 0
+    if control.running[0] == 0:
+        return
+    control.pass_number[0] = control.pass_number[0] + 1
+    fraction = control.fraction[0]
+    live = control.live_faces[0]
+    control.wanted[0] = wp.max(MIN_CANDIDATES, wp.int32(fraction * EDGES_PER_FACE * wp.float64(live)))
+    # After a pass without a winner every edge counts: the few that are awake may be missing from a sample.
+    if fraction == CANDIDATE_FRACTION and 3 * live >= SAMPLE_STEP * MIN_SAMPLE:
+        control.sample_step[0] = SAMPLE_STEP
+
+
+@wp.func
+def take_off_removed(control: PassControl):
+    """Take what the round before removed off the live faces."""
+    control.live_faces[0] = control.live_faces[0] - control.removed_faces[0]
+    control.removed_faces[0] = 0
+
+
+@wp.kernel
+def begin_round(
+    candidates: EdgeList,
+    first: wp.int32,
+    # in and out
+    control: PassControl,
+    log: CollapseLog,
+    # outputs
+    winners: EdgeList,
+    candidates_left: EdgeList,
+):
+    """Empty lists for a round; ``first`` is 1 in the first one of a pass. After the end no round counts."""
+    winners.count[0] = 0
+    candidates_left.count[0] = 0
+    if control.running[0] == 0:
+        return
+    if first == 1:
+        control.candidate_count[0] = candidates.count[0]
+    take_off_removed(control)
+    log.round_count[0] = log.round_count[0] + 1
+
+
+@wp.func
+def log_key(state: MeshState, h: wp.int32) -> wp.int64:
+    """The order of the log within a round: cost, then the vertex that the commit removes."""
+    a = state.corner_vertex[h]
+    b = half_edge_target(state.corner_vertex, h)
+    removed = b
+    if (state.vertex_flags[b] & PINNED) != 0 or ((state.vertex_flags[a] & PINNED) == 0 and b < a):
+        removed = a
+    return (wp.int64(wp.cast(state.edge_cost[h], wp.int32)) << wp.int64(32)) | wp.int64(removed)
+
+
+@wp.kernel
+def trim_winners(
+    state: MeshState,
+    winners: EdgeList,
+    faces_removed_in: wp.array[wp.int32],
+    work: Work,
+    # in and out
+    control: PassControl,
+    # outputs
+    faces_removed_out: wp.array[wp.int32],
+):
+    """Leave out the costliest winners beyond the target: those before which the others remove enough faces.
+
+    Each winner adds up the faces of those before it: pairs that no sort has to put in order, and only in the round that
+    comes to the target.
+    """
+    remaining = control.live_faces[0] - control.target_faces[0]
+    count = winners.count[0]
+    for i in range(wp.tid(), count, work.lanes):
+        faces = faces_removed_in[i]
+        # A winner removes two faces at most.
+        if faces > 0 and 2 * count > remaining:
+            key = log_key(state, winners.half_edge[i])
+            before = wp.int32(0)
+            for j in range(count):
+                if faces_removed_in[j] > 0 and log_key(state, winners.half_edge[j]) < key:
+                    before += faces_removed_in[j]
+            if before >= remaining:
+                faces = 0
+        faces_removed_out[i] = faces
+        if faces > 0:
+            wp.atomic_add(control.removed_faces, 0, faces)
+
+
+@wp.func
+def has_full_pool(state: MeshState, live: wp.int32) -> wp.bool:
+    """Whether the stars of another pass may find no room: those of its winners share no corner."""
+    return 3 * live > state.adjacency.corner.shape[0] - state.adjacency.used[0]
+
+
+@wp.func
+def close_pass(state: MeshState, control: PassControl, stops_for_stars: wp.int32):
+    """Whether another pass follows, and how far it looks."""
+    fraction = control.fraction[0]
+    status = wp.int32(RUNNING)
+    if control.candidate_count[0] == 0 and fraction >= wp.float64(1.0):
+        status = STUCK
+    # No legal winner under the cap: look further, at all edges, until every one has been refused.
+    if control.pass_collapses[0] > 0:
+        control.fraction[0] = CANDIDATE_FRACTION
+    else:
+        control.fraction[0] = wp.min(wp.float64(1.0), FRACTION_GROWTH * fraction)
+    if control.live_faces[0] <= control.target_faces[0]:
+        status = TARGET
+    go_on(state, control, status, stops_for_stars)
+
+
+@wp.func
+def go_on(state: MeshState, control: PassControl, status: wp.int32, stops_for_stars: wp.int32):
+    """Set the status, and whether stars are to be built anew: with ``stops_for_stars`` 1 the loop ends for that."""
+    overfull = has_full_pool(state, control.live_faces[0])
+    control.overfull[0] = wp.where(overfull, 1, 0)
+    control.status[0] = status
+    if overfull and status == RUNNING and stops_for_stars == 1:
+        control.status[0] = STARS
+    control.running[0] = wp.where(control.status[0] == RUNNING, 1, 0)
+
+
+@wp.kernel
+def end_pass(
+    state: MeshState,
+    log: CollapseLog,
+    threshold_in: wp.array[wp.float32],
+    stops_for_stars: wp.int32,
+    # in and out
+    control: PassControl,
+):
+    """Close a pass."""
+    if control.running[0] == 0:
+        return
+    take_off_removed(control)
+    control.collapse_count[0] = log.count[0]
+    control.pass_collapses[0] = log.count[0] - control.pass_begin[0]
+    control.pass_cap[0] = threshold_in[0]
+    if control.remnant_count[0] > 0 and control.live_faces[0] > control.target_faces[0]:
+        # The pass is closed by ``resume_passes``.
+        control.status[0] = COMPONENTS
+        control.running[0] = 0
+        return
+    close_pass(state, control, stops_for_stars)
+
+
+@wp.kernel
+def resume_passes(
+    state: MeshState,
+    dropped_faces: wp.int32,
+    stops_for_stars: wp.int32,
+    # in and out
+    control: PassControl,
+):
+    """Go on after the host has looked at the components, and has let ``dropped_faces`` vanish."""
+    if dropped_faces == 0:
+        close_pass(state, control, stops_for_stars)
+        return
+    control.live_faces[0] = control.live_faces[0] - dropped_faces
+    status = wp.int32(RUNNING)
+    if control.live_faces[0] <= control.target_faces[0]:
+        status = TARGET
+    go_on(state, control, status, stops_for_stars)
+
+
+@wp.kernel
+def note_new_stars(
+    # in and out
+    control: PassControl,
+):
+    """Go on after the stars have been built anew."""
+    control.overfull[0] = 0
+    if control.status[0] == STARS:
+        control.status[0] = RUNNING
+        control.running[0] = 1
+
+
+@wp.kernel
+def count_component_faces(
+    state: MeshState,
+    component_in: wp.array[wp.int32],
+    work: Work,
+    # outputs
+    face_count: wp.array[wp.int32],
+):
+    """Live faces of each component (zeroed before the launch); ``component_in`` (V,) is that of each vertex."""
+    for f in range(wp.tid(), state.face_count[0], work.lanes):
+        v = state.corner_vertex[3 * f]
+        if v >= 0:
+            wp.atomic_add(face_count, component_in[v], 1)
+
+
+@wp.kernel
+def count_remnants(
+    face_count: wp.array[wp.int32],
+    may_vanish: wp.array[wp.int32],
+    work: Work,
+    # outputs
+    control: PassControl,
+):
+    """Components that are small enough to vanish and may do so (zeroed before the launch)."""
+    for c in range(wp.tid(), face_count.shape[0], work.lanes):
+        if face_count[c] > 0 and face_count[c] <= MAX_REMNANT_FACES and may_vanish[c] == 1:
+            wp.atomic_add(control.remnant_count, 0, 1)

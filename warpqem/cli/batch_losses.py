@@ -1,0 +1,69 @@
+"""What an asset of a batch lost, and what else is worth knowing: one line for all meshes that lost the same."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from warpqem.batching.job_result import BatchResult
+
+__all__ = ["has_losses", "loss_lines"]
+
+# Notes and problems of one asset that are shown; losses are shown all.
+MAX_NOTES = 20
+
+
+def has_losses(result: BatchResult) -> bool:
+    """Whether something of an asset did not fit a new mesh."""
+    return any(prim["dropped"] for prim in _prims(result))
+
+
+def loss_lines(result: BatchResult) -> list[tuple[str, str]]:
+    """What to show of one asset: "warning" or "note", and the text. Meshes that lost the same share a line."""
+    report = result.report or {}
+    lost = _grouped(((prim, name) for prim in _prims(result) for name in prim["dropped"]), ", ")
+    lines = [("warning", f"{place}: dropped, does not fit the new mesh: {names}") for names, place in lost]
+    told = [("warning", text) for text in report.get("problems", [])]
+    told += [("warning", f"{place}: {text}") for text, place in _grouped(_texts(result, "problems"))]
+    told += [("warning", f"{place}: {text}") for text, place in _grouped(_shortfalls(result))]
+    told += [("note", text) for text in report.get("notes", [])]
+    told += [("note", f"{place}: {text}") for text, place in _grouped(_texts(result, "notes"))]
+    if len(told) > MAX_NOTES:
+        told[MAX_NOTES:] = [("note", f"and {len(told) - MAX_NOTES} more notes, see --json")]
+    return [(kind, f"{result.input}: {text}") for kind, text in lines + told]
+
+
+def _prims(result: BatchResult) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = (result.report or {}).get("prims", [])
+    return found
+
+
+def _texts(result: BatchResult, key: str) -> Iterable[tuple[dict[str, Any], str]]:
+    """Texts about meshes without the path that they begin with."""
+    for prim in _prims(result):
+        for text in prim[key]:
+            yield prim, text.removeprefix(f"{prim['path']}: ")
+
+
+def _shortfalls(result: BatchResult) -> Iterable[tuple[dict[str, Any], str]]:
+    """What a mesh did not reach that was asked for."""
+    for prim in _prims(result):
+        if prim["symmetry"] not in (None, "kept"):
+            yield prim, f"not kept symmetric: {prim['symmetry']}"
+        if prim["status"] == "simplified" and prim["stopped"] == "no legal collapse":
+            yield prim, "stopped above its number of faces, no legal collapse is left"
+
+
+def _grouped(entries: Iterable[tuple[dict[str, Any], str]], joint: str = "; ") -> list[tuple[str, str]]:
+    """Texts, and the meshes that they are about: the first and how many more. Those about the same meshes are one."""
+    paths: dict[str, dict[str, None]] = {}
+    for prim, text in entries:
+        level = f" ({prim['level']})" if prim.get("level") else ""
+        paths.setdefault(text, {})[prim["path"] + level] = None
+    texts: dict[tuple[str, ...], list[str]] = {}
+    for text, found in paths.items():
+        texts.setdefault(tuple(found), []).append(text)
+    return [
+        (joint.join(found), meshes[0] + (f" and {len(meshes) - 1} more" if len(meshes) > 1 else ""))
+        for meshes, found in texts.items()
+    ]
