@@ -259,12 +259,12 @@ def count_component_faces(
 @wp.kernel
 def count_remnants(
     face_count: wp.array[wp.int32],
-    may_vanish: wp.array[wp.int32],
+    may_be_pruned: wp.array[wp.int32],
     work: Work,
     # outputs
     control: PassControl,
 ):
     """Components that are small enough to vanish and may do so (zeroed before the launch)."""
     for c in range(wp.tid(), face_count.shape[0], work.lanes):
-        if face_count[c] > 0 and face_count[c] <= MAX_REMNANT_FACES and may_vanish[c] == 1:
+        if face_count[c] > 0 and face_count[c] <= MAX_REMNANT_FACES and may_be_pruned[c] == 1:
             wp.atomic_add(control.remnant_count, 0, 1)

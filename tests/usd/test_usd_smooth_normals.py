@@ -13,7 +13,7 @@ from pxr import Usd, UsdGeom
 from tests.support import meshes
 from tests.support.usd_stages import FRAMES, cloth_stage
 from warpqem.usd import SimplifyOptions, simplify_stage
-from warpqem.usd.read.hard_edges import corner_groups
+from warpqem.usd.write.hard_edges import corner_groups
 from warpqem.usd.write.smooth_normals import vertex_normals
 
 CLOTH = "/Root/Cloth"

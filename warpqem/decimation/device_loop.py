@@ -183,15 +183,15 @@ class DeviceOrderer(Ordering):
 
     def _record_remnants(self, recorder: Recorder, components: Components) -> None:
         """Count the components that are small enough to vanish."""
-        of_vertex, may_vanish = (
+        of_vertex, may_be_pruned = (
             wp.array(values, dtype=wp.int32, device=self.device)
-            for values in (components.vertex_component, components.may_vanish)
+            for values in (components.vertex_component, components.may_be_pruned)
         )
-        face_count = self.steps.integers(len(may_vanish))
+        face_count = self.steps.integers(len(may_be_pruned))
         recorder.zero(face_count)
         recorder.zero(self._control.remnant_count)
         record_shared(recorder, kernels.count_component_faces, [self.state, of_vertex], self._work, [face_count])
-        record_shared(recorder, kernels.count_remnants, [face_count, may_vanish], self._work, [self._control])
+        record_shared(recorder, kernels.count_remnants, [face_count, may_be_pruned], self._work, [self._control])
 
 
 def _record(recorder: Recorder, phases: Sequence[Phase]) -> None:

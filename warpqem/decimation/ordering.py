@@ -74,7 +74,7 @@ class Ordering:
     def _collapses_without_limit(self) -> bool:
         """Whether a collapse is legal once the error limit is lifted; prices all edges anew."""
         self.model.error_limit = np.inf
-        self.steps.forget_gears()
+        self.steps.forget_launches()
         self.steps.price_all().run()
         launches = self.steps.launches(1)
         # Every edge is a candidate.

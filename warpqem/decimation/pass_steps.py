@@ -159,7 +159,7 @@ class PassSteps:
             )
         return self._launches[part_count]
 
-    def forget_gears(self) -> None:
+    def forget_launches(self) -> None:
         """Have the steps recorded anew: recorded ones know the model as it was."""
         self._launches.clear()
 

@@ -133,7 +133,7 @@ class Components:
         return self._component
 
     @property
-    def may_vanish(self) -> np.ndarray:
+    def may_be_pruned(self) -> np.ndarray:
         """(C,) bool, components without a locked vertex."""
         return self._free
 

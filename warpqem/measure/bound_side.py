@@ -119,8 +119,9 @@ class BoundSide:
         self.surface.points = block.double[frame]
         if searched:
             single = wp.array(self.surface.points.numpy().astype(np.float32), dtype=wp.vec3, device=self._device)
-            if self._mesh is None:
-                self._mesh = wp.Mesh(points=single, indices=self.corner_vertex)
+            mesh = self._mesh
+            if mesh is None:
+                mesh = self._mesh = wp.Mesh(points=single, indices=self.corner_vertex)
             else:
-                self._mesh.points = single
-            self.surface.mesh = self._mesh.id
+                mesh.points = single
+            self.surface.mesh = mesh.id

@@ -54,7 +54,7 @@ class Patches:
         hint = np.full((face_count, int(HINTS)), -1, dtype=np.int32)
         return cls(np.arange(face_count, dtype=np.int32), place, hint)
 
-    def rows(self, chosen: npt.NDArray[np.integer] | npt.NDArray[np.bool_]) -> Patches:
+    def rows(self, chosen: npt.NDArray[np.integer] | npt.NDArray[np.bool_] | slice) -> Patches:
         """Some of them."""
         return Patches(self.face[chosen], self.place[chosen], self.hint[chosen])
 

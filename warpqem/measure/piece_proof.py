@@ -10,7 +10,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -69,7 +69,7 @@ class PieceArrays:
         names = ("parent", "owner", "face", "weight")
         return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
-    def chosen(self, wanted: npt.NDArray) -> PieceArrays:
+    def chosen(self, wanted: npt.NDArray[Any]) -> PieceArrays:
         """Some of them, by a mask or indices."""
         return PieceArrays(self.parent[wanted], self.owner[wanted], self.face[wanted], self.weight[wanted])
 

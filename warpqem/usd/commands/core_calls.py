@@ -89,10 +89,11 @@ class CoreCalls:
     ) -> tuple[warpqem.SimplifiedMesh, FittedMesh | None]:
         """The simplified mesh and its skin, which holds the limits where it is linear; None for one to interpolate."""
         limit, fitted = self.distance_limit(job), None
+        poses: SkinPoses | None = None
         if fitter is not None:
             poses = fitter.poses
-        else:
-            poses = self._skin_poses(job) if limit and self._has_linear_skin(job) else None
+        elif limit and self._has_linear_skin(job):
+            poses = self._skin_poses(job)
 
         def simplify(share: float) -> warpqem.SimplifiedMesh:
             return self.simplify(job, progress, fitter or samples, target_faces, shared, share)

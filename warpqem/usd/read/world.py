@@ -59,10 +59,10 @@ class WorldMeshes:
         self.name = os.path.basename(os.fspath(path))
         self.stage: Usd.Stage = open_stage(path) if stage is None else stage
         if variant is not None:
-            prim_path, variant_set, selection = variant
+            prim_path, variant_set, variant_name = variant
             # In the session layer, which is not part of the file.
             with Usd.EditContext(self.stage, self.stage.GetSessionLayer()):
-                self.stage.GetPrimAtPath(prim_path).GetVariantSet(variant_set).SetVariantSelection(selection)
+                self.stage.GetPrimAtPath(prim_path).GetVariantSet(variant_set).SetVariantSelection(variant_name)
         selection = find_meshes(self.stage, prims)
         poses = StagePoses(self.stage)
         meshes = []

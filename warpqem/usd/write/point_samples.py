@@ -20,7 +20,7 @@ class PointSamples:
     """A `warpqem.FrameSink` that authors the points of a mesh, their extents, and normals where it is to be smooth.
 
     A mesh is to be smooth if it was so by subdivision alone. Of one that is `creased` besides the normals are written
-    afterwards, when it is known where the creases are; see `warpqem.usd.read.hard_edges`.
+    afterwards, when it is known where the creases are; see `warpqem.usd.write.hard_edges`.
 
     Args:
         mesh: The mesh on the stage of the edits, before any.

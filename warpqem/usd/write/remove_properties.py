@@ -70,7 +70,7 @@ def drop_subdivision(mesh: UsdGeom.Mesh, dropped: Dropped) -> None:
 def drop_skin(prim: Usd.Prim, dropped: Dropped) -> None:
     """Take the binding to a skeleton and the blend shapes off a mesh whose points are poses, no rest shape.
 
-    Normals of the rest shape go with them; those of the poses are made anew, see `warpqem.usd.read.hard_edges`.
+    Normals of the rest shape go with them; those of the poses are made anew, see `warpqem.usd.write.hard_edges`.
     """
     shapes = [child for child in children_of(prim) if child.IsA(UsdSkel.BlendShape)]
     properties = prim.GetAuthoredPropertiesInNamespace("skel")

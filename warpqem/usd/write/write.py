@@ -17,7 +17,6 @@ from warpqem.files.temporary import temporary_path
 from warpqem.usd.checks.usd_errors import first_line
 from warpqem.usd.layers.asset_paths import move_asset_paths, name_from
 from warpqem.usd.layers.sample_saver import SampleSaver
-from warpqem.usd.read.hard_edges import write_hard_edged_normals
 from warpqem.usd.read.inheritors import keep_heirs
 from warpqem.usd.read.instances import end_instancing, move_to_classes
 from warpqem.usd.read.mesh_skin import Skin
@@ -25,6 +24,7 @@ from warpqem.usd.read.open_stage import MeshSelection
 from warpqem.usd.read.stage_views import copy_stage_metadata, layer_name, open_like
 from warpqem.usd.write.attribute_transfer import AttributeTransfer
 from warpqem.usd.write.flatten import flattened, write_flat
+from warpqem.usd.write.hard_edges import write_hard_edged_normals
 from warpqem.usd.write.layer_files import export_layer
 from warpqem.usd.write.layer_output import merge_edits
 from warpqem.usd.write.package import is_package

@@ -13,7 +13,7 @@ from pxr import Usd, UsdGeom, Vt
 
 from warpqem.mesh.components import lowest_members
 from warpqem.mesh.edges import edge_key
-from warpqem.pipeline.surface_transfer import is_proper
+from warpqem.mesh.mesh_input import is_proper
 from warpqem.usd.write.smooth_normals import vertex_normals
 
 __all__ = ["corner_groups", "write_hard_edged_normals"]
