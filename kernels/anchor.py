@@ -33,10 +33,11 @@ MIN_DIAGONAL = wp.constant(wp.float32(1.0e-20))
 
 @lane_kernel(key_position_in=POINTS_ARRAY, ordered_position_in=POINTS_ARRAY)
 def measure_cluster_distances(
+    # in
     root_in: wp.array[wp.int32],
     key_position_in: Any,
     ordered_position_in: Any,
-    # outputs
+    # out
     distance_out: wp.array[wp.float32],
 ):
     """Sum over key frames of the squared distance of an input vertex from where ordering put its cluster's vertex."""
@@ -115,6 +116,7 @@ def share_within_reach(
 
 @lane_kernel(key_position_in=POINTS_ARRAY, ordered_position_in=POINTS_ARRAY, quadric_in=QUADRIC_ARRAY)
 def fit_anchor_weights(
+    # in
     cluster_vertex_in: wp.array[wp.int32],
     member_start_in: wp.array[wp.int32],
     member_in: wp.array[wp.int32],
@@ -123,8 +125,9 @@ def fit_anchor_weights(
     ordered_position_in: Any,
     quadric_in: Any,
     regularisation_in: wp.array[wp.float32],
-    # outputs
+    # in and out
     matrix: wp.array[wp.float32],
+    # out
     weight_out: wp.array[wp.float32],
 ):
     """Weights of the members of each cluster (``matrix`` is zeroed scratch for the packed Gram matrices)."""

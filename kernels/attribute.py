@@ -179,10 +179,11 @@ def merge_wedges(state: MeshState, u: wp.int32, v: wp.int32, x: Point):
 
 @wp.kernel
 def move_corner_wedges(
+    # in
     corner_vertex_in: wp.array[wp.int32],
     corner_wedge_in: wp.array[wp.int32],
     live_rank_in: wp.array[wp.int32],
-    # outputs
+    # out
     corner_wedge_out: wp.array[wp.int32],
 ):
     """Close the gaps between live faces as ``move_live_faces`` does; launched before it overwrites the faces."""
@@ -195,8 +196,9 @@ def move_corner_wedges(
 
 @lane_kernel(quadric=QUADRIC_ARRAY)
 def add_attribute_quadrics(
+    # in
     attribute_quadric_in: wp.array[Quadric],
-    # outputs
+    # in and out
     quadric: Any,
 ):
     """Add ``E`` to each vertex's quadric in the reference frame, so that placement's anchors see it."""

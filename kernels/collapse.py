@@ -145,12 +145,14 @@ def merge_adjacency(state: MeshState, u: wp.int32, v: wp.int32, first: wp.int32)
 
 @wp.kernel
 def drop_dead_corners(
+    # in and out
     state: MeshState,
+    # in
     log: CollapseLog,
     pass_begin: wp.array[wp.int32],
     pass_number_in: wp.array[wp.int32],
     work: Work,
-    # outputs
+    # in and out
     dropped: wp.array[wp.int32],
 ):
     """Take the dead corners out of the stars of the last pass's wings. A part does so for its own vertices.
@@ -177,12 +179,15 @@ def drop_dead_corners(
 
 @wp.kernel
 def open_log(
-    # outputs
+    # in and out
     legal_count: wp.array[wp.int32],
     space: wp.array[wp.int32],
     log: CollapseLog,
+    # out
     log_slot: wp.array[wp.int32],
+    # in and out
     pool_used: wp.array[wp.int32],
+    # out
     pool_slot: wp.array[wp.int32],
 ):
     """Reserve room for the legal winners of each part, in the log and in the pool of stars.
@@ -206,8 +211,10 @@ def open_log(
 
 @lane_kernel(frames=KEY_FRAMES, target_in=POINTS_ARRAY)
 def commit_winners(
+    # in and out
     state: MeshState,
     frames: AnyKeyFrames,
+    # in
     winners: EdgeList,
     faces_removed_in: wp.array[wp.int32],
     target_in: Any,
@@ -215,8 +222,9 @@ def commit_winners(
     error_in: wp.array[wp.float32],
     pass_number_in: wp.array[wp.int32],
     work: Work,
-    # outputs
+    # out
     mask: wp.array[wp.int32],
+    # in and out
     log: CollapseLog,
     log_slot: wp.array[wp.int32],
     pool_slot: wp.array[wp.int32],
@@ -284,7 +292,9 @@ def commit_winners(
 
 @wp.kernel
 def remove_from_adjacency(
+    # in and out
     state: MeshState,
+    # in
     vertex_in: wp.array[wp.int32],
 ):
     """Take the faces of all vertices of a component off the mesh; threads that share a face write the same."""
@@ -299,8 +309,9 @@ def remove_from_adjacency(
 
 @wp.kernel
 def mark_live_faces(
+    # in
     corner_vertex_in: wp.array[wp.int32],
-    # outputs
+    # out
     live_out: wp.array[wp.int32],
 ):
     """1 for each live face."""
@@ -310,11 +321,12 @@ def mark_live_faces(
 
 @wp.kernel
 def move_live_faces(
+    # in
     corner_vertex_in: wp.array[wp.int32],
     edge_cost_in: wp.array[wp.float32],
     seam_in: wp.array[wp.int32],
     live_rank_in: wp.array[wp.int32],
-    # outputs
+    # out
     corner_vertex_out: wp.array[wp.int32],
     edge_cost_out: wp.array[wp.float32],
     seam_out: wp.array[wp.int32],

@@ -126,7 +126,9 @@ def length_deformation(state: MeshState, h: wp.int32) -> wp.float32:
 
 @wp.kernel
 def measure_all_deformation(
+    # in and out
     state: MeshState,
+    # in
     work: Work,
 ):
     """Areas of all faces and steps of all edges, the threads dealt out to the chunks of frames."""
@@ -145,7 +147,9 @@ def measure_all_deformation(
 
 @wp.kernel
 def move_trajectories(
+    # in and out
     state: MeshState,
+    # in
     log: CollapseLog,
     pass_begin: wp.array[wp.int32],
     work: Work,
@@ -170,7 +174,9 @@ def move_trajectories(
 
 @wp.kernel
 def measure_moved_deformation(
+    # in and out
     state: MeshState,
+    # in
     log: CollapseLog,
     pass_begin: wp.array[wp.int32],
     work: Work,
@@ -192,11 +198,12 @@ def measure_moved_deformation(
 
 @wp.kernel
 def move_deformation(
+    # in
     corner_vertex_in: wp.array[wp.int32],
     face_area_in: wp.array2d[wp.float32],
     steps_in: wp.array2d[wp.vec3],
     live_rank_in: wp.array[wp.int32],
-    # outputs
+    # out
     face_area_out: wp.array2d[wp.float32],
     steps_out: wp.array2d[wp.vec3],
 ):

@@ -217,7 +217,9 @@ def cost_at(state: MeshState, frames: AnyKeyFrames, model: CostModel, h: wp.int3
 
 @lane_kernel(frames=KEY_FRAMES)
 def compute_all_costs(
+    # in and out
     state: MeshState,
+    # in
     frames: AnyKeyFrames,
     model: CostModel,
     work: Work,
@@ -243,7 +245,9 @@ def opposite_edge(state: MeshState, h: wp.int32) -> wp.int32:
 
 @lane_kernel(frames=KEY_FRAMES)
 def update_moved_costs(
+    # in and out
     state: MeshState,
+    # in
     frames: AnyKeyFrames,
     model: CostModel,
     log: CollapseLog,
@@ -282,7 +286,9 @@ def update_moved_costs(
 
 @lane_kernel(frames=KEY_FRAMES)
 def update_neighbourhood_costs(
+    # in and out
     state: MeshState,
+    # in
     frames: AnyKeyFrames,
     model: CostModel,
     mask_in: wp.array[wp.int32],
@@ -301,7 +307,9 @@ def update_neighbourhood_costs(
 
 @wp.kernel
 def resume_neighbourhoods(
+    # in and out
     state: MeshState,
+    # in
     mask_in: wp.array[wp.int32],
     pass_number_in: wp.array[wp.int32],
     work: Work,

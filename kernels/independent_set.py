@@ -55,10 +55,11 @@ def reservation_key(state: MeshState, h: wp.int32) -> wp.int64:
 
 @wp.kernel
 def count_costs(
+    # in
     state: MeshState,
     sample_step_in: wp.array[wp.int32],
     work: Work,
-    # outputs
+    # out
     histogram_out: wp.array2d[wp.int32],
 ):
     """Histogram of the costs of the candidate edges at every ``sample_step``-th half-edge, a row for each part."""
@@ -72,10 +73,12 @@ def count_costs(
 
 @wp.kernel
 def find_cost_threshold(
+    # in
     wanted_in: wp.array[wp.int32],
     sample_step_in: wp.array[wp.int32],
-    # outputs
+    # in and out
     histogram: wp.array2d[wp.int32],
+    # out
     threshold_out: wp.array[wp.float32],
 ):
     """The upper end of the bin of the ``wanted``-th cheapest edge; 0 where none is wanted.
@@ -98,8 +101,9 @@ def find_cost_threshold(
 
 @wp.kernel
 def sum_bins(
+    # in
     histogram_in: wp.array2d[wp.int32],
-    # outputs
+    # out
     sum_out: wp.array[wp.int32],
 ):
     """Costs in each stretch of the bins of one part, as many stretches as ``sum_out`` has; a thread for each."""
@@ -113,11 +117,13 @@ def sum_bins(
 
 @wp.kernel
 def find_cap_by_sums(
+    # in
     wanted_in: wp.array[wp.int32],
     sample_step_in: wp.array[wp.int32],
     sum_in: wp.array[wp.int32],
-    # outputs
+    # in and out
     histogram: wp.array2d[wp.int32],
+    # out
     threshold_out: wp.array[wp.float32],
 ):
     """The cap of :func:`find_cost_threshold`, by as many threads as there are sums: each looks through its own stretch
@@ -147,10 +153,11 @@ def find_cap_by_sums(
 
 @wp.kernel
 def collect_candidates(
+    # in
     state: MeshState,
     threshold_in: wp.array[wp.float32],
     work: Work,
-    # outputs
+    # out
     candidates: EdgeList,
 ):
     """Half-edges with a cost below the cap (counts zeroed before the launch)."""
@@ -167,10 +174,11 @@ def collect_candidates(
 
 @wp.kernel
 def reserve_vertices(
+    # in
     state: MeshState,
     candidates: EdgeList,
     work: Work,
-    # outputs
+    # out
     reservation: wp.array[wp.int64],
 ):
     """Each candidate claims its two ends; the smallest key stays. A part walks all candidates for its own vertices."""
@@ -208,11 +216,12 @@ def holds_ring(state: MeshState, reservation: wp.array[wp.int64], v: wp.int32, k
 
 @wp.kernel
 def select_winners(
+    # in
     state: MeshState,
     candidates: EdgeList,
     reservation_in: wp.array[wp.int64],
     work: Work,
-    # outputs
+    # out
     winners: EdgeList,
 ):
     """Candidates whose key is the smallest at every vertex of both ends' stars (counts zeroed before the launch)."""
@@ -234,10 +243,11 @@ def select_winners(
 
 @wp.kernel
 def withdraw_claims(
+    # in
     state: MeshState,
     candidates: EdgeList,
     work: Work,
-    # outputs
+    # out
     reservation_out: wp.array[wp.int64],
 ):
     """Leave every vertex unclaimed for the next round."""
@@ -249,13 +259,14 @@ def withdraw_claims(
 
 @wp.kernel
 def shrink_candidates(
+    # in
     state: MeshState,
     mask_in: wp.array[wp.int32],
     pass_number_in: wp.array[wp.int32],
     threshold_in: wp.array[wp.float32],
     candidates_in: EdgeList,
     work: Work,
-    # outputs
+    # out
     candidates_out: EdgeList,
 ):
     """Keep the candidates that are alive, awake, below the cap and outside the neighbourhoods of this pass's winners.

@@ -205,12 +205,13 @@ def turns_over(
 
 @lane_kernel(frames=KEY_FRAMES, target_out=POINTS_ARRAY)
 def place_winners(
+    # in
     state: MeshState,
     frames: AnyKeyFrames,
     model: CostModel,
     winners: EdgeList,
     work: Work,
-    # outputs
+    # out
     target_out: Any,
     anchor_out: wp.array[wp.float32],
 ):
@@ -230,14 +231,16 @@ def place_winners(
 
 @lane_kernel(frames=KEY_FRAMES, target_in=POINTS_ARRAY)
 def check_collapses(
+    # in and out
     state: MeshState,
+    # in
     frames: AnyKeyFrames,
     model: CostModel,
     winners: EdgeList,
     target_in: Any,
     flip_tolerance: wp.int32,
     work: Work,
-    # outputs
+    # out
     faces_removed_out: wp.array[wp.int32],
     error_out: wp.array[wp.float32],
     legal_count: wp.array[wp.int32],

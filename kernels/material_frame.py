@@ -84,11 +84,12 @@ def material_frame(
 
 @wp.kernel
 def measure_material_frames(
+    # in
     rings: OneRings,
     points_in: wp.array2d[wp.vec3],
     normal_in: wp.array2d[wp.vec3],
     free_in: wp.array[wp.int32],
-    # outputs
+    # out
     frame_out: wp.array2d[wp.mat33],
 ):
     """Material frames (B, C) of a block of frames with points and normals (B, C); zero for vertices that must stay."""
@@ -101,11 +102,12 @@ def measure_material_frames(
 
 @wp.kernel
 def move_in_material_frame(
+    # in
     rings: OneRings,
     points_in: wp.array2d[wp.vec3],
     normal_in: wp.array2d[wp.vec3],
     correction_in: wp.array[wp.vec3],
-    # outputs
+    # out
     points_out: wp.array2d[wp.vec3],
 ):
     """Each vertex moved by its correction (C,), the same in all frames (B, C) as the material sees it."""
@@ -119,12 +121,13 @@ def move_in_material_frame(
 
 @wp.kernel
 def mark_new_flips(
+    # in
     points_in: wp.array2d[wp.vec3],
     moved_in: wp.array2d[wp.vec3],
     normal_in: wp.array2d[wp.vec3],
     correction_in: wp.array[wp.vec3],
     corner_vertex_in: wp.array[wp.int32],
-    # outputs
+    # out
     marked_out: wp.array[wp.int32],
 ):
     """Mark the moved vertices of faces that turn over by the move (every thread writes the same value)."""

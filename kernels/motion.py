@@ -28,6 +28,7 @@ def wrapped(angle: wp.float32) -> wp.float32:
 
 @wp.kernel
 def measure_dihedral_changes(
+    # in
     edge_in: wp.array2d[wp.int32],
     points_in: wp.array2d[wp.vec3],
     chunk_steps: wp.int32,

@@ -56,10 +56,11 @@ class PassControl:
 
 @wp.kernel
 def begin_pass(
+    # in
     log: CollapseLog,
     # in and out
     control: PassControl,
-    # outputs
+    # out
     candidates: EdgeList,
 ):
     """How many edges the pass looks at, with empty lists. After the end it looks at none, and changes nothing."""
@@ -87,12 +88,13 @@ def take_off_removed(control: PassControl):
 
 @wp.kernel
 def begin_round(
+    # in
     candidates: EdgeList,
     first: wp.int32,
     # in and out
     control: PassControl,
     log: CollapseLog,
-    # outputs
+    # out
     winners: EdgeList,
     candidates_left: EdgeList,
 ):
@@ -120,13 +122,14 @@ def log_key(state: MeshState, h: wp.int32) -> wp.int64:
 
 @wp.kernel
 def trim_winners(
+    # in
     state: MeshState,
     winners: EdgeList,
     faces_removed_in: wp.array[wp.int32],
     work: Work,
     # in and out
     control: PassControl,
-    # outputs
+    # out
     faces_removed_out: wp.array[wp.int32],
 ):
     """Leave out the costliest winners beyond the target: those before which the others remove enough faces.
@@ -188,6 +191,7 @@ def go_on(state: MeshState, control: PassControl, status: wp.int32, stops_for_st
 
 @wp.kernel
 def end_pass(
+    # in
     state: MeshState,
     log: CollapseLog,
     threshold_in: wp.array[wp.float32],
@@ -212,6 +216,7 @@ def end_pass(
 
 @wp.kernel
 def resume_passes(
+    # in
     state: MeshState,
     dropped_faces: wp.int32,
     stops_for_stars: wp.int32,
@@ -243,10 +248,11 @@ def note_new_stars(
 
 @wp.kernel
 def count_component_faces(
+    # in
     state: MeshState,
     component_in: wp.array[wp.int32],
     work: Work,
-    # outputs
+    # out
     face_count: wp.array[wp.int32],
 ):
     """Live faces of each component (zeroed before the launch); ``component_in`` (V,) is that of each vertex."""
@@ -258,10 +264,11 @@ def count_component_faces(
 
 @wp.kernel
 def count_remnants(
+    # in
     face_count: wp.array[wp.int32],
     may_be_pruned: wp.array[wp.int32],
     work: Work,
-    # outputs
+    # out
     control: PassControl,
 ):
     """Components that are small enough to vanish and may do so (zeroed before the launch)."""

@@ -32,11 +32,12 @@ class Clusters:
 
 @lane_kernel(points_in=POINTS_ARRAY, points_out=POINTS_ARRAY, normal_out=POINTS_ARRAY)
 def place_vertices(
+    # in
     points_in: Any,
     corner_vertex_in: wp.array[wp.int32],
     clusters: Clusters,
     first_cluster: wp.int32,
-    # outputs
+    # out
     points_out: Any,
     normal_out: Any,
 ):
@@ -78,10 +79,11 @@ def place_vertices(
 
 @lane_kernel(points_in=POINTS_ARRAY, normal_in=POINTS_ARRAY)
 def count_flips(
+    # in
     points_in: Any,
     normal_in: Any,
     corner_vertex_in: wp.array[wp.int32],
-    # outputs
+    # out
     flip_count: wp.array[wp.int32],
 ):
     """Output faces per frame that face away from the input faces gathered in their three vertices."""

@@ -114,13 +114,14 @@ def starts(start: wp.array[wp.int32], v: wp.vec3i) -> wp.vec3i:
 
 @wp.kernel
 def match_input_samples(
+    # in
     turns: Turns,
     reach: wp.float32,
     source: Surface,
     target: Surface,
     start_in: wp.array[wp.int32],
     mesh: wp.uint64,
-    # outputs
+    # in and out
     pairs: Pairs,
 ):
     """Pair the input's face middles and vertices with the nearest points of the output.
@@ -177,6 +178,7 @@ def match_input_samples(
 
 @wp.kernel
 def match_output_samples(
+    # in
     turns: Turns,
     reach: wp.float32,
     source: Surface,
@@ -184,7 +186,7 @@ def match_output_samples(
     start_in: wp.array[wp.int32],
     mesh: wp.uint64,
     barycentric_in: wp.array[wp.vec3],
-    # outputs
+    # in and out
     pairs: Pairs,
 ):
     """Pair points of every output face, at the given barycentric weights, with the nearest points of the input.
@@ -256,6 +258,7 @@ def store_border_pair(
 
 @wp.kernel
 def match_border_samples(
+    # in
     turns: Turns,
     reach: wp.float32,
     moving: Surface,
@@ -266,7 +269,7 @@ def match_border_samples(
     per_edge: wp.int32,
     width: wp.float32,
     first_pair: wp.int32,
-    # outputs
+    # out
     pairs: Pairs,
 ):
     """Pair points of border edges of one surface with the border of the other, each point in two pairs.
@@ -360,6 +363,7 @@ def include_pair(
 
 @wp.kernel
 def assemble_elements(
+    # in
     corner_vertex_in: wp.array[wp.int32],
     input_pairs: Pairs,
     input_start_in: wp.array[wp.int32],
@@ -372,7 +376,7 @@ def assemble_elements(
     frame_in: wp.array2d[wp.mat33],
     correction_in: wp.array[wp.vec3],
     hold_in: wp.array[wp.vec3],
-    # outputs
+    # out
     block_out: wp.array2d[wp.mat33],
     right_out: wp.array[wp.vec3],
 ):

@@ -74,6 +74,7 @@ def plane_matrix(normal: wp.vec3d, weight: wp.float64) -> wp.mat33d:
 
 @wp.kernel
 def gather_planes(
+    # in
     face_start_in: wp.array[wp.int32],
     face_in: wp.array[wp.vec3i],
     face_weight_in: wp.array[wp.float32],
@@ -84,7 +85,7 @@ def gather_planes(
     placed_in: wp.array2d[wp.vec3d],
     pull: wp.float64,
     to_planes: wp.int32,
-    # outputs
+    # out
     stiffness_out: wp.array2d[wp.mat33d],
     goal_out: wp.array2d[wp.vec3d],
 ):
@@ -360,10 +361,13 @@ def keep_largest(problem: SkinProblem, scratch: SkinScratch, c: wp.int32, weight
 
 @wp.kernel
 def fit_vertices(
+    # in
     problem: SkinProblem,
+    # in and out
     scratch: SkinScratch,
+    # in
     first_vertex: wp.int32,
-    # outputs
+    # out
     rest_out: wp.array[wp.vec3d],
     weight_out: wp.array[wp.float64],
     before_out: wp.array[wp.float64],

@@ -49,8 +49,9 @@ class BorderHit:
 
 @wp.kernel
 def link_half_edges(
+    # in
     s: Surface,
-    # outputs
+    # out
     opposite_out: wp.array[wp.int32],
     border_out: wp.array[wp.int32],
     border_in: wp.array[wp.int32],

@@ -101,10 +101,11 @@ def is_canonical(
 
 @wp.kernel
 def count_corners(
+    # in
     corner_vertex_in: wp.array[wp.int32],
     face_count_in: wp.array[wp.int32],
     work: Work,
-    # outputs
+    # out
     corner_count_out: wp.array[wp.int32],
 ):
     """Corners per vertex (zeroed before the launch). A part walks all corners for its own vertices."""
@@ -118,11 +119,13 @@ def count_corners(
 
 @wp.kernel
 def fill_adjacency(
+    # in
     corner_vertex_in: wp.array[wp.int32],
     face_count_in: wp.array[wp.int32],
     work: Work,
-    # outputs
+    # in and out
     adjacency_cursor: wp.array[wp.int32],
+    # out
     adjacent_corner_out: wp.array[wp.int32],
 ):
     """Put each corner into its vertex's list; ``adjacency_cursor`` starts at the beginning of each list and runs up."""
@@ -136,11 +139,12 @@ def fill_adjacency(
 
 @wp.kernel
 def list_corners(
+    # in
     corner_vertex_in: wp.array[wp.int32],
     face_count_in: wp.array[wp.int32],
     vertex_count: wp.int32,
     work: Work,
-    # outputs
+    # out
     key_out: wp.array[wp.int32],
     corner_out: wp.array[wp.int32],
 ):
@@ -169,10 +173,11 @@ def count_below(key: wp.array[wp.int32], count: wp.int32, value: wp.int32) -> wp
 
 @wp.kernel
 def find_starts(
+    # in
     key_in: wp.array[wp.int32],
     corner_count: wp.int32,
     work: Work,
-    # outputs
+    # out
     star_start_out: wp.array[wp.int32],
 ):
     """Where the corners of each vertex (V+1,) begin among ``corner_count`` sorted keys: a binary search each."""
@@ -207,11 +212,13 @@ def is_closed_fan(corner_vertex: wp.array[wp.int32], adjacency: VertexAdjacency,
 
 @wp.kernel
 def classify_vertices(
+    # in
     corner_vertex_in: wp.array[wp.int32],
     adjacency_in: VertexAdjacency,
     first_vertex: wp.int32,
-    # outputs
+    # in and out
     vertex_flags: wp.array[wp.int32],
+    # out
     border_half_edge_out: wp.array[wp.int32],
 ):
     """Set BORDER and NON_MANIFOLD from the star of each vertex, and mark the half-edges without an opposite one.
