@@ -22,10 +22,11 @@ from warpqem.kernels.lanes import (
 from warpqem.kernels.quadric import apply_matrix, linear_part, trace
 
 # Entries of G are sums of products of the size of tr(A) |p|^2 that cancel where a cluster is flat; float32 leaves about
-# 1e-7 of that size. A pull of 1e-5 of it keeps such a matrix positive definite: a flat cluster gets equal weights.
+# 1e-7 of that size. Regularisation by 1e-5 of it keeps such a matrix positive definite: a flat cluster gets equal
+# weights.
 ROUNDING_PULL = wp.constant(wp.float32(1.0e-5))
-# An anchor may lie so far beyond its members, in radii of the cluster: the middle of a cap of half an angle of 30
-# degrees does.
+# An anchor may lie so far beyond its members, in radii of the cluster: the middle of a spherical cap of half an
+# angle of 30 degrees does.
 OVERHANG = wp.constant(wp.float32(0.25))
 # Added to the diagonal for clusters without any extent.
 MIN_DIAGONAL = wp.constant(wp.float32(1.0e-20))

@@ -144,7 +144,7 @@ def attribute_error(state: MeshState, u: wp.int32, v: wp.int32, x: Point) -> wp.
 
 @wp.func
 def relabel_ring(state: MeshState, v: wp.int32, w: wp.int32, new: wp.int32):
-    """Corners of wedge ``w`` in the star of ``v`` become corners of wedge ``new``."""
+    """Corners of wedge ``w`` around ``v`` become corners of wedge ``new``."""
     for i in range(state.adjacency.start[v], state.adjacency.end[v]):
         if state.wedges.corner_wedge[state.adjacency.corner[i]] == w:
             state.wedges.corner_wedge[state.adjacency.corner[i]] = new
@@ -154,7 +154,7 @@ def relabel_ring(state: MeshState, v: wp.int32, w: wp.int32, new: wp.int32):
 def merge_wedges(state: MeshState, u: wp.int32, v: wp.int32, x: Point):
     """Merge the wedges of ``v`` into those of ``u``, which goes to ``x``; called while the faces are still there.
 
-    All that is written belongs to the stars of ``u`` and ``v``, which no other winner touches.
+    All that is written belongs to the one-rings of ``u`` and ``v``, which no other selected collapse touches.
     """
     wedges = state.wedges
     wedges.quadric[u] = merged_attribute_quadric(state, u, v, x)

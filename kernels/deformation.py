@@ -5,7 +5,7 @@
 the edge's two faces and ``w = (max dl - mean dl) / std dl`` (0/0 counts as 1).
 
 A face's area and an edge's steps are summed once where they changed, over chunks of frames: a GPU gives each chunk a
-thread, a CPU has one chunk. The price of an edge puts the chunks together in their order.
+thread, a CPU has one chunk. The cost of an edge puts the chunks together in their order.
 """
 
 import warp as wp
@@ -183,7 +183,7 @@ def measure_moved_deformation(
 ):
     """Areas of the faces and steps of the edges at each vertex that the last pass moved.
 
-    Winners of one pass are never neighbours, so no other thread writes them.
+    Vertices that one pass moves are never neighbours, so no other thread writes them.
     """
     chunk_count = state.deformation.steps.shape[1]
     item_count = (log.count[0] - pass_begin[0]) * chunk_count

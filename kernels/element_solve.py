@@ -1,7 +1,7 @@
 """Conjugate gradients on element matrices: one 9 x 9 block per face, three unknowns per vertex, nothing assembled.
 
-Sums run in a fixed order (per vertex along its star, dot products over fixed slices), so that results do not depend on
-threads. ``warp.optim.linear`` does the same on assembled matrices; on a CPU its tiled dot products take 60 times the
+Sums run in a fixed order (per vertex along its corners, dot products over fixed slices), so that results do not depend
+on threads. ``warp.optim.linear`` does the same on assembled matrices; on a CPU its tiled dot products take 60 times the
 time of the rest.
 """
 

@@ -14,7 +14,7 @@ from typing import Any
 import warp as wp
 
 # Rows become vector instructions only while their loops over the lanes are still loops: once unrolled, early, they are
-# scalars that the compiler does not put together again (an edge's price takes three times as long). The inline
+# scalars that the compiler does not put together again (an edge's cost takes three times as long). The inline
 # threshold is Warp's own, which these flags replace. For modules with arithmetic on lanes.
 LANE_OPTIONS = {
     "enable_backward": False,  # no gradients are taken

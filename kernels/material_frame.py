@@ -1,4 +1,4 @@
-"""The frame that the material carries along at an output vertex: its normal and two tangents that deform with it.
+"""The material frame at an output vertex: its normal and two tangents that deform with the surface.
 
 A correction that is constant in this frame moves with the surface: it bends, turns and stretches as the surface does,
 and adds no motion of its own.
@@ -10,8 +10,8 @@ from warpqem.kernels.topology import half_edge_target
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
-# Pull of the tangents towards a plain rotation, relative to the spread of the ring's edges. A ring that is nearly a
-# line in the reference frame says nothing about stretch across it.
+# Regularisation of the tangents towards a plain rotation, relative to the spread of the ring's edges. A ring that is
+# nearly a line in the reference frame says nothing about stretch across it.
 ROTATION_PULL = wp.constant(wp.float32(0.05))
 
 # A normal or a ring smaller than this (areas and squared lengths on a mesh of unit diagonal) has no direction.
@@ -42,7 +42,7 @@ def first_tangent(n: wp.vec3) -> wp.vec3:
 def material_frame(
     rings: OneRings, points: wp.array2d[wp.vec3], normals: wp.array2d[wp.vec3], t: wp.int32, c: wp.int32
 ) -> wp.mat33:
-    """Columns: the two reference tangents, carried along, and the unit normal; all zero where there is no normal.
+    """Columns: the two reference tangents, transferred, and the unit normal; all zero where there is no normal.
 
     The tangents follow the map of the tangent plane that fits the ring's edges best, from the reference frame to frame
     ``t``: ``B = (M + r R) (G + r I)^-1``, with ``M = sum u u0^T``, ``G = sum u0 u0^T`` over edges ``u0`` that become

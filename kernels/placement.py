@@ -27,7 +27,7 @@ class Clusters:
     border: wp.array[wp.int32]  # border and seam half-edges with an end in the cluster
     border_weight: wp.array[wp.float32]
     solved: wp.array[wp.int32]  # (C,) 0: the vertex is the anchor itself
-    pull: wp.array[wp.float32]  # (C,) towards the anchor, relative to the quadric
+    pull: wp.array[wp.float32]  # (C,) regularisation towards the anchor, relative to the quadric
 
 
 @lane_kernel(points_in=POINTS_ARRAY, points_out=POINTS_ARRAY, normal_out=POINTS_ARRAY)

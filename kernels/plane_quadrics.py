@@ -64,7 +64,7 @@ def gather_vertex_quadrics(
     # out
     quadric_out: Any,
 ):
-    """Sum of the face quadrics of a vertex's star. The origin is the vertex, which lies on every plane: b = c = 0."""
+    """Sum of the face quadrics around a vertex. The origin is the vertex, which lies on every plane: b = c = 0."""
     v, t = wp.tid()
     q = quadric_out.dtype()
     for i in range(adjacency_start_in[v], adjacency_start_in[v + 1]):

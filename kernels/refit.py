@@ -28,7 +28,7 @@ wp.set_module_options({"enable_backward": False})  # no gradients are taken
 SAME_SIDE = wp.constant(wp.float32(0.2))
 
 # A pair lies ahead of each other when its offset is within 73 degrees of the normal: this is the square of the cosine.
-# At the rim of a fold a walk ends beside the surface, and such a pair would pull it along.
+# At the rim of a fold a walk ends beside the surface, and such a pair would drag the rim along.
 AHEAD = wp.constant(wp.float32(0.08))
 
 # Share of the input's area that its vertices stand for; the middles of its faces stand for the rest. Three quarters
@@ -57,7 +57,7 @@ class Pairs:
 
 @wp.struct
 class Pull:
-    """What holds corrections back, relative to the area a vertex stands for."""
+    """Regularisation weights of corrections, relative to the area a vertex stands for."""
 
     tangent: wp.float32
     normal: wp.float32
@@ -411,7 +411,7 @@ def assemble_elements(
                 e = include_row(e, none, ja, jb, 0.0, weight)
             else:
                 e = include_row(e, jb, none, ja, 0.0, weight)
-    # By area and not by the pairs found: where there is none, the pull is all that holds a vertex.
+    # By area and not by the pairs found: where there is none, the regularisation alone determines a vertex.
     share = area * pull.mass / (3.0 * wp.float32(points_in.shape[0]))
     along = share * wp.vec3(pull.tangent, pull.tangent, pull.normal)
     nothing = MIN_PULL * wp.vec3(1.0, 1.0, 1.0)

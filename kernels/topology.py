@@ -1,7 +1,7 @@
-"""Half-edges, vertex stars, borders and non-manifold vertices.
+"""Half-edges, vertex-corner adjacency, borders and non-manifold vertices.
 
 Half-edge ``3 f + k`` runs from corner ``k`` of face ``f`` to the next corner. A dead face has -1 at its corners. The
-star of a vertex is the list of its corners, in ascending order, as one compressed-row array for all vertices.
+adjacency of a vertex is the list of its corners, in ascending order, as one compressed-row array for all vertices.
 """
 
 import warp as wp
@@ -24,21 +24,21 @@ CORNER = wp.constant(wp.int32(16))
 MIRROR = wp.constant(wp.int32(32))
 # Vertices that keep their position.
 PINNED = wp.constant(wp.int32(int(LOCKED) | int(NON_MANIFOLD)))
-# Vertices whose star need not be a closed fan. Around the others the half-edges that leave meet every neighbour.
+# Vertices whose faces need not be a closed fan. Around the others the half-edges that leave meet every neighbour.
 OPEN = wp.constant(wp.int32(int(BORDER) | int(NON_MANIFOLD)))
 
 
 @wp.struct
 class VertexAdjacency:
-    """The star of each vertex: corners in a pool, ascending within a vertex.
+    """The corners of each vertex, in a pool, ascending within a vertex.
 
-    Built from the faces the stars follow one another; a vertex that moved then gets a new one behind them.
+    Built from the faces, the lists follow one another; a vertex that moved gets a new one behind them.
     """
 
-    start: wp.array[wp.int32]  # (V,) where the star begins
+    start: wp.array[wp.int32]  # (V,) where the list begins
     end: wp.array[wp.int32]  # (V,) and ends
     corner: wp.array[wp.int32]  # the pool
-    used: wp.array[wp.int32]  # (1,) entries of the pool given out; more than it has: build the stars anew
+    used: wp.array[wp.int32]  # (1,) entries of the pool given out; more than it has: build the adjacency anew
 
 
 @wp.func
@@ -221,10 +221,11 @@ def classify_vertices(
     # out
     border_half_edge_out: wp.array[wp.int32],
 ):
-    """Set BORDER and NON_MANIFOLD from the star of each vertex, and mark the half-edges without an opposite one.
+    """Set BORDER and NON_MANIFOLD from the faces around each vertex, and mark the half-edges without an opposite one.
 
-    A manifold star is one fan: turning about the vertex from face to face, from the border where there is one, meets
-    every face exactly once. Edges with more than two faces or with two half-edges of one direction break the fan.
+    The faces around a manifold vertex are one fan: turning about the vertex from face to face, from the border where
+    there is one, meets every face exactly once. Edges with more than two faces or with two half-edges of one direction
+    break the fan.
     """
     v = first_vertex + wp.tid()
     first = adjacency_in.start[v]
