@@ -42,7 +42,7 @@ def first_tangent(n: wp.vec3) -> wp.vec3:
 def material_frame(
     rings: OneRings, points: wp.array2d[wp.vec3], normals: wp.array2d[wp.vec3], t: wp.int32, c: wp.int32
 ) -> wp.mat33:
-    """Columns: the two reference tangents, transferred, and the unit normal; all zero where there is no normal.
+    """Columns: the two reference tangents, deformed, and the unit normal; all zero where there is no normal.
 
     The tangents follow the map of the tangent plane that fits the ring's edges best, from the reference frame to frame
     ``t``: ``B = (M + r R) (G + r I)^-1``, with ``M = sum u u0^T``, ``G = sum u0 u0^T`` over edges ``u0`` that become

@@ -1,4 +1,4 @@
-"""The order stage: which edges collapse, decided on the key frames. Its result is a topology and a vertex map."""
+"""Decimation: which edges collapse, decided on the key frames. Its result is a topology and a vertex map."""
 
 from __future__ import annotations
 

@@ -139,7 +139,7 @@ def fit_anchors(
     """Weights that minimise the cluster's quadrics over all key frames, regularised towards equal weights.
 
     Args:
-        ordered: result of the order stage.
+        ordered: result of decimation.
         kept: (C,) int32, input vertex that each output vertex goes by.
         cluster: (V,) int32, output vertex of each input vertex, -1 where there is none.
         regularisation: (C,) stiffness towards equal weights, relative to the mean diagonal of the Gram matrix.

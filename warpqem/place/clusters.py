@@ -55,7 +55,7 @@ class ClusterPlacer:
 
     Args:
         faces: (N, 3) int32, the input's faces.
-        ordered: result of the order stage; at each of ``kept``, its state when that vertex stood for its cluster.
+        ordered: result of decimation; at each of ``kept``, its state when that vertex stood for its cluster.
         kept: (C,) int32, the input vertex that each cluster goes by.
         cluster: (V,) int32, the cluster of each input vertex, -1 where there is none.
         quadric_scale: (V,) float32, scale of each input vertex's quadric.

@@ -1,4 +1,4 @@
-"""The refit stage: a last least-squares fit of the output to the input surface over the key frames.
+"""Refit: a last least-squares fit of the output to the input surface over the key frames.
 
 Placement gives every vertex the optimum of its own quadric; what the faces between the vertices do is left to chance.
 The refit moves all vertices together so that the two surfaces are nearest, both ways. Every vertex gets *one*
