@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 KERNELS = Path(__file__).resolve().parents[2] / "kernels"
+TESTS = Path(__file__).parent
 SECTIONS = ("in", "in and out", "out")
 
 
@@ -75,7 +76,9 @@ def mistakes_in(source: str) -> list[str]:
     return found
 
 
-@pytest.mark.parametrize("path", sorted(KERNELS.glob("*.py")), ids=lambda p: p.name)
+@pytest.mark.parametrize(
+    "path", [*sorted(KERNELS.glob("*.py")), *sorted(TESTS.glob("test_kernel_*.py"))], ids=lambda p: p.name
+)
 def test_parameters_stand_under_what_the_kernel_does_to_them(path):
     assert mistakes_in(path.read_text("utf-8")) == []
 
