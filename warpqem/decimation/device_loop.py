@@ -50,7 +50,7 @@ class DeviceOrderer(Ordering):
         super().__init__(steps)
         corner_count = len(self.state.corner_vertex)
         if len(self.state.adjacency.corner) < 2 * corner_count:
-            raise ValueError(f"the adjacency of {corner_count} corners needs a pool of {2 * corner_count}")
+            raise ValueError(f"adjacency lists of {corner_count} corners need a pool of {2 * corner_count}")
         self._report = steps.integers(len(_Report.__dataclass_fields__))
         self._control = self._new_control()
         self._stops_for_stars = int(not device_traits(self.device).graph_loops)
