@@ -22,10 +22,11 @@ from warpqem.kernels.lanes import (
 from warpqem.kernels.quadric import apply_matrix, linear_part, trace
 
 # Entries of G are sums of products of the size of tr(A) |p|^2 that cancel where a cluster is flat; float32 leaves about
-# 1e-7 of that size. A pull of 1e-5 of it keeps such a matrix positive definite: a flat cluster gets equal weights.
+# 1e-7 of that size. Regularisation by 1e-5 of it keeps such a matrix positive definite: a flat cluster gets equal
+# weights.
 ROUNDING_PULL = wp.constant(wp.float32(1.0e-5))
-# An anchor may lie so far beyond its members, in radii of the cluster: the middle of a cap of half an angle of 30
-# degrees does.
+# An anchor may lie so far beyond its members, in radii of the cluster: the middle of a spherical cap of half an
+# angle of 30 degrees does.
 OVERHANG = wp.constant(wp.float32(0.25))
 # Added to the diagonal for clusters without any extent.
 MIN_DIAGONAL = wp.constant(wp.float32(1.0e-20))
@@ -33,10 +34,11 @@ MIN_DIAGONAL = wp.constant(wp.float32(1.0e-20))
 
 @lane_kernel(key_position_in=POINTS_ARRAY, ordered_position_in=POINTS_ARRAY)
 def measure_cluster_distances(
+    # in
     root_in: wp.array[wp.int32],
     key_position_in: Any,
     ordered_position_in: Any,
-    # outputs
+    # out
     distance_out: wp.array[wp.float32],
 ):
     """Sum over key frames of the squared distance of an input vertex from where ordering put its cluster's vertex."""
@@ -115,6 +117,7 @@ def share_within_reach(
 
 @lane_kernel(key_position_in=POINTS_ARRAY, ordered_position_in=POINTS_ARRAY, quadric_in=QUADRIC_ARRAY)
 def fit_anchor_weights(
+    # in
     cluster_vertex_in: wp.array[wp.int32],
     member_start_in: wp.array[wp.int32],
     member_in: wp.array[wp.int32],
@@ -123,8 +126,9 @@ def fit_anchor_weights(
     ordered_position_in: Any,
     quadric_in: Any,
     regularisation_in: wp.array[wp.float32],
-    # outputs
+    # in and out
     matrix: wp.array[wp.float32],
+    # out
     weight_out: wp.array[wp.float32],
 ):
     """Weights of the members of each cluster (``matrix`` is zeroed scratch for the packed Gram matrices)."""

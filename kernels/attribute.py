@@ -144,7 +144,7 @@ def attribute_error(state: MeshState, u: wp.int32, v: wp.int32, x: Point) -> wp.
 
 @wp.func
 def relabel_ring(state: MeshState, v: wp.int32, w: wp.int32, new: wp.int32):
-    """Corners of wedge ``w`` in the star of ``v`` become corners of wedge ``new``."""
+    """Corners of wedge ``w`` around ``v`` become corners of wedge ``new``."""
     for i in range(state.adjacency.start[v], state.adjacency.end[v]):
         if state.wedges.corner_wedge[state.adjacency.corner[i]] == w:
             state.wedges.corner_wedge[state.adjacency.corner[i]] = new
@@ -154,7 +154,7 @@ def relabel_ring(state: MeshState, v: wp.int32, w: wp.int32, new: wp.int32):
 def merge_wedges(state: MeshState, u: wp.int32, v: wp.int32, x: Point):
     """Merge the wedges of ``v`` into those of ``u``, which goes to ``x``; called while the faces are still there.
 
-    All that is written belongs to the stars of ``u`` and ``v``, which no other winner touches.
+    All that is written belongs to the one-rings of ``u`` and ``v``, which no other selected collapse touches.
     """
     wedges = state.wedges
     wedges.quadric[u] = merged_attribute_quadric(state, u, v, x)
@@ -179,10 +179,11 @@ def merge_wedges(state: MeshState, u: wp.int32, v: wp.int32, x: Point):
 
 @wp.kernel
 def move_corner_wedges(
+    # in
     corner_vertex_in: wp.array[wp.int32],
     corner_wedge_in: wp.array[wp.int32],
     live_rank_in: wp.array[wp.int32],
-    # outputs
+    # out
     corner_wedge_out: wp.array[wp.int32],
 ):
     """Close the gaps between live faces as ``move_live_faces`` does; launched before it overwrites the faces."""
@@ -195,8 +196,9 @@ def move_corner_wedges(
 
 @lane_kernel(quadric=QUADRIC_ARRAY)
 def add_attribute_quadrics(
+    # in
     attribute_quadric_in: wp.array[Quadric],
-    # outputs
+    # in and out
     quadric: Any,
 ):
     """Add ``E`` to each vertex's quadric in the reference frame, so that placement's anchors see it."""

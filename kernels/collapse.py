@@ -56,11 +56,11 @@ def merge_vertex(
 def join_seams(state: MeshState, u: wp.int32, v: wp.int32, h: wp.int32):
     """The two edges that the face of ``h`` keeps apart become one: a seam when either is.
 
-    Their half-edges in the neighbouring faces are looked up in the stars of ``u`` and ``v``, which no other winner
-    touches.
+    Their half-edges in the neighbouring faces are looked up in the adjacency of ``u`` and ``v``, which no other
+    selected collapse touches.
     """
     opposite_vertex = state.corner_vertex[previous_corner(h)]
-    # The flags of vertices are nearer than those of half-edges, and most wings have none.
+    # The flags of vertices are nearer than those of half-edges, and most opposite vertices have none.
     if (state.vertex_flags[opposite_vertex] & SEAM) == 0:
         return
     if state.seam[next_corner(h)] == 0 and state.seam[previous_corner(h)] == 0:
@@ -118,7 +118,7 @@ def mask_ring(state: MeshState, mask: wp.array[wp.int32], pass_index: wp.int32, 
 
 @wp.func
 def merge_adjacency(state: MeshState, u: wp.int32, v: wp.int32, first: wp.int32):
-    """The star of ``u``, of what the stars of both ends have left, from ``first`` on in the pool; none for ``v``."""
+    """The corners of ``u``: those that both ends have left, from ``first`` on in the pool; none for ``v``."""
     i = state.adjacency.start[u]
     j = state.adjacency.start[v]
     last_i = state.adjacency.end[u]
@@ -145,17 +145,19 @@ def merge_adjacency(state: MeshState, u: wp.int32, v: wp.int32, first: wp.int32)
 
 @wp.kernel
 def drop_dead_corners(
+    # in and out
     state: MeshState,
+    # in
     log: CollapseLog,
     pass_begin: wp.array[wp.int32],
     pass_number_in: wp.array[wp.int32],
     work: Work,
-    # outputs
+    # in and out
     dropped: wp.array[wp.int32],
 ):
-    """Take the dead corners out of the stars of the last pass's wings. A part does so for its own vertices.
+    """Remove the dead corners of the vertices opposite the last pass's edges. A part does so for its own vertices.
 
-    A vertex may be the wing of two collapses; ``dropped`` (the number of the pass that last did it) lets one thread in.
+    A vertex may lie opposite two edges; ``dropped`` (the number of the pass that last did it) lets one thread in.
     """
     first_vertex = first_item(dropped.shape[0], work)
     last_vertex = last_item(dropped.shape[0], work)
@@ -177,15 +179,18 @@ def drop_dead_corners(
 
 @wp.kernel
 def open_log(
-    # outputs
+    # in and out
     legal_count: wp.array[wp.int32],
     space: wp.array[wp.int32],
     log: CollapseLog,
+    # out
     log_slot: wp.array[wp.int32],
+    # in and out
     pool_used: wp.array[wp.int32],
+    # out
     pool_slot: wp.array[wp.int32],
 ):
-    """Reserve room for the legal winners of each part, in the log and in the pool of stars.
+    """Reserve room for the legal collapses of each part, in the log and in the adjacency pool.
 
     Their counts are cleared for the next round.
     """
@@ -206,8 +211,10 @@ def open_log(
 
 @lane_kernel(frames=KEY_FRAMES, target_in=POINTS_ARRAY)
 def commit_winners(
+    # in and out
     state: MeshState,
     frames: AnyKeyFrames,
+    # in
     winners: EdgeList,
     faces_removed_in: wp.array[wp.int32],
     target_in: Any,
@@ -215,16 +222,17 @@ def commit_winners(
     error_in: wp.array[wp.float32],
     pass_number_in: wp.array[wp.int32],
     work: Work,
-    # outputs
+    # out
     mask: wp.array[wp.int32],
+    # in and out
     log: CollapseLog,
     log_slot: wp.array[wp.int32],
     pool_slot: wp.array[wp.int32],
 ):
-    """Collapse and log the legal winners, those that remove faces. The lower vertex is kept, or the pinned one.
+    """Apply and log the legal collapses, those that remove faces. The lower vertex is kept, or the pinned one.
 
-    Its star is put together at once: no other collapse of the pass looks at it. Those of the wings stay as they are
-    until the pass is over.
+    Its adjacency is put together at once: no other collapse of the pass reads it. That of the opposite vertices stays
+    as it is until the pass is over.
     """
     first_slot = count_before(winners, work.part)
     for w in range(wp.tid(), winners.count[work.part], work.lanes):
@@ -277,14 +285,16 @@ def commit_winners(
                 state.adjacency.end[u] - state.adjacency.start[u] + state.adjacency.end[v] - state.adjacency.start[v]
             )
             entry = wp.atomic_add(pool_slot, work.part, adjacency_size)
-            # A pool without room for it is known by its count: then all stars are built anew after the pass.
+            # A pool without room for it is known by its count: then the adjacency is built anew after the pass.
             if entry + adjacency_size <= state.adjacency.corner.shape[0]:
                 merge_adjacency(state, u, v, entry)
 
 
 @wp.kernel
 def remove_from_adjacency(
+    # in and out
     state: MeshState,
+    # in
     vertex_in: wp.array[wp.int32],
 ):
     """Take the faces of all vertices of a component off the mesh; threads that share a face write the same."""
@@ -299,8 +309,9 @@ def remove_from_adjacency(
 
 @wp.kernel
 def mark_live_faces(
+    # in
     corner_vertex_in: wp.array[wp.int32],
-    # outputs
+    # out
     live_out: wp.array[wp.int32],
 ):
     """1 for each live face."""
@@ -310,11 +321,12 @@ def mark_live_faces(
 
 @wp.kernel
 def move_live_faces(
+    # in
     corner_vertex_in: wp.array[wp.int32],
     edge_cost_in: wp.array[wp.float32],
     seam_in: wp.array[wp.int32],
     live_rank_in: wp.array[wp.int32],
-    # outputs
+    # out
     corner_vertex_out: wp.array[wp.int32],
     edge_cost_out: wp.array[wp.float32],
     seam_out: wp.array[wp.int32],

@@ -5,7 +5,7 @@
 the edge's two faces and ``w = (max dl - mean dl) / std dl`` (0/0 counts as 1).
 
 A face's area and an edge's steps are summed once where they changed, over chunks of frames: a GPU gives each chunk a
-thread, a CPU has one chunk. The price of an edge puts the chunks together in their order.
+thread, a CPU has one chunk. The cost of an edge puts the chunks together in their order.
 """
 
 import warp as wp
@@ -126,7 +126,9 @@ def length_deformation(state: MeshState, h: wp.int32) -> wp.float32:
 
 @wp.kernel
 def measure_all_deformation(
+    # in and out
     state: MeshState,
+    # in
     work: Work,
 ):
     """Areas of all faces and steps of all edges, the threads dealt out to the chunks of frames."""
@@ -145,7 +147,9 @@ def measure_all_deformation(
 
 @wp.kernel
 def move_trajectories(
+    # in and out
     state: MeshState,
+    # in
     log: CollapseLog,
     pass_begin: wp.array[wp.int32],
     work: Work,
@@ -170,14 +174,16 @@ def move_trajectories(
 
 @wp.kernel
 def measure_moved_deformation(
+    # in and out
     state: MeshState,
+    # in
     log: CollapseLog,
     pass_begin: wp.array[wp.int32],
     work: Work,
 ):
     """Areas of the faces and steps of the edges at each vertex that the last pass moved.
 
-    Winners of one pass are never neighbours, so no other thread writes them.
+    Vertices that one pass moves are never neighbours, so no other thread writes them.
     """
     chunk_count = state.deformation.steps.shape[1]
     item_count = (log.count[0] - pass_begin[0]) * chunk_count
@@ -192,11 +198,12 @@ def measure_moved_deformation(
 
 @wp.kernel
 def move_deformation(
+    # in
     corner_vertex_in: wp.array[wp.int32],
     face_area_in: wp.array2d[wp.float32],
     steps_in: wp.array2d[wp.vec3],
     live_rank_in: wp.array[wp.int32],
-    # outputs
+    # out
     face_area_out: wp.array2d[wp.float32],
     steps_out: wp.array2d[wp.vec3],
 ):

@@ -1,9 +1,9 @@
-"""The independent set of collapses of one round: cap, candidates, claim.
+"""The independent set of collapses of one round: cost threshold, candidates, reservation of vertices.
 
-An edge wins when its 64-bit key (cost bits, then a shuffled index) is the smallest at every vertex of its closed
-neighbourhood. Then no vertex of a winner is a neighbour of another winner's, so no two winners share a face; they may
-share a ring vertex, whose fan loses a face to each but keeps those between them. So the batch equals the same collapses
-made one after another in any order.
+An edge is selected when its 64-bit key (cost bits, then a shuffled index) is the smallest at every vertex of its closed
+neighbourhood. Then no vertex of a selected edge is a neighbour of another selected edge's, so no two share a face; they
+may share a ring vertex, whose fan loses a face to each but keeps those between them. So the batch equals the same
+collapses made one after another in any order.
 """
 
 import warp as wp
@@ -25,7 +25,7 @@ UNRESERVED = wp.constant(wp.int64(0x7FFFFFFFFFFFFFFF))
 
 @wp.func
 def is_candidate_cost(cost: wp.float32) -> wp.bool:
-    """Awake (not negative) and allowed (not infinite)."""
+    """Whether the cost is that of an edge neither suspended (negative) nor forbidden (infinite)."""
     return cost > 0.0 and cost < wp.inf
 
 
@@ -55,10 +55,11 @@ def reservation_key(state: MeshState, h: wp.int32) -> wp.int64:
 
 @wp.kernel
 def count_costs(
+    # in
     state: MeshState,
     sample_step_in: wp.array[wp.int32],
     work: Work,
-    # outputs
+    # out
     histogram_out: wp.array2d[wp.int32],
 ):
     """Histogram of the costs of the candidate edges at every ``sample_step``-th half-edge, a row for each part."""
@@ -72,10 +73,12 @@ def count_costs(
 
 @wp.kernel
 def find_cost_threshold(
+    # in
     wanted_in: wp.array[wp.int32],
     sample_step_in: wp.array[wp.int32],
-    # outputs
+    # in and out
     histogram: wp.array2d[wp.int32],
+    # out
     threshold_out: wp.array[wp.float32],
 ):
     """The upper end of the bin of the ``wanted``-th cheapest edge; 0 where none is wanted.
@@ -98,8 +101,9 @@ def find_cost_threshold(
 
 @wp.kernel
 def sum_bins(
+    # in
     histogram_in: wp.array2d[wp.int32],
-    # outputs
+    # out
     sum_out: wp.array[wp.int32],
 ):
     """Costs in each stretch of the bins of one part, as many stretches as ``sum_out`` has; a thread for each."""
@@ -113,15 +117,16 @@ def sum_bins(
 
 @wp.kernel
 def find_cap_by_sums(
+    # in
     wanted_in: wp.array[wp.int32],
     sample_step_in: wp.array[wp.int32],
     sum_in: wp.array[wp.int32],
-    # outputs
+    # in and out
     histogram: wp.array2d[wp.int32],
+    # out
     threshold_out: wp.array[wp.float32],
 ):
-    """The cap of :func:`find_cost_threshold`, by as many threads as there are sums: each looks through its own stretch
-    of bins.
+    """The threshold of :func:`find_cost_threshold`, by as many threads as there are sums, a stretch of bins each.
 
     The cheapest edges end in the bin where their number comes to what is wanted, or else in the last one with an edge:
     one thread has it.
@@ -147,13 +152,14 @@ def find_cap_by_sums(
 
 @wp.kernel
 def collect_candidates(
+    # in
     state: MeshState,
     threshold_in: wp.array[wp.float32],
     work: Work,
-    # outputs
+    # out
     candidates: EdgeList,
 ):
-    """Half-edges with a cost below the cap (counts zeroed before the launch)."""
+    """Half-edges with a cost below the threshold (counts zeroed before the launch)."""
     half_edge_count = 3 * state.face_count[0]
     last = last_item(half_edge_count, work)
     cost_threshold = threshold_in[0]
@@ -167,13 +173,14 @@ def collect_candidates(
 
 @wp.kernel
 def reserve_vertices(
+    # in
     state: MeshState,
     candidates: EdgeList,
     work: Work,
-    # outputs
+    # out
     reservation: wp.array[wp.int64],
 ):
-    """Each candidate claims its two ends; the smallest key stays. A part walks all candidates for its own vertices."""
+    """The smallest key of the candidates that end at each vertex. A part walks all of them for its own vertices."""
     first_vertex = first_item(reservation.shape[0], work)
     last_vertex = last_item(reservation.shape[0], work)
     for part in range(work.part_count):
@@ -191,7 +198,7 @@ def reserve_vertices(
 
 @wp.func
 def holds_ring(state: MeshState, reservation: wp.array[wp.int64], v: wp.int32, key: wp.int64) -> wp.bool:
-    """Whether no vertex of the star of ``v`` is claimed by a smaller key."""
+    """Whether ``v`` is reserved by the key and no vertex of its one-ring by a smaller one."""
     i = state.adjacency.start[v]
     last = state.adjacency.end[v]
     holds = reservation[v] == key
@@ -208,21 +215,22 @@ def holds_ring(state: MeshState, reservation: wp.array[wp.int64], v: wp.int32, k
 
 @wp.kernel
 def select_winners(
+    # in
     state: MeshState,
     candidates: EdgeList,
     reservation_in: wp.array[wp.int64],
     work: Work,
-    # outputs
+    # out
     winners: EdgeList,
 ):
-    """Candidates whose key is the smallest at every vertex of both ends' stars (counts zeroed before the launch)."""
+    """Candidates whose key is the smallest in the one-rings of both ends (counts zeroed before the launch)."""
     for i in range(wp.tid(), candidates.count[work.part], work.lanes):
         prefetch_edges(state, candidates, work.part, i, reservation_in, work)
         h = candidates.half_edge[work.part * candidates.capacity + i]
         u = state.corner_vertex[h]
         v = half_edge_target(state.corner_vertex, h)
         key = reservation_key(state, h)
-        # Both ends first: most candidates lose there, without a walk around the stars.
+        # Both ends first: most candidates fail there, without a walk around the one-rings.
         if (
             reservation_in[u] == key
             and reservation_in[v] == key
@@ -234,13 +242,14 @@ def select_winners(
 
 @wp.kernel
 def withdraw_claims(
+    # in
     state: MeshState,
     candidates: EdgeList,
     work: Work,
-    # outputs
+    # out
     reservation_out: wp.array[wp.int64],
 ):
-    """Leave every vertex unclaimed for the next round."""
+    """Clear the reservation of every vertex for the next round."""
     for i in range(wp.tid(), candidates.count[work.part], work.lanes):
         h = candidates.half_edge[work.part * candidates.capacity + i]
         reservation_out[state.corner_vertex[h]] = UNRESERVED
@@ -249,24 +258,25 @@ def withdraw_claims(
 
 @wp.kernel
 def shrink_candidates(
+    # in
     state: MeshState,
     mask_in: wp.array[wp.int32],
     pass_number_in: wp.array[wp.int32],
     threshold_in: wp.array[wp.float32],
     candidates_in: EdgeList,
     work: Work,
-    # outputs
+    # out
     candidates_out: EdgeList,
 ):
-    """Keep the candidates that are alive, awake, below the cap and outside the neighbourhoods of this pass's winners.
+    """Candidates still alive, not suspended, below the threshold and outside the one-rings of this pass's collapses.
 
-    A winner's one-ring is masked whole, so the stars of what is kept are as they were when the pass began.
+    The one-ring of a collapse is masked whole, so those of what is kept are as they were when the pass began.
     """
     for i in range(wp.tid(), candidates_in.count[work.part], work.lanes):
         prefetch_edges(state, candidates_in, work.part, i, mask_in, work)
         h = candidates_in.half_edge[work.part * candidates_in.capacity + i]
         u = state.corner_vertex[h]
-        # One that was found costlier than its price is no candidate any more.
+        # One whose check raised its cost is no candidate any more.
         if u >= 0 and is_candidate_cost(state.edge_cost[h]) and state.edge_cost[h] < threshold_in[0]:
             v = half_edge_target(state.corner_vertex, h)
             if mask_in[u] != pass_number_in[0] and mask_in[v] != pass_number_in[0]:

@@ -2,11 +2,11 @@
 
 | rule            | why                                                                                              |
 |-----------------|--------------------------------------------------------------------------------------------------|
-| link condition  | a common neighbour that is not a wing would leave two faces on three edges (a non-manifold edge) |
+| link condition  | a common neighbour not opposite the edge would leave two faces on three edges (non-manifold)     |
 | pinch           | an inner edge between two border vertices would join the borders at one vertex                   |
-| wing            | a wing needs a face fan after it lost one face: 3 faces inside, 1 at a border                    |
+| opposite vertex | it needs a face fan after it lost one face: 3 faces inside, 1 at a border                        |
 | mirror          | an inner edge between two vertices of a mirror plane would be one edge of both halves            |
-| vanish          | the merged vertex keeps a face, also where the wing is a bow tie that says nothing of this fan   |
+| last face       | the merged vertex keeps a face, also where the opposite vertex is a bow tie with other fans      |
 | flip, any frame | a face may turn past ``TURN_COSINE`` in a few frames only (crumpling motion does so by itself)   |
 | flip, the whole | ``sum over frames of n.n' sqrt(A A' w w')`` must stay positive (Yang et al. 2019, equation 7)    |
 """
@@ -41,7 +41,7 @@ from warpqem.kernels.work import EdgeList, Work, count_before
 
 # A face may not turn by more than 78 degrees in one collapse: beyond that it folds over its neighbour a few later.
 TURN_COSINE = wp.constant(wp.float32(0.2))
-# A price that rose by more than this factor since it was set puts a winner back among the edges.
+# A cost that rose by more than this factor since it was computed puts a selected edge back among the others.
 COST_SLACK = wp.constant(wp.float32(1.2))
 # What the area times the squared distance of merged input vertices from the faces left costs, against the same from
 # planes. Below 1 thin tips go, above 3 fits of compact shapes get worse, as one frame decides more and more.
@@ -77,7 +77,7 @@ def mean_weight(state: MeshState, u: wp.int32, v: wp.int32) -> wp.float32:
 
 @wp.func
 def keeps_fan(state: MeshState, opposite_vertex: wp.int32) -> wp.bool:
-    """Whether a wing may lose one of its faces."""
+    """Whether an opposite vertex may lose one of its faces."""
     if (state.vertex_flags[opposite_vertex] & BORDER) != 0:
         return degree(state, opposite_vertex) >= 2
     return degree(state, opposite_vertex) >= 4
@@ -85,9 +85,9 @@ def keeps_fan(state: MeshState, opposite_vertex: wp.int32) -> wp.bool:
 
 @wp.func
 def is_capped(state: MeshState, u: wp.int32, v: wp.int32, left: wp.int32, right: wp.int32) -> wp.bool:
-    """Whether an inner end has three faces where a frozen vertex is near, whose faces do not tell what its fans keep.
+    """Whether an inner end has three faces where a non-manifold vertex is near, whose faces may be in several fans.
 
-    The third face of that end lies between the wings, and may come to lie on one of the other end.
+    The third face of that end lies between the opposite vertices, and may come to lie on one of the other end.
     """
     flags = state.vertex_flags[u] | state.vertex_flags[v] | state.vertex_flags[left]
     if right >= 0:
@@ -116,7 +116,7 @@ def spans_mirror(state: MeshState, u: wp.int32, v: wp.int32, left: wp.int32, rig
 
 @wp.func
 def is_manifold_collapse(state: MeshState, h: wp.int32) -> wp.bool:
-    """Link condition, pinch, wing, mirror and vanish rules for half-edge ``h``."""
+    """Link condition, pinch, opposite vertex, mirror and last face rules for half-edge ``h``."""
     u = state.corner_vertex[h]
     v = half_edge_target(state.corner_vertex, h)
     left = state.corner_vertex[previous_corner(h)]
@@ -153,7 +153,7 @@ def is_manifold_collapse(state: MeshState, h: wp.int32) -> wp.bool:
 def flip_margin(old_normal: Any, new_normal: Any):
     """Positive (width,) where a face turns less than ``TURN_COSINE`` allows."""
     d = lane_dot(old_normal, new_normal)
-    # cos |cos| >= c^2 times the squared lengths, divided before it is multiplied: d^2 of a small face would vanish in
+    # cos |cos| >= c^2 times the squared lengths, divided before it is multiplied: d^2 of a small face underflows
     # float32.
     share = wp.cw_div(d, lane_max(lane_dot(old_normal, old_normal), NO_AREA))
     return wp.cw_mul(share, wp.abs(d)) - TURN_COSINE * TURN_COSINE * lane_dot(new_normal, new_normal)
@@ -205,16 +205,17 @@ def turns_over(
 
 @lane_kernel(frames=KEY_FRAMES, target_out=POINTS_ARRAY)
 def place_winners(
+    # in
     state: MeshState,
     frames: AnyKeyFrames,
     model: CostModel,
     winners: EdgeList,
     work: Work,
-    # outputs
+    # out
     target_out: Any,
     anchor_out: wp.array[wp.float32],
 ):
-    """The merged vertex of each winner in each key frame, and the anchor along its edge."""
+    """The merged vertex of each selected collapse in each key frame, and the anchor along its edge."""
     first_slot = count_before(winners, work.part)
     for k in range(wp.tid(), winners.count[work.part], work.lanes):
         i = first_slot + k
@@ -230,25 +231,27 @@ def place_winners(
 
 @lane_kernel(frames=KEY_FRAMES, target_in=POINTS_ARRAY)
 def check_collapses(
+    # in and out
     state: MeshState,
+    # in
     frames: AnyKeyFrames,
     model: CostModel,
     winners: EdgeList,
     target_in: Any,
     flip_tolerance: wp.int32,
     work: Work,
-    # outputs
+    # out
     faces_removed_out: wp.array[wp.int32],
     error_out: wp.array[wp.float32],
     legal_count: wp.array[wp.int32],
     space: wp.array[wp.int32],
 ):
-    """The faces each legal winner removes; 0 for an illegal one, whose edge sleeps until its neighbourhood changes.
+    """The faces each legal collapse removes; 0 for an illegal one, suspended until its neighbourhood changes.
 
-    Also 0 for one that is costlier than its price says: input vertices would be far from the faces left, or a seam has
-    come to the edge from across its faces, where nothing prices it again. ``error_out`` is the mean squared distance of
-    the input vertices that a legal winner merges. Counts the legal ones of each part too, and what their stars take
-    together (both zeroed before the launch, or empty: then not).
+    Also 0 for one with more than its stored cost: input vertices would be far from the faces left, or a seam has come
+    to the edge from across its faces, where no cost is updated. ``error_out`` is the mean squared distance of the input
+    vertices that a legal collapse merges. Counts the legal ones of each part too, and the entries that their adjacency
+    takes (both zeroed before the launch, or empty: then not).
     """
     first_slot = count_before(winners, work.part)
     for k in range(wp.tid(), winners.count[work.part], work.lanes):
@@ -267,20 +270,20 @@ def check_collapses(
                 if half_edge_target(state.corner_vertex, g) != b and state.corner_vertex[previous_corner(g)] != b:
                     legal = not turns_over(state, frames, g, target_in, i, flip_tolerance)
                 j += 1
-        price = state.edge_cost[h]
+        cost = state.edge_cost[h]
         if legal and breaks_seams(state, h):
             fresh = price_edge(state, frames, model, h)
-            price = fresh.cost
+            cost = fresh.cost
         if legal:
             gap = member_gap(state, frames, u, v, lead_point(target_in[i, 0]))
             error_out[i] = gap[0] / wp.max(gap[1], NO_PLANE)
             if error_out[i] > model.error_limit:
-                price = INFINITE_COST
+                cost = INFINITE_COST
             else:
-                price = wp.max(price, GAP_COST * model.key_count * mean_weight(state, u, v) * gap[0])
-        if price > COST_SLACK * state.edge_cost[h]:
+                cost = wp.max(cost, GAP_COST * model.key_count * mean_weight(state, u, v) * gap[0])
+        if cost > COST_SLACK * state.edge_cost[h]:
             faces_removed_out[i] = 0
-            state.edge_cost[h] = price
+            state.edge_cost[h] = cost
         elif legal:
             opposite = find_half_edge(state.corner_vertex, state.adjacency, v, u)
             faces_removed_out[i] = wp.where(opposite >= 0, 2, 1)

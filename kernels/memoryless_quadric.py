@@ -66,8 +66,11 @@ def memoryless_quadric(state: MeshState, frames: AnyKeyFrames, weights: LineWeig
 
 @lane_kernel(frames=KEY_FRAMES)
 def renew_quadrics(
+    # in
     state: MeshState,
+    # in and out
     frames: AnyKeyFrames,
+    # in
     weights: LineWeights,
     mask_in: wp.array[wp.int32],
     pass_number_in: wp.array[wp.int32],

@@ -11,9 +11,9 @@ least ``y_j`` there, ``E(v, a) = sum_j (p_j - y_j)^T H_j (p_j - y_j)`` is minimi
 - weights: with ``u_k = R_k (v + o) + t_k - y``, minimise ``a^T G a``, ``G_kl = sum_j u_k^T H u_l``, subject to
   ``sum a = 1``, ``a >= 0``: an active set, each step a Cholesky solve on the joints in use (Lawson & Hanson 1974).
 
-Both are pulled a little towards where they start, which decides what no pose tells apart. All in float64: joints that
-move nearly alike leave little between the eigenvalues of ``G``. One lane per vertex and a fixed order of sums, so that
-the result is the same on every run.
+Both are regularised a little towards where they start, which decides what no pose determines. All in float64: joints
+that move nearly alike leave little between the eigenvalues of ``G``. One lane per vertex and a fixed order of sums, so
+that the result is the same on every run.
 """
 
 import warp as wp
@@ -61,7 +61,7 @@ class SkinScratch:
     factor: wp.array[wp.float64]
     first: wp.array[wp.float64]
     second: wp.array[wp.float64]
-    regularisation: wp.array[wp.float64]  # what the weights are pulled to
+    regularisation: wp.array[wp.float64]  # what the weights are regularised towards
     slot: wp.array[wp.int32]  # the joints in use, as indices into the row
     state: wp.array[wp.int32]  # 1 in use, 0 at zero, -1 not allowed
 
@@ -74,6 +74,7 @@ def plane_matrix(normal: wp.vec3d, weight: wp.float64) -> wp.mat33d:
 
 @wp.kernel
 def gather_planes(
+    # in
     face_start_in: wp.array[wp.int32],
     face_in: wp.array[wp.vec3i],
     face_weight_in: wp.array[wp.float32],
@@ -84,15 +85,15 @@ def gather_planes(
     placed_in: wp.array2d[wp.vec3d],
     pull: wp.float64,
     to_planes: wp.int32,
-    # outputs
+    # out
     stiffness_out: wp.array2d[wp.mat33d],
     goal_out: wp.array2d[wp.vec3d],
 ):
     """``H`` and ``y`` of each cluster in each pose from its faces and its border edges (edge, then the third vertex).
 
     About the place ``x`` that placement gave the vertex, the quadric is ``(p - x)^T A (p - x) + 2 g.(p - x)``. With the
-    pull towards that place its least is ``y = x - H^-1 g``, or as far that way as ``REACH`` allows; where ``to_planes``
-    is 0, ``y = x``.
+    regularisation towards that place its least is ``y = x - H^-1 g``, or as far that way as ``REACH`` allows; where
+    ``to_planes`` is 0, ``y = x``.
     """
     c, j = wp.tid()
     total = wp.mat33d()
@@ -192,7 +193,7 @@ def best_position(problem: SkinProblem, c: wp.int32, weight: wp.array[wp.float64
 
 @wp.func
 def fill_gram(problem: SkinProblem, scratch: SkinScratch, c: wp.int32, v: wp.vec3d) -> wp.float64:
-    """``G`` at the position, with the pull on its diagonal; returns that pull."""
+    """``G`` at the position, with the regularisation on its diagonal; returns that regularisation."""
     first = problem.candidate_start[c]
     n = problem.candidate_start[c + 1] - first
     o = scratch.matrix_start[c]
@@ -342,17 +343,17 @@ def keep_largest(problem: SkinProblem, scratch: SkinScratch, c: wp.int32, weight
                 rank += 1
         scratch.state[s + k] = wp.where(rank < problem.max_influences, 0, -1)
     total = wp.float64(0.0)
-    pulled = wp.float64(0.0)
+    target_sum = wp.float64(0.0)
     for k in range(n):
         if scratch.state[s + k] < 0:
             weight[s + k] = wp.float64(0.0)
             scratch.regularisation[s + k] = wp.float64(0.0)
         total += weight[s + k]
-        pulled += scratch.regularisation[s + k]
+        target_sum += scratch.regularisation[s + k]
     for k in range(n):
         weight[s + k] = weight[s + k] / total
-        if pulled > wp.float64(0.0):
-            scratch.regularisation[s + k] = scratch.regularisation[s + k] / pulled
+        if target_sum > wp.float64(0.0):
+            scratch.regularisation[s + k] = scratch.regularisation[s + k] / target_sum
         else:
             scratch.regularisation[s + k] = weight[s + k]
     return 1
@@ -360,10 +361,13 @@ def keep_largest(problem: SkinProblem, scratch: SkinScratch, c: wp.int32, weight
 
 @wp.kernel
 def fit_vertices(
+    # in
     problem: SkinProblem,
+    # in and out
     scratch: SkinScratch,
+    # in
     first_vertex: wp.int32,
-    # outputs
+    # out
     rest_out: wp.array[wp.vec3d],
     weight_out: wp.array[wp.float64],
     before_out: wp.array[wp.float64],

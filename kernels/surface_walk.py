@@ -18,7 +18,7 @@ MAX_STEPS = wp.constant(32)
 
 @wp.struct
 class Surface:
-    """A mesh on K frames: positions, faces, stars and what lies across each edge."""
+    """A mesh on K frames: positions, faces, vertex-corner adjacency and what lies across each edge."""
 
     points: wp.array2d[wp.vec3]  # (K, V)
     corner_vertex: wp.array[wp.int32]  # (3N,)
@@ -49,8 +49,9 @@ class BorderHit:
 
 @wp.kernel
 def link_half_edges(
+    # in
     s: Surface,
-    # outputs
+    # out
     opposite_out: wp.array[wp.int32],
     border_out: wp.array[wp.int32],
     border_in: wp.array[wp.int32],
@@ -122,7 +123,7 @@ def hit_face(s: Surface, t: wp.int32, face: wp.int32, query: wp.vec3) -> Hit:
 
 @wp.func
 def hit_ring(s: Surface, t: wp.int32, vertex: wp.int32, query: wp.vec3, best: Hit) -> Hit:
-    """``best``, or a nearer point in the star of a vertex."""
+    """``best``, or a nearer point on the faces around a vertex."""
     hit = best
     for i in range(s.adjacency_start[vertex], s.adjacency_start[vertex + 1]):
         other = hit_face(s, t, s.adjacent_corner[i] / 3, query)

@@ -1,7 +1,7 @@
-"""Half-edges, vertex stars, borders and non-manifold vertices.
+"""Half-edges, vertex-corner adjacency, borders and non-manifold vertices.
 
 Half-edge ``3 f + k`` runs from corner ``k`` of face ``f`` to the next corner. A dead face has -1 at its corners. The
-star of a vertex is the list of its corners, in ascending order, as one compressed-row array for all vertices.
+adjacency of a vertex is the list of its corners, in ascending order, as one compressed-row array for all vertices.
 """
 
 import warp as wp
@@ -24,21 +24,21 @@ CORNER = wp.constant(wp.int32(16))
 MIRROR = wp.constant(wp.int32(32))
 # Vertices that keep their position.
 PINNED = wp.constant(wp.int32(int(LOCKED) | int(NON_MANIFOLD)))
-# Vertices whose star need not be a closed fan. Around the others the half-edges that leave meet every neighbour.
+# Vertices whose faces need not be a closed fan. Around the others the half-edges that leave meet every neighbour.
 OPEN = wp.constant(wp.int32(int(BORDER) | int(NON_MANIFOLD)))
 
 
 @wp.struct
 class VertexAdjacency:
-    """The star of each vertex: corners in a pool, ascending within a vertex.
+    """The corners of each vertex, in a pool, ascending within a vertex.
 
-    Built from the faces the stars follow one another; a vertex that moved then gets a new one behind them.
+    Built from the faces, the lists follow one another; a vertex that moved gets a new one behind them.
     """
 
-    start: wp.array[wp.int32]  # (V,) where the star begins
+    start: wp.array[wp.int32]  # (V,) where the list begins
     end: wp.array[wp.int32]  # (V,) and ends
     corner: wp.array[wp.int32]  # the pool
-    used: wp.array[wp.int32]  # (1,) entries of the pool given out; more than it has: build the stars anew
+    used: wp.array[wp.int32]  # (1,) entries of the pool given out; more than it has: build the adjacency anew
 
 
 @wp.func
@@ -101,10 +101,11 @@ def is_canonical(
 
 @wp.kernel
 def count_corners(
+    # in
     corner_vertex_in: wp.array[wp.int32],
     face_count_in: wp.array[wp.int32],
     work: Work,
-    # outputs
+    # out
     corner_count_out: wp.array[wp.int32],
 ):
     """Corners per vertex (zeroed before the launch). A part walks all corners for its own vertices."""
@@ -118,11 +119,13 @@ def count_corners(
 
 @wp.kernel
 def fill_adjacency(
+    # in
     corner_vertex_in: wp.array[wp.int32],
     face_count_in: wp.array[wp.int32],
     work: Work,
-    # outputs
+    # in and out
     adjacency_cursor: wp.array[wp.int32],
+    # out
     adjacent_corner_out: wp.array[wp.int32],
 ):
     """Put each corner into its vertex's list; ``adjacency_cursor`` starts at the beginning of each list and runs up."""
@@ -136,11 +139,12 @@ def fill_adjacency(
 
 @wp.kernel
 def list_corners(
+    # in
     corner_vertex_in: wp.array[wp.int32],
     face_count_in: wp.array[wp.int32],
     vertex_count: wp.int32,
     work: Work,
-    # outputs
+    # out
     key_out: wp.array[wp.int32],
     corner_out: wp.array[wp.int32],
 ):
@@ -169,10 +173,11 @@ def count_below(key: wp.array[wp.int32], count: wp.int32, value: wp.int32) -> wp
 
 @wp.kernel
 def find_starts(
+    # in
     key_in: wp.array[wp.int32],
     corner_count: wp.int32,
     work: Work,
-    # outputs
+    # out
     star_start_out: wp.array[wp.int32],
 ):
     """Where the corners of each vertex (V+1,) begin among ``corner_count`` sorted keys: a binary search each."""
@@ -207,17 +212,20 @@ def is_closed_fan(corner_vertex: wp.array[wp.int32], adjacency: VertexAdjacency,
 
 @wp.kernel
 def classify_vertices(
+    # in
     corner_vertex_in: wp.array[wp.int32],
     adjacency_in: VertexAdjacency,
     first_vertex: wp.int32,
-    # outputs
+    # in and out
     vertex_flags: wp.array[wp.int32],
+    # out
     border_half_edge_out: wp.array[wp.int32],
 ):
-    """Set BORDER and NON_MANIFOLD from the star of each vertex, and mark the half-edges without an opposite one.
+    """Set BORDER and NON_MANIFOLD from the faces around each vertex, and mark the half-edges without an opposite one.
 
-    A manifold star is one fan: turning about the vertex from face to face, from the border where there is one, meets
-    every face exactly once. Edges with more than two faces or with two half-edges of one direction break the fan.
+    The faces around a manifold vertex are one fan: turning about the vertex from face to face, from the border where
+    there is one, meets every face exactly once. Edges with more than two faces or with two half-edges of one direction
+    break the fan.
     """
     v = first_vertex + wp.tid()
     first = adjacency_in.start[v]

@@ -17,10 +17,11 @@ from warpqem.kernels.mesh_state import MeshState, Point
 
 @wp.kernel
 def measure_merged_attributes(
+    # in
     state: MeshState,
     ends_in: wp.array[wp.vec2i],
     point_in: wp.array[Point],
-    # outputs
+    # out
     error_out: wp.array[wp.float32],
 ):
     """``E`` of each edge's merged vertex at a point of the reference frame."""

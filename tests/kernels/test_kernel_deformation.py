@@ -27,8 +27,9 @@ CHUNKS = [None, 1, 2, 4]
 
 @wp.kernel
 def sum_up(
+    # in
     state: MeshState,
-    # outputs
+    # out
     deformation_out: wp.array[wp.float32],
 ):
     h = wp.tid()

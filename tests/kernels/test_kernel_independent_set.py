@@ -26,8 +26,9 @@ def no_threshold(device) -> wp.array:
 
 @wp.kernel
 def shuffle_indices(
+    # in
     index_in: wp.array[wp.int32],
-    # outputs
+    # out
     shuffled_out: wp.array[wp.uint32],
 ):
     shuffled_out[wp.tid()] = kernels.shuffled(index_in[wp.tid()])
@@ -35,8 +36,9 @@ def shuffle_indices(
 
 @wp.kernel
 def bin_costs(
+    # in
     cost_in: wp.array[wp.float32],
-    # outputs
+    # out
     bin_out: wp.array[wp.int32],
 ):
     bin_out[wp.tid()] = kernels.cost_bin(cost_in[wp.tid()])

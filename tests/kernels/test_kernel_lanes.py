@@ -15,9 +15,10 @@ wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
 @wp.kernel
 def combine_points(
+    # in
     a_in: Any,
     b_in: Any,
-    # outputs
+    # out
     cross_out: Any,
     unit_out: Any,
     dot_sum_out: wp.array[wp.float32],

@@ -22,8 +22,9 @@ HINGE_EDGE = np.array([[0, 1, 2, 3]], dtype=np.int32)
 
 @wp.kernel
 def measure_angles(
+    # in
     points_in: wp.array2d[wp.vec3],
-    # outputs
+    # out
     angle_out: wp.array[wp.float32],
 ):
     t = wp.tid()
@@ -32,8 +33,9 @@ def measure_angles(
 
 @wp.kernel
 def wrap_angles(
+    # in
     angle_in: wp.array[wp.float32],
-    # outputs
+    # out
     angle_out: wp.array[wp.float32],
 ):
     angle_out[wp.tid()] = wrapped(angle_in[wp.tid()])

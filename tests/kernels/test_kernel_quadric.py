@@ -27,10 +27,11 @@ EPSILON = 0.01
 
 @wp.kernel
 def evaluate_quadrics(
+    # in
     quadric_in: Any,
     x_in: Any,
     epsilon: wp.float32,
-    # outputs
+    # out
     product_out: Any,
     linear_out: Any,
     trace_out: wp.array2d[wp.float32],
@@ -59,10 +60,11 @@ def evaluate_quadrics(
 
 @wp.kernel
 def make_planes(
+    # in
     normal_in: Any,
     offset_in: wp.array[wp.float32],
     weight_in: wp.array[wp.float32],
-    # outputs
+    # out
     quadric_out: Any,
 ):
     i, t = wp.tid()

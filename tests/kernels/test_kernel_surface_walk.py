@@ -13,10 +13,11 @@ from warpqem.refit.matching import make_surface
 
 @wp.kernel
 def walk(
+    # in
     s: Surface,
     start: wp.array[wp.int32],
     query: wp.array[wp.vec3],
-    # outputs
+    # out
     squared: wp.array[wp.float32],
     point: wp.array[wp.vec3],
 ):
@@ -29,10 +30,11 @@ def walk(
 
 @wp.kernel
 def walk_border(
+    # in
     s: Surface,
     start: wp.array[wp.int32],
     query: wp.array[wp.vec3],
-    # outputs
+    # out
     half_edge: wp.array[wp.int32],
     squared: wp.array[wp.float32],
 ):

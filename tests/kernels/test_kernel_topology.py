@@ -50,10 +50,11 @@ ALL = WELL_FORMED | BROKEN
 
 @wp.kernel
 def query_half_edges(
+    # in
     corner_vertex_in: wp.array[wp.int32],
     adjacency_in: VertexAdjacency,
     vertex_flags_in: wp.array[wp.int32],
-    # outputs
+    # out
     next_out: wp.array[wp.int32],
     previous_out: wp.array[wp.int32],
     target_out: wp.array[wp.int32],

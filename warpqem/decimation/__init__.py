@@ -1,1 +1,1 @@
-"""The order stage: which edges collapse, decided on the key frames."""
+"""Decimation: which edges collapse, decided on the key frames."""

@@ -1,4 +1,4 @@
-"""Vertex stars on the device: built from the faces, then kept up by the kernels of a pass."""
+"""Vertex-corner adjacency on the device: built from the faces, then kept up by the kernels of a pass."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ __all__ = ["Adjacency", "build_adjacency", "classify_vertices", "group_items"]
 
 
 class Adjacency:
-    """Buffers for the stars of ``vertex_count`` vertices and as many faces as there are, reused from pass to pass.
+    """Buffers for the corners of ``vertex_count`` vertices and as many faces as there are, reused from pass to pass.
 
     Args:
         corner_vertex: (3N,) int32, vertex of each corner; -1 in a dead face, which is left out.
         face_count: (1,) int32, how many of the N faces there are now.
         vertex_count: vertices V.
-        spare: entries of the pool besides the 3N that stars built from the faces take, for stars of vertices that move.
+        spare: entries of the pool besides the 3N corners of the faces, for the lists of vertices that move.
 
     Attributes:
         start: (V+1,) int32, the first entry of each vertex's list as built; the last entry is the number of corners.
@@ -110,7 +110,7 @@ def build_adjacency(
 
 
 def group_items(group: np.ndarray, group_count: int, device: str) -> Adjacency:
-    """The items of each group as the star of a vertex; ``group`` (M,) int32 is the group of each item, -1 for none."""
+    """The items of each group, as corners of a vertex; ``group`` (M,) int32 is the group of each item, -1 for none."""
     # Corners come in threes.
     corner_group = np.full(-(-len(group) // 3) * 3, -1, dtype=np.int32)
     corner_group[: len(group)] = group

@@ -1,4 +1,4 @@
-"""The order stage: which edges collapse, decided on the key frames. Its result is a topology and a vertex map."""
+"""Decimation: which edges collapse, decided on the key frames. Its result is a topology and a vertex map."""
 
 from __future__ import annotations
 
@@ -42,13 +42,13 @@ class OrderSettings:
     Attributes:
         target_faces: stop at so many faces.
         error_limit: RMS error in diagonals above which no edge collapses; inf for none.
-        epsilon: pull of a merged vertex towards the material anchor of its edge, relative to the quadric.
+        epsilon: regularisation of a merged vertex towards the material anchor of its edge, relative to the quadric.
         endpoint: the merged vertex goes to one of the edge's ends.
         deformation_weight: factor of the edge-length deformation term; 0 for none.
-        keep_components: none vanishes.
+        keep_components: none is pruned.
         memoryless: quadrics are those of the present faces instead of the input's.
         size_limit: the same as ``error_limit``, of a mesh that is not to be destroyed for its target; where components
-            vanish because their cost is due, it does not count.
+            are pruned because their cost is due, it does not count.
     """
 
     target_faces: int
@@ -80,7 +80,7 @@ class DecimatedMesh:
         face_order: (N,) int32, the input face at each place of the order that faces had; None for the input's.
         stopped: "target", "max_error", "max_size_error" or "no legal collapse".
         log: the collapses.
-        drops: the components that vanished.
+        drops: the pruned components.
     """
 
     faces: np.ndarray
@@ -120,7 +120,7 @@ class DecimationInput:
 
 @dataclass(frozen=True)
 class _Collapsed:
-    """What the collapses left: rows of each vertex (V, B), half-edge and vertex flags, the log, what vanished."""
+    """What the collapses left: rows of each vertex (V, B), half-edge and vertex flags, the log, pruned components."""
 
     position: wp.array
     quadric: wp.array

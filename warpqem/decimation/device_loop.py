@@ -1,8 +1,8 @@
 """The parallel pass as a loop on the device: the host launches it once, and looks at it when it has ended.
 
 It makes the collapses that :class:`warpqem.decimation.passes.Orderer` makes without closing gaps: reading dead faces
-costs a GPU less than waiting for the host. Two matters still stop it: components that are small enough to vanish, and,
-where a graph holds no branches, a full pool of stars.
+costs a GPU less than waiting for the host. Two matters still stop it: components that are small enough to be pruned,
+and, where a graph holds no branches, a full adjacency pool.
 """
 
 from __future__ import annotations
@@ -42,15 +42,15 @@ class DeviceOrderer(Ordering):
     """Goes from pass to pass on the device.
 
     Args:
-        steps: what passes are made of. The pool of stars has room for twice the corners: what the stars of one pass
-            take, beside all stars.
+        steps: what passes are made of. The adjacency pool has room for twice the corners: what the collapses of one
+            pass take, beside those of all vertices.
     """
 
     def __init__(self, steps: PassSteps) -> None:
         super().__init__(steps)
         corner_count = len(self.state.corner_vertex)
         if len(self.state.adjacency.corner) < 2 * corner_count:
-            raise ValueError(f"stars of {corner_count} corners need a pool of {2 * corner_count}")
+            raise ValueError(f"adjacency lists of {corner_count} corners need a pool of {2 * corner_count}")
         self._report = steps.integers(len(_Report.__dataclass_fields__))
         self._control = self._new_control()
         self._stops_for_stars = int(not device_traits(self.device).graph_loops)
@@ -120,7 +120,7 @@ class DeviceOrderer(Ordering):
         return report
 
     def _look_at(self, components: Components, target_faces: int, progress: Callable[[int], None] | None) -> None:
-        """Let components vanish after a pass, and close it."""
+        """Prune components after a pass, and close it."""
         control = self._control
         stuck = int(control.candidate_count.numpy()[0]) == 0 and float(control.fraction.numpy()[0]) >= 1.0
         cost_threshold = np.inf if stuck else float(control.pass_cap.numpy()[0])
@@ -182,7 +182,7 @@ class DeviceOrderer(Ordering):
         return [*self.steps.adjacency.phases(1), Phase(note)]
 
     def _record_remnants(self, recorder: Recorder, components: Components) -> None:
-        """Count the components that are small enough to vanish."""
+        """Count the components that are small enough to be pruned."""
         of_vertex, may_be_pruned = (
             wp.array(values, dtype=wp.int32, device=self.device)
             for values in (components.vertex_component, components.may_be_pruned)

@@ -4,8 +4,8 @@ A collapse merges two clusters of input vertices, so a log of collapses is a for
 dependent simplification for polygonal models", 1996; Hoppe, "View-dependent refinement of progressive meshes", 1997).
 A cut keeps some of them, each with all that made its two clusters. The mesh of a cut has the edges that ordering saw
 between the same clusters, so its collapses keep the surface as it is, with one exception: where a collapse is left
-out, its two ends stay, and both touch its wings. The wings must not merge either, or the faces at the edge between
-the ends would fold onto each other.
+out, its two ends stay, and both touch its opposite vertices. These must not merge either, or the faces at the edge
+between the ends would fold onto each other.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Cut:
 
     Attributes:
         kept: (C,) bool, the collapses that it makes.
-        dropped: (D,) bool, the small components that vanish in it.
+        dropped: (D,) bool, the small components that it prunes.
     """
 
     kept: np.ndarray
@@ -52,7 +52,7 @@ class CollapseForest:
 
     Args:
         log: the collapses.
-        drops: the components that vanished.
+        drops: the pruned components.
         vertex_count: input vertices.
     """
 
@@ -114,7 +114,7 @@ class CollapseForest:
                 break
             kept[joined] = False
         if len(self.drops):
-            # What vanished was a component as far as its collapses went.
+            # What was pruned was a component as far as its collapses went.
             owner = self.drops.vertex_drop[self.log.kept]
             dropped = dropped.copy()
             dropped[owner[~kept & (owner >= 0)]] = False
@@ -127,7 +127,7 @@ class CollapseForest:
             kept[part] &= (kept[parts] | (parts < 0)).all(axis=1)
 
     def _joined_opposites(self, kept: np.ndarray) -> np.ndarray:
-        """Collapses that join the two wings of one that is left out."""
+        """Collapses that join the two opposite vertices of one that is left out."""
         root = self.log.chosen(kept).roots(self._vertex_count)
         opposites = self.log.opposites[~kept]
         opposites = opposites[opposites[:, 1] >= 0]

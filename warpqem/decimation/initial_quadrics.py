@@ -47,7 +47,7 @@ def initial_quadrics(
 
     Args:
         corner_vertex: (3N,) int32.
-        stars: stars of all vertices.
+        adjacency: corners of all vertices.
         constrained: (3N,) int32, 1 at border and 2 at seam half-edges.
         position: (V, B) blocks of points, in diagonals.
         quadric_scale: (V,) float32, multiplies a vertex's own quadric.

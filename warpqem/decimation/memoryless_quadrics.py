@@ -55,7 +55,7 @@ class MemorylessQuadrics:
         """
         ordered, device = self._ordered, position.device
         if ordered.face_order is not None:
-            # As ordering had them, so that stars list corners in the same order.
+            # As ordering had them, so that the adjacency lists corners in the same order.
             place = np.empty_like(ordered.face_order)
             place[ordered.face_order] = np.arange(len(place), dtype=place.dtype)
             face_map = face_map[np.argsort(place[face_map])]

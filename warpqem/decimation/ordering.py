@@ -21,7 +21,7 @@ class Ordering:
         log: the collapses so far.
         face_slots: faces in the arrays, dead ones included.
         live_faces: faces that are left.
-        drops: the components that vanished.
+        drops: the pruned components.
     """
 
     def __init__(self, steps: PassSteps) -> None:
@@ -39,7 +39,7 @@ class Ordering:
         recorder: NodeRecorder | None = None,
         components: Components | None = None,
     ) -> str:
-        """Collapse until the target is met; small ones of ``components``, if given, may vanish.
+        """Collapse until the target is met; small ones of ``components``, if given, may be pruned.
 
         ``progress`` is called with the live face count after each pass, ``recorder`` is shown what each pass merged.
 
@@ -54,7 +54,7 @@ class Ordering:
         return int(self.log.count.numpy()[0])
 
     def drop_components(self, components: Components, target_faces: int, cost_threshold: float) -> int:
-        """Let small components vanish that cost no more than a cap.
+        """Prune small components that cost no more than a threshold.
 
         Returns:
             The faces that went with them.
@@ -72,7 +72,7 @@ class Ordering:
         return "max_error" if held_back else "no legal collapse"
 
     def _collapses_without_limit(self) -> bool:
-        """Whether a collapse is legal once the error limit is lifted; prices all edges anew."""
+        """Whether a collapse is legal once the error limit is lifted; computes all costs anew."""
         self.model.error_limit = np.inf
         self.steps.forget_launches()
         self.steps.price_all().run()
@@ -92,5 +92,5 @@ class Ordering:
                 count = int(launches.winners.count.numpy()[0])
                 if self.steps.faces_removed[:count].numpy().any():
                     return True
-                # None is legal: they fall asleep, which leaves others to win.
+                # None is legal: they are suspended, which leaves others to be selected.
                 launches.commit[i % 2].run()

@@ -27,7 +27,7 @@ from warpqem.runtime.launches import Recorder
 
 __all__ = ["ROUNDS", "PassLaunches", "PassSteps"]
 
-# Rounds of claims a pass; each finds winners among the candidates that the earlier ones left free.
+# Rounds of reservations a pass; each selects collapses among the candidates that the earlier ones left free.
 ROUNDS = 3
 
 # A face may turn over in this part of the key frames (crumpling motion); 1 of 16.
@@ -61,10 +61,10 @@ class PassSteps:
         log_rows: where its arrays lie, see :func:`warpqem.decimation.collapse_log.new_log`.
         pass_number, pass_begin: (1,) int32, the pass at work, and the length of the log when it began.
         wanted: (1,) int32, edges that a pass is to look at.
-        sample_step: (1,) int32, the cap is read off every so many half-edges.
-        cap: (1,) float32, the cost that candidates stay below.
-        faces_removed: int32, the faces that each winner removes; 0 for an illegal one.
-        lists: room (3N,) int32 for the two lists of candidates that rounds take turns with, and for the winners.
+        sample_step: (1,) int32, the cost threshold is read off every so many half-edges.
+        cost_threshold: (1,) float32, the cost that candidates stay below.
+        faces_removed: int32, the faces that each selected collapse removes; 0 for an illegal one.
+        lists: room (3N,) int32 for the two lists of candidates that rounds take turns with, and for the selected ones.
 
     Args:
         memoryless: quadrics are those of the present faces.
@@ -90,7 +90,7 @@ class PassSteps:
         self.cost_threshold = wp.zeros(1, dtype=wp.float32, device=device)
         self._reservation = wp.full(vertex_count, set_kernels.UNRESERVED, dtype=wp.int64, device=device)
         self._mask, self._dropped = self.integers(vertex_count), self.integers(vertex_count)
-        # Winners share no vertex, so there are V / 2 at most; an edge stands at one of its two half-edges.
+        # Selected edges share no vertex, so there are V / 2 at most; an edge stands at one of its two half-edges.
         max_selected = vertex_count // 2 + 1
         self.lists = [wp.empty(3 * face_count, dtype=wp.int32, device=device) for _ in range(3)]
         self.faces_removed = self.integers(max_selected)
@@ -104,16 +104,16 @@ class PassSteps:
         return wp.zeros(count, dtype=wp.int32, device=self.device)
 
     def price_all(self) -> Step:
-        """Price all edges by the model as it is now."""
+        """Compute all costs by the model as it is now."""
 
-        def price(recorder: Recorder, part: int) -> None:
+        def compute_costs(recorder: Recorder, part: int) -> None:
             work = part_work(part, self.threads, self.device)
             record_shared(
                 recorder, cost_kernels.compute_all_costs[self._width], [self.state, self.frames, self.model], work
             )
 
         measured = self._measuring(deformation_kernels.measure_all_deformation, [self.state])
-        return self._step([*measured, Phase(price, self.threads)])
+        return self._step([*measured, Phase(compute_costs, self.threads)])
 
     def _measuring(self, kernel: wp.Kernel, inputs: list[Any]) -> list[Phase]:
         """Measure anew what the deformation term sums over all frames; nothing where there is none."""
@@ -196,9 +196,9 @@ class PassSteps:
     def choosing(
         self, candidates: EdgeList, winners: EdgeList, legal: wp.array, space: wp.array, part_count: int
     ) -> list[Phase]:
-        """Claim, select, place and judge, into an empty list of winners.
+        """Reserve vertices, then select, place and check collapses, into the empty list ``winners``.
 
-        ``legal`` and ``space`` count the legal ones of each part, and the entries of the pool for their stars; empty
+        ``legal`` and ``space`` count the legal ones of each part, and the pool entries of their adjacency; empty
         where nobody asks.
         """
         state, frames = self.state, self.frames
@@ -243,9 +243,9 @@ class PassSteps:
         pool_slot: wp.array,
         part_count: int,
     ) -> list[Phase]:
-        """Collapse the winners that remove faces, and keep the candidates that they leave free, in an empty list.
+        """Apply the collapses that remove faces, and keep the candidates that they leave free, in an empty list.
 
-        ``slot`` and ``pool_slot`` count up from the first free places of each part, in the log and the pool of stars.
+        ``slot`` and ``pool_slot`` count up from the first free places of each part, in the log and the adjacency pool.
         """
         state, frames = self.state, self.frames
 
@@ -269,7 +269,7 @@ class PassSteps:
         return [Phase(commit, part_count), Phase(shrink, part_count)]
 
     def keeping_stars(self, part_count: int) -> list[Phase]:
-        """Bring the stars of the wings up to date; those of the vertices that moved are since the commit."""
+        """Bring the adjacency of opposite vertices up to date; that of moved vertices is since the commit."""
 
         def drop(recorder: Recorder, part: int) -> None:
             work = part_work(part, part_count, self.device)
@@ -279,7 +279,7 @@ class PassSteps:
         return [Phase(drop, part_count)]
 
     def renewing(self, part_count: int) -> list[Phase]:
-        """Price what moved, wake what lies around it. Prices are worth all threads on any mesh."""
+        """Update the costs of what moved, resume edges around it. Costs are worth all threads on any mesh."""
         state = self.state
 
         def update_costs(recorder: Recorder, part: int) -> None:
@@ -299,7 +299,7 @@ class PassSteps:
         return [*measured, Phase(update_costs, self.threads), Phase(resume, part_count)]
 
     def _renewing_quadrics(self) -> list[Phase]:
-        """Make the quadrics around what moved anew, and price all edges there."""
+        """Make the quadrics around what moved anew, and the costs of all edges there."""
         weights = memoryless_kernels.LineWeights()
         weights.border, weights.seam = CONSTRAINT_WEIGHT[1], CONSTRAINT_WEIGHT[2]
         around = [self._mask, self.pass_number]

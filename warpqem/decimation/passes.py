@@ -1,8 +1,8 @@
-"""The parallel pass: cap, candidates, rounds of claim and commit, until the target is met.
+"""The parallel pass: cost threshold, candidates, rounds of reservation and commit, until the target is met.
 
-A pass reads aloud as: price what moved, find the cap, collect the candidates under it, then for a few rounds: claim,
-select, place, judge, commit; at last bring the stars up to date. Here the host goes from pass to pass, which suits a
-CPU; on a GPU :mod:`warpqem.decimation.device_loop` does.
+A pass: update the costs of what moved, find the cost threshold, collect the candidates under it, then for a few rounds:
+reserve, select, place, check, commit; at last bring the adjacency up to date. Here the host goes from pass to pass,
+which suits a CPU; on a GPU :mod:`warpqem.decimation.device_loop` does.
 """
 
 from __future__ import annotations
@@ -78,13 +78,13 @@ class Orderer(Ordering):
                 recorder.record(self.state, self.frames, self.log, end - collapsed, end)
             stuck = candidate_count == 0 and candidate_fraction >= 1.0
             if components:
-                # Any may vanish where no edge is left.
+                # Any may be pruned where no edge is left.
                 cost_threshold = np.inf if stuck else float(self.steps.cost_threshold.numpy()[0])
                 if self.drop_components(components, target_faces, cost_threshold):
                     continue
             if stuck:
                 return self.stop_reason()
-            # No legal winner under the cap: look further, at all edges, until every one has been refused.
+            # No legal collapse under the threshold: look further, at all edges, until every one has been refused.
             candidate_fraction = CANDIDATE_FRACTION if collapsed else min(1.0, FRACTION_GROWTH * candidate_fraction)
             if progress:
                 progress(self.live_faces)
@@ -98,7 +98,7 @@ class Orderer(Ordering):
         begin = int(self.log.count.numpy()[0])
         launches = self.steps.launches(self.steps.threads if self._is_shared(remaining, candidate_fraction) else 1)
         candidate_count = self._collect_candidates(launches, candidate_fraction)
-        # A candidate removes two faces at most: only a pass that could overshoot has to count its winners.
+        # A candidate removes two faces at most: only a pass that could overshoot has to count what it selects.
         if 2 * candidate_count <= remaining:
             for i in range(ROUNDS):
                 launches.choose[i % 2].run()
@@ -127,7 +127,7 @@ class Orderer(Ordering):
     def _collect_candidates(self, launches: PassLaunches, candidate_fraction: float) -> int:
         """Fill the list of candidates with the cheapest edges; their number."""
         self.steps.wanted.fill_(self._wanted_count(candidate_fraction))
-        # After a pass without a winner every edge counts: the few that are awake may be missing from a sample.
+        # After a pass without a collapse every edge counts: the few not suspended may be missing from a sample.
         corner_count = 3 * (self.face_slots if self._compacts else self.live_faces)
         sampled = candidate_fraction == CANDIDATE_FRACTION and corner_count >= SAMPLE_STEP * int(
             control_kernels.MIN_SAMPLE
@@ -149,7 +149,7 @@ class Orderer(Ordering):
                 return
 
     def _trim_winners(self, launches: PassLaunches, remaining: int) -> int:
-        """Drop the costliest winners beyond the ``remaining`` faces to remove; the faces that the others remove."""
+        """Leave out the costliest collapses beyond the ``remaining`` faces to remove; the faces the others remove."""
         count = int(launches.winners.count.numpy()[0])
         faces = self.steps.faces_removed[:count].numpy().copy()
         half_edge = launches.winners.half_edge[:count].numpy()

@@ -1,7 +1,7 @@
-"""Small components that vanish: dropped where the shape misses them less than it would miss the next edges.
+"""Pruning of small components: removed where that changes the shape less than the next collapses would.
 
 Collapses take a component no further than to a tetrahedron or a triangle. What is left of it then goes as a whole, once
-the cost of that is below the cap on the costs of a pass: the least sum of all its quadrics at one point, as if it went
+the cost of that is below the cost threshold of a pass: the least sum of all its quadrics at one point, as if it went
 on collapsing to that point, and its area times the squared distance from there to what stays, which then stands for it.
 """
 
@@ -29,7 +29,7 @@ NO_AREA = 1e-30
 
 @dataclass(frozen=True)
 class ComponentDrop:
-    """A component that vanished.
+    """A pruned component.
 
     Attributes:
         vertex: one of its vertices.
@@ -46,7 +46,7 @@ class ComponentDrop:
 
 @dataclass(frozen=True)
 class DropRecord:
-    """The D components that vanished, in order.
+    """The D pruned components, in order.
 
     Attributes:
         vertex_drop: (V,) int32, which of them takes each input vertex; -1 for those that stay.
@@ -103,8 +103,8 @@ class Components:
 
     Args:
         state: the mesh, with nothing collapsed yet.
-        epsilon: pull on a point that follows soft quadrics, relative to them.
-        error_limit: squared error, in diagonals squared, beyond which none vanishes.
+        epsilon: regularisation of a point that follows soft quadrics, relative to them.
+        error_limit: squared error, in diagonals squared, beyond which none is pruned.
         last_limit: the same where no edge is left to collapse.
 
     Attributes:
@@ -140,13 +140,13 @@ class Components:
     def drop(
         self, frames: AnyKeyFrames, cost_threshold: float, excess: int, collapse_count: int, slot_count: int
     ) -> list[ComponentDrop]:
-        """Drop the components that cost no more than ``cap``, the cheapest first, while faces are in excess.
+        """Prune components that cost no more than ``cost_threshold``, the cheapest first, while faces are in excess.
 
         One component always stays.
 
         Args:
             frames: positions and quadrics of the key frames.
-            cap: cost; infinite where there is nothing else to do.
+            cost_threshold: infinite where there is nothing else to do.
             excess: faces beyond those asked for.
             collapse_count: collapses so far.
             slot_count: faces in the arrays, dead ones included.
@@ -170,7 +170,7 @@ class Components:
         return drops
 
     def record(self, drops: list[ComponentDrop]) -> DropRecord:
-        """What vanished, by vertex."""
+        """The pruned components, by vertex."""
         index = np.full(len(self._free), -1, dtype=np.int32)
         index[self._component[[drop.vertex for drop in drops]]] = np.arange(len(drops))
         return DropRecord(
@@ -237,7 +237,7 @@ def _min_sum(position: np.ndarray, quadric: np.ndarray, epsilon: float) -> tuple
     Args:
         position: (n, F, 3) float64, the origins of the quadrics.
         quadric: (n, F, 10) float64.
-        epsilon: pull towards the middle of the origins.
+        epsilon: regularisation towards the middle of the origins.
     """
     matrix = quadric[..., [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(*quadric.shape[:2], 3, 3)
     away = position.mean(axis=0) - position

@@ -136,13 +136,13 @@ def fit_anchors(
     cluster: np.ndarray,
     regularisation: np.ndarray,
 ) -> Anchors:
-    """Weights that minimise the cluster's quadrics over all key frames, pulled towards equal weights.
+    """Weights that minimise the cluster's quadrics over all key frames, regularised towards equal weights.
 
     Args:
-        ordered: result of the order stage.
+        ordered: result of decimation.
         kept: (C,) int32, input vertex that each output vertex goes by.
         cluster: (V,) int32, output vertex of each input vertex, -1 where there is none.
-        regularisation: (C,) pull towards equal weights, relative to the mean diagonal of the Gram matrix.
+        regularisation: (C,) stiffness towards equal weights, relative to the mean diagonal of the Gram matrix.
     """
     device = ordered.position.device
     members = nearest_members(ordered, cluster, len(kept), MAX_MEMBERS)

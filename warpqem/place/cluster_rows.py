@@ -70,14 +70,14 @@ def gather_faces(
     Returns:
         ``start`` (C+1,) int32, ``face`` int32 ascending within a cluster, ``weight`` float32, the sum over its corners.
     """
-    stars = build_adjacency(wp.array(corner_cluster, dtype=wp.int32, device=device), cluster_count)
+    adjacency = build_adjacency(wp.array(corner_cluster, dtype=wp.int32, device=device), cluster_count)
     count = wp.empty(cluster_count, dtype=wp.int32, device=device)
 
     def count_part(part: slice) -> None:
         launch(
             kernels.count_faces,
             dim=part.stop - part.start,
-            inputs=[stars.start[part.start : part.stop + 1], stars.corner],
+            inputs=[adjacency.start[part.start : part.stop + 1], adjacency.corner],
             outputs=[count[part]],
             device=device,
         )
@@ -93,7 +93,7 @@ def gather_faces(
         launch(
             kernels.list_faces,
             dim=part.stop - part.start,
-            inputs=[stars.start[rows], stars.corner, weight_in, start_in[rows]],
+            inputs=[adjacency.start[rows], adjacency.corner, weight_in, start_in[rows]],
             outputs=[face, weight],
             device=device,
         )

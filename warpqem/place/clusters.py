@@ -17,15 +17,16 @@ from warpqem.place.cluster_rows import gather_faces, match_keys, sum_repeated
 __all__ = ["ClusterPlacer", "PlaceSettings"]
 
 
-# A cluster of so many input vertices is pulled as set. Smaller ones are pulled less, since they slide less: on 17
+# A cluster of so many input vertices is regularised as set. Smaller ones are so less, since they slide less: on 17
 # sequences this gains 1 to 5 % of the error at half and a quarter of the faces, where slide has room.
 PULLED_SIZE = 8.0
-# Clusters larger than so many times that size are pulled no more than those.
+# Clusters larger than so many times that size are regularised no more than those.
 MAX_PULLED = 4.0
-# Weights of anchors are pulled by the fourth power of the size, as those of small clusters hardly slide at all; no more
-# than so many times as set.
+# Weights of anchors are regularised by the fourth power of the size, as those of small clusters hardly slide at all; no
+# more than so many times as set.
 MAX_EVENED = 2.0
-# The least pulls that float32 solves safely, of vertices to their anchors and of the weights of anchors to equal ones.
+# The least regularisation that float32 solves safely, of vertices to their anchors and of the weights of anchors to
+# equal ones.
 MIN_PULL = 1e-3
 MIN_REGULARISATION = 1e-5
 
@@ -35,12 +36,12 @@ class PlaceSettings:
     """How vertices are placed.
 
     Attributes:
-        epsilon: pull of a cluster of ``PULLED_SIZE`` vertices towards its material anchor, relative to the quadric;
-            higher is steadier.
-        regularisation: pull of its anchor's weights towards equal ones.
+        epsilon: regularisation of a cluster of ``PULLED_SIZE`` vertices towards its material anchor, relative to the
+            quadric; higher is steadier.
+        regularisation: stiffness of its anchor's weights towards equal ones.
         endpoint: every output vertex is an input vertex.
-        loose: (V,) bool, input vertices whose clusters are placed by their quadrics, with the least pulls; None for
-            none.
+        loose: (V,) bool, input vertices whose clusters are placed by their quadrics, with the least
+            regularisation; None for none.
     """
 
     epsilon: float
@@ -54,7 +55,7 @@ class ClusterPlacer:
 
     Args:
         faces: (N, 3) int32, the input's faces.
-        ordered: result of the order stage; at each of ``kept``, its state when that vertex stood for its cluster.
+        ordered: result of decimation; at each of ``kept``, its state when that vertex stood for its cluster.
         kept: (C,) int32, the input vertex that each cluster goes by.
         cluster: (V,) int32, the cluster of each input vertex, -1 where there is none.
         quadric_scale: (V,) float32, scale of each input vertex's quadric.
@@ -192,7 +193,7 @@ class ClusterPlacer:
 
 
 def _pulls(size: np.ndarray, settings: PlaceSettings) -> tuple[np.ndarray, np.ndarray]:
-    """Of clusters of ``size`` vertices, the pull to the anchor and that of its weights to equal ones: (C,) float32."""
+    """By the ``size`` of clusters, regularisation towards the anchor and of its weights: (C,) float32 each."""
     relative = size / PULLED_SIZE
     pull = np.maximum(settings.epsilon * np.sqrt(np.minimum(relative, MAX_PULLED)), MIN_PULL)
     regularisation = settings.regularisation * np.minimum(relative**4, MAX_EVENED)

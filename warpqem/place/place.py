@@ -1,4 +1,4 @@
-"""The place stage: the output vertices of an ordered mesh, and its faces."""
+"""Placement: the output vertices of an ordered mesh, and its faces."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Placer(ClusterPlacer):
 
     Args:
         faces: (N, 3) int32, the input's faces.
-        ordered: result of the order stage.
+        ordered: result of decimation.
         quadric_scale: (V,) float32, scale of each input vertex's quadric.
         pinned: (V,) bool, input vertices that keep their position.
         settings: see :class:`PlaceSettings`.

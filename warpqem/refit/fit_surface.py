@@ -1,11 +1,10 @@
-"""The refit stage: a last least-squares fit of the output to the input surface over the key frames.
+"""Refit: a last least-squares fit of the output to the input surface over the key frames.
 
 Placement gives every vertex the optimum of its own quadric; what the faces between the vertices do is left to chance.
 The refit moves all vertices together so that the two surfaces are nearest, both ways. Every vertex gets *one*
-correction, constant over all frames in the frame that the material carries along
-(:mod:`warpqem.kernels.material_frame`), so it adds hardly any motion over the surface, works for unordered poses, and
-costs the same for any number of frames. Corrections free in every frame were measured too: they gain 2 % more and
-slide.
+correction, constant over all frames in the material frame (:mod:`warpqem.kernels.material_frame`), so it adds hardly
+any motion over the surface, works for unordered poses, and costs the same for any number of frames. Corrections free in
+every frame were measured too: they gain 2 % more and slide.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ ROUNDS = 3
 # no more than the rest of the job. One frame for each sample gives away 0.5 % of the error, as samples take turns.
 FRAMES_PER_TURN = 48
 
-# Pull back on corrections, relative to the area they stand for: along the surface, across it; and on the relative
+# Stiffness of corrections, relative to the area they stand for: along the surface, across it; and on the relative
 # change of edge lengths. Twice as much fits 0.6 % worse and changes edges 2 % less.
 TANGENT_PULL = 0.001
 NORMAL_PULL = 0.00008
@@ -51,16 +50,16 @@ OUTPUT_SHARE = 2.0
 
 # A border counts as a strip beside it, so wide in mean edge lengths of the output.
 BORDER_WIDTH = 0.5
-# Pull along the surface on a vertex of a seam, relative to that on others: values on both sides stay where they are.
+# Stiffness along the surface of a vertex of a seam, relative to others: values on both sides stay where they are.
 SEAM_STIFFNESS = 250.0
 
 # Pairs further apart than so many times the largest error of a collapse are left out: there the search for the nearest
 # point got lost. The surfaces themselves are nowhere further apart than about three times that.
 REACH = 4.0
 
-# A vertex that turns a face over is pulled back so much more; where it still does, it does not move.
+# A vertex that turns a face over gets so much more stiffness; where it still does, it does not move.
 HOLD = 30.0
-# The pull on a vertex that does not move, for its neighbours to be solved with.
+# The stiffness of a vertex that does not move, for its neighbours to be solved with.
 MAX_HOLD = 1e6
 
 
@@ -123,7 +122,7 @@ class _Refit:
         self._frames = self._measure_frames(placer.free)
         self._scales = _measure_scales(keys.points, placer.faces)
         self._turns = max(1, min(len(key_frames), mesh.frame_count // FRAMES_PER_TURN))
-        # Of a component that vanished nothing is near to the output.
+        # Of a pruned component nothing is near to the output.
         faces = mesh.faces[placer.vertex_map[mesh.faces[:, 0]] >= 0]
         corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device)
         source = make_surface(
@@ -240,7 +239,7 @@ class _Refit:
         launch_parts(move, len(points), self._device)
 
     def hold_back(self, placed: FrameStore, blocks: Sequence[slice]) -> None:
-        """Hold vertices that turn a face over in some frame back more, and at last do not move them.
+        """Stiffen vertices that turn a face over in some frame, and at last do not move them.
 
         Likewise those that would go further than an edge is long in the mean: no pair is there, and few faces far off
         that reach beyond their pairs decide.
