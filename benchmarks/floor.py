@@ -38,7 +38,7 @@ def floor_seconds(demand: Demand, card: Card = H200) -> float:
     return max(demand.bytes / card.bytes_per_second, demand.flops / card.flops_per_second)
 
 
-def _price_all_edges(a: Arguments) -> Demand:
+def _compute_all_costs(a: Arguments) -> Demand:
     vertices, keys, half_edges = len(a["state"].vertex_flags), _keys(a), _half_edges(a)
     # Corners, stars and costs of each half-edge; the row starts and flags of each vertex.
     topology = half_edges * 3 * INT + vertices * 3 * INT
@@ -54,7 +54,7 @@ def _update_moved_costs(a: Arguments) -> Demand:
     )
 
 
-def _wake_neighbourhoods(a: Arguments) -> Demand:
+def _resume_neighbourhoods(a: Arguments) -> Demand:
     # All costs; what the few sleeping edges need besides is not counted.
     return Demand(_half_edges(a) * INT)
 
@@ -94,7 +94,7 @@ def _count_costs(a: Arguments) -> Demand:
     return Demand(_half_edges(a) / int(a["sample_step_in"].numpy()[0]) * INT)
 
 
-def _find_cap(a: Arguments) -> Demand:
+def _find_cost_threshold(a: Arguments) -> Demand:
     return Demand(2 * _size(a["histogram"]))
 
 
@@ -115,7 +115,7 @@ def _collect_candidates(a: Arguments) -> Demand:
     return Demand(_half_edges(a) * INT)
 
 
-def _claim_vertices(a: Arguments) -> Demand:
+def _reserve_vertices(a: Arguments) -> Demand:
     # The half-edge, its cost and corners; a claim of eight bytes read and written at either end.
     return Demand(_length(a["candidates"]) * (4 * INT + 2 * 2 * 8))
 
@@ -251,21 +251,21 @@ def _count_flips(a: Arguments) -> Demand:
 _MODELS: dict[str, Callable[[Arguments], Demand]] = {
     model.__name__.removeprefix("_"): model
     for model in (
-        _price_all_edges,
+        _compute_all_costs,
         _update_moved_costs,
-        _wake_neighbourhoods,
+        _resume_neighbourhoods,
         _place_winners,
         _check_collapses,
         _open_log,
         _drop_dead_corners,
         _commit_winners,
         _count_costs,
-        _find_cap,
+        _find_cost_threshold,
         _sum_bins,
         _find_cap_by_sums,
         _trim_winners,
         _collect_candidates,
-        _claim_vertices,
+        _reserve_vertices,
         _select_winners,
         _withdraw_claims,
         _shrink_candidates,

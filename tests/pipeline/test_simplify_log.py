@@ -119,5 +119,5 @@ def test_log_of_more_faces_is_a_beginning_of_the_log_of_fewer(name, device):
     full = warpqem.simplify(points, faces, ratio=0.05, device=device).log
     for ratio in (0.8, 0.31, 0.3, 0.1):
         part = warpqem.simplify(points, faces, ratio=ratio, device=device).log
-        for field in ("kept", "removed", "wings", "cost", "error", "round_index"):
+        for field in ("kept", "removed", "opposites", "cost", "error", "round_index"):
             np.testing.assert_array_equal(getattr(part, field), getattr(full, field)[: len(part)], err_msg=field)
