@@ -39,9 +39,11 @@ def test_values_on_a_stage_end_in_a_sound_result_or_a_named_error():
 
 def test_bytes_end_in_a_sound_result_or_a_named_error():
     # In a process of its own: USD may end it.
-    code = "from tests.support import fuzz_cases; print([fuzz_cases.byte_case(seed) for seed in range(25)]); fuzz_cases.remove_stages()"
-    path = [f"import sys; sys.path[:] = {sys.path!r}; "]
-    process = subprocess.run([sys.executable, "-c", path[0] + code], capture_output=True, text=True)
+    code = (
+        f"import sys; sys.path[:] = {sys.path!r}; from tests.support import fuzz_cases; "
+        "print([fuzz_cases.byte_case(seed) for seed in range(25)]); fuzz_cases.remove_stages()"
+    )
+    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert process.returncode == 0, process.stderr[-2000:]
     assert "StageError" in process.stdout
 
