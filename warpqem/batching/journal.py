@@ -90,7 +90,7 @@ class Journal:
     def _lock(self) -> None:
         try:
             import fcntl
-        except ImportError:  # Windows: two batches in one folder are not told apart
+        except ImportError:  # Windows: a second batch in one folder is not noticed
             return
         try:
             # The lock goes with the process, however that ends.

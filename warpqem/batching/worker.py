@@ -23,7 +23,7 @@ __all__ = ["WorkerSetup", "end_with_parent", "redirect_output", "run_worker"]
 
 # No more than so many messages a second about progress.
 MESSAGES_PER_SECOND = 5.0
-# How libraries are told how many threads to use.
+# Variables from which libraries read how many threads to use.
 THREAD_VARIABLES = ("WARPQEM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 _log = logging.getLogger(__name__)

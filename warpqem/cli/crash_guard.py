@@ -185,7 +185,7 @@ class _Watcher:
         self._number, self._last = 0, 0.0
 
     def watch(self) -> int:
-        """Wait for the child, tell how it ended, and remove what it has left; returns the exit code."""
+        """Wait for the child, print how it ended, and remove what it has left; returns the exit code."""
         signal.signal(signal.SIGALRM, lambda number, frame: self._send(signal.SIGKILL))
         handle_signals(self._pass_on)
         _, status = os.waitpid(self._child, 0)

@@ -52,7 +52,7 @@ class ToleratedOutput:
         """Write out what is left; returns 0, or the exit code of a program whose output did not get out.
 
         Args:
-            quiet: An error has been told already.
+            quiet: An error has been printed already.
         """
         code = EXIT_SIGNAL + signal.SIGPIPE if any(stream.is_closed_by_reader for stream in self._streams) else 0
         for name in ("stdout", "stderr"):

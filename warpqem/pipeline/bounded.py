@@ -59,7 +59,8 @@ class _Choice:
 
     Attributes:
         cut: its collapses.
-        loose: (V,) bool, input vertices whose clusters are placed by their quadrics, with the least pull.
+        loose: (V,) bool, input vertices whose clusters are placed by their quadrics, with the least weight of the
+            anchor.
     """
 
     cut: Cut
@@ -152,7 +153,7 @@ class _Search:
     Args:
         work: the mesh.
         refit: whether levels are refitted.
-        known: all levels of its ordering.
+        known: all levels of its decimation.
         forest: the collapses.
     """
 

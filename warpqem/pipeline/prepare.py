@@ -1,4 +1,4 @@
-"""Before ordering: check what the caller gave, plan the memory, look through the frames, and put it on the device."""
+"""Before decimation: check what the caller gave, plan the memory, look through the frames, and put it on the device."""
 
 from __future__ import annotations
 
@@ -36,27 +36,27 @@ __all__ = ["ORDER_END", "Prepared", "Progress", "plan_work", "prepare"]
 
 Progress = Callable[[float, str], None]
 
-# Where reading for the first time and ordering end in the progress; placing takes the rest.
+# Where reading for the first time and decimation end in the progress; placing takes the rest.
 READ_END = 0.05
 ORDER_END = 0.7
-# Ordering follows the material no more stiffly than this: beyond it the order loses shape and gains no steadiness.
+# Decimation follows the material no more stiffly than this: beyond it the order loses shape and gains no steadiness.
 ORDER_EPSILON = 0.05
 
 
 @dataclass(frozen=True)
 class Prepared:
-    """A mesh ready to be ordered and placed.
+    """A mesh ready to be decimated and placed.
 
     Attributes:
         mesh: its faces and frames.
-        key_frames: (K,) int, the frames that decide the order.
+        key_frames: (K,) int, the frames that decide which edges collapse.
         goal: where to stop.
         plan: blocks of frames, and the memory for them.
         pinned: (V,) bool, input vertices that keep their position.
         quadric_scale: (V,) float32, scale of each input vertex's quadric.
         quadric_sums: quadrics of other vertices that count at a vertex too; None for none.
-        order_input: the mesh on the device; None where it was ordered and let go.
-        order_settings: how to order.
+        order_input: the mesh on the device; None where it was decimated and released.
+        order_settings: how to decimate.
         place_settings: how to place.
         device: Warp device.
     """
@@ -94,7 +94,7 @@ class Prepared:
         return order_collapses(self.order_input, settings, self.device, listener, recorder)
 
     def placer(self, ordered: DecimatedMesh) -> Placer:
-        """What places the vertices that ordering left."""
+        """What places the vertices that decimation left."""
         return Placer(
             self.mesh.faces,
             ordered,
@@ -106,7 +106,7 @@ class Prepared:
         )
 
     def without_input(self) -> Prepared:
-        """The same without what only ordering needs."""
+        """The same without what only decimation needs."""
         return replace(self, order_input=None)
 
     @property
@@ -287,12 +287,12 @@ def _trajectories(mesh: AnimatedMesh) -> np.ndarray:
 
 
 def _epsilon(coherence: float) -> float:
-    """Pull towards the anchor: the least there is, 1e-3, at coherence 0; 0.5 at one half; 250 at 1."""
+    """Regularisation weight towards the anchor: the least there is, 1e-3, at coherence 0; 0.5 at one half; 250 at 1."""
     return MIN_PULL * 500.0 ** (2.0 * coherence)
 
 
 def _regularisation(coherence: float) -> float:
-    """Pull of anchor weights towards equal ones: 0.002 at coherence 0, 0.02 at one half, 0.2 at 1."""
+    """Regularisation of anchor weights towards equal ones: 0.002 at coherence 0, 0.02 at one half, 0.2 at 1."""
     return 0.002 * 100.0**coherence
 
 

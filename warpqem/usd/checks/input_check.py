@@ -222,7 +222,7 @@ def _has_format(place: str) -> bool:
 
 
 def _check_clip(clip: NamedAsset, layer: str, allowed: list[Path]) -> list[str]:
-    """Look at a value clip as at a layer, but let go of it again: an animation may have thousands."""
+    """Check a value clip like a layer, but close it again: an animation may have thousands."""
     by = f" (value clip of {clip.owner} in {layer})"
     if not _check_file(clip.place, by, allowed):
         return [f"{clip.place}{by}: no such file"]

@@ -262,7 +262,7 @@ class Run:
                 limit = self.core.distance_limit(job)
                 done = MeshResult(job, result, samples, fitted, limit, self.core.face(job))
                 done.write(self.layer, report, self.options)
-                report.dropped += job.seams.let_go(job.faces, result.face_map)
+                report.dropped += job.seams.released(job.faces, result.face_map)
                 return
             report.status, report.message = "kept", f"nothing could be removed ({report.stopped})"
             if report.stopped == "max_size_error":
