@@ -197,7 +197,7 @@ class _Watcher:
         number = self._number or self._page.signal or (-code if -code in STOP_SIGNALS else 0)
         if code < 0:
             self._record.clear()
-            self._tell_end(-code, number)
+            self._print_end(-code, number)
         # Ctrl-C is how some work is meant to end.
         if number and (code or self._page.signal not in (0, signal.SIGINT)):
             return EXIT_SIGNAL + number
@@ -218,7 +218,7 @@ class _Watcher:
         with contextlib.suppress(ProcessLookupError):
             os.kill(self._child, number)
 
-    def _tell_end(self, ended_by: int, number: int) -> None:
+    def _print_end(self, ended_by: int, number: int) -> None:
         if sys.stderr is not None and sys.stderr.isatty():
             sys.stderr.write(RESET_LINE)
         if number == signal.SIGINT:

@@ -41,7 +41,7 @@ class SimplifiedMesh:
             a vertex that was cut, see ``repair``, that of one sheet of the surface.
         face_map: (N',) int32, the input face that each output face goes on from.
         stopped: "target", "max_error", "max_size_error" or "no legal collapse".
-        error: the estimate that the order of collapses goes by, in % of the bounding-box diagonal: the largest RMS
+        error: the estimate from the costs of collapses, in % of the bounding-box diagonal: the largest RMS
             distance, among all collapses, of a merged vertex from the planes of the faces it stands for, over key
             frames, or of the input vertices it stands for from the faces around it, in the first one. It is neither a
             bound nor a measured distance; see ``measured``.
