@@ -147,19 +147,14 @@ def prepare(
     scale = read_quadric_scale(options.quadric_scale, given)
     if options.face is not None and not spec.keeps_face:
         raise OptionError(f"face= needs metric 'face', not {options.metric!r}")
-    sums = None
     if options.motion is not None and not spec.uses_motion_features:
         raise OptionError(f"motion= needs a metric that keeps motion features, such as 'aqem', not {options.metric!r}")
+    sums = None
     if spec.keeps_face:
-        from warpqem.face.protect import FaceProtection, protect
-
-        if not isinstance(options.face, FaceProtection | None):
-            raise OptionError(f"face must be a FaceProtection or None, got {shown(options.face)}")
-        sums, kept = protect(given, FaceProtection() if options.face is None else options.face)
+        sums, kept = _protected_face(given, options)
         pinned |= kept
     values = weighted_corner_values(options.attributes, given)
     mesh, keys, weights = _look_through(given, spec, planned, factors, options.motion, progress, device)
-    endpoint, coherence = options.placement == "endpoint", options.coherence
     return Prepared(
         mesh=mesh,
         key_frames=keys,
@@ -169,18 +164,34 @@ def prepare(
         quadric_scale=scale,
         quadric_sums=sums,
         order_input=_order_input(spec, mesh, keys, weights, scale, sums, seam, pinned, values, device),
-        order_settings=OrderSettings(
-            target_faces=goal.target_faces,
-            error_limit=goal.max_error / 100.0,
-            size_limit=math.inf if options.max_size_error is None else options.max_size_error / 100.0,
-            epsilon=min(_epsilon(coherence), ORDER_EPSILON),
-            endpoint=endpoint,
-            deformation_weight=spec.deformation_weight,
-            keep_components=options.keep_components,
-            memoryless=options.memoryless_orders,
+        order_settings=_order_settings(spec, goal, options),
+        place_settings=PlaceSettings(
+            _epsilon(options.coherence), _regularisation(options.coherence), options.placement == "endpoint"
         ),
-        place_settings=PlaceSettings(_epsilon(coherence), _regularisation(coherence), endpoint),
         device=device,
+    )
+
+
+def _protected_face(given: MeshInput, options: SimplifyOptions) -> tuple[QuadricSums, np.ndarray]:
+    """Quadrics that count at the feature points of a face, too, and which vertices (V,) stay as these points."""
+    from warpqem.face.protect import FaceProtection, protect
+
+    if not isinstance(options.face, FaceProtection | None):
+        raise OptionError(f"face must be a FaceProtection or None, got {shown(options.face)}")
+    return protect(given, FaceProtection() if options.face is None else options.face)
+
+
+def _order_settings(spec: CostModelSpec, goal: Goal, options: SimplifyOptions) -> OrderSettings:
+    """How to decimate. Options are in % of the diagonal, these settings in parts of it."""
+    return OrderSettings(
+        target_faces=goal.target_faces,
+        error_limit=goal.max_error / 100.0,
+        size_limit=math.inf if options.max_size_error is None else options.max_size_error / 100.0,
+        epsilon=min(_epsilon(options.coherence), ORDER_EPSILON),
+        endpoint=options.placement == "endpoint",
+        deformation_weight=spec.deformation_weight,
+        keep_components=options.keep_components,
+        memoryless=options.memoryless_orders,
     )
 
 
