@@ -71,7 +71,7 @@ class _Worker:
 
 
 class LocalEngine:
-    """Workers that live through many jobs. One that is killed, hangs or crashes costs its job and is replaced."""
+    """Workers that do many jobs each. One that is killed, hangs or crashes costs its job and is replaced."""
 
     def __init__(
         self,

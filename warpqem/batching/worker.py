@@ -144,5 +144,5 @@ def _wait_for_parent() -> None:
     parent = parent_process()
     assert parent is not None
     wait([parent.sentinel])
-    # At once: nobody waits for the job.
+    # At once: the result of the job is not needed.
     os._exit(1)

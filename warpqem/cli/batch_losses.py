@@ -46,7 +46,7 @@ def _texts(result: BatchResult, key: str) -> Iterable[tuple[dict[str, Any], str]
 
 
 def _shortfalls(result: BatchResult) -> Iterable[tuple[dict[str, Any], str]]:
-    """What a mesh did not reach that was asked for."""
+    """Goals that a mesh did not reach."""
     for prim in _prims(result):
         if prim["symmetry"] not in (None, "kept"):
             yield prim, f"not kept symmetric: {prim['symmetry']}"

@@ -147,7 +147,7 @@ def _work(work: Callable[[], None], page: _Page, record: WorkRecord, alive: int)
 
 
 def _end_by_fork(record: WorkRecord) -> NoReturn:
-    """End this process at once, and remove what it leaves, which only another one can that outlives it."""
+    """End this process at once; another process, which outlives it, removes its temporary files."""
     work = own_id()
     try:
         is_other = os.fork() == 0

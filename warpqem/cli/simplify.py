@@ -52,7 +52,7 @@ def simplify(
 
     OUT is a small layer over IN that holds the new meshes; keep the two files together, or use --flatten, or name OUT
     as a package (.usdz), which holds all that it needs. Primvars, normals, subsets, skins and blend shapes come along.
-    What does not fit the new meshes is dropped, with a warning.
+    What does not fit the new meshes is removed, with a warning.
 
     IN may be mesh files, too, one for each frame, such as 'horse-*.ply' in quotes (OBJ, PLY, STL, OFF, GLB, ...): the
     frames of one mesh. OUT is then a file of its own, or mesh files again, such as out/horse_####.ply.

@@ -49,7 +49,7 @@ class ToleratedOutput:
         )
 
     def finish(self, quiet: bool = False) -> int:
-        """Write out what is left; returns 0, or the exit code of a program whose output did not get out.
+        """Flush the streams; returns 0, or the exit code where output could not be written.
 
         Args:
             quiet: An error has been printed already.

@@ -190,7 +190,7 @@ class _Search:
             sink = _BoundFrames(array if keep else NoFrames(), self._frames, bound, self._work.device, proved)
             result = self._finish(level, Delivery(sink))
             if progress:
-                # Nobody knows how many levels there are going to be: each takes half of what is left.
+                # The number of levels is unknown: each takes half of what is left.
                 left /= 2
                 progress(1.0 - left, "place")
             if not sink.excess and not sink.differs:

@@ -369,7 +369,7 @@ def _system_free() -> int | None:
         return 1024 * int(found[1])
     names = getattr(os, "sysconf_names", {})
     if "SC_PHYS_PAGES" in names:
-        # No word of what is free, as on macOS: half of all.
+        # Free memory is unknown, as on macOS: half of all.
         return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 2
     return None
 

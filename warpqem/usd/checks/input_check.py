@@ -253,7 +253,7 @@ def _check_file(place: str, by: str, allowed: list[Path]) -> bool:
 
 
 def _check_rates(layer: Sdf.Layer, name: str) -> None:
-    """Look at the rates that times are mapped by: where one is no number, USD looks for time samples for ever."""
+    """Check the rates that times are mapped by: where one is no number, USD never ends its search for samples."""
     # The first stands for the second where a layer has no second one.
     for rate in ("framesPerSecond", "timeCodesPerSecond"):
         value = getattr(layer, rate)

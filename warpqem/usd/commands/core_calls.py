@@ -1,4 +1,4 @@
-"""What the core is asked for each mesh of a pass over a stage: options, limits, and which of its ways is taken."""
+"""Calls of the core for each mesh of a pass over a stage: options, limits, and which function is called."""
 
 from __future__ import annotations
 
@@ -206,7 +206,7 @@ class CoreCalls:
             return error.result
 
     def _order(self, job: MeshJob, progress: Progress, seams: Seams, shared: SharedOrder) -> warpqem.LevelOrder:
-        """The ordering that levels of a mesh share, made when it is first asked for."""
+        """The decimation that levels of a mesh share, done on first use."""
         if shared.order is None:
             shared.order = warpqem.order_levels(
                 job.frames,

@@ -36,7 +36,7 @@ __all__ = ["Run"]
 
 # Triangles that a ratio leaves of a mesh at least: one alone is half of the smallest card.
 MIN_FACES = 2
-# What a mesh is at, in the words of the core's progress, for the message of an error that nobody expected.
+# What a mesh is at, in the words of the core's progress, for the message of an unexpected error.
 STEPS = {"read": "reading its frames", "order": "collapsing edges", "place": "placing vertices"}
 
 Result = TypeVar("Result")
