@@ -144,5 +144,5 @@ def _wait_for_parent() -> None:
     parent = parent_process()
     assert parent is not None
     wait([parent.sentinel])
-    # At once: the result of the job is not needed.
+    # At once: the parent, which the result was for, has ended.
     os._exit(1)
