@@ -1,4 +1,4 @@
-"""Small components that vanish by error."""
+"""Small components that are pruned by error."""
 
 from __future__ import annotations
 

@@ -12,11 +12,16 @@ from tests.support.cli import run
 ROOT = Path(__file__).resolve().parents[2]
 FOLDERS = ("kernels", "warpqem", "tests", "benchmarks", "docs", "examples", "scenes")
 FILES = sorted(p for folder in FOLDERS for p in (ROOT / folder).rglob("*.py") if "warpqem/kernels" not in p.as_posix())
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 COMMANDS = ("simplify", "batch", "info", "compare", "features", "render", "view", "face simplify", "progressive build")
 
 # Costs are costly, collapses are checked, vertices lie opposite an edge, components are pruned, attributes transferred.
 WORDS = r"dear(?:er|est)?|reprice[ds]?|judg(?:e[ds]?|ing)|gears?|wings?|vanish(?:e[ds]|ing)?|carriers?"
 IN_NAMES = re.compile(rf"(?:^|_)(?:{WORDS})(?:_|$)|(?:^|_)(?:MOST|LEAST)_")
+# Seams are released, motion and attributes transferred, weights those of blend shapes.
+IN_PROSE = re.compile(
+    rf"\b(?:{WORDS}|carr(?:y|ies|ied|ying)|(?:let|lets) go|gives? way|morph weights)\b", re.IGNORECASE
+)
 IN_TEXT = re.compile(rf"\b(?:{WORDS})\b", re.IGNORECASE)
 
 
@@ -47,3 +52,8 @@ def test_identifiers_are_terms_of_the_field(path):
 def test_help_is_in_terms_of_the_field(command):
     shown = run(*command.split(), "--help-all" if command in ("simplify", "batch") else "--help")
     assert IN_TEXT.findall(shown.output) == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.relative_to(ROOT).as_posix())
+def test_pages_are_in_terms_of_the_field(page):
+    assert IN_PROSE.findall(page.read_text("utf-8")) == []

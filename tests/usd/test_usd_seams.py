@@ -99,7 +99,7 @@ def test_values_of_single_faces_are_not_held_closed(stage):
     corner_primvar(stage, "id", Sdf.ValueTypeNames.IntArray).Set(np.repeat(np.arange(SIZE * SIZE), 4).tolist())
     seams, faces = seams_of(stage), np.zeros((0, 3), dtype=np.int32)
     assert len(seams.hold()) == 0
-    assert seams.let_go(faces, np.zeros(0, dtype=np.int32)) == ["closed seams of primvars:id (too many)"]
+    assert seams.released(faces, np.zeros(0, dtype=np.int32)) == ["closed seams of primvars:id (too many)"]
 
 
 def test_islands_without_a_face_left_are_named(stage):
@@ -108,8 +108,8 @@ def test_islands_without_a_face_left_are_named(stage):
     faces = source.topology.triangles
     left = np.flatnonzero(source.topology.triangle_polygons % SIZE < SIZE // 2).astype(np.int32)
     seams = find_seams(source, faces)
-    assert seams.let_go(faces, left) == ["1 of 2 islands of primvars:st"]
-    assert seams.let_go(faces, np.arange(len(faces), dtype=np.int32)) == []
+    assert seams.released(faces, left) == ["1 of 2 islands of primvars:st"]
+    assert seams.released(faces, np.arange(len(faces), dtype=np.int32)) == []
 
 
 def test_mesh_of_one_face_has_no_seams():

@@ -88,7 +88,7 @@ def match_pattern(pattern: str) -> list[Path]:
 
 
 def _folder_key(state: _State) -> tuple[object, ...] | None:
-    """What tells a folder from others, also where links or mounts lead to it, and what is still to be matched."""
+    """Identity of a folder, also where links or mounts lead to it, and what is still to be matched."""
     try:
         found = state.path.stat()
     except (OSError, ValueError):

@@ -90,10 +90,10 @@ class Journal:
     def _lock(self) -> None:
         try:
             import fcntl
-        except ImportError:  # Windows: two batches in one folder are not told apart
+        except ImportError:  # Windows: a second batch in one folder is not noticed
             return
         try:
-            # The lock goes with the process, however that ends.
+            # The lock ends with the process, however that ends.
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             raise BatchError(f"{self.path.parent}: another batch is writing to this folder") from error

@@ -45,7 +45,7 @@ MAIN_HINT = 'a script that runs a batch needs if __name__ == "__main__":'
 # A worker that ends by one of these was stopped from outside, also for want of memory: its job may be tried again. One
 # that crashes by itself would do so again.
 OUTSIDE_SIGNALS = ("SIGKILL", "SIGTERM", "SIGHUP", "SIGQUIT")
-# How much of what a worker printed last is looked at for a reason of its death, and how much of that is told.
+# How much of what a worker printed last is searched for the reason why it ended, and how much the message quotes.
 TAIL_BYTES, TAIL_TEXT = 4096, 200
 
 _log = logging.getLogger(__name__)
@@ -71,7 +71,7 @@ class _Worker:
 
 
 class LocalEngine:
-    """Workers that live through many jobs. One that is killed, hangs or crashes costs its job and is replaced."""
+    """Workers that do many jobs each. One that is killed, hangs or crashes costs its job and is replaced."""
 
     def __init__(
         self,
@@ -201,8 +201,8 @@ class _Pool:
         handles = {worker.connection: worker for worker in self.workers}
         sentinels = {worker.process.sentinel: worker for worker in self.workers}
         found: list[Any] = wait([*handles, *sentinels], self._patience())
-        told = {id(worker): worker for worker in (handles.get(item) or sentinels[item] for item in found)}
-        return list(told.values())
+        ready = {id(worker): worker for worker in (handles.get(item) or sentinels[item] for item in found)}
+        return list(ready.values())
 
     def _patience(self) -> float | None:
         if self.engine.timeout is None:

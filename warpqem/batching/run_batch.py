@@ -45,7 +45,7 @@ def batch(
         journal: File that keeps what is done; None to keep nothing.
         resume: Leave out jobs that the journal knows as done and whose input, files, options and output have not
             changed since.
-        on_update: Called with everything the engine tells.
+        on_update: Called with every update of the engine.
         other_outputs: What else the caller is going to write; see `warpqem.usd.simplify_stage`.
 
     Yields:

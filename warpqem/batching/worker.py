@@ -23,7 +23,7 @@ __all__ = ["WorkerSetup", "end_with_parent", "redirect_output", "run_worker"]
 
 # No more than so many messages a second about progress.
 MESSAGES_PER_SECOND = 5.0
-# How libraries are told how many threads to use.
+# Variables from which libraries read how many threads to use.
 THREAD_VARIABLES = ("WARPQEM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 _log = logging.getLogger(__name__)
@@ -144,5 +144,5 @@ def _wait_for_parent() -> None:
     parent = parent_process()
     assert parent is not None
     wait([parent.sentinel])
-    # At once: nobody waits for the job.
+    # At once: the parent, which the result was for, has ended.
     os._exit(1)

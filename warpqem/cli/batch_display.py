@@ -25,7 +25,7 @@ __all__ = ["BatchDisplay", "dry_run_table", "summary_table"]
 
 # What an asset counts for in the time that is left beside its bytes: to open the smallest takes time too.
 BYTES_FOR_OPENING = 2**16
-# Failed assets that the closing table names; all of them have been told before.
+# Failed assets that the closing table names; messages about all of them were printed before.
 MAX_NAMED = 20
 
 
@@ -62,7 +62,7 @@ class BatchDisplay:
         return time.perf_counter() - self._start
 
     def update(self, update: Update) -> None:
-        """Show what an engine tells."""
+        """Show an update of the engine."""
         output = update.job.output
         if isinstance(update, Started):
             if output not in self._running:

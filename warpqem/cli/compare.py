@@ -71,8 +71,8 @@ def compare(
     Distances are in % of the reference's bounding-box diagonal in the frame, angles in degrees. RMS is the root mean
     square distance, of the two directions the larger, as a mean over the frames; Hausdorff the largest distance of any
     point in any frame; flips are faces that oppose the reference face nearest to them, a frame. Jitter and slide
-    are second differences over time: how much the surface trembles, and how much vertices swim on it, against the
-    material they are bound to; 95 % of the vertices slide no more than "slide 95 %". The verdict is good, look or poor,
+    are second differences over time: how unsteady the surface is, and how much vertices move over the material that
+    they are bound to; 95 % of the vertices slide no more than "slide 95 %". The verdict is good, look or poor,
     by the limits in docs/glossary.md. simplify gives the same figures under the same names.
 
     A second table compares what both meshes have of texture coordinates, shading normals and colours.

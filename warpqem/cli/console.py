@@ -82,7 +82,7 @@ class OneLineErrors(typer.core.TyperGroup):
         try:
             code = self._run(args, prog_name, complete_var, windows_expand_args, **extra)
         finally:
-            tell_usd_warnings()
+            print_usd_warnings()
         sys.exit(code if isinstance(code, int) else 0)
 
     def _run(
@@ -106,7 +106,7 @@ class OneLineErrors(typer.core.TyperGroup):
             print_message("error", "interrupted")
             return EXIT_INTERRUPTED
         except Exception as error:
-            # Typer has carried its own copy of click since 0.26, so its usage errors are known by what they offer.
+            # Typer has its own copy of click since 0.26, so its usage errors are known by what they offer.
             if hasattr(error, "format_message"):
                 print_message("error", f"{error.format_message()} (see warpqem --help)")
                 return EXIT_USAGE
@@ -122,8 +122,8 @@ class OneLineErrors(typer.core.TyperGroup):
         return EXIT_FAILED
 
 
-def tell_usd_warnings() -> None:
-    """Print what USD has warned of, but for what the command has told itself."""
+def print_usd_warnings() -> None:
+    """Print what USD has warned of, but for what the command has printed itself."""
     warnings = [] if _usd_messages is None else _usd_messages.take()
     warnings = [text for text in warnings if not any(t and (text in t or t in text) for t in printed_messages)]
     printed_messages.clear()

@@ -147,7 +147,7 @@ def _work(work: Callable[[], None], page: _Page, record: WorkRecord, alive: int)
 
 
 def _end_by_fork(record: WorkRecord) -> NoReturn:
-    """End this process at once, and remove what it leaves, which only another one can that outlives it."""
+    """End this process at once; another process, which outlives it, removes its temporary files."""
     work = own_id()
     try:
         is_other = os.fork() == 0
@@ -185,7 +185,7 @@ class _Watcher:
         self._number, self._last = 0, 0.0
 
     def watch(self) -> int:
-        """Wait for the child, tell how it ended, and remove what it has left; returns the exit code."""
+        """Wait for the child, print how it ended, and remove what it has left; returns the exit code."""
         signal.signal(signal.SIGALRM, lambda number, frame: self._send(signal.SIGKILL))
         handle_signals(self._pass_on)
         _, status = os.waitpid(self._child, 0)
@@ -197,7 +197,7 @@ class _Watcher:
         number = self._number or self._page.signal or (-code if -code in STOP_SIGNALS else 0)
         if code < 0:
             self._record.clear()
-            self._tell_end(-code, number)
+            self._print_end(-code, number)
         # Ctrl-C is how some work is meant to end.
         if number and (code or self._page.signal not in (0, signal.SIGINT)):
             return EXIT_SIGNAL + number
@@ -218,7 +218,7 @@ class _Watcher:
         with contextlib.suppress(ProcessLookupError):
             os.kill(self._child, number)
 
-    def _tell_end(self, ended_by: int, number: int) -> None:
+    def _print_end(self, ended_by: int, number: int) -> None:
         if sys.stderr is not None and sys.stderr.isatty():
             sys.stderr.write(RESET_LINE)
         if number == signal.SIGINT:

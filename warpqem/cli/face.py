@@ -15,7 +15,7 @@ from warpqem.usd.commands.simplify_options import SimplifyOptions
 
 __all__ = ["face"]
 
-face = typer.Typer(name="face", help="Faces: named feature points, levels that keep them, expressions carried over.")
+face = typer.Typer(name="face", help="Faces: named feature points, levels that keep them, expressions transferred.")
 
 # Those of the metric, which the command names itself.
 POINT_OPTIONS = ("metric", "face_points", "face_weight", "face_ring", "face_keep")

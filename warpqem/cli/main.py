@@ -1,4 +1,4 @@
-"""The `warpqem` program. Nothing is loaded before it knows what to do with signals."""
+"""The `warpqem` program. Signal handlers are set before anything else is loaded."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def _work() -> None:
 
 
 def __getattr__(name: str) -> Any:
-    """The app, loaded when somebody asks for it."""
+    """The app, imported on first use."""
     if name == "app":
         from warpqem.cli.app import app
 

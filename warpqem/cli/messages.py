@@ -13,7 +13,7 @@ EXIT_SIGNAL = 128
 # The signal of Ctrl-C has the number 2 everywhere.
 EXIT_INTERRUPTED = EXIT_SIGNAL + 2
 
-# What has been told since USD's warnings were shown last.
+# Messages printed since USD's warnings were shown last.
 printed_messages: list[str] = []
 
 

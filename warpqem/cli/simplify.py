@@ -52,7 +52,7 @@ def simplify(
 
     OUT is a small layer over IN that holds the new meshes; keep the two files together, or use --flatten, or name OUT
     as a package (.usdz), which holds all that it needs. Primvars, normals, subsets, skins and blend shapes come along.
-    What does not fit the new meshes is dropped, with a warning.
+    What does not fit the new meshes is removed, with a warning.
 
     IN may be mesh files, too, one for each frame, such as 'horse-*.ply' in quotes (OBJ, PLY, STL, OFF, GLB, ...): the
     frames of one mesh. OUT is then a file of its own, or mesh files again, such as out/horse_####.ply.
@@ -95,7 +95,7 @@ def run_simplify(
             if page is not None and report.output is not None:
                 write_simplify_report(page, report, asked, progress)
 
-        shared: dict[str, Any] = {"progress": progress, "announce": _tell_plan, "other_outputs": others}
+        shared: dict[str, Any] = {"progress": progress, "announce": _print_plan, "other_outputs": others}
         if is_mesh_name(input_file):
             rate = DEFAULT_FPS if fps is None else fps
             report = simplify_mesh_files(input_file, output, asked, fps=rate, before_end=write_page, **shared)
@@ -104,7 +104,7 @@ def run_simplify(
                 raise OptionError("--fps is for mesh files; a USD file has a rate of its own")
             report = simplify_stage(input_file, output, asked, **shared)
             write_page(report)
-    _tell_problems(report)
+    _print_problems(report)
     print_table(_table(report), to_stderr=json == "-")
     if json is not None:
         write_json(json, report.to_dict())
@@ -112,7 +112,7 @@ def run_simplify(
         raise typer.Exit(EXIT_FAILED)
 
 
-def _tell_plan(name: str, plan: MemoryPlan) -> None:
+def _print_plan(name: str, plan: MemoryPlan) -> None:
     print_message("plan", f"{name}: {plan}")
 
 
@@ -123,7 +123,7 @@ def _level(prim: PrimReport) -> str:
     return prim.level if isinstance(prim, LevelReport) else ""
 
 
-def _tell_problems(report: StageReport) -> None:
+def _print_problems(report: StageReport) -> None:
     from warpqem.measure.verdict import WARNING_DISTANCE
 
     for problem in report.problems:
@@ -152,12 +152,12 @@ def _tell_problems(report: StageReport) -> None:
             print_message("warning", f"{level}{prim.path}: {_distance(prim.measured)}")
         if prim.status == "failed":
             print_message("error", level + (prim.message or prim.path))
-    _tell_small(report)
+    _print_small(report)
     if report.output is None:
         print_message("error", f"nothing written: no mesh of {report.input} could be simplified")
 
 
-def _tell_small(report: StageReport) -> None:
+def _print_small(report: StageReport) -> None:
     """Name the meshes that stopped early in one line: on a stage of small props it is most of them."""
     stopped = list(dict.fromkeys(prim.path for prim in report.prims if prim.stopped == "max_size_error"))
     if stopped:

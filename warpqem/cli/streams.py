@@ -49,10 +49,10 @@ class ToleratedOutput:
         )
 
     def finish(self, quiet: bool = False) -> int:
-        """Write out what is left; returns 0, or the exit code of a program whose output did not get out.
+        """Flush the streams; returns 0, or the exit code where output could not be written.
 
         Args:
-            quiet: An error has been told already.
+            quiet: An error has been printed already.
         """
         code = EXIT_SIGNAL + signal.SIGPIPE if any(stream.is_closed_by_reader for stream in self._streams) else 0
         for name in ("stdout", "stderr"):

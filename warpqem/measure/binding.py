@@ -1,9 +1,9 @@
 """The material point of the reference that each vertex of a test mesh stands for.
 
 The nearest point of the reference in one frame may lie on another leg, or on the other side of a thin part. So a vertex
-is bound to the nearest point of the *sheet* it belongs to. Which one that is says the collapse record where there is
-one; for two meshes that know nothing of each other, the way the surfaces face, the distances in other frames, and what
-a vertex's neighbours are bound to.
+is bound to the nearest point of the *sheet* it belongs to. The collapse record decides which one that is; for two
+meshes without a record, the way the surfaces face, the distances in other frames, and what a vertex's neighbours are
+bound to.
 """
 
 from __future__ import annotations

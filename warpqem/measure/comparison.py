@@ -32,7 +32,7 @@ __all__ = ["Comparison", "FrameErrors", "compare"]
 Doubles = npt.NDArray[np.float64]
 
 # Jitter is taken over one second at the usual 24 frames per second, in the middle of the sequence, where the motion is
-# under way, and from so many samples that its sampling error is a few percent: few of them tremble, and decide it.
+# under way, and from so many samples that its sampling error is a few percent: a few unsteady samples decide it.
 JITTER_WINDOW = 24
 JITTER_SAMPLES = 4000
 

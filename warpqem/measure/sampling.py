@@ -12,7 +12,7 @@ from warpqem.measure.checked_meshes import MeshSequence, chosen_frames
 
 __all__ = ["MaterialSamples", "draw_material_samples", "normals_and_areas", "place"]
 
-# Keeps the division by a length of zero defined; far below any length that double precision tells from zero.
+# Keeps the division by a length of zero defined; far below any length that double precision distinguishes from zero.
 TINY = 1e-300
 
 

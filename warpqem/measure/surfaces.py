@@ -27,7 +27,7 @@ ALL_SAMPLES = 2**15
 # Samples on each surface in one frame: at most so many, which one frame takes to be known as well; and at least so
 # many, so that the larger of the two directions is known.
 MAX_SAMPLES, MIN_SAMPLES = 20000, 64
-# Samples that tell the root mean square distances of both directions apart to about a percent.
+# Samples that distinguish the root mean square distances of both directions to about a percent.
 DECIDING_SAMPLES = 8192
 # Frames are put together as cells until they have so many faces, or are so many: a launch then takes long enough to be
 # worth its start, and the hierarchy over them stays in the processor's cache.
@@ -60,7 +60,7 @@ def _forward_is_larger(ahead: Doubles, back: Doubles, samples: int) -> npt.NDArr
     """In which frames (n,) the first of two root mean square distances is to be taken for the larger one.
 
     Of two figures with noise the larger is too large in the mean. So neighbouring frames decide together, as many as
-    have enough samples to tell the two apart.
+    have enough samples to distinguish the two.
     """
     total = ahead + back
     difference = np.divide(ahead - back, total, out=np.zeros_like(total), where=total > 0)

@@ -14,7 +14,7 @@ from warpqem.runtime.device import device_turn
 
 __all__ = ["BoundSink", "ExceededError", "LimitFrames"]
 
-# A frame in which nobody sees the mesh is bounded as if it were so many times smaller: nothing in it is too far.
+# A frame in which the mesh is invisible is bounded as if it were so many times smaller: nothing in it is too far.
 UNSEEN = 1e9
 
 

@@ -59,7 +59,8 @@ class _Choice:
 
     Attributes:
         cut: its collapses.
-        loose: (V,) bool, input vertices whose clusters are placed by their quadrics, with the least pull.
+        loose: (V,) bool, input vertices whose clusters are placed by their quadrics, with the least weight of the
+            anchor.
     """
 
     cut: Cut
@@ -152,7 +153,7 @@ class _Search:
     Args:
         work: the mesh.
         refit: whether levels are refitted.
-        known: all levels of its ordering.
+        known: all levels of its decimation.
         forest: the collapses.
     """
 
@@ -189,7 +190,7 @@ class _Search:
             sink = _BoundFrames(array if keep else NoFrames(), self._frames, bound, self._work.device, proved)
             result = self._finish(level, Delivery(sink))
             if progress:
-                # Nobody knows how many levels there are going to be: each takes half of what is left.
+                # The number of levels is unknown: each takes half of what is left.
                 left /= 2
                 progress(1.0 - left, "place")
             if not sink.excess and not sink.differs:

@@ -9,7 +9,7 @@ from warpqem.mesh.mesh_input import MeshInput
 
 __all__ = ["KeyFrameChoice", "pose_bytes"]
 
-# Poses are told apart by about so many vertices, spread over the index range: enough to see every limb of a character.
+# Poses are compared at about so many vertices, spread over the index range: enough to see every limb of a character.
 SAMPLED_VERTICES = 1024
 # Of long animations fewer vertices are kept, so that the poses take no more memory than this, but so many at least.
 POSE_BYTES = 16 * 2**20
@@ -40,7 +40,7 @@ class KeyFrameChoice:
         self._poses = np.empty((0 if self._all else mesh.frame_count, len(self._vertex), 3), dtype=np.float32)
 
     def observe(self, frames: slice, points: np.ndarray) -> None:
-        """Keep what tells these frames (n, V, 3) from others."""
+        """Keep what distinguishes these frames (n, V, 3) from others."""
         if not self._all:
             # Laid out alike for any number of frames, so that sums round alike.
             pose = np.take(points, self._vertex, axis=1)

@@ -1,4 +1,4 @@
-"""Levels of detail that nest, from one ordering."""
+"""Levels of detail that nest, from one decimation."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class LevelOrder:
 
     @property
     def key_frames(self) -> np.ndarray:
-        """(K,) int, the frames that decided the order."""
+        """(K,) int, the frames that decided which edges collapse."""
         return self._work.key_frames
 
     @property
@@ -81,12 +81,12 @@ class LevelOrder:
         """What :func:`warpqem.simplify` gives for so many faces, to the bit.
 
         Args:
-            target_faces: at least as many as were asked for when ordering, which ended there.
+            target_faces: at least as many as were asked for at first, where decimation ended.
             sink: takes the frames of the result, block by block, in place of an array; the result is not measured then.
             progress: called with the part done, 0 to 1, and the stage "place".
 
         Raises:
-            OptionError: fewer faces than the ordering went down to, or an argument of the wrong type.
+            OptionError: fewer faces than decimation went down to, or an argument of the wrong type.
             UnreachableTargetError: no legal collapse leads to it; its ``result`` is what there is.
         """
         expected = f"a whole number of at least {self._least}, which edges were collapsed down to"
@@ -102,7 +102,7 @@ class LevelOrder:
         return reached(result, target_faces)
 
     def _base_faces(self, target_faces: int) -> int:
-        """The faces to order down to, so that with those on their backs there are so many."""
+        """The faces to decimate down to, so that with those on their backs there are so many."""
         mesh = self._work.mesh
         if mesh.repair is None or not mesh.repair.is_double.any():
             return target_faces

@@ -1,6 +1,6 @@
 """The memory plan: what simplifying a mesh takes, in how many frames at a time, known before the work starts.
 
-Ordering takes bytes per vertex and key frame, placing bytes per vertex and frame of a block, and neither depends on the
+Decimation takes bytes per vertex and key frame, placing bytes per vertex and frame of a block; neither depends on the
 number of frames. So there is a block size for any number of frames, and only two things can be too large: the key
 frames, and what the caller wants back in memory. The factors were read off the arrays that the stages allocate, and
 checked against the memory that processes took (benchmarks/NOTES.md).
@@ -47,13 +47,13 @@ class MemoryPlan:
         frame_count: frames F.
         vertex_count: input vertices V.
         face_count: input faces N.
-        key_frames: key frames K that decide the order.
+        key_frames: key frames K that decide which edges collapse.
         block_frames: frames placed at once.
         block_count: blocks of frames.
         limit_bytes: what the work may take, beside what the process holds already; None where the system does not say.
         held_bytes: what is held from beginning to end: topology, poses, frames that the source keeps, and the result
             where no sink takes it.
-        order_bytes: what ordering takes on top.
+        order_bytes: what decimation takes on top.
         place_bytes: what placing takes on top, with the blocks that are being read and written meanwhile.
         scratch_bytes: size of the temporary file; 0 where there is none.
     """
@@ -103,8 +103,8 @@ class MemoryNeeds:
         key_frames: key frames K.
         output_vertices: output vertices C, or as many as there can be.
         value_bytes: bytes of a coordinate as it is read, 4 or 8.
-        channels: attribute channels that the order looks at.
-        trajectories: the order needs all frames of every vertex.
+        channels: attribute channels that the costs look at.
+        trajectories: the costs need all frames of every vertex.
         refit: the result is refitted.
         keep_frames: the result is kept in memory.
         keep_nodes: every vertex on the way down is kept, for levels that are placed later.
@@ -153,21 +153,21 @@ MAX_STAGE_FRAMES = 40
 HELD_FACE, HELD_VERTEX = 60, 80
 # While faces are read: their 32-bit copy, and that of those with three different vertices with the index of each.
 READ_FACE = 28
-# Ordering, for each face: corners, stars, costs and candidate lists, most of them twice; for each vertex: claims,
-# masks, flags, stars, members and the log; for each vertex and key frame: position 12, the same as it was 12, quadric
-# 40, and at first the normals of its two faces 24; for each corner and attribute channel: value, gradient, their fit;
-# for each vertex and frame where the order needs them all: the position, and once more while vertices are put in
-# another order; then for each face and chunk of frames: area 4 and steps of the three edges 36, and as much to move
-# them along.
+# Decimation, for each face: corners, one-rings, costs and candidate lists, most of them twice; for each vertex:
+# reservations, masks, flags, one-rings, cluster vertices and the log; for each vertex and key frame: position 12, the
+# same as it was 12, quadric 40, and at first the normals of its two faces 24; for each corner and attribute channel:
+# value, gradient, their fit; for each vertex and frame where the costs need them all: the position, and once more while
+# vertices are permuted; then for each face and chunk of frames: area 4 and steps of the three edges 36, and as much to
+# move them along.
 ORDER_FACE, ORDER_VERTEX, ORDER_KEY, ORDER_CHANNEL, ORDER_TRAJECTORY, ORDER_CHUNK = 350, 174, 88, 200, 24, 80
 # For levels that are placed later, for each vertex and key frame: position and quadric of each merged vertex; and while
-# they are placed what ordering left, position before and after and quadric, and those of the level once more.
+# they are placed what decimation left, position before and after and quadric, and those of the level once more.
 NODE_KEY, LEVEL_KEY = 52, 52 + 64 + 52
-# For quadrics of a level's own faces, for each face: corners, their places and sorted copy, stars, seams and the keys
-# that find these.
+# For quadrics of a level's own faces, for each face: corners, their places and sorted copy, one-rings, seams and the
+# keys that find these.
 LEVEL_FACE = 120
 # Placing, for each face: the rows of the clusters it has a part in, and what sorts them; for each output vertex: its
-# anchor's Gram matrix of 32 x 33 / 2 numbers, and members.
+# anchor's Gram matrix of 32 x 33 / 2 numbers, and cluster vertices.
 PLACE_FACE, PLACE_OUTPUT = 200, 2500
 # A frame of a block, for each output vertex: points and normals packed and not, as float64, as the caller's, and on
 # their way to the sink.
@@ -286,7 +286,7 @@ def _order(needs: MemoryNeeds, device: str) -> int:
 def _place(needs: MemoryNeeds, device: str) -> tuple[int, int]:
     """Bytes whatever the block, and bytes for each frame of a block."""
     fixed = PLACE_FACE * needs.face_count + PLACE_OUTPUT * needs.output_vertices
-    # The anchors are fitted on what ordering leaves: positions before and after, quadrics.
+    # The anchors are fitted on what decimation leaves: positions before and after, quadrics.
     anchors = 64 * _padded(needs.key_frames, device) * needs.vertex_count
     if needs.keep_nodes:
         fixed += LEVEL_KEY * _padded(needs.key_frames, device) * needs.vertex_count
@@ -369,7 +369,7 @@ def _system_free() -> int | None:
         return 1024 * int(found[1])
     names = getattr(os, "sysconf_names", {})
     if "SC_PHYS_PAGES" in names:
-        # No word of what is free, as on macOS: half of all.
+        # Free memory is unknown, as on macOS: half of all.
         return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 2
     return None
 

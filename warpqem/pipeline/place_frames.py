@@ -1,4 +1,4 @@
-"""After ordering: place all frames, refit them where that is asked for, and hand them on, block by block."""
+"""After decimation: place all frames, refit them where that is asked for, and hand them on, block by block."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Before ordering: check what the caller gave, plan the memory, look through the frames, and put it on the device."""
+"""Before decimation: check what the caller gave, plan the memory, look through the frames, and put it on the device."""
 
 from __future__ import annotations
 
@@ -36,27 +36,27 @@ __all__ = ["ORDER_END", "Prepared", "Progress", "plan_work", "prepare"]
 
 Progress = Callable[[float, str], None]
 
-# Where reading for the first time and ordering end in the progress; placing takes the rest.
+# Where reading for the first time and decimation end in the progress; placing takes the rest.
 READ_END = 0.05
 ORDER_END = 0.7
-# Ordering follows the material no more stiffly than this: beyond it the order loses shape and gains no steadiness.
+# Decimation follows the material no more stiffly than this: beyond it the order loses shape and gains no steadiness.
 ORDER_EPSILON = 0.05
 
 
 @dataclass(frozen=True)
 class Prepared:
-    """A mesh ready to be ordered and placed.
+    """A mesh ready to be decimated and placed.
 
     Attributes:
         mesh: its faces and frames.
-        key_frames: (K,) int, the frames that decide the order.
+        key_frames: (K,) int, the frames that decide which edges collapse.
         goal: where to stop.
         plan: blocks of frames, and the memory for them.
         pinned: (V,) bool, input vertices that keep their position.
         quadric_scale: (V,) float32, scale of each input vertex's quadric.
         quadric_sums: quadrics of other vertices that count at a vertex too; None for none.
-        order_input: the mesh on the device; None where it was ordered and let go.
-        order_settings: how to order.
+        order_input: the mesh on the device; None where it was decimated and released.
+        order_settings: how to decimate.
         place_settings: how to place.
         device: Warp device.
     """
@@ -94,7 +94,7 @@ class Prepared:
         return order_collapses(self.order_input, settings, self.device, listener, recorder)
 
     def placer(self, ordered: DecimatedMesh) -> Placer:
-        """What places the vertices that ordering left."""
+        """What places the vertices that decimation left."""
         return Placer(
             self.mesh.faces,
             ordered,
@@ -106,7 +106,7 @@ class Prepared:
         )
 
     def without_input(self) -> Prepared:
-        """The same without what only ordering needs."""
+        """The same without what only decimation needs."""
         return replace(self, order_input=None)
 
     @property
@@ -147,19 +147,14 @@ def prepare(
     scale = read_quadric_scale(options.quadric_scale, given)
     if options.face is not None and not spec.keeps_face:
         raise OptionError(f"face= needs metric 'face', not {options.metric!r}")
-    sums = None
     if options.motion is not None and not spec.uses_motion_features:
         raise OptionError(f"motion= needs a metric that keeps motion features, such as 'aqem', not {options.metric!r}")
+    sums = None
     if spec.keeps_face:
-        from warpqem.face.protect import FaceProtection, protect
-
-        if not isinstance(options.face, FaceProtection | None):
-            raise OptionError(f"face must be a FaceProtection or None, got {shown(options.face)}")
-        sums, kept = protect(given, FaceProtection() if options.face is None else options.face)
+        sums, kept = _protected_face(given, options)
         pinned |= kept
     values = weighted_corner_values(options.attributes, given)
     mesh, keys, weights = _look_through(given, spec, planned, factors, options.motion, progress, device)
-    endpoint, coherence = options.placement == "endpoint", options.coherence
     return Prepared(
         mesh=mesh,
         key_frames=keys,
@@ -169,18 +164,34 @@ def prepare(
         quadric_scale=scale,
         quadric_sums=sums,
         order_input=_order_input(spec, mesh, keys, weights, scale, sums, seam, pinned, values, device),
-        order_settings=OrderSettings(
-            target_faces=goal.target_faces,
-            error_limit=goal.max_error / 100.0,
-            size_limit=math.inf if options.max_size_error is None else options.max_size_error / 100.0,
-            epsilon=min(_epsilon(coherence), ORDER_EPSILON),
-            endpoint=endpoint,
-            deformation_weight=spec.deformation_weight,
-            keep_components=options.keep_components,
-            memoryless=options.memoryless_orders,
+        order_settings=_order_settings(spec, goal, options),
+        place_settings=PlaceSettings(
+            _epsilon(options.coherence), _regularisation(options.coherence), options.placement == "endpoint"
         ),
-        place_settings=PlaceSettings(_epsilon(coherence), _regularisation(coherence), endpoint),
         device=device,
+    )
+
+
+def _protected_face(given: MeshInput, options: SimplifyOptions) -> tuple[QuadricSums, np.ndarray]:
+    """Quadrics that count at the feature points of a face, too, and which vertices (V,) stay as these points."""
+    from warpqem.face.protect import FaceProtection, protect
+
+    if not isinstance(options.face, FaceProtection | None):
+        raise OptionError(f"face must be a FaceProtection or None, got {shown(options.face)}")
+    return protect(given, FaceProtection() if options.face is None else options.face)
+
+
+def _order_settings(spec: CostModelSpec, goal: Goal, options: SimplifyOptions) -> OrderSettings:
+    """How to decimate. Options are in % of the diagonal, these settings in parts of it."""
+    return OrderSettings(
+        target_faces=goal.target_faces,
+        error_limit=goal.max_error / 100.0,
+        size_limit=math.inf if options.max_size_error is None else options.max_size_error / 100.0,
+        epsilon=min(_epsilon(options.coherence), ORDER_EPSILON),
+        endpoint=options.placement == "endpoint",
+        deformation_weight=spec.deformation_weight,
+        keep_components=options.keep_components,
+        memoryless=options.memoryless_orders,
     )
 
 
@@ -287,12 +298,12 @@ def _trajectories(mesh: AnimatedMesh) -> np.ndarray:
 
 
 def _epsilon(coherence: float) -> float:
-    """Pull towards the anchor: the least there is, 1e-3, at coherence 0; 0.5 at one half; 250 at 1."""
+    """Regularisation weight towards the anchor: the least there is, 1e-3, at coherence 0; 0.5 at one half; 250 at 1."""
     return MIN_PULL * 500.0 ** (2.0 * coherence)
 
 
 def _regularisation(coherence: float) -> float:
-    """Pull of anchor weights towards equal ones: 0.002 at coherence 0, 0.02 at one half, 0.2 at 1."""
+    """Regularisation of anchor weights towards equal ones: 0.002 at coherence 0, 0.02 at one half, 0.2 at 1."""
     return 0.002 * 100.0**coherence
 
 

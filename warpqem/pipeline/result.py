@@ -1,4 +1,4 @@
-"""The result of simplifying: the last steps to it from an ordered mesh."""
+"""The result of simplifying: the last steps to it from a decimated mesh."""
 
 from __future__ import annotations
 
@@ -41,16 +41,16 @@ class SimplifiedMesh:
             a vertex that was cut, see ``repair``, that of one sheet of the surface.
         face_map: (N',) int32, the input face that each output face goes on from.
         stopped: "target", "max_error", "max_size_error" or "no legal collapse".
-        error: the estimate that the order of collapses goes by, in % of the bounding-box diagonal: the largest RMS
+        error: the estimate from the costs of collapses, in % of the bounding-box diagonal: the largest RMS
             distance, among all collapses, of a merged vertex from the planes of the faces it stands for, over key
             frames, or of the input vertices it stands for from the faces around it, in the first one. It is neither a
             bound nor a measured distance; see ``measured``.
         flips: (F,) int32, output faces that face away from the planes they stand for there: an estimate; faces that
             oppose the input are ``measured.flips``.
         log: the collapses, for levels of detail; where the topology was mended, on the vertices of ``repair``.
-        key_frames: (K,) int, the frames that decided the order.
+        key_frames: (K,) int, the frames that decided which edges collapse.
         diagonal: largest bounding-box diagonal of a frame of the input, in its units.
-        components_removed: components of the input that vanished, see ``keep_components``.
+        components_removed: components of the input that were pruned, see ``keep_components``.
         plan: the blocks of frames it was done in, and the memory for it.
         repair: what was mended of the input's topology before, see :mod:`warpqem.repair`; None where it was clean.
         copy_map: (V',) int32, the output vertex of each vertex of ``repair``; None without one.
@@ -150,7 +150,7 @@ def written_faces(mesh: MeshInput, faces: np.ndarray, face_map: np.ndarray) -> t
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a result says of its ordering."""
+    """What a result says of its decimation."""
 
     log: CollapseRecord
     face_map: np.ndarray
@@ -159,7 +159,7 @@ class Outcome:
 
     @classmethod
     def of(cls, ordered: DecimatedMesh) -> Outcome:
-        """Of an ordered mesh."""
+        """Of a decimated mesh."""
         return cls(ordered.log, ordered.face_map, ordered.stopped, ordered.drops)
 
 

@@ -60,7 +60,7 @@ def simplify(
             asked for, and the result holds on to the input; where there is a sink, on the way to it, for which the
             frames are read once more. It decides no bit of the result.
         progress: called with the part done, 0 to 1, and the stage, "read", "order" or "place".
-        options: how far and how to simplify: the fields of :class:`warpqem.SimplifyOptions`, each told there. At least
+        options: how far and how to simplify: the fields of :class:`warpqem.SimplifyOptions`, explained there. At least
             one of ``ratio``, ``target_faces`` and ``max_error`` is needed; with a count, whichever comes first stops.
 
     Raises:
@@ -97,7 +97,7 @@ def simplify(
         return with_errors(partial(simplify_within, work, asked.refits, delivery), measuring)
     ordered = work.order(progress)
     placer, outcome = work.placer(ordered), Outcome.of(ordered)
-    # Placing has its own use for the memory of ordering.
+    # Placing needs the memory of decimation.
     work = work.without_input()
     del ordered
     result = finish(work, placer, outcome, asked.refits, delivery)

@@ -1,4 +1,4 @@
-"""Carry values from the input surface to the output: every output corner knows its point on the input.
+"""Transfer values from the input surface to the output: every output corner knows its point on the input.
 
 The point is the nearest one in a reference pose, among the input faces that the output vertex stands for, on the
 corner's side of the seams: values never leak from one UV island, or one side of a cut, to another.

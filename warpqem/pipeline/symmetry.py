@@ -216,7 +216,7 @@ class _Half:
             "locked": locked[here] | locked[self._image],
             "lock_borders": False,
             "face": face,
-            # One that vanished could not be glued to its image.
+            # A pruned component could not be glued to its image.
             "keep_components": True,
         }
 

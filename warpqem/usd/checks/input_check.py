@@ -222,7 +222,7 @@ def _has_format(place: str) -> bool:
 
 
 def _check_clip(clip: NamedAsset, layer: str, allowed: list[Path]) -> list[str]:
-    """Look at a value clip as at a layer, but let go of it again: an animation may have thousands."""
+    """Check a value clip like a layer, but close it again: an animation may have thousands."""
     by = f" (value clip of {clip.owner} in {layer})"
     if not _check_file(clip.place, by, allowed):
         return [f"{clip.place}{by}: no such file"]
@@ -253,7 +253,7 @@ def _check_file(place: str, by: str, allowed: list[Path]) -> bool:
 
 
 def _check_rates(layer: Sdf.Layer, name: str) -> None:
-    """Look at the rates that times are mapped by: where one is no number, USD looks for time samples for ever."""
+    """Check the rates that times are mapped by: where one is no number, USD never ends its search for samples."""
     # The first stands for the second where a layer has no second one.
     for rate in ("framesPerSecond", "timeCodesPerSecond"):
         value = getattr(layer, rate)

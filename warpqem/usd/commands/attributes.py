@@ -18,7 +18,7 @@ from warpqem.usd.read.texture_coordinates import is_uv
 
 __all__ = ["check_names", "weighted_fields"]
 
-# Weight of display colours that nobody has given one. On a rolling sheet of 8192 faces with a soft disc, the colours at
+# Default weight of display colours. On a rolling sheet of 8192 faces with a soft disc, the colours at
 # a tenth of the faces come 3 times as near to the input's by it as without, and the RMS distance stays; at 3 % of the
 # faces twice as near, for 13 %.
 COLOR_WEIGHT = 0.005

@@ -1,4 +1,4 @@
-"""Morph weights of the meshes of a stage: neutral shape and targets from blend shapes or from poses."""
+"""Blend-shape weights of the meshes of a stage: neutral shape and targets from blend shapes or from poses."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def morph_scale(job: MeshJob, method: str | None, examples: MeshSource | None = 
     if not moved.frame_count:
         return None
     if method == "usage":
-        raise StageError(f"{job.mesh.path}: morph weights by usage need blend shapes that an animation drives")
+        raise StageError(f"{job.mesh.path}: blend-shape weights by usage need blend shapes that an animation drives")
     return morph_weights(own.read(slice(0, 1))[0], moved, method)
 
 

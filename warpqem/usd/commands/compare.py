@@ -307,7 +307,7 @@ class _SideComparison:
         reference, test = (source.read(times) for source in sources)
         meshes = (reference.points, reference.right_handed_faces, test.points, test.right_handed_faces)
         half = (lambda done, total: progress(done, 2 * total), lambda done, total: progress(total + done, 2 * total))
-        # Poses in which nobody sees the mesh do not count.
+        # Poses in which the mesh is invisible do not count.
         seen = None if times is None else seen_frames(sources[0].prim, times)
         frames = None if seen is None or seen.all() or not seen.any() else np.flatnonzero(seen).tolist()
         report.comparison = compare(

@@ -1,4 +1,4 @@
-"""What the core is asked for each mesh of a pass over a stage: options, limits, and which of its ways is taken."""
+"""Calls of the core for each mesh of a pass over a stage: options, limits, and which function is called."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from warpqem.usd.write.stage_report import PrimReport
 
 __all__ = ["CoreCalls"]
 
-# Options of the core that simplifying by pulled back quadrics has, too.
+# Options of the core that simplifying by rest-pose quadrics has, too.
 PULLBACK_OPTIONS = ("attributes", "lock_borders", "keep_components", "memory", "device", "max_size_error")
 
 Seams = npt.NDArray[np.int32]
@@ -206,7 +206,7 @@ class CoreCalls:
             return error.result
 
     def _order(self, job: MeshJob, progress: Progress, seams: Seams, shared: SharedOrder) -> warpqem.LevelOrder:
-        """The ordering that levels of a mesh share, made when it is first asked for."""
+        """The decimation that levels of a mesh share, done on first use."""
         if shared.order is None:
             shared.order = warpqem.order_levels(
                 job.frames,
@@ -247,7 +247,7 @@ class CoreCalls:
         limit = self.distance_limit(job)
         limits = {"max_error": 100.0 * limit.part, "max_distance": limit.length}
         if self._options.pose_independent and limit:
-            # The errors of pulled back quadrics are parts of the diagonal.
+            # The errors of rest-pose quadrics are parts of the diagonal.
             limits = {"max_error": 100.0 * limit.relative(largest_diagonal(job))}
         return {name: value for name, value in limits.items() if np.isfinite(value)}
 

@@ -1,4 +1,4 @@
-"""Faces in USD files: their feature points, pictures of them, and motion carried from one to another."""
+"""Faces in USD files: their feature points, pictures of them, and motion transferred from one to another."""
 
 from __future__ import annotations
 
@@ -167,7 +167,7 @@ def retarget_file(
     device: str | None = None,
     other_outputs: Sequence[OutputFile] = (),
 ) -> RetargetedMotion:
-    """Carry the motion of one face to another, and write that one as a file of its own.
+    """Transfer the motion of one face to another, and write that one as a file of its own.
 
     Both are at rest in their first frame. The file has the points over time, or a blend shape for each frame.
 
@@ -187,7 +187,7 @@ def retarget_file(
     output = check_output_path(output_path, [])
     check_face_outputs([OutputFile("output", output_path), *other_outputs], (source, target))
     if source.times is None or len(source.times) < 2:
-        raise StageError(f"{source.path}: the mesh has one pose only, so there is no motion to carry")
+        raise StageError(f"{source.path}: the mesh has one pose only, so there is no motion to transfer")
     moved = retarget(
         FaceMesh(source.points[0], source.faces, source.features),
         FaceMesh(target.points[0], target.faces, target.features),

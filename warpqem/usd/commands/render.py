@@ -12,7 +12,7 @@ import numpy.typing as npt
 from warpqem.errors import OptionError, StageError
 from warpqem.files.outputs import OutputFile
 from warpqem.measure import distance_colors
-from warpqem.picture import caption, fit_view, render, tile, write_png
+from warpqem.picture import View, caption, fit_view, render, tile, write_png
 from warpqem.usd.checks.input_files import check_stage_outputs
 from warpqem.usd.commands.level_stages import original_of_levels
 from warpqem.usd.read.time_codes import FrameRange
@@ -111,6 +111,18 @@ def render_sheet(
         up=drawn[0].up,
         aspect=width / height,
     )
+    pictures = _pictures(rows, times, view, options, progress)
+    try:
+        write_png(tile(pictures, len(times or [None])), output_path)
+    except OSError as error:
+        raise StageError(f"{output_path}: cannot be written ({error.strerror or error})") from error
+    return scale
+
+
+def _pictures(
+    rows: Sequence[_Row], times: list[float] | None, view: View, options: RenderOptions, progress: Progress | None
+) -> list[np.ndarray]:
+    """The pictures of all rows, one row after another, each with its title and time below."""
     pictures: list[np.ndarray] = []
     count = len(times or [None])
     for row in rows:
@@ -129,11 +141,7 @@ def render_sheet(
             )
             time = "" if times is None else f", time {times[frame]:g}"
             pictures.append(caption(picture, f"{row.title}{time}"))
-    try:
-        write_png(tile(pictures, count), output_path)
-    except OSError as error:
-        raise StageError(f"{output_path}: cannot be written ({error.strerror or error})") from error
-    return scale
+    return pictures
 
 
 # Points (1, V, 3) and faces (N, 3) at each time.

@@ -36,7 +36,7 @@ __all__ = ["Run"]
 
 # Triangles that a ratio leaves of a mesh at least: one alone is half of the smallest card.
 MIN_FACES = 2
-# What a mesh is at, in the words of the core's progress, for the message of an error that nobody expected.
+# What a mesh is at, in the words of the core's progress, for the message of an unexpected error.
 STEPS = {"read": "reading its frames", "order": "collapsing edges", "place": "placing vertices"}
 
 Result = TypeVar("Result")
@@ -262,7 +262,7 @@ class Run:
                 limit = self.core.distance_limit(job)
                 done = MeshResult(job, result, samples, fitted, limit, self.core.face(job))
                 done.write(self.layer, report, self.options)
-                report.dropped += job.seams.let_go(job.faces, result.face_map)
+                report.dropped += job.seams.released(job.faces, result.face_map)
                 return
             report.status, report.message = "kept", f"nothing could be removed ({report.stopped})"
             if report.stopped == "max_size_error":

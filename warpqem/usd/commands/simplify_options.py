@@ -103,8 +103,9 @@ class SimplifyOptions(MethodOptions):
         influences: Joints that move a new point of a skinned mesh at most; None for as many as in the input.
         skin_fit: Fit rest points and joint influences of skinned meshes together to their poses, see
             `warpqem.skinning.fit_skin`; otherwise influences are interpolated.
-        pose_independent: Simplify meshes with a linear skin in their rest shape, by the errors of all poses pulled back
-            to it, and interpolate their skin, see `warpqem.skinning.rest_pose_quadrics`: a method to compare with.
+        pose_independent: Simplify meshes with a linear skin in their rest shape, by rest-pose quadrics of the
+            errors of all poses, and interpolate their skin, see `warpqem.skinning.rest_pose_quadrics`: a method to
+            compare with.
         asset_roots: Folders that all files which the input needs must be in, or in its own; empty for anywhere.
         prims: Prim paths; meshes at and below them are simplified. Empty for all.
         bake: Write skinned and blend-shaped meshes as point samples without their skin.
@@ -119,7 +120,7 @@ class SimplifyOptions(MethodOptions):
     faces: int | str | None = option(
         None,
         "Triangles of all meshes together, such as 5000, or a share of them, such as 25%; each mesh gets its part by "
-        "what its faces are worth. What to take for stages of many meshes.",
+        "the error that its faces save. For stages of many meshes.",
         "COUNT",
         basic=True,
         parse=parse_faces,
@@ -249,8 +250,8 @@ class SimplifyOptions(MethodOptions):
     )
     pose_independent: bool = option(
         False,
-        "To compare with: simplify skinned meshes in their rest shape, by the errors of all poses pulled back to it, "
-        "and interpolate their skin (DeCoro & Rusinkiewicz 2005).",
+        "To compare with: simplify skinned meshes in their rest shape, by rest-pose quadrics of all poses, and "
+        "interpolate their skin (DeCoro & Rusinkiewicz 2005).",
     )
     asset_roots: tuple[str, ...] = option(
         (),

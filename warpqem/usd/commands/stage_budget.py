@@ -74,7 +74,7 @@ def simplify_to_budget(run: Run, prims: Sequence[Usd.Prim], faces: int | str) ->
     split = split_budget(curves, budget)
     counts = iter(split)
     short = sum(curve.weight * count for curve, count in zip(curves, split, strict=True)) > budget
-    # What has been placed is let go of.
+    # A trial that has been placed is released.
     trials.reverse()
     for index in range(len(trials)):
         trial = trials.pop()

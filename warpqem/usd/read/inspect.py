@@ -218,7 +218,7 @@ def _describe_source(info: MeshInfo, source: MeshSource) -> None:
 
 
 def _find_wrong_lengths(info: MeshInfo, source: MeshSource) -> None:
-    """Note primvars whose length does not fit their interpolation; reading them is up to the renderer's mercy."""
+    """Note primvars whose length does not fit their interpolation; renderers differ in how they read them."""
     corner_count = len(source.mesh.GetFaceVertexIndicesAttr().Get(Usd.TimeCode.EarliestTime()))
     expected = {
         UsdGeom.Tokens.vertex: source.point_count,

@@ -103,7 +103,7 @@ def open_instances(stage: Usd.Stage, groups: Sequence[Sequence[Usd.Prim]]) -> In
 
 
 def _content(prim: Usd.Prim) -> tuple[list[tuple[str, str]], list[float]]:
-    """What tells whether a mesh is the same in an opened instance: its specs, and its times, which clips may change."""
+    """What a mesh has in common with an equal one in an opened instance: specs, and times, which clips may change."""
     return spec_places(prim), prim.GetAttribute("points").GetTimeSamples()
 
 

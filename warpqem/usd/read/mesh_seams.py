@@ -55,7 +55,7 @@ class MeshSeams:
         by_name: The seams of each attribute with one value per corner, and of colours and normals of faces, int32,
             shape (S, 2).
         borders: Subset borders and creases, int32, shape (S, 2).
-        hard: Edges where shading breaks although no normals come along: creases, and where normals that are dropped
+        hard: Edges where shading breaks although no normals come along: creases, and where normals that are removed
             differ.
         dense: Names of the attributes whose seams are too many to be held closed.
         two_sided: Names of the attributes with other values on the back of a sheet with two sides.
@@ -80,8 +80,8 @@ class MeshSeams:
         named = [pairs for name, pairs in self.by_name.items() if name not in self.dense]
         return np.unique(np.concatenate([*named, self.borders]), axis=0)
 
-    def let_go(self, faces: npt.NDArray[np.int32], face_map: npt.NDArray[np.int32]) -> list[str]:
-        """What a simplified mesh no longer has of the seams, in words.
+    def released(self, faces: npt.NDArray[np.int32], face_map: npt.NDArray[np.int32]) -> list[str]:
+        """Released seams: what a simplified mesh no longer has of the seams, in words.
 
         Args:
             faces: int32, shape (N, 3), the triangles that the seams were found on.

@@ -120,6 +120,33 @@ def find_meshes(stage: Usd.Stage, prim_paths: Sequence[str] = (), by_root: bool 
     """
     roots = [_prim_at(stage, path) for path in prim_paths] or [stage.GetPseudoRoot()]
     selection = MeshSelection()
+    apart: list[list[Usd.Prim]] = []
+    for proxies in _add_shown(selection, roots, must_hold=bool(prim_paths)):
+        source = _instance_source(proxies[0], [root.GetPath() for root in roots], by_root)
+        if source is None:
+            apart.append(proxies)
+            continue
+        selection.places.update((proxy.GetPath(), source.GetPath()) for proxy in proxies)
+        if source not in selection.prims:
+            selection.prims.append(source)
+    _add_opened(selection, stage, apart)
+    selection.own_instances = [prim.GetPath() for prim in selection.prims if prim.IsInstance()]
+    if selection.own_instances:
+        paths_of_all = [prim.GetPath() for prim in selection.prims]
+        end_instancing(stage.GetSessionLayer(), selection.own_instances)
+        selection.prims = [stage.GetPrimAtPath(path) for path in paths_of_all]
+    return selection
+
+
+def _add_shown(selection: MeshSelection, roots: Sequence[Usd.Prim], must_hold: bool) -> list[list[Usd.Prim]]:
+    """Add the meshes at and below some prims that are no instance proxies, and those without geometry.
+
+    Returns:
+        Instance proxies with geometry, those of one mesh of a prototype together.
+
+    Raises:
+        StageError: one of the prims must hold a mesh, and does not.
+    """
     seen: set[Sdf.Path] = set()
     instanced: dict[Sdf.Path, list[Usd.Prim]] = {}
     for root in roots:
@@ -140,17 +167,13 @@ def find_meshes(stage: Usd.Stage, prim_paths: Sequence[str] = (), by_root: bool 
                 instanced.setdefault(prim.GetPrimInPrototype().GetPath(), []).append(prim)
             else:
                 selection.prims.append(prim)
-        if not found and prim_paths:
+        if not found and must_hold:
             raise StageError(f"{root.GetPath()}: no mesh at or below this prim")
-    apart: list[list[Usd.Prim]] = []
-    for proxies in instanced.values():
-        source = _instance_source(proxies[0], [root.GetPath() for root in roots], by_root)
-        if source is None:
-            apart.append(proxies)
-            continue
-        selection.places.update((proxy.GetPath(), source.GetPath()) for proxy in proxies)
-        if source not in selection.prims:
-            selection.prims.append(source)
+    return list(instanced.values())
+
+
+def _add_opened(selection: MeshSelection, stage: Usd.Stage, apart: list[list[Usd.Prim]]) -> None:
+    """Add meshes that exist as instance proxies only: one instance of each is opened."""
     # Proxies expire when instances are opened.
     groups = [[proxy.GetPath() for proxy in proxies] for proxies in apart]
     opened = open_instances(stage, apart)
@@ -162,12 +185,6 @@ def find_meshes(stage: Usd.Stage, prim_paths: Sequence[str] = (), by_root: bool 
         shown = paths[0] if isinstance(mesh, StageError) else mesh.GetPath()
         selection.places.update((path, shown) for path in paths)
     selection.shared = opened.shared
-    selection.own_instances = [prim.GetPath() for prim in selection.prims if prim.IsInstance()]
-    if selection.own_instances:
-        paths_of_all = [prim.GetPath() for prim in selection.prims]
-        end_instancing(stage.GetSessionLayer(), selection.own_instances)
-        selection.prims = [stage.GetPrimAtPath(path) for path in paths_of_all]
-    return selection
 
 
 def _lacking_geometry(mesh: UsdGeom.Mesh) -> str:

@@ -99,7 +99,7 @@ class PoseFrames:
 
     @cached_property
     def counted(self) -> npt.NDArray[np.bool_]:
-        """Poses that anybody sees, shape (F,)."""
+        """Poses in which the mesh is visible, shape (F,)."""
         return np.ones(1, dtype=bool) if self.times is None else seen_frames(self.source.prim, self.times)
 
     def read(self, frames: slice) -> npt.NDArray[np.float32]:

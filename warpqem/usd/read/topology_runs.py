@@ -125,7 +125,7 @@ def _length(attribute: Usd.Attribute, time: float) -> int:
 
 
 def _digest(attribute: Usd.Attribute, time: float) -> bytes | None:
-    """What tells values apart without all of them in memory."""
+    """A digest that differs where values do, so that not all of them are in memory."""
     value = attribute.Get(time)
     if value is None:
         return None

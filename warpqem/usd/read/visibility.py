@@ -1,4 +1,4 @@
-"""Which poses of a mesh anybody sees."""
+"""Poses in which a mesh is visible."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ def weld(faces: npt.NDArray[np.int32], arrays: Iterable[npt.NDArray[Any]]) -> np
     Args:
         faces: int32, shape (N, 3), vertices of each triangle.
         arrays: (V, ...) each, what must be equal: points in every frame, joint influences, blend-shape offsets. They
-            are looked at one after the other, and no more of them than it takes to tell all vertices apart.
+            are looked at one after the other, and no more of them than it takes to find all vertices different.
 
     Returns:
         int32, shape (V,), the lowest vertex among those that are joined. A face that sewing closes has one of them at

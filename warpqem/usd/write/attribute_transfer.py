@@ -52,7 +52,7 @@ class Rows:
         return blend(values[self.index], self.weight)
 
     def blend_directions(self, values: npt.NDArray[Any], signed: bool = True) -> npt.NDArray[np.float64]:
-        """The weighted mean of vectors (elements, ..., D), scaled to length one; where it vanishes, the heaviest.
+        """The weighted mean of vectors (elements, ..., D), scaled to length one; where it is zero, the heaviest.
 
         Args:
             values: Directions.

@@ -1,4 +1,4 @@
-"""Carry primvars, normals and other arrays of a mesh to its new points, faces and corners."""
+"""Transfer primvars, normals and other arrays of a mesh to its new points, faces and corners."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ UNWRITABLE = (Tf.ErrorException, TypeError, ValueError)
 PARTNERS = {"skel:jointIndices": "skel:jointWeights", "skel:jointWeights": "skel:jointIndices"}
 MOTION_ATTRIBUTES = ("velocities", "accelerations")
 
-# Told the bytes of every sample that was authored.
+# Called with the bytes of every sample that was authored.
 Saved = Callable[[int], None]
 
 
@@ -178,7 +178,7 @@ def name_arrays(prim: Usd.Prim, transfer: AttributeTransfer, dropped: Dropped) -
         name = attribute.GetName()
         if name in known or not attribute.GetTypeName().isArray or UsdGeom.Primvar.IsPrimvar(attribute):
             continue
-        # Indices of a primvar are no primvar; they and those of a skin are carried with what they belong to.
+        # Indices of a primvar are no primvar; they and those of a skin are transferred with what they belong to.
         if name.startswith(("primvars:", "skel:")):
             continue
         original = transfer.prim.GetAttribute(name)

@@ -29,7 +29,7 @@ class Dropped:
     """What was taken off one mesh.
 
     Attributes:
-        names: What to tell the user, one entry per property or group of prims.
+        names: What the report names, one entry per property or group of prims.
         blocked: Paths of the properties that were blocked.
         deactivated: Paths of the child prims that were deactivated.
         unbound: Paths of skel:skeleton relationships that must stay, empty, to stop the inheritance of a binding.
@@ -86,7 +86,7 @@ def drop_skin(prim: Usd.Prim, dropped: Dropped) -> None:
             block(prop, dropped)
     users = count_shape_users(prim.GetStage()) if shapes else {}
     for shape in shapes:
-        # This mesh has let go of its shapes by now, so that any user is another mesh, which still needs the shape.
+        # This mesh no longer refers to its shapes, so that any user is another mesh, which still needs the shape.
         if users[shape.GetPath()] == 0:
             shape.SetActive(False)
             dropped.deactivated.append(shape.GetPath())

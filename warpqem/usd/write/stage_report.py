@@ -58,7 +58,7 @@ class PrimReport:
         estimate: What the order of collapses takes for the error, in % of the bounding-box diagonal: the largest error
             of a collapse, which is neither a bound nor a measured distance.
         stopped: Why simplification stopped.
-        components_removed: Small components of the surface that vanished.
+        components_removed: Small components of the surface that were pruned.
         seconds: Wall-clock time.
         dropped: What did not fit the new mesh and was taken off it.
         message: Why it failed, or why it was kept.

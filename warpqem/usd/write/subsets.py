@@ -1,4 +1,4 @@
-"""Carry face subsets of a mesh to its new faces."""
+"""Transfer face subsets of a mesh to its new faces."""
 
 from __future__ import annotations
 
