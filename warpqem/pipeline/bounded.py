@@ -363,7 +363,8 @@ def simplify_within(work: Prepared, refit: bool, delivery: Delivery) -> Simplifi
     recorder = NodeRecorder(as_merged=True)
     furthest = max(work.goal.limit.relative(work.mesh.diagonal) / min(DISTANCE_PER_ERROR), NO_ERROR)
     work = replace(work, order_settings=replace(work.order_settings, error_limit=furthest))
-    coarsest = work.order(delivery.progress, recorder)
+    # A count is one of both sides.
+    coarsest = replace(work, mesh=whole.mesh).order(delivery.progress, recorder)
     known = OrderedLevels(work.mesh.faces, coarsest, recorder)
     if repair is not None and work.goal.target_faces and repair.is_double.any():
         coarsest = known.at(known.steps_to(faces_for(coarsest, whole.mesh, work.goal.target_faces)))
