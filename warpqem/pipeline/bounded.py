@@ -328,7 +328,8 @@ class _Search:
         lost, faces = vertex_drop[vertex_drop >= 0], faces[vertex_drop < 0]
         corners = np.concatenate([ordered.root[faces], ordered.faces[excess.test_faces]])
         last = level.last[corners]
-        error = np.where(last >= 0, forest.log.error[last], -1.0)
+        # The number at the end is of vertices without a collapse; there may be no collapse at all.
+        error = np.append(forest.log.error, -1.0)[last]
         largest = error.argmax(axis=1)[:, None]
         collapses = np.take_along_axis(last, largest, axis=1)[:, 0]
         if (collapses < 0).any():
