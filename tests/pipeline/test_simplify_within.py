@@ -110,6 +110,12 @@ def test_a_limit_below_single_precision_is_refused(device):
         warpqem.simplify(far, BAR[1], max_error=1e-5, device=device)
 
 
+def test_a_limit_below_single_precision_is_refused_where_nothing_collapses(device):
+    points, faces = meshes.icosphere(2)
+    with pytest.raises(warpqem.errors.OptionError, match="single precision does not place the input"):
+        warpqem.simplify(points.astype(np.float64) + 0.1, faces, max_error=1e-9, device=device)
+
+
 def test_the_unit_of_the_scene_makes_no_difference_where_a_frame_has_no_extent(device):
     points, faces = meshes.waving_grid(10, frames=3)
     points[1] = points[1, 40] + np.float32(3.3)

@@ -109,6 +109,16 @@ def test_distance_is_held_on_repeated_faces(kind, device):
     assert result.stopped == "max_error"
 
 
+@pytest.mark.parametrize("backs", [1.0, 0.4])
+def test_a_count_within_a_limit_is_one_of_both_sides(backs, device):
+    faces = np.concatenate([FACES, FACES[: int(backs * COUNT), ::-1]])
+    alone = warpqem.simplify(POINTS, faces, ratio=0.5, device=device)
+    within = warpqem.simplify(POINTS, faces, ratio=0.5, max_error=20.0, device=device)
+    np.testing.assert_array_equal(within.faces, alone.faces)
+    np.testing.assert_array_equal(within.points, alone.points)
+    assert within.stopped == "target"
+
+
 def test_progressive_mesh_has_both_sides(device):
     mesh = warpqem.build_progressive(POINTS, np.concatenate([FACES, FACES[:, ::-1]]), device=device)
     level = mesh.level(mesh.splits_for(target_faces=COUNT // 5))

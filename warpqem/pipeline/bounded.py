@@ -329,7 +329,8 @@ class _Search:
         lost, faces = vertex_drop[vertex_drop >= 0], faces[vertex_drop < 0]
         corners = np.concatenate([ordered.root[faces], ordered.faces[excess.test_faces]])
         last = level.last[corners]
-        error = np.where(last >= 0, forest.log.error[last], -1.0)
+        # The number at the end is of vertices without a collapse; there may be no collapse at all.
+        error = np.append(forest.log.error, -1.0)[last]
         largest = error.argmax(axis=1)[:, None]
         collapses = np.take_along_axis(last, largest, axis=1)[:, 0]
         if (collapses < 0).any():
@@ -364,7 +365,8 @@ def simplify_within(work: Prepared, refit: bool, delivery: Delivery) -> Simplifi
     recorder = NodeRecorder(as_merged=True)
     furthest = max(work.goal.limit.relative(work.mesh.diagonal) / min(DISTANCE_PER_ERROR), NO_ERROR)
     work = replace(work, order_settings=replace(work.order_settings, error_limit=furthest))
-    coarsest = work.order(delivery.progress, recorder)
+    # A count is one of both sides.
+    coarsest = replace(work, mesh=whole.mesh).order(delivery.progress, recorder)
     known = OrderedLevels(work.mesh.faces, coarsest, recorder)
     if repair is not None and work.goal.target_faces and repair.is_double.any():
         coarsest = known.at(known.steps_to(faces_for(coarsest, whole.mesh, work.goal.target_faces)))
