@@ -20,18 +20,18 @@ from benchmarks.report import Column, Report, Row, Table
 from benchmarks.settings import Settings
 from benchmarks.skin_collapse import Collapsed, collapse_edges
 from benchmarks.skin_order import JointOrder, PoseOrder
-from warpqem.device import resolve_device
+from warpqem.decimation.collapse_log import CollapseRecord
 from warpqem.errors import UnreachableTargetError
-from warpqem.frame_blocks import pack_frames
+from warpqem.frames.blocks import pack_frames
 from warpqem.kernels.lanes import QUADRIC, width_of
-from warpqem.key_frames import KeyFrameChoice
 from warpqem.measure import compare
-from warpqem.mesh_input import is_proper, read_mesh
+from warpqem.mesh.mesh_input import is_proper, read_mesh
 from warpqem.options import SimplifyOptions
-from warpqem.order.log import CollapseRecord
-from warpqem.preparation import prepare
-from warpqem.result import Delivery, Outcome, SimplifiedMesh, finish
-from warpqem.skinning.skin import LinearSkin, pose_skin
+from warpqem.pipeline.key_frames import KeyFrameChoice
+from warpqem.pipeline.prepare import prepare
+from warpqem.pipeline.result import Delivery, Outcome, SimplifiedMesh, finish
+from warpqem.runtime.device import resolve_device
+from warpqem.skinning.linear_skin import LinearSkin, pose_skin
 
 __all__ = ["SkinnedClip", "read_clip", "run"]
 
@@ -84,12 +84,12 @@ def read_clip(path: Path, prim: str | None = None) -> SkinnedClip:
     """
     from pxr import Usd
 
-    from warpqem.usd.job import MeshJob
-    from warpqem.usd.mesh import MeshSource
-    from warpqem.usd.skel import StagePoses
-    from warpqem.usd.skin_fit import SkinPoses, why_not_fitted
-    from warpqem.usd.skin_poses import joint_transforms
-    from warpqem.usd.stage import find_meshes, open_stage
+    from warpqem.usd.commands.mesh_job import MeshJob
+    from warpqem.usd.commands.skin_fit import SkinPoses, why_not_fitted
+    from warpqem.usd.read.open_stage import find_meshes, open_stage
+    from warpqem.usd.read.read_mesh import MeshSource
+    from warpqem.usd.read.skeleton_poses import StagePoses
+    from warpqem.usd.read.skin_poses import joint_transforms
 
     stage = open_stage(path)
     poses = StagePoses(stage)
@@ -177,7 +177,7 @@ class _Study:
         return row
 
     def _fitted_error(self, result: SimplifiedMesh, refit: bool) -> float:
-        fitted = warpqem.fit_skin(
+        fitted = warpqem.skinning.fit_skin(
             self._poses,
             self._clip.faces,
             result,

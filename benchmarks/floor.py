@@ -38,14 +38,14 @@ def floor_seconds(demand: Demand, card: Card = H200) -> float:
     return max(demand.bytes / card.bytes_per_second, demand.flops / card.flops_per_second)
 
 
-def _price_all_edges(a: Arguments) -> Demand:
+def _compute_all_costs(a: Arguments) -> Demand:
     vertices, keys, half_edges = len(a["state"].vertex_flags), _keys(a), _half_edges(a)
     # Corners, stars and costs of each half-edge; the row starts and flags of each vertex.
     topology = half_edges * 3 * INT + vertices * 3 * INT
     return Demand(vertices * keys * ROW + topology, half_edges / 2 * keys * PRICE_FLOPS)
 
 
-def _reprice_moved_stars(a: Arguments) -> Demand:
+def _update_moved_costs(a: Arguments) -> Demand:
     moved, keys = _moved(a), _keys(a)
     # The vertex and its ring; corners and stars to find them; a cost at either half-edge of each edge.
     return Demand(
@@ -54,7 +54,7 @@ def _reprice_moved_stars(a: Arguments) -> Demand:
     )
 
 
-def _wake_neighbourhoods(a: Arguments) -> Demand:
+def _resume_neighbourhoods(a: Arguments) -> Demand:
     # All costs; what the few sleeping edges need besides is not counted.
     return Demand(_half_edges(a) * INT)
 
@@ -64,7 +64,7 @@ def _place_winners(a: Arguments) -> Demand:
     return Demand(winners * (keys * (2 * ROW + POINT) + 6 * INT), winners * keys * TARGET_FLOPS)
 
 
-def _judge_winners(a: Arguments) -> Demand:
+def _check_collapses(a: Arguments) -> Demand:
     winners, keys = _length(a["winners"]), _keys(a)
     # Both stars: eight faces stay, over the two ends and a ring of eight, against one target.
     faces, vertices = 2 * (VALENCE - 2), 2 + 2 * (VALENCE - 2)
@@ -94,7 +94,7 @@ def _count_costs(a: Arguments) -> Demand:
     return Demand(_half_edges(a) / int(a["sample_step_in"].numpy()[0]) * INT)
 
 
-def _find_cap(a: Arguments) -> Demand:
+def _find_cost_threshold(a: Arguments) -> Demand:
     return Demand(2 * _size(a["histogram"]))
 
 
@@ -115,7 +115,7 @@ def _collect_candidates(a: Arguments) -> Demand:
     return Demand(_half_edges(a) * INT)
 
 
-def _claim_vertices(a: Arguments) -> Demand:
+def _reserve_vertices(a: Arguments) -> Demand:
     # The half-edge, its cost and corners; a claim of eight bytes read and written at either end.
     return Demand(_length(a["candidates"]) * (4 * INT + 2 * 2 * 8))
 
@@ -137,8 +137,8 @@ def _count_corners(a: Arguments) -> Demand:
     return Demand(3 * int(a["face_count_in"].numpy()[0]) * INT + 2 * _size(a["corner_count_out"]))
 
 
-def _fill_stars(a: Arguments) -> Demand:
-    return Demand(2 * 3 * int(a["face_count_in"].numpy()[0]) * INT + 2 * _size(a["star_cursor"]))
+def _fill_adjacency(a: Arguments) -> Demand:
+    return Demand(2 * 3 * int(a["face_count_in"].numpy()[0]) * INT + 2 * _size(a["adjacency_cursor"]))
 
 
 def _list_corners(a: Arguments) -> Demand:
@@ -251,26 +251,26 @@ def _count_flips(a: Arguments) -> Demand:
 _MODELS: dict[str, Callable[[Arguments], Demand]] = {
     model.__name__.removeprefix("_"): model
     for model in (
-        _price_all_edges,
-        _reprice_moved_stars,
-        _wake_neighbourhoods,
+        _compute_all_costs,
+        _update_moved_costs,
+        _resume_neighbourhoods,
         _place_winners,
-        _judge_winners,
+        _check_collapses,
         _open_log,
         _drop_dead_corners,
         _commit_winners,
         _count_costs,
-        _find_cap,
+        _find_cost_threshold,
         _sum_bins,
         _find_cap_by_sums,
         _trim_winners,
         _collect_candidates,
-        _claim_vertices,
+        _reserve_vertices,
         _select_winners,
         _withdraw_claims,
         _shrink_candidates,
         _count_corners,
-        _fill_stars,
+        _fill_adjacency,
         _list_corners,
         _find_starts,
         _classify_vertices,

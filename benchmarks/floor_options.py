@@ -38,8 +38,8 @@ ANGLE_FLOPS = 80
 _STREAMED: dict[str, tuple[tuple[str, float], ...]] = {
     # The diagonal blocks are three of nine.
     "start_solve": (
-        ("e.star_start", 1),
-        ("e.star_corner", 1),
+        ("e.adjacency_start", 1),
+        ("e.adjacent_corner", 1),
         ("e.block", 1 / 3),
         ("corner_right_in", 1),
         ("s.x", 1),
@@ -48,8 +48,8 @@ _STREAMED: dict[str, tuple[tuple[str, float], ...]] = {
         ("s.inverse", 1),
     ),
     "multiply_direction": (
-        ("e.star_start", 1),
-        ("e.star_corner", 1),
+        ("e.adjacency_start", 1),
+        ("e.adjacent_corner", 1),
         ("e.corner_vertex", 1),
         ("e.block", 1),
         ("s.direction", 1),
@@ -61,13 +61,18 @@ _STREAMED: dict[str, tuple[tuple[str, float], ...]] = {
     "close_residual": (("s.slice_sum", 1),),
     "step_forward": (("s.x", 2), ("s.residual", 2), ("s.direction", 1), ("s.image", 1)),
     "turn_direction": (("s.direction", 2), ("s.residual", 1), ("s.inverse", 1)),
-    "link_half_edges": (("s.corner_vertex", 1), ("s.star_start", 1), ("s.star_corner", 1), ("opposite_out", 1)),
+    "link_half_edges": (
+        ("s.corner_vertex", 1),
+        ("s.adjacency_start", 1),
+        ("s.adjacent_corner", 1),
+        ("opposite_out", 1),
+    ),
     "measure_material_frames": (
         ("points_in", 1),
         ("normal_in", 1),
         ("frame_out", 1),
         ("free_in", 1),
-        ("rings.star_corner", 1),
+        ("rings.adjacent_corner", 1),
         ("rings.corner_vertex", 1),
         ("rings.reference", 1),
     ),
@@ -127,7 +132,7 @@ def _renew_quadrics(a: Arguments) -> Demand:
     return Demand(size_of(a["mask_in"]) + needed, masked * keys * VALENCE * PLANE_FLOPS)
 
 
-def _reprice_neighbourhoods(a: Arguments) -> Demand:
+def _update_neighbourhood_costs(a: Arguments) -> Demand:
     masked, keys = _masked(a), keys_of(a)
     # Every masked vertex has six edges, each shared with one other at most.
     edges = masked * VALENCE / 2
@@ -173,7 +178,7 @@ OPTION_MODELS: dict[str, Callable[[Arguments], Demand]] = {
     "match_border_samples": _match_border_samples,
     "assemble_elements": _assemble_elements,
     "renew_quadrics": _renew_quadrics,
-    "reprice_neighbourhoods": _reprice_neighbourhoods,
+    "update_neighbourhood_costs": _update_neighbourhood_costs,
     "measure_dihedral_changes": _measure_dihedral_changes,
     "measure_all_deformation": _measure_all_deformation,
     "measure_moved_deformation": _measure_moved_deformation,

@@ -14,7 +14,7 @@ from benchmarks.machine import describe_machine
 from benchmarks.report import Column, Report, Row, Table
 from benchmarks.settings import Settings
 from benchmarks.work import Work, torus_work
-from warpqem.device import resolve_device
+from warpqem.runtime.device import resolve_device
 
 __all__ = ["COLUMNS", "kernel_rows", "run"]
 

@@ -18,8 +18,8 @@ from unittest.mock import patch
 import warp as wp
 
 from benchmarks.floor import Demand, count_demand
-from warpqem.launches import Recorder
-from warpqem.order.steps import Phase, Step
+from warpqem.decimation.recorded_steps import Phase, Step
+from warpqem.runtime.launches import Recorder
 
 __all__ = ["LaunchProfile", "profile_launches"]
 

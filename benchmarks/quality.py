@@ -6,13 +6,13 @@ import numpy as np
 
 from benchmarks.simplified import Simplified
 from benchmarks.work import Work
-from warpqem.device import resolve_device
 from warpqem.measure import Comparison, compare
+from warpqem.measure.checked_meshes import check_sequence, frame_scale
+from warpqem.measure.closest_points import ClosestPointSearch
 from warpqem.measure.comparison import JITTER_SAMPLES, JITTER_WINDOW
-from warpqem.measure.distance import ClosestPointSearch
-from warpqem.measure.inputs import check_sequence, frame_scale
 from warpqem.measure.sampling import draw_material_samples, place
 from warpqem.measure.temporal import SecondDifference, in_face_frame
+from warpqem.runtime.device import resolve_device
 
 __all__ = ["Quality", "measure_quality"]
 

@@ -1,7 +1,8 @@
 """Collapse edges of a skinned mesh in passes, by any :class:`benchmarks.skin_order.Order`, on the host.
 
-A pass takes an independent set among the cheapest few percent of the edges, as :mod:`warpqem.order.passes` does, with
-the rules of :mod:`warpqem.kernels.legality` for manifolds, flips (in no pose) and distances of merged vertices.
+A pass takes an independent set among the cheapest few percent of the edges, as :mod:`warpqem.decimation.passes`
+does, with the rules of :mod:`warpqem.kernels.legality` for manifolds, flips (in no pose) and distances of merged
+vertices.
 """
 
 from __future__ import annotations
@@ -12,15 +13,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.skin_order import TINY, Order, Rows
-from warpqem.edges import edge_key, edge_table
+from warpqem.mesh.edges import edge_key, edge_table
 
 __all__ = ["Collapsed", "collapse_edges", "squared_distances"]
 
 # As in the order of warpqem: part of the edges that a pass looks at, and the fewest.
-CAP_FRACTION, LEAST_CANDIDATES = 0.05, 32
+CANDIDATE_FRACTION, MIN_CANDIDATES = 0.05, 32
 # As there: a face may not turn by more than 78 degrees; what the squared distance of merged vertices from the faces
 # left costs; and how much more than its cost an edge may turn out to cost.
-TURN_COSINE, GAP_COST, DEARER = 0.2, 2.0, 1.2
+TURN_COSINE, GAP_COST, COST_SLACK = 0.2, 2.0, 1.2
 # Squared normals below this belong to faces without an orientation.
 NO_AREA = 1e-28
 
@@ -76,10 +77,13 @@ class _Mesh:
         shared = self.star[u] & self.star[v]
         if self.frozen[u] or self.frozen[v] or len(self.star[u]) + len(self.star[v]) <= 2 * len(shared):
             return False
-        wings = set(self.faces[list(shared)].ravel().tolist()) - {u, v}
-        if self.ring(u) & self.ring(v) != wings or (len(shared) == 2 and self.on_border(u) and self.on_border(v)):
+        opposites = set(self.faces[list(shared)].ravel().tolist()) - {u, v}
+        if self.ring(u) & self.ring(v) != opposites or (len(shared) == 2 and self.on_border(u) and self.on_border(v)):
             return False
-        if any(len(self.star[wing]) <= (1 if self.on_border(wing) else 3) for wing in wings):
+        if any(
+            len(self.star[opposite_vertex]) <= (1 if self.on_border(opposite_vertex) else 3)
+            for opposite_vertex in opposites
+        ):
             return False
         corners = self.faces[list((self.star[u] | self.star[v]) - shared)]
         old = posed[corners]
@@ -155,7 +159,7 @@ class _Costs:
     def candidates(self, fraction: float) -> tuple[list[int], bool]:
         """The cheapest edges that are not suspended, and whether they are all of them."""
         awake = np.flatnonzero(~self.suspended)
-        count = min(max(LEAST_CANDIDATES, int(fraction * len(self.ends))), len(awake))
+        count = min(max(MIN_CANDIDATES, int(fraction * len(self.ends))), len(awake))
         order = np.argsort(self.rows["cost"][awake], kind="stable")
         return awake[order[:count]].tolist(), count == len(awake)
 
@@ -172,22 +176,22 @@ def collapse_edges(order: Order, faces: np.ndarray, targets: Sequence[int]) -> I
         what is left at each target, or where no edge is legal.
     """
     mesh, costs = _Mesh(faces, order.posed[:, 0]), _Costs(order)
-    fraction = CAP_FRACTION
+    fraction = CANDIDATE_FRACTION
     for target in targets:
         while mesh.alive.sum() > target:
             costs.update(mesh.faces[mesh.alive])
             chosen, are_all = costs.candidates(fraction)
-            collapsed, dearer = _collapse_some(order, mesh, costs, chosen, target)
-            if are_all and not collapsed + dearer:
+            collapsed, costlier = _collapse_some(order, mesh, costs, chosen, target)
+            if are_all and not collapsed + costlier:
                 break
-            fraction = CAP_FRACTION if collapsed else min(1.0, 4 * fraction)
+            fraction = CANDIDATE_FRACTION if collapsed else min(1.0, 4 * fraction)
         yield mesh.left()
 
 
 def _collapse_some(order: Order, mesh: _Mesh, costs: _Costs, chosen: list[int], target: int) -> tuple[int, int]:
     """Collapse those edges that are legal and share no face; how many did, and how many turned out to cost more."""
     taken: set[int] = set()
-    collapsed = dearer = 0
+    collapsed = costlier = 0
     for edge in chosen:
         u, v = costs.ends[edge].tolist()
         star = mesh.star[u] | mesh.star[v]
@@ -198,9 +202,9 @@ def _collapse_some(order: Order, mesh: _Mesh, costs: _Costs, chosen: list[int], 
             costs.suspended[edge] = True
             continue
         cost = GAP_COST * order.posed.shape[1] * mesh.gap(u, v, order.posed, row["posed"])
-        if cost > DEARER * row["cost"]:
+        if cost > COST_SLACK * row["cost"]:
             costs.rows["cost"][edge] = cost
-            dearer += 1
+            costlier += 1
             continue
         taken |= star
         mesh.collapse(u, v)
@@ -212,7 +216,7 @@ def _collapse_some(order: Order, mesh: _Mesh, costs: _Costs, chosen: list[int], 
             for vertex in ring:
                 order.renew(vertex, mesh.faces[list(mesh.star[vertex])])
         collapsed += 1
-    return collapsed, dearer
+    return collapsed, costlier
 
 
 def squared_distances(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:

@@ -14,10 +14,10 @@ from typing import Protocol
 import numpy as np
 import warp as wp
 
-from warpqem.edges import edge_table
 from warpqem.kernels.skin_fit import REACH
-from warpqem.skinning.problem import SURFACE_PULL, CandidateRows, SkinFit
-from warpqem.skinning.skin import LinearSkin, blend_influences
+from warpqem.mesh.edges import edge_table
+from warpqem.skinning.fit_problem import SURFACE_PULL, CandidateRows, SkinFit
+from warpqem.skinning.linear_skin import LinearSkin, blend_influences
 
 __all__ = ["JointOrder", "Order", "PoseOrder", "PoseQuadrics", "Rows", "pose_quadrics"]
 
@@ -63,7 +63,7 @@ def pose_quadrics(poses: np.ndarray, faces: np.ndarray, only: int | None = None)
     ``only`` names the one vertex that is wanted, all of whose faces are given.
     """
     edges = edge_table(faces)
-    border = np.column_stack([edges.ends, edges.wings[:, 0]])[edges.face_count == 1]
+    border = np.column_stack([edges.ends, edges.opposites[:, 0]])[edges.face_count == 1]
     if only is not None:
         border = border[(border[:, :2] == only).any(axis=1)]
     x = poses.astype(np.float64)

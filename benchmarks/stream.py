@@ -26,7 +26,7 @@ PRIM = "/Torus"
 CLIPS = ((10_000, 50), (10_000, 500), (10_000, 5000), (1_000_000, 48))
 QUICK_CLIPS = ((1000, 8), (1000, 80), (4000, 8))
 # Clips with no more coordinates than this are also done in one block from arrays, to compare every bit.
-MOST_COMPARED = 10**8
+MAX_COMPARED = 10**8
 # USD maps a binary file into memory, and the pages of it that were read count as the process's, though the system takes
 # them back when it needs them. With this variable USD reads instead, and what is left is what warpqem decides.
 READ_VARIABLE = "USDC_USE_PREAD"
@@ -126,7 +126,7 @@ def _same_bits(torus: MovingTorus, output: Path, settings: Settings) -> bool | N
 
     import warpqem
 
-    if 3 * torus.vertex_count * torus.frame_count > MOST_COMPARED:
+    if 3 * torus.vertex_count * torus.frame_count > MAX_COMPARED:
         return None
     points = np.stack([torus.pose(frame) for frame in range(torus.frame_count)])
     expected = warpqem.simplify(points, torus.faces, ratio=settings.ratio, device=settings.device).points

@@ -62,10 +62,10 @@ def usd_work(path: Path, ratio: float, prim: str | None = None, frame_count: int
     Raises:
         WarpqemError: the file or the mesh cannot be read.
     """
-    from warpqem.usd.mesh import MeshSource
-    from warpqem.usd.skel import StagePoses
-    from warpqem.usd.stage import find_meshes, open_stage
-    from warpqem.usd.weld import weld
+    from warpqem.usd.read.open_stage import find_meshes, open_stage
+    from warpqem.usd.read.read_mesh import MeshSource
+    from warpqem.usd.read.skeleton_poses import StagePoses
+    from warpqem.usd.read.weld import weld
 
     stage = open_stage(path)
     poses = StagePoses(stage)

@@ -24,8 +24,8 @@ from warpqem.measure import vertex_distances
 from warpqem.measure.heatmap import distance_colors
 from warpqem.picture import View, caption, render, tile, write_gif, write_png
 from warpqem.usd import SimplifyOptions, simplify_stage
-from warpqem.usd.features import feature_colors
-from warpqem.usd.report_page import write_simplify_report
+from warpqem.usd.commands.motion_features import feature_colors
+from warpqem.usd.commands.report_page import write_simplify_report
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
@@ -123,7 +123,7 @@ def morph(path: Path) -> None:
     # As many triangles as there, or nearly.
     scene = head.build(face_count=3128)
     frames = paper_tables.shapes_of(scene)
-    thirds = warpqem.morph_weights(frames[0], frames[1:], method="thirds")
+    thirds = warpqem.costs.morph_weights(frames[0], frames[1:], method="thirds")
     options = {"ratio": paper_tables.PAPER_RATIO, "metric": "qem"}
     results = {
         "qem": warpqem.simplify(frames, scene.faces, **options),

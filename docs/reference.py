@@ -11,12 +11,14 @@ import pdoc
 # What users import from; what is in other modules is an inner matter.
 MODULES = (
     "warpqem",
+    "warpqem.costs",
     "warpqem.errors",
     "warpqem.face",
     "warpqem.measure",
     "warpqem.picture",
     "warpqem.progressive",
     "warpqem.report",
+    "warpqem.skinning",
     "warpqem.usd",
 )
 

@@ -114,7 +114,7 @@ def morph() -> Table:
     """Ten levels of a head with blend shapes, by the first shape alone and by all, with the weights and without."""
     scene = _head()
     frames = shapes_of(scene)
-    weights = warpqem.morph_weights(frames[0], frames[1:], method="thirds")
+    weights = warpqem.costs.morph_weights(frames[0], frames[1:], method="thirds")
     moved = weights >= 1.0
     table = _table("A head and its targets: the most animated third, mean distance %", "faces", *MORPH_WAYS)
     columns = []
@@ -158,8 +158,8 @@ def rest() -> Table:
     scene = _head()
     frames = shapes_of(scene)
     neutral, height = frames[0], np.ptp(frames[0][:, 1])
-    thirds = warpqem.morph_weights(neutral, frames[1:], method="thirds")
-    found = warpqem.facial_features(frames[:1], scene.faces)
+    thirds = warpqem.costs.morph_weights(neutral, frames[1:], method="thirds")
+    found = warpqem.face.facial_features(frames[:1], scene.faces)
     features = _weights_around(scene.faces, found.indices, len(neutral))
     marks = neutral[[vertex for name, vertex in found.vertices.items() if name.startswith(("nose", "head_side"))]]
     moved = thirds >= 1.0
@@ -181,11 +181,11 @@ FACE_LEVELS = (1420, 1120, 820, 620)
 
 
 @cache
-def _head_of_2000() -> tuple[np.ndarray, np.ndarray, warpqem.FacialFeatures]:
+def _head_of_2000() -> tuple[np.ndarray, np.ndarray, warpqem.face.FacialFeatures]:
     """Every fourth frame of the head at 2000 faces, as the paper begins with, and its feature points there."""
     scene = _head()
     points = scene.baked()
-    whole = warpqem.facial_features(points, scene.faces)
+    whole = warpqem.face.facial_features(points, scene.faces)
     small = warpqem.simplify(points[::4], scene.faces, target_faces=2000, locked=whole.indices)
     return small.points, small.faces, whole.moved(small.vertex_map)
 
@@ -194,8 +194,8 @@ def _face_levels(count: int) -> dict[str, warpqem.SimplifiedMesh]:
     """A level of that head by equation 1 alone, by the default, and by plain quadrics."""
     points, faces, features = _head_of_2000()
     kinds = {
-        "equation 1": {"metric": "face", "face": warpqem.FaceProtection(features, keep=False)},
-        "default": {"metric": "face", "face": warpqem.FaceProtection(features)},
+        "equation 1": {"metric": "face", "face": warpqem.face.FaceProtection(features, keep=False)},
+        "default": {"metric": "face", "face": warpqem.face.FaceProtection(features)},
         "QEM": {"metric": "qem"},
     }
     return {name: warpqem.simplify(points, faces, target_faces=count, **kind) for name, kind in kinds.items()}
@@ -287,7 +287,7 @@ def reductions() -> Table:
     points = scene.baked()
     inside = warpqem.motion_features(points, scene.faces).label >= 0
     ways = {"dsd": {}, "aqem": {"metric": "aqem"}}
-    ways["log"] = {"metric": "aqem", "motion": warpqem.MotionWeighting(weight="log")}
+    ways["log"] = {"metric": "aqem", "motion": warpqem.costs.MotionWeighting(weight="log")}
     columns = [f"{name} {figure}" for name in ways for figure in ("RMS %", "in joints")]
     table = _table("A gallop at the reductions of the paper", "reduction %", "faces", *columns)
     for reduction in (39, 58, 68, 86):

@@ -22,21 +22,23 @@ from warpqem.kernels.lanes import (
 from warpqem.kernels.quadric import apply_matrix, linear_part, trace
 
 # Entries of G are sums of products of the size of tr(A) |p|^2 that cancel where a cluster is flat; float32 leaves about
-# 1e-7 of that size. A pull of 1e-5 of it keeps such a matrix positive definite: a flat cluster gets equal weights.
+# 1e-7 of that size. Regularisation by 1e-5 of it keeps such a matrix positive definite: a flat cluster gets equal
+# weights.
 ROUNDING_PULL = wp.constant(wp.float32(1.0e-5))
-# An anchor may lie so far beyond its members, in radii of the cluster: the middle of a cap of half an angle of 30
-# degrees does.
+# An anchor may lie so far beyond its members, in radii of the cluster: the middle of a spherical cap of half an
+# angle of 30 degrees does.
 OVERHANG = wp.constant(wp.float32(0.25))
 # Added to the diagonal for clusters without any extent.
-LEAST_DIAGONAL = wp.constant(wp.float32(1.0e-20))
+MIN_DIAGONAL = wp.constant(wp.float32(1.0e-20))
 
 
 @lane_kernel(key_position_in=POINTS_ARRAY, ordered_position_in=POINTS_ARRAY)
 def measure_cluster_distances(
+    # in
     root_in: wp.array[wp.int32],
     key_position_in: Any,
     ordered_position_in: Any,
-    # outputs
+    # out
     distance_out: wp.array[wp.float32],
 ):
     """Sum over key frames of the squared distance of an input vertex from where ordering put its cluster's vertex."""
@@ -65,7 +67,7 @@ def factorise(g: wp.array[wp.float32], o: wp.int32, n: wp.int32):
             for k in range(j):
                 s -= g[o + packed(i, k)] * g[o + packed(j, k)]
             if i == j:
-                g[o + packed(i, i)] = wp.sqrt(wp.max(s, LEAST_DIAGONAL))
+                g[o + packed(i, i)] = wp.sqrt(wp.max(s, MIN_DIAGONAL))
             else:
                 g[o + packed(i, j)] = s / g[o + packed(j, j)]
 
@@ -115,6 +117,7 @@ def share_within_reach(
 
 @lane_kernel(key_position_in=POINTS_ARRAY, ordered_position_in=POINTS_ARRAY, quadric_in=QUADRIC_ARRAY)
 def fit_anchor_weights(
+    # in
     cluster_vertex_in: wp.array[wp.int32],
     member_start_in: wp.array[wp.int32],
     member_in: wp.array[wp.int32],
@@ -123,8 +126,9 @@ def fit_anchor_weights(
     ordered_position_in: Any,
     quadric_in: Any,
     regularisation_in: wp.array[wp.float32],
-    # outputs
+    # in and out
     matrix: wp.array[wp.float32],
+    # out
     weight_out: wp.array[wp.float32],
 ):
     """Weights of the members of each cluster (``matrix`` is zeroed scratch for the packed Gram matrices)."""
@@ -150,7 +154,7 @@ def fit_anchor_weights(
     total = wp.float32(0.0)
     for i in range(n):
         total += matrix[o + packed(i, i)]
-    shift = (regularisation_in[cluster] * wp.max(total, 0.0) + ROUNDING_PULL * size) / wp.float32(n) + LEAST_DIAGONAL
+    shift = (regularisation_in[cluster] * wp.max(total, 0.0) + ROUNDING_PULL * size) / wp.float32(n) + MIN_DIAGONAL
     for i in range(n):
         matrix[o + packed(i, i)] = matrix[o + packed(i, i)] + shift
     factorise(matrix, o, n)

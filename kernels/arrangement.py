@@ -9,9 +9,10 @@ from warpqem.kernels.lanes import POINTS_ARRAY, lane_kernel
 
 @lane_kernel(rows_in=POINTS_ARRAY, rows_out=POINTS_ARRAY)
 def gather_rows(
+    # in
     rows_in: Any,
     vertex_in: wp.array[wp.int32],
-    # outputs
+    # out
     rows_out: Any,
 ):
     """The row of ``vertex_in[i]`` at place ``i``."""

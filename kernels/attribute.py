@@ -67,7 +67,7 @@ def joined_corners(state: MeshState, u: wp.int32, v: wp.int32, side: wp.int32) -
     """The corners at ``u`` and at ``v`` of the face left (side 0) or right (1) of the edge; -1 where there is none."""
     a = wp.where(side == 0, u, v)
     b = wp.where(side == 0, v, u)
-    h = find_half_edge(state.corner_vertex, state.stars, a, b)
+    h = find_half_edge(state.corner_vertex, state.adjacency, a, b)
     if h < 0:
         return wp.vec2i(-1, -1)
     if side == 0:
@@ -143,18 +143,18 @@ def attribute_error(state: MeshState, u: wp.int32, v: wp.int32, x: Point) -> wp.
 
 
 @wp.func
-def relabel_star(state: MeshState, v: wp.int32, w: wp.int32, new: wp.int32):
-    """Corners of wedge ``w`` in the star of ``v`` become corners of wedge ``new``."""
-    for i in range(state.stars.start[v], state.stars.end[v]):
-        if state.wedges.corner_wedge[state.stars.corner[i]] == w:
-            state.wedges.corner_wedge[state.stars.corner[i]] = new
+def relabel_ring(state: MeshState, v: wp.int32, w: wp.int32, new: wp.int32):
+    """Corners of wedge ``w`` around ``v`` become corners of wedge ``new``."""
+    for i in range(state.adjacency.start[v], state.adjacency.end[v]):
+        if state.wedges.corner_wedge[state.adjacency.corner[i]] == w:
+            state.wedges.corner_wedge[state.adjacency.corner[i]] = new
 
 
 @wp.func
 def merge_wedges(state: MeshState, u: wp.int32, v: wp.int32, x: Point):
     """Merge the wedges of ``v`` into those of ``u``, which goes to ``x``; called while the faces are still there.
 
-    All that is written belongs to the stars of ``u`` and ``v``, which no other winner touches.
+    All that is written belongs to the one-rings of ``u`` and ``v``, which no other selected collapse touches.
     """
     wedges = state.wedges
     wedges.quadric[u] = merged_attribute_quadric(state, u, v, x)
@@ -173,16 +173,17 @@ def merge_wedges(state: MeshState, u: wp.int32, v: wp.int32, x: Point):
                 wedges.gradient[a, k] = gradient + share * (wedges.gradient[a, k] - gradient)
             wedges.origin[a] = x
             wedges.area[a] = wedges.area[a] + wedges.area[b]
-            relabel_star(state, u, b, a)
-            relabel_star(state, v, b, a)
+            relabel_ring(state, u, b, a)
+            relabel_ring(state, v, b, a)
 
 
 @wp.kernel
 def move_corner_wedges(
+    # in
     corner_vertex_in: wp.array[wp.int32],
     corner_wedge_in: wp.array[wp.int32],
     live_rank_in: wp.array[wp.int32],
-    # outputs
+    # out
     corner_wedge_out: wp.array[wp.int32],
 ):
     """Close the gaps between live faces as ``move_live_faces`` does; launched before it overwrites the faces."""
@@ -195,8 +196,9 @@ def move_corner_wedges(
 
 @lane_kernel(quadric=QUADRIC_ARRAY)
 def add_attribute_quadrics(
+    # in
     attribute_quadric_in: wp.array[Quadric],
-    # outputs
+    # in and out
     quadric: Any,
 ):
     """Add ``E`` to each vertex's quadric in the reference frame, so that placement's anchors see it."""
@@ -205,16 +207,3 @@ def add_attribute_quadrics(
     for i in range(10):
         block[i, 0] = block[i, 0] + attribute_quadric_in[v][i, 0]
     quadric[v, 0] = block
-
-
-@wp.kernel
-def measure_merged_attributes(
-    state: MeshState,
-    ends_in: wp.array[wp.vec2i],
-    point_in: wp.array[Point],
-    # outputs
-    error_out: wp.array[wp.float32],
-):
-    """``E`` of each edge's merged vertex at a point of the reference frame."""
-    i = wp.tid()
-    error_out[i] = attribute_error(state, ends_in[i][0], ends_in[i][1], point_in[i])

@@ -135,12 +135,12 @@ def closest_on_mesh(mesh: wp.uint64, points: wp.array[wp.vec3d], indices: wp.arr
 
 @wp.kernel
 def find_closest_points(
-    # inputs
+    # in
     mesh_in: wp.uint64,
     points_in: wp.array[wp.vec3d],
     indices_in: wp.array[wp.int32],
     queries_in: wp.array[wp.vec3d],
-    # outputs
+    # out
     distance_out: wp.array[wp.float64],
     face_out: wp.array[wp.int32],
     barycentric_out: wp.array[wp.vec3d],

@@ -7,11 +7,12 @@ wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
 @wp.kernel
 def choose_nearest(
+    # in
     start_in: wp.array[wp.int32],
     vertex_in: wp.array[wp.int32],
     distance_in: wp.array[wp.float32],
     chosen_start_in: wp.array[wp.int32],
-    # outputs
+    # out
     chosen_out: wp.array[wp.int32],
 ):
     """The nearest vertices of each cluster, as many as its row of ``chosen_out`` takes, the nearest first.
@@ -37,10 +38,11 @@ def choose_nearest(
 
 @wp.kernel
 def key_members(
+    # in
     cluster_in: wp.array[wp.int32],
     distance_in: wp.array[wp.float32],
     cluster_count: wp.int32,
-    # outputs
+    # out
     key_out: wp.array[wp.int64],
     vertex_out: wp.array[wp.int32],
 ):
@@ -56,11 +58,12 @@ def key_members(
 
 @wp.kernel
 def take_nearest(
+    # in
     key_in: wp.array[wp.int64],
     vertex_in: wp.array[wp.int32],
     start_in: wp.array[wp.int32],
     chosen_start_in: wp.array[wp.int32],
-    # outputs
+    # out
     chosen_out: wp.array[wp.int32],
 ):
     """What :func:`choose_nearest` finds, of sorted vertices: the first of each cluster, a thread for each vertex."""
@@ -74,9 +77,10 @@ def take_nearest(
 
 @wp.kernel
 def count_faces(
+    # in
     start_in: wp.array[wp.int32],
     corner_in: wp.array[wp.int32],
-    # outputs
+    # out
     face_count_out: wp.array[wp.int32],
 ):
     """Faces with a corner in each cluster, whose corners come in ascending order."""
@@ -93,11 +97,12 @@ def count_faces(
 
 @wp.kernel
 def list_faces(
+    # in
     start_in: wp.array[wp.int32],
     corner_in: wp.array[wp.int32],
     corner_weight_in: wp.array[wp.float32],
     face_start_in: wp.array[wp.int32],
-    # outputs
+    # out
     face_out: wp.array[wp.int32],
     weight_out: wp.array[wp.float32],
 ):

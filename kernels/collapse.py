@@ -9,7 +9,7 @@ from warpqem.kernels.edge_cost import INFINITE_COST, merged_quadric
 from warpqem.kernels.lanes import POINTS_ARRAY, lane_kernel, lane_max, lane_sum
 from warpqem.kernels.member_distance import join_members
 from warpqem.kernels.mesh_state import KEY_FRAMES, AnyKeyFrames, CollapseLog, MeshState
-from warpqem.kernels.prefetch import prefetch_stars, prefetch_winners
+from warpqem.kernels.prefetch import prefetch_adjacency, prefetch_winners
 from warpqem.kernels.quadric import NO_PLANE, shift_origin, trace
 from warpqem.kernels.quadric_sums import merge_sums
 from warpqem.kernels.topology import (
@@ -56,24 +56,24 @@ def merge_vertex(
 def join_seams(state: MeshState, u: wp.int32, v: wp.int32, h: wp.int32):
     """The two edges that the face of ``h`` keeps apart become one: a seam when either is.
 
-    Their half-edges in the neighbouring faces are looked up in the stars of ``u`` and ``v``, which no other winner
-    touches.
+    Their half-edges in the neighbouring faces are looked up in the adjacency of ``u`` and ``v``, which no other
+    selected collapse touches.
     """
-    wing = state.corner_vertex[previous_corner(h)]
-    # The flags of vertices are nearer than those of half-edges, and most wings have none.
-    if (state.vertex_flags[wing] & SEAM) == 0:
+    opposite_vertex = state.corner_vertex[previous_corner(h)]
+    # The flags of vertices are nearer than those of half-edges, and most opposite vertices have none.
+    if (state.vertex_flags[opposite_vertex] & SEAM) == 0:
         return
     if state.seam[next_corner(h)] == 0 and state.seam[previous_corner(h)] == 0:
         return
     for side in range(2):
         a = wp.where(side == 0, u, v)
         b = wp.where(side == 0, v, u)
-        for i in range(state.stars.start[a], state.stars.end[a]):
-            out = state.stars.corner[i]
+        for i in range(state.adjacency.start[a], state.adjacency.end[a]):
+            out = state.adjacency.corner[i]
             into = previous_corner(out)
-            if half_edge_target(state.corner_vertex, out) == wing and state.corner_vertex[into] != b:
+            if half_edge_target(state.corner_vertex, out) == opposite_vertex and state.corner_vertex[into] != b:
                 state.seam[out] = 1
-            if state.corner_vertex[into] == wing and half_edge_target(state.corner_vertex, out) != b:
+            if state.corner_vertex[into] == opposite_vertex and half_edge_target(state.corner_vertex, out) != b:
                 state.seam[into] = 1
 
 
@@ -83,8 +83,8 @@ def seam_degree(state: MeshState, u: wp.int32, v: wp.int32) -> wp.int32:
     count = wp.int32(0)
     for side in range(2):
         a = wp.where(side == 0, u, v)
-        for i in range(state.stars.start[a], state.stars.end[a]):
-            h = state.stars.corner[i]
+        for i in range(state.adjacency.start[a], state.adjacency.end[a]):
+            h = state.adjacency.corner[i]
             if state.corner_vertex[h] == u:
                 count += state.seam[h]
     return count
@@ -105,87 +105,92 @@ def classify_seams(state: MeshState, u: wp.int32, v: wp.int32):
 
 
 @wp.func
-def mask_star(state: MeshState, mask: wp.array[wp.int32], pass_index: wp.int32, v: wp.int32):
+def mask_ring(state: MeshState, mask: wp.array[wp.int32], pass_index: wp.int32, v: wp.int32):
     """Mask a vertex and its one-ring for the rest of the pass."""
     mask[v] = pass_index
     open_fan = (state.vertex_flags[v] & OPEN) != 0
-    for i in range(state.stars.start[v], state.stars.end[v]):
-        h = state.stars.corner[i]
+    for i in range(state.adjacency.start[v], state.adjacency.end[v]):
+        h = state.adjacency.corner[i]
         mask[half_edge_target(state.corner_vertex, h)] = pass_index
         if open_fan:
             mask[state.corner_vertex[previous_corner(h)]] = pass_index
 
 
 @wp.func
-def merge_stars(state: MeshState, u: wp.int32, v: wp.int32, first: wp.int32):
-    """The star of ``u``, of what the stars of both ends have left, from ``first`` on in the pool; none for ``v``."""
-    i = state.stars.start[u]
-    j = state.stars.start[v]
-    last_i = state.stars.end[u]
-    last_j = state.stars.end[v]
+def merge_adjacency(state: MeshState, u: wp.int32, v: wp.int32, first: wp.int32):
+    """The corners of ``u``: those that both ends have left, from ``first`` on in the pool; none for ``v``."""
+    i = state.adjacency.start[u]
+    j = state.adjacency.start[v]
+    last_i = state.adjacency.end[u]
+    last_j = state.adjacency.end[v]
     last = wp.int32(first)
     h = wp.int32(-1)
     while i < last_i or j < last_j:
         from_u = j >= last_j
         if i < last_i and j < last_j:
-            from_u = state.stars.corner[i] < state.stars.corner[j]
+            from_u = state.adjacency.corner[i] < state.adjacency.corner[j]
         if from_u:
-            h = state.stars.corner[i]
+            h = state.adjacency.corner[i]
             i += 1
         else:
-            h = state.stars.corner[j]
+            h = state.adjacency.corner[j]
             j += 1
         if state.corner_vertex[h] >= 0:
-            state.stars.corner[last] = h
+            state.adjacency.corner[last] = h
             last += 1
-    state.stars.start[u] = first
-    state.stars.end[u] = last
-    state.stars.end[v] = state.stars.start[v]
+    state.adjacency.start[u] = first
+    state.adjacency.end[u] = last
+    state.adjacency.end[v] = state.adjacency.start[v]
 
 
 @wp.kernel
 def drop_dead_corners(
+    # in and out
     state: MeshState,
+    # in
     log: CollapseLog,
     pass_begin: wp.array[wp.int32],
     pass_number_in: wp.array[wp.int32],
     work: Work,
-    # outputs
+    # in and out
     dropped: wp.array[wp.int32],
 ):
-    """Take the dead corners out of the stars of the last pass's wings. A part does so for its own vertices.
+    """Remove the dead corners of the vertices opposite the last pass's edges. A part does so for its own vertices.
 
-    A vertex may be the wing of two collapses; ``dropped`` (the number of the pass that last did it) lets one thread in.
+    A vertex may lie opposite two edges; ``dropped`` (the number of the pass that last did it) lets one thread in.
     """
     first_vertex = first_item(dropped.shape[0], work)
     last_vertex = last_item(dropped.shape[0], work)
     for i in range(pass_begin[0] + wp.tid(), log.count[0], work.lanes):
-        prefetch_stars(state, log.left_wing, i, log.count[0], work)
-        prefetch_stars(state, log.right_wing, i, log.count[0], work)
+        prefetch_adjacency(state, log.left_opposite, i, log.count[0], work)
+        prefetch_adjacency(state, log.right_opposite, i, log.count[0], work)
         for side in range(2):
-            w = wp.where(side == 0, log.left_wing[i], log.right_wing[i])
+            w = wp.where(side == 0, log.left_opposite[i], log.right_opposite[i])
             mine = w >= first_vertex and w < last_vertex
             if mine and wp.atomic_max(dropped, w, pass_number_in[0]) < pass_number_in[0]:
-                last = state.stars.start[w]
-                for j in range(last, state.stars.end[w]):
-                    h = state.stars.corner[j]
+                last = state.adjacency.start[w]
+                for j in range(last, state.adjacency.end[w]):
+                    h = state.adjacency.corner[j]
                     if state.corner_vertex[h] >= 0:
-                        state.stars.corner[last] = h
+                        state.adjacency.corner[last] = h
                         last += 1
-                state.stars.end[w] = last
+                state.adjacency.end[w] = last
 
 
 @wp.kernel
 def open_log(
-    # outputs
+    # in and out
     legal_count: wp.array[wp.int32],
     space: wp.array[wp.int32],
     log: CollapseLog,
+    # out
     log_slot: wp.array[wp.int32],
+    # in and out
     pool_used: wp.array[wp.int32],
+    # out
     pool_slot: wp.array[wp.int32],
 ):
-    """Reserve room for the legal winners of each part, in the log and in the pool of stars.
+    """Reserve room for the legal collapses of each part, in the log and in the adjacency pool.
 
     Their counts are cleared for the next round.
     """
@@ -206,8 +211,10 @@ def open_log(
 
 @lane_kernel(frames=KEY_FRAMES, target_in=POINTS_ARRAY)
 def commit_winners(
+    # in and out
     state: MeshState,
     frames: AnyKeyFrames,
+    # in
     winners: EdgeList,
     faces_removed_in: wp.array[wp.int32],
     target_in: Any,
@@ -215,16 +222,17 @@ def commit_winners(
     error_in: wp.array[wp.float32],
     pass_number_in: wp.array[wp.int32],
     work: Work,
-    # outputs
+    # out
     mask: wp.array[wp.int32],
+    # in and out
     log: CollapseLog,
     log_slot: wp.array[wp.int32],
     pool_slot: wp.array[wp.int32],
 ):
-    """Collapse and log the legal winners, those that remove faces. The lower vertex is kept, or the pinned one.
+    """Apply and log the legal collapses, those that remove faces. The lower vertex is kept, or the pinned one.
 
-    Its star is put together at once: no other collapse of the pass looks at it. Those of the wings stay as they are
-    until the pass is over.
+    Its adjacency is put together at once: no other collapse of the pass reads it. That of the opposite vertices stays
+    as it is until the pass is over.
     """
     first_slot = count_before(winners, work.part)
     for w in range(wp.tid(), winners.count[work.part], work.lanes):
@@ -234,7 +242,7 @@ def commit_winners(
             h = winners.half_edge[work.part * winners.capacity + w]
             a = state.corner_vertex[h]
             b = half_edge_target(state.corner_vertex, h)
-            opposite = find_half_edge(state.corner_vertex, state.stars, b, a)
+            opposite = find_half_edge(state.corner_vertex, state.adjacency, b, a)
             u = a
             v = b
             # A pinned vertex is the one kept, so that it keeps its index; else the lower index is.
@@ -244,15 +252,15 @@ def commit_winners(
             slot = wp.atomic_add(log_slot, work.part, 1)
             log.kept[slot] = u
             log.removed[slot] = v
-            log.left_wing[slot] = state.corner_vertex[previous_corner(h)]
-            log.right_wing[slot] = -1
+            log.left_opposite[slot] = state.corner_vertex[previous_corner(h)]
+            log.right_opposite[slot] = -1
             if opposite >= 0:
-                log.right_wing[slot] = state.corner_vertex[previous_corner(opposite)]
+                log.right_opposite[slot] = state.corner_vertex[previous_corner(opposite)]
             log.faces_removed[slot] = faces_removed_in[i]
             log.cost[slot] = state.edge_cost[h]
             log.round_index[slot] = log.round_count[0]
-            mask_star(state, mask, pass_number_in[0], u)
-            mask_star(state, mask, pass_number_in[0], v)
+            mask_ring(state, mask, pass_number_in[0], u)
+            mask_ring(state, mask, pass_number_in[0], v)
             if state.trajectory.shape[0] > 0:
                 # Every frame of it moves after the pass, see :func:`move_trajectories`.
                 for chunk in range(state.deformation.anchor.shape[1]):
@@ -263,8 +271,8 @@ def commit_winners(
             join_seams(state, u, v, h)
             if opposite >= 0:
                 join_seams(state, u, v, opposite)
-            for j in range(state.stars.start[v], state.stars.end[v]):
-                g = state.stars.corner[j]
+            for j in range(state.adjacency.start[v], state.adjacency.end[v]):
+                g = state.adjacency.corner[j]
                 f = g // 3
                 if half_edge_target(state.corner_vertex, g) == u or state.corner_vertex[previous_corner(g)] == u:
                     for k in range(3):
@@ -273,32 +281,37 @@ def commit_winners(
                 else:
                     state.corner_vertex[g] = u
             classify_seams(state, u, v)
-            star_size = state.stars.end[u] - state.stars.start[u] + state.stars.end[v] - state.stars.start[v]
-            entry = wp.atomic_add(pool_slot, work.part, star_size)
-            # A pool without room for it is known by its count: then all stars are built anew after the pass.
-            if entry + star_size <= state.stars.corner.shape[0]:
-                merge_stars(state, u, v, entry)
+            adjacency_size = (
+                state.adjacency.end[u] - state.adjacency.start[u] + state.adjacency.end[v] - state.adjacency.start[v]
+            )
+            entry = wp.atomic_add(pool_slot, work.part, adjacency_size)
+            # A pool without room for it is known by its count: then the adjacency is built anew after the pass.
+            if entry + adjacency_size <= state.adjacency.corner.shape[0]:
+                merge_adjacency(state, u, v, entry)
 
 
 @wp.kernel
-def remove_stars(
+def remove_from_adjacency(
+    # in and out
     state: MeshState,
+    # in
     vertex_in: wp.array[wp.int32],
 ):
     """Take the faces of all vertices of a component off the mesh; threads that share a face write the same."""
     v = vertex_in[wp.tid()]
-    for i in range(state.stars.start[v], state.stars.end[v]):
-        f = state.stars.corner[i] // 3
+    for i in range(state.adjacency.start[v], state.adjacency.end[v]):
+        f = state.adjacency.corner[i] // 3
         for k in range(3):
             state.corner_vertex[3 * f + k] = -1
             state.edge_cost[3 * f + k] = INFINITE_COST
-    state.stars.end[v] = state.stars.start[v]
+    state.adjacency.end[v] = state.adjacency.start[v]
 
 
 @wp.kernel
 def mark_live_faces(
+    # in
     corner_vertex_in: wp.array[wp.int32],
-    # outputs
+    # out
     live_out: wp.array[wp.int32],
 ):
     """1 for each live face."""
@@ -308,11 +321,12 @@ def mark_live_faces(
 
 @wp.kernel
 def move_live_faces(
+    # in
     corner_vertex_in: wp.array[wp.int32],
     edge_cost_in: wp.array[wp.float32],
     seam_in: wp.array[wp.int32],
     live_rank_in: wp.array[wp.int32],
-    # outputs
+    # out
     corner_vertex_out: wp.array[wp.int32],
     edge_cost_out: wp.array[wp.float32],
     seam_out: wp.array[wp.int32],

@@ -5,7 +5,7 @@
 the edge's two faces and ``w = (max dl - mean dl) / std dl`` (0/0 counts as 1).
 
 A face's area and an edge's steps are summed once where they changed, over chunks of frames: a GPU gives each chunk a
-thread, a CPU has one chunk. The price of an edge puts the chunks together in their order.
+thread, a CPU has one chunk. The cost of an edge puts the chunks together in their order.
 """
 
 import warp as wp
@@ -69,7 +69,7 @@ def chunk_steps(state: MeshState, h: wp.int32, first: wp.int32, last: wp.int32) 
 @wp.func
 def measure_half_edge(state: MeshState, h: wp.int32, chunk: wp.int32):
     """Steps of the edge that a half-edge stands for, in one chunk of frames."""
-    if is_canonical(state.corner_vertex, state.stars, state.vertex_flags, h):
+    if is_canonical(state.corner_vertex, state.adjacency, state.vertex_flags, h):
         first = chunk * state.deformation.chunk_frames
         last = wp.min(first + state.deformation.chunk_frames, state.trajectory.shape[1])
         state.deformation.steps[h, chunk] = chunk_steps(state, h, first, last)
@@ -92,7 +92,7 @@ def length_deformation(state: MeshState, h: wp.int32) -> wp.float32:
     face = h // 3
     opposite_face = wp.int32(-1)
     opposite = find_half_edge(
-        state.corner_vertex, state.stars, half_edge_target(state.corner_vertex, h), state.corner_vertex[h]
+        state.corner_vertex, state.adjacency, half_edge_target(state.corner_vertex, h), state.corner_vertex[h]
     )
     if opposite >= 0:
         opposite_face = opposite // 3
@@ -126,7 +126,9 @@ def length_deformation(state: MeshState, h: wp.int32) -> wp.float32:
 
 @wp.kernel
 def measure_all_deformation(
+    # in and out
     state: MeshState,
+    # in
     work: Work,
 ):
     """Areas of all faces and steps of all edges, the threads dealt out to the chunks of frames."""
@@ -145,7 +147,9 @@ def measure_all_deformation(
 
 @wp.kernel
 def move_trajectories(
+    # in and out
     state: MeshState,
+    # in
     log: CollapseLog,
     pass_begin: wp.array[wp.int32],
     work: Work,
@@ -170,21 +174,23 @@ def move_trajectories(
 
 @wp.kernel
 def measure_moved_deformation(
+    # in and out
     state: MeshState,
+    # in
     log: CollapseLog,
     pass_begin: wp.array[wp.int32],
     work: Work,
 ):
     """Areas of the faces and steps of the edges at each vertex that the last pass moved.
 
-    Winners of one pass are never neighbours, so no other thread writes them.
+    Vertices that one pass moves are never neighbours, so no other thread writes them.
     """
     chunk_count = state.deformation.steps.shape[1]
     item_count = (log.count[0] - pass_begin[0]) * chunk_count
     for i in range(first_item(item_count, work) + wp.tid(), last_item(item_count, work), work.lanes):
         u = log.kept[pass_begin[0] + i // chunk_count]
-        for j in range(state.stars.start[u], state.stars.end[u]):
-            h = state.stars.corner[j]
+        for j in range(state.adjacency.start[u], state.adjacency.end[u]):
+            h = state.adjacency.corner[j]
             measure_face(state, h // 3, i % chunk_count)
             measure_half_edge(state, h, i % chunk_count)
             measure_half_edge(state, previous_corner(h), i % chunk_count)
@@ -192,11 +198,12 @@ def measure_moved_deformation(
 
 @wp.kernel
 def move_deformation(
+    # in
     corner_vertex_in: wp.array[wp.int32],
     face_area_in: wp.array2d[wp.float32],
     steps_in: wp.array2d[wp.vec3],
     live_rank_in: wp.array[wp.int32],
-    # outputs
+    # out
     face_area_out: wp.array2d[wp.float32],
     steps_out: wp.array2d[wp.vec3],
 ):

@@ -15,7 +15,7 @@ from warpqem.kernels.lanes import POINTS_ARRAY, lane_dot, lane_kernel, lane_scal
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
 # Squared lengths and areas below are nothing: no division by them overflows.
-LEAST_SQUARED = wp.constant(wp.float32(1.0e-30))
+MIN_SQUARED = wp.constant(wp.float32(1.0e-30))
 
 
 @wp.func
@@ -24,7 +24,7 @@ def lane_from_segment(p: Any, d: Any):
     along = lane_dot(p, d)
     length = lane_dot(d, d)
     for lane in range(len(along)):
-        along[lane] = wp.clamp(along[lane] / wp.max(length[lane], LEAST_SQUARED), 0.0, 1.0)
+        along[lane] = wp.clamp(along[lane] / wp.max(length[lane], MIN_SQUARED), 0.0, 1.0)
     offset = p - lane_scale(along, d)
     return lane_dot(offset, offset)
 
@@ -47,7 +47,7 @@ def lane_distance_squared(p: Any, e: Any, f: Any):
     v = wp.cw_mul(ff, pe) - wp.cw_mul(ef, pf)
     w = wp.cw_mul(ee, pf) - wp.cw_mul(ef, pe)
     for lane in range(len(found)):
-        inverse = 1.0 / wp.max(area[lane], LEAST_SQUARED)
+        inverse = 1.0 / wp.max(area[lane], MIN_SQUARED)
         # Weights anywhere within the face give a point of it, whatever rounding makes of them.
         v[lane] = wp.clamp(v[lane] * inverse, 0.0, 1.0)
         w[lane] = wp.clamp(w[lane] * inverse, 0.0, 1.0 - v[lane])

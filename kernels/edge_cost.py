@@ -23,7 +23,7 @@ from warpqem.kernels.quadric import (
 from warpqem.kernels.topology import (
     BORDER,
     CORNER,
-    FROZEN,
+    NON_MANIFOLD,
     PINNED,
     SEAM,
     find_half_edge,
@@ -37,18 +37,18 @@ from warpqem.kernels.work import Work, first_item, last_item
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
 INFINITE_COST = wp.constant(wp.float32(wp.inf))
-# Costs stay above zero, so that the sign is free to say "asleep" and the float's bits order the edges.
-LEAST_COST = wp.constant(wp.float32(1.0e-37))
-# Where the quadrics leave the anchor open (flat or empty stars), this pull, relative to the stiffness of the stars,
-# takes it to the middle of the edge; it is far below what any curvature asks for.
+# Costs stay above zero, so that the sign is free to mean "suspended" and the float's bits order the edges.
+MIN_COST = wp.constant(wp.float32(1.0e-37))
+# Regularisation towards the middle of the edge, relative to the stiffness of the quadrics: it decides where these leave
+# the anchor open (faces that are flat, or none), and is far below the stiffness of any curvature.
 MIDDLE_PULL = wp.constant(wp.float32(1.0e-5))
 # On flat ground every edge costs nothing. This part of area x length^2 makes short edges go first, far below the cost
 # of any visible bend, so that triangles stay compact.
 LENGTH_COST = wp.constant(wp.float32(1.0e-8))
-# Lanes for the star of a vertex: most have six faces, so that each prices one or two edges.
+# Threads for the edges around a vertex: most have six faces, so that each computes the cost of one or two edges.
 STAR_SLOTS = wp.constant(wp.int32(8))
-# A collapse that changes how seams run counts as an error of this part of the edge's length, squared: dear enough that
-# seams hold as long as the shape has something to spare, and that the smallest go first.
+# A collapse that changes how seams run counts as an error of this part of the edge's length, squared: costly enough
+# that seams stay as long as the shape has something to spare, and that the smallest go first.
 SEAM_COST = wp.constant(wp.float32(0.01))
 
 
@@ -86,9 +86,9 @@ def edge_anchor(state: MeshState, frames: AnyKeyFrames, model: CostModel, u: wp.
         return wp.where((fv & CORNER) != 0, wp.float32(1.0), wp.float32(0.0))
     slope = wp.float32(0.0)
     stiffness = wp.float32(0.0)
-    pull = wp.float32(0.0)
+    regularisation = wp.float32(0.0)
     for t in range(frames.position.shape[1]):
-        # d.b and d^T A d of the merged quadric, without building it: this loop is half the price of an edge.
+        # d.b and d^T A d of the merged quadric, without building it: this loop is half the time of an edge's cost.
         d = frames.position[v, t] - frames.position[u, t]
         qu = frames.quadric[u, t]
         qv = frames.quadric[v, t]
@@ -96,7 +96,7 @@ def edge_anchor(state: MeshState, frames: AnyKeyFrames, model: CostModel, u: wp.
         bend_v = lane_dot(d, apply_matrix(qv, d))
         slope += lane_sum(lane_dot(d, linear_part(qu) + linear_part(qv)) - bend_v)
         stiffness += lane_sum(bend_u + bend_v)
-        pull += wp.dot(trace(qu) + trace(qv), lane_dot(d, d))
+        regularisation += wp.dot(trace(qu) + trace(qv), lane_dot(d, d))
     if state.wedges.channel_count > 0:
         bend = attribute_parabola(state, u, v)
         slope += bend[0]
@@ -104,10 +104,10 @@ def edge_anchor(state: MeshState, frames: AnyKeyFrames, model: CostModel, u: wp.
     if model.endpoint == 1:
         # Q(1) - Q(0) = 2 b.d + d^T A d
         return wp.where(2.0 * slope + stiffness < 0.0, wp.float32(1.0), wp.float32(0.0))
-    pull *= MIDDLE_PULL
-    if stiffness + pull <= NO_PLANE:
+    regularisation *= MIDDLE_PULL
+    if stiffness + regularisation <= NO_PLANE:
         return 0.5
-    return wp.clamp((0.5 * pull - slope) / (stiffness + pull), 0.0, 1.0)
+    return wp.clamp((0.5 * regularisation - slope) / (stiffness + regularisation), 0.0, 1.0)
 
 
 @wp.func
@@ -136,7 +136,7 @@ def merged_position(
 
 @wp.func
 def closes_island(state: MeshState, h: wp.int32) -> wp.bool:
-    """Whether both other edges of the face of half-edge ``h`` are seams: with the face its island would vanish."""
+    """Whether both other edges of the face of half-edge ``h`` are seams: its island would go with the face."""
     return state.seam[next_corner(h)] == 1 and state.seam[previous_corner(h)] == 1
 
 
@@ -153,18 +153,18 @@ def breaks_seams(state: MeshState, h: wp.int32) -> wp.bool:
         return False
     if (common & CORNER) != 0 or state.seam[h] == 0 or closes_island(state, h):
         return True
-    return closes_island(state, find_half_edge(state.corner_vertex, state.stars, v, u))
+    return closes_island(state, find_half_edge(state.corner_vertex, state.adjacency, v, u))
 
 
 @wp.func
 def is_priced(fu: wp.int32, fv: wp.int32) -> wp.bool:
     """Whether an edge between vertices of these flags may collapse: not between two pinned ones.
 
-    Nor between a frozen vertex and one on a border, where the link condition says nothing.
+    Nor between a non-manifold vertex and one on a border, where the link condition says nothing.
     """
     if (fu & PINNED) != 0 and (fv & PINNED) != 0:
         return False
-    return ((fu & FROZEN) == 0 or (fv & BORDER) == 0) and ((fv & FROZEN) == 0 or (fu & BORDER) == 0)
+    return ((fu & NON_MANIFOLD) == 0 or (fv & BORDER) == 0) and ((fv & NON_MANIFOLD) == 0 or (fu & BORDER) == 0)
 
 
 @wp.func
@@ -172,10 +172,10 @@ def price_edge(state: MeshState, frames: AnyKeyFrames, model: CostModel, h: wp.i
     """Cost over key frames of the collapse of half-edge ``h``; an infinite cost where no collapse is allowed."""
     u = state.corner_vertex[h]
     v = half_edge_target(state.corner_vertex, h)
-    price = EdgePrice()
-    price.cost = INFINITE_COST
+    result = EdgePrice()
+    result.cost = INFINITE_COST
     if not is_priced(state.vertex_flags[u], state.vertex_flags[v]):
-        return price
+        return result
     anchor = edge_anchor(state, frames, model, u, v)
     at_anchor = keeps_anchor(state, model, u, v)
     total = wp.float32(0.0)
@@ -192,37 +192,39 @@ def price_edge(state: MeshState, frames: AnyKeyFrames, model: CostModel, h: wp.i
         spread += wp.dot(trace(q), lane_dot(d, d))
     if breaks_seams(state, h):
         total += SEAM_COST * spread
-    price.error = total / wp.max(area, NO_PLANE)
-    if price.error > model.error_limit:
-        return price
+    result.error = total / wp.max(area, NO_PLANE)
+    if result.error > model.error_limit:
+        return result
     weight = 0.5 * (state.cost_weight[u] + state.cost_weight[v])
     if state.wedges.channel_count > 0:
         x = merged_position(state, frames, model, u, v, 0, anchor)
         total += attribute_error(state, u, v, first_frame(x))
-    price.cost = weight * (total + LENGTH_COST * spread) + LEAST_COST
+    result.cost = weight * (total + LENGTH_COST * spread) + MIN_COST
     if model.deformation_weight > 0.0:
-        price.cost += model.deformation_weight * length_deformation(state, h)
-    return price
+        result.cost += model.deformation_weight * length_deformation(state, h)
+    return result
 
 
 @wp.func
 def cost_at(state: MeshState, frames: AnyKeyFrames, model: CostModel, h: wp.int32) -> wp.float32:
     """What stands at half-edge ``h`` of a live face: the cost of its edge, once for both half-edges."""
     cost = INFINITE_COST
-    if is_canonical(state.corner_vertex, state.stars, state.vertex_flags, h):
-        price = price_edge(state, frames, model, h)
-        cost = price.cost
+    if is_canonical(state.corner_vertex, state.adjacency, state.vertex_flags, h):
+        result = price_edge(state, frames, model, h)
+        cost = result.cost
     return cost
 
 
 @lane_kernel(frames=KEY_FRAMES)
-def price_all_edges(
+def compute_all_costs(
+    # in and out
     state: MeshState,
+    # in
     frames: AnyKeyFrames,
     model: CostModel,
     work: Work,
 ):
-    """Price every edge of the mesh into ``state.edge_cost``."""
+    """The costs of all edges of the mesh, into ``state.edge_cost``."""
     half_edge_count = 3 * state.face_count[0]
     for h in range(first_item(half_edge_count, work) + wp.tid(), last_item(half_edge_count, work), work.lanes):
         cost = INFINITE_COST
@@ -235,26 +237,28 @@ def price_all_edges(
 def opposite_edge(state: MeshState, h: wp.int32) -> wp.int32:
     """The half-edge that stands for the edge across the face of ``h`` from the vertex where ``h`` begins."""
     across = next_corner(h)
-    if is_canonical(state.corner_vertex, state.stars, state.vertex_flags, across):
+    if is_canonical(state.corner_vertex, state.adjacency, state.vertex_flags, across):
         return across
     a = state.corner_vertex[across]
-    return find_half_edge(state.corner_vertex, state.stars, half_edge_target(state.corner_vertex, across), a)
+    return find_half_edge(state.corner_vertex, state.adjacency, half_edge_target(state.corner_vertex, across), a)
 
 
 @lane_kernel(frames=KEY_FRAMES)
-def reprice_moved_stars(
+def update_moved_costs(
+    # in and out
     state: MeshState,
+    # in
     frames: AnyKeyFrames,
     model: CostModel,
     log: CollapseLog,
     pass_begin: wp.array[wp.int32],
     work: Work,
 ):
-    """Price again the edges at each vertex that the last pass moved.
+    """Update the costs of the edges at each vertex that the last pass moved.
 
-    Winners of one pass are never neighbours, so each such edge has exactly one moved end. The deformation term weighs
-    an edge by the area of its faces, so with it the edges opposite a moved vertex cost something else too. Their ends
-    stay; two moved vertices may share one, and both then write the same cost.
+    Vertices that one pass moves are never neighbours, so each such edge has exactly one moved end. The deformation term
+    weighs an edge by the area of its faces, so with it the edges opposite a moved vertex cost something else too. Their
+    ends stay; two moved vertices may share one, and both then write the same cost.
 
     Where there are many lanes, those of a vertex take turns with its edges.
     """
@@ -266,30 +270,32 @@ def reprice_moved_stars(
         i = item // slots
         prefetch_moved(state, frames, log.kept, pass_begin[0] + i, log.count[0], work)
         u = log.kept[pass_begin[0] + i]
-        # The edges of a face in one loop: a loop of two or three would be unrolled, and an edge's price is most of what
+        # The edges of a face in one loop: a loop of two or three would be unrolled, and an edge's cost is most of what
         # there is to compile.
-        for j in range(sides * state.stars.start[u] + item % slots, sides * state.stars.end[u], slots):
-            h = state.stars.corner[j // sides]
+        for j in range(sides * state.adjacency.start[u] + item % slots, sides * state.adjacency.end[u], slots):
+            h = state.adjacency.corner[j // sides]
             side = j % sides
             if side == 1:
                 h = previous_corner(h)
             elif side == 2:
                 h = opposite_edge(state, h)
-            # An edge where orientations differ may have none; it stays between two pinned ends, without a price.
+            # An edge where orientations differ may have none; it stays between two pinned ends, without a cost.
             if h >= 0:
                 state.edge_cost[h] = cost_at(state, frames, model, h)
 
 
 @lane_kernel(frames=KEY_FRAMES)
-def reprice_neighbourhoods(
+def update_neighbourhood_costs(
+    # in and out
     state: MeshState,
+    # in
     frames: AnyKeyFrames,
     model: CostModel,
     mask_in: wp.array[wp.int32],
     pass_number_in: wp.array[wp.int32],
     work: Work,
 ):
-    """Price the edges anew that have an end among the vertices that this pass masked."""
+    """Update the costs of the edges that have an end among the vertices that this pass masked."""
     half_edge_count = 3 * state.face_count[0]
     for h in range(first_item(half_edge_count, work) + wp.tid(), last_item(half_edge_count, work), work.lanes):
         u = state.corner_vertex[h]
@@ -300,13 +306,15 @@ def reprice_neighbourhoods(
 
 
 @wp.kernel
-def wake_neighbourhoods(
+def resume_neighbourhoods(
+    # in and out
     state: MeshState,
+    # in
     mask_in: wp.array[wp.int32],
     pass_number_in: wp.array[wp.int32],
     work: Work,
 ):
-    """Wake the refused edges around each vertex that moved: their faces changed, so they may be legal now.
+    """Resume the suspended edges around each vertex that moved: their faces changed, so they may be legal now.
 
     These are the edges with an end that this pass masked: a mask covers the one-rings of both ends of a collapse.
     """

@@ -1,7 +1,7 @@
 """Conjugate gradients on element matrices: one 9 x 9 block per face, three unknowns per vertex, nothing assembled.
 
-Sums run in a fixed order (per vertex along its star, dot products over fixed slices), so that results do not depend on
-threads. ``warp.optim.linear`` does the same on assembled matrices; on a CPU its tiled dot products take 60 times the
+Sums run in a fixed order (per vertex along its corners, dot products over fixed slices), so that results do not depend
+on threads. ``warp.optim.linear`` does the same on assembled matrices; on a CPU its tiled dot products take 60 times the
 time of the rest.
 """
 
@@ -18,8 +18,8 @@ class Elements:
     """A symmetric matrix over C vertices as blocks of the faces between them."""
 
     corner_vertex: wp.array[wp.int32]  # (3N',)
-    star_start: wp.array[wp.int32]  # (C+1,)
-    star_corner: wp.array[wp.int32]  # (3N',)
+    adjacency_start: wp.array[wp.int32]  # (C+1,)
+    adjacent_corner: wp.array[wp.int32]  # (3N',)
     block: wp.array2d[wp.mat33]  # (N', 9), row-major over the corners of the face
 
 
@@ -39,17 +39,18 @@ class Solve:
 
 @wp.kernel
 def start_solve(
+    # in
     e: Elements,
     corner_right_in: wp.array[wp.vec3],
-    # outputs
+    # out
     s: Solve,
 ):
     """From ``x = 0``: the residual is the right side, gathered from the corners; invert the diagonal blocks."""
     c = wp.tid()
     right = wp.vec3()
     diagonal = wp.mat33()
-    for i in range(e.star_start[c], e.star_start[c + 1]):
-        h = e.star_corner[i]
+    for i in range(e.adjacency_start[c], e.adjacency_start[c + 1]):
+        h = e.adjacent_corner[i]
         right += corner_right_in[h]
         diagonal += e.block[h / 3, 4 * (h % 3)]
     s.x[c] = wp.vec3()
@@ -60,15 +61,16 @@ def start_solve(
 
 @wp.kernel
 def multiply_direction(
+    # in
     e: Elements,
-    # outputs
+    # in and out
     s: Solve,
 ):
     """``image = matrix direction``."""
     c = wp.tid()
     total = wp.vec3()
-    for i in range(e.star_start[c], e.star_start[c + 1]):
-        h = e.star_corner[i]
+    for i in range(e.adjacency_start[c], e.adjacency_start[c + 1]):
+        h = e.adjacent_corner[i]
         f = h / 3
         row = 3 * (h % 3)
         for k in range(3):
@@ -77,7 +79,10 @@ def multiply_direction(
 
 
 @wp.kernel
-def sum_curvature(s: Solve):
+def sum_curvature(
+    # in and out
+    s: Solve,
+):
     """Slices of ``direction . image``."""
     j = wp.tid()
     count = s.x.shape[0]
@@ -88,7 +93,10 @@ def sum_curvature(s: Solve):
 
 
 @wp.kernel
-def sum_residual(s: Solve):
+def sum_residual(
+    # in and out
+    s: Solve,
+):
     """Slices of ``residual . preconditioned residual``."""
     j = wp.tid()
     count = s.x.shape[0]
@@ -108,15 +116,19 @@ def sum_slices(s: Solve) -> wp.float64:
 
 
 @wp.kernel
-def close_curvature(s: Solve):
+def close_curvature(
+    # in and out
+    s: Solve,
+):
     """One thread: the slices of ``direction . image`` added up."""
     s.scalar[2] = sum_slices(s)
 
 
 @wp.kernel
 def begin_steps(
+    # in
     tolerance_squared: wp.float64,
-    # outputs
+    # in and out
     s: Solve,
 ):
     """One thread: the residual at the beginning, and where it has fallen far enough."""
@@ -129,8 +141,9 @@ def begin_steps(
 
 @wp.kernel
 def end_step(
+    # in
     most_steps: wp.int32,
-    # outputs
+    # in and out
     s: Solve,
 ):
     """One thread: the residual after a step, with the one before put aside, and whether another step follows."""
@@ -143,7 +156,10 @@ def end_step(
 
 
 @wp.kernel
-def step_forward(s: Solve):
+def step_forward(
+    # in and out
+    s: Solve,
+):
     """Along the direction to its minimum. After the last step nothing moves any more."""
     c = wp.tid()
     if s.report[0] == 1 and s.scalar[2] > wp.float64(0.0):
@@ -153,7 +169,10 @@ def step_forward(s: Solve):
 
 
 @wp.kernel
-def turn_direction(s: Solve):
+def turn_direction(
+    # in and out
+    s: Solve,
+):
     """The next direction: the preconditioned residual, conjugate to the direction before."""
     c = wp.tid()
     turn = wp.float32(0.0)

@@ -1,9 +1,9 @@
-"""The independent set of collapses of one round: cap, candidates, claim.
+"""The independent set of collapses of one round: cost threshold, candidates, reservation of vertices.
 
-An edge wins when its 64-bit key (cost bits, then a shuffled index) is the smallest at every vertex of its closed
-neighbourhood. Then no vertex of a winner is a neighbour of another winner's, so no two winners share a face; they may
-share a ring vertex, whose fan loses a face to each but keeps those between them. So the batch equals the same collapses
-made one after another in any order.
+An edge is selected when its 64-bit key (cost bits, then a shuffled index) is the smallest at every vertex of its closed
+neighbourhood. Then no vertex of a selected edge is a neighbour of another selected edge's, so no two share a face; they
+may share a ring vertex, whose fan loses a face to each but keeps those between them. So the batch equals the same
+collapses made one after another in any order.
 """
 
 import warp as wp
@@ -20,12 +20,12 @@ BIN_SHIFT = wp.constant(wp.int32(19))
 # The multipliers of murmur3's mixer.
 FIRST_MIX = wp.constant(wp.uint32(0x85EBCA6B))
 SECOND_MIX = wp.constant(wp.uint32(0xC2B2AE35))
-UNCLAIMED = wp.constant(wp.int64(0x7FFFFFFFFFFFFFFF))
+UNRESERVED = wp.constant(wp.int64(0x7FFFFFFFFFFFFFFF))
 
 
 @wp.func
 def is_candidate_cost(cost: wp.float32) -> wp.bool:
-    """Awake (not negative) and allowed (not infinite)."""
+    """Whether the cost is that of an edge neither suspended (negative) nor forbidden (infinite)."""
     return cost > 0.0 and cost < wp.inf
 
 
@@ -48,17 +48,18 @@ def shuffled(h: wp.int32) -> wp.uint32:
 
 
 @wp.func
-def claim_key(state: MeshState, h: wp.int32) -> wp.int64:
+def reservation_key(state: MeshState, h: wp.int32) -> wp.int64:
     """``cost bits << 32 | shuffled index``."""
     return (wp.int64(wp.cast(state.edge_cost[h], wp.int32)) << wp.int64(32)) | wp.int64(shuffled(h))
 
 
 @wp.kernel
 def count_costs(
+    # in
     state: MeshState,
     sample_step_in: wp.array[wp.int32],
     work: Work,
-    # outputs
+    # out
     histogram_out: wp.array2d[wp.int32],
 ):
     """Histogram of the costs of the candidate edges at every ``sample_step``-th half-edge, a row for each part."""
@@ -71,12 +72,14 @@ def count_costs(
 
 
 @wp.kernel
-def find_cap(
+def find_cost_threshold(
+    # in
     wanted_in: wp.array[wp.int32],
     sample_step_in: wp.array[wp.int32],
-    # outputs
+    # in and out
     histogram: wp.array2d[wp.int32],
-    cap_out: wp.array[wp.float32],
+    # out
+    threshold_out: wp.array[wp.float32],
 ):
     """The upper end of the bin of the ``wanted``-th cheapest edge; 0 where none is wanted.
 
@@ -84,22 +87,23 @@ def find_cap(
     """
     wanted = wp.max(wp.min(1, wanted_in[0]), wanted_in[0] // sample_step_in[0])
     seen = wp.int32(0)
-    cap = wp.int32(-1)
+    cost_threshold = wp.int32(-1)
     for b in range(histogram.shape[1]):
         n = wp.int32(0)
         for part in range(histogram.shape[0]):
             n += histogram[part, b]
             histogram[part, b] = 0
         if n > 0 and seen < wanted:
-            cap = b
+            cost_threshold = b
         seen += n
-    cap_out[0] = wp.cast((cap + 1) << BIN_SHIFT, wp.float32)
+    threshold_out[0] = wp.cast((cost_threshold + 1) << BIN_SHIFT, wp.float32)
 
 
 @wp.kernel
 def sum_bins(
+    # in
     histogram_in: wp.array2d[wp.int32],
-    # outputs
+    # out
     sum_out: wp.array[wp.int32],
 ):
     """Costs in each stretch of the bins of one part, as many stretches as ``sum_out`` has; a thread for each."""
@@ -113,14 +117,16 @@ def sum_bins(
 
 @wp.kernel
 def find_cap_by_sums(
+    # in
     wanted_in: wp.array[wp.int32],
     sample_step_in: wp.array[wp.int32],
     sum_in: wp.array[wp.int32],
-    # outputs
+    # in and out
     histogram: wp.array2d[wp.int32],
-    cap_out: wp.array[wp.float32],
+    # out
+    threshold_out: wp.array[wp.float32],
 ):
-    """The cap of :func:`find_cap`, by as many threads as there are sums: each looks through its own stretch of bins.
+    """The threshold of :func:`find_cost_threshold`, by as many threads as there are sums, a stretch of bins each.
 
     The cheapest edges end in the bin where their number comes to what is wanted, or else in the last one with an edge:
     one thread has it.
@@ -134,72 +140,74 @@ def find_cap_by_sums(
             seen += sum_in[k]
         total += sum_in[k]
     if i == 0 and wp.min(wanted, total) == 0:
-        cap_out[0] = 0.0
+        threshold_out[0] = 0.0
     width = histogram.shape[1] // sum_in.shape[0]
     for b in range(i * width, (i + 1) * width):
         n = histogram[0, b]
         histogram[0, b] = 0
         if n > 0 and seen < wanted and (seen + n >= wanted or seen + n == total):
-            cap_out[0] = wp.cast((b + 1) << BIN_SHIFT, wp.float32)
+            threshold_out[0] = wp.cast((b + 1) << BIN_SHIFT, wp.float32)
         seen += n
 
 
 @wp.kernel
 def collect_candidates(
+    # in
     state: MeshState,
-    cap_in: wp.array[wp.float32],
+    threshold_in: wp.array[wp.float32],
     work: Work,
-    # outputs
+    # out
     candidates: EdgeList,
 ):
-    """Half-edges with a cost below the cap (counts zeroed before the launch)."""
+    """Half-edges with a cost below the threshold (counts zeroed before the launch)."""
     half_edge_count = 3 * state.face_count[0]
     last = last_item(half_edge_count, work)
-    cap = cap_in[0]
+    cost_threshold = threshold_in[0]
     h = first_item(half_edge_count, work) + wp.tid()
     while h < last:
         cost = state.edge_cost[h]
-        if cost > 0.0 and cost < cap:
+        if cost > 0.0 and cost < cost_threshold:
             append(candidates, work.part, h)
         h += work.lanes
 
 
 @wp.kernel
-def claim_vertices(
+def reserve_vertices(
+    # in
     state: MeshState,
     candidates: EdgeList,
     work: Work,
-    # outputs
-    claim: wp.array[wp.int64],
+    # out
+    reservation: wp.array[wp.int64],
 ):
-    """Each candidate claims its two ends; the smallest key stays. A part walks all candidates for its own vertices."""
-    first_vertex = first_item(claim.shape[0], work)
-    last_vertex = last_item(claim.shape[0], work)
+    """The smallest key of the candidates that end at each vertex. A part walks all of them for its own vertices."""
+    first_vertex = first_item(reservation.shape[0], work)
+    last_vertex = last_item(reservation.shape[0], work)
     for part in range(work.part_count):
         for i in range(wp.tid(), candidates.count[part], work.lanes):
-            prefetch_edges(state, candidates, part, i, claim, work)
+            prefetch_edges(state, candidates, part, i, reservation, work)
             h = candidates.half_edge[part * candidates.capacity + i]
             u = state.corner_vertex[h]
             v = half_edge_target(state.corner_vertex, h)
-            key = claim_key(state, h)
+            key = reservation_key(state, h)
             if u >= first_vertex and u < last_vertex:
-                wp.atomic_min(claim, u, key)
+                wp.atomic_min(reservation, u, key)
             if v >= first_vertex and v < last_vertex:
-                wp.atomic_min(claim, v, key)
+                wp.atomic_min(reservation, v, key)
 
 
 @wp.func
-def holds_star(state: MeshState, claim: wp.array[wp.int64], v: wp.int32, key: wp.int64) -> wp.bool:
-    """Whether no vertex of the star of ``v`` is claimed by a smaller key."""
-    i = state.stars.start[v]
-    last = state.stars.end[v]
-    holds = claim[v] == key
+def holds_ring(state: MeshState, reservation: wp.array[wp.int64], v: wp.int32, key: wp.int64) -> wp.bool:
+    """Whether ``v`` is reserved by the key and no vertex of its one-ring by a smaller one."""
+    i = state.adjacency.start[v]
+    last = state.adjacency.end[v]
+    holds = reservation[v] == key
     open_fan = (state.vertex_flags[v] & OPEN) != 0
     while holds and i < last:
-        h = state.stars.corner[i]
-        if claim[half_edge_target(state.corner_vertex, h)] < key:
+        h = state.adjacency.corner[i]
+        if reservation[half_edge_target(state.corner_vertex, h)] < key:
             holds = False
-        if open_fan and claim[state.corner_vertex[previous_corner(h)]] < key:
+        if open_fan and reservation[state.corner_vertex[previous_corner(h)]] < key:
             holds = False
         i += 1
     return holds
@@ -207,66 +215,69 @@ def holds_star(state: MeshState, claim: wp.array[wp.int64], v: wp.int32, key: wp
 
 @wp.kernel
 def select_winners(
+    # in
     state: MeshState,
     candidates: EdgeList,
-    claim_in: wp.array[wp.int64],
+    reservation_in: wp.array[wp.int64],
     work: Work,
-    # outputs
+    # out
     winners: EdgeList,
 ):
-    """Candidates whose key is the smallest at every vertex of both ends' stars (counts zeroed before the launch)."""
+    """Candidates whose key is the smallest in the one-rings of both ends (counts zeroed before the launch)."""
     for i in range(wp.tid(), candidates.count[work.part], work.lanes):
-        prefetch_edges(state, candidates, work.part, i, claim_in, work)
+        prefetch_edges(state, candidates, work.part, i, reservation_in, work)
         h = candidates.half_edge[work.part * candidates.capacity + i]
         u = state.corner_vertex[h]
         v = half_edge_target(state.corner_vertex, h)
-        key = claim_key(state, h)
-        # Both ends first: most candidates lose there, without a walk around the stars.
+        key = reservation_key(state, h)
+        # Both ends first: most candidates fail there, without a walk around the one-rings.
         if (
-            claim_in[u] == key
-            and claim_in[v] == key
-            and holds_star(state, claim_in, u, key)
-            and holds_star(state, claim_in, v, key)
+            reservation_in[u] == key
+            and reservation_in[v] == key
+            and holds_ring(state, reservation_in, u, key)
+            and holds_ring(state, reservation_in, v, key)
         ):
             append(winners, work.part, h)
 
 
 @wp.kernel
 def withdraw_claims(
+    # in
     state: MeshState,
     candidates: EdgeList,
     work: Work,
-    # outputs
-    claim_out: wp.array[wp.int64],
+    # out
+    reservation_out: wp.array[wp.int64],
 ):
-    """Leave every vertex unclaimed for the next round."""
+    """Clear the reservation of every vertex for the next round."""
     for i in range(wp.tid(), candidates.count[work.part], work.lanes):
         h = candidates.half_edge[work.part * candidates.capacity + i]
-        claim_out[state.corner_vertex[h]] = UNCLAIMED
-        claim_out[half_edge_target(state.corner_vertex, h)] = UNCLAIMED
+        reservation_out[state.corner_vertex[h]] = UNRESERVED
+        reservation_out[half_edge_target(state.corner_vertex, h)] = UNRESERVED
 
 
 @wp.kernel
 def shrink_candidates(
+    # in
     state: MeshState,
     mask_in: wp.array[wp.int32],
     pass_number_in: wp.array[wp.int32],
-    cap_in: wp.array[wp.float32],
+    threshold_in: wp.array[wp.float32],
     candidates_in: EdgeList,
     work: Work,
-    # outputs
+    # out
     candidates_out: EdgeList,
 ):
-    """Keep the candidates that are alive, awake, below the cap and outside the neighbourhoods of this pass's winners.
+    """Candidates still alive, not suspended, below the threshold and outside the one-rings of this pass's collapses.
 
-    A winner's one-ring is masked whole, so the stars of what is kept are as they were when the pass began.
+    The one-ring of a collapse is masked whole, so those of what is kept are as they were when the pass began.
     """
     for i in range(wp.tid(), candidates_in.count[work.part], work.lanes):
         prefetch_edges(state, candidates_in, work.part, i, mask_in, work)
         h = candidates_in.half_edge[work.part * candidates_in.capacity + i]
         u = state.corner_vertex[h]
-        # One that was found dearer than its price is no candidate any more.
-        if u >= 0 and is_candidate_cost(state.edge_cost[h]) and state.edge_cost[h] < cap_in[0]:
+        # One whose check raised its cost is no candidate any more.
+        if u >= 0 and is_candidate_cost(state.edge_cost[h]) and state.edge_cost[h] < threshold_in[0]:
             v = half_edge_target(state.corner_vertex, h)
             if mask_in[u] != pass_number_in[0] and mask_in[v] != pass_number_in[0]:
                 append(candidates_out, work.part, h)

@@ -14,7 +14,7 @@ from typing import Any
 import warp as wp
 
 # Rows become vector instructions only while their loops over the lanes are still loops: once unrolled, early, they are
-# scalars that the compiler does not put together again (an edge's price takes three times as long). The inline
+# scalars that the compiler does not put together again (an edge's cost takes three times as long). The inline
 # threshold is Warp's own, which these flags replace. For modules with arithmetic on lanes.
 LANE_OPTIONS = {
     "enable_backward": False,  # no gradients are taken
@@ -112,10 +112,11 @@ def lane_max(x: Any, least: wp.float32):
 
 @lane_kernel(blocks_out=POINTS_ARRAY)
 def pack_frames(
+    # in
     points_in: wp.array2d[wp.vec3],
     origin: wp.vec3,
     scale: wp.float32,
-    # outputs
+    # out
     blocks_out: Any,
 ):
     """Blocks (V, B) of ``(p - origin) scale`` of points (F, V)."""
@@ -134,8 +135,9 @@ def pack_frames(
 
 @lane_kernel(blocks_in=POINTS_ARRAY)
 def unpack_frames(
+    # in
     blocks_in: Any,
-    # outputs
+    # out
     points_out: wp.array2d[wp.vec3],
 ):
     """(F, V) points of blocks (V, B)."""

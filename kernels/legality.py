@@ -2,11 +2,11 @@
 
 | rule            | why                                                                                              |
 |-----------------|--------------------------------------------------------------------------------------------------|
-| link condition  | a common neighbour that is not a wing would leave two faces on three edges (a non-manifold edge) |
+| link condition  | a common neighbour not opposite the edge would leave two faces on three edges (non-manifold)     |
 | pinch           | an inner edge between two border vertices would join the borders at one vertex                   |
-| wing            | a wing needs a face fan after it lost one face: 3 faces inside, 1 at a border                    |
+| opposite vertex | it needs a face fan after it lost one face: 3 faces inside, 1 at a border                        |
 | mirror          | an inner edge between two vertices of a mirror plane would be one edge of both halves            |
-| vanish          | the merged vertex keeps a face, also where the wing is a bow tie that says nothing of this fan   |
+| last face       | the merged vertex keeps a face, also where the opposite vertex is a bow tie with other fans      |
 | flip, any frame | a face may turn past ``TURN_COSINE`` in a few frames only (crumpling motion does so by itself)   |
 | flip, the whole | ``sum over frames of n.n' sqrt(A A' w w')`` must stay positive (Yang et al. 2019, equation 7)    |
 """
@@ -28,13 +28,21 @@ from warpqem.kernels.member_distance import lead_point, member_gap
 from warpqem.kernels.mesh_state import KEY_FRAMES, AnyKeyFrames, CostModel, MeshState
 from warpqem.kernels.prefetch import prefetch_ends, prefetch_winners
 from warpqem.kernels.quadric import NO_PLANE
-from warpqem.kernels.topology import BORDER, FROZEN, MIRROR, OPEN, find_half_edge, half_edge_target, previous_corner
+from warpqem.kernels.topology import (
+    BORDER,
+    MIRROR,
+    NON_MANIFOLD,
+    OPEN,
+    find_half_edge,
+    half_edge_target,
+    previous_corner,
+)
 from warpqem.kernels.work import EdgeList, Work, count_before
 
 # A face may not turn by more than 78 degrees in one collapse: beyond that it folds over its neighbour a few later.
 TURN_COSINE = wp.constant(wp.float32(0.2))
-# A price that rose by more than this factor since it was set puts a winner back among the edges.
-DEARER = wp.constant(wp.float32(1.2))
+# A cost that rose by more than this factor since it was computed puts a selected edge back among the others.
+COST_SLACK = wp.constant(wp.float32(1.2))
 # What the area times the squared distance of merged input vertices from the faces left costs, against the same from
 # planes. Below 1 thin tips go, above 3 fits of compact shapes get worse, as one frame decides more and more.
 GAP_COST = wp.constant(wp.float32(2.0))
@@ -46,8 +54,8 @@ NO_AREA = wp.constant(wp.float32(1.0e-28))
 def is_ring_vertex(state: MeshState, u: wp.int32, w: wp.int32) -> wp.bool:
     """Whether ``w`` shares a face with ``u``."""
     open_fan = (state.vertex_flags[u] & OPEN) != 0
-    for i in range(state.stars.start[u], state.stars.end[u]):
-        h = state.stars.corner[i]
+    for i in range(state.adjacency.start[u], state.adjacency.end[u]):
+        h = state.adjacency.corner[i]
         if half_edge_target(state.corner_vertex, h) == w:
             return True
         if open_fan and state.corner_vertex[previous_corner(h)] == w:
@@ -58,7 +66,7 @@ def is_ring_vertex(state: MeshState, u: wp.int32, w: wp.int32) -> wp.bool:
 @wp.func
 def degree(state: MeshState, v: wp.int32) -> wp.int32:
     """Faces at a vertex."""
-    return state.stars.end[v] - state.stars.start[v]
+    return state.adjacency.end[v] - state.adjacency.start[v]
 
 
 @wp.func
@@ -68,23 +76,23 @@ def mean_weight(state: MeshState, u: wp.int32, v: wp.int32) -> wp.float32:
 
 
 @wp.func
-def keeps_fan(state: MeshState, wing: wp.int32) -> wp.bool:
-    """Whether a wing may lose one of its faces."""
-    if (state.vertex_flags[wing] & BORDER) != 0:
-        return degree(state, wing) >= 2
-    return degree(state, wing) >= 4
+def keeps_fan(state: MeshState, opposite_vertex: wp.int32) -> wp.bool:
+    """Whether an opposite vertex may lose one of its faces."""
+    if (state.vertex_flags[opposite_vertex] & BORDER) != 0:
+        return degree(state, opposite_vertex) >= 2
+    return degree(state, opposite_vertex) >= 4
 
 
 @wp.func
 def is_capped(state: MeshState, u: wp.int32, v: wp.int32, left: wp.int32, right: wp.int32) -> wp.bool:
-    """Whether an inner end has three faces where a frozen vertex is near, whose faces do not tell what its fans keep.
+    """Whether an inner end has three faces where a non-manifold vertex is near, whose faces may be in several fans.
 
-    The third face of that end lies between the wings, and may come to lie on one of the other end.
+    The third face of that end lies between the opposite vertices, and may come to lie on one of the other end.
     """
     flags = state.vertex_flags[u] | state.vertex_flags[v] | state.vertex_flags[left]
     if right >= 0:
         flags = flags | state.vertex_flags[right]
-    if (flags & FROZEN) == 0:
+    if (flags & NON_MANIFOLD) == 0:
         return False
     u_capped = (state.vertex_flags[u] & OPEN) == 0 and degree(state, u) == 3
     return u_capped or ((state.vertex_flags[v] & OPEN) == 0 and degree(state, v) == 3)
@@ -95,8 +103,8 @@ def spans_mirror(state: MeshState, u: wp.int32, v: wp.int32, left: wp.int32, rig
     """Whether a collapse of ``u v``, one of them on a mirror plane, makes an inner edge between two vertices of it."""
     inner = wp.where((state.vertex_flags[u] & MIRROR) != 0, v, u)
     on_plane = wp.where(inner == v, u, v)
-    for i in range(state.stars.start[inner], state.stars.end[inner]):
-        h = state.stars.corner[i]
+    for i in range(state.adjacency.start[inner], state.adjacency.end[inner]):
+        h = state.adjacency.corner[i]
         for side in range(2):
             w = half_edge_target(state.corner_vertex, h)
             if side == 1:
@@ -108,12 +116,12 @@ def spans_mirror(state: MeshState, u: wp.int32, v: wp.int32, left: wp.int32, rig
 
 @wp.func
 def is_manifold_collapse(state: MeshState, h: wp.int32) -> wp.bool:
-    """Link condition, pinch, wing, mirror and vanish rules for half-edge ``h``."""
+    """Link condition, pinch, opposite vertex, mirror and last face rules for half-edge ``h``."""
     u = state.corner_vertex[h]
     v = half_edge_target(state.corner_vertex, h)
     left = state.corner_vertex[previous_corner(h)]
     right = wp.int32(-1)
-    opposite = find_half_edge(state.corner_vertex, state.stars, v, u)
+    opposite = find_half_edge(state.corner_vertex, state.adjacency, v, u)
     if opposite >= 0:
         right = state.corner_vertex[previous_corner(opposite)]
         if (state.vertex_flags[u] & state.vertex_flags[v] & BORDER) != 0 or not keeps_fan(state, right):
@@ -129,8 +137,8 @@ def is_manifold_collapse(state: MeshState, h: wp.int32) -> wp.bool:
         return False
     # Those that enter need no look around an inner vertex.
     open_fan = (state.vertex_flags[v] & OPEN) != 0
-    for i in range(state.stars.start[v], state.stars.end[v]):
-        g = state.stars.corner[i]
+    for i in range(state.adjacency.start[v], state.adjacency.end[v]):
+        g = state.adjacency.corner[i]
         w = half_edge_target(state.corner_vertex, g)
         if w != u and w != left and w != right and is_ring_vertex(state, u, w):
             return False
@@ -145,7 +153,7 @@ def is_manifold_collapse(state: MeshState, h: wp.int32) -> wp.bool:
 def flip_margin(old_normal: Any, new_normal: Any):
     """Positive (width,) where a face turns less than ``TURN_COSINE`` allows."""
     d = lane_dot(old_normal, new_normal)
-    # cos |cos| >= c^2 times the squared lengths, divided before it is multiplied: d^2 of a small face would vanish in
+    # cos |cos| >= c^2 times the squared lengths, divided before it is multiplied: d^2 of a small face underflows
     # float32.
     share = wp.cw_div(d, lane_max(lane_dot(old_normal, old_normal), NO_AREA))
     return wp.cw_mul(share, wp.abs(d)) - TURN_COSINE * TURN_COSINE * lane_dot(new_normal, new_normal)
@@ -197,16 +205,17 @@ def turns_over(
 
 @lane_kernel(frames=KEY_FRAMES, target_out=POINTS_ARRAY)
 def place_winners(
+    # in
     state: MeshState,
     frames: AnyKeyFrames,
     model: CostModel,
     winners: EdgeList,
     work: Work,
-    # outputs
+    # out
     target_out: Any,
     anchor_out: wp.array[wp.float32],
 ):
-    """The merged vertex of each winner in each key frame, and the anchor along its edge."""
+    """The merged vertex of each selected collapse in each key frame, and the anchor along its edge."""
     first_slot = count_before(winners, work.part)
     for k in range(wp.tid(), winners.count[work.part], work.lanes):
         i = first_slot + k
@@ -221,26 +230,28 @@ def place_winners(
 
 
 @lane_kernel(frames=KEY_FRAMES, target_in=POINTS_ARRAY)
-def judge_winners(
+def check_collapses(
+    # in and out
     state: MeshState,
+    # in
     frames: AnyKeyFrames,
     model: CostModel,
     winners: EdgeList,
     target_in: Any,
     flip_tolerance: wp.int32,
     work: Work,
-    # outputs
+    # out
     faces_removed_out: wp.array[wp.int32],
     error_out: wp.array[wp.float32],
     legal_count: wp.array[wp.int32],
     space: wp.array[wp.int32],
 ):
-    """The faces each legal winner removes; 0 for an illegal one, whose edge sleeps until its neighbourhood changes.
+    """The faces each legal collapse removes; 0 for an illegal one, suspended until its neighbourhood changes.
 
-    Also 0 for one that is dearer than its price says: input vertices would be far from the faces left, or a seam has
-    come to the edge from across its faces, where nothing prices it again. ``error_out`` is the mean squared distance of
-    the input vertices that a legal winner merges. Counts the legal ones of each part too, and what their stars take
-    together (both zeroed before the launch, or empty: then not).
+    Also 0 for one with more than its stored cost: input vertices would be far from the faces left, or a seam has come
+    to the edge from across its faces, where no cost is updated. ``error_out`` is the mean squared distance of the input
+    vertices that a legal collapse merges. Counts the legal ones of each part too, and the entries that their adjacency
+    takes (both zeroed before the launch, or empty: then not).
     """
     first_slot = count_before(winners, work.part)
     for k in range(wp.tid(), winners.count[work.part], work.lanes):
@@ -253,28 +264,28 @@ def judge_winners(
         for side in range(2):
             a = wp.where(side == 0, u, v)
             b = wp.where(side == 0, v, u)
-            j = state.stars.start[a]
-            while legal and j < state.stars.end[a]:
-                g = state.stars.corner[j]
+            j = state.adjacency.start[a]
+            while legal and j < state.adjacency.end[a]:
+                g = state.adjacency.corner[j]
                 if half_edge_target(state.corner_vertex, g) != b and state.corner_vertex[previous_corner(g)] != b:
                     legal = not turns_over(state, frames, g, target_in, i, flip_tolerance)
                 j += 1
-        price = state.edge_cost[h]
+        cost = state.edge_cost[h]
         if legal and breaks_seams(state, h):
             fresh = price_edge(state, frames, model, h)
-            price = fresh.cost
+            cost = fresh.cost
         if legal:
             gap = member_gap(state, frames, u, v, lead_point(target_in[i, 0]))
             error_out[i] = gap[0] / wp.max(gap[1], NO_PLANE)
             if error_out[i] > model.error_limit:
-                price = INFINITE_COST
+                cost = INFINITE_COST
             else:
-                price = wp.max(price, GAP_COST * model.key_count * mean_weight(state, u, v) * gap[0])
-        if price > DEARER * state.edge_cost[h]:
+                cost = wp.max(cost, GAP_COST * model.key_count * mean_weight(state, u, v) * gap[0])
+        if cost > COST_SLACK * state.edge_cost[h]:
             faces_removed_out[i] = 0
-            state.edge_cost[h] = price
+            state.edge_cost[h] = cost
         elif legal:
-            opposite = find_half_edge(state.corner_vertex, state.stars, v, u)
+            opposite = find_half_edge(state.corner_vertex, state.adjacency, v, u)
             faces_removed_out[i] = wp.where(opposite >= 0, 2, 1)
             if legal_count.shape[0] > 0:
                 wp.atomic_add(legal_count, work.part, 1)

@@ -1,4 +1,4 @@
-"""The frame that the material carries along at an output vertex: its normal and two tangents that deform with it.
+"""The material frame at an output vertex: its normal and two tangents that deform with the surface.
 
 A correction that is constant in this frame moves with the surface: it bends, turns and stretches as the surface does,
 and adds no motion of its own.
@@ -10,8 +10,8 @@ from warpqem.kernels.topology import half_edge_target
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
-# Pull of the tangents towards a plain rotation, relative to the spread of the ring's edges. A ring that is nearly a
-# line in the reference frame says nothing about stretch across it.
+# Regularisation of the tangents towards a plain rotation, relative to the spread of the ring's edges. A ring that is
+# nearly a line in the reference frame says nothing about stretch across it.
 ROTATION_PULL = wp.constant(wp.float32(0.05))
 
 # A normal or a ring smaller than this (areas and squared lengths on a mesh of unit diagonal) has no direction.
@@ -23,8 +23,8 @@ class OneRings:
     """The faces about each of C output vertices, and the pose that material frames start from."""
 
     corner_vertex: wp.array[wp.int32]  # (3N',)
-    star_start: wp.array[wp.int32]  # (C+1,)
-    star_corner: wp.array[wp.int32]  # (3N',)
+    adjacency_start: wp.array[wp.int32]  # (C+1,)
+    adjacent_corner: wp.array[wp.int32]  # (3N',)
     reference: wp.array[wp.vec3]  # (C,) positions in the reference frame
     reference_normal: wp.array[wp.vec3]  # (C,) of any length
 
@@ -42,7 +42,7 @@ def first_tangent(n: wp.vec3) -> wp.vec3:
 def material_frame(
     rings: OneRings, points: wp.array2d[wp.vec3], normals: wp.array2d[wp.vec3], t: wp.int32, c: wp.int32
 ) -> wp.mat33:
-    """Columns: the two reference tangents, carried along, and the unit normal; all zero where there is no normal.
+    """Columns: the two reference tangents, deformed, and the unit normal; all zero where there is no normal.
 
     The tangents follow the map of the tangent plane that fits the ring's edges best, from the reference frame to frame
     ``t``: ``B = (M + r R) (G + r I)^-1``, with ``M = sum u u0^T``, ``G = sum u0 u0^T`` over edges ``u0`` that become
@@ -58,8 +58,8 @@ def material_frame(
     y0 = wp.cross(n0, x0)
     m = wp.mat22()
     g = wp.mat22()
-    for i in range(rings.star_start[c], rings.star_start[c + 1]):
-        v = half_edge_target(rings.corner_vertex, rings.star_corner[i])
+    for i in range(rings.adjacency_start[c], rings.adjacency_start[c + 1]):
+        v = half_edge_target(rings.corner_vertex, rings.adjacent_corner[i])
         d = points[t, v] - points[t, c]
         d0 = rings.reference[v] - rings.reference[c]
         u = wp.vec2(wp.dot(d, x), wp.dot(d, y))
@@ -84,11 +84,12 @@ def material_frame(
 
 @wp.kernel
 def measure_material_frames(
+    # in
     rings: OneRings,
     points_in: wp.array2d[wp.vec3],
     normal_in: wp.array2d[wp.vec3],
     free_in: wp.array[wp.int32],
-    # outputs
+    # out
     frame_out: wp.array2d[wp.mat33],
 ):
     """Material frames (B, C) of a block of frames with points and normals (B, C); zero for vertices that must stay."""
@@ -101,11 +102,12 @@ def measure_material_frames(
 
 @wp.kernel
 def move_in_material_frame(
+    # in
     rings: OneRings,
     points_in: wp.array2d[wp.vec3],
     normal_in: wp.array2d[wp.vec3],
     correction_in: wp.array[wp.vec3],
-    # outputs
+    # out
     points_out: wp.array2d[wp.vec3],
 ):
     """Each vertex moved by its correction (C,), the same in all frames (B, C) as the material sees it."""
@@ -119,12 +121,13 @@ def move_in_material_frame(
 
 @wp.kernel
 def mark_new_flips(
+    # in
     points_in: wp.array2d[wp.vec3],
     moved_in: wp.array2d[wp.vec3],
     normal_in: wp.array2d[wp.vec3],
     correction_in: wp.array[wp.vec3],
     corner_vertex_in: wp.array[wp.int32],
-    # outputs
+    # out
     marked_out: wp.array[wp.int32],
 ):
     """Mark the moved vertices of faces that turn over by the move (every thread writes the same value)."""

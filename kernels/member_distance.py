@@ -23,7 +23,7 @@ def lead_point(block: Any) -> wp.vec3:
 
 
 @wp.func
-def star_distance_squared(
+def ring_distance_squared(
     state: MeshState, frames: AnyKeyFrames, u: wp.int32, v: wp.int32, apex: wp.vec3, p: wp.vec3
 ) -> wp.float32:
     """Squared distance of ``p`` from the faces around ``u`` and ``v`` once both are at ``apex``."""
@@ -31,8 +31,8 @@ def star_distance_squared(
     for side in range(2):
         a = wp.where(side == 0, u, v)
         b = wp.where(side == 0, v, u)
-        for i in range(state.stars.start[a], state.stars.end[a]):
-            h = state.stars.corner[i]
+        for i in range(state.adjacency.start[a], state.adjacency.end[a]):
+            h = state.adjacency.corner[i]
             x = half_edge_target(state.corner_vertex, h)
             y = state.corner_vertex[previous_corner(h)]
             if x != b and y != b:
@@ -50,7 +50,7 @@ def member_gap(state: MeshState, frames: AnyKeyFrames, u: wp.int32, v: wp.int32,
     for side in range(2):
         m = wp.where(side == 0, u, v)
         while m >= 0:
-            gap += state.members.area[m] * star_distance_squared(state, frames, u, v, apex, state.members.position[m])
+            gap += state.members.area[m] * ring_distance_squared(state, frames, u, v, apex, state.members.position[m])
             area += state.members.area[m]
             m = state.members.following[m]
     return wp.vec2(gap, area)

@@ -5,7 +5,7 @@ from typing import Any
 import warp as wp
 
 from warpqem.kernels.lanes import POINTS, POINTS_ARRAY, QUADRIC, QUADRIC_ARRAY, WIDTHS
-from warpqem.kernels.topology import VertexStars
+from warpqem.kernels.topology import VertexAdjacency
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
@@ -56,17 +56,17 @@ class Deformation:
 
 @wp.struct
 class MeshState:
-    """Faces, stars, flags and prices (V vertices, N faces, F frames)."""
+    """Faces, vertex-corner adjacency, flags and edge costs (V vertices, N faces, F frames)."""
 
     face_count: wp.array[wp.int32]  # (1,) faces in the arrays, dead ones included
     corner_vertex: wp.array[wp.int32]  # (3N,) vertex of each corner; -1 in a dead face
-    stars: VertexStars
-    vertex_flags: wp.array[wp.int32]  # (V,) BORDER | LOCKED | FROZEN | SEAM | CORNER
+    adjacency: VertexAdjacency
+    vertex_flags: wp.array[wp.int32]  # (V,) BORDER | LOCKED | NON_MANIFOLD | SEAM | CORNER
     cost_weight: wp.array[wp.float32]  # (V,) multiplies the cost; averaged when two vertices merge
     quadric_scale: wp.array[wp.float32]  # (V,) what planes at a vertex count; averaged when two vertices merge
     sum_row: wp.array[wp.int32]  # (V,) row of ``kept_sum``, -1 for none; empty where no sums are kept
     seam: wp.array[wp.int32]  # (3N,) 1 at both half-edges of a seam edge
-    edge_cost: wp.array[wp.float32]  # (3N,) at canonical half-edges; inf: no collapse here; negative: asleep
+    edge_cost: wp.array[wp.float32]  # (3N,) at canonical half-edges; inf: no collapse here; negative: suspended
     trajectory: wp.array2d[wp.vec3]  # (V, F) every frame's position, only where a deformation term needs it
     deformation: Deformation
     wedges: Wedges  # attributes, only where they have a weight
@@ -93,10 +93,10 @@ AnyKeyFrames = Any  # one of KEY_FRAMES
 
 @wp.struct
 class CostModel:
-    """How an edge is priced and where its collapse puts the vertex."""
+    """What the cost of an edge is made of, and where its collapse puts the vertex."""
 
     key_count: wp.float32  # key frames K
-    epsilon: wp.float32  # pull towards the edge anchor, relative to the quadric's trace
+    epsilon: wp.float32  # regularisation towards the edge anchor, relative to the quadric's trace
     endpoint: wp.int32  # 1: the vertex goes to the better end; 0: to the optimum
     error_limit: wp.float32  # squared error, in diagonals squared, above which no edge collapses
     deformation_weight: wp.float32  # factor of the deformation term; 0: none
@@ -107,11 +107,11 @@ class CollapseLog:
     """Collapses in the order of application; a pass owns the range from its first slot to the count."""
 
     count: wp.array[wp.int32]  # (1,)
-    round_count: wp.array[wp.int32]  # (1,) rounds of claims so far
+    round_count: wp.array[wp.int32]  # (1,) rounds of reservations so far
     kept: wp.array[wp.int32]  # (V,)
     removed: wp.array[wp.int32]  # (V,)
-    left_wing: wp.array[wp.int32]  # (V,) the vertex opposite the edge in its canonical face
-    right_wing: wp.array[wp.int32]  # (V,) -1 at a border
+    left_opposite: wp.array[wp.int32]  # (V,) the vertex opposite the edge in its canonical face
+    right_opposite: wp.array[wp.int32]  # (V,) -1 at a border
     cost: wp.array[wp.float32]  # (V,)
     error: wp.array[wp.float32]  # (V,) squared, in diagonals squared
     faces_removed: wp.array[wp.int32]  # (V,)

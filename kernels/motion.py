@@ -28,6 +28,7 @@ def wrapped(angle: wp.float32) -> wp.float32:
 
 @wp.kernel
 def measure_dihedral_changes(
+    # in
     edge_in: wp.array2d[wp.int32],
     points_in: wp.array2d[wp.vec3],
     chunk_steps: wp.int32,
@@ -36,8 +37,9 @@ def measure_dihedral_changes(
 ):
     """Largest ``|theta^{t+1} - theta^t|`` in radians, taken on over a block of frames (B, V).
 
-    ``edge_in`` (E, 4) holds the two ends and the two wings. The block's first frame is its predecessor's last. A thread
-    takes ``chunk_steps`` steps of one edge; the largest of all is the same in whichever order the threads come.
+    ``edge_in`` (E, 4) holds the two ends and the two opposite vertices. The block's first frame is its predecessor's
+    last. A thread takes ``chunk_steps`` steps of one edge; the largest of all is the same in whichever order the
+    threads come.
     """
     chunk, e = wp.tid()
     p = edge_in[e, 0]

@@ -9,22 +9,22 @@ from warpqem.kernels.work import EdgeList, Work
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
 # Part of the edges that one pass may touch. More is faster and further from the serial greedy order.
-CAP_FRACTION = wp.constant(wp.float64(0.05))
+CANDIDATE_FRACTION = wp.constant(wp.float64(0.05))
 # Where none of these is legal, the next pass looks at so many times as many.
 FRACTION_GROWTH = wp.constant(wp.float64(4.0))
 # A closed surface has so many edges for each face.
 EDGES_PER_FACE = wp.constant(wp.float64(1.5))
 # A pass looks at this many edges at least, or on small meshes each would do one collapse.
-LEAST_CANDIDATES = wp.constant(wp.int32(32))
-# The cap is read off every so many half-edges; a step without the factor 3 sees all corners alike.
+MIN_CANDIDATES = wp.constant(wp.int32(32))
+# The cost threshold is read off every so many half-edges; a step without the factor 3 sees all corners alike.
 SAMPLE_STEP = wp.constant(wp.int32(7))
-# The cap is read off all half-edges where a sample would hold fewer than so many: it need not be exact, only the same
-# on every run.
-LEAST_SAMPLE = wp.constant(wp.int32(2048))
+# The cost threshold is read off all half-edges where a sample has fewer than so many: it need not be exact, only the
+# same on every run.
+MIN_SAMPLE = wp.constant(wp.int32(2048))
 # A component of so many faces has hardly an edge left to collapse: a tetrahedron, or a triangle or two.
-MOST_REMNANT_FACES = wp.constant(wp.int32(4))
+MAX_REMNANT_FACES = wp.constant(wp.int32(4))
 
-# Why a loop of passes ended. STARS: they have to be built anew first. COMPONENTS: some are small enough to vanish.
+# Why a loop of passes ended. STARS: the adjacency has to be built anew. COMPONENTS: some are small enough to be pruned.
 RUNNING = wp.constant(wp.int32(0))
 TARGET = wp.constant(wp.int32(1))
 STUCK = wp.constant(wp.int32(2))
@@ -45,21 +45,22 @@ class PassControl:
     candidate_count: wp.array[wp.int32]  # of the last pass
     pass_collapses: wp.array[wp.int32]  # of the last pass
     pass_cap: wp.array[wp.float32]  # of the last pass
-    overfull: wp.array[wp.int32]  # 1: the pool of stars may be too small for another pass
-    remnant_count: wp.array[wp.int32]  # components that may vanish as a whole
+    overfull: wp.array[wp.int32]  # 1: the adjacency pool may be too small for another pass
+    remnant_count: wp.array[wp.int32]  # components that may be pruned as a whole
     fraction: wp.array[wp.float64]  # of the edges that the pass may touch
     pass_number: wp.array[wp.int32]
     pass_begin: wp.array[wp.int32]  # length of the log when the pass began
     wanted: wp.array[wp.int32]  # edges that the pass is to look at; 0: none
-    sample_step: wp.array[wp.int32]  # the cap is read off every so many half-edges
+    sample_step: wp.array[wp.int32]  # the threshold is read off every so many half-edges
 
 
 @wp.kernel
 def begin_pass(
+    # in
     log: CollapseLog,
     # in and out
     control: PassControl,
-    # outputs
+    # out
     candidates: EdgeList,
 ):
     """How many edges the pass looks at, with empty lists. After the end it looks at none, and changes nothing."""
@@ -72,9 +73,9 @@ def begin_pass(
     control.pass_number[0] = control.pass_number[0] + 1
     fraction = control.fraction[0]
     live = control.live_faces[0]
-    control.wanted[0] = wp.max(LEAST_CANDIDATES, wp.int32(fraction * EDGES_PER_FACE * wp.float64(live)))
-    # After a pass without a winner every edge counts: the few that are awake may be missing from a sample.
-    if fraction == CAP_FRACTION and 3 * live >= SAMPLE_STEP * LEAST_SAMPLE:
+    control.wanted[0] = wp.max(MIN_CANDIDATES, wp.int32(fraction * EDGES_PER_FACE * wp.float64(live)))
+    # After a pass without a collapse every edge counts: the few not suspended may be missing from a sample.
+    if fraction == CANDIDATE_FRACTION and 3 * live >= SAMPLE_STEP * MIN_SAMPLE:
         control.sample_step[0] = SAMPLE_STEP
 
 
@@ -87,12 +88,13 @@ def take_off_removed(control: PassControl):
 
 @wp.kernel
 def begin_round(
+    # in
     candidates: EdgeList,
     first: wp.int32,
     # in and out
     control: PassControl,
     log: CollapseLog,
-    # outputs
+    # out
     winners: EdgeList,
     candidates_left: EdgeList,
 ):
@@ -120,25 +122,26 @@ def log_key(state: MeshState, h: wp.int32) -> wp.int64:
 
 @wp.kernel
 def trim_winners(
+    # in
     state: MeshState,
     winners: EdgeList,
     faces_removed_in: wp.array[wp.int32],
     work: Work,
     # in and out
     control: PassControl,
-    # outputs
+    # out
     faces_removed_out: wp.array[wp.int32],
 ):
-    """Leave out the dearest winners beyond the target: those before which the others remove enough faces.
+    """Leave out the costliest collapses beyond the target: those before which the others remove enough faces.
 
-    Each winner adds up the faces of those before it: pairs that no sort has to put in order, and only in the round that
-    comes to the target.
+    Each selected collapse adds up the faces of those before it: pairs that no sort has to put in order, and only in the
+    round that comes to the target.
     """
     remaining = control.live_faces[0] - control.target_faces[0]
     count = winners.count[0]
     for i in range(wp.tid(), count, work.lanes):
         faces = faces_removed_in[i]
-        # A winner removes two faces at most.
+        # A collapse removes two faces at most.
         if faces > 0 and 2 * count > remaining:
             key = log_key(state, winners.half_edge[i])
             before = wp.int32(0)
@@ -154,8 +157,8 @@ def trim_winners(
 
 @wp.func
 def has_full_pool(state: MeshState, live: wp.int32) -> wp.bool:
-    """Whether the stars of another pass may find no room: those of its winners share no corner."""
-    return 3 * live > state.stars.corner.shape[0] - state.stars.used[0]
+    """Whether the adjacency of another pass may find no room: that of its collapses shares no corner."""
+    return 3 * live > state.adjacency.corner.shape[0] - state.adjacency.used[0]
 
 
 @wp.func
@@ -165,9 +168,9 @@ def close_pass(state: MeshState, control: PassControl, stops_for_stars: wp.int32
     status = wp.int32(RUNNING)
     if control.candidate_count[0] == 0 and fraction >= wp.float64(1.0):
         status = STUCK
-    # No legal winner under the cap: look further, at all edges, until every one has been refused.
+    # No legal collapse under the threshold: look further, at all edges, until every one has been refused.
     if control.pass_collapses[0] > 0:
-        control.fraction[0] = CAP_FRACTION
+        control.fraction[0] = CANDIDATE_FRACTION
     else:
         control.fraction[0] = wp.min(wp.float64(1.0), FRACTION_GROWTH * fraction)
     if control.live_faces[0] <= control.target_faces[0]:
@@ -177,7 +180,7 @@ def close_pass(state: MeshState, control: PassControl, stops_for_stars: wp.int32
 
 @wp.func
 def go_on(state: MeshState, control: PassControl, status: wp.int32, stops_for_stars: wp.int32):
-    """Set the status, and whether stars are to be built anew: with ``stops_for_stars`` 1 the loop ends for that."""
+    """Set the status, and whether to build the adjacency anew: with ``stops_for_stars`` 1 the loop ends for that."""
     overfull = has_full_pool(state, control.live_faces[0])
     control.overfull[0] = wp.where(overfull, 1, 0)
     control.status[0] = status
@@ -188,9 +191,10 @@ def go_on(state: MeshState, control: PassControl, status: wp.int32, stops_for_st
 
 @wp.kernel
 def end_pass(
+    # in
     state: MeshState,
     log: CollapseLog,
-    cap_in: wp.array[wp.float32],
+    threshold_in: wp.array[wp.float32],
     stops_for_stars: wp.int32,
     # in and out
     control: PassControl,
@@ -201,7 +205,7 @@ def end_pass(
     take_off_removed(control)
     control.collapse_count[0] = log.count[0]
     control.pass_collapses[0] = log.count[0] - control.pass_begin[0]
-    control.pass_cap[0] = cap_in[0]
+    control.pass_cap[0] = threshold_in[0]
     if control.remnant_count[0] > 0 and control.live_faces[0] > control.target_faces[0]:
         # The pass is closed by ``resume_passes``.
         control.status[0] = COMPONENTS
@@ -212,13 +216,14 @@ def end_pass(
 
 @wp.kernel
 def resume_passes(
+    # in
     state: MeshState,
     dropped_faces: wp.int32,
     stops_for_stars: wp.int32,
     # in and out
     control: PassControl,
 ):
-    """Go on after the host has looked at the components, and has let ``dropped_faces`` vanish."""
+    """Go on after the host has pruned components of ``dropped_faces`` faces together."""
     if dropped_faces == 0:
         close_pass(state, control, stops_for_stars)
         return
@@ -234,7 +239,7 @@ def note_new_stars(
     # in and out
     control: PassControl,
 ):
-    """Go on after the stars have been built anew."""
+    """Go on after the adjacency has been built anew."""
     control.overfull[0] = 0
     if control.status[0] == STARS:
         control.status[0] = RUNNING
@@ -243,10 +248,11 @@ def note_new_stars(
 
 @wp.kernel
 def count_component_faces(
+    # in
     state: MeshState,
     component_in: wp.array[wp.int32],
     work: Work,
-    # outputs
+    # out
     face_count: wp.array[wp.int32],
 ):
     """Live faces of each component (zeroed before the launch); ``component_in`` (V,) is that of each vertex."""
@@ -258,13 +264,14 @@ def count_component_faces(
 
 @wp.kernel
 def count_remnants(
+    # in
     face_count: wp.array[wp.int32],
-    may_vanish: wp.array[wp.int32],
+    may_be_pruned: wp.array[wp.int32],
     work: Work,
-    # outputs
+    # out
     control: PassControl,
 ):
-    """Components that are small enough to vanish and may do so (zeroed before the launch)."""
+    """Components that are small enough to be pruned and may be (zeroed before the launch)."""
     for c in range(wp.tid(), face_count.shape[0], work.lanes):
-        if face_count[c] > 0 and face_count[c] <= MOST_REMNANT_FACES and may_vanish[c] == 1:
+        if face_count[c] > 0 and face_count[c] <= MAX_REMNANT_FACES and may_be_pruned[c] == 1:
             wp.atomic_add(control.remnant_count, 0, 1)

@@ -27,16 +27,17 @@ class Clusters:
     border: wp.array[wp.int32]  # border and seam half-edges with an end in the cluster
     border_weight: wp.array[wp.float32]
     solved: wp.array[wp.int32]  # (C,) 0: the vertex is the anchor itself
-    pull: wp.array[wp.float32]  # (C,) towards the anchor, relative to the quadric
+    pull: wp.array[wp.float32]  # (C,) regularisation towards the anchor, relative to the quadric
 
 
 @lane_kernel(points_in=POINTS_ARRAY, points_out=POINTS_ARRAY, normal_out=POINTS_ARRAY)
 def place_vertices(
+    # in
     points_in: Any,
     corner_vertex_in: wp.array[wp.int32],
     clusters: Clusters,
     first_cluster: wp.int32,
-    # outputs
+    # out
     points_out: Any,
     normal_out: Any,
 ):
@@ -78,10 +79,11 @@ def place_vertices(
 
 @lane_kernel(points_in=POINTS_ARRAY, normal_in=POINTS_ARRAY)
 def count_flips(
+    # in
     points_in: Any,
     normal_in: Any,
     corner_vertex_in: wp.array[wp.int32],
-    # outputs
+    # out
     flip_count: wp.array[wp.int32],
 ):
     """Output faces per frame that face away from the input faces gathered in their three vertices."""

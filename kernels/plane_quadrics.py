@@ -39,9 +39,10 @@ def add_border_plane(q: Any, a: Any, b: Any, c: Any, origin: Any, weight: wp.flo
 
 @lane_kernel(position_in=POINTS_ARRAY, weighted_normal_out=POINTS_ARRAY)
 def weigh_face_normals(
+    # in
     corner_vertex_in: wp.array[wp.int32],
     position_in: Any,
-    # outputs
+    # out
     weighted_normal_out: Any,
 ):
     """``n sqrt(area)`` per face and block of frames."""
@@ -55,18 +56,19 @@ def weigh_face_normals(
 
 @lane_kernel(weighted_normal_in=POINTS_ARRAY, quadric_out=QUADRIC_ARRAY)
 def gather_vertex_quadrics(
-    star_start_in: wp.array[wp.int32],
-    star_corner_in: wp.array[wp.int32],
+    # in
+    adjacency_start_in: wp.array[wp.int32],
+    adjacent_corner_in: wp.array[wp.int32],
     weighted_normal_in: Any,
     quadric_scale_in: wp.array[wp.float32],
-    # outputs
+    # out
     quadric_out: Any,
 ):
-    """Sum of the face quadrics of a vertex's star. The origin is the vertex, which lies on every plane: b = c = 0."""
+    """Sum of the face quadrics around a vertex. The origin is the vertex, which lies on every plane: b = c = 0."""
     v, t = wp.tid()
     q = quadric_out.dtype()
-    for i in range(star_start_in[v], star_start_in[v + 1]):
-        n = weighted_normal_in[star_corner_in[i] // 3, t]
+    for i in range(adjacency_start_in[v], adjacency_start_in[v + 1]):
+        n = weighted_normal_in[adjacent_corner_in[i] // 3, t]
         q[0] += wp.cw_mul(n[0], n[0])
         q[1] += wp.cw_mul(n[0], n[1])
         q[2] += wp.cw_mul(n[0], n[2])
@@ -78,6 +80,7 @@ def gather_vertex_quadrics(
 
 @lane_kernel(position_in=POINTS_ARRAY, quadric=QUADRIC_ARRAY)
 def add_border_planes(
+    # in
     border_corner_in: wp.array[wp.int32],
     border_start_in: wp.array[wp.int32],
     border_vertex_in: wp.array[wp.int32],
@@ -85,7 +88,7 @@ def add_border_planes(
     position_in: Any,
     quadric_scale_in: wp.array[wp.float32],
     border_weight: wp.float32,
-    # outputs
+    # in and out
     quadric: Any,
 ):
     """Add the planes of the border and seam edges of each vertex that has any (a list each: no atomics are needed)."""

@@ -16,8 +16,8 @@ from warpqem.kernels.work import EdgeList, Work
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
-# How many items ahead of its use each link of the chain is asked for: from the half-edge to its ends, to their stars,
-# to the faces of these, to the vertices of those. Each needs what the one before has brought.
+# How many items ahead of its use each link of the chain is asked for: from the half-edge to its ends, to their
+# corners, to the faces of these, to the vertices of those. Each needs what the one before has brought.
 ENDS_AHEAD = wp.constant(wp.int32(8))
 STARS_AHEAD = wp.constant(wp.int32(6))
 LISTS_AHEAD = wp.constant(wp.int32(4))
@@ -50,30 +50,30 @@ def prefetch_row(rows: Any, i: wp.int32):
 @wp.func
 def prefetch_faces(state: MeshState, v: wp.int32):
     """The faces around a vertex."""
-    for i in range(state.stars.start[v], state.stars.end[v]):
-        prefetch(state.corner_vertex, state.stars.corner[i])
+    for i in range(state.adjacency.start[v], state.adjacency.end[v]):
+        prefetch(state.corner_vertex, state.adjacency.corner[i])
 
 
 @wp.func
 def prefetch_prices(state: MeshState, v: wp.int32):
-    """The faces around a vertex and the prices of their edges."""
-    for i in range(state.stars.start[v], state.stars.end[v]):
-        prefetch(state.corner_vertex, state.stars.corner[i])
-        prefetch(state.edge_cost, state.stars.corner[i])
+    """The faces around a vertex and the costs of their edges."""
+    for i in range(state.adjacency.start[v], state.adjacency.end[v]):
+        prefetch(state.corner_vertex, state.adjacency.corner[i])
+        prefetch(state.edge_cost, state.adjacency.corner[i])
 
 
 @wp.func
 def prefetch_ring(state: MeshState, positions: Any, v: wp.int32):
     """Positions of the neighbours of a vertex."""
-    for i in range(state.stars.start[v], state.stars.end[v]):
-        prefetch_row(positions, half_edge_target(state.corner_vertex, state.stars.corner[i]))
+    for i in range(state.adjacency.start[v], state.adjacency.end[v]):
+        prefetch_row(positions, half_edge_target(state.corner_vertex, state.adjacency.corner[i]))
 
 
 @wp.func
 def prefetch_priced_ring(state: MeshState, frames: AnyKeyFrames, v: wp.int32):
-    """All that prices of the edges at a vertex ask of its neighbours."""
-    for i in range(state.stars.start[v], state.stars.end[v]):
-        w = half_edge_target(state.corner_vertex, state.stars.corner[i])
+    """All that the costs of the edges at a vertex take from its neighbours."""
+    for i in range(state.adjacency.start[v], state.adjacency.end[v]):
+        w = half_edge_target(state.corner_vertex, state.adjacency.corner[i])
         prefetch(state.vertex_flags, w)
         prefetch(state.cost_weight, w)
         prefetch_row(frames.quadric, w)
@@ -84,7 +84,7 @@ def prefetch_priced_ring(state: MeshState, frames: AnyKeyFrames, v: wp.int32):
 def prefetch_moved(
     state: MeshState, frames: AnyKeyFrames, vertices: wp.array[wp.int32], i: wp.int32, count: wp.int32, work: Work
 ):
-    """What new prices around the vertices that come after the ``i``-th of a list need."""
+    """What new costs around the vertices that come after the ``i``-th of a list need."""
     if work.lanes > 1:
         return
     if i + FACES_AHEAD < count:
@@ -95,7 +95,7 @@ def prefetch_moved(
 
 @wp.func
 def prefetch_ends(state: MeshState, frames: AnyKeyFrames, winners: EdgeList, work: Work, k: wp.int32):
-    """The rows of the ends of the winners that come after the ``k``-th of a part."""
+    """The rows of the ends of the selected edges that come after the ``k``-th of a part."""
     if work.lanes > 1:
         return
     first = work.part * winners.capacity
@@ -111,19 +111,19 @@ def prefetch_ends(state: MeshState, frames: AnyKeyFrames, winners: EdgeList, wor
 
 
 @wp.func
-def prefetch_stars(state: MeshState, vertices: wp.array[wp.int32], i: wp.int32, count: wp.int32, work: Work):
-    """The stars of the vertices that come after the ``i``-th of a list, and their faces; -1 is passed over."""
+def prefetch_adjacency(state: MeshState, vertices: wp.array[wp.int32], i: wp.int32, count: wp.int32, work: Work):
+    """The corners of the vertices that come after the ``i``-th of a list, and their faces; -1 is passed over."""
     if work.lanes > 1:
         return
     if i + STARS_AHEAD < count:
         v = vertices[i + STARS_AHEAD]
         if v >= 0:
-            prefetch(state.stars.start, v)
-            prefetch(state.stars.end, v)
+            prefetch(state.adjacency.start, v)
+            prefetch(state.adjacency.end, v)
     if i + LISTS_AHEAD < count:
         v = vertices[i + LISTS_AHEAD]
         if v >= 0:
-            prefetch(state.stars.corner, state.stars.start[v])
+            prefetch(state.adjacency.corner, state.adjacency.start[v])
     if i + FACES_AHEAD < count:
         v = vertices[i + FACES_AHEAD]
         if v >= 0:
@@ -132,7 +132,7 @@ def prefetch_stars(state: MeshState, vertices: wp.array[wp.int32], i: wp.int32, 
 
 @wp.func
 def prefetch_winners(state: MeshState, frames: AnyKeyFrames, winners: EdgeList, work: Work, k: wp.int32):
-    """What the winners that come after the ``k``-th of a part need: ends, stars, faces and positions around them."""
+    """What the selected edges that come after the ``k``-th of a part need: ends, faces and positions around them."""
     if work.lanes > 1:
         return
     first = work.part * winners.capacity
@@ -143,11 +143,11 @@ def prefetch_winners(state: MeshState, frames: AnyKeyFrames, winners: EdgeList, 
     for side in range(2):
         if k + STARS_AHEAD < count:
             v = end_of(state, winners.half_edge[first + k + STARS_AHEAD], side)
-            prefetch(state.stars.start, v)
-            prefetch(state.stars.end, v)
+            prefetch(state.adjacency.start, v)
+            prefetch(state.adjacency.end, v)
         if k + LISTS_AHEAD < count:
             v = end_of(state, winners.half_edge[first + k + LISTS_AHEAD], side)
-            prefetch(state.stars.corner, state.stars.start[v])
+            prefetch(state.adjacency.corner, state.adjacency.start[v])
         if k + FACES_AHEAD < count:
             v = end_of(state, winners.half_edge[first + k + FACES_AHEAD], side)
             prefetch_faces(state, v)

@@ -82,7 +82,7 @@ def shift_origin(q: Any, d: Any):
 
 
 @wp.func
-def pulled_minimiser(q: Any, share: wp.float32, epsilon: wp.float32):
+def regularised_minimiser(q: Any, share: wp.float32, epsilon: wp.float32):
     """``x`` with ``(share A + epsilon tr(A) I) x = -b``.
 
     The system is divided by its trace, so its entries are of order one whatever the areas are, and ``epsilon > 0``
@@ -92,13 +92,13 @@ def pulled_minimiser(q: Any, share: wp.float32, epsilon: wp.float32):
     tr = lane_max(trace(q), NO_PLANE)
     s = wp.cw_div(type(tr)(wp.float32(1.0)), tr)
     m = s * share
-    pull = type(tr)(epsilon)
-    a = wp.cw_mul(q[0], m) + pull
+    regularisation = type(tr)(epsilon)
+    a = wp.cw_mul(q[0], m) + regularisation
     b = wp.cw_mul(q[1], m)
     c = wp.cw_mul(q[2], m)
-    d = wp.cw_mul(q[3], m) + pull
+    d = wp.cw_mul(q[3], m) + regularisation
     e = wp.cw_mul(q[4], m)
-    f = wp.cw_mul(q[5], m) + pull
+    f = wp.cw_mul(q[5], m) + regularisation
     c00 = wp.cw_mul(d, f) - wp.cw_mul(e, e)
     c01 = wp.cw_mul(c, e) - wp.cw_mul(b, f)
     c02 = wp.cw_mul(b, e) - wp.cw_mul(c, d)
@@ -118,20 +118,20 @@ def pulled_minimiser(q: Any, share: wp.float32, epsilon: wp.float32):
 @wp.func
 def anchored_minimiser(q: Any, epsilon: wp.float32):
     """``argmin Q(x) + epsilon tr(A) |x|^2``: stiff directions follow the quadric, soft ones stay at the origin."""
-    return pulled_minimiser(q, 1.0, epsilon)
+    return regularised_minimiser(q, 1.0, epsilon)
 
 
 @wp.func
 def tangential_minimiser(q: Any, epsilon: wp.float32):
-    """``argmin Q(x) + epsilon x^T (tr(A) I - A) x``: held along the surface alone.
+    """``argmin Q(x) + epsilon x^T (tr(A) I - A) x``: regularised along the surface alone.
 
-    Across a flat place ``A`` has its whole trace, so that nothing pulls there.
+    Across a flat place ``A`` has its whole trace, so that the regularisation is zero there.
     """
-    return pulled_minimiser(q, 1.0 - epsilon, epsilon)
+    return regularised_minimiser(q, 1.0 - epsilon, epsilon)
 
 
 @wp.func
 def value_at_minimiser(q: Any, x: Any, epsilon: wp.float32):
     """``Q(x)`` at the anchored minimiser, where ``A x = -b - epsilon tr(A) x``; never negative."""
-    pull = wp.cw_mul(trace(q) * epsilon, lane_dot(x, x))
-    return lane_max(q[9] + lane_dot(x, linear_part(q)) - pull, 0.0)
+    regularisation = wp.cw_mul(trace(q) * epsilon, lane_dot(x, x))
+    return lane_max(q[9] + lane_dot(x, linear_part(q)) - regularisation, 0.0)

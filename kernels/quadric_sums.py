@@ -13,13 +13,14 @@ wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
 @lane_kernel(position_in=POINTS_ARRAY, quadric_in=QUADRIC_ARRAY, sum_out=QUADRIC_ARRAY)
 def gather_sums(
+    # in
     row_in: wp.array[wp.int32],
     start_in: wp.array[wp.int32],
     vertex_in: wp.array[wp.int32],
     weight_in: wp.array[wp.float32],
     position_in: Any,
     quadric_in: Any,
-    # outputs
+    # out
     sum_out: Any,
 ):
     """Sum of row ``i`` (R, B), about its vertex ``row_in[i]``: one thread adds the entries in their order."""
@@ -34,6 +35,7 @@ def gather_sums(
 
 @lane_kernel(sum_in=QUADRIC_ARRAY, quadric=QUADRIC_ARRAY)
 def add_sums(
+    # in
     row_in: wp.array[wp.int32],
     sum_in: Any,
     # in and out

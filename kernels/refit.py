@@ -28,7 +28,7 @@ wp.set_module_options({"enable_backward": False})  # no gradients are taken
 SAME_SIDE = wp.constant(wp.float32(0.2))
 
 # A pair lies ahead of each other when its offset is within 73 degrees of the normal: this is the square of the cosine.
-# At the rim of a fold a walk ends beside the surface, and such a pair would pull it along.
+# At the rim of a fold a walk ends beside the surface, and such a pair would drag the rim along.
 AHEAD = wp.constant(wp.float32(0.08))
 
 # Share of the input's area that its vertices stand for; the middles of its faces stand for the rest. Three quarters
@@ -39,7 +39,7 @@ VERTEX_SHARE = wp.constant(wp.float32(0.25))
 SHORTEST_SQUARED = wp.constant(wp.float32(1.0e-3))
 
 # Keeps the matrix of a vertex without pairs from being singular (weights are of order one).
-LEAST_PULL = wp.constant(wp.float32(1.0e-6))
+MIN_PULL = wp.constant(wp.float32(1.0e-6))
 
 
 @wp.struct
@@ -57,7 +57,7 @@ class Pairs:
 
 @wp.struct
 class Pull:
-    """What holds corrections back, relative to the area a vertex stands for."""
+    """Regularisation weights of corrections, relative to the area a vertex stands for."""
 
     tangent: wp.float32
     normal: wp.float32
@@ -114,13 +114,14 @@ def starts(start: wp.array[wp.int32], v: wp.vec3i) -> wp.vec3i:
 
 @wp.kernel
 def match_input_samples(
+    # in
     turns: Turns,
     reach: wp.float32,
     source: Surface,
     target: Surface,
     start_in: wp.array[wp.int32],
     mesh: wp.uint64,
-    # outputs
+    # in and out
     pairs: Pairs,
 ):
     """Pair the input's face middles and vertices with the nearest points of the output.
@@ -134,7 +135,7 @@ def match_input_samples(
     sample = pair / turns.count
     t = turns.key
     face_count = source.corner_vertex.shape[0] / 3
-    if sample >= face_count + source.star_start.shape[0] - 1:
+    if sample >= face_count + source.adjacency_start.shape[0] - 1:
         return
     pairs.face[pair] = -1
     normal = wp.vec3()
@@ -150,8 +151,8 @@ def match_input_samples(
         v = sample - face_count
         corners = wp.vec3i(v, v, v)
         x = source.points[t, v]
-        for i in range(source.star_start[v], source.star_start[v + 1]):
-            cross = face_cross(source, t, source.star_corner[i] / 3)
+        for i in range(source.adjacency_start[v], source.adjacency_start[v + 1]):
+            cross = face_cross(source, t, source.adjacent_corner[i] / 3)
             normal += cross
             area += VERTEX_SHARE / 6.0 * wp.length(cross)
     if area == 0.0:
@@ -177,6 +178,7 @@ def match_input_samples(
 
 @wp.kernel
 def match_output_samples(
+    # in
     turns: Turns,
     reach: wp.float32,
     source: Surface,
@@ -184,7 +186,7 @@ def match_output_samples(
     start_in: wp.array[wp.int32],
     mesh: wp.uint64,
     barycentric_in: wp.array[wp.vec3],
-    # outputs
+    # in and out
     pairs: Pairs,
 ):
     """Pair points of every output face, at the given barycentric weights, with the nearest points of the input.
@@ -256,6 +258,7 @@ def store_border_pair(
 
 @wp.kernel
 def match_border_samples(
+    # in
     turns: Turns,
     reach: wp.float32,
     moving: Surface,
@@ -266,7 +269,7 @@ def match_border_samples(
     per_edge: wp.int32,
     width: wp.float32,
     first_pair: wp.int32,
-    # outputs
+    # out
     pairs: Pairs,
 ):
     """Pair points of border edges of one surface with the border of the other, each point in two pairs.
@@ -360,6 +363,7 @@ def include_pair(
 
 @wp.kernel
 def assemble_elements(
+    # in
     corner_vertex_in: wp.array[wp.int32],
     input_pairs: Pairs,
     input_start_in: wp.array[wp.int32],
@@ -372,7 +376,7 @@ def assemble_elements(
     frame_in: wp.array2d[wp.mat33],
     correction_in: wp.array[wp.vec3],
     hold_in: wp.array[wp.vec3],
-    # outputs
+    # out
     block_out: wp.array2d[wp.mat33],
     right_out: wp.array[wp.vec3],
 ):
@@ -407,10 +411,10 @@ def assemble_elements(
                 e = include_row(e, none, ja, jb, 0.0, weight)
             else:
                 e = include_row(e, jb, none, ja, 0.0, weight)
-    # By area and not by the pairs found: where there is none, the pull is all that holds a vertex.
+    # By area and not by the pairs found: where there is none, the regularisation alone determines a vertex.
     share = area * pull.mass / (3.0 * wp.float32(points_in.shape[0]))
     along = share * wp.vec3(pull.tangent, pull.tangent, pull.normal)
-    nothing = LEAST_PULL * wp.vec3(1.0, 1.0, 1.0)
+    nothing = MIN_PULL * wp.vec3(1.0, 1.0, 1.0)
     block_out[f, 0] = e.m00 + wp.diag(wp.cw_mul(along, hold_in[v[0]]) + nothing)
     block_out[f, 1] = e.m01
     block_out[f, 2] = e.m02

@@ -94,13 +94,14 @@ def trace_ray(
 
 @wp.kernel
 def render_pixels(
+    # in
     mesh: wp.uint64,
     corner_vertex_in: wp.array[wp.int32],
     points_in: wp.array[wp.vec3],
     camera: Camera,
     shading: Shading,
     samples: wp.int32,
-    # outputs
+    # out
     image_out: wp.array2d[wp.vec3],
 ):
     """Linear colours (height, width), each the mean of ``samples`` x ``samples`` rays."""

@@ -11,9 +11,9 @@ least ``y_j`` there, ``E(v, a) = sum_j (p_j - y_j)^T H_j (p_j - y_j)`` is minimi
 - weights: with ``u_k = R_k (v + o) + t_k - y``, minimise ``a^T G a``, ``G_kl = sum_j u_k^T H u_l``, subject to
   ``sum a = 1``, ``a >= 0``: an active set, each step a Cholesky solve on the joints in use (Lawson & Hanson 1974).
 
-Both are pulled a little towards where they start, which decides what no pose tells apart. All in float64: joints that
-move nearly alike leave little between the eigenvalues of ``G``. One lane per vertex and a fixed order of sums, so that
-the result is the same on every run.
+Both are regularised a little towards where they start, which decides what no pose determines. All in float64: joints
+that move nearly alike leave little between the eigenvalues of ``G``. One lane per vertex and a fixed order of sums, so
+that the result is the same on every run.
 """
 
 import warp as wp
@@ -23,7 +23,7 @@ from warpqem.kernels.closest_point import double_point
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
 # Planes closer to none than this, in units of area on a mesh of unit diagonal, do not place a vertex.
-LEAST_TRACE = wp.constant(wp.float64(1.0e-30))
+MIN_TRACE = wp.constant(wp.float64(1.0e-30))
 # The least of a cluster's planes counts as far as this from where placement put the vertex, in radii of a disc of the
 # cluster's area: planes that hardly meet, as at a thin tip of few faces, would take it away as a spike.
 REACH = wp.constant(wp.float64(0.25))
@@ -46,10 +46,10 @@ class SkinProblem:
     offset: wp.array2d[wp.vec3d]  # (P, C), or (0, 0) for none
     goal: wp.array2d[wp.vec3d]  # (P, C)
     stiffness: wp.array2d[wp.mat33d]  # (C, P)
-    position_pull: wp.float64
-    weight_pull: wp.float64
+    position_regularisation: wp.float64
+    regularisation_of_weight: wp.float64
     rounds: wp.int32
-    most_influences: wp.int32
+    max_influences: wp.int32
 
 
 @wp.struct
@@ -61,7 +61,7 @@ class SkinScratch:
     factor: wp.array[wp.float64]
     first: wp.array[wp.float64]
     second: wp.array[wp.float64]
-    pull_weight: wp.array[wp.float64]  # what the weights are pulled to
+    regularisation: wp.array[wp.float64]  # what the weights are regularised towards
     slot: wp.array[wp.int32]  # the joints in use, as indices into the row
     state: wp.array[wp.int32]  # 1 in use, 0 at zero, -1 not allowed
 
@@ -74,6 +74,7 @@ def plane_matrix(normal: wp.vec3d, weight: wp.float64) -> wp.mat33d:
 
 @wp.kernel
 def gather_planes(
+    # in
     face_start_in: wp.array[wp.int32],
     face_in: wp.array[wp.vec3i],
     face_weight_in: wp.array[wp.float32],
@@ -84,15 +85,15 @@ def gather_planes(
     placed_in: wp.array2d[wp.vec3d],
     pull: wp.float64,
     to_planes: wp.int32,
-    # outputs
+    # out
     stiffness_out: wp.array2d[wp.mat33d],
     goal_out: wp.array2d[wp.vec3d],
 ):
     """``H`` and ``y`` of each cluster in each pose from its faces and its border edges (edge, then the third vertex).
 
     About the place ``x`` that placement gave the vertex, the quadric is ``(p - x)^T A (p - x) + 2 g.(p - x)``. With the
-    pull towards that place its least is ``y = x - H^-1 g``, or as far that way as ``REACH`` allows; where ``to_planes``
-    is 0, ``y = x``.
+    regularisation towards that place its least is ``y = x - H^-1 g``, or as far that way as ``REACH`` allows; where
+    ``to_planes`` is 0, ``y = x``.
     """
     c, j = wp.tid()
     total = wp.mat33d()
@@ -118,7 +119,7 @@ def gather_planes(
             weight = wp.dot(edge, edge) * wp.float64(border_weight_in[i]) / (length * length)
             total += plane_matrix(across, weight)
             slope += across * (weight * wp.dot(across, place - p))
-    soft = pull * wp.trace(total) + LEAST_TRACE
+    soft = pull * wp.trace(total) + MIN_TRACE
     stiffness = total + wp.mat33d(
         soft, wp.float64(0.0), wp.float64(0.0),
         wp.float64(0.0), soft, wp.float64(0.0),
@@ -129,7 +130,7 @@ def gather_planes(
         away = wp.inverse(stiffness) * slope
         # Every face counts at its three corners.
         reach = REACH * wp.sqrt(wp.trace(total) / wp.float64(3.0 * wp.PI))
-        place -= away * wp.min(wp.float64(1.0), reach / wp.max(wp.length(away), LEAST_TRACE))
+        place -= away * wp.min(wp.float64(1.0), reach / wp.max(wp.length(away), MIN_TRACE))
     goal_out[j, c] = place
 
 
@@ -179,9 +180,9 @@ def best_position(problem: SkinProblem, c: wp.int32, weight: wp.array[wp.float64
         matrix += t * linear
         right += t * (problem.goal[j, c] - shift - linear * offset_of(problem, j, c))
     size = wp.trace(matrix) / wp.float64(3.0)
-    if size <= LEAST_TRACE:
+    if size <= MIN_TRACE:
         return fallback
-    soft = problem.position_pull * size
+    soft = problem.position_regularisation * size
     matrix += wp.mat33d(
         soft, wp.float64(0.0), wp.float64(0.0),
         wp.float64(0.0), soft, wp.float64(0.0),
@@ -192,7 +193,7 @@ def best_position(problem: SkinProblem, c: wp.int32, weight: wp.array[wp.float64
 
 @wp.func
 def fill_gram(problem: SkinProblem, scratch: SkinScratch, c: wp.int32, v: wp.vec3d) -> wp.float64:
-    """``G`` at the position, with the pull on its diagonal; returns that pull."""
+    """``G`` at the position, with the regularisation on its diagonal; returns that regularisation."""
     first = problem.candidate_start[c]
     n = problem.candidate_start[c + 1] - first
     o = scratch.matrix_start[c]
@@ -214,7 +215,7 @@ def fill_gram(problem: SkinProblem, scratch: SkinScratch, c: wp.int32, v: wp.vec
         total += scratch.gram[o + k * n + k]
         for other_k in range(k):
             scratch.gram[o + other_k * n + k] = scratch.gram[o + k * n + other_k]
-    soft = problem.weight_pull * total / wp.float64(n) + LEAST_TRACE
+    soft = problem.regularisation_of_weight * total / wp.float64(n) + MIN_TRACE
     for k in range(n):
         scratch.gram[o + k * n + k] = scratch.gram[o + k * n + k] + soft
     return soft
@@ -231,11 +232,11 @@ def solve_in_use(scratch: SkinScratch, o: wp.int32, s: wp.int32, n: wp.int32, m:
             for k in range(j):
                 x -= scratch.factor[o + i * n + k] * scratch.factor[o + j * n + k]
             if i == j:
-                scratch.factor[o + i * n + i] = wp.sqrt(wp.max(x, LEAST_TRACE))
+                scratch.factor[o + i * n + i] = wp.sqrt(wp.max(x, MIN_TRACE))
             else:
                 scratch.factor[o + i * n + j] = x / scratch.factor[o + j * n + j]
     for i in range(m):
-        x = soft * scratch.pull_weight[s + scratch.slot[s + i]]
+        x = soft * scratch.regularisation[s + scratch.slot[s + i]]
         y = wp.float64(1.0)
         for k in range(i):
             x -= scratch.factor[o + i * n + k] * scratch.first[s + k]
@@ -281,7 +282,7 @@ def best_weights(problem: SkinProblem, scratch: SkinScratch, c: wp.int32, v: wp.
     n = problem.candidate_start[c + 1] - s
     o = scratch.matrix_start[c]
     soft = fill_gram(problem, scratch, c, v)
-    tolerance = ENTRY_TOLERANCE * soft / wp.max(problem.weight_pull, wp.float64(1.0e-12))
+    tolerance = ENTRY_TOLERANCE * soft / wp.max(problem.regularisation_of_weight, wp.float64(1.0e-12))
     for k in range(n):
         if scratch.state[s + k] >= 0:
             scratch.state[s + k] = wp.where(weight[s + k] > wp.float64(0.0), 1, 0)
@@ -297,7 +298,7 @@ def best_weights(problem: SkinProblem, scratch: SkinScratch, c: wp.int32, v: wp.
         for i in range(m):
             k = scratch.slot[s + i]
             if scratch.first[s + i] <= wp.float64(0.0):
-                part = weight[s + k] / wp.max(weight[s + k] - scratch.first[s + i], LEAST_TRACE)
+                part = weight[s + k] / wp.max(weight[s + k] - scratch.first[s + i], MIN_TRACE)
                 if part < share or blocking < 0:
                     share = wp.min(part, share)
                     blocking = k
@@ -312,7 +313,7 @@ def best_weights(problem: SkinProblem, scratch: SkinScratch, c: wp.int32, v: wp.
             lowest = -tolerance
             for k in range(n):
                 if scratch.state[s + k] == 0:
-                    slope = -multiplier - soft * scratch.pull_weight[s + k]
+                    slope = -multiplier - soft * scratch.regularisation[s + k]
                     for i in range(m):
                         slope += scratch.gram[o + k * n + scratch.slot[s + i]] * scratch.first[s + i]
                     if slope < lowest:
@@ -333,37 +334,40 @@ def keep_largest(problem: SkinProblem, scratch: SkinScratch, c: wp.int32, weight
     for k in range(n):
         if weight[s + k] > wp.float64(0.0):
             used += 1
-    if used <= problem.most_influences:
+    if used <= problem.max_influences:
         return 0
     for k in range(n):
         rank = wp.int32(0)
         for other_k in range(n):
             if weight[s + other_k] > weight[s + k] or (weight[s + other_k] == weight[s + k] and other_k < k):
                 rank += 1
-        scratch.state[s + k] = wp.where(rank < problem.most_influences, 0, -1)
+        scratch.state[s + k] = wp.where(rank < problem.max_influences, 0, -1)
     total = wp.float64(0.0)
-    pulled = wp.float64(0.0)
+    target_sum = wp.float64(0.0)
     for k in range(n):
         if scratch.state[s + k] < 0:
             weight[s + k] = wp.float64(0.0)
-            scratch.pull_weight[s + k] = wp.float64(0.0)
+            scratch.regularisation[s + k] = wp.float64(0.0)
         total += weight[s + k]
-        pulled += scratch.pull_weight[s + k]
+        target_sum += scratch.regularisation[s + k]
     for k in range(n):
         weight[s + k] = weight[s + k] / total
-        if pulled > wp.float64(0.0):
-            scratch.pull_weight[s + k] = scratch.pull_weight[s + k] / pulled
+        if target_sum > wp.float64(0.0):
+            scratch.regularisation[s + k] = scratch.regularisation[s + k] / target_sum
         else:
-            scratch.pull_weight[s + k] = weight[s + k]
+            scratch.regularisation[s + k] = weight[s + k]
     return 1
 
 
 @wp.kernel
 def fit_vertices(
+    # in
     problem: SkinProblem,
+    # in and out
     scratch: SkinScratch,
+    # in
     first_vertex: wp.int32,
-    # outputs
+    # out
     rest_out: wp.array[wp.vec3d],
     weight_out: wp.array[wp.float64],
     before_out: wp.array[wp.float64],
@@ -375,7 +379,7 @@ def fit_vertices(
     n = problem.candidate_start[c + 1] - s
     for k in range(n):
         weight_out[s + k] = problem.start_weight[s + k]
-        scratch.pull_weight[s + k] = problem.start_weight[s + k]
+        scratch.regularisation[s + k] = problem.start_weight[s + k]
         scratch.state[s + k] = 0
     v = problem.start_rest[c]
     if n == 0:

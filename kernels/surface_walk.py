@@ -13,17 +13,17 @@ from warpqem.kernels.topology import half_edge_target, next_corner
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
 # Steps that a walk takes at most. From a start within the same cluster two or three do.
-MOST_STEPS = wp.constant(32)
+MAX_STEPS = wp.constant(32)
 
 
 @wp.struct
 class Surface:
-    """A mesh on K frames: positions, faces, stars and what lies across each edge."""
+    """A mesh on K frames: positions, faces, vertex-corner adjacency and what lies across each edge."""
 
     points: wp.array2d[wp.vec3]  # (K, V)
     corner_vertex: wp.array[wp.int32]  # (3N,)
-    star_start: wp.array[wp.int32]  # (V+1,)
-    star_corner: wp.array[wp.int32]  # (3N,)
+    adjacency_start: wp.array[wp.int32]  # (V+1,)
+    adjacent_corner: wp.array[wp.int32]  # (3N,)
     opposite: wp.array[wp.int32]  # (3N,) the half-edge of the other direction, -1 at a border
     border_out: wp.array[wp.int32]  # (V,) the border half-edge that leaves a vertex, -1 where there is none
     border_in: wp.array[wp.int32]  # (V,) the one that arrives
@@ -49,8 +49,9 @@ class BorderHit:
 
 @wp.kernel
 def link_half_edges(
+    # in
     s: Surface,
-    # outputs
+    # out
     opposite_out: wp.array[wp.int32],
     border_out: wp.array[wp.int32],
     border_in: wp.array[wp.int32],
@@ -60,9 +61,9 @@ def link_half_edges(
     u = s.corner_vertex[h]
     v = half_edge_target(s.corner_vertex, h)
     opposite = wp.int32(-1)
-    for i in range(s.star_start[v], s.star_start[v + 1]):
-        if half_edge_target(s.corner_vertex, s.star_corner[i]) == u:
-            opposite = s.star_corner[i]
+    for i in range(s.adjacency_start[v], s.adjacency_start[v + 1]):
+        if half_edge_target(s.corner_vertex, s.adjacent_corner[i]) == u:
+            opposite = s.adjacent_corner[i]
     opposite_out[h] = opposite
     if opposite < 0:
         wp.atomic_max(border_out, u, h)
@@ -94,10 +95,10 @@ def walk_to_vertex(s: Surface, t: wp.int32, start: wp.int32, query: wp.vec3) -> 
     """A vertex no further from the query than its neighbours, downhill from ``start``."""
     vertex = start
     best = wp.length_sq(s.points[t, start] - query)
-    for _ in range(MOST_STEPS):
+    for _ in range(MAX_STEPS):
         here = vertex
-        for i in range(s.star_start[here], s.star_start[here + 1]):
-            v = half_edge_target(s.corner_vertex, s.star_corner[i])
+        for i in range(s.adjacency_start[here], s.adjacency_start[here + 1]):
+            v = half_edge_target(s.corner_vertex, s.adjacent_corner[i])
             distance = wp.length_sq(s.points[t, v] - query)
             if distance < best:
                 best = distance
@@ -121,11 +122,11 @@ def hit_face(s: Surface, t: wp.int32, face: wp.int32, query: wp.vec3) -> Hit:
 
 
 @wp.func
-def hit_star(s: Surface, t: wp.int32, vertex: wp.int32, query: wp.vec3, best: Hit) -> Hit:
-    """``best``, or a nearer point in the star of a vertex."""
+def hit_ring(s: Surface, t: wp.int32, vertex: wp.int32, query: wp.vec3, best: Hit) -> Hit:
+    """``best``, or a nearer point on the faces around a vertex."""
     hit = best
-    for i in range(s.star_start[vertex], s.star_start[vertex + 1]):
-        other = hit_face(s, t, s.star_corner[i] / 3, query)
+    for i in range(s.adjacency_start[vertex], s.adjacency_start[vertex + 1]):
+        other = hit_face(s, t, s.adjacent_corner[i] / 3, query)
         if hit.face < 0 or other.squared < hit.squared:
             hit = other
     return hit
@@ -142,7 +143,7 @@ def step_across(s: Surface, t: wp.int32, query: wp.vec3, here: Hit) -> Hit:
             inside += 1
             corner = 3 * here.face + k
     if inside == 1:
-        return hit_star(s, t, s.corner_vertex[corner], query, here)
+        return hit_ring(s, t, s.corner_vertex[corner], query, here)
     if inside == 2:
         for k in range(3):
             if here.barycentric[k] <= 0.0:
@@ -169,10 +170,10 @@ def closest_hit(s: Surface, t: wp.int32, starts: wp.vec3i, face: wp.int32, query
         for k in range(3):
             start = starts[k]
             if start >= 0 and (k == 0 or start != starts[0]) and (k < 2 or start != starts[1]):
-                hit = hit_star(s, t, walk_to_vertex(s, t, start, query), query, hit)
+                hit = hit_ring(s, t, walk_to_vertex(s, t, start, query), query, hit)
         if hit.face < 0:
             return hit
-    for _ in range(MOST_STEPS):
+    for _ in range(MAX_STEPS):
         here = hit.face
         hit = step_across(s, t, query, hit)
         if hit.face == here:
@@ -212,7 +213,7 @@ def closest_border_hit(s: Surface, t: wp.int32, vertex: wp.int32, query: wp.vec3
     if hit.half_edge < 0:
         return hit
     hit = hit_border_edge(s, t, hit.half_edge, query)
-    for _ in range(MOST_STEPS):
+    for _ in range(MAX_STEPS):
         here = hit.half_edge
         ahead = s.border_out[half_edge_target(s.corner_vertex, here)]
         behind = s.border_in[s.corner_vertex[here]]

@@ -1,7 +1,7 @@
-"""Half-edges, vertex stars, borders and non-manifold vertices.
+"""Half-edges, vertex-corner adjacency, borders and non-manifold vertices.
 
 Half-edge ``3 f + k`` runs from corner ``k`` of face ``f`` to the next corner. A dead face has -1 at its corners. The
-star of a vertex is the list of its corners, in ascending order, as one compressed-row array for all vertices.
+adjacency of a vertex is the list of its corners, in ascending order, as one compressed-row array for all vertices.
 """
 
 import warp as wp
@@ -14,31 +14,31 @@ wp.set_module_options({"enable_backward": False})  # no gradients are taken
 # SEAM: an edge that values do not cross ends here (UV seam, subset border, hard edge).
 # CORNER: a seam ends, forks or meets a border here. Set along with SEAM.
 # MIRROR: on the plane along which a symmetric mesh was cut; set along with BORDER.
-# FROZEN: the star is not one fan of faces. The vertex keeps its position, and only inner ones may collapse into it: the
-# link condition says nothing of edges between two such vertices, or from one to a border.
+# NON_MANIFOLD: the one-ring is not one fan of faces. The vertex keeps its position, and only inner ones may collapse
+# into it: the link condition says nothing of edges between two such vertices, or from one to a border.
 BORDER = wp.constant(wp.int32(1))
 LOCKED = wp.constant(wp.int32(2))
-FROZEN = wp.constant(wp.int32(4))
+NON_MANIFOLD = wp.constant(wp.int32(4))
 SEAM = wp.constant(wp.int32(8))
 CORNER = wp.constant(wp.int32(16))
 MIRROR = wp.constant(wp.int32(32))
 # Vertices that keep their position.
-PINNED = wp.constant(wp.int32(int(LOCKED) | int(FROZEN)))
-# Vertices whose star need not be a closed fan. Around the others the half-edges that leave meet every neighbour.
-OPEN = wp.constant(wp.int32(int(BORDER) | int(FROZEN)))
+PINNED = wp.constant(wp.int32(int(LOCKED) | int(NON_MANIFOLD)))
+# Vertices whose faces need not be a closed fan. Around the others the half-edges that leave meet every neighbour.
+OPEN = wp.constant(wp.int32(int(BORDER) | int(NON_MANIFOLD)))
 
 
 @wp.struct
-class VertexStars:
-    """The star of each vertex: corners in a pool, ascending within a vertex.
+class VertexAdjacency:
+    """The corners of each vertex, in a pool, ascending within a vertex.
 
-    Built from the faces the stars follow one another; a vertex that moved then gets a new one behind them.
+    Built from the faces, the lists follow one another; a vertex that moved gets a new one behind them.
     """
 
-    start: wp.array[wp.int32]  # (V,) where the star begins
+    start: wp.array[wp.int32]  # (V,) where the list begins
     end: wp.array[wp.int32]  # (V,) and ends
     corner: wp.array[wp.int32]  # the pool
-    used: wp.array[wp.int32]  # (1,) entries of the pool given out; more than it has: build the stars anew
+    used: wp.array[wp.int32]  # (1,) entries of the pool given out; more than it has: build the adjacency anew
 
 
 @wp.func
@@ -68,14 +68,14 @@ def half_edge_target(corner_vertex: wp.array[wp.int32], h: wp.int32) -> wp.int32
 @wp.func
 def find_half_edge(
     corner_vertex: wp.array[wp.int32],
-    stars: VertexStars,
+    adjacency: VertexAdjacency,
     u: wp.int32,
     v: wp.int32,
 ) -> wp.int32:
     """The half-edge from ``u`` to ``v``, or -1."""
     found = wp.int32(-1)
-    for i in range(stars.start[u], stars.end[u]):
-        h = stars.corner[i]
+    for i in range(adjacency.start[u], adjacency.end[u]):
+        h = adjacency.corner[i]
         if half_edge_target(corner_vertex, h) == v:
             found = h
     return found
@@ -84,7 +84,7 @@ def find_half_edge(
 @wp.func
 def is_canonical(
     corner_vertex: wp.array[wp.int32],
-    stars: VertexStars,
+    adjacency: VertexAdjacency,
     vertex_flags: wp.array[wp.int32],
     h: wp.int32,
 ) -> wp.bool:
@@ -96,15 +96,16 @@ def is_canonical(
     # One end after the other: most half-edges stop at the first, before the second is fetched from memory.
     if (vertex_flags[u] & BORDER) == 0 or (vertex_flags[v] & BORDER) == 0:
         return False
-    return find_half_edge(corner_vertex, stars, v, u) < 0
+    return find_half_edge(corner_vertex, adjacency, v, u) < 0
 
 
 @wp.kernel
 def count_corners(
+    # in
     corner_vertex_in: wp.array[wp.int32],
     face_count_in: wp.array[wp.int32],
     work: Work,
-    # outputs
+    # out
     corner_count_out: wp.array[wp.int32],
 ):
     """Corners per vertex (zeroed before the launch). A part walks all corners for its own vertices."""
@@ -117,30 +118,33 @@ def count_corners(
 
 
 @wp.kernel
-def fill_stars(
+def fill_adjacency(
+    # in
     corner_vertex_in: wp.array[wp.int32],
     face_count_in: wp.array[wp.int32],
     work: Work,
-    # outputs
-    star_cursor: wp.array[wp.int32],
-    star_corner_out: wp.array[wp.int32],
+    # in and out
+    adjacency_cursor: wp.array[wp.int32],
+    # out
+    adjacent_corner_out: wp.array[wp.int32],
 ):
-    """Put each corner into its vertex's list; ``star_cursor`` starts at the beginning of each list and runs up."""
-    first_vertex = first_item(star_cursor.shape[0], work)
-    last_vertex = last_item(star_cursor.shape[0], work)
+    """Put each corner into its vertex's list; ``adjacency_cursor`` starts at the beginning of each list and runs up."""
+    first_vertex = first_item(adjacency_cursor.shape[0], work)
+    last_vertex = last_item(adjacency_cursor.shape[0], work)
     for h in range(wp.tid(), 3 * face_count_in[0], work.lanes):
         v = corner_vertex_in[h]
         if v >= first_vertex and v < last_vertex:
-            star_corner_out[wp.atomic_add(star_cursor, v, 1)] = h
+            adjacent_corner_out[wp.atomic_add(adjacency_cursor, v, 1)] = h
 
 
 @wp.kernel
 def list_corners(
+    # in
     corner_vertex_in: wp.array[wp.int32],
     face_count_in: wp.array[wp.int32],
     vertex_count: wp.int32,
     work: Work,
-    # outputs
+    # out
     key_out: wp.array[wp.int32],
     corner_out: wp.array[wp.int32],
 ):
@@ -169,10 +173,11 @@ def count_below(key: wp.array[wp.int32], count: wp.int32, value: wp.int32) -> wp
 
 @wp.kernel
 def find_starts(
+    # in
     key_in: wp.array[wp.int32],
     corner_count: wp.int32,
     work: Work,
-    # outputs
+    # out
     star_start_out: wp.array[wp.int32],
 ):
     """Where the corners of each vertex (V+1,) begin among ``corner_count`` sorted keys: a binary search each."""
@@ -181,24 +186,24 @@ def find_starts(
 
 
 @wp.func
-def is_closed_fan(corner_vertex: wp.array[wp.int32], stars: VertexStars, v: wp.int32) -> wp.bool:
+def is_closed_fan(corner_vertex: wp.array[wp.int32], adjacency: VertexAdjacency, v: wp.int32) -> wp.bool:
     """Whether turning about ``v`` from face to face comes back after all of its faces, and not before.
 
     A turn that meets every face once leaves no edge with another number of faces than two.
     """
-    first = stars.start[v]
-    last = stars.end[v]
-    h = stars.corner[first]
+    first = adjacency.start[v]
+    last = adjacency.end[v]
+    h = adjacency.corner[first]
     start = h
     turned = wp.int32(0)
     while turned < last - first:
         w = corner_vertex[previous_corner(h)]
         i = wp.int32(first)
-        while i < last and half_edge_target(corner_vertex, stars.corner[i]) != w:
+        while i < last and half_edge_target(corner_vertex, adjacency.corner[i]) != w:
             i += 1
         if i == last:
             return False
-        h = stars.corner[i]
+        h = adjacency.corner[i]
         turned += 1
         if h == start:
             return turned == last - first
@@ -207,35 +212,38 @@ def is_closed_fan(corner_vertex: wp.array[wp.int32], stars: VertexStars, v: wp.i
 
 @wp.kernel
 def classify_vertices(
+    # in
     corner_vertex_in: wp.array[wp.int32],
-    stars_in: VertexStars,
+    adjacency_in: VertexAdjacency,
     first_vertex: wp.int32,
-    # outputs
+    # in and out
     vertex_flags: wp.array[wp.int32],
+    # out
     border_half_edge_out: wp.array[wp.int32],
 ):
-    """Set BORDER and FROZEN from the star of each vertex, and mark the half-edges without an opposite one.
+    """Set BORDER and NON_MANIFOLD from the faces around each vertex, and mark the half-edges without an opposite one.
 
-    A manifold star is one fan: turning about the vertex from face to face, from the border where there is one, meets
-    every face exactly once. Edges with more than two faces or with two half-edges of one direction break the fan.
+    The faces around a manifold vertex are one fan: turning about the vertex from face to face, from the border where
+    there is one, meets every face exactly once. Edges with more than two faces or with two half-edges of one direction
+    break the fan.
     """
     v = first_vertex + wp.tid()
-    first = stars_in.start[v]
-    last = stars_in.end[v]
+    first = adjacency_in.start[v]
+    last = adjacency_in.end[v]
     degree = last - first
     # Most vertices lie inside: three times faster than counting the faces at their edges.
-    if degree > 0 and is_closed_fan(corner_vertex_in, stars_in, v):
+    if degree > 0 and is_closed_fan(corner_vertex_in, adjacency_in, v):
         return
     open_out = wp.int32(0)
     repeated = wp.int32(0)
     start = wp.int32(-1)
     for i in range(first, last):
-        h = stars_in.corner[i]
+        h = adjacency_in.corner[i]
         w = half_edge_target(corner_vertex_in, h)
         before = wp.int32(0)
         same = wp.int32(0)
         for j in range(first, last):
-            g = stars_in.corner[j]
+            g = adjacency_in.corner[j]
             if half_edge_target(corner_vertex_in, g) == w:
                 same += 1
             if corner_vertex_in[previous_corner(g)] == w:
@@ -248,10 +256,10 @@ def classify_vertices(
             start = h
     open_in = wp.int32(0)
     for i in range(first, last):
-        w = corner_vertex_in[previous_corner(stars_in.corner[i])]
+        w = corner_vertex_in[previous_corner(adjacency_in.corner[i])]
         after = wp.int32(0)
         for j in range(first, last):
-            if half_edge_target(corner_vertex_in, stars_in.corner[j]) == w:
+            if half_edge_target(corner_vertex_in, adjacency_in.corner[j]) == w:
                 after += 1
         if after == 0:
             open_in += 1
@@ -261,15 +269,15 @@ def classify_vertices(
     fan = wp.int32(0)
     if repeated == 0 and open_out <= 1 and open_in == open_out and degree > 0:
         if start < 0:
-            start = stars_in.corner[first]
+            start = adjacency_in.corner[first]
         h = start
         # Turn from the face on the left of v -> w to the one whose half-edge leaves v along the other side.
         while h >= 0 and fan < degree:
             fan += 1
             w = corner_vertex_in[previous_corner(h)]
-            h = find_half_edge(corner_vertex_in, stars_in, v, w)
+            h = find_half_edge(corner_vertex_in, adjacency_in, v, w)
             if h == start:
                 h = -1
     if degree > 0 and fan != degree:
-        flags = flags | FROZEN
+        flags = flags | NON_MANIFOLD
     vertex_flags[v] = flags

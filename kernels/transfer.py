@@ -9,12 +9,13 @@ wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
 @wp.kernel
 def find_wedge_sources(
+    # in
     wedge_start_in: wp.array[wp.int32],
     face_in: wp.array[wp.int32],
     wedge_point_in: wp.array[wp.vec3],
     corner_vertex_in: wp.array[wp.int32],
     points_in: wp.array[wp.vec3],
-    # outputs
+    # out
     face_out: wp.array[wp.int32],
     weight_out: wp.array[wp.vec3],
 ):

@@ -71,10 +71,10 @@ def _with_brow_and_sockets(solid: Field) -> Field:
 def _with_nose(solid: Field) -> Field:
     bridge = round_cone((0, 0.5, 7.7), (0, -3.3, 9.9), 0.62, 0.72, 1.05)
     tip = ellipsoid((0, -3.75, 10.05), (0.86, 0.80, 0.88))
-    wing = mirror(ellipsoid((1.02, -3.95, 9.15), (0.66, 0.68, 0.98), yaw=20.0))
+    opposite_vertex = mirror(ellipsoid((1.02, -3.95, 9.15), (0.66, 0.68, 0.98), yaw=20.0))
     septum = round_cone((0, -4.25, 9.9), (0, -4.75, 8.7), 0.40, 0.42)
     root = round_cone((0, -0.4, 7.2), (0, -4.2, 8.2), 0.8, 1.35, 1.05)
-    nose = union(0.7, union(0.8, bridge, root), union(0.45, tip, wing, septum))
+    nose = union(0.7, union(0.8, bridge, root), union(0.45, tip, opposite_vertex, septum))
     nostril = mirror(round_cone((0.60, -5.0, 9.50), (0.62, -4.3, 9.25), 0.27, 0.20))
     return subtract(0.2, union(0.8, solid, nose), nostril)
 

@@ -10,7 +10,7 @@ from scenes.implicit import Points
 from scenes.scene import BlendShape
 
 # Offsets shorter than this, in centimetres, are left out of a shape.
-LEAST_OFFSET = 1e-3
+MIN_OFFSET = 1e-3
 
 # The jaw turns about the line through the joints before the ears, at this (y, z), by these degrees when wide open.
 JAW_HINGE = (-2.4, -0.2)
@@ -128,6 +128,6 @@ def shapes(mesh: HeadMesh) -> tuple[BlendShape, ...]:
     result = []
     for name, target in targets.items():
         offset = target - mesh.points
-        moving = np.flatnonzero((offset**2).sum(axis=1) > LEAST_OFFSET**2)
+        moving = np.flatnonzero((offset**2).sum(axis=1) > MIN_OFFSET**2)
         result.append(BlendShape(name, moving.astype(np.int32), offset[moving].astype(np.float32)))
     return tuple(result)

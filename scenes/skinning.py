@@ -98,7 +98,7 @@ def skin(
     motion = skeleton.world(poses) @ np.linalg.inv(skeleton.bind())
     moved = np.zeros(points.shape)
     for slot in range(joint_indices.shape[1]):
-        carried = motion[:, joint_indices[:, slot]]
-        part = np.einsum("fvij,fvj->fvi", carried[..., :3, :3], points) + carried[..., :3, 3]
+        transferred = motion[:, joint_indices[:, slot]]
+        part = np.einsum("fvij,fvj->fvi", transferred[..., :3, :3], points) + transferred[..., :3, 3]
         moved += joint_weights[None, :, slot, None] * part
     return moved

@@ -15,14 +15,15 @@ for _name in ("SIGHUP", "SIGQUIT", "SIGINT"):
 
 # The ways of a GPU on the CPU: before any kernel is compiled.
 if "CUDA_SEMANTICS" in os.environ:
-    from tests import cuda_semantics
+    from tests.support import cuda_semantics
 
     cuda_semantics.install(os.environ["CUDA_SEMANTICS"])
 
-# Where a run decides about a change, it tries the same examples every time; elsewhere new ones on every run.
-hypothesis.settings.register_profile("ci", derandomize=True)
-if os.environ.get("CI"):
-    hypothesis.settings.load_profile("ci")
+# Where a run decides about a change, it tries the same examples every time; elsewhere new ones on every run. No test is
+# about time: a machine may be busy.
+hypothesis.settings.register_profile("ci", derandomize=True, deadline=None)
+hypothesis.settings.register_profile("new examples", deadline=None)
+hypothesis.settings.load_profile("ci" if os.environ.get("CI") else "new examples")
 
 
 @pytest.fixture(scope="session", params=["cpu", "cuda:0"] if wp.is_cuda_available() else ["cpu"])

@@ -11,22 +11,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, Literal, TypedDict
 
-from warpqem.cost_models import cost_model_names
+from warpqem.arguments.array_types import ArrayInput
+from warpqem.arguments.limits import ABOVE_0, COUNT, SHARE, Limits
+from warpqem.arguments.option_fields import check_options, option
+from warpqem.costs.models import cost_model_names
 from warpqem.errors import OptionError
-from warpqem.option_fields import Limits, check_options, option
 
 if TYPE_CHECKING:
-    from warpqem.attributes import AttributeField
-    from warpqem.distance_limit import DistanceLimit
+    from warpqem.arguments.distance_limit import DistanceLimit
+    from warpqem.costs.attributes import AttributeField
+    from warpqem.costs.motion_features import MotionWeighting
     from warpqem.face.protect import FaceProtection
-    from warpqem.motion import MotionWeighting
 
 __all__ = [
-    "ABOVE_0",
-    "COUNT",
-    "SHARE",
-    "WEIGHTS",
     "Goal",
+    "LevelKeywords",
     "MethodKeywords",
     "MethodOptions",
     "SimplifyKeywords",
@@ -36,12 +35,6 @@ __all__ = [
     "read_keywords",
     "target_count",
 ]
-
-ABOVE_0 = Limits(0.0, open_low=True)
-SHARE = Limits(0.0, 1.0, open_low=True)
-COUNT = Limits(1)
-# Squares of values times the weight of their attribute go into float32 costs, which end at 1e38.
-WEIGHTS = Limits(0.0, 1e6)
 
 
 @dataclass(frozen=True)
@@ -61,7 +54,7 @@ class Goal:
     @property
     def limit(self) -> DistanceLimit:
         """How far the result may be from the input."""
-        from warpqem.distance_limit import DistanceLimit
+        from warpqem.arguments.distance_limit import DistanceLimit
 
         return DistanceLimit(self.max_error / 100.0, self.max_distance)
 
@@ -75,26 +68,29 @@ class MethodOptions:
         max_error: the largest distance between the input and the result, both ways, at every point and in every frame,
             in % of the diagonal of the input's bounding box in that frame. It is proved, not sampled
             (:mod:`warpqem.kernels.distance_bound`), for the result as it is returned; single spots are held back where
-            they would be too far (:mod:`warpqem.bounded`), which takes several times as long as a result by count.
+            they would be too far (:mod:`warpqem.pipeline.bounded`), which takes several times as long as a result by
+            count.
         max_size_error: where to stop above the face count or within a limit, so that a small mesh is not destroyed: no
             edge collapses whose error, as in ``SimplifiedMesh.error``, would pass so many % of the diagonal of the
             mesh's bounding box. Nothing is proved or searched for, as it is with ``max_error``. None for no limit.
         quality: "best" orders by quadrics of the present faces and fits the whole surface at the end, see
             ``memoryless`` and ``refit``: a better shape in two to three times the time of "fast", which does neither.
         metric: cost model: "dsd" (default), "qem", "dod", "aqem", "face", or one of another package; see
-            :mod:`warpqem.cost_models`.
+            :mod:`warpqem.costs.models`.
         coherence: 0 (every frame its own best fit) to 1 (vertices stay on the material).
-        refit: fit the surface as a whole to the input after placing its vertices, see :mod:`warpqem.refit.stage`: a
-            better shape for about the time of the rest. No effect with "endpoint". None for what ``quality`` says.
+        refit: fit the surface as a whole to the input after placing its vertices, see
+            :mod:`warpqem.refit.fit_surface`: a better shape for about the time of the rest. No effect with "endpoint".
+            None for what ``quality`` says.
         memoryless: order by quadrics of the present faces instead of the input's: a better shape in about 1.5 to 2
-            times the time, best together with ``refit``; see :mod:`warpqem.kernels.present_quadric`. None for what
+            times the time, best together with ``refit``; see :mod:`warpqem.kernels.memoryless_quadric`. None for what
             ``quality`` says.
         placement: "optimal", or "endpoint" to use vertices of the input only.
         key_frames: how many frames decide the order, chosen by their pose; None for all.
         lock_borders: lock the vertices at edges with one face too.
-        keep_components: no component vanishes. Otherwise small ones do as a whole, once collapses have left four faces
-            of them or fewer, where the shape misses that less than the next collapses, and where no other collapse is
-            legal; the result may then have up to three faces fewer than asked for. A locked vertex keeps its component.
+        keep_components: no component is pruned. Otherwise small ones are, as a whole, once collapses have left four
+            faces of them or fewer, where the shape misses that less than the next collapses, and where no other
+            collapse is legal; the result may then have up to three faces fewer than asked for. A locked vertex keeps
+            its component.
         memory: bytes that the work may take, beside what the process holds already, or text such as "8G"; None for
             most of what is free. It decides how many frames are in memory at once, and no bit of the result.
         device: Warp device; None takes cuda:0 if present, else cpu.
@@ -149,9 +145,7 @@ class MethodOptions:
         16, "Number of frames, different in pose, that decide the topology.", "FRAMES", COUNT
     )
     lock_borders: bool = option(False, "Keep the points of open borders.")
-    keep_components: bool = option(
-        False, "Let no small component vanish, even if the shape would miss it less than others."
-    )
+    keep_components: bool = option(False, "Prune no small component, even if the shape would miss it less than others.")
     memory: int | str | None = option(
         None,
         "Memory that the work on a mesh may take beside the program itself, such as 8G or 500M; by default most of "
@@ -167,14 +161,14 @@ class MethodOptions:
         return wanted and self.placement != "endpoint"
 
     @property
-    def orders_by_present_faces(self) -> bool:
+    def memoryless_orders(self) -> bool:
         """Whether quadrics are those of the present faces."""
         return self.quality == "best" if self.memoryless is None else bool(self.memoryless)
 
     def method(self) -> MethodKeywords:
         """These options but for the goals, as keyword arguments of :func:`warpqem.simplify`."""
         names = {entry.name for entry in fields(MethodOptions)} - {"ratio", "max_error", "max_size_error"}
-        return {name: getattr(self, name) for name in sorted(names)}  # type: ignore[return-value]
+        return {name: getattr(self, name) for name in sorted(names)}  # type: ignore[return-value]  # a field each
 
 
 @dataclass(frozen=True)
@@ -188,27 +182,29 @@ class SimplifyOptions(MethodOptions):
         vertex_weights: (V,) factors from 0 to 1e12 on the cost at each vertex; infinity locks it. A merged vertex gets
             the mean of its ends'.
         quadric_scale: (V,) factors from 0 to 1e12 on each vertex's own quadric (Kho & Garland 2003), which stay with
-            its planes as they add up; see :func:`warpqem.morph_weights`. Vertices are placed by the scaled quadrics.
+            its planes as they add up; see :func:`warpqem.costs.morph_weights`. Vertices are placed by the
+            scaled quadrics.
         locked: (V,) bool, or indices, of vertices that keep their position in every frame.
         seams: (S, 2) vertex pairs: edges that values on the surface do not cross, such as UV seams. They stay closed
             polylines of edges near where they were, with the same ends and forks, as long as the shape has something
             to spare: beyond that the islands between them that cost the shape least are given up.
         attributes: UVs and other values on the surface, each with the weight of its error in the order of collapses;
-            see :class:`warpqem.AttributeField`. ``max_error`` and ``SimplifiedMesh.error`` stay errors of the shape.
-        face: how ``metric="face"`` keeps the feature points of a face, see :class:`warpqem.FaceProtection`; None for
-            its defaults.
-        motion: how ``metric="aqem"`` finds the joints and what they weigh, see :class:`warpqem.MotionWeighting`; None
-            for the ways of its paper.
+            see :class:`warpqem.costs.AttributeField`. ``max_error`` and ``SimplifiedMesh.error`` stay errors of the
+            shape.
+        face: how ``metric="face"`` keeps the feature points of a face, see :class:`warpqem.face.FaceProtection`; None
+            for its defaults.
+        motion: how ``metric="aqem"`` finds the joints and what they weigh, see :class:`warpqem.costs.MotionWeighting`;
+            None for the ways of its paper.
     """
 
     target_faces: int | None = option(None, "Faces to keep.", "FACES", COUNT)
     max_distance: float | None = option(
         None, "Largest distance of the result from the input, in units of the points.", "UNITS", ABOVE_0
     )
-    vertex_weights: Any = None
-    quadric_scale: Any = None
-    locked: Any = None
-    seams: Any = None
+    vertex_weights: ArrayInput | None = None
+    quadric_scale: ArrayInput | None = None
+    locked: ArrayInput | None = None
+    seams: ArrayInput | None = None
     attributes: Sequence[AttributeField] = ()
     face: FaceProtection | None = None
     motion: MotionWeighting | None = None
@@ -224,7 +220,7 @@ class SimplifyOptions(MethodOptions):
         if self.ratio is not None and self.target_faces is not None:
             raise OptionError(f"ratio {self.ratio} and target_faces {self.target_faces} exclude each other")
         if not isinstance(self.metric, str):
-            from warpqem.number_input import shown
+            from warpqem.arguments.number_input import shown
 
             raise OptionError(f"metric must be the name of a cost model, got {shown(self.metric)}")
         return replace(self, **check_options(self), attributes=_checked_fields(self.attributes))
@@ -254,21 +250,26 @@ class MethodKeywords(TypedDict, total=False):
     keep_components: bool
     memory: int | str | None
     device: str | None
-    vertex_weights: Any
-    quadric_scale: Any
-    locked: Any
-    seams: Any
+    vertex_weights: ArrayInput | None
+    quadric_scale: ArrayInput | None
+    locked: ArrayInput | None
+    seams: ArrayInput | None
     attributes: Sequence[AttributeField]
     face: FaceProtection | None
     motion: MotionWeighting | None
 
 
-class SimplifyKeywords(MethodKeywords, total=False):
+class LevelKeywords(MethodKeywords, total=False):
+    """The same with the limit that levels of a mesh share."""
+
+    max_size_error: float | None
+
+
+class SimplifyKeywords(LevelKeywords, total=False):
     """Keyword arguments of :func:`warpqem.simplify`, for type checkers: the fields of :class:`SimplifyOptions`."""
 
     ratio: float | None
     target_faces: int | None
-    max_size_error: float | None
     max_error: float | None
     max_distance: float | None
 
@@ -288,7 +289,7 @@ def read_keywords(keywords: SimplifyKeywords | MethodKeywords, **goals: Any) -> 
 
 
 def _checked_fields(attributes: Any) -> tuple[AttributeField, ...]:
-    from warpqem.number_input import shown
+    from warpqem.arguments.number_input import shown
 
     # An iterator would be empty the second time it is looked at.
     if not isinstance(attributes, (list, tuple)):
@@ -305,7 +306,7 @@ def check_ratio(ratio: Any) -> float:
     Raises:
         OptionError: it is none.
     """
-    from warpqem.number_input import real_number
+    from warpqem.arguments.number_input import real_number
 
     return real_number(ratio, "ratio", str(SHARE), SHARE.__contains__)
 

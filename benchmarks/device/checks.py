@@ -26,7 +26,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
 }
 # How much larger than the CPU's the RMS distance may be. A device orders collapses of equal cost in another way; on
 # small meshes that alone is several percent.
-MOST_RMS, MOST_RMS_QUICK = 1.01, 1.1
+MAX_RMS, MAX_RMS_QUICK = 1.01, 1.1
 
 
 def fingerprint(work: Work, device: str, **options: Any) -> str:
@@ -51,7 +51,7 @@ def same_bits(found: Findings) -> None:
 def quality(found: Findings) -> None:
     """The RMS distance of each mesh is that of the CPU, or smaller."""
     packed = packed_figures(found.settings)
-    most = MOST_RMS_QUICK if found.settings.quick else MOST_RMS
+    most = MAX_RMS_QUICK if found.settings.quick else MAX_RMS
     for work in works(found.settings):
         for name in QUALITIES:
             check = f"RMS of {work.name}, {name}"

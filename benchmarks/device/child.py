@@ -17,7 +17,7 @@ def main(part_name: str, settings: str, file: str) -> None:
     """Run one part."""
     import warp as wp
 
-    from warpqem.device import resolve_device
+    from warpqem.runtime.device import resolve_device
 
     wp.config.log_level = wp.LOG_WARNING
     part = next(part for part in PARTS if part.name == part_name)

@@ -7,8 +7,8 @@ import time
 import warp as wp
 
 from benchmarks.device.findings import Findings
-from warpqem.launches import load_kernel
-from warpqem.precompile import Compiled, binary_path, compile_modules, gpu_modules
+from warpqem.runtime.launches import load_kernel
+from warpqem.runtime.precompile import Compiled, binary_path, compile_modules, gpu_modules
 
 __all__ = ["run"]
 

@@ -19,7 +19,7 @@ COPY_BYTES, QUICK_COPY_BYTES, COPIES = 2**28, 2**20, 20
 NODES, TURNS, WIDE_BODY = 1000, 1000, 25
 SORTED = 1024
 # Below this part of the datasheet's bandwidth the card is shared, throttled or not the one that it says it is.
-LEAST_BANDWIDTH = 0.6
+MIN_BANDWIDTH = 0.6
 
 
 @wp.kernel
@@ -90,7 +90,7 @@ def _copy(found: Findings, device: wp.Device) -> None:
     if card is None:
         found.measured("copy within the device", text, rate)
     else:
-        least = LEAST_BANDWIDTH * card.bytes_per_second
+        least = MIN_BANDWIDTH * card.bytes_per_second
         found.expect("copy within the device", text, f"at least {least / 1e12:.2f} TB/s ({card.limits})", rate >= least)
 
 

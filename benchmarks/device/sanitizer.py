@@ -49,7 +49,7 @@ def main(device: str) -> None:
     import warp as wp
 
     import warpqem
-    import warpqem.device as devices
+    import warpqem.runtime.device as devices
 
     wp.config.log_level = wp.LOG_WARNING
     kind = "cpu" if wp.get_device(device).is_cpu else "cuda"

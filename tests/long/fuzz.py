@@ -33,11 +33,10 @@ def child(kind: str, start: int) -> None:
     os.dup2(nothing, 2)
     wp.config.log_level = wp.LOG_ERROR
     resource.setrlimit(resource.RLIMIT_DATA, (MEMORY_BYTES, MEMORY_BYTES))
-    from fuzz_cases import CASES
+    from tests.support.fuzz_cases import CASES
+    from warpqem.runtime.load_timeout import report_loading
 
-    from warpqem.opening import tell_openings
-
-    tell_openings(lambda file, begins: None)
+    report_loading(lambda file, begins: None)
     for seed in range(start, 2**62):
         out.write(f"begin {seed}\n")
         out.flush()
@@ -120,7 +119,7 @@ def main() -> None:
     if given.child:
         child(given.kind, given.start)
     elif given.only is not None:
-        from fuzz_cases import CASES
+        from tests.support.fuzz_cases import CASES
 
         print(CASES[given.kind](given.only))
     else:

@@ -17,7 +17,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from test_usd_stages import cloth_stage, skinned_stage
+from tests.support.usd_stages import cloth_stage, skinned_stage
 
 # Batches take about as long as this from the first asset to the last; moments are drawn from it.
 WINDOW_SECONDS = 2.0

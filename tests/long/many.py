@@ -21,11 +21,11 @@ from pathlib import Path
 import numpy as np
 import warp as wp
 from pxr import Usd, UsdGeom, Vt
-from test_usd_stages import cloth_stage, define_cloth, skinned_stage
 
 import warpqem
-from warpqem.batching.local import LocalEngine
-from warpqem.batching.perform import perform, warm_up
+from tests.support.usd_stages import cloth_stage, define_cloth, skinned_stage
+from warpqem.batching.local_engine import LocalEngine
+from warpqem.batching.perform_job import perform, warm_up
 from warpqem.usd import SimplifyOptions
 
 SUFFIXES = ("usda", "usdc", "usd")

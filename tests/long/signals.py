@@ -21,7 +21,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from test_usd_stages import cloth_stage
+from tests.support.usd_stages import cloth_stage
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGKILL)
@@ -53,11 +53,10 @@ COMMANDS = {
         "simplify in/a.usda -o o.usdc --ratio 0.3 --report o.html --json o.json", ("o.usdc", "o.html", "o.json")
     ),
     "flatten": Command("simplify in/a.usda -o o.usda --ratio 0.3 --flatten --refit", ("o.usda",)),
-    "levels": Command("levels in/a.usda -o o.usda --ratios 0.5,0.2", ("o.usda",)),
+    "levels": Command("simplify in/a.usda -o o.usda --lods 0.5,0.2", ("o.usda",)),
     "batch": Command(
         "batch in -o out --ratio 0.3 --jobs 2 --json l.jsonl", tuple(f"out/{n}" for n in ("a.usda", "b.usdc", "c.usd"))
     ),
-    "spread": Command("batch in/b.usdc -o out --ratio 0.3 --jobs 2 --spread", ("out/b.usdc",)),
     "build": Command("progressive build in/a.usda -o o.wpqm", ("o.wpqm",)),
     "extract": Command("progressive extract in/p.wpqm -o o.usdc --ratio 0.3", ("o.usdc",)),
     "features": Command("features in/a.usda -o o.usdc", ("o.usdc",)),
@@ -94,7 +93,7 @@ class Trial:
         return subprocess.Popen(
             [sys.executable, "-m", "warpqem", *words, *device],
             cwd=self.folder,
-            env={**os.environ, MARK: self.mark, "TMPDIR": str(self.folder / "tmp"), "WARPQEM_SHARE_BYTES": "1"},
+            env={**os.environ, MARK: self.mark, "TMPDIR": str(self.folder / "tmp")},
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -272,7 +271,7 @@ def main() -> None:
         name = random.choice(names)
         number = signal.Signals[random.choice(given.signals.split(","))]
         target = random.choice(given.targets.split(","))
-        if target == "worker" and name not in ("batch", "spread", "ray"):
+        if target == "worker" and name not in ("batch", "ray"):
             continue
         if target == "worker" and number != signal.SIGKILL:
             number = random.choice((signal.SIGKILL, signal.SIGTERM, signal.SIGHUP))

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from oracles.quadrics import minimiser, shifted
+from tests.oracles.quadrics import minimiser, shifted
 
 MIDDLE_PULL = 1e-5
 LENGTH_COST = 1e-8

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from oracles.quadrics import Quadric, shifted, vertex_quadrics
+from tests.oracles.quadrics import Quadric, shifted, vertex_quadrics
 
 
 def neighbours(faces, vertex: int, ring: int) -> set[int]:

@@ -4,7 +4,7 @@ import heapq
 
 import numpy as np
 
-from oracles.quadrics import pack, vertex_quadrics
+from tests.oracles.quadrics import pack, vertex_quadrics
 
 
 def _stacked(points, faces):
@@ -52,10 +52,10 @@ class GreedySimplifier:
 
     def is_legal(self, u, v, x):
         shared = self.star[u] & self.star[v]
-        wings = {w for i in shared for w in self.faces[i]} - {u, v}
-        if self.ring(u) & self.ring(v) != wings or (len(shared) == 2 and self.on_border(u) and self.on_border(v)):
+        opposites = {w for i in shared for w in self.faces[i]} - {u, v}
+        if self.ring(u) & self.ring(v) != opposites or (len(shared) == 2 and self.on_border(u) and self.on_border(v)):
             return False
-        if any(len(self.star[w]) <= (1 if self.on_border(w) else 3) for w in wings):
+        if any(len(self.star[w]) <= (1 if self.on_border(w) else 3) for w in opposites):
             return False
         for i in (self.star[u] | self.star[v]) - shared:
             old = self.x[list(self.faces[i])]

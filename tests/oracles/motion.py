@@ -14,7 +14,7 @@ def dihedral_angle(p, q, left, right) -> float:
     return sign * float(np.arccos(np.clip(n @ m, -1, 1)))
 
 
-def edge_wings(faces) -> dict[tuple[int, int], list[tuple[int, int, int]]]:
+def edge_opposites(faces) -> dict[tuple[int, int], list[tuple[int, int, int]]]:
     """Undirected edge to the half-edges (tail, head, opposite vertex) along it."""
     result = {}
     for f in np.asarray(faces).tolist():
@@ -28,7 +28,7 @@ def dihedral_changes(points, faces) -> dict[tuple[int, int], float]:
     """Largest change in degrees between consecutive frames; 0 for edges without exactly two faces."""
     x = np.asarray(points, dtype=np.float64)
     result = {}
-    for edge, sides in sorted(edge_wings(faces).items()):
+    for edge, sides in sorted(edge_opposites(faces).items()):
         result[edge] = 0.0
         if len(sides) != 2:
             continue
@@ -50,7 +50,7 @@ def features(points, faces, vertex_count, threshold=None, floor=1.0):
     """(label (V,), weight (V,)): components of edges above the threshold; border edges connect."""
     change = dihedral_changes(points, faces)
     threshold = threshold_of(change, threshold, floor)
-    count = {edge: len(sides) for edge, sides in edge_wings(faces).items()}
+    count = {edge: len(sides) for edge, sides in edge_opposites(faces).items()}
     linked = np.array([e for e, c in change.items() if c > threshold or count[e] == 1]).reshape(-1, 2)
     graph = coo_matrix((np.ones(len(linked)), (linked[:, 0], linked[:, 1])), shape=(vertex_count, vertex_count))
     component = connected_components(graph, directed=False)[1]
@@ -82,7 +82,7 @@ def length_deformation(points, faces, u, v) -> float:
         return 0.0
     area = sum(
         0.5 * np.linalg.norm(np.cross(x[:, b] - x[:, a], x[:, c] - x[:, a]), axis=1).sum()
-        for a, b, c in edge_wings(faces)[min(u, v), max(u, v)]
+        for a, b, c in edge_opposites(faces)[min(u, v), max(u, v)]
     )
     deviation = steps.std()
     weight = (steps.max() - steps.mean()) / deviation if deviation > 1e-7 else 1.0

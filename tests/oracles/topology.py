@@ -1,13 +1,13 @@
-"""Stars, fans, and what a collapse does to a list of faces."""
+"""Adjacency, fans, and what a collapse does to a list of faces."""
 
 from collections import Counter
 
 import numpy as np
 
-BORDER, LOCKED, FROZEN = 1, 2, 4
+BORDER, LOCKED, NON_MANIFOLD = 1, 2, 4
 
 
-def stars(faces, vertex_count) -> list[list[int]]:
+def adjacency(faces, vertex_count) -> list[list[int]]:
     """Corners of each vertex, ascending."""
     result = [[] for _ in range(vertex_count)]
     for corner, v in enumerate(np.asarray(faces).ravel()):
@@ -40,7 +40,7 @@ def fan_count(faces, v) -> int:
 
 
 def vertex_flags(faces, vertex_count) -> np.ndarray:
-    """BORDER where an edge at the vertex lacks its opposite, FROZEN where the faces are not one fan."""
+    """BORDER where an edge at the vertex lacks its opposite, NON_MANIFOLD where the faces are not one fan."""
     directed = {(f[k], f[(k + 1) % 3]) for f in np.asarray(faces).tolist() for k in range(3)}
     flags = np.zeros(vertex_count, dtype=np.int32)
     for a, b in directed:
@@ -48,7 +48,7 @@ def vertex_flags(faces, vertex_count) -> np.ndarray:
             flags[[a, b]] |= BORDER
     for v in np.unique(faces):
         if fan_count(faces, int(v)) != 1:
-            flags[v] |= FROZEN
+            flags[v] |= NON_MANIFOLD
     return flags
 
 
@@ -73,7 +73,7 @@ def keeps_manifold(faces, u, v) -> bool:
         return False
     flags_before = vertex_flags(faces, int(np.max(faces)) + 1)
     flags = vertex_flags(after, int(np.max(faces)) + 1)
-    if any(flags[w] & FROZEN for w in before_ring) or euler(after) != euler(faces):
+    if any(flags[w] & NON_MANIFOLD for w in before_ring) or euler(after) != euler(faces):
         return False
     return all((flags[w] & BORDER) == (flags_before[w] & BORDER) for w in before_ring - {u})
 

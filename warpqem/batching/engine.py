@@ -1,4 +1,4 @@
-"""What an engine is, and the names of what it tells while it works."""
+"""What an engine is, and the updates that it sends while it works."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+from warpqem.batching.job_result import FAILED, BatchResult
 from warpqem.batching.jobs import BatchJob
-from warpqem.batching.result import FAILED, BatchResult
 
 __all__ = ["TIMED_OUT", "WORKER_LOST", "Engine", "Finished", "Progressed", "Started", "Update", "lost", "timed_out"]
 
-# Names of the errors that a result carries where the process could not say anything itself.
+# Names of the errors in a result where the process could not say anything itself.
 WORKER_LOST, TIMED_OUT = "WorkerLost", "TimedOut"
 
 
@@ -33,7 +33,7 @@ class Progressed:
 
 @dataclass(frozen=True)
 class Finished:
-    """A job has its result, after which nothing more is told of it."""
+    """A job has its result, after which no update of it follows."""
 
     job: BatchJob
     result: BatchResult

@@ -16,8 +16,8 @@ from typing import Any
 
 import warpqem
 from warpqem.batching.jobs import BatchJob
-from warpqem.file_kinds import kind_of
-from warpqem.usd.output_names import output_files
+from warpqem.files.file_kinds import kind_of
+from warpqem.usd.commands.output_names import output_files
 
 __all__ = ["file_hash", "files_hash", "is_current", "take_fingerprint"]
 
@@ -56,7 +56,7 @@ def take_fingerprint(
     Args:
         job: The job.
         begun: When USD began to read its files, in seconds since 1970.
-        files: All files that it needs; see `warpqem.usd.input_check.OpenedLayers`. None to look for them.
+        files: All files that it needs; see `warpqem.usd.checks.input_check.OpenedLayers`. None to look for them.
 
     Returns:
         The fingerprint; None where a file has changed since, so that it is not known which bytes were read.
@@ -65,7 +65,7 @@ def take_fingerprint(
         StageError: the input, or the file with poses, cannot be read.
     """
     if files is None:
-        from warpqem.usd.input_check import open_layers
+        from warpqem.usd.checks.input_check import open_layers
 
         opened = [open_layers(path) for path in (job.input, job.options.poses) if path is not None]
         files = [file for each in opened for file in each.files]
@@ -96,7 +96,7 @@ def is_current(job: BatchJob, record: dict[str, Any]) -> bool:
 
     Args:
         job: The job.
-        record: What `warpqem.batching.state.Journal` keeps of it: the fingerprint and the hash of the output.
+        record: What `warpqem.batching.journal.Journal` keeps of it: the fingerprint and the hash of the output.
     """
     try:
         fingerprint = record["fingerprint"]

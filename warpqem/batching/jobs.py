@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from warpqem.batching.search import files_below, fixed_part, is_usd_name, match_pattern, same_file_key
+from warpqem.arguments.number_input import shown
+from warpqem.batching.input_search import files_below, fixed_part, is_usd_name, match_pattern, same_file_key
 from warpqem.errors import OptionError
-from warpqem.number_input import shown
-from warpqem.outputs import InputFile, OutputFile, OutputFiles
-from warpqem.usd.output_names import output_files
-from warpqem.usd.simplify_options import SimplifyOptions
+from warpqem.files.outputs import InputFile, OutputFile, OutputFiles
+from warpqem.usd.commands.output_names import output_files
+from warpqem.usd.commands.simplify_options import SimplifyOptions
 
 __all__ = ["BatchJob", "FoundFile", "check_jobs", "find_files", "output_path", "read_jobs"]
 
@@ -69,7 +69,7 @@ def find_files(inputs: Sequence[str | os.PathLike[str]], leave_out: Path | None 
         OptionError: an input names nothing.
     """
     found: list[FoundFile] = []
-    for text in map(os.fspath, inputs):
+    for text in (os.fspath(given) for given in inputs):
         files = _files_of(text, leave_out)
         if not files:
             raise OptionError(f"{text}: no such file, and no folder or pattern with a USD file in it")

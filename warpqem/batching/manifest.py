@@ -12,12 +12,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from warpqem.batching.job_result import FAILED, BatchResult
 from warpqem.batching.jobs import BatchJob, output_path
-from warpqem.batching.result import FAILED, BatchResult
 from warpqem.errors import OptionError
-from warpqem.file_kinds import check_regular
+from warpqem.files.file_kinds import check_regular
 from warpqem.printable import FIRST_BYTE, LAST_BYTE
-from warpqem.usd.option_values import override_options, read_options
+from warpqem.usd.commands.option_values import override_options, read_options
 
 __all__ = ["MANIFEST_SUFFIXES", "Manifest", "WrongLine", "read_lines", "read_manifest"]
 
@@ -25,7 +25,7 @@ MANIFEST_SUFFIXES = (".jsonl", ".ndjson", ".csv")
 # Columns that are no options.
 INPUT, OUTPUT = "input", "output"
 # Lines that one row of CSV may go over, by quoted line breaks; a quote that is never closed costs one line.
-MOST_ROW_LINES = 100
+MAX_ROW_LINES = 100
 
 
 @dataclass(frozen=True)
@@ -212,7 +212,7 @@ def _csv_rows(name: str, text: str) -> Iterator[tuple[int, Mapping[str, Any] | O
     at = 0
     while at < len(lines):
         number = at + 1
-        reader = csv.reader(lines[at : at + MOST_ROW_LINES], strict=True)
+        reader = csv.reader(lines[at : at + MAX_ROW_LINES], strict=True)
         try:
             values = next(reader)
             at += reader.line_num

@@ -17,20 +17,20 @@ from multiprocessing.connection import Connection, wait
 from typing import Any
 
 from warpqem.batching.engine import lost
+from warpqem.batching.job_result import FAILED, BatchResult, named
 from warpqem.batching.jobs import BatchJob, check_jobs
-from warpqem.batching.local import MAIN_HINT, OUTSIDE_SIGNALS, ending
-from warpqem.batching.result import FAILED, BatchResult, named
+from warpqem.batching.local_engine import MAIN_HINT, OUTSIDE_SIGNALS, ending
 from warpqem.batching.worker import end_with_parent, redirect_output
 from warpqem.errors import BatchError, OptionError
-from warpqem.outputs import OutputFile, OutputFiles
-from warpqem.parallel import thread_count
+from warpqem.files.outputs import OutputFile, OutputFiles
+from warpqem.runtime.cpu_threads import thread_count
 
 __all__ = ["check_batch_outputs"]
 
 # Jobs that are worth a process more: it takes about as long to start as so many are looked at.
 JOBS_PER_PROCESS = 16
 # How often a job is looked at whose process was stopped from outside.
-MOST_TRIES = 3
+MAX_TRIES = 3
 # How long a process may take to end whose connection is closed.
 ENDING_SECONDS = 10.0
 
@@ -83,7 +83,7 @@ def _find_problems(jobs: Sequence[BatchJob], outputs: Sequence[OutputFile]) -> d
                 except (EOFError, OSError):
                     how = process.end()
                     processes.remove(process)
-                    if tries < MOST_TRIES and any(name in how for name in OUTSIDE_SIGNALS):
+                    if tries < MAX_TRIES and any(name in how for name in OUTSIDE_SIGNALS):
                         waiting.appendleft((index, tries + 1))
                     else:
                         failed[index] = lost(jobs[index], how, tries, 0.0)
@@ -186,11 +186,11 @@ def _serve(connection: Connection, outputs: Sequence[OutputFile]) -> None:
     redirect_output(os.devnull)
     end_with_parent()
     # Files that never open end the process.
-    from warpqem.opening import tell_openings
-    from warpqem.usd.input_files import stage_files
-    from warpqem.usd.stage import open_stage
+    from warpqem.runtime.load_timeout import report_loading
+    from warpqem.usd.checks.input_files import stage_files
+    from warpqem.usd.read.open_stage import open_stage
 
-    tell_openings(lambda file, begins: None)
+    report_loading(lambda file, begins: None)
     written = OutputFiles(outputs)
     connection.send(True)
     with suppress(EOFError, OSError):

@@ -18,12 +18,12 @@ from pathlib import Path
 from typing import Any
 
 from warpqem.batching.engine import Finished, Started, Update, lost, timed_out
+from warpqem.batching.job_result import FAILED, BatchResult
 from warpqem.batching.jobs import BatchJob
-from warpqem.batching.result import FAILED, BatchResult
 from warpqem.errors import BatchError, OptionError, UsdLibraryError
-from warpqem.memory import parse_bytes
-from warpqem.temporary import MARK_LENGTH, mark_temporary, remove_marked
-from warpqem.usd.library import need_usd
+from warpqem.files.temporary import MARK_LENGTH, mark_temporary, remove_marked
+from warpqem.pipeline.memory_plan import parse_bytes
+from warpqem.usd.checks.library import need_usd
 
 __all__ = ["RayEngine"]
 
@@ -65,7 +65,6 @@ class RayEngine:
         timeout: float | None = None,
         memory: int | str | None = None,
         retries: int = 3,
-        spread: bool = False,
     ) -> None:
         """Nothing is started yet.
 
@@ -77,7 +76,6 @@ class RayEngine:
             timeout: Seconds that a job may take; None for any number.
             memory: What a job may take whose options do not say; the cluster reserves it. None for what is free.
             retries: How often a job is begun again whose process or node was lost.
-            spread: Let tasks of their own place frames of jobs that have many, where the cluster has room for them.
 
         Raises:
             OptionError: a value is out of range, or Ray is not installed.
@@ -96,7 +94,7 @@ class RayEngine:
             raise OptionError("engine ray: Ray is not installed; pip install 'warpqem[ray]'") from error
         self._ray: Any = ray
         self.address, self.cpus, self.gpus = address, cpus, gpus
-        self.timeout, self.retries, self.spread = timeout, retries, spread
+        self.timeout, self.retries = timeout, retries
         self.memory = None if memory is None else parse_bytes(memory)
 
     def run(self, jobs: Sequence[BatchJob]) -> Iterator[Update]:
@@ -112,7 +110,7 @@ class RayEngine:
                 while waiting and len(pending) < self._slots():
                     task = waiting.pop()
                     task.begin()
-                    pending[perform.remote(task.job, self._needs, self.spread, task.mark)] = task
+                    pending[perform.remote(task.job, self._needs, task.mark)] = task
                     yield Started(task.job)
                 ready, _ = self._ray.wait(list(pending), num_returns=1, timeout=WAIT_SECONDS)
                 for reference in ready:
@@ -210,30 +208,18 @@ def _handlers_kept() -> Iterator[None]:
             signal.signal(signal.SIGTERM, handler)
 
 
-def _perform(job: BatchJob, needs: dict[str, float], spread: bool, mark: str) -> BatchResult:
+def _perform(job: BatchJob, needs: dict[str, float], mark: str) -> BatchResult:
     """The task of a job."""
     _begin(needs)
     try:
         need_usd()
     except UsdLibraryError as error:
         return BatchResult(job.input, job.output, FAILED, type(error).__name__, f"{job.input}: {error}")
-    from warpqem.batching.perform import perform
+    from warpqem.batching.perform_job import perform
 
     memory = int(needs["memory"]) or None
-    helpers = _Helpers(needs)
-    try:
-        with mark_temporary(mark):
-            return perform(job, memory=memory, call=helpers.call if spread else None)
-    finally:
-        helpers.dismiss()
-
-
-def _assist(folder: str, needs: dict[str, float]) -> None:
-    """The task of a helper."""
-    _begin(needs)
-    from warpqem.batching.perform import assist
-
-    assist(folder)
+    with mark_temporary(mark):
+        return perform(job, memory=memory)
 
 
 def _begin(needs: dict[str, float]) -> None:
@@ -241,38 +227,10 @@ def _begin(needs: dict[str, float]) -> None:
     os.environ["WARPQEM_THREADS"] = str(max(1, int(needs["CPU"])))
     import warp as wp
 
-    from warpqem.opening import tell_openings
+    from warpqem.runtime.load_timeout import report_loading
 
-    tell_openings(lambda file, begins: None)
+    report_loading(lambda file, begins: None)
     wp.config.log_level = wp.LOG_WARNING
-
-
-class _Helpers:
-    """Tasks that place frames of one job, which needs none of them to succeed."""
-
-    def __init__(self, needs: dict[str, float]) -> None:
-        import ray
-
-        self._ray: Any = ray
-        self._needs = needs
-        self._called: list[Any] = []
-
-    def call(self, folder: Path) -> None:
-        """Begin as many as the cluster has room for now."""
-        task = self._ray.remote(
-            num_cpus=self._needs["CPU"],
-            num_gpus=self._needs["GPU"],
-            memory=int(self._needs["memory"]) or None,
-            max_retries=0,
-        )(_assist)
-        count = _room(self._ray.available_resources(), self._needs)
-        self._called += [task.remote(os.fspath(folder), self._needs) for _ in range(count)]
-
-    def dismiss(self) -> None:
-        """Those that have not begun yet need not."""
-        for reference in self._called:
-            with suppress(self._ray.exceptions.RayError, ValueError):
-                self._ray.cancel(reference)
 
 
 def _room(has: dict[str, float], needs: dict[str, float]) -> int:

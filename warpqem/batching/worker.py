@@ -1,4 +1,4 @@
-"""The process that does jobs one after another for `warpqem.batching.local`.
+"""The process that does jobs one after another for `warpqem.batching.local_engine`.
 
 It ends with the process that started it, however that ends. Little is imported before it knows how many threads it may
 use.
@@ -17,13 +17,13 @@ from multiprocessing import parent_process
 from multiprocessing.connection import Connection, wait
 from typing import Any
 
-from warpqem.opening import tell_openings
+from warpqem.runtime.load_timeout import report_loading
 
 __all__ = ["WorkerSetup", "end_with_parent", "redirect_output", "run_worker"]
 
 # No more than so many messages a second about progress.
 MESSAGES_PER_SECOND = 5.0
-# How libraries are told how many threads to use.
+# Variables from which libraries read how many threads to use.
 THREAD_VARIABLES = ("WARPQEM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 _log = logging.getLogger(__name__)
@@ -38,14 +38,12 @@ class WorkerSetup:
         device: Warp device for jobs that name none.
         memory: Bytes it may take for a job that does not say; None for no limit.
         output: File that takes what libraries print.
-        spread: Let other workers place frames of a job.
     """
 
     threads: int
     device: str
     memory: int | None
     output: str
-    spread: bool = False
 
 
 def run_worker(connection: Connection, setup: WorkerSetup) -> None:
@@ -55,7 +53,7 @@ def run_worker(connection: Connection, setup: WorkerSetup) -> None:
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT,))
     redirect_output(setup.output)
-    tell_openings(lambda file, begins: print(f"opening {file}", flush=True) if begins else None)
+    report_loading(lambda file, begins: print(f"opening {file}", flush=True) if begins else None)
     for name in THREAD_VARIABLES:
         os.environ[name] = str(setup.threads)
     # What USD splits over threads gives the same on one, and a worker has as many as it has.
@@ -75,10 +73,10 @@ def run_worker(connection: Connection, setup: WorkerSetup) -> None:
 def _serve(connection: Connection, sender: _Sender, setup: WorkerSetup) -> None:
     import warp as wp
 
-    from warpqem.batching.perform import assist, perform, warm_up
-    from warpqem.memory import parse_bytes
-    from warpqem.process_memory import limited_memory
-    from warpqem.usd.usd_errors import UsdMessages
+    from warpqem.batching.perform_job import perform, warm_up
+    from warpqem.pipeline.memory_plan import parse_bytes
+    from warpqem.runtime.process_memory import limited_memory
+    from warpqem.usd.checks.usd_errors import UsdMessages
 
     wp.config.log_level = wp.LOG_WARNING
     usd_messages = UsdMessages()
@@ -87,18 +85,12 @@ def _serve(connection: Connection, sender: _Sender, setup: WorkerSetup) -> None:
     connection.recv()
     warm_up(setup.device)
     sender.send("ready", None)
-    call = (lambda folder: sender.send("call", str(folder))) if setup.spread else None
     while True:
         job = connection.recv()
-        if isinstance(job, str):  # a folder where another worker would be helped
-            with limited_memory(setup.memory):
-                assist(job, setup.device)
-            sender.send("helped", None)
-            continue
         own = job.options.memory
         limit = setup.memory if own is None else parse_bytes(own)
         with limited_memory(limit):
-            result = perform(job, sender.progress, setup.device, setup.memory, call)
+            result = perform(job, sender.progress, setup.device, setup.memory)
         for text in usd_messages.take():
             _log.info("%s: USD: %s", job.input, text)
         sender.send("result", result)
@@ -152,5 +144,5 @@ def _wait_for_parent() -> None:
     parent = parent_process()
     assert parent is not None
     wait([parent.sentinel])
-    # At once: nobody waits for the job.
+    # At once: the parent, which the result was for, has ended.
     os._exit(1)

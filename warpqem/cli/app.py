@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -14,24 +14,38 @@ from warpqem.cli.examples import epilog
 from warpqem.cli.face import face
 from warpqem.cli.features import features
 from warpqem.cli.info import info
-from warpqem.cli.levels import levels
 from warpqem.cli.progressive import progressive
 from warpqem.cli.render import render
 from warpqem.cli.simplify import simplify
 from warpqem.cli.view import view
+from warpqem.errors import OptionError
 
 __all__ = ["app"]
 
+# Commands of an earlier version, and what does the same.
+REMOVED = {"levels": "warpqem simplify IN -o OUT --lods RATIOS"}
+
+
+class Commands(OneLineErrors):
+    """All commands; those that were removed are errors that name what does the same."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """The command that the arguments name."""
+        if args[0] in REMOVED and not ctx.resilient_parsing:
+            raise OptionError(f"warpqem {args[0]} was removed: use {REMOVED[args[0]]}")
+        return super().resolve_command(ctx, args)
+
+
 app = typer.Typer(
     name="warpqem",
-    cls=OneLineErrors,
+    cls=Commands,
     pretty_exceptions_enable=False,
     help="Simplify animated meshes in USD files: one topology for all frames, least error over all frames.",
     epilog="Exit codes: 0 all done; 1 an error, or some mesh failed; 2 wrong usage; 130 interrupted (Ctrl-C); "
     "128 + N ended by another signal N.",
 )
 
-for command in (simplify, batch, info, compare, features, render, view, levels):
+for command in (simplify, batch, info, compare, features, render, view):
     app.command(epilog=epilog(command.__name__))(command)
 app.add_typer(progressive)
 app.add_typer(face)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from warpqem.cli.console import PlainTable, error_text
 
 if TYPE_CHECKING:
-    from warpqem.usd.compare import PairReport
+    from warpqem.usd.commands.compare import PairReport
 
 __all__ = ["appearance_table"]
 

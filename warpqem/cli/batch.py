@@ -18,22 +18,22 @@ from warpqem.cli.console import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
     load_usd,
+    print_message,
     print_table,
     progress_bar,
     quiet_libraries,
-    tell,
 )
-from warpqem.cli.guard import interruptible
+from warpqem.cli.crash_guard import interruptible
 from warpqem.cli.logs import LogJson, Verbose, start_logging
 from warpqem.cli.option_parameters import takes_options
 from warpqem.errors import OptionError, StageError
-from warpqem.usd.simplify_options import SimplifyOptions
+from warpqem.usd.commands.simplify_options import SimplifyOptions
 
 if TYPE_CHECKING:
     from warpqem.batching.engine import Engine
+    from warpqem.batching.job_result import BatchResult
     from warpqem.batching.jobs import BatchJob
     from warpqem.batching.manifest import Manifest, WrongLine
-    from warpqem.batching.result import BatchResult
 
 __all__ = ["batch"]
 
@@ -85,15 +85,6 @@ def batch(
     timeout: Annotated[
         float | None, typer.Option(metavar="SECONDS", help="Stop an asset that takes longer, and go on without it.")
     ] = None,
-    spread: Annotated[
-        bool,
-        typer.Option(
-            "--spread",
-            hidden=True,
-            help="Let processes or tasks without an asset place frames of large ones that are still at work; "
-            "--jobs may then be more than there are assets. No bit changes.",
-        ),
-    ] = False,
     retries: Annotated[int, typer.Option(hidden=True, help="How often to begin anew what has lost its process.")] = 1,
     engine: Annotated[
         EngineName, typer.Option(hidden=True, help="Processes on this machine, or tasks on a Ray cluster.")
@@ -127,11 +118,11 @@ def batch(
     load_usd()
     start_logging(verbose, None)
     from warpqem.batching.jobs import check_jobs
+    from warpqem.batching.journal import JOURNAL_NAME
     from warpqem.batching.output_check import check_batch_outputs
-    from warpqem.batching.run import batch as run_batch
-    from warpqem.batching.state import JOURNAL_NAME
+    from warpqem.batching.run_batch import batch as run_batch
     from warpqem.cli.batch_display import BatchDisplay, summary_table
-    from warpqem.outputs import InputFile, named_outputs
+    from warpqem.files.outputs import InputFile, named_outputs
     from warpqem.report.page import check_page_path
 
     if report is not None:
@@ -145,9 +136,7 @@ def batch(
         check_batch_outputs(work, [*others, *named_outputs({"journal": journal})])
         _show_plan(work, wrong, journal if resume else None, to_stderr=json == "-")
         return
-    chosen = _engine(
-        engine, options, jobs=jobs, timeout=timeout, retries=retries, spread=spread, ray=(address, cpus, gpus)
-    )
+    chosen = _engine(engine, options, jobs=jobs, timeout=timeout, retries=retries, ray=(address, cpus, gpus))
     display = BatchDisplay(work)
     updates = run_batch(work, chosen, journal=journal, resume=resume, on_update=display.update, other_outputs=others)
     # Nothing has been written up to here.
@@ -159,7 +148,7 @@ def batch(
         seconds = display.seconds
     print_table(summary_table(results, count, seconds), to_stderr=json == "-")
     if interrupted:
-        tell("error", f"interrupted after {len(results)} of {count} assets; go on with --resume")
+        print_message("error", f"interrupted after {len(results)} of {count} assets; go on with --resume")
         raise typer.Exit(EXIT_INTERRUPTED)
     if report is not None:
         _write_overview(report, results, options)
@@ -172,7 +161,7 @@ def _show_plan(work: list[BatchJob], wrong: list[WrongLine], journal: Path | Non
     from warpqem.cli.batch_display import dry_run_table
 
     for line in wrong:
-        tell("error", line.message)
+        print_message("error", line.message)
     print_table(dry_run_table(work, journal), to_stderr)
     if wrong:
         raise typer.Exit(EXIT_FAILED)
@@ -190,9 +179,9 @@ def _collect(
             results.append(result)
             write(result)
             if not result.ok:
-                tell("error", f"{result.error}: {result.message}")
+                print_message("error", f"{result.error}: {result.message}")
             for kind, text in loss_lines(result):
-                tell(kind, text)
+                print_message(kind, text)
     except KeyboardInterrupt:
         return results, True
     finally:
@@ -201,7 +190,7 @@ def _collect(
 
 
 def _write_overview(path: str, results: list[BatchResult], options: dict[str, Any]) -> None:
-    from warpqem.usd.overview import write_overview
+    from warpqem.usd.commands.overview import write_overview
 
     with progress_bar("drawing") as progress:
         found = [result.to_dict() for result in results]
@@ -220,7 +209,7 @@ def _find_jobs(
     """The jobs, and the lines of manifests without one."""
     from warpqem.batching.jobs import BatchJob, find_files, output_path
     from warpqem.batching.manifest import read_lines
-    from warpqem.usd.option_values import read_options
+    from warpqem.usd.commands.option_values import read_options
 
     lists = _manifests(inputs)
     files = [text for text in inputs if text not in lists]
@@ -244,7 +233,7 @@ def _check_wrong(manifest: Manifest, options: dict[str, Any]) -> None:
     Raises:
         OptionError: see above.
     """
-    from warpqem.usd.option_values import read_options
+    from warpqem.usd.commands.option_values import read_options
 
     if manifest.wrong and options["strict"]:
         raise OptionError(manifest.wrong[0].message)
@@ -263,7 +252,6 @@ def _engine(
     jobs: int | None,
     timeout: float | None,
     retries: int,
-    spread: bool,
     ray: tuple[str | None, float, float | None],
 ) -> Engine:
     if name is EngineName.ray:
@@ -272,12 +260,12 @@ def _engine(
         if jobs is not None:
             raise OptionError("--jobs is for --engine local; on Ray --cpus and --gpus say how many run at once")
         address, cpus, gpus = ray
-        return RayEngine(address, cpus, gpus, timeout, options["memory"], retries, spread)
-    from warpqem.batching.local import LocalEngine
+        return RayEngine(address, cpus, gpus, timeout, options["memory"], retries)
+    from warpqem.batching.local_engine import LocalEngine
 
     if ray != (None, 1.0, None):
         raise OptionError("--address, --cpus and --gpus need --engine ray")
-    return LocalEngine(jobs, timeout, options["memory"], retries, options["device"], spread)
+    return LocalEngine(jobs, timeout, options["memory"], retries, options["device"])
 
 
 def _make_folder(folder: Path) -> None:

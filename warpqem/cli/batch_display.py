@@ -13,20 +13,20 @@ from rich.console import Console
 from rich.progress import BarColumn, TaskID, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from warpqem.batching.engine import Finished, Progressed, Started, Update
+from warpqem.batching.job_result import DONE, FAILED, PARTIAL, SKIPPED, BatchResult
 from warpqem.batching.jobs import BatchJob
-from warpqem.batching.result import DONE, FAILED, PARTIAL, SKIPPED, BatchResult
-from warpqem.batching.state import Journal
+from warpqem.batching.journal import Journal
 from warpqem.cli.batch_losses import has_losses
 from warpqem.cli.console import PlainTable, QuietProgress
-from warpqem.file_kinds import kind_of
+from warpqem.files.file_kinds import kind_of
 from warpqem.printable import printable
 
 __all__ = ["BatchDisplay", "dry_run_table", "summary_table"]
 
 # What an asset counts for in the time that is left beside its bytes: to open the smallest takes time too.
 BYTES_FOR_OPENING = 2**16
-# Failed assets that the closing table names; all of them have been told before.
-MOST_NAMED = 20
+# Failed assets that the closing table names; messages about all of them were printed before.
+MAX_NAMED = 20
 
 
 class BatchDisplay:
@@ -62,7 +62,7 @@ class BatchDisplay:
         return time.perf_counter() - self._start
 
     def update(self, update: Update) -> None:
-        """Show what an engine tells."""
+        """Show an update of the engine."""
         output = update.job.output
         if isinstance(update, Started):
             if output not in self._running:
@@ -135,10 +135,10 @@ def summary_table(results: Sequence[BatchResult], job_count: int, seconds: float
     if losing:
         table.add_note(f"{losing} of {len(results)} assets lost what does not fit the new meshes, named above")
     bad = [result for result in results if not result.ok]
-    for result in bad[:MOST_NAMED]:
+    for result in bad[:MAX_NAMED]:
         table.add_note(f"{result.error}: {result.input}")
-    if len(bad) > MOST_NAMED:
-        table.add_note(f"and {len(bad) - MOST_NAMED} more, all named above")
+    if len(bad) > MAX_NAMED:
+        table.add_note(f"and {len(bad) - MAX_NAMED} more, all named above")
     return table
 
 
@@ -158,10 +158,10 @@ def _add_verdicts(table: PlainTable, results: Sequence[BatchResult]) -> None:
     table.add_note("meshes: " + ", ".join(f"{counts[word]} {word}" for word in WORDS if counts[word]))
     wanting = [entry for entry in found if entry[2]["reason"]]
     wanting.sort(key=lambda entry: rank(entry[2]["verdict"], entry[2]["hausdorff"]))
-    for source, path, measured in wanting[:MOST_NAMED]:
+    for source, path, measured in wanting[:MAX_NAMED]:
         table.add_note(f"{measured['verdict']}: {source}: {path}: {measured['reason']}")
-    if len(wanting) > MOST_NAMED:
-        table.add_note(f"and {len(wanting) - MOST_NAMED} more that are not good, see --json")
+    if len(wanting) > MAX_NAMED:
+        table.add_note(f"and {len(wanting) - MAX_NAMED} more that are not good, see --json")
 
 
 def _weight(job: BatchJob) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from warpqem.batching.result import BatchResult
+from warpqem.batching.job_result import BatchResult
 
 __all__ = ["has_losses", "loss_lines"]
 
@@ -23,14 +23,14 @@ def loss_lines(result: BatchResult) -> list[tuple[str, str]]:
     report = result.report or {}
     lost = _grouped(((prim, name) for prim in _prims(result) for name in prim["dropped"]), ", ")
     lines = [("warning", f"{place}: dropped, does not fit the new mesh: {names}") for names, place in lost]
-    told = [("warning", text) for text in report.get("problems", [])]
-    told += [("warning", f"{place}: {text}") for text, place in _grouped(_texts(result, "problems"))]
-    told += [("warning", f"{place}: {text}") for text, place in _grouped(_shortfalls(result))]
-    told += [("note", text) for text in report.get("notes", [])]
-    told += [("note", f"{place}: {text}") for text, place in _grouped(_texts(result, "notes"))]
-    if len(told) > MAX_NOTES:
-        told[MAX_NOTES:] = [("note", f"and {len(told) - MAX_NOTES} more notes, see --json")]
-    return [(kind, f"{result.input}: {text}") for kind, text in lines + told]
+    notes = [("warning", text) for text in report.get("problems", [])]
+    notes += [("warning", f"{place}: {text}") for text, place in _grouped(_texts(result, "problems"))]
+    notes += [("warning", f"{place}: {text}") for text, place in _grouped(_shortfalls(result))]
+    notes += [("note", text) for text in report.get("notes", [])]
+    notes += [("note", f"{place}: {text}") for text, place in _grouped(_texts(result, "notes"))]
+    if len(notes) > MAX_NOTES:
+        notes[MAX_NOTES:] = [("note", f"and {len(notes) - MAX_NOTES} more notes, see --json")]
+    return [(kind, f"{result.input}: {text}") for kind, text in lines + notes]
 
 
 def _prims(result: BatchResult) -> list[dict[str, Any]]:
@@ -46,7 +46,7 @@ def _texts(result: BatchResult, key: str) -> Iterable[tuple[dict[str, Any], str]
 
 
 def _shortfalls(result: BatchResult) -> Iterable[tuple[dict[str, Any], str]]:
-    """What a mesh did not reach that was asked for."""
+    """Goals that a mesh did not reach."""
     for prim in _prims(result):
         if prim["symmetry"] not in (None, "kept"):
             yield prim, f"not kept symmetric: {prim['symmetry']}"

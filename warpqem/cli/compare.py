@@ -12,16 +12,16 @@ from warpqem.cli.console import (
     PlainTable,
     error_text,
     load_usd,
+    print_message,
     print_table,
     progress_bar,
     quiet_libraries,
-    tell,
     write_json,
 )
-from warpqem.cli.options import Device, Frames, JsonReport, Prims, ReportPage, Variants
+from warpqem.cli.parameters import Device, Frames, JsonReport, Prims, ReportPage, Variants
 
 if TYPE_CHECKING:
-    from warpqem.usd.compare import PairReport
+    from warpqem.usd.commands.compare import PairReport
 
 __all__ = ["compare"]
 
@@ -71,8 +71,8 @@ def compare(
     Distances are in % of the reference's bounding-box diagonal in the frame, angles in degrees. RMS is the root mean
     square distance, of the two directions the larger, as a mean over the frames; Hausdorff the largest distance of any
     point in any frame; flips are faces that oppose the reference face nearest to them, a frame. Jitter and slide
-    are second differences over time: how much the surface trembles, and how much vertices swim on it, against the
-    material they are bound to; 95 % of the vertices slide no more than "slide 95 %". The verdict is good, look or poor,
+    are second differences over time: how unsteady the surface is, and how much vertices move over the material that
+    they are bound to; 95 % of the vertices slide no more than "slide 95 %". The verdict is good, look or poor,
     by the limits in docs/glossary.md. simplify gives the same figures under the same names.
 
     A second table compares what both meshes have of texture coordinates, shading normals and colours.
@@ -81,10 +81,10 @@ def compare(
     """
     quiet_libraries()
     load_usd()
-    from warpqem.outputs import named_outputs
+    from warpqem.files.outputs import named_outputs
     from warpqem.report.page import check_page_path
     from warpqem.usd import CompareOptions, FrameRange, compare_stages
-    from warpqem.usd.report_page import write_compare_report
+    from warpqem.usd.commands.report_page import write_compare_report
 
     if report is not None:
         check_page_path(report)
@@ -112,14 +112,14 @@ def _show(reference: str, test: str, pairs: list[PairReport], json: str | None) 
     """Print and write what was found."""
     for pair in pairs:
         if pair.message is not None:
-            tell("error", pair.message)
+            print_message("error", pair.message)
     print_table(_table(reference, test, pairs), to_stderr=json == "-")
     if any(pair.appearance for pair in pairs):
         print_table(appearance_table(pairs), to_stderr=json == "-")
     if json is not None:
         write_json(json, {"reference": reference, "test": test, "prims": [pair.to_dict() for pair in pairs]})
     if not pairs:
-        tell("error", f"neither {reference} nor {test} has a mesh")
+        print_message("error", f"neither {reference} nor {test} has a mesh")
 
 
 def _table(reference: str, test: str, pairs: list[PairReport]) -> PlainTable:
@@ -134,9 +134,9 @@ def _table(reference: str, test: str, pairs: list[PairReport]) -> PlainTable:
     table.add_column("verdict")
     for pair in sorted(pairs, key=_badness):
         measures = pair.comparison
-        name = [pair.level or "", pair.path] if levels else [pair.path]
+        cells = [pair.level or "", pair.path] if levels else [pair.path]
         if measures is None:
-            table.add_row(*name, "failed")
+            table.add_row(*cells, "failed")
             continue
         values = (
             measures.rms,
@@ -151,7 +151,7 @@ def _table(reference: str, test: str, pairs: list[PairReport]) -> PlainTable:
         )
         faces = f"{measures.reference_topology.faces} / {measures.test_topology.faces}"
         verdict = measures.verdict
-        table.add_row(*name, str(measures.frame_count), faces, *map(error_text, values), verdict.word)
+        table.add_row(*cells, str(measures.frame_count), faces, *map(error_text, values), verdict.word)
         if verdict.reason:
             table.add_note(f"{verdict.word}: {pair.path}: {verdict.reason}")
     return table

@@ -19,14 +19,14 @@ from rich.style import StyleType
 from rich.table import Table
 from rich.text import Text
 
-from warpqem.cli.messages import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_USAGE, tell, told_messages
+from warpqem.cli.messages import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_USAGE, print_message, printed_messages
 from warpqem.errors import OptionError, StageError, WarpqemError
 from warpqem.printable import printable, printable_lines
-from warpqem.process_limits import limit_behind_error, with_limit
+from warpqem.runtime.process_limits import limit_behind_error, with_limit
 
 if TYPE_CHECKING:
-    from warpqem.usd.usd_errors import UsdMessages
-from warpqem.temporary import replacing
+    from warpqem.usd.checks.usd_errors import UsdMessages
+from warpqem.files.temporary import replacing
 
 __all__ = [
     "EXIT_FAILED",
@@ -37,10 +37,10 @@ __all__ = [
     "QuietProgress",
     "error_text",
     "load_usd",
+    "print_message",
     "print_table",
     "progress_bar",
     "quiet_libraries",
-    "tell",
     "write_json",
 ]
 
@@ -51,7 +51,7 @@ WIDEST = 1000
 TRACEBACK_VARIABLE = "WARPQEM_TRACEBACK"
 
 # Warnings of USD that a command shows at its end; a clip that is missing gives one for each frame.
-MOST_WARNINGS = 20
+MAX_WARNINGS = 20
 
 _usd_messages: UsdMessages | None = None
 
@@ -64,7 +64,7 @@ class OneLineErrors(typer.core.TyperGroup):
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:
-            tell("error", "interrupted")
+            print_message("error", "interrupted")
             raise typer.Exit(EXIT_INTERRUPTED) from None
 
     def main(
@@ -82,7 +82,7 @@ class OneLineErrors(typer.core.TyperGroup):
         try:
             code = self._run(args, prog_name, complete_var, windows_expand_args, **extra)
         finally:
-            tell_usd_warnings()
+            print_usd_warnings()
         sys.exit(code if isinstance(code, int) else 0)
 
     def _run(
@@ -96,19 +96,19 @@ class OneLineErrors(typer.core.TyperGroup):
         try:
             return super().main(args, prog_name, complete_var, False, windows_expand_args, **extra)
         except OptionError as error:
-            tell("error", str(error))
+            print_message("error", str(error))
             return EXIT_USAGE
         except WarpqemError as error:
-            tell("error", with_limit(str(error), error))
+            print_message("error", with_limit(str(error), error))
         except MemoryError as error:
-            tell("error", with_limit("out of memory", error))
+            print_message("error", with_limit("out of memory", error))
         except typer.Abort:
-            tell("error", "interrupted")
+            print_message("error", "interrupted")
             return EXIT_INTERRUPTED
         except Exception as error:
-            # Typer has carried its own copy of click since 0.26, so its usage errors are known by what they offer.
+            # Typer has its own copy of click since 0.26, so its usage errors are known by what they offer.
             if hasattr(error, "format_message"):
-                tell("error", f"{error.format_message()} (see warpqem --help)")
+                print_message("error", f"{error.format_message()} (see warpqem --help)")
                 return EXIT_USAGE
             limit = limit_behind_error(error)
             if os.environ.get(TRACEBACK_VARIABLE):
@@ -116,22 +116,22 @@ class OneLineErrors(typer.core.TyperGroup):
             else:
                 text = " ".join(str(error).split())
                 if limit:
-                    tell("error", f"{limit}: {text}")
+                    print_message("error", f"{limit}: {text}")
                     return EXIT_FAILED
-                tell("error", f"{type(error).__name__}: {text} (set {TRACEBACK_VARIABLE}=1 for a traceback)")
+                print_message("error", f"{type(error).__name__}: {text} (set {TRACEBACK_VARIABLE}=1 for a traceback)")
         return EXIT_FAILED
 
 
-def tell_usd_warnings() -> None:
-    """Print what USD has warned of, but for what the command has told itself."""
+def print_usd_warnings() -> None:
+    """Print what USD has warned of, but for what the command has printed itself."""
     warnings = [] if _usd_messages is None else _usd_messages.take()
-    warnings = [text for text in warnings if not any(t and (text in t or t in text) for t in told_messages)]
-    told_messages.clear()
-    for text in warnings[:MOST_WARNINGS]:
-        tell("warning", text)
-    if len(warnings) > MOST_WARNINGS:
-        tell("warning", f"and {len(warnings) - MOST_WARNINGS} more of USD")
-    told_messages.clear()
+    warnings = [text for text in warnings if not any(t and (text in t or t in text) for t in printed_messages)]
+    printed_messages.clear()
+    for text in warnings[:MAX_WARNINGS]:
+        print_message("warning", text)
+    if len(warnings) > MAX_WARNINGS:
+        print_message("warning", f"and {len(warnings) - MAX_WARNINGS} more of USD")
+    printed_messages.clear()
 
 
 class _WarpMessages:
@@ -147,13 +147,13 @@ class _WarpMessages:
         # Warp says so for each module when it has been compiled, so this comes after the first of about ten.
         if "(compiled)" in message and not self._told:
             self._told = True
-            tell("note", "compiling the kernels, which takes some seconds the first time on a device")
+            print_message("note", "compiling the kernels, which takes some seconds the first time on a device")
 
     def warning(self, message: str, category: type[Warning] | None = None, stacklevel: int = 1) -> None:
-        tell("warning", " ".join(message.split()))
+        print_message("warning", " ".join(message.split()))
 
     def error(self, message: str) -> None:
-        tell("error", " ".join(message.split()))
+        print_message("error", " ".join(message.split()))
 
 
 def load_usd() -> None:
@@ -163,10 +163,10 @@ def load_usd() -> None:
         UsdLibraryError: it is missing, broken or too old.
     """
     global _usd_messages
-    from warpqem.usd.library import need_usd
+    from warpqem.usd.checks.library import need_usd
 
     need_usd()
-    from warpqem.usd.usd_errors import UsdMessages
+    from warpqem.usd.checks.usd_errors import UsdMessages
 
     _usd_messages = _usd_messages or UsdMessages()
 

@@ -9,6 +9,7 @@ EXAMPLES = {
         "warpqem simplify quadruped_gallop.usdc -o out.usdc --ratio 0.1 --report out.html",
         "warpqem simplify cape_wind.usdc -o cape.usda --max-error 0.2 --lock-borders",
         "warpqem simplify cape_wind.usdc -o far.usda --screen-error 1 --distance 10",
+        "warpqem simplify cape_wind.usdc -o levels.usda --lods 0.5,0.2,0.05",
     ),
     "batch": (
         "warpqem batch 'talking*.usdc' cape_wind.usdc -o small --ratio 0.2 --jobs 1 --json results.jsonl",
@@ -19,7 +20,6 @@ EXAMPLES = {
     "features": ("warpqem features quadruped_gallop.usdc -o joints.usda",),
     "render": ("warpqem render cape.usda -o sheet.png --reference cape_wind.usdc --heatmap --pictures 3",),
     "view": ("warpqem view cape_wind.usdc cape.usda",),
-    "levels": ("warpqem levels cape_wind.usdc -o levels.usda --ratios 0.5,0.2,0.05",),
     "build": ("warpqem progressive build cape_wind.usdc -o cape.wpqm",),
     "extract": ("warpqem progressive extract cape.wpqm -o level.usda --faces 700",),
     "progressive info": ("warpqem progressive info cape.wpqm",),

@@ -9,13 +9,13 @@ import typer
 from warpqem.cli.console import PlainTable, load_usd, print_table, quiet_libraries, write_json
 from warpqem.cli.examples import epilog
 from warpqem.cli.option_parameters import takes_options
-from warpqem.cli.options import Device, Frames, Input, JsonReport, Output, ReportPage
+from warpqem.cli.parameters import Device, Frames, Input, JsonReport, Output, ReportPage
 from warpqem.cli.simplify import run_simplify
-from warpqem.usd.simplify_options import SimplifyOptions
+from warpqem.usd.commands.simplify_options import SimplifyOptions
 
 __all__ = ["face"]
 
-face = typer.Typer(name="face", help="Faces: named feature points, levels that keep them, expressions carried over.")
+face = typer.Typer(name="face", help="Faces: named feature points, levels that keep them, expressions transferred.")
 
 # Those of the metric, which the command names itself.
 POINT_OPTIONS = ("metric", "face_points", "face_weight", "face_ring", "face_keep")
@@ -58,9 +58,9 @@ def detect(
     """
     quiet_libraries()
     load_usd()
-    from warpqem.outputs import named_outputs
+    from warpqem.files.outputs import named_outputs
     from warpqem.usd import FrameRange
-    from warpqem.usd.face import FaceOptions, check_face_outputs, draw_face, read_face, write_points
+    from warpqem.usd.commands.face import FaceOptions, check_face_outputs, draw_face, read_face, write_points
 
     frame_range = FrameRange.parse(frames) if frames else None
     found = read_face(input_file, FaceOptions(prim, frame_range, find_orientation, points))
@@ -154,9 +154,9 @@ def retarget(
     """
     quiet_libraries()
     load_usd()
-    from warpqem.outputs import named_outputs
+    from warpqem.files.outputs import named_outputs
     from warpqem.usd import FrameRange
-    from warpqem.usd.face import FaceOptions, read_face, retarget_file
+    from warpqem.usd.commands.face import FaceOptions, read_face, retarget_file
 
     frame_range = FrameRange.parse(frames) if frames else None
     source = read_face(source_file, FaceOptions(source_prim, frame_range, points=source_points))

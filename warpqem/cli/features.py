@@ -11,15 +11,15 @@ from warpqem.cli.console import (
     EXIT_FAILED,
     PlainTable,
     load_usd,
+    print_message,
     print_table,
     progress_bar,
     quiet_libraries,
-    tell,
     write_json,
 )
 from warpqem.cli.option_parameters import takes_options
-from warpqem.cli.options import Input, JsonReport, Output
-from warpqem.usd.simplify_options import SimplifyOptions
+from warpqem.cli.parameters import Input, JsonReport, Output
+from warpqem.usd.commands.simplify_options import SimplifyOptions
 
 __all__ = ["features"]
 
@@ -37,8 +37,8 @@ def features(input_file: Input, output: Output, options: dict[str, Any], json: J
     """
     quiet_libraries()
     load_usd()
-    from warpqem.motion import motion_weighting
-    from warpqem.outputs import named_outputs
+    from warpqem.costs.motion_features import motion_weighting
+    from warpqem.files.outputs import named_outputs
     from warpqem.usd import FrameRange, color_features
 
     with progress_bar("reading") as progress:
@@ -58,7 +58,7 @@ def features(input_file: Input, output: Output, options: dict[str, Any], json: J
         table.add_column(name, justify="right")
     for report in reports:
         if report.message is not None:
-            tell("error", report.message)
+            print_message("error", report.message)
         counts = (report.frames, report.features, report.feature_vertices, report.vertices)
         table.add_row(report.path, *(["failed"] if report.message else map(str, counts)))
     print_table(table, to_stderr=json == "-")

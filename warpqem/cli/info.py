@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from warpqem.cli.console import PlainTable, load_usd, print_table, quiet_libraries, tell, write_json
-from warpqem.cli.options import Input, JsonReport, Variants
+from warpqem.cli.console import PlainTable, load_usd, print_message, print_table, quiet_libraries, write_json
+from warpqem.cli.parameters import Input, JsonReport, Variants
 
 if TYPE_CHECKING:
-    from warpqem.usd.inspect import MeshInfo
+    from warpqem.usd.read.inspect import MeshInfo
 
 __all__ = ["info"]
 
@@ -20,16 +20,16 @@ def info(input_file: Input, variant: Variants = None, json: JsonReport = None) -
     """
     quiet_libraries()
     load_usd()
-    from warpqem.outputs import named_outputs
-    from warpqem.usd.inspect import inspect_with_problems
+    from warpqem.files.outputs import named_outputs
+    from warpqem.usd.read.inspect import inspect_with_problems
 
     meshes, problems = inspect_with_problems(input_file, named_outputs({"--json": json}), variant or ())
     print_table(_table(input_file, meshes), to_stderr=json == "-")
     for problem in problems:
-        tell("note", problem)
+        print_message("note", problem)
     for mesh in meshes:
         for problem in mesh.problems:
-            tell("note", problem if problem.startswith(mesh.path) else f"{mesh.path}: {problem}")
+            print_message("note", problem if problem.startswith(mesh.path) else f"{mesh.path}: {problem}")
     if json is not None:
         write_json(json, {"input": input_file, "meshes": [mesh.to_dict() for mesh in meshes], "problems": problems})
 

@@ -1,4 +1,4 @@
-"""The `warpqem` program. Nothing is loaded before it knows what to do with signals."""
+"""The `warpqem` program. Signal handlers are set before anything else is loaded."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ def run() -> None:
         # A terminal of another encoding gets escapes for what it cannot show.
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
-    from warpqem.cli.guard import guarded
-    from warpqem.cli.messages import EXIT_FAILED, tell
+    from warpqem.cli.crash_guard import guarded
+    from warpqem.cli.messages import EXIT_FAILED, print_message
     from warpqem.errors import ProcessLimitError
-    from warpqem.process_limits import check_limits
+    from warpqem.runtime.process_limits import check_limits
 
     try:
         check_limits()
     except ProcessLimitError as error:
-        tell("error", str(error))
+        print_message("error", str(error))
         sys.exit(EXIT_FAILED)
     guarded(_work)
 
@@ -42,7 +42,7 @@ def _work() -> None:
 
 
 def __getattr__(name: str) -> Any:
-    """The app, loaded when somebody asks for it."""
+    """The app, imported on first use."""
     if name == "app":
         from warpqem.cli.app import app
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-__all__ = ["EXIT_FAILED", "EXIT_INTERRUPTED", "EXIT_SIGNAL", "EXIT_USAGE", "tell", "told_messages"]
+__all__ = ["EXIT_FAILED", "EXIT_INTERRUPTED", "EXIT_SIGNAL", "EXIT_USAGE", "print_message", "printed_messages"]
 
 EXIT_FAILED = 1
 EXIT_USAGE = 2
@@ -13,13 +13,13 @@ EXIT_SIGNAL = 128
 # The signal of Ctrl-C has the number 2 everywhere.
 EXIT_INTERRUPTED = EXIT_SIGNAL + 2
 
-# What has been told since USD's warnings were shown last.
-told_messages: list[str] = []
+# Messages printed since USD's warnings were shown last.
+printed_messages: list[str] = []
 
 
-def tell(kind: str, message: str) -> None:
+def print_message(kind: str, message: str) -> None:
     """Print one line, such as `error: ...` or `warning: ...`, on stderr."""
     from warpqem.printable import printable
 
-    told_messages.append(message)
+    printed_messages.append(message)
     print(f"{kind}: {printable(message.strip())}", file=sys.stderr)

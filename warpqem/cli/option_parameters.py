@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from warpqem.option_fields import OptionField, named_options
+from warpqem.arguments.option_fields import OptionField, named_options
 
 __all__ = ["HelpAll", "parameter_of", "takes_options"]
 
@@ -20,7 +20,7 @@ KIND = inspect.Parameter.POSITIONAL_OR_KEYWORD
 def _print_all(context: typer.Context, wanted: bool) -> None:
     if wanted:
         for parameter in context.command.params:
-            parameter.hidden = False  # type: ignore[attr-defined]
+            parameter.hidden = False  # type: ignore[attr-defined]  # an option of click
         typer.echo(context.get_help())
         raise typer.Exit
 
@@ -37,7 +37,7 @@ def takes_options(
     """Give a command the options of a dataclass beside its own; it gets their values by name as `options`.
 
     Args:
-        options: The dataclass, see `warpqem.option_fields`.
+        options: The dataclass, see `warpqem.arguments.option_fields`.
         without: Names of options that it does not take.
         only: Names of those that it takes, and shows all in its help; empty for all others.
         hidden: Names of options that its help leaves to --help-all, whatever they say.
@@ -64,7 +64,7 @@ def takes_options(
             command(**arguments, options=values)
 
         # Typer reads both.
-        wrapper.__signature__ = own.replace(parameters=parameters)  # type: ignore[attr-defined]
+        wrapper.__signature__ = own.replace(parameters=parameters)  # type: ignore[attr-defined]  # PEP 362
         wrapper.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
         return wrapper
 
@@ -91,7 +91,7 @@ def parameter_of(entry: OptionField, basic: bool) -> inspect.Parameter:
         entry.name,
         KIND,
         default=default,
-        annotation=Annotated[annotation, about],  # type: ignore[valid-type]
+        annotation=Annotated[annotation, about],
     )
 
 
@@ -99,7 +99,7 @@ def _value_type(entry: OptionField) -> Any:
     if entry.option.repeated:
         return list[str]
     if entry.option.choices is not None:
-        return Enum(entry.name, {name: name for name in entry.option.choices()}, type=str)  # type: ignore[misc]
+        return Enum(entry.name, {name: name for name in entry.option.choices()}, type=str)
     return entry.kind if entry.literals or entry.kind in (bool, int, float) else str
 
 

@@ -9,9 +9,9 @@ import typer
 from warpqem.cli.console import PlainTable, load_usd, print_table, progress_bar, quiet_libraries, write_json
 from warpqem.cli.examples import epilog
 from warpqem.cli.option_parameters import takes_options
-from warpqem.cli.options import Input, JsonReport, MeshMemory, Output
-from warpqem.usd.option_values import read_options
-from warpqem.usd.progressive_options import NOT_TO_BUILD, BuildOptions, LevelChoice
+from warpqem.cli.parameters import Input, JsonReport, MeshMemory, Output
+from warpqem.usd.commands.option_values import read_options
+from warpqem.usd.commands.progressive_options import NOT_TO_BUILD, BuildOptions, LevelChoice
 
 if TYPE_CHECKING:
     from warpqem.progressive.header import FileInfo
@@ -39,8 +39,8 @@ def build(
     """
     quiet_libraries()
     load_usd()
-    from warpqem.outputs import named_outputs
-    from warpqem.usd.progressive import build_file
+    from warpqem.files.outputs import named_outputs
+    from warpqem.usd.commands.progressive import build_file
 
     asked = read_options(options, BuildOptions)
     with progress_bar("reading") as progress:
@@ -59,8 +59,8 @@ def extract(
     """
     quiet_libraries()
     load_usd()
-    from warpqem.outputs import named_outputs
-    from warpqem.usd.progressive import extract_level
+    from warpqem.files.outputs import named_outputs
+    from warpqem.usd.commands.progressive import extract_level
 
     choice = read_options(options, LevelChoice)
     count, error = extract_level(file, output, choice, memory, named_outputs({"--json": json}))
@@ -81,7 +81,7 @@ def info(file: MeshFile, json: JsonReport = None) -> None:
     """
     quiet_libraries()
     from warpqem.errors import StageError
-    from warpqem.outputs import InputFile, check_outputs, named_outputs
+    from warpqem.files.outputs import InputFile, check_outputs, named_outputs
     from warpqem.progressive import read_info
 
     check_outputs(named_outputs({"--json": json}), [InputFile(file)])

@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from warpqem.cli.console import load_usd, progress_bar, quiet_libraries, tell
-from warpqem.cli.options import Device, Frames, Input, Prims, Variants
+from warpqem.cli.console import load_usd, print_message, progress_bar, quiet_libraries
+from warpqem.cli.parameters import Device, Frames, Input, Prims, Variants
 from warpqem.errors import OptionError
 
 __all__ = ["render"]
@@ -40,7 +40,7 @@ def render(
     quiet_libraries()
     load_usd()
     from warpqem.usd import FrameRange
-    from warpqem.usd.render import RenderOptions, render_sheet
+    from warpqem.usd.commands.render import RenderOptions, render_sheet
 
     options = RenderOptions(
         pictures=pictures,
@@ -58,7 +58,7 @@ def render(
     with progress_bar("reading") as progress:
         scale = render_sheet(input_file, output, options, reference, progress)
     if scale is not None:
-        tell("note", f"the brightest colour is at {scale:.3g} % of the bounding-box diagonal")
+        print_message("note", f"the brightest colour is at {scale:.3g} % of the bounding-box diagonal")
 
 
 def _parse_size(text: str) -> tuple[int, int]:

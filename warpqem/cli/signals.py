@@ -24,7 +24,7 @@ def hold_signals() -> None:
 
 
 def handle_signals(handler: Callable[[int, FrameType | None], None]) -> None:
-    """Handle signals, but those that whoever started this process lets be ignored, as `nohup` does."""
+    """Handle signals, except those that the parent process had ignored, as `nohup` does."""
     for number in STOP_SIGNALS:
         if signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, handler)

@@ -11,24 +11,24 @@ from warpqem.cli.console import (
     PlainTable,
     error_text,
     load_usd,
+    print_message,
     print_table,
     progress_bar,
     quiet_libraries,
-    tell,
     write_json,
 )
 from warpqem.cli.option_parameters import takes_options
-from warpqem.cli.options import JsonReport, MeshInput, MeshOutput, ReportPage
-from warpqem.usd.simplify_options import SimplifyOptions
+from warpqem.cli.parameters import JsonReport, MeshInput, MeshOutput, ReportPage
+from warpqem.usd.commands.simplify_options import SimplifyOptions
 
 if TYPE_CHECKING:
-    from warpqem.memory import MemoryPlan
-    from warpqem.usd.report import PrimReport, StageReport
+    from warpqem.pipeline.memory_plan import MemoryPlan
+    from warpqem.usd.write.stage_report import PrimReport, StageReport
 
 __all__ = ["run_simplify", "simplify"]
 
 # Outputs that a title names.
-MOST_NAMED = 4
+MAX_NAMED = 4
 
 
 @takes_options(SimplifyOptions)
@@ -52,7 +52,7 @@ def simplify(
 
     OUT is a small layer over IN that holds the new meshes; keep the two files together, or use --flatten, or name OUT
     as a package (.usdz), which holds all that it needs. Primvars, normals, subsets, skins and blend shapes come along.
-    What does not fit the new meshes is dropped, with a warning.
+    What does not fit the new meshes is removed, with a warning.
 
     IN may be mesh files, too, one for each frame, such as 'horse-*.ply' in quotes (OBJ, PLY, STL, OFF, GLB, ...): the
     frames of one mesh. OUT is then a file of its own, or mesh files again, such as out/horse_####.ply.
@@ -74,15 +74,15 @@ def run_simplify(
     quiet_libraries()
     load_usd()
     from warpqem.errors import OptionError
-    from warpqem.memory import parse_bytes
-    from warpqem.mesh_files.names import is_mesh_name
-    from warpqem.outputs import named_outputs
-    from warpqem.process_memory import limited_memory
+    from warpqem.files.outputs import named_outputs
+    from warpqem.mesh_files.file_names import is_mesh_name
+    from warpqem.pipeline.memory_plan import parse_bytes
     from warpqem.report.page import check_page_path
+    from warpqem.runtime.process_memory import limited_memory
     from warpqem.usd import simplify_stage
-    from warpqem.usd.option_values import read_options
-    from warpqem.usd.report_page import write_simplify_report
-    from warpqem.usd.simplify_meshes import DEFAULT_FPS, simplify_mesh_files
+    from warpqem.usd.commands.option_values import read_options
+    from warpqem.usd.commands.report_page import write_simplify_report
+    from warpqem.usd.commands.simplify_meshes import DEFAULT_FPS, simplify_mesh_files
 
     asked = read_options(options)
     if page is not None:
@@ -95,7 +95,7 @@ def run_simplify(
             if page is not None and report.output is not None:
                 write_simplify_report(page, report, asked, progress)
 
-        shared: dict[str, Any] = {"progress": progress, "announce": _tell_plan, "other_outputs": others}
+        shared: dict[str, Any] = {"progress": progress, "announce": _print_plan, "other_outputs": others}
         if is_mesh_name(input_file):
             rate = DEFAULT_FPS if fps is None else fps
             report = simplify_mesh_files(input_file, output, asked, fps=rate, before_end=write_page, **shared)
@@ -104,7 +104,7 @@ def run_simplify(
                 raise OptionError("--fps is for mesh files; a USD file has a rate of its own")
             report = simplify_stage(input_file, output, asked, **shared)
             write_page(report)
-    _tell_problems(report)
+    _print_problems(report)
     print_table(_table(report), to_stderr=json == "-")
     if json is not None:
         write_json(json, report.to_dict())
@@ -112,53 +112,59 @@ def run_simplify(
         raise typer.Exit(EXIT_FAILED)
 
 
-def _tell_plan(name: str, plan: MemoryPlan) -> None:
-    tell("plan", f"{name}: {plan}")
+def _print_plan(name: str, plan: MemoryPlan) -> None:
+    print_message("plan", f"{name}: {plan}")
 
 
 def _level(prim: PrimReport) -> str:
     """Name of the level of detail, empty where there are none."""
-    from warpqem.usd.lods import LevelReport
+    from warpqem.usd.commands.lods import LevelReport
 
     return prim.level if isinstance(prim, LevelReport) else ""
 
 
-def _tell_problems(report: StageReport) -> None:
+def _print_problems(report: StageReport) -> None:
     from warpqem.measure.verdict import WARNING_DISTANCE
 
     for problem in report.problems:
-        tell("warning", problem)
+        print_message("warning", problem)
     for note in report.notes:
-        tell("note", note)
+        print_message("note", note)
     for problem in dict.fromkeys(text for prim in report.prims for text in prim.problems):
-        tell("warning", problem)
+        print_message("warning", problem)
     for note in dict.fromkeys(text for prim in report.prims for text in prim.notes):
-        tell("note", note)
+        print_message("note", note)
     for prim in report.prims:
         level = f"{_level(prim)}: " if _level(prim) else ""
         if prim.dropped:
-            tell("warning", f"{level}{prim.path}: dropped, does not fit the new mesh: {', '.join(prim.dropped)}")
+            print_message(
+                "warning", f"{level}{prim.path}: dropped, does not fit the new mesh: {', '.join(prim.dropped)}"
+            )
         if prim.symmetry not in (None, "kept"):
-            tell("warning", f"{level}{prim.path}: not kept symmetric: {prim.symmetry}")
+            print_message("warning", f"{level}{prim.path}: not kept symmetric: {prim.symmetry}")
         if prim.status == "simplified" and prim.stopped == "no legal collapse":
-            tell("warning", f"{level}{prim.path}: stopped at {prim.faces_after} faces, no legal collapse is left")
+            print_message(
+                "warning", f"{level}{prim.path}: stopped at {prim.faces_after} faces, no legal collapse is left"
+            )
         if prim.status == "kept" and prim.message and prim.message.startswith("no geometry"):
-            tell("note", f"{prim.path}: kept: {prim.message}")
+            print_message("note", f"{prim.path}: kept: {prim.message}")
         if prim.measured is not None and prim.measured["hausdorff"] > WARNING_DISTANCE:
-            tell("warning", f"{level}{prim.path}: {_distance(prim.measured)}")
+            print_message("warning", f"{level}{prim.path}: {_distance(prim.measured)}")
         if prim.status == "failed":
-            tell("error", level + (prim.message or prim.path))
-    _tell_small(report)
+            print_message("error", level + (prim.message or prim.path))
+    _print_small(report)
     if report.output is None:
-        tell("error", f"nothing written: no mesh of {report.input} could be simplified")
+        print_message("error", f"nothing written: no mesh of {report.input} could be simplified")
 
 
-def _tell_small(report: StageReport) -> None:
+def _print_small(report: StageReport) -> None:
     """Name the meshes that stopped early in one line: on a stage of small props it is most of them."""
     stopped = list(dict.fromkeys(prim.path for prim in report.prims if prim.stopped == "max_size_error"))
     if stopped:
         more = f" and {len(stopped) - 1} more" if len(stopped) > 1 else ""
-        tell("note", f"{stopped[0]}{more}: kept above the face count, where the error would pass --max-size-error")
+        print_message(
+            "note", f"{stopped[0]}{more}: kept above the face count, where the error would pass --max-size-error"
+        )
 
 
 def _table(report: StageReport) -> PlainTable:
@@ -193,7 +199,7 @@ def _table(report: StageReport) -> PlainTable:
 
 def _named(outputs: list[str]) -> str:
     """The files that were written, of many the first and the last."""
-    return ", ".join(outputs) if len(outputs) <= MOST_NAMED else f"{outputs[0]}, ..., {outputs[-1]}"
+    return ", ".join(outputs) if len(outputs) <= MAX_NAMED else f"{outputs[0]}, ..., {outputs[-1]}"
 
 
 def _distance(measured: dict[str, Any]) -> str:

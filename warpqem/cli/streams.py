@@ -7,7 +7,7 @@ import signal
 import sys
 from typing import Any
 
-from warpqem.cli.messages import EXIT_FAILED, EXIT_SIGNAL, tell
+from warpqem.cli.messages import EXIT_FAILED, EXIT_SIGNAL, print_message
 
 __all__ = ["ToleratedOutput"]
 
@@ -49,10 +49,10 @@ class ToleratedOutput:
         )
 
     def finish(self, quiet: bool = False) -> int:
-        """Write out what is left; returns 0, or the exit code of a program whose output did not get out.
+        """Flush the streams; returns 0, or the exit code where output could not be written.
 
         Args:
-            quiet: An error has been told already.
+            quiet: An error has been printed already.
         """
         code = EXIT_SIGNAL + signal.SIGPIPE if any(stream.is_closed_by_reader for stream in self._streams) else 0
         for name in ("stdout", "stderr"):
@@ -64,6 +64,6 @@ class ToleratedOutput:
                 # Nothing is to try again when the process ends.
                 setattr(sys, name, None)
                 if name == "stdout" and not quiet:
-                    tell("error", f"standard output: cannot be written ({error.strerror})")
+                    print_message("error", f"standard output: cannot be written ({error.strerror})")
                 code = code or EXIT_FAILED
         return code

@@ -9,9 +9,9 @@ from typing import Annotated, Any
 
 import typer
 
-from warpqem.cli.console import load_usd, progress_bar, quiet_libraries, tell
-from warpqem.cli.guard import interruptible
-from warpqem.cli.options import Device, Frames, MeshMemory, Prims, Variants
+from warpqem.cli.console import load_usd, print_message, progress_bar, quiet_libraries
+from warpqem.cli.crash_guard import interruptible
+from warpqem.cli.parameters import Device, Frames, MeshMemory, Prims, Variants
 from warpqem.errors import MemoryLimitError, OptionError, StageError, WarpqemError
 
 __all__ = ["view"]
@@ -60,14 +60,14 @@ def view(
         data = _stage_data(input_file, other, frames, prim, variant, device)
     server = PageServer(report_page(data), level, port)
     print(server.address, flush=True)
-    tell("note", "stop with Ctrl+C")
+    print_message("note", "stop with Ctrl+C")
     if browser:
         webbrowser.open(server.address)
     try:
         with interruptible():
             server.serve()
     except KeyboardInterrupt:
-        tell("note", "stopped")
+        print_message("note", "stopped")
 
 
 def _live_data(
@@ -99,7 +99,7 @@ def _stage_data(
     load_usd()
     from warpqem.report import report_data
     from warpqem.usd import FrameRange
-    from warpqem.usd.report_page import stage_report
+    from warpqem.usd.commands.report_page import stage_report
 
     with progress_bar("reading") as progress:
         chosen = FrameRange.parse(frames) if frames else None

@@ -4,8 +4,8 @@ After "multiresolution facial animation" (here: the face paper), whose points an
 cloning (Noh & Neumann 2001).
 """
 
-from warpqem.face.features import FacialFeatures, facial_features
-from warpqem.face.names import FEATURE_NAMES, MIDLINE, PAIRS
+from warpqem.face.feature_names import FEATURE_NAMES, MIDLINE, PAIRS
+from warpqem.face.feature_points import FacialFeatures, facial_features
 from warpqem.face.protect import FaceProtection, face_sums
 from warpqem.face.retarget import FaceMesh, RetargetedMotion, retarget
 

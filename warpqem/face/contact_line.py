@@ -10,11 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warpqem.components import lowest_members
-from warpqem.edges import edge_table
 from warpqem.face.mouth import LIPS_FROM, LIPS_TO, OUTSIDE, WIDEST
 from warpqem.face.relief import Relief
 from warpqem.face.spots import Missing, Spot
+from warpqem.mesh.components import lowest_members
+from warpqem.mesh.edges import edge_table
 
 __all__ = ["ContactLine", "find_contact_line"]
 
@@ -22,9 +22,9 @@ __all__ = ["ContactLine", "find_contact_line"]
 TOGETHER = 1e-3
 # A line of lips reaches at least this far to both sides of the midline, in noses, and rises and falls by no more than
 # that over its length. Mouths are about half a nose wide to each side.
-LEAST_REACH, MOST_RISE = 0.15, 0.35
+MIN_REACH, MAX_RISE = 0.15, 0.35
 # At so many places of the line at least its vertices lie on each other; fewer are an accident of the mesh.
-LEAST_PLACES = 5
+MIN_PLACES = 5
 # The line is what the mesh itself says, not an extremum that could be another one.
 CONFIDENCE = 0.95
 
@@ -69,7 +69,7 @@ def find_contact_line(local: np.ndarray, faces: np.ndarray, relief: Relief, nose
         nose_bottom: height of the foot of the nose.
     """
     pairs = _pairs(local, faces, relief, nose_bottom)
-    if len(pairs) < LEAST_PLACES:
+    if len(pairs) < MIN_PLACES:
         return None
     edges = edge_table(faces).ends
     # One number for all vertices at a place.
@@ -81,15 +81,15 @@ def find_contact_line(local: np.ndarray, faces: np.ndarray, relief: Relief, nose
     line = lowest_members(len(local), along)
     for name in np.unique(line[doubled]):
         members = np.flatnonzero(doubled & (line == name))
-        if len(members) < LEAST_PLACES:
+        if len(members) < MIN_PLACES:
             continue
         at = local[members][np.argsort(local[members, 0], kind="stable")]
         grown = local[_grown_together(members, place, edges, doubled)]
         # Those between the ends lie inside the mouth.
         right, left = grown[grown[:, 0] < at[0, 0]], grown[grown[:, 0] > at[-1, 0]]
         at = np.concatenate([right[right[:, 0].argsort()[:1]], at, left[left[:, 0].argsort()[-1:]]])
-        reaches = at[0, 0] < -LEAST_REACH and at[-1, 0] > LEAST_REACH
-        if reaches and np.ptp(at[:, 1]) < MOST_RISE and _divides(members, local, place, faces):
+        reaches = at[0, 0] < -MIN_REACH and at[-1, 0] > MIN_REACH
+        if reaches and np.ptp(at[:, 1]) < MAX_RISE and _divides(members, local, place, faces):
             return ContactLine(at)
     return None
 

@@ -8,14 +8,14 @@ from functools import partial
 import numpy as np
 
 from warpqem.face.contact_line import ContactLine, find_contact_line
+from warpqem.face.feature_names import FEATURE_NAMES
 from warpqem.face.lids import closing_lid
 from warpqem.face.midline import ProfileSpots, find_profile, find_throat
 from warpqem.face.mouth import LipMotion, find_parting, follow_dent
-from warpqem.face.names import FEATURE_NAMES
 from warpqem.face.nose import FaceUnits, find_units
 from warpqem.face.relief import Relief, make_relief
 from warpqem.face.sides import CornerFinder, LidFinder, find_side
-from warpqem.face.skin import Skin, without_head_motion
+from warpqem.face.skin_regions import Skin, without_head_motion
 from warpqem.face.spots import Missing, Spot
 
 __all__ = ["FoundFace", "FoundMidline", "find_midline", "find_spots"]

@@ -7,7 +7,7 @@ import numpy as np
 __all__ = ["closing_lid"]
 
 # Lids that come down by this much against what is around them, in noses, close.
-LEAST_DROP = 0.06
+MIN_DROP = 0.06
 # What comes down by this share of the most is the lid.
 LID_SHARE = 0.6
 
@@ -26,7 +26,7 @@ def closing_lid(place: np.ndarray, rise: np.ndarray, near: tuple[float, float], 
         return None
     own = rise[:, around]
     drop = (np.median(own, axis=1, keepdims=True) - own).max(axis=0)
-    if drop.max() < LEAST_DROP:
+    if drop.max() < MIN_DROP:
         return None
     lid = drop > LID_SHARE * drop.max()
     left = float(np.average(place[around, 0][lid], weights=drop[lid]))

@@ -16,7 +16,7 @@ LIPS_FROM, LIPS_TO, MIDDLE = 0.1, 0.85, 0.12
 # Vertices this far above and below a line tell how it opens.
 LIP_BAND = 0.06
 # Lips that part by this much, in noses, tell where they meet.
-LEAST_PARTING = 0.05
+MIN_PARTING = 0.05
 # Only what lies this close to the relief belongs to the outside of the lips.
 OUTSIDE = 0.06
 # The line is followed in such steps, up to the widest mouth, and looked for that far above and below.
@@ -50,7 +50,7 @@ class LipMotion:
     @property
     def confidence(self) -> float:
         """0 to 1."""
-        return self.parting / (self.parting + LEAST_PARTING)
+        return self.parting / (self.parting + MIN_PARTING)
 
     def mirrored(self) -> LipMotion:
         """Left and right exchanged."""
@@ -95,7 +95,7 @@ def find_parting(place: np.ndarray, rise: np.ndarray, relief: Relief, nose_botto
     middle = np.abs(place[:, 0]) < MIDDLE
     options = np.arange(nose_bottom - LIPS_TO, nose_bottom - LIPS_FROM, relief.pixel)
     parts = np.array([_parting(place[middle], rise[:, middle], option) for option in options])
-    if not len(parts) or parts.max() < LEAST_PARTING:
+    if not len(parts) or parts.max() < MIN_PARTING:
         return None
     # Lips that lie on each other leave a range of lines between them: its middle.
     best = np.flatnonzero(parts >= 0.98 * parts.max())

@@ -21,11 +21,11 @@ MIDDLE_SEARCH = 0.12
 MIDDLE_REACH = 0.25
 # Half a nose's width, as part of a surface's; a nose stands out from what is that far beside it, and by at least
 # this part of the surface's height.
-NOSE_HALF_WIDTH, LEAST_DROP = 0.07, 0.02
+NOSE_HALF_WIDTH, MIN_DROP = 0.07, 0.02
 # An extremum on the ridge of the nose stands out by this part of the surface's height.
 RIDGE_PROMINENCE = 0.004
 # A nose is no shorter than this part of the surface, or it is the wrong bump (and the face around it huge).
-LEAST_NOSE = 0.06
+MIN_NOSE = 0.06
 # From a first guess of the root of the nose, the chord to the tip begins this far up the forehead, in noses.
 FOREHEAD = 0.35
 
@@ -75,7 +75,7 @@ def find_units(points: np.ndarray, faces: np.ndarray, axes: np.ndarray, samples:
     relief = make_relief(turned, faces, (low[0], low[1]), (high[0], high[1]), pixel).smoothed(COARSE_SIGMA * pixel)
     middle = _middle(relief)
     profile = relief.along_column(relief.left(middle), pixel)
-    tip = _tip(relief, middle, profile, LEAST_DROP * extent[1])
+    tip = _tip(relief, middle, profile, MIN_DROP * extent[1])
     if tip is None:
         return None
     least = RIDGE_PROMINENCE * extent[1]
@@ -88,7 +88,7 @@ def find_units(points: np.ndarray, faces: np.ndarray, axes: np.ndarray, samples:
     guess = top.at - (foot if bottom is None else bottom).at
     brow = min(top.at + round(FOREHEAD * guess), int(np.flatnonzero(np.isfinite(profile)).max()))
     root = from_chord(profile, tip, brow, -1.0, pixel)
-    if bottom is None or root is None or root.at - bottom.at < LEAST_NOSE * samples:
+    if bottom is None or root is None or root.at - bottom.at < MIN_NOSE * samples:
         return None
     place = np.array([relief.left(middle), relief.up(tip), profile[tip]])
     return FaceUnits(axes, place @ axes, (root.at - bottom.at) * pixel)

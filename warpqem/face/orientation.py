@@ -12,7 +12,7 @@ import numpy as np
 
 from warpqem.errors import OptionError
 from warpqem.face.detect import FoundFace, find_midline, find_spots
-from warpqem.face.skin import Skin
+from warpqem.face.skin_regions import Skin
 from warpqem.face.spots import Missing, Spot
 
 __all__ = ["axes_of", "find_face"]
@@ -46,7 +46,7 @@ def axes_of(up: str, forward: str) -> np.ndarray:
         vectors.append(vector)
     if up[1] == forward[1]:
         raise OptionError(f"up {up!r} and forward {forward!r} lie on one axis")
-    return np.stack([np.cross(*vectors), *vectors])
+    return np.stack([np.cross(vectors[0], vectors[1]), *vectors])
 
 
 def find_face(points: np.ndarray, skin: Skin) -> tuple[FoundFace | None, np.ndarray]:
@@ -59,8 +59,8 @@ def find_face(points: np.ndarray, skin: Skin) -> tuple[FoundFace | None, np.ndar
         forward = np.cos(angle) * across + np.sin(angle) * other
         for side in (normal, -normal):
             axes = np.stack([side, np.cross(forward, side), forward])
-            found = find_midline(first, skin, axes, strip=True)
-            trials.append((-1.0 if found is None else _evidence(found.spots), axes))
+            midline = find_midline(first, skin, axes, strip=True)
+            trials.append((-1.0 if midline is None else _evidence(midline.spots), axes))
     # The first of equals stays first.
     trials.sort(key=lambda trial: -trial[0])
     looked = [(find_spots(points[:1], skin, axes), axes) for evidence, axes in trials[:LOOKED_AT] if evidence >= 0.0]

@@ -12,14 +12,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from warpqem.array_input import first_outside
-from warpqem.edges import edge_table
+from warpqem.arguments.array_input import first_outside
+from warpqem.arguments.number_input import flag, real_number, shown, whole_number
+from warpqem.costs.weights import MAX_WEIGHT
+from warpqem.decimation.quadric_sums import QuadricSums
 from warpqem.errors import FeaturePointError, OptionError
-from warpqem.face.features import FacialFeatures, features_any_way
-from warpqem.importance import MOST_WEIGHT
-from warpqem.mesh_input import MeshInput
-from warpqem.number_input import flag, real_number, shown, whole_number
-from warpqem.order.quadric_sums import QuadricSums
+from warpqem.face.feature_points import FacialFeatures, features_any_way
+from warpqem.mesh.edges import edge_table
+from warpqem.mesh.mesh_input import MeshInput
 
 __all__ = ["FaceProtection", "face_sums", "protect"]
 
@@ -50,7 +50,7 @@ class FaceProtection:
         if self.features is not None and not isinstance(self.features, FacialFeatures):
             raise OptionError(f"features must be FacialFeatures or None, got {shown(self.features)}")
         real_number(
-            self.weight, "weight of feature points", f"1 to {MOST_WEIGHT:g}", lambda value: 1.0 <= value <= MOST_WEIGHT
+            self.weight, "weight of feature points", f"1 to {MAX_WEIGHT:g}", lambda value: 1.0 <= value <= MAX_WEIGHT
         )
         whole_number(self.ring, "ring of feature points", least=0)
         flag(self.keep, "keep")

@@ -12,7 +12,7 @@ import numpy as np
 __all__ = ["Relief", "make_relief"]
 
 # Triangles that span more pixels are cut no finer than this each way; a face fills a few hundred.
-MOST_CUTS = 256
+MAX_CUTS = 256
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ def make_relief(
     reach = np.maximum(most[:, 0] - least[:, 0], most[:, 1] - least[:, 1])
     outside = (most[:, 0] < 0) | (most[:, 1] < 0) | (least[:, 0] > shape[1] - 1) | (least[:, 1] > shape[0] - 1)
     # Samples lie closer than the pixels, so that none is left out; numbers of cuts are powers of two, to be few.
-    cuts = np.minimum(2 ** np.ceil(np.log2(np.maximum(1.5 * reach, 1.0))).astype(int), MOST_CUTS)
+    cuts = np.minimum(2 ** np.ceil(np.log2(np.maximum(1.5 * reach, 1.0))).astype(int), MAX_CUTS)
     for count in np.unique(cuts):
         i, j = np.meshgrid(np.arange(count + 1), np.arange(count + 1), indexing="ij")
         kept = i + j <= count

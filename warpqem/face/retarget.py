@@ -8,21 +8,21 @@ scales space at that point. Motion of the whole head is taken off first, and put
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from warpqem.array_input import first_outside, real_array
-from warpqem.device import on_device, resolve_device
+from warpqem.arguments.array_input import first_outside, real_array
+from warpqem.arguments.array_types import ArrayInput, Points
+from warpqem.arguments.number_input import shown
 from warpqem.errors import FeaturePointError, MeshShapeError, OptionError
-from warpqem.face.correspondence import Correspondence, LipLine, correspond
-from warpqem.face.features import FacialFeatures, facial_features
+from warpqem.face.face_correspondence import Correspondence, LipLine, correspond
+from warpqem.face.feature_points import FacialFeatures, facial_features
 from warpqem.face.lips import keep_apart, lip_pairs
-from warpqem.face.morph import VolumeMorph, shared_points
 from warpqem.face.nose import FaceUnits
-from warpqem.face.skin import Skin, find_skin, head_motion
-from warpqem.mesh_input import finite_points, read_mesh, read_points
-from warpqem.number_input import shown
+from warpqem.face.skin_regions import Skin, find_skin, head_motion
+from warpqem.face.volume_morph import VolumeMorph, shared_points
+from warpqem.mesh.mesh_input import finite_points, read_mesh, read_points
+from warpqem.runtime.device import on_device, resolve_device
 
 __all__ = ["FaceMesh", "RetargetedMotion", "retarget"]
 
@@ -43,8 +43,8 @@ class FaceMesh:
         features: its feature points; None finds them with +y up and +z forward.
     """
 
-    points: Any
-    faces: Any
+    points: ArrayInput
+    faces: ArrayInput
     features: FacialFeatures | None = None
 
 
@@ -78,7 +78,7 @@ class RetargetedMotion:
 
 
 @on_device
-def retarget(source: FaceMesh, target: FaceMesh, motion: Any, *, device: str | None = None) -> RetargetedMotion:
+def retarget(source: FaceMesh, target: FaceMesh, motion: Points, *, device: str | None = None) -> RetargetedMotion:
     """Move the target as the source moves.
 
     Args:

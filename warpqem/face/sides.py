@@ -172,7 +172,8 @@ def _cheek(relief: Relief, bottom: float, eye: float) -> Spot | Missing:
 
 def _lips(relief: Relief, corner: Spot, contact: float, profile: ProfileSpots) -> Found:
     """The lips half way to the corner."""
-    left, spots = corner.left / 2, {}
+    left = corner.left / 2
+    spots: Found = {}
     column = relief.along_column(left, STRIP)
     # The line of contact bends on the way to the corner.
     middle = relief.row((contact + corner.up) / 2)

@@ -11,7 +11,7 @@ from warpqem.measure.appearance import (
 from warpqem.measure.comparison import Comparison, FrameErrors, compare
 from warpqem.measure.heatmap import distance_colors, vertex_distances
 from warpqem.measure.measured import Measured
-from warpqem.measure.topology import Topology, topology
+from warpqem.measure.validity import Topology, topology
 from warpqem.measure.verdict import LIMITS, Verdict
 
 __all__ = [

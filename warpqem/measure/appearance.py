@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from warpqem.array_input import real_array
-from warpqem.device import on_device, resolve_device
+from warpqem.arguments.array_input import real_array
+from warpqem.arguments.number_input import check_function, whole_number
 from warpqem.errors import DegenerateMeshError
 from warpqem.measure.appearance_errors import SEAM_SAMPLES, FieldErrors, MeshPair, UvErrors, UvMeasure, angles
+from warpqem.measure.checked_meshes import MeshSequence, check_same_frame_count, chosen_frames
 from warpqem.measure.color_difference import color_difference
-from warpqem.measure.correspondence import MovingMesh
-from warpqem.measure.inputs import MeshSequence, check_same_frame_count, chosen_frames
+from warpqem.measure.followed_points import MovingMesh
 from warpqem.measure.sampling import draw_material_samples
 from warpqem.measure.surface_values import CornerValues, SurfaceValues, shared_names, shared_normals
-from warpqem.mesh_input import finite_points, read_faces, read_points
-from warpqem.number_input import check_function, whole_number
+from warpqem.mesh.mesh_input import finite_points, read_faces, read_points
+from warpqem.runtime.device import on_device, resolve_device
 
 __all__ = [
     "Appearance",

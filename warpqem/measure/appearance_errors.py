@@ -8,11 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from warpqem.measure.correspondence import Correspondence, MovingMesh, match_islands
+from warpqem.measure.followed_points import Correspondence, MovingMesh, match_islands
 from warpqem.measure.sampling import MaterialSamples
 from warpqem.measure.surface_values import CornerValues
-from warpqem.measure.texture import Chart, Stretch, draw_seam_samples, make_chart, segment_distances, texture_jacobians
-from warpqem.transfer import blend
+from warpqem.measure.texture_coordinates import (
+    Chart,
+    Stretch,
+    draw_seam_samples,
+    make_chart,
+    segment_distances,
+    texture_jacobians,
+)
+from warpqem.mesh.blending import blend
 
 __all__ = ["SEAM_SAMPLES", "ErrorSums", "FieldErrors", "MeshPair", "UvErrors", "UvMeasure", "angles"]
 

@@ -1,9 +1,9 @@
 """The material point of the reference that each vertex of a test mesh stands for.
 
 The nearest point of the reference in one frame may lie on another leg, or on the other side of a thin part. So a vertex
-is bound to the nearest point of the *sheet* it belongs to. Which one that is says the collapse record where there is
-one; for two meshes that know nothing of each other, the way the surfaces face, the distances in other frames, and what
-a vertex's neighbours are bound to.
+is bound to the nearest point of the *sheet* it belongs to. The collapse record decides which one that is; for two
+meshes without a record, the way the surfaces face, the distances in other frames, and what a vertex's neighbours are
+bound to.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from warpqem.array_input import index_array
-from warpqem.components import lowest_members
+from warpqem.arguments.array_input import index_array
 from warpqem.errors import MeshShapeError
 from warpqem.kernels.binding import find_listed
-from warpqem.launches import launch
 from warpqem.measure.binding_surface import WALK_STEPS, ReferenceSurface, TestVertices, facing_sign
-from warpqem.measure.distance import ClosestPointSearch
-from warpqem.measure.inputs import MeshSequence, chosen_frames
-from warpqem.mesh_input import is_proper
-from warpqem.place.rows import gather_faces
+from warpqem.measure.checked_meshes import MeshSequence, chosen_frames
+from warpqem.measure.closest_points import ClosestPointSearch
+from warpqem.mesh.components import lowest_members
+from warpqem.mesh.mesh_input import is_proper
+from warpqem.place.cluster_rows import gather_faces
+from warpqem.runtime.launches import launch
 
 __all__ = ["Binding", "bind", "bind_by_record", "bind_by_shape", "check_vertex_map"]
 

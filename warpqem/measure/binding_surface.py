@@ -6,14 +6,14 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from warpqem.edges import edge_key
 from warpqem.kernels.binding import find_facing, walk_surface
-from warpqem.launches import launch
+from warpqem.measure.checked_meshes import MeshSequence
 from warpqem.measure.coincidence import coincident
-from warpqem.measure.inputs import MeshSequence
 from warpqem.measure.sampling import normals_and_areas, place
-from warpqem.measure.topology import unique_edges
-from warpqem.place.rows import group_rows
+from warpqem.measure.validity import unique_edges
+from warpqem.mesh.edges import edge_key
+from warpqem.place.cluster_rows import group_rows
+from warpqem.runtime.launches import launch
 
 __all__ = [
     "WALK_STEPS",

@@ -11,10 +11,10 @@ import numpy.typing as npt
 import warp as wp
 
 from warpqem.kernels import distance_bound as kernels
-from warpqem.launches import launch
 from warpqem.measure.bound_side import BoundSide
 from warpqem.measure.piece_proof import MORE_ROOM, NO_ROOM, SEARCH, WALK, WITHIN, PieceArrays, PieceProof, run_writing
 from warpqem.measure.unit_frames import UnitBlock, UnitFrames
+from warpqem.runtime.launches import launch
 
 __all__ = ["DistanceBound", "Excess", "UnitFrames"]
 

@@ -8,10 +8,10 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from warpqem.edges import edge_key
 from warpqem.kernels.near_faces import HINTS, Surface
 from warpqem.measure.piece_proof import PieceArrays
 from warpqem.measure.unit_frames import UnitBlock
+from warpqem.mesh.edges import edge_key
 
 __all__ = ["BoundSide", "faces_across"]
 
@@ -119,8 +119,9 @@ class BoundSide:
         self.surface.points = block.double[frame]
         if searched:
             single = wp.array(self.surface.points.numpy().astype(np.float32), dtype=wp.vec3, device=self._device)
-            if self._mesh is None:
-                self._mesh = wp.Mesh(points=single, indices=self.corner_vertex)
+            mesh = self._mesh
+            if mesh is None:
+                mesh = self._mesh = wp.Mesh(points=single, indices=self.corner_vertex)
             else:
-                self._mesh.points = single
-            self.surface.mesh = self._mesh.id
+                mesh.points = single
+            self.surface.mesh = mesh.id

@@ -10,8 +10,8 @@ import warp as wp
 
 from warpqem.kernels import surface_distance as kernels
 from warpqem.kernels.near_faces import Surface
-from warpqem.launches import launch
 from warpqem.measure.winding import Winding, read_winding
+from warpqem.runtime.launches import launch
 
 __all__ = ["Cells", "cell_places"]
 

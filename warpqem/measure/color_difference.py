@@ -13,7 +13,7 @@ Floats = npt.NDArray[np.float64]
 TO_XYZ = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
 # White of that matrix, D65.
 WHITE = TO_XYZ.sum(axis=1)
-# CIE 15: below this ratio to white the cube root gives way to a line, which has a slope at black.
+# CIE 15: below this ratio to white a line replaces the cube root; it has a slope at black.
 LINEAR_BELOW = (6 / 29) ** 3
 
 

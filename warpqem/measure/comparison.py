@@ -9,24 +9,30 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from warpqem.device import on_device, resolve_device
-from warpqem.frame_stream import ArrayFrames
+from warpqem.arguments.number_input import check_function, whole_number
+from warpqem.frames.stream import ArrayFrames
 from warpqem.measure.binding import bind, check_vertex_map
-from warpqem.measure.distance import ClosestPointSearch
-from warpqem.measure.inputs import MeshSequence, check_same_frame_count, check_sequence, chosen_frames, frame_scale
+from warpqem.measure.checked_meshes import (
+    MeshSequence,
+    check_same_frame_count,
+    check_sequence,
+    chosen_frames,
+    frame_scale,
+)
+from warpqem.measure.closest_points import ClosestPointSearch
 from warpqem.measure.measured import Measured, measure_frames, measured_errors
 from warpqem.measure.per_frame import FrameErrors
 from warpqem.measure.sampling import draw_material_samples, place
 from warpqem.measure.temporal import SecondDifference, binding_errors, in_face_frame
-from warpqem.measure.topology import Topology, topology
-from warpqem.number_input import check_function, whole_number
+from warpqem.measure.validity import Topology, topology
+from warpqem.runtime.device import on_device, resolve_device
 
 __all__ = ["Comparison", "FrameErrors", "compare"]
 
 Doubles = npt.NDArray[np.float64]
 
 # Jitter is taken over one second at the usual 24 frames per second, in the middle of the sequence, where the motion is
-# under way, and from so many samples that its sampling error is a few percent: few of them tremble, and decide it.
+# under way, and from so many samples that its sampling error is a few percent: a few unsteady samples decide it.
 JITTER_WINDOW = 24
 JITTER_SAMPLES = 4000
 

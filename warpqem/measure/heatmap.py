@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from warpqem.device import on_device, resolve_device
-from warpqem.measure.distance import ClosestPointSearch
-from warpqem.measure.inputs import check_same_frame_count, check_sequence, frame_scale
-from warpqem.number_input import real_number
+from warpqem.arguments.number_input import real_number
+from warpqem.measure.checked_meshes import check_same_frame_count, check_sequence, frame_scale
+from warpqem.measure.closest_points import ClosestPointSearch
+from warpqem.runtime.device import on_device, resolve_device
 
 __all__ = ["COLOR_MAP", "distance_colors", "vertex_distances"]
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 import warp as wp
@@ -71,7 +73,7 @@ class _Direction:
         found += np.float32(BOUND_MARGIN)
         return found
 
-    def beyond(self, frames: slice, floor: Doubles, *, lowest: bool) -> tuple[npt.NDArray, npt.NDArray]:
+    def beyond(self, frames: slice, floor: Doubles, *, lowest: bool) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
         """Patches (n,) whose bound is above the floor (F,) of a frame, and that frame (n,), patch by patch.
 
         ``frames`` are those of the block that the cells show. With ``lowest``, of the frames of a patch only the one
@@ -86,7 +88,9 @@ class _Direction:
         index, frame = np.nonzero(above[:, patch].T)
         return patch[index], frame
 
-    def search(self, patch: npt.NDArray, frame: npt.NDArray, first: int, floor: Doubles, *, cut: bool) -> Found:
+    def search(
+        self, patch: npt.NDArray[Any], frame: npt.NDArray[Any], first: int, floor: Doubles, *, cut: bool
+    ) -> Found:
         """Search patches, each in one of the cells' frames, and with ``cut`` put their pieces in their place.
 
         ``first`` is the block's frame in the first cell, ``floor`` (n,) that of each cell.
@@ -106,7 +110,7 @@ class _Direction:
             self._replace(patch, found, bound)
         return found
 
-    def _replace(self, patch: npt.NDArray, found: Found, bound: npt.NDArray[np.float32]) -> None:
+    def _replace(self, patch: npt.NDArray[Any], found: Found, bound: npt.NDArray[np.float32]) -> None:
         """Put the first piece of each patch in its place, and the others behind all."""
         is_first = np.append(True, found.owner[1:] != found.owner[:-1])
         count = self._count + int((~is_first).sum())
@@ -180,7 +184,7 @@ class LargestDistance:
         self._least = min(self._least, float(found.min()))
         return np.maximum(found, bound)
 
-    def leading_corners(self, side: int, frames: slice) -> tuple[npt.NDArray, Doubles]:
+    def leading_corners(self, side: int, frames: slice) -> tuple[npt.NDArray[Any], Doubles]:
         """Points of a mesh (0 the reference, 1 the test mesh) that may be among the furthest in frames of the block.
 
         Returns:

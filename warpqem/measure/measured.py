@@ -9,10 +9,10 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from warpqem.device import device_turn
-from warpqem.frame_stream import FrameSink, FrameSource
+from warpqem.frames.stream import FrameSink, FrameSource
 from warpqem.measure.surfaces import SurfaceComparison, sample_count
-from warpqem.measure.verdict import Verdict, judge_errors
+from warpqem.measure.verdict import Verdict, verdict_of
+from warpqem.runtime.device import device_turn
 
 __all__ = ["FrameReader", "Measured", "MeasuringSink", "measure_frames", "measured_errors"]
 
@@ -57,7 +57,7 @@ class Measured:
     @property
     def verdict(self) -> Verdict:
         """Good, look or poor, and why; see :mod:`warpqem.measure.verdict`."""
-        return judge_errors(self)
+        return verdict_of(self)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain dictionaries, numbers and text, ready for JSON."""
@@ -74,7 +74,7 @@ def joined_errors(parts: Sequence[Measured]) -> Measured:
     means = ("rms", "rms_forward", "rms_backward", "mean", "normal_deviation", "flips", "rms_length")
     largest = ("hausdorff", "hausdorff_length", "sample_count", "test_faces")
     return Measured(
-        **{name: mean(name) for name in means},
+        **{name: mean(name) for name in means},  # type: ignore[arg-type]  # names of fields that are float
         **{name: max(getattr(part, name) for part in parts) for name in largest},
         frame_count=sum(part.frame_count for part in parts),
     )
@@ -182,7 +182,8 @@ class MeasuringSink:
         assert self._comparison is not None
         pair = (self._source.read(frames), points)
         if self._waiting is not None:
-            pair = tuple(np.concatenate(parts) for parts in zip(self._waiting, pair, strict=True))  # type: ignore[assignment]
+            before, after = self._waiting
+            pair = (np.concatenate([before, pair[0]]), np.concatenate([after, pair[1]]))
         group = self._comparison.group
         while len(pair[1]) >= group or (len(pair[1]) and frames.stop == self._frame_count):
             reference, some = (mesh[:group] for mesh in pair)

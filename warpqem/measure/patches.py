@@ -9,14 +9,14 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from warpqem.device import device_traits
-from warpqem.frame_blocks import pack_frames
+from warpqem.frames.blocks import pack_frames
 from warpqem.kernels import surface_distance as kernels
 from warpqem.kernels.distance_screen import SCREEN_HINTS, ScreenPatches, bound_patches
 from warpqem.kernels.near_faces import HINTS
-from warpqem.launches import launch
 from warpqem.measure.cells import Cells
-from warpqem.parallel import launch_parts, run_parts, split_range, thread_count
+from warpqem.runtime.cpu_threads import launch_parts, run_parts, split_range, thread_count
+from warpqem.runtime.device import device_traits
+from warpqem.runtime.launches import launch
 
 __all__ = ["Found", "Patches", "bound_frames", "pack_points", "search_patches", "vertex_distances"]
 
@@ -54,7 +54,7 @@ class Patches:
         hint = np.full((face_count, int(HINTS)), -1, dtype=np.int32)
         return cls(np.arange(face_count, dtype=np.int32), place, hint)
 
-    def rows(self, chosen: npt.NDArray[np.integer] | npt.NDArray[np.bool_]) -> Patches:
+    def rows(self, chosen: npt.NDArray[np.integer] | npt.NDArray[np.bool_] | slice) -> Patches:
         """Some of them."""
         return Patches(self.face[chosen], self.place[chosen], self.hint[chosen])
 

@@ -15,7 +15,7 @@ class FrameErrors:
     """Errors per evaluated frame, arrays of shape (K,); distances in % of the reference's diagonal in that frame.
 
     Where the nearest point lies on an edge, its faces are equally near and any of them may count as the nearest: normal
-    deviation and flips carry that uncertainty (about 0.05 % and 1 %), distances do not.
+    deviation and flips have that uncertainty (about 0.05 % and 1 %), distances do not.
 
     Attributes:
         frame: frame indices, int64.

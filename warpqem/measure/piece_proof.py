@@ -10,18 +10,18 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from warpqem.frame_blocks import block_width
+from warpqem.frames.blocks import block_width
 from warpqem.kernels import distance_bound as kernels
 from warpqem.kernels.distance_pieces import check_pieces
-from warpqem.launches import launch
 from warpqem.measure.unit_frames import UnitBlock
-from warpqem.parallel import launch_parts, run_parts, split_range, thread_count
+from warpqem.runtime.cpu_threads import launch_parts, run_parts, split_range, thread_count
+from warpqem.runtime.launches import launch
 
 if TYPE_CHECKING:
     from warpqem.measure.bound_side import BoundSide
@@ -69,7 +69,7 @@ class PieceArrays:
         names = ("parent", "owner", "face", "weight")
         return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
-    def chosen(self, wanted: npt.NDArray) -> PieceArrays:
+    def chosen(self, wanted: npt.NDArray[Any]) -> PieceArrays:
         """Some of them, by a mask or indices."""
         return PieceArrays(self.parent[wanted], self.owner[wanted], self.face[wanted], self.weight[wanted])
 

@@ -8,11 +8,11 @@ import numpy as np
 import numpy.typing as npt
 
 from warpqem.errors import DegenerateMeshError
-from warpqem.measure.inputs import MeshSequence, chosen_frames
+from warpqem.measure.checked_meshes import MeshSequence, chosen_frames
 
 __all__ = ["MaterialSamples", "draw_material_samples", "normals_and_areas", "place"]
 
-# Keeps the division by a length of zero defined; far below any length that double precision tells from zero.
+# Keeps the division by a length of zero defined; far below any length that double precision distinguishes from zero.
 TINY = 1e-300
 
 
@@ -34,7 +34,7 @@ def place(
 ) -> npt.NDArray[np.float64]:
     """Positions (S, 3) of material points, given by face (S,) and barycentric coordinates (S, 3), in one frame."""
     corner = faces[face]
-    return sum(barycentric[:, k, None] * points[corner[:, k]] for k in range(3))  # type: ignore[return-value]
+    return sum(barycentric[:, k, None] * points[corner[:, k]] for k in range(3))
 
 
 # Frames, evenly spread, whose mean areas decide where samples lie.

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from warpqem.array_input import finite_array
+from warpqem.arguments.array_input import finite_array
 from warpqem.errors import MeshShapeError
 
 __all__ = ["CornerValues", "SurfaceValues", "shared_names", "shared_normals"]

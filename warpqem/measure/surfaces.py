@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,11 +14,11 @@ import warp as wp
 from warpqem.errors import DegenerateMeshError
 from warpqem.kernels import surface_distance as kernels
 from warpqem.kernels.lanes import WIDE
-from warpqem.launches import launch
 from warpqem.measure.cells import Cells, cell_places
 from warpqem.measure.largest import LargestDistance
 from warpqem.measure.per_frame import FrameErrors
-from warpqem.parallel import launch_parts
+from warpqem.runtime.cpu_threads import launch_parts
+from warpqem.runtime.launches import launch
 
 __all__ = ["SurfaceComparison", "sample_count"]
 
@@ -26,7 +27,7 @@ ALL_SAMPLES = 2**15
 # Samples on each surface in one frame: at most so many, which one frame takes to be known as well; and at least so
 # many, so that the larger of the two directions is known.
 MAX_SAMPLES, MIN_SAMPLES = 20000, 64
-# Samples that tell the root mean square distances of both directions apart to about a percent.
+# Samples that distinguish the root mean square distances of both directions to about a percent.
 DECIDING_SAMPLES = 8192
 # Frames are put together as cells until they have so many faces, or are so many: a launch then takes long enough to be
 # worth its start, and the hierarchy over them stays in the processor's cache.
@@ -59,7 +60,7 @@ def _forward_is_larger(ahead: Doubles, back: Doubles, samples: int) -> npt.NDArr
     """In which frames (n,) the first of two root mean square distances is to be taken for the larger one.
 
     Of two figures with noise the larger is too large in the mean. So neighbouring frames decide together, as many as
-    have enough samples to tell the two apart.
+    have enough samples to distinguish the two.
     """
     total = ahead + back
     difference = np.divide(ahead - back, total, out=np.zeros_like(total), where=total > 0)
@@ -110,10 +111,10 @@ class SurfaceComparison:
         self._largest = LargestDistance(self._reference, self._test, frame_count, device)
         self.test_faces = len(test_faces)
         self.sample_count, self._seed, self._device = samples, seed, device
-        self._rows: list[dict[str, npt.NDArray]] = []
+        self._rows: list[dict[str, npt.NDArray[Any]]] = []
         self._diagonals: list[Doubles] = []
 
-    def add(self, frames: Sequence[int], reference: npt.NDArray, test: npt.NDArray) -> None:
+    def add(self, frames: Sequence[int], reference: npt.NDArray[Any], test: npt.NDArray[Any]) -> None:
         """Measure a group of frames: ``group`` of them, or fewer at the end.
 
         Args:
@@ -241,7 +242,7 @@ class SurfaceComparison:
         total: npt.NDArray[np.int64] = flipped.sum(axis=1, dtype=np.int64)
         return total
 
-    def _launch(self, kernel: wp.Kernel, count: int, inputs: list, outputs: list[wp.array]) -> None:
+    def _launch(self, kernel: wp.Kernel, count: int, inputs: list[Any], outputs: list[wp.array]) -> None:
         def one(part: slice) -> None:
             launch(
                 kernel,

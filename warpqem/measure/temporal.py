@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from warpqem.measure.binding import Binding
-from warpqem.measure.inputs import MeshSequence
+from warpqem.measure.checked_meshes import MeshSequence
 from warpqem.measure.sampling import TINY, normals_and_areas, place
-from warpqem.measure.topology import unique_edges
+from warpqem.measure.validity import unique_edges
 
 __all__ = ["BindingErrors", "SecondDifference", "binding_errors", "in_face_frame"]
 

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from warpqem.frame_blocks import block_width, pack_frames
+from warpqem.frames.blocks import block_width, pack_frames
 
 __all__ = ["UnitBlock", "UnitFrames"]
 

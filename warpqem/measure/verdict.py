@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from warpqem.measure.measured import Measured
 
-__all__ = ["GOOD", "LIMITS", "LOOK", "POOR", "WARNING_DISTANCE", "WORDS", "Limit", "Verdict", "judge_errors", "rank"]
+__all__ = ["GOOD", "LIMITS", "LOOK", "POOR", "WARNING_DISTANCE", "WORDS", "Limit", "Verdict", "rank", "verdict_of"]
 
 GOOD, LOOK, POOR = "good", "look", "poor"
 # The worst first.
@@ -87,7 +87,7 @@ def rank(word: str, hausdorff: float) -> tuple[int, float]:
     return WORDS.index(word), -hausdorff
 
 
-def judge_errors(errors: Measured) -> Verdict:
+def verdict_of(errors: Measured) -> Verdict:
     """The verdict on measured errors: that of the error that is furthest beyond its limit."""
     for word in (POOR, LOOK):
         beyond = [(limit.value(errors) / getattr(limit, word), limit) for limit in LIMITS]

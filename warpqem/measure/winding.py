@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from warpqem.measure.coincidence import coincident
-from warpqem.repair.pairing import distinct_faces, pair_faces, turned_faces
+from warpqem.repair.face_pairing import distinct_faces, pair_faces, turned_faces
 
 __all__ = ["Winding", "read_winding"]
 

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from warpqem.errors import MeshFileError
-from warpqem.file_kinds import check_regular
+from warpqem.files.file_kinds import check_regular
 
 __all__ = ["FileMesh", "has_shared_points", "read_mesh_file"]
 

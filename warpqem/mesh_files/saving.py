@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from warpqem.errors import OptionError
-from warpqem.mesh_files.names import numbered_files
+from warpqem.mesh_files.file_names import numbered_files
 from warpqem.mesh_files.writing import check_mesh_output, write_frames
 
 __all__ = ["USD_SUFFIXES", "save_frames"]
@@ -42,8 +42,8 @@ def save_frames(
         raise OptionError(f"numbers: {len(chosen)} of them for {len(points)} frames")
     if os.path.splitext(os.fspath(path))[1].lower() in USD_SUFFIXES:
         # By its name, as the package loads its public names: the core needs no USD.
-        importlib.import_module("warpqem.usd.library").need_usd()
-        importlib.import_module("warpqem.usd.mesh_stage").save_stage(points, faces, path, chosen, fps)
+        importlib.import_module("warpqem.usd.checks.library").need_usd()
+        importlib.import_module("warpqem.usd.commands.mesh_stage").save_stage(points, faces, path, chosen, fps)
         return [os.fspath(path)]
     check_mesh_output(path)
     files = numbered_files(path, chosen)

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from warpqem.array_input import FLOAT32_MAX
+from warpqem.arguments.array_input import FLOAT32_MAX
 from warpqem.errors import MeshFileError
-from warpqem.mesh_files.names import find_mesh_files, frame_numbers
+from warpqem.mesh_files.file_names import find_mesh_files, frame_numbers
 from warpqem.mesh_files.reading import FileMesh, has_shared_points, read_mesh_file
 
 __all__ = ["MeshSequence", "load", "scan"]

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from warpqem.errors import MeshFileError, OptionError
-from warpqem.temporary import replacing
+from warpqem.files.temporary import replacing
 
 if TYPE_CHECKING:
     import trimesh

@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warpqem.array_input import finite_array, real_array
-from warpqem.device import on_device, resolve_device
+from warpqem.arguments.array_input import finite_array, real_array
+from warpqem.arguments.number_input import real_number, shown, whole_number
 from warpqem.errors import OptionError
 from warpqem.kernels import render as kernels
-from warpqem.launches import launch
-from warpqem.mesh_input import finite_points, read_faces, read_points
-from warpqem.number_input import real_number, shown, whole_number
-from warpqem.parallel import launch_parts
+from warpqem.mesh.mesh_input import finite_points, read_faces, read_points
+from warpqem.runtime.cpu_threads import launch_parts
+from warpqem.runtime.device import on_device, resolve_device
+from warpqem.runtime.launches import launch
 
 __all__ = ["View", "fit_view", "render"]
 

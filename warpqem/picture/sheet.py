@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from warpqem.temporary import replacing
+from warpqem.files.temporary import replacing
 
 __all__ = ["caption", "tile", "write_gif", "write_png"]
 

@@ -1,1 +1,1 @@
-"""The place stage: where every output vertex is in every frame."""
+"""Placement: where every output vertex is in every frame."""

@@ -7,20 +7,20 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from warpqem.device import device_traits
+from warpqem.decimation.adjacency import group_items
+from warpqem.decimation.decimate import DecimatedMesh
 from warpqem.kernels import anchor as kernels
 from warpqem.kernels import cluster_rows as row_kernels
 from warpqem.kernels.lanes import width_of
-from warpqem.launches import launch
-from warpqem.order.stage import OrderedMesh
-from warpqem.order.stars import group_items
-from warpqem.parallel import launch_parts
+from warpqem.runtime.cpu_threads import launch_parts
+from warpqem.runtime.device import device_traits
+from warpqem.runtime.launches import launch
 
 __all__ = ["Anchors", "fit_anchors", "nearest_anchors"]
 
 # An anchor uses at most so many of its cluster's vertices, the nearest to where ordering put the vertex. The small
 # dense solve grows with the cube of this, and weights far from the vertex are near zero.
-MOST_MEMBERS = 32
+MAX_MEMBERS = 32
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Anchors:
     weight: np.ndarray
 
 
-def nearest_members(ordered: OrderedMesh, cluster: np.ndarray, cluster_count: int, most: int) -> Anchors:
+def nearest_members(ordered: DecimatedMesh, cluster: np.ndarray, cluster_count: int, most: int) -> Anchors:
     """The ``most`` vertices of each cluster nearest to where ordering put it over the key frames, with weight 1 / n.
 
     ``cluster`` (V,) is the output vertex of each input vertex, -1 where there is none.
@@ -95,7 +95,7 @@ def _find_by_sort(cluster: np.ndarray, distance: wp.array, first: np.ndarray, st
     return chosen
 
 
-def _cluster_distances(ordered: OrderedMesh, device: str) -> wp.array:
+def _cluster_distances(ordered: DecimatedMesh, device: str) -> wp.array:
     """(V,) float32, squared distance over the key frames of each input vertex from where its cluster's vertex went."""
     kernel = kernels.measure_cluster_distances[width_of(ordered.position)]
     row = wp.array(ordered.row[ordered.root], device=device)
@@ -114,7 +114,7 @@ def _cluster_distances(ordered: OrderedMesh, device: str) -> wp.array:
     return distance
 
 
-def _may_anchor(ordered: OrderedMesh, cluster: np.ndarray, cluster_count: int) -> np.ndarray:
+def _may_anchor(ordered: DecimatedMesh, cluster: np.ndarray, cluster_count: int) -> np.ndarray:
     """(V,) bool: in a cluster with vertices on a border or seam these alone hold the anchor, so that it stays there.
 
     Where there are corners of seams among them, these alone do.
@@ -125,27 +125,27 @@ def _may_anchor(ordered: OrderedMesh, cluster: np.ndarray, cluster_count: int) -
     return inside & (ordered.line_rank == highest[cluster])
 
 
-def nearest_anchors(ordered: OrderedMesh, cluster: np.ndarray, cluster_count: int) -> Anchors:
+def nearest_anchors(ordered: DecimatedMesh, cluster: np.ndarray, cluster_count: int) -> Anchors:
     """Each vertex anchored to the one input vertex nearest to where ordering put it (exact for endpoint placement)."""
     return nearest_members(ordered, cluster, cluster_count, most=1)
 
 
 def fit_anchors(
-    ordered: OrderedMesh,
+    ordered: DecimatedMesh,
     kept: np.ndarray,
     cluster: np.ndarray,
     regularisation: np.ndarray,
 ) -> Anchors:
-    """Weights that minimise the cluster's quadrics over all key frames, pulled towards equal weights.
+    """Weights that minimise the cluster's quadrics over all key frames, regularised towards equal weights.
 
     Args:
-        ordered: result of the order stage.
+        ordered: result of decimation.
         kept: (C,) int32, input vertex that each output vertex goes by.
         cluster: (V,) int32, output vertex of each input vertex, -1 where there is none.
-        regularisation: (C,) pull towards equal weights, relative to the mean diagonal of the Gram matrix.
+        regularisation: (C,) stiffness towards equal weights, relative to the mean diagonal of the Gram matrix.
     """
     device = ordered.position.device
-    members = nearest_members(ordered, cluster, len(kept), MOST_MEMBERS)
+    members = nearest_members(ordered, cluster, len(kept), MAX_MEMBERS)
     size = np.diff(members.start).astype(np.int64)
     matrix_start = np.concatenate([[0], np.cumsum(size * (size + 1) // 2)])
     kernel = kernels.fit_anchor_weights[width_of(ordered.position)]

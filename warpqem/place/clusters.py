@@ -6,28 +6,29 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warpqem.mesh_input import AnimatedMesh
-from warpqem.order.quadric_sums import QuadricSums
-from warpqem.order.quadrics import CONSTRAINT_WEIGHT
-from warpqem.order.stage import OrderedMesh
+from warpqem.decimation.decimate import DecimatedMesh
+from warpqem.decimation.initial_quadrics import CONSTRAINT_WEIGHT
+from warpqem.decimation.quadric_sums import QuadricSums
+from warpqem.mesh.mesh_input import AnimatedMesh
 from warpqem.place.anchors import Anchors, fit_anchors, nearest_anchors
-from warpqem.place.blocks import BlockPlacer, ClusterData, PlacedFrames
-from warpqem.place.rows import gather_faces, match_keys, sum_repeated
+from warpqem.place.block_placer import BlockPlacer, ClusterData, PlacedFrames
+from warpqem.place.cluster_rows import gather_faces, match_keys, sum_repeated
 
 __all__ = ["ClusterPlacer", "PlaceSettings"]
 
 
-# A cluster of so many input vertices is pulled as set. Smaller ones are pulled less, since they slide less: on 17
+# A cluster of so many input vertices is regularised as set. Smaller ones are so less, since they slide less: on 17
 # sequences this gains 1 to 5 % of the error at half and a quarter of the faces, where slide has room.
 PULLED_SIZE = 8.0
-# Clusters larger than so many times that size are pulled no more than those.
-MOST_PULLED = 4.0
-# Weights of anchors are pulled by the fourth power of the size, as those of small clusters hardly slide at all; no more
-# than so many times as set.
-MOST_EVENED = 2.0
-# The least pulls that float32 solves safely, of vertices to their anchors and of the weights of anchors to equal ones.
-LEAST_PULL = 1e-3
-LEAST_REGULARISATION = 1e-5
+# Clusters larger than so many times that size are regularised no more than those.
+MAX_PULLED = 4.0
+# Weights of anchors are regularised by the fourth power of the size, as those of small clusters hardly slide at all; no
+# more than so many times as set.
+MAX_EVENED = 2.0
+# The least regularisation that float32 solves safely, of vertices to their anchors and of the weights of anchors to
+# equal ones.
+MIN_PULL = 1e-3
+MIN_REGULARISATION = 1e-5
 
 
 @dataclass(frozen=True)
@@ -35,12 +36,12 @@ class PlaceSettings:
     """How vertices are placed.
 
     Attributes:
-        epsilon: pull of a cluster of ``PULLED_SIZE`` vertices towards its material anchor, relative to the quadric;
-            higher is steadier.
-        regularisation: pull of its anchor's weights towards equal ones.
+        epsilon: regularisation of a cluster of ``PULLED_SIZE`` vertices towards its material anchor, relative to the
+            quadric; higher is steadier.
+        regularisation: stiffness of its anchor's weights towards equal ones.
         endpoint: every output vertex is an input vertex.
-        loose: (V,) bool, input vertices whose clusters are placed by their quadrics, with the least pulls; None for
-            none.
+        loose: (V,) bool, input vertices whose clusters are placed by their quadrics, with the least
+            regularisation; None for none.
     """
 
     epsilon: float
@@ -54,7 +55,7 @@ class ClusterPlacer:
 
     Args:
         faces: (N, 3) int32, the input's faces.
-        ordered: result of the order stage; at each of ``kept``, its state when that vertex stood for its cluster.
+        ordered: result of decimation; at each of ``kept``, its state when that vertex stood for its cluster.
         kept: (C,) int32, the input vertex that each cluster goes by.
         cluster: (V,) int32, the cluster of each input vertex, -1 where there is none.
         quadric_scale: (V,) float32, scale of each input vertex's quadric.
@@ -77,7 +78,7 @@ class ClusterPlacer:
     def __init__(
         self,
         faces: np.ndarray,
-        ordered: OrderedMesh,
+        ordered: DecimatedMesh,
         kept: np.ndarray,
         cluster: np.ndarray,
         quadric_scale: np.ndarray,
@@ -94,7 +95,7 @@ class ClusterPlacer:
         pull, regularisation = _pulls(size, settings)
         if settings.loose is not None:
             loose = np.unique(cluster[settings.loose & (cluster >= 0)])
-            pull[loose], regularisation[loose] = LEAST_PULL, LEAST_REGULARISATION
+            pull[loose], regularisation[loose] = MIN_PULL, MIN_REGULARISATION
         if settings.endpoint:
             anchors = nearest_anchors(ordered, cluster, len(kept))
             solved = np.zeros(len(kept), dtype=np.int32)
@@ -150,14 +151,19 @@ class ClusterPlacer:
             np.concatenate([half_edge, half_edge]),
             np.concatenate([weight, weight]) * quadric_scale[end_vertex],
         )
-        other: tuple[np.ndarray, ...] = (np.empty(0, dtype=np.int32), np.empty(0, dtype=np.int64), np.empty(0))
+        other: tuple[np.ndarray, np.ndarray, np.ndarray] = (
+            np.empty(0, dtype=np.int32),
+            np.empty(0, dtype=np.int64),
+            np.empty(0),
+        )
         if sums is not None:
             owner = self._cluster[sums.entry_row]
             entry, corner = match_keys(sums.vertex, corner_vertex)
             other = (owner[entry], corner // 3, sums.weight[entry] * quadric_scale[corner_vertex[corner]])
             entry, end = match_keys(sums.vertex, end_vertex)
             joined = (owner[entry], border[1][end], sums.weight[entry] * border[2][end])
-            border = tuple(np.concatenate(pair) for pair in zip(border, joined, strict=True))
+            rows, items, weights = (np.concatenate(pair) for pair in zip(border, joined, strict=True))
+            border = (rows, items, weights)
         other_start, other_face, other_weight = sum_repeated(*other, self.vertex_count)
         border_start, border_half_edge, border_weight = sum_repeated(*border, self.vertex_count)
         return {
@@ -187,10 +193,10 @@ class ClusterPlacer:
 
 
 def _pulls(size: np.ndarray, settings: PlaceSettings) -> tuple[np.ndarray, np.ndarray]:
-    """Of clusters of ``size`` vertices, the pull to the anchor and that of its weights to equal ones: (C,) float32."""
+    """By the ``size`` of clusters, regularisation towards the anchor and of its weights: (C,) float32 each."""
     relative = size / PULLED_SIZE
-    pull = np.maximum(settings.epsilon * np.sqrt(np.minimum(relative, MOST_PULLED)), LEAST_PULL)
-    regularisation = settings.regularisation * np.minimum(relative**4, MOST_EVENED)
+    pull = np.maximum(settings.epsilon * np.sqrt(np.minimum(relative, MAX_PULLED)), MIN_PULL)
+    regularisation = settings.regularisation * np.minimum(relative**4, MAX_EVENED)
     return pull.astype(np.float32), regularisation.astype(np.float32)
 
 

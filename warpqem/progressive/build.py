@@ -2,33 +2,35 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpqem.device import on_device
+from warpqem.arguments.array_types import ArrayInput, MeshPoints
+from warpqem.arguments.number_input import whole_number
+from warpqem.decimation.collapse_nodes import NodeRecorder
+from warpqem.decimation.replay import OrderedLevels
 from warpqem.errors import OptionError
-from warpqem.frame_stream import read_ahead
-from warpqem.number_input import whole_number
+from warpqem.frames.stream import read_ahead
 from warpqem.options import MethodKeywords, read_keywords
-from warpqem.order.levels import OrderedLevels
-from warpqem.order.nodes import NodeRecorder
+from warpqem.pipeline.prepare import ORDER_END, Prepared, Progress, prepare
+from warpqem.pipeline.result import written_faces
 from warpqem.place.clusters import ClusterPlacer
-from warpqem.preparation import ORDER_END, Prepared, Progress, prepare
-from warpqem.progressive.mesh import ProgressiveMesh
-from warpqem.progressive.splits import SplitTopology
-from warpqem.result import written_faces
+from warpqem.progressive.progressive_mesh import ProgressiveMesh
+from warpqem.progressive.vertex_splits import SplitTopology
+from warpqem.runtime.device import on_device
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
+
 
 __all__ = ["build_progressive"]
 
 
 @on_device
 def build_progressive(
-    points: Any,
-    faces: Any = None,
+    points: MeshPoints,
+    faces: ArrayInput | None = None,
     *,
     base_faces: int | None = None,
     progress: Progress | None = None,

@@ -10,7 +10,7 @@ Layout, little-endian::
 
 The first chunk is the base mesh; the others hold consecutive splits, so that reading may stop at any of them. What the
 parts are is in :mod:`warpqem.progressive.file`, what the header holds in :mod:`warpqem.progressive.header`, and how
-much a file may unpack to in :mod:`warpqem.progressive.limits`.
+much a file may unpack to in :mod:`warpqem.progressive.memory_limit`.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ import zlib
 from pathlib import Path
 
 from warpqem.errors import OptionError, ProgressiveFileError
-from warpqem.file_kinds import check_regular
-from warpqem.progressive.header import MOST_HEADER_BYTES, FileInfo, header_bytes, parse_header
-from warpqem.progressive.limits import least_file_bytes
-from warpqem.temporary import replacing
+from warpqem.files.file_kinds import check_regular
+from warpqem.files.temporary import replacing
+from warpqem.progressive.header import MAX_HEADER_BYTES, FileInfo, header_bytes, parse_header
+from warpqem.progressive.memory_limit import min_file_bytes
 
 __all__ = ["ChunkFile", "FileInfo", "write_chunks"]
 
@@ -61,7 +61,7 @@ def write_chunks(path: str | os.PathLike[str], info: FileInfo, chunks: list[list
         file.write(MAGIC + HEADER.pack(len(header), zlib.crc32(header)) + header)
         file.writelines(payloads)
         # Zeros at the end, which take no space where the file system knows holes.
-        file.truncate(max(file.tell(), least_file_bytes(info)))
+        file.truncate(max(file.tell(), min_file_bytes(info)))
         file.flush()
         os.fsync(file.fileno())
 
@@ -117,7 +117,7 @@ class ChunkFile:
         if len(first) < start:
             raise ProgressiveFileError(f"{self.path}: the file ends in its header")
         length, crc = HEADER.unpack(first[len(MAGIC) :])
-        if length > MOST_HEADER_BYTES or start + length > self.size:
+        if length > MAX_HEADER_BYTES or start + length > self.size:
             raise ProgressiveFileError(f"{self.path}: the file ends in its header, which is {length} bytes long")
         header = self._read(start, length)
         if zlib.crc32(header) != crc:

@@ -13,8 +13,8 @@ import numpy as np
 from warpqem.errors import ProgressiveFileError
 from warpqem.progressive import coding
 from warpqem.progressive.header import MAX_FACES_PER_SPLIT, FileInfo
-from warpqem.progressive.mesh import ProgressiveMesh
-from warpqem.progressive.splits import SplitTopology
+from warpqem.progressive.progressive_mesh import ProgressiveMesh
+from warpqem.progressive.vertex_splits import SplitTopology
 
 __all__ = ["ChunkDecoder"]
 
@@ -22,7 +22,7 @@ Part = bytes | memoryview
 
 # Positions that are decoded at a time, where the mesh has not many more: decoding takes six times the memory of a
 # block. Those of larger meshes are decoded in larger blocks, since each goes through all frames one after the other.
-LEAST_BLOCK, BLOCKS_A_MESH = 2**19, 16
+MIN_BLOCK, BLOCKS_A_MESH = 2**19, 16
 
 
 class ChunkDecoder:
@@ -45,7 +45,7 @@ class ChunkDecoder:
         self._face_rank = np.empty((faces, 3), dtype=np.int32)
         self._face_index, self._face_split = (np.full(faces, -1, dtype=np.int32) for _ in range(2))
         self._points = np.empty((info.frame_count, rows, 3), dtype=np.float32)
-        self._block = max(1, max(LEAST_BLOCK, info.frame_count * rows // BLOCKS_A_MESH) // info.frame_count)
+        self._block = max(1, max(MIN_BLOCK, info.frame_count * rows // BLOCKS_A_MESH) // info.frame_count)
 
     def mesh(self, chunk_count: int) -> ProgressiveMesh:
         """The mesh of the chunks so far, which are so many."""

@@ -15,20 +15,20 @@ from typing import Any
 
 import numpy as np
 
+from warpqem.arguments.number_input import shown, whole_number
 from warpqem.errors import MemoryLimitError, OptionError, ProgressiveFileError, WarpqemError
-from warpqem.number_input import shown, whole_number
-from warpqem.outputs import InputFile, OutputFile, check_outputs
+from warpqem.files.outputs import InputFile, OutputFile, check_outputs
 from warpqem.progressive import coding
 from warpqem.progressive.container import ChunkFile, FileInfo, write_chunks
 from warpqem.progressive.decoder import ChunkDecoder
-from warpqem.progressive.limits import check_memory
-from warpqem.progressive.mesh import ProgressiveMesh
+from warpqem.progressive.memory_limit import check_memory
+from warpqem.progressive.progressive_mesh import ProgressiveMesh
 
 __all__ = ["ProgressiveFile", "load", "read_info", "save", "stream"]
 
 # The first chunk of splits is small, so that something finer comes soon; each one after is twice as long, up to a size
 # that keeps the coder's overhead small.
-FIRST_CHUNK, MOST_CHUNK = 1024, 32768
+FIRST_CHUNK, MAX_CHUNK = 1024, 32768
 
 
 def save(mesh: ProgressiveMesh, path: str | os.PathLike[str], extra: dict[str, Any] | None = None) -> None:
@@ -212,7 +212,7 @@ def _chunk_bounds(split_count: int) -> list[tuple[int, int]]:
     bounds, first, size = [], 0, FIRST_CHUNK
     while first < split_count:
         bounds.append((first, min(first + size, split_count)))
-        first, size = first + size, min(2 * size, MOST_CHUNK)
+        first, size = first + size, min(2 * size, MAX_CHUNK)
     return bounds
 
 

@@ -15,14 +15,14 @@ from typing import Any, NoReturn
 
 from warpqem.errors import ProgressiveFileError
 
-__all__ = ["MAX_FACES_PER_SPLIT", "MOST_HEADER_BYTES", "FileInfo", "header_bytes", "parse_header"]
+__all__ = ["MAX_FACES_PER_SPLIT", "MAX_HEADER_BYTES", "FileInfo", "header_bytes", "parse_header"]
 
 # A header lists chunks of thousands of splits and a time for each frame; one longer than this is none.
-MOST_HEADER_BYTES = 64 * 2**20
+MAX_HEADER_BYTES = 64 * 2**20
 # Lists and objects in each other. Python's own limit is in the stack of whoever reads or writes them.
-MOST_NESTED = 64
+MAX_NESTED = 64
 # Digits of an integer: 64 bits have 20. Python takes quadratic time for long ones.
-MOST_DIGITS = 20
+MAX_DIGITS = 20
 # Faces that a split brings at most: two, and their backs where faces lie on both sides of the same vertices.
 MAX_FACES_PER_SPLIT = 4
 # First split, first face, offset, length, CRC-32.
@@ -75,8 +75,8 @@ def header_bytes(info: FileInfo) -> bytes:
     try:
         text = json.dumps(vars(info), separators=(",", ":"), allow_nan=False)
         header = text.encode()
-        if len(header) > MOST_HEADER_BYTES:
-            raise ValueError(f"{len(header)} bytes of JSON, {MOST_HEADER_BYTES} are the most")
+        if len(header) > MAX_HEADER_BYTES:
+            raise ValueError(f"{len(header)} bytes of JSON, {MAX_HEADER_BYTES} are the most")
         _parse_json(header)
     except (TypeError, ValueError, RecursionError) as error:
         raise ValueError(str(error)) from error
@@ -113,8 +113,8 @@ def _parse_json(header: bytes) -> Any:
         parse_constant=_no_number,
     )
     for depth, text in _texts(value):
-        if depth > MOST_NESTED:
-            raise ValueError(f"lists and objects nested more than {MOST_NESTED} deep")
+        if depth > MAX_NESTED:
+            raise ValueError(f"lists and objects nested more than {MAX_NESTED} deep")
         # Half a pair of surrogates is no text: no file, path or terminal takes it.
         text.encode("utf-8")
     return value
@@ -129,7 +129,7 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _integer(text: str) -> int:
-    if len(text) > MOST_DIGITS:
+    if len(text) > MAX_DIGITS:
         raise ValueError(f"an integer of {len(text)} digits")
     return int(text)
 

@@ -1,1 +1,1 @@
-"""The refit stage: one constant correction per output vertex, fitted to the input surface over all key frames."""
+"""Refit: one constant correction per output vertex, fitted to the input surface over all key frames."""

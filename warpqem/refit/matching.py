@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
+from warpqem.decimation.adjacency import Adjacency
 from warpqem.kernels import refit as kernels
 from warpqem.kernels import surface_walk as walk_kernels
 from warpqem.kernels.surface_walk import Surface
-from warpqem.launches import launch
-from warpqem.order.stars import Stars
-from warpqem.parallel import launch_parts
-from warpqem.place.rows import group_rows
+from warpqem.place.cluster_rows import group_rows
+from warpqem.runtime.cpu_threads import launch_parts
+from warpqem.runtime.launches import launch
 
 __all__ = ["OUTPUT_SAMPLES", "Matching", "make_surface"]
 
@@ -41,13 +41,13 @@ INPUT_BORDER_SAMPLES = 1
 OUTPUT_BORDER_SAMPLES = 4
 
 
-def make_surface(points: wp.array, corner_vertex: wp.array, stars: Stars) -> Surface:
+def make_surface(points: wp.array, corner_vertex: wp.array, adjacency: Adjacency) -> Surface:
     """The struct that kernels walk on: points (K, V) vec3, corner_vertex (3N,) int32."""
-    device, vertex_count = corner_vertex.device, len(stars.start) - 1
+    device, vertex_count = corner_vertex.device, len(adjacency.start) - 1
     surface = Surface()
     surface.points = points
     surface.corner_vertex = corner_vertex
-    surface.star_start, surface.star_corner = stars.start, stars.corner
+    surface.adjacency_start, surface.adjacent_corner = adjacency.start, adjacency.corner
     surface.opposite = wp.empty_like(corner_vertex)
     surface.border_out, surface.border_in = (wp.full(vertex_count, -1, dtype=wp.int32, device=device) for _ in range(2))
     launch(

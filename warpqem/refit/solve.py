@@ -5,15 +5,15 @@ from __future__ import annotations
 import warp as wp
 
 from warpqem.kernels import element_solve as kernels
-from warpqem.launches import Recorder, launch
-from warpqem.loops import DeviceLoop
+from warpqem.runtime.launches import Recorder, launch
+from warpqem.runtime.loops import DeviceLoop
 
 __all__ = ["solve_elements"]
 
 # The iteration stops where the preconditioned residual has fallen to this part of its start: corrections are a small
 # part of an edge, so three digits are plenty.
 TOLERANCE = 1e-3
-MOST_STEPS = 200
+MAX_STEPS = 200
 
 
 def solve_elements(elements: kernels.Elements, corner_right: wp.array) -> wp.array:
@@ -24,7 +24,7 @@ def solve_elements(elements: kernels.Elements, corner_right: wp.array) -> wp.arr
         corner_right: (3N',) vec3, the right side in parts, one for each corner of each face.
     """
     device = corner_right.device
-    vertex_count = len(elements.star_start) - 1
+    vertex_count = len(elements.adjacency_start) - 1
     state = kernels.Solve()
     state.x, state.residual, state.direction, state.image = (
         wp.empty(vertex_count, dtype=wp.vec3, device=device) for _ in range(4)
@@ -43,6 +43,6 @@ def solve_elements(elements: kernels.Elements, corner_right: wp.array) -> wp.arr
     step.launch(kernels.close_curvature, 1, [state])
     step.launch(kernels.step_forward, vertex_count, [state])
     step.launch(kernels.sum_residual, kernels.SLICES, [state])
-    step.launch(kernels.end_step, 1, [MOST_STEPS, state])
+    step.launch(kernels.end_step, 1, [MAX_STEPS, state])
     DeviceLoop(step, state.report, str(device)).run()
     return state.x

@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from warpqem.device import device_turn
+from warpqem.costs.motion_features import motion_features
 from warpqem.errors import WarpqemError
 from warpqem.measure import Comparison, compare, vertex_distances
-from warpqem.measure.distance import ClosestPointSearch
+from warpqem.measure.closest_points import ClosestPointSearch
 from warpqem.measure.heatmap import COLOR_MAP
-from warpqem.motion import motion_features
 from warpqem.report.content import Level, Report
 from warpqem.report.encoding import Grid, encode
+from warpqem.runtime.device import device_turn
 
 __all__ = ["LARGEST_POSITIONS", "chosen_frames", "mesh_data", "report_data"]
 
@@ -27,7 +27,7 @@ BYTES_PER_POINT = 6
 LARGEST_MESHES = 2 * LARGEST_POSITIONS
 BYTES_PER_FACE = 12
 # Five seconds show what moves, and each frame that is shown is measured too.
-MOST_FRAMES = 120
+MAX_FRAMES = 120
 # The page has room for so many colours in one byte; the last value stands for no feature.
 NO_FEATURE = 255
 # Distances in % of the diagonal that are rounding: double precision leaves some 1e-13.
@@ -45,7 +45,7 @@ def chosen_frames(frame_count: int, point_count: int) -> range:
         frame_count: Frames that there are.
         point_count: Points of all meshes together.
     """
-    room = max(2, min(MOST_FRAMES, LARGEST_POSITIONS // (BYTES_PER_POINT * max(point_count, 1))))
+    room = max(2, min(MAX_FRAMES, LARGEST_POSITIONS // (BYTES_PER_POINT * max(point_count, 1))))
     return range(0, frame_count, -(-frame_count // room))
 
 

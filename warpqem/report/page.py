@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from warpqem.errors import OptionError, StageError
+from warpqem.files.temporary import replacing
 from warpqem.printable import printable
 from warpqem.report.content import Report
 from warpqem.report.data import Progress, report_data
-from warpqem.temporary import replacing
 
 __all__ = ["asset_text", "check_page_path", "page_json", "report_page", "save_page", "script_text", "write_report"]
 

@@ -1,0 +1,1 @@
+"""Tests of warpqem, in folders like its code."""

@@ -1,0 +1,127 @@
+"""Small components that are pruned by error."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import warpqem
+from tests.support import meshes
+from warpqem.decimation.pruning import DropRecord, _min_sum
+from warpqem.measure import topology
+
+
+def specks(count: int = 6, size: float = 0.004) -> tuple[np.ndarray, np.ndarray]:
+    """A large sphere, and tiny ones in a row beside it."""
+    points, faces = meshes.bumpy_sphere(3)
+    speck, speck_faces = meshes.icosphere(1)
+    all_points, all_faces, start = [points], [faces], len(points)
+    for index in range(count):
+        all_points.append(speck * size + np.array([points[:, 0].max() + 0.01 * (1 + index), 0, 0]))
+        all_faces.append(speck_faces + start)
+        start += len(speck)
+    return np.concatenate(all_points), np.concatenate(all_faces)
+
+
+def test_specks_are_pruned_before_the_shape_suffers(device):
+    points, faces = specks()
+    result = warpqem.simplify(points, faces, target_faces=100, device=device)
+    assert result.components_removed == 6
+    assert topology(result.faces).components == 1
+    assert 97 <= len(result.faces) <= 100
+    assert (result.vertex_map[len(meshes.bumpy_sphere(3)[0]) :] == -1).all()
+    kept = warpqem.simplify(points, faces, target_faces=100, keep_components=True, device=device)
+    assert topology(kept.faces).components == 7
+    assert kept.components_removed == 0
+
+
+def test_large_components_stay(device):
+    points, faces = meshes.joined(meshes.bumpy_sphere(2), meshes.bumpy_sphere(2), spacing=3.0)
+    result = warpqem.simplify(points, faces, ratio=0.1, device=device)
+    assert result.components_removed == 0
+    assert topology(result.faces).components == 2
+
+
+def test_far_component_costs_its_distance(device):
+    points, faces = specks(1)
+    near = warpqem.simplify(points, faces, target_faces=200, device=device)
+    points[len(meshes.bumpy_sphere(3)[0]) :] += np.array([30.0, 0, 0])
+    far = warpqem.simplify(points, faces, target_faces=200, device=device)
+    assert (near.components_removed, far.components_removed) == (1, 0)
+
+
+def test_what_cannot_collapse_is_pruned_to_meet_the_target(device):
+    points, faces = meshes.joined(*[meshes.tetrahedron()] * 5, spacing=2.0)
+    result = warpqem.simplify(points, faces, target_faces=9, device=device)
+    assert (len(result.faces), result.components_removed, result.stopped) == (8, 3, "target")
+
+
+def test_last_component_stays(device):
+    points, faces = meshes.joined(*[meshes.tetrahedron()] * 3, spacing=2.0)
+    with pytest.raises(warpqem.errors.UnreachableTargetError, match="4 faces are left"):
+        warpqem.simplify(points, faces, target_faces=1, device=device)
+
+
+def test_locked_vertex_keeps_its_component(device):
+    points, faces = specks()
+    first = len(meshes.bumpy_sphere(3)[0])
+    result = warpqem.simplify(points, faces, target_faces=100, locked=np.array([first]), device=device)
+    assert result.components_removed == 5
+    assert result.vertex_map[first] >= 0
+
+
+def test_error_limit_holds_for_components_too(device):
+    points, faces = specks(3, size=0.05)
+    result = warpqem.simplify(points, faces, max_error=0.05, device=device)
+    assert result.components_removed == 0
+    assert result.error <= 0.05 * 1.2
+
+
+@pytest.mark.parametrize("refit", [False, True])
+def test_levels_with_pruned_components_are_those_of_simplify(refit, device):
+    points, faces = specks()
+    ratios = (0.95, 0.5, 0.2, 0.05)
+    levels = warpqem.simplify_levels(points, faces, ratios=ratios, refit=refit, device=device)
+    assert levels[-1].components_removed > levels[0].components_removed
+    for ratio, level in zip(ratios, levels, strict=True):
+        result = warpqem.simplify(points, faces, ratio=ratio, refit=refit, device=device)
+        np.testing.assert_array_equal(level.faces, result.faces)
+        np.testing.assert_array_equal(level.points, result.points)
+        np.testing.assert_array_equal(level.vertex_map, result.vertex_map)
+        assert (level.components_removed, level.error) == (result.components_removed, result.error)
+
+
+def test_mesh_ordered_along_a_curve_loses_the_same_kind_of_components(device, monkeypatch):
+    points, faces = specks()
+    monkeypatch.setattr("warpqem.decimation.decimate.ARRANGED_FACES", 0)
+    result = warpqem.simplify(points, faces, target_faces=100, device=device)
+    assert result.components_removed == 6
+    assert (result.vertex_map[len(meshes.bumpy_sphere(3)[0]) :] == -1).all()
+
+
+def test_result_is_the_same_on_every_run(device):
+    first, second = (warpqem.simplify(*specks(), target_faces=100, device=device) for _ in range(2))
+    np.testing.assert_array_equal(first.points, second.points)
+    np.testing.assert_array_equal(first.faces, second.faces)
+
+
+def test_least_sum_of_quadrics_is_that_of_their_planes():
+    rng = np.random.default_rng(1)
+    origins, normals, offsets = rng.normal(size=(4, 1, 3)), rng.normal(size=(4, 3)), rng.normal(size=4)
+    quadrics = []
+    for origin, normal, offset in zip(origins[:, 0], normals, offsets, strict=True):
+        at = offset + normal @ origin
+        outer = np.outer(normal, normal)
+        quadrics.append([*outer[np.triu_indices(3)], *(at * normal), at * at])
+    total, area = _min_sum(origins, np.array(quadrics)[:, None], 1e-12)
+    _, residual, _, _ = np.linalg.lstsq(normals, -offsets, rcond=None)
+    assert total == pytest.approx(residual[0], rel=1e-6)
+    assert area == pytest.approx((normals**2).sum())
+
+
+def test_record_begins_with_the_first_drops():
+    record = DropRecord(np.array([-1, 0, 0, 1]), np.array([3, 5]), np.array([4, 4]), np.array([0.1, 0.2]))
+    head = record.head(1)
+    assert head.vertex_drop.tolist() == [-1, 0, 0, -1]
+    assert len(head) == 1
+    assert record.for_vertices(np.array([3, 2, 1, 0])).vertex_drop.tolist() == [1, 0, 0, -1]

@@ -1,0 +1,164 @@
+"""Placement of every output vertex in every frame, and the count of flipped faces."""
+
+import numpy as np
+import pytest
+import warp as wp
+
+from tests.oracles import quadrics as oracle
+from tests.support import meshes
+from tests.support.mesh_state import blocks, packed
+from warpqem.decimation.initial_quadrics import constraint_lists
+from warpqem.kernels.lanes import width_of
+from warpqem.kernels.placement import Clusters, count_flips, place_vertices
+from warpqem.place.cluster_rows import gather_faces, sum_repeated
+
+EPSILON = 0.3
+MESHES = {"closed": meshes.swaying_sphere(1, 3), "open": meshes.waving_grid(5, 3)}
+
+
+def gathered(faces, members, device, solved=1, other=(), other_weight=0.0) -> Clusters:
+    """One cluster with equal weights of ``members``: face and border terms counted as in the ordering's quadrics.
+
+    The faces at the vertices ``other`` count too, with a weight for each corner there.
+    """
+    corner_in = np.isin(faces, members).sum(axis=1)
+    half_edges, weights = [], []
+    directed = set(zip(faces.ravel().tolist(), np.roll(faces, -1, axis=1).ravel().tolist(), strict=True))
+    for h, (a, b) in enumerate(zip(faces.ravel().tolist(), np.roll(faces, -1, axis=1).ravel().tolist(), strict=True)):
+        if (b, a) not in directed and (a in members or b in members):
+            half_edges.append(h)
+            weights.append((a in members) + (b in members))
+    clusters = Clusters()
+
+    def whole(values, dtype):
+        return wp.array(np.asarray(values), dtype=dtype, device=device)
+
+    clusters.member_start, clusters.member = whole([0, len(members)], wp.int32), whole(members, wp.int32)
+    clusters.member_weight = whole(np.full(len(members), 1 / len(members)), wp.float32)
+    clusters.face_start = whole([0, (corner_in > 0).sum()], wp.int32)
+    clusters.face = wp.array(faces[corner_in > 0], dtype=wp.vec3i, device=device)
+    clusters.face_weight = whole(corner_in[corner_in > 0], wp.float32)
+    other_in = np.isin(faces, list(other)).sum(axis=1)
+    clusters.other_start = whole([0, (other_in > 0).sum()], wp.int32)
+    clusters.other = wp.array(faces[other_in > 0], dtype=wp.vec3i, device=device)
+    clusters.other_weight = whole(other_weight * other_in[other_in > 0], wp.float32)
+    clusters.border_start = whole([0, len(half_edges)], wp.int32)
+    clusters.border = whole(np.array(half_edges, dtype=np.int32), wp.int32)
+    clusters.border_weight = whole(np.array(weights, dtype=np.float32), wp.float32)
+    clusters.solved = whole([solved], wp.int32)
+    return clusters
+
+
+def placed(points, faces, clusters, device, epsilon=EPSILON):
+    """(positions (F, 3), normals (F, 3)) of the one cluster."""
+    position = packed(points, device)
+    out = [wp.empty((1, position.shape[1]), dtype=position.dtype, device=device) for _ in range(2)]
+    corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device)
+    clusters.pull = wp.full(1, epsilon, dtype=wp.float32, device=device)
+    inputs = [position, corner_vertex, clusters, 0]
+    wp.launch(place_vertices[width_of(position)], dim=out[0].shape, inputs=inputs, outputs=out, device=device)
+    return blocks(out[0], len(points))[0], blocks(out[1], len(points))[0]
+
+
+@pytest.mark.parametrize("name", MESHES)
+@pytest.mark.parametrize("members", [[0, 1], [0, 6, 7, 12], [8]])
+def test_position_solves_the_normal_equation_of_the_cluster(name, members, device):
+    points, faces = MESHES[name]
+    x, _ = placed(points, faces, gathered(faces, members, device), device)
+    for t, frame in enumerate(points.astype(np.float64)):
+        anchor = frame[members].mean(axis=0)
+        own = oracle.vertex_quadrics(frame, faces, origin=np.repeat(anchor[None], len(frame), axis=0))
+        total = oracle.zero()
+        for m in members:
+            total += own[m]
+        np.testing.assert_allclose(x[t], anchor + oracle.tangential_minimiser(total, EPSILON), atol=2e-6)
+
+
+def test_planes_of_other_vertices_count_but_are_no_part_of_the_normal(device):
+    points, faces = MESHES["closed"]
+    members, other = [0, 1], [5, 7]
+    plain = placed(points, faces, gathered(faces, members, device), device)
+    x, normal = placed(points, faces, gathered(faces, members, device, other=other, other_weight=3.0), device)
+    np.testing.assert_array_equal(normal, plain[1])
+    for t, frame in enumerate(points.astype(np.float64)):
+        anchor = frame[members].mean(axis=0)
+        own = oracle.vertex_quadrics(frame, faces, origin=np.repeat(anchor[None], len(frame), axis=0))
+        total = own[0] + own[1] + own[5].scaled(3.0) + own[7].scaled(3.0)
+        np.testing.assert_allclose(x[t], anchor + oracle.tangential_minimiser(total, EPSILON), atol=2e-6)
+    assert np.abs(x - plain[0]).max() > 1e-3
+
+
+@pytest.mark.parametrize("name", MESHES)
+def test_vertex_that_is_not_solved_is_its_anchor(name, device):
+    points, faces = MESHES[name]
+    x, _ = placed(points, faces, gathered(faces, [0, 1], device, solved=0), device)
+    np.testing.assert_allclose(x, points[:, [0, 1]].mean(axis=1), atol=1e-7)
+
+
+def test_strong_pull_keeps_the_vertex_on_the_material(device):
+    points, faces = MESHES["closed"]
+    x, _ = placed(points, faces, gathered(faces, [0, 11, 5], device), device, epsilon=1e4)
+    np.testing.assert_allclose(x, points[:, [0, 11, 5]].mean(axis=1), atol=1e-4)
+
+
+def test_normal_is_the_sum_of_the_faces_cross_products(device):
+    points, faces = MESHES["closed"]
+    _, normal = placed(points, faces, gathered(faces, [0, 1], device), device)
+    corner = points.astype(np.float64)[:, faces[np.isin(faces, [0, 1]).any(axis=1)]]
+    cross = np.cross(corner[:, :, 1] - corner[:, :, 0], corner[:, :, 2] - corner[:, :, 0])
+    np.testing.assert_allclose(normal, cross.sum(axis=1), rtol=1e-4, atol=1e-6)
+
+
+def flips_of(points, normals, faces, device) -> np.ndarray:
+    inputs = [packed(a, device) for a in (points, normals)]
+    block_count = inputs[0].shape[1]
+    count = wp.zeros(block_count * width_of(inputs[0]), dtype=wp.int32, device=device)
+    inputs.append(wp.array(faces.ravel(), dtype=wp.int32, device=device))
+    wp.launch(
+        count_flips[width_of(inputs[0])], dim=(len(faces), block_count), inputs=inputs, outputs=[count], device=device
+    )
+    return count.numpy()[: len(points)]
+
+
+def test_faces_that_agree_with_their_normals_are_no_flips(device):
+    points, faces = MESHES["closed"]
+    assert flips_of(points, points, faces, device).tolist() == [0, 0, 0]
+
+
+def test_flips_are_counted_per_frame(device):
+    points, faces = MESHES["closed"]
+    normals = points.copy()
+    normals[1] *= -1
+    assert flips_of(points, normals, faces, device).tolist() == [0, len(faces), 0]
+
+
+def test_repeated_items_of_a_row_are_summed():
+    start, item, weight = sum_repeated(
+        np.array([2, 0, 2, 2, 0]), np.array([5, 1, 5, 3, 1]), np.array([1.0, 2.0, 3.0, 4.0, 5.0]), 4
+    )
+    assert start.tolist() == [0, 1, 1, 3, 3]
+    assert item.tolist() == [1, 3, 5]
+    assert weight.tolist() == [7, 4, 4]
+
+
+def test_constraint_lists_of_a_closed_mesh_are_empty():
+    vertex, start, half_edge = constraint_lists(meshes.octahedron()[1].ravel(), np.zeros(24, dtype=int))
+    assert len(vertex) == len(half_edge) == 0
+    assert start.tolist() == [0]
+
+
+def test_faces_of_clusters_are_the_repeated_items_of_their_corners(device):
+    faces = MESHES["closed"][1]
+    rng = np.random.default_rng(3)
+    cluster = rng.integers(-1, 4, size=faces.max() + 1).astype(np.int32)[faces].ravel()
+    weight = rng.uniform(1, 2, faces.size).astype(np.float32)
+    found = gather_faces(cluster, weight, 5, device)
+    expected = sum_repeated(cluster, np.arange(faces.size) // 3, weight, 5)
+    for a, b in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_no_item_makes_empty_rows():
+    start, item, weight = sum_repeated(np.array([-1, -1]), np.array([0, 1]), np.ones(2), 3)
+    assert start.tolist() == [0, 0, 0, 0]
+    assert len(item) == len(weight) == 0

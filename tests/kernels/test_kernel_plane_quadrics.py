@@ -1,0 +1,74 @@
+"""Initial quadrics per vertex and frame."""
+
+import numpy as np
+import pytest
+import warp as wp
+
+from tests.oracles import quadrics as oracle
+from tests.support import meshes
+from tests.support.mesh_state import blocks, build_mesh, packed
+from warpqem.decimation.adjacency import build_adjacency, classify_vertices
+from warpqem.decimation.initial_quadrics import constraint_lists, initial_quadrics
+from warpqem.kernels.lanes import width_of
+from warpqem.kernels.plane_quadrics import weigh_face_normals
+
+MESHES = {
+    "closed": meshes.swaying_sphere(1, 3),
+    "open": meshes.bending_bar(6, 4, 3),
+    "flat": (meshes.grid(3, 3)[0][None], meshes.grid(3, 3)[1]),
+    "bow_tie": (meshes.bow_tie()[0][None], meshes.bow_tie()[1]),
+}
+
+
+@pytest.mark.parametrize("name", MESHES)
+def test_vertex_quadrics_match_the_oracle(name, device):
+    points, faces = MESHES[name]
+    quadric = build_mesh(points, faces, device).quadric
+    expected = np.array([[oracle.pack(q) for q in oracle.vertex_quadrics(x, faces)] for x in points])
+    np.testing.assert_allclose(quadric, expected.transpose(1, 0, 2), rtol=1e-4, atol=1e-6)
+
+
+def test_weighted_normal_squares_to_the_area(device):
+    points, faces = MESHES["open"]
+    position = packed(points, device)
+    out = wp.empty((len(faces), position.shape[1]), dtype=position.dtype, device=device)
+    inputs = [wp.array(faces.ravel(), dtype=wp.int32, device=device), position]
+    wp.launch(weigh_face_normals[width_of(position)], dim=out.shape, inputs=inputs, outputs=[out], device=device)
+    corner = points.astype(np.float64)[:, faces]
+    area = np.linalg.norm(np.cross(corner[:, :, 1] - corner[:, :, 0], corner[:, :, 2] - corner[:, :, 0]), axis=2) / 2
+    np.testing.assert_allclose((blocks(out, len(points)) ** 2).sum(axis=2).T, area, rtol=1e-4)
+
+
+def test_face_without_area_adds_no_plane(device):
+    points = np.array([[0, 0, 0], [0.5, 0, 0], [1, 0, 0]], dtype=np.float32)
+    quadric = build_mesh(points, np.array([[0, 1, 2]]), device).quadric
+    np.testing.assert_array_equal(quadric, 0)
+
+
+def test_quadric_scale_multiplies_the_vertex_quadric(device):
+    points, faces = MESHES["open"]
+    corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device)
+    adjacency = build_adjacency(corner_vertex, points.shape[1])
+    border = classify_vertices(
+        corner_vertex, adjacency, wp.zeros(points.shape[1], dtype=wp.int32, device=device)
+    ).numpy()
+    position = packed(points, device)
+    scales = [np.ones(points.shape[1]), np.full(points.shape[1], 4.0)]
+    once, fourfold = (
+        initial_quadrics(
+            corner_vertex, adjacency, border, position, wp.array(s, dtype=wp.float32, device=device)
+        ).numpy()
+        for s in scales
+    )
+    np.testing.assert_array_equal(fourfold, 4 * once)
+
+
+def test_constraint_lists_name_each_border_edge_at_both_ends():
+    faces = meshes.grid(2, 1)[1]
+    directed = {(f[k], f[(k + 1) % 3]) for f in faces.tolist() for k in range(3)}
+    tail, head = faces.ravel().tolist(), np.roll(faces, -1, axis=1).ravel().tolist()
+    border = np.array([(b, a) not in directed for a, b in zip(tail, head, strict=True)], dtype=int)
+    vertex, start, half_edge = constraint_lists(faces.ravel(), border)
+    rows = {int(v): half_edge[a:b].tolist() for v, a, b in zip(vertex, start[:-1], start[1:], strict=True)}
+    expected = {v: [h for h in np.flatnonzero(border) if v in (tail[h], head[h])] for v in range(6)}
+    assert rows == expected

@@ -1,0 +1,121 @@
+"""The documentation: its commands and its Python run, its links lead somewhere, its errors exist."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from tests.support.docs import ROOT, run_line
+from warpqem.cli.main import app
+
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+GUIDES = ["pipeline.md", "batch.md", "python.md", "cookbook.md", "appearance.md"]
+
+
+def name_of(page: Path) -> str:
+    return page.relative_to(ROOT).as_posix()
+
+
+def blocks(page: Path) -> list[tuple[str, str]]:
+    """Language and text of each fenced block of a page."""
+    return re.findall(r"^```(\w+)\n(.*?)^```", page.read_text("utf-8"), re.S | re.M)
+
+
+@pytest.mark.parametrize("guide", GUIDES)
+def test_everything_in_a_guide_runs_in_its_order(desk, guide, capsys):
+    found = blocks(ROOT / "docs" / guide)
+    assert found
+    names: dict[str, object] = {"__name__": guide}
+    for language, text in found:
+        if language == "sh":
+            for line in text.splitlines():
+                run_line(line)
+        elif language == "python":
+            exec(compile(text, guide, "exec"), names)
+
+
+def test_no_page_has_a_command_that_no_test_runs():
+    # Those of README and CONTRIBUTING set up the project, and continuous integration runs them word for word.
+    with_commands = {name_of(page) for page in PAGES if any(language == "sh" for language, _ in blocks(page))}
+    # Those of docs/install.md are run by tests/long/other_usd.py.
+    assert with_commands <= {"README.md", "CONTRIBUTING.md", "docs/install.md", *(f"docs/{guide}" for guide in GUIDES)}
+    own = [text for language, text in blocks(ROOT / "CONTRIBUTING.md") if language == "sh"]
+    readme = [text for language, text in blocks(ROOT / "README.md") if language == "sh"]
+    assert set(own) <= set(readme)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_links_lead_to_files_and_headings_that_exist(page):
+    for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text("utf-8")):
+        if target.startswith("http"):
+            continue
+        path, _, anchor = target.partition("#")
+        file = (page.parent / path).resolve() if path else page
+        assert file.exists(), target
+        if anchor:
+            headings = re.findall(r"^#+ (.*)$", file.read_text("utf-8"), re.M)
+            assert anchor in [re.sub(r"[^\w -]", "", heading).lower().replace(" ", "-") for heading in headings]
+
+
+def test_errors_in_the_guide_are_those_of_the_code():
+    source = "\n".join(path.read_text("utf-8") for path in (ROOT / "warpqem").rglob("*.py"))
+    # As the code has it: adjacent pieces joined, values left open.
+    code = re.sub(r"\{[^{}]*\}", "", re.sub(r'"\s*\n\s*f?"', "", source))
+    rows = re.findall(r"^\| `([^`]+)` \|", (ROOT / "docs" / "errors.md").read_text("utf-8"), re.M)
+    assert len(rows) > 15
+    assert [row for row in rows if row not in code] == []
+
+
+def test_every_option_on_the_pages_exists():
+    import typer.main
+
+    group = typer.main.get_command(app)
+    commands = [
+        group,
+        *group.commands.values(),
+        *(command for name in ("progressive", "face") for command in group.commands[name].commands.values()),
+    ]
+    options = [option for command in commands for option in command.params]
+    known = {"--help", *(name for option in options for name in (*option.opts, *option.secondary_opts))}
+    for page in PAGES:
+        # Inside code of one line: other programs' options are not named like ours.
+        for code in re.findall(r"`([^`\n]+)`", page.read_text("utf-8")):
+            for option in re.findall(r"(?<![\w-])--[a-z][a-z-]+", code):
+                if not code.startswith(("python -m", "ruff", "pip", ".venv")):
+                    assert option in known, f"{name_of(page)}: {code}"
+
+
+def test_figures_are_those_that_the_program_draws():
+    pytest.importorskip("skimage", reason="the scenes extra is not installed")
+    figures = importlib.import_module("docs.figures")
+    drawn = set(figures.FIGURES)
+    there = {path.name for path in (ROOT / "docs").iterdir() if path.suffix in (".png", ".gif")}
+    assert drawn == there
+
+
+def test_pictures_are_small():
+    for path in (ROOT / "docs").iterdir():
+        if path.suffix in (".png", ".gif"):
+            assert path.stat().st_size < 500_000, path.name
+            with Image.open(path) as picture:
+                assert picture.width <= 1600
+
+
+def test_reference_is_made_from_docstrings_and_all_public_names_have_one(tmp_path):
+    pytest.importorskip("pdoc", reason="the docs extra is not installed")
+    # In a process of its own, as it sets what is otherwise loaded late.
+    command = [sys.executable, "-W", "error::UserWarning", "-m", "docs.reference", str(tmp_path)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    for module in ("warpqem", "warpqem.usd", "warpqem.measure", "warpqem.report"):
+        loaded = importlib.import_module(module)
+        page = (tmp_path / f"{module.replace('.', '/')}.html").read_text("utf-8")
+        for name in loaded.__all__:
+            assert f'id="{name}"' in page or name.startswith("__"), f"{module}.{name}"
+            assert getattr(loaded, name).__doc__, f"{module}.{name}"

@@ -1,0 +1,299 @@
+"""The HTML report in a real browser: headless Chromium, WebGL in software."""
+
+from __future__ import annotations
+
+import io
+import os
+import shutil
+import threading
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import warpqem
+from tests.support.report import waving
+from warpqem.report import Level, Report, Table, report_page, write_report
+from warpqem.report.live import LiveLevels
+from warpqem.report.overview import Asset, overview_page
+from warpqem.report.server import PageServer
+
+sync_api = pytest.importorskip("playwright.sync_api", reason="the browser extra is not installed")
+CHROMIUM = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium")
+
+FLAGS = ["--no-sandbox", "--disable-gpu", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with sync_api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        yield browser
+        browser.close()
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory):
+    points, faces = waving(6)
+    levels = [
+        Level(name, points + np.float32([0, 0, 0.02 * k]) * points[..., :1], faces[: len(faces) // k])
+        for k, name in ((1, "LOD1"), (2, "LOD2"))
+    ]
+    path = tmp_path_factory.mktemp("report") / "report.html"
+    tables = [Table("Options", ("", ""), [("metric", "dsd")])]
+    write_report(path, Report("Waves", points, faces, levels, tables=tables), device="cpu")
+    return path.as_uri()
+
+
+@pytest.fixture
+def page(browser, address):
+    """The page, paused; its console has to stay free of errors and the network unused."""
+    context = browser.new_context(viewport={"width": 900, "height": 700}, reduced_motion="reduce")
+    page = context.new_page()
+    errors, requests = [], []
+    page.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    page.on("request", lambda request: requests.append(request.url))
+    page.goto(address)
+    page.wait_for_function("window.warpqem && window.warpqem.ready")
+    yield page
+    assert errors == []
+    assert [url for url in requests if url.startswith("http")] == []
+    context.close()
+
+
+def picture(page) -> np.ndarray:
+    """The pixels of the view, when it shows what was asked for last."""
+    page.wait_for_function("!window.warpqem.state.dirty")
+    shot = Image.open(io.BytesIO(page.locator("#canvas").screenshot())).convert("RGB")
+    return np.asarray(shot).astype(int)
+
+
+def changed(before: np.ndarray, after: np.ndarray) -> bool:
+    """Whether more than the blending of labels with the view differs."""
+    return bool((np.abs(after - before).sum(axis=-1) > 30)[60:].any())
+
+
+def state(page, name: str):
+    return page.evaluate(f"window.warpqem.state.{name}")
+
+
+def test_both_meshes_are_drawn(page):
+    shown = picture(page)
+    half = shown.shape[1] // 2
+    for pane in (shown[60:, :half], shown[60:, half:]):
+        background = pane[-1, -1]
+        assert (np.abs(pane - background).sum(axis=-1) > 30).mean() > 0.05
+
+
+def test_scrubber_moves_the_meshes(page):
+    before = picture(page)
+    page.locator("#scrub").fill("3")
+    assert state(page, "frame") == 3
+    assert page.locator("#time").inner_text() == "4 (4/6)"
+    assert changed(before, picture(page))
+
+
+def test_space_plays_and_pauses(page):
+    page.keyboard.press("Space")
+    page.wait_for_function("window.warpqem.state.frame > 1")
+    page.keyboard.press("Space")
+    assert state(page, "playing") is False
+
+
+def test_it_plays_by_itself_where_motion_is_welcome(browser, address):
+    context = browser.new_context(reduced_motion="no-preference")
+    page = context.new_page()
+    page.goto(address)
+    page.wait_for_function("window.warpqem && window.warpqem.state.frame > 1")
+    context.close()
+
+
+def test_arrows_step_and_wrap_around(page):
+    page.keyboard.press("ArrowLeft")
+    assert state(page, "frame") == 5
+    page.keyboard.press("ArrowRight")
+    assert state(page, "frame") == 0
+
+
+def test_heat_map_toggles(page):
+    plain = picture(page)
+    page.click("#color [data-value=heat]")
+    heat = picture(page)
+    assert page.locator("#legend").is_visible()
+    assert changed(plain, heat)
+    # Viridis ends in a yellow that nothing else on the page has.
+    assert ((heat[..., 0] - heat[..., 2]) > 60).any()
+    page.keyboard.press("h")
+    assert not changed(plain, picture(page))
+    assert page.locator("#legend").is_hidden()
+
+
+def test_wireframe_adds_lines(page):
+    plain = picture(page)
+    page.click("#wire")
+    assert changed(plain, picture(page))
+
+
+def test_level_slider_changes_the_simplified_mesh_alone(page):
+    before = picture(page)
+    page.locator("#level").fill("1")
+    page.wait_for_function("document.getElementById('level-name').textContent.startsWith('LOD2')")
+    after = picture(page)
+    half = before.shape[1] // 2
+    assert not changed(before[:, : half - 2], after[:, : half - 2])
+    assert changed(before[:, half:], after[:, half:])
+
+
+@pytest.mark.parametrize("key", ["2", "3", "4"])
+def test_layouts_use_the_whole_view(page, key):
+    page.keyboard.press(key)
+    shown = picture(page)
+    middle = shown[60:, shown.shape[1] // 2 - 20 : shown.shape[1] // 2 + 20]
+    assert (np.abs(middle - shown[-1, -1]).sum(axis=-1) > 30).any()
+
+
+def test_both_panes_turn_together(page):
+    before = picture(page)
+    box = page.locator("#canvas").bounding_box()
+    x, y = box["x"] + box["width"] / 4, box["y"] + box["height"] / 2
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x + 60, y + 20, steps=3)
+    page.mouse.up()
+    after = picture(page)
+    half = before.shape[1] // 2
+    assert changed(before[:, :half], after[:, :half])
+    assert changed(before[:, half:], after[:, half:])
+
+
+def test_plots_follow_the_frame_and_choose_it(page):
+    line = page.locator("#plots .now").first
+    before = line.get_attribute("x1")
+    page.locator("#plots svg").first.click(position={"x": 300, "y": 60})
+    assert state(page, "frame") > 0
+    assert line.get_attribute("x1") != before
+
+
+def test_tables_name_the_levels_and_the_options(page):
+    text = page.locator("#tables").inner_text()
+    for word in ("LOD1", "LOD2", "Validity", "Options", "dsd"):
+        assert word in text
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_colours_follow_the_system(browser, address, scheme):
+    context = browser.new_context(color_scheme=scheme)
+    page = context.new_page()
+    page.goto(address)
+    background = page.evaluate("getComputedStyle(document.body).backgroundColor")
+    dark = sum(map(int, background.removeprefix("rgb(").removesuffix(")").split(","))) < 380
+    assert dark == (scheme == "dark")
+    context.close()
+
+
+def test_phone_has_no_sideways_scroll_and_stacks_the_panes(browser, address):
+    context = browser.new_context(viewport={"width": 375, "height": 760}, is_mobile=True, has_touch=True)
+    page = context.new_page()
+    page.goto(address)
+    page.wait_for_function("window.warpqem && window.warpqem.ready")
+    assert page.evaluate("document.documentElement.scrollWidth") <= 375
+    left, right = (page.locator(f"#tag-{side}").bounding_box() for side in ("left", "right"))
+    assert right["y"] > left["y"] + 100
+    context.close()
+
+
+def test_levels_come_from_the_server_of_view(browser):
+    points, faces = waving(4)
+    live = LiveLevels(warpqem.build_progressive(points, faces, device="cpu"), "waves", {}, device="cpu")
+    server = PageServer(report_page(live.data()), live.level)
+    thread = threading.Thread(target=server.serve)
+    thread.start()
+    try:
+        page = browser.new_page(reduced_motion="reduce")
+        errors = []
+        page.on("pageerror", lambda error: errors.append(str(error)))
+        page.goto(server.address)
+        page.wait_for_function("window.warpqem && window.warpqem.ready")
+        before = picture(page)
+        page.locator("#level").fill(str(len(live.splits) - 1))
+        page.wait_for_function("!document.getElementById('level-name').textContent.endsWith('…')")
+        assert changed(before, picture(page))
+        page.keyboard.press("h")
+        assert page.locator("#legend").is_visible()
+        assert errors == []
+        page.close()
+    finally:
+        server.stop()
+        thread.join()
+
+
+def test_markers_can_be_hidden(browser, tmp_path):
+    points, faces = waving(4)
+    report = Report("marked", points, faces, [Level("level", points, faces)], markers={"corner": 0, "other": 20})
+    write_report(tmp_path / "page.html", report, device="cpu")
+    page = browser.new_page(reduced_motion="reduce")
+    page.goto((tmp_path / "page.html").as_uri())
+    page.wait_for_function("window.warpqem && window.warpqem.ready")
+
+    def red() -> int:
+        shown = picture(page)
+        return int(((shown[..., 0] > 180) & (shown[..., 1] < 110)).sum())
+
+    assert red() > 20
+    page.click("#dots")
+    assert red() == 0
+    page.close()
+
+
+@pytest.mark.parametrize("room", [2500, 100])
+def test_page_without_some_meshes_or_all_shows_the_rest(browser, tmp_path, monkeypatch, room):
+    monkeypatch.setattr("warpqem.report.data.LARGEST_MESHES", room)
+    points, faces = waving(4)
+    report = Report("large", points, faces, [Level("level", points + np.float32([0, 0, 0.1]), faces)])
+    write_report(tmp_path / "page.html", report, device="cpu")
+    page = browser.new_page(reduced_motion="reduce")
+    errors = []
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    page.goto((tmp_path / "page.html").as_uri())
+    if room == 100:
+        page.wait_for_selector("#message:visible")
+    else:
+        page.wait_for_function("window.warpqem && window.warpqem.ready")
+    assert "Validity" in page.locator("#tables").inner_text()
+    page.locator("#scrub").fill("2")
+    assert errors == []
+    page.close()
+
+
+def test_overview_is_sorted_and_limited(browser, tmp_path):
+    picture = np.full((6, 8, 3), 90, dtype=np.uint8)
+    assets = [
+        Asset("b", "done", 100, 10, "poor", "Hausdorff 3 % is above 2", rms=0.5, pictures=[picture, picture]),
+        Asset("a", "failed", message="lost"),
+        Asset("c", "done", 20, 10, "good", rms=0.1),
+    ]
+    (tmp_path / "page.html").write_text(overview_page("three", assets), "utf-8")
+    page = browser.new_page()
+    errors = []
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    page.goto((tmp_path / "page.html").as_uri())
+
+    def names() -> list[str]:
+        return page.locator("tbody tr td:first-child > span").all_inner_texts()
+
+    assert names() == ["b", "a", "c"]
+    for column in ("RMS", "verdict"):
+        page.click(f"thead button:text('{column}')")
+        assert names() == ["c", "b", "a"]
+        page.click(f"thead button:text('{column}')")
+        assert names() == ["b", "c", "a"]
+    assert page.locator("td.bad").all_inner_texts() == ["poor", "failed"]
+    page.click("#status [data-value=failed]")
+    assert names() == ["a"]
+    page.click("#status [data-value=all]")
+    page.fill("#search", "LOST")
+    assert names() == ["a"]
+    assert errors == []
+    page.close()

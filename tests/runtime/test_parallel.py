@@ -1,0 +1,75 @@
+"""Work shared between CPU threads."""
+
+import time
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+
+import numpy as np
+import pytest
+import warp as wp
+
+from warpqem.runtime import cpu_threads as parallel
+from warpqem.runtime import launches
+from warpqem.runtime.cpu_threads import launch_parts, run_parts, split_range
+
+
+@wp.kernel(enable_backward=False)
+def square(
+    x_in: wp.array[wp.float32],
+    # outputs
+    square_out: wp.array[wp.float32],
+):
+    i = wp.tid()
+    square_out[i] = x_in[i] * x_in[i]
+
+
+@pytest.fixture
+def three_threads(monkeypatch):
+    monkeypatch.setattr(parallel, "_core_count", lambda: 3)
+    with ThreadPoolExecutor(3) as pool:
+        monkeypatch.setattr(parallel, "_pool", lambda: pool)
+        yield
+
+
+@pytest.mark.parametrize(("count", "parts"), [(0, 2), (1, 3), (7, 3), (8, 2)])
+def test_slices_cover_the_range_once(count, parts):
+    covered = [i for part in split_range(count, parts) for i in range(part.start, part.stop)]
+    assert covered == list(range(count))
+
+
+def test_parts_of_a_launch_cover_all_items(three_threads):
+    x = wp.array(np.arange(10), dtype=wp.float32, device="cpu")
+    out = wp.zeros_like(x)
+
+    def launch(part):
+        wp.launch(square, dim=part.stop - part.start, inputs=[x[part]], outputs=[out[part]], device="cpu")
+
+    launch_parts(launch, len(x), "cpu")
+    np.testing.assert_array_equal(out.numpy(), np.arange(10.0) ** 2)
+
+
+def test_threads_load_a_module_once(three_threads, monkeypatch):
+    loads = []
+    monkeypatch.setattr(launches, "_loaded", set())
+    monkeypatch.setattr(wp, "load_module", lambda module, *_, **__: (time.sleep(0.01), loads.append(module)))
+    run_parts([partial(launches.load_kernel, square, "cpu")] * 9)
+    assert loads == [square.module]
+
+
+def test_error_of_a_part_is_raised_when_all_have_ended(three_threads):
+    done = []
+
+    def fail():
+        raise ValueError("part")
+
+    with pytest.raises(ValueError, match="part"):
+        run_parts([lambda: done.append(1), fail, lambda: done.append(3)])
+    assert sorted(done) == [1, 3]
+
+
+@pytest.mark.parametrize(("least", "parts"), [(1, 3), (4, 2), (10, 1), (11, 1)])
+def test_parts_have_as_many_items_as_asked_for(least, parts, three_threads):
+    seen = []
+    launch_parts(seen.append, 10, "cpu", least)
+    assert len(seen) == parts
+    assert min(part.stop - part.start for part in seen) >= min(least, 10)

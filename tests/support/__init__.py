@@ -1,0 +1,1 @@
+"""What tests share: stages, meshes, traps, checks. Imports no test."""

@@ -1,0 +1,443 @@
+"""Random progressive files that somebody has changed, each from a seed; checksums fit unless they are the change.
+
+A case ends with a named error, or with a mesh that is sound on every level and comes out as USD and as a page. It takes
+no more memory than the size of its file accounts for.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+import random
+import re
+import shutil
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zstandard
+
+import warpqem
+from tests.support import meshes
+from tests.support.progressive_files import SMALLEST, Chunks, Header, file_bytes, packed, read_file, with_table, zeros
+from warpqem.costs.screen_error import ScreenView
+from warpqem.errors import OptionError, WarpqemError
+from warpqem.progressive import ProgressiveMesh, load, read_info, save, stream
+from warpqem.report.live import LiveLevels
+from warpqem.usd.commands.progressive import LevelChoice, extract_level
+
+INTEGERS = [0, 1, -1, 2, 3, 255, 2**15, 2**24, 2**31 - 1, 2**31, -(2**31), 2**32, 2**63 - 1, 2**63, 2**64, 10**30]
+VALUES = [*INTEGERS, True, None, "", "1", 1.0, 0.5, -0.0, 1e308, [], {}, [0], {"a": 0}, [[]], "\ud800", "x" * 5000]
+FLOAT_BITS = [0x7FC00000, -0x400000, 0x7F800000, -0x800000, 0x7F7FFFFF, 1, -(2**31), 0x3F800000]
+PATHS = [
+    "",
+    "/",
+    "A",
+    "/A.points",
+    "/A/../B",
+    "../A",
+    "/A{v=x}B",
+    "/1",
+    "/A" * 3000,
+    "/__Prototype_1",
+    "/A b",
+    "/a[/b]",
+]
+TIMES = [1e300, -1e300, 5e-324, 0.0, 2**53, 10**19, "1", None, True, [1.0], -1.0, 1e16]
+# JSON that Python reads though it is none, or that reads differently elsewhere.
+TEXTS = [
+    "NaN",
+    "Infinity",
+    "-Infinity",
+    "1e999",
+    "9" * 5000,
+    "[" * 5000,
+    '{"a":' * 5000,
+    '"\\ud800"',
+    "-0",
+    "1E400",
+    "",
+]
+
+# A file may unpack to 64 MiB, or 256 times its size; while it is decoded, shown and written the process takes some
+# times as much, and some for the libraries that it uses for the first time.
+ACCOUNTED_BYTES, RATIO, TIMES_AS_MUCH, LIBRARY_BYTES = 64 * 2**20, 256, 4, 192 * 2**20
+
+
+@functools.cache
+def _folder() -> Path:
+    return Path(tempfile.mkdtemp(prefix="fuzz-progressive-"))
+
+
+def remove_files() -> None:
+    """Remove what the cases made."""
+    if _folder.cache_info().currsize:
+        shutil.rmtree(_folder(), ignore_errors=True)
+        _folder.cache_clear()
+        _bases.cache_clear()
+
+
+@functools.cache
+def _bases() -> list[tuple[Header, Chunks]]:
+    """Files to start from: of one frame and several, without splits, with one chunk of them, and with three."""
+    made = []
+    still = meshes.octahedron()
+    for points, faces, goal in (
+        (*meshes.swaying_sphere(1, 3), None),
+        (*meshes.waving_grid(6, 4), None),
+        (still[0][None], still[1], 8),
+        (*meshes.swaying_sphere(2, 1), None),
+        (*meshes.swaying_sphere(4, 2), None),
+    ):
+        mesh = warpqem.build_progressive(points, faces, base_faces=goal, device="cpu")
+        times = [float(2 * frame) for frame in range(len(points))] if len(points) > 1 else None
+        units = {"up_axis": "Y", "metres_per_unit": 0.01, "time_codes_per_second": 24.0, "frames_per_second": 24.0}
+        path = _folder() / "base.wpqm"
+        save(mesh, path, {"prim": "/Root/Mesh", "times": times, "diagonal": 3.5, "stage": units})
+        made.append(read_file(path))
+    return made
+
+
+def progressive_case(seed: int) -> str:
+    """Change a file, and load and use it as a whole; returns how it ended."""
+    draw = random.Random(seed)
+    path = _folder() / "case.wpqm"
+    path.write_bytes(_changed_file(draw))
+    before = _restart_peak()
+    try:
+        end = _use(path, draw)
+    except WarpqemError as error:
+        _demand(str(error) and "\n" not in str(error) and len(str(error)) < 2000, "an error of no use: {error!r}")
+        # A goal that no level meets is named by itself.
+        named = path.name in str(error) or isinstance(error, OptionError)
+        _demand(named, f"an error that does not name the file: {error}")
+        end = type(error).__name__
+    allowed = TIMES_AS_MUCH * max(ACCOUNTED_BYTES, RATIO * path.stat().st_size) + LIBRARY_BYTES
+    grown = _peak_bytes() - before
+    _demand(grown <= allowed, f"{grown >> 20} MiB for a file of {path.stat().st_size} bytes")
+    return end
+
+
+def _changed_file(draw: random.Random) -> bytes:
+    bases = _bases()
+    header, chunks = draw.choice([*bases[:4], *bases[:4], bases[4]])
+    header, chunks = json.loads(json.dumps(header)), [list(parts) for parts in chunks]
+    last: Callable[[random.Random, bytes], bytes] | None = None
+    # Most changes end in an error early: some are of what is only looked at in the end.
+    changes = draw.choice([ALL_CHANGES, ALL_CHANGES, ALL_CHANGES, [_change_extra, _change_numbers]])
+    for _ in range(draw.choice([1, 1, 1, 2, 3])):
+        change = draw.choice(changes)
+        if change in LAST_CHANGES:
+            last = change
+        else:
+            change(draw, header, chunks)
+    if len(header["chunks"]) == len(chunks) and draw.random() < 0.95:
+        header = with_table(header, chunks)
+    if draw.random() < 0.15:
+        _change_table(draw, header)
+    if draw.random() < 0.03:
+        header[draw.choice(["chunks", "extra"])] = draw.choice(VALUES)
+    data = file_bytes(header, chunks)
+    return data if last is None else last(draw, data)
+
+
+# Changes of what a file holds.
+
+
+def _change_bits(draw: random.Random, header: Header, chunks: Chunks) -> None:
+    """Bits of a compressed part."""
+    parts = draw.choice(chunks)
+    index = draw.randrange(len(parts))
+    data = bytearray(parts[index])
+    for _ in range(draw.choice([1, 1, 3, 20]) if data else 0):
+        data[draw.randrange(len(data))] ^= 1 << draw.randrange(8)
+    parts[index] = bytes(data)
+
+
+def _change_numbers(draw: random.Random, header: Header, chunks: Chunks) -> None:
+    """Numbers of a part, as they are coded."""
+    parts = draw.choice(chunks)
+    index = draw.randrange(len(parts))
+    try:
+        # Not those that are bombs already.
+        if not 0 <= zstandard.frame_content_size(parts[index]) < 2**20:
+            return
+        data = zstandard.ZstdDecompressor().decompress(parts[index])
+    except zstandard.ZstdError:
+        return
+    values = np.frombuffer(data, np.uint8).reshape(4, -1).T.copy().view(np.int32).ravel()
+    for _ in range(draw.choice([1, 1, 2, 10])):
+        if len(values):
+            kind, place = draw.randrange(4), draw.randrange(len(values))
+            if kind == 0:
+                values[place] = draw.choice(FLOAT_BITS)
+            elif kind == 1:
+                values[place] = draw.randrange(-(2**31), 2**31)
+            elif kind == 2:
+                values[place] ^= draw.choice([1, 2, 3, 8])
+            else:
+                other = draw.randrange(len(values))
+                values[[place, other]] = values[[other, place]]
+    if draw.random() < 0.2:
+        values = np.resize(values, draw.choice([0, len(values) // 2, len(values) + 1, 2 * len(values)]))
+    parts[index] = packed(np.ascontiguousarray(values.view(np.uint8).reshape(-1, 4).T).tobytes())
+
+
+def _replace_by_bomb(draw: random.Random, header: Header, chunks: Chunks) -> None:
+    """A part that unpacks to much more, or to an unknown size."""
+    parts = draw.choice(chunks)
+    kind = draw.randrange(5)
+    size = draw.choice([2**20, 2**28, 2**31, 2**32])
+    if kind == 0:
+        bomb = zeros(size)
+    elif kind == 1:
+        bomb = (
+            b"\x28\xb5\x2f\xfd\xe0"
+            + draw.choice([2**60, 2**63, 2**64 - 1, 2**64 - 2, 4]).to_bytes(8, "little")
+            + b"\1\0\0"
+        )
+    elif kind == 2:
+        # No size, and a window of up to 3.75 TiB, then zeros.
+        bomb = b"\x28\xb5\x2f\xfd\x00" + bytes([draw.randrange(256)]) + zeros(2**24)[13:]
+    elif kind == 3:
+        compressor = zstandard.ZstdCompressor(level=1).compressobj()
+        bomb = compressor.compress(bytes(draw.choice([0, 4, 12, 2**22]))) + compressor.flush()
+    else:
+        # A frame to skip, and one after another.
+        bomb = b"\x50\x2a\x4d\x18" + draw.choice([0, 4, 2**31]).to_bytes(4, "little") + parts[0] + parts[-1]
+    parts[draw.randrange(len(parts))] = bomb
+
+
+def _grow_in_accord(draw: random.Random, header: Header, chunks: Chunks) -> None:
+    """Counts that fit together, and streams of zeros as long as they say."""
+    # What a file may unpack to is found on both sides of; many frames within it take seconds.
+    factor, kind = draw.choice([2, 100, 10**6, 10**7, 10**9]), draw.randrange(3)
+    if any(type(header.get(name)) is not int for name in SMALLEST if name.endswith("_count")):
+        return
+    if kind == 0:
+        header["frame_count"] = frames = header["frame_count"] * factor
+        rows = [header["base_vertex_count"]] + [
+            stop - start for start, stop in _splits_of_chunks(header) if stop > start >= 0
+        ]
+        for parts, count in zip(chunks, rows, strict=False):
+            for index in range(5 if len(parts) == 6 else 8, len(parts)):
+                parts[index] = zeros(min(12 * count * frames, 2**31))
+        if draw.random() < 0.5:
+            # Few enough that the file stays small: a longer one accounts for a mesh that takes seconds.
+            header["extra"]["times"] = list(range(min(frames, 2000)))
+    elif kind == 1:
+        header["vertex_count"] = draw.choice([2**31 - 1, header["vertex_count"] * factor])
+    else:
+        header["base_face_count"] += factor
+        header["face_count"] += factor
+        for entry in header["chunks"][1:]:
+            entry[1] += factor
+        chunks[0][2:4] = zeros(12 * factor), zeros(4 * factor)
+
+
+def _splits_of_chunks(header: Header) -> list[tuple[int, int]]:
+    starts = [entry[0] for entry in header["chunks"][1:]]
+    return list(zip(starts, [*starts[1:], header["split_count"]], strict=False))
+
+
+def _change_field(draw: random.Random, header: Header, chunks: Chunks) -> None:
+    """An entry of the header, but for those that other changes look into."""
+    name = draw.choice([name for name in header if name not in ("chunks", "extra")])
+    kind = draw.randrange(5)
+    if kind == 0:
+        del header[name]
+    elif kind == 1:
+        header[draw.choice(["more", "", "vertexCount", "x" * 10**5])] = draw.choice(VALUES)
+    elif kind == 2 and type(header[name]) is int:
+        header[name] += draw.choice([1, -1, 2])
+    elif kind == 3:
+        header[name] = draw.choice(INTEGERS)
+    else:
+        header[name] = draw.choice(VALUES)
+
+
+def _swap_chunks(draw: random.Random, header: Header, chunks: Chunks) -> None:
+    kind = draw.randrange(5)
+    one, other = draw.randrange(len(chunks)), draw.randrange(len(chunks))
+    if kind == 0:
+        chunks[one], chunks[other] = chunks[other], chunks[one]
+    elif kind == 1:
+        chunks[one] = list(chunks[other])
+    elif kind == 2 and len(chunks[one]) > 1:
+        draw.shuffle(chunks[one])
+    elif kind == 3:
+        chunks[one] = chunks[one] * draw.choice([0, 2, 1000])
+    else:
+        chunks[one] = [*chunks[one][: draw.randrange(len(chunks[one]) + 1)], b""]
+    if not all(chunks):
+        chunks[one] = [b""]
+
+
+def _repeat_chunks(draw: random.Random, header: Header, chunks: Chunks) -> None:
+    """More entries of the table, each for a chunk like one before."""
+    index = draw.randrange(len(chunks))
+    for _ in range(draw.choice([1, 2, 200])):
+        header["chunks"].append(list(header["chunks"][index % len(header["chunks"])]))
+        chunks.append(list(chunks[index]))
+        if draw.random() < 0.8:
+            header["chunks"][-1][0] += len(chunks)
+
+
+def _change_extra(draw: random.Random, header: Header, chunks: Chunks) -> None:
+    extra = header["extra"]
+    kind = draw.randrange(7)
+    if kind == 0:
+        extra[draw.choice(["prim", "times", "diagonal", "stage", "more"])] = draw.choice(VALUES)
+    elif kind == 1:
+        extra["prim"] = draw.choice(PATHS)
+    elif kind == 2 and isinstance(extra.get("times"), list) and extra["times"]:
+        extra["times"][draw.randrange(len(extra["times"]))] = draw.choice(TIMES)
+    elif kind == 3 and isinstance(extra.get("times"), list):
+        draw.shuffle(extra["times"])
+        extra["times"] = extra["times"] * draw.choice([1, 2, 0])
+    elif kind == 4 and isinstance(extra.get("stage"), dict) and extra["stage"]:
+        extra["stage"][draw.choice(list(extra["stage"]))] = draw.choice([*VALUES, *TIMES, "X", "y", "Z"])
+    elif kind == 5 and extra:
+        del extra[draw.choice(list(extra))]
+    else:
+        deep: Any = 0
+        for _ in range(draw.choice([10, 60, 70, 400])):
+            deep = [deep] if draw.random() < 0.5 else {"a": deep}
+        extra["deep"] = deep
+
+
+def _change_table(draw: random.Random, header: Header) -> None:
+    """Entries of the table of chunks, without a look at where these are."""
+    table = header["chunks"]
+    entry = draw.choice(table)
+    kind = draw.randrange(5)
+    if kind == 0:
+        entry[draw.randrange(5)] = draw.choice(VALUES)
+    elif kind == 1:
+        entry[2:] = draw.choice(table)[2:]
+    elif kind == 2:
+        table *= draw.choice([2, 1000])
+    elif kind == 3:
+        table[draw.randrange(len(table))] = draw.choice(VALUES)
+    else:
+        entry[draw.randrange(2, 4)] += draw.choice([1, -1, 8, 2**40])
+
+
+# Changes of the bytes of a file.
+
+
+def _damage(draw: random.Random, data: bytes) -> bytes:
+    changed = bytearray(data)
+    for _ in range(draw.choice([1, 1, 5])):
+        changed[draw.randrange(draw.choice([24, len(data)]))] ^= 1 << draw.randrange(8)
+    return bytes(changed)
+
+
+def _cut(draw: random.Random, data: bytes) -> bytes:
+    return data[: draw.choice([draw.randrange(64), draw.randrange(len(data)), len(data) - 1])]
+
+
+def _prolong(draw: random.Random, data: bytes) -> bytes:
+    return data + draw.choice([b"\0", data, draw.randbytes(300)])
+
+
+def _change_text(draw: random.Random, data: bytes) -> bytes:
+    """The text of the header, as it stands there."""
+    length = int.from_bytes(data[8:16], "little")
+    text = data[20 : 20 + length].decode(errors="replace")
+    found = list(re.finditer(r'-?[\d.]+(?:e-?\d+)?|"\w*"|[\[\]{},:]', text))
+    for _ in range(draw.choice([1, 1, 3])):
+        token = draw.choice(found)
+        new = draw.choice([*TEXTS, token[0] * 2, draw.choice(found)[0], text[: token.start()]])
+        text = text[: token.start()] + new + text[token.end() :]
+    encoded = text.encode(draw.choice(["utf-8", "utf-8", "utf-8", "utf-8", "utf-16"]))
+    return file_bytes(encoded, []) + data[20 + length :]
+
+
+CHANGES = [
+    _change_bits,
+    _change_numbers,
+    _change_numbers,
+    _change_numbers,
+    _replace_by_bomb,
+    _grow_in_accord,
+    _change_field,
+    _change_field,
+    _swap_chunks,
+    _repeat_chunks,
+    _change_extra,
+    _change_extra,
+]
+LAST_CHANGES = [_damage, _cut, _prolong, _change_text, _change_text]
+ALL_CHANGES = [*CHANGES, *CHANGES, *LAST_CHANGES]
+
+
+# What is done with it.
+
+
+def _use(path: Path, draw: random.Random) -> str:
+    """All that can be done with a file; the first error ends it."""
+    info = read_info(path)
+    json.dumps(info.extra, allow_nan=False).encode()
+    part = load(path, target_faces=draw.choice([1, 2, 20, max(1, info.face_count)]))
+    _check_mesh(part)
+    mesh = load(path)
+    _check_mesh(mesh)
+    _demand(mesh.is_complete, "not complete")
+    _demand(mesh.vertex_map(0).max(initial=-1) < info.base_vertex_count, "a vertex map out of range")
+    *_, last = stream(path)
+    _demand(last.split_count == mesh.split_count, "a stream that ends early")
+    choices = [{"ratio": 1.0}, {"faces": info.face_count}, {"max_error": 1e9}, {"screen": ScreenView(1.0, 10.0)}]
+    for choice in draw.sample(choices, 2):
+        extract_level(path, _folder() / draw.choice(["out.usda", "out.usdc"]), LevelChoice(**choice))
+    if draw.random() < 0.3:
+        live = LiveLevels(mesh, path.name, info.extra, device="cpu")
+        json.dumps(live.data(), allow_nan=False).encode()
+        json.dumps(live.level(draw.randrange(len(live.splits))), allow_nan=False)
+    return "done"
+
+
+def _check_mesh(mesh: ProgressiveMesh) -> None:
+    """Whether levels are meshes, and each is within the one that is coarser."""
+    _demand(np.isfinite(mesh.points).all(), "points that are not finite")
+    counts = sorted({0, 1, mesh.split_count // 2, mesh.split_count} & set(range(mesh.split_count + 1)))
+    for count in counts:
+        level = mesh.level(count)
+        vertices = mesh.topology.base_count + count
+        _demand(level.points.shape == (mesh.frame_count, vertices, 3), "points of another shape")
+        _demand(len(set(level.vertex.tolist())) == vertices, "two vertices for one of the input")
+        _demand(level.faces.min(initial=0) >= 0 and level.faces.max(initial=0) < vertices, "faces out of range")
+        _demand((level.faces != np.roll(level.faces, 1, axis=1)).all(), "a face with a vertex twice")
+        _demand(0.0 <= level.error < np.inf, "an error that is none")
+    _demand(mesh.error(counts[0]) >= mesh.error(counts[-1]), "errors that rise")
+    points, faces = mesh.morph(counts[0], counts[-1], 0.5)
+    _demand(len(faces) == mesh.loaded_face_count and points.shape[1] > faces.max(initial=0), "a morph out of range")
+
+
+def _demand(holds: bool, text: str) -> None:
+    if not holds:
+        raise AssertionError(text)
+
+
+def _restart_peak() -> int:
+    """Bytes that the process takes now, from which its peak is measured again; 0 where the system does not say."""
+    try:
+        Path("/proc/self/clear_refs").write_text("5")
+    except OSError:
+        return 0
+    return _status("VmRSS")
+
+
+def _peak_bytes() -> int:
+    try:
+        return _status("VmHWM")
+    except OSError:
+        return 0
+
+
+def _status(name: str) -> int:
+    """An entry of the process's state, in bytes."""
+    found = re.search(rf"^{name}:\s+(\d+) kB", Path("/proc/self/status").read_text(), re.MULTILINE)
+    return 1024 * int(found[1]) if found else 0

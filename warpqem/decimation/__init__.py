@@ -1,0 +1,1 @@
+"""Decimation: which edges collapse, decided on the key frames."""

@@ -1,0 +1,106 @@
+"""The collapse log on the host."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+import warp as wp
+
+from warpqem.kernels.mesh_state import CollapseLog
+
+__all__ = ["CollapseRecord", "new_log", "read_log"]
+
+
+@dataclass(frozen=True)
+class CollapseRecord:
+    """Edge collapses in the order of application (C of them): by round, then by cost.
+
+    Collapses of one round are independent, so the mesh after any prefix is valid. A higher face count gives a prefix of
+    the log of a lower one, with the same settings.
+
+    Attributes:
+        kept: (C,) int32 input vertex that goes on, at a new position.
+        removed: (C,) int32 input vertex that ends.
+        opposites: (C, 2) int32, the vertices opposite the edge; the second is -1 at a border.
+        faces_removed: (C,) int32, 1 at a border, else 2.
+        cost: (C,) float32, sum over key frames of area x squared distance on a mesh of unit diagonal, weighted.
+        error: (C,) float32, RMS distance over key frames, in diagonals, of the vertex from its cluster's planes.
+        round_index: (C,) int32, the round of reservations, from 1.
+    """
+
+    kept: np.ndarray
+    removed: np.ndarray
+    opposites: np.ndarray
+    faces_removed: np.ndarray
+    cost: np.ndarray
+    error: np.ndarray
+    round_index: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.kept)
+
+    def head(self, count: int) -> CollapseRecord:
+        """The first ``count`` collapses."""
+        return CollapseRecord(**{field.name: getattr(self, field.name)[:count] for field in fields(self)})
+
+    def chosen(self, kept: np.ndarray) -> CollapseRecord:
+        """Some of the collapses, (C,) bool."""
+        return CollapseRecord(**{field.name: getattr(self, field.name)[kept] for field in fields(self)})
+
+    def roots(self, vertex_count: int) -> np.ndarray:
+        """(V,) int32, the vertex that each vertex has collapsed into after all collapses."""
+        parent = np.arange(vertex_count, dtype=np.int32)
+        parent[self.removed] = self.kept
+        while True:
+            grandparent = parent[parent]
+            if np.array_equal(grandparent, parent):
+                return parent
+            parent = grandparent
+
+
+# The arrays of a log in rows of four bytes each, so that one copy brings all of it to the host.
+_INTEGERS = ("kept", "removed", "left_opposite", "right_opposite", "faces_removed", "round_index")
+_NUMBERS = ("cost", "error")
+
+
+def new_log(capacity: int, device: str) -> tuple[CollapseLog, wp.array]:
+    """An empty log on the device, and the rows (8, capacity) int32 that its arrays are."""
+    log, rows = CollapseLog(), wp.empty((len(_INTEGERS) + len(_NUMBERS), capacity), dtype=wp.int32, device=device)
+    log.count, log.round_count = (wp.zeros(1, dtype=wp.int32, device=device) for _ in range(2))
+    for index, name in enumerate(_INTEGERS):
+        setattr(log, name, rows[index])
+    for index, name in enumerate(_NUMBERS, len(_INTEGERS)):
+        setattr(log, name, rows[index].view(wp.float32))
+    return log, rows
+
+
+def read_log(rows: wp.array, count: int) -> CollapseRecord:
+    """Fetch ``count`` collapses; those of a round, which threads log in any order, are put in order of their cost."""
+    values = rows[:, :count].numpy()
+    integers = dict(zip(_INTEGERS, values, strict=False))
+    cost, error = (row.view(np.float32) for row in values[len(_INTEGERS) :])
+    order = _sorted_rounds(integers["round_index"], cost, integers["removed"], rows.shape[1])
+    return CollapseRecord(
+        kept=integers["kept"][order],
+        removed=integers["removed"][order],
+        opposites=np.stack([integers["left_opposite"], integers["right_opposite"]], axis=1)[order],
+        faces_removed=integers["faces_removed"][order],
+        cost=cost[order],
+        error=np.sqrt(error)[order],
+        round_index=integers["round_index"][order],
+    )
+
+
+def _sorted_rounds(round_index: np.ndarray, cost: np.ndarray, removed: np.ndarray, vertex_count: int) -> np.ndarray:
+    """The order by round, cost and removed vertex (C,); rounds come in order, and no vertex is removed twice.
+
+    So each round is one sort of plain numbers: the bits of a positive cost, which ascend with it, then the vertex.
+    """
+    slot = np.empty(vertex_count, dtype=np.int64)
+    slot[removed] = np.arange(len(removed))
+    key = cost.view(np.uint32).astype(np.uint64) << np.uint64(32) | removed.astype(np.uint64)
+    first = np.flatnonzero(np.diff(round_index)) + 1
+    for part in np.split(key, first):
+        part.sort()
+    return slot[(key & np.uint64(0xFFFFFFFF)).astype(np.int64)]

@@ -1,0 +1,308 @@
+"""Decimation: which edges collapse, decided on the key frames. Its result is a topology and a vertex map."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import warp as wp
+
+from warpqem.decimation.adjacency import build_adjacency, classify_vertices
+from warpqem.decimation.arrangement import ARRANGED_FACES, Arrangement, arrange
+from warpqem.decimation.attribute_quadrics import build_wedges
+from warpqem.decimation.cluster_vertices import build_members
+from warpqem.decimation.collapse_log import CollapseRecord, read_log
+from warpqem.decimation.collapse_nodes import NodeRecorder
+from warpqem.decimation.deformation import build_deformation
+from warpqem.decimation.device_loop import DeviceOrderer
+from warpqem.decimation.initial_quadrics import given_quadrics, initial_quadrics
+from warpqem.decimation.ordering import Ordering
+from warpqem.decimation.pass_steps import PassSteps
+from warpqem.decimation.passes import Orderer
+from warpqem.decimation.pruning import Components, DropRecord
+from warpqem.decimation.quadric_sums import QuadricSums, add_quadric_sums
+from warpqem.kernels import arrangement as arrangement_kernels
+from warpqem.kernels import attribute as attribute_kernels
+from warpqem.kernels.lanes import width_of
+from warpqem.kernels.mesh_state import KEY_FRAMES, CostModel, MeshState
+from warpqem.kernels.topology import CORNER, NON_MANIFOLD
+from warpqem.runtime.cpu_threads import launch_parts
+from warpqem.runtime.device import device_traits
+from warpqem.runtime.launches import launch
+
+__all__ = ["DecimatedMesh", "DecimationInput", "OrderSettings", "faces_left", "order_collapses"]
+
+
+@dataclass(frozen=True)
+class OrderSettings:
+    """What decides the order.
+
+    Attributes:
+        target_faces: stop at so many faces.
+        error_limit: RMS error in diagonals above which no edge collapses; inf for none.
+        epsilon: regularisation of a merged vertex towards the material anchor of its edge, relative to the quadric.
+        endpoint: the merged vertex goes to one of the edge's ends.
+        deformation_weight: factor of the edge-length deformation term; 0 for none.
+        keep_components: none is pruned.
+        memoryless: quadrics are those of the present faces instead of the input's.
+        size_limit: the same as ``error_limit``, of a mesh that is not to be destroyed for its target; where components
+            are pruned because their cost is due, it does not count.
+    """
+
+    target_faces: int
+    error_limit: float
+    epsilon: float
+    endpoint: bool
+    deformation_weight: float
+    keep_components: bool = True
+    memoryless: bool = False
+    size_limit: float = math.inf
+
+
+@dataclass(frozen=True)
+class DecimatedMesh:
+    """The topology that ordering left, and what placement needs of it (V input vertices, B blocks of key frames).
+
+    Attributes:
+        faces: (N', 3) int32 over input vertices: each cluster goes by the vertex that was kept.
+        face_map: (N',) int32, the input face that each of them was.
+        root: (V,) int32, the kept vertex that each input vertex collapsed into.
+        key_position: (V, B) points, the input on the key frames, in diagonals.
+        row: (V,) int32, the row that each input vertex has in ``position`` and ``quadric``.
+        position: (V, B) points, where ordering put the kept vertices.
+        quadric: (V, B) quadric of each kept vertex's cluster, about ``position``; that of the first key frame holds the
+            attribute error too.
+        constrained: (3N,) int32, 1 at the input's border half-edges, 2 at its seams'.
+        line_rank: (V,) int, of input vertices: 2 at corners of seams, 1 elsewhere on a seam or border, 0 inside.
+        frozen: (V,) bool, input vertices whose faces are not one fan; they keep their position.
+        face_order: (N,) int32, the input face at each place of the order that faces had; None for the input's.
+        stopped: "target", "max_error", "max_size_error" or "no legal collapse".
+        log: the collapses.
+        drops: the pruned components.
+    """
+
+    faces: np.ndarray
+    face_map: np.ndarray
+    root: np.ndarray
+    key_position: wp.array
+    row: np.ndarray
+    position: wp.array
+    quadric: wp.array
+    constrained: np.ndarray
+    line_rank: np.ndarray
+    frozen: np.ndarray
+    face_order: np.ndarray | None
+    stopped: str
+    log: CollapseRecord
+    drops: DropRecord
+
+
+@dataclass(frozen=True)
+class DecimationInput:
+    """A mesh on the device's scale: positions in diagonals, per-vertex values as in :class:`MeshState`."""
+
+    faces: np.ndarray  # (N, 3) int32
+    key_position: wp.array  # (V, B) blocks of points, in diagonals
+    key_count: int
+    vertex_flags: np.ndarray  # (V,) int32
+    quadric_scale: np.ndarray  # (V,) float32
+    cost_weight: np.ndarray  # (V,) float32
+    seam: np.ndarray  # (3N,) int32, 1 at both half-edges of a seam edge
+    trajectories: np.ndarray | None  # (V, F, 3) float32, in diagonals, only with a deformation term
+    attributes: np.ndarray | None  # (N, 3, C) float64 at the corners, times their weights; None for none
+    matrices: np.ndarray | None = (
+        None  # (V, 3, 3), of one key frame: quadrics about the vertices in place of the faces'
+    )
+    sums: QuadricSums | None = None  # quadrics of other vertices that count at a vertex too
+
+
+@dataclass(frozen=True)
+class _Collapsed:
+    """What the collapses left: rows of each vertex (V, B), half-edge and vertex flags, the log, pruned components."""
+
+    position: wp.array
+    quadric: wp.array
+    constrained: np.ndarray
+    frozen: np.ndarray
+    stopped: str
+    log: CollapseRecord
+    drops: DropRecord
+
+
+def order_collapses(
+    mesh: DecimationInput,
+    settings: OrderSettings,
+    device: str,
+    progress: Callable[[int], None] | None = None,
+    recorder: NodeRecorder | None = None,
+) -> DecimatedMesh:
+    """Collapse edges down to the target.
+
+    ``progress`` is called with the live face count after each pass; ``recorder`` keeps every vertex on the way.
+    """
+    vertex_count = len(mesh.vertex_flags)
+    if len(mesh.faces) >= ARRANGED_FACES:
+        arrangement = arrange(mesh.faces, mesh.key_position[:, :1].numpy()[:, 0, :, 0])
+        collapsed = _collapse(_rearranged(mesh, arrangement), settings, device, progress, recorder)
+        row, log, face_order = arrangement.place, arrangement.restore_log(collapsed.log), arrangement.face
+        drops = collapsed.drops.for_vertices(arrangement.vertex)
+        constrained = arrangement.restore_corners(collapsed.constrained)
+    else:
+        moving = replace(mesh, key_position=wp.clone(mesh.key_position))
+        collapsed = _collapse(moving, settings, device, progress, recorder)
+        row, log, constrained = np.arange(vertex_count, dtype=np.int32), collapsed.log, collapsed.constrained
+        drops, face_order = collapsed.drops, None
+    root = log.roots(vertex_count)
+    faces = root[mesh.faces]
+    face_map = faces_left(mesh.faces, faces, drops)
+    return DecimatedMesh(
+        faces=faces[face_map],
+        face_map=face_map,
+        root=root,
+        key_position=mesh.key_position,
+        row=row,
+        position=collapsed.position,
+        quadric=collapsed.quadric,
+        constrained=constrained,
+        line_rank=np.where(
+            mesh.vertex_flags & int(CORNER), 2, _ends(mesh.faces, constrained, vertex_count).astype(np.int32)
+        ),
+        frozen=collapsed.frozen[row],
+        face_order=face_order,
+        stopped=collapsed.stopped,
+        log=log,
+        drops=drops,
+    )
+
+
+def faces_left(input_faces: np.ndarray, faces: np.ndarray, drops: DropRecord) -> np.ndarray:
+    """(N',) int32, the input's faces that collapses and drops left; ``faces`` (N, 3) are the roots of their corners.
+
+    A collapse takes the faces that hold both its ends: the faces left are those whose corners stayed apart.
+    """
+    apart = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    if len(drops):
+        apart &= drops.vertex_drop[input_faces[:, 0]] < 0
+    return np.flatnonzero(apart).astype(np.int32)
+
+
+def _rearranged(mesh: DecimationInput, arrangement: Arrangement) -> DecimationInput:
+    device, vertex = mesh.key_position.device, arrangement.vertex
+    position = wp.empty_like(mesh.key_position)
+    kernel = arrangement_kernels.gather_rows[width_of(position)]
+    index = wp.array(vertex, device=device)
+
+    def gather(part: slice) -> None:
+        launch(
+            kernel,
+            dim=(part.stop - part.start, position.shape[1]),
+            inputs=[mesh.key_position, index[part]],
+            outputs=[position[part]],
+            device=device,
+        )
+
+    launch_parts(gather, len(vertex), device)
+    return replace(
+        mesh,
+        faces=arrangement.rearrange_faces(mesh.faces),
+        key_position=position,
+        vertex_flags=mesh.vertex_flags[vertex],
+        quadric_scale=mesh.quadric_scale[vertex],
+        cost_weight=mesh.cost_weight[vertex],
+        seam=arrangement.rearrange_corners(mesh.seam),
+        trajectories=None if mesh.trajectories is None else mesh.trajectories[vertex],
+        attributes=None if mesh.attributes is None else mesh.attributes[arrangement.face],
+        matrices=None if mesh.matrices is None else mesh.matrices[vertex],
+        sums=None if mesh.sums is None else mesh.sums.renumbered(arrangement.place),
+    )
+
+
+def _collapse(
+    mesh: DecimationInput,
+    settings: OrderSettings,
+    device: str,
+    progress: Callable[[int], None] | None,
+    recorder: NodeRecorder | None,
+) -> _Collapsed:
+    """Collapse edges; the rows of ``mesh.key_position`` move along."""
+    vertex_count = len(mesh.vertex_flags)
+    corner_vertex = wp.array(mesh.faces.ravel(), dtype=wp.int32, device=device)
+    state = MeshState()
+    state.face_count = wp.array([len(mesh.faces)], dtype=wp.int32, device=device)
+    adjacency = build_adjacency(corner_vertex, vertex_count, state.face_count, spare=len(corner_vertex))
+    state.corner_vertex = corner_vertex
+    state.adjacency = adjacency.lists
+    state.vertex_flags = wp.array(mesh.vertex_flags, dtype=wp.int32, device=device)
+    constrained = classify_vertices(corner_vertex, adjacency, state.vertex_flags).numpy() | 2 * mesh.seam
+    frozen = (state.vertex_flags.numpy() & int(NON_MANIFOLD)) != 0
+    state.seam = wp.array(mesh.seam, dtype=wp.int32, device=device)
+    width = width_of(mesh.key_position)
+    frames = KEY_FRAMES[width]()
+    frames.position = mesh.key_position
+    state.quadric_scale = wp.array(mesh.quadric_scale, dtype=wp.float32, device=device)
+    if mesh.matrices is None:
+        frames.quadric = initial_quadrics(corner_vertex, adjacency, constrained, mesh.key_position, state.quadric_scale)
+    else:
+        frames.quadric = given_quadrics(mesh.matrices, device)
+    if mesh.sums is not None:
+        added = add_quadric_sums(mesh.sums, mesh.key_position, frames.quadric)
+        if settings.memoryless:
+            rows = np.full(vertex_count, -1, dtype=np.int32)
+            rows[mesh.sums.row] = np.arange(len(mesh.sums.row))
+            state.sum_row, frames.kept_sum = wp.array(rows, device=device), added
+    state.cost_weight = wp.array(mesh.cost_weight, dtype=wp.float32, device=device)
+    state.edge_cost = wp.empty(len(corner_vertex), dtype=wp.float32, device=device)
+    state.trajectory, state.deformation = build_deformation(mesh.trajectories, len(mesh.faces), device)
+    state.wedges = build_wedges(mesh.faces, mesh.key_position, mesh.attributes, mesh.key_count)
+    state.members = build_members(mesh.faces, mesh.key_position)
+
+    model = CostModel()
+    model.key_count = float(mesh.key_count)
+    model.epsilon = settings.epsilon
+    model.endpoint = int(settings.endpoint)
+    lowest_limit = min(settings.error_limit, settings.size_limit)
+    model.error_limit = lowest_limit**2
+    # The term sums over all frames, the quadrics over the key frames: brought to the same number of frames.
+    frame_count = 1 if mesh.trajectories is None else mesh.trajectories.shape[1]
+    model.deformation_weight = settings.deformation_weight * mesh.key_count / frame_count
+
+    steps = PassSteps(state, frames, adjacency, model, device, settings.memoryless)
+    orderer = _new_ordering(steps)
+    components = (
+        None if settings.keep_components else Components(state, model.epsilon, settings.error_limit**2, lowest_limit**2)
+    )
+    if components is not None and components.count == 1:
+        # One always stays.
+        components = None
+    if recorder is not None:
+        recorder.begin(settings.memoryless)
+    stopped = orderer.run(settings.target_faces, progress, recorder, components)
+    if stopped == "max_error" and settings.size_limit < settings.error_limit:
+        stopped = "max_size_error"
+    if mesh.attributes is not None:
+        launch(
+            attribute_kernels.add_attribute_quadrics[width],
+            dim=vertex_count,
+            inputs=[state.wedges.quadric],
+            outputs=[frames.quadric],
+            device=device,
+        )
+    log = read_log(steps.log_rows, orderer.collapse_count())
+    drops = DropRecord.none(vertex_count) if components is None else components.record(orderer.drops)
+    return _Collapsed(frames.position, frames.quadric, constrained, frozen, stopped, log, drops)
+
+
+def _new_ordering(steps: PassSteps) -> Ordering:
+    """The loop for a kind of device: a GPU waits too long for the host, and a CPU for dead faces."""
+    return DeviceOrderer(steps) if device_traits(steps.device).captures else Orderer(steps)
+
+
+def _ends(faces: np.ndarray, half_edge_flags: np.ndarray, vertex_count: int) -> np.ndarray:
+    """(V,) bool, vertices at an end of a flagged half-edge."""
+    flagged = half_edge_flags.reshape(-1, 3) != 0
+    ends = np.zeros(vertex_count, dtype=bool)
+    ends[faces[flagged]] = True
+    ends[np.roll(faces, -1, axis=1)[flagged]] = True
+    return ends

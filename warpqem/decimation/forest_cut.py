@@ -1,0 +1,140 @@
+"""Cuts through the forest of collapses: levels that go further in one place than in another.
+
+A collapse merges two clusters of input vertices, so a log of collapses is a forest (Xia & Varshney, "Dynamic view-
+dependent simplification for polygonal models", 1996; Hoppe, "View-dependent refinement of progressive meshes", 1997).
+A cut keeps some of them, each with all that made its two clusters. The mesh of a cut has the edges that ordering saw
+between the same clusters, so its collapses keep the surface as it is, with one exception: where a collapse is left
+out, its two ends stay, and both touch its opposite vertices. These must not merge either, or the faces at the edge
+between the ends would fold onto each other.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+
+from warpqem.decimation.collapse_log import CollapseRecord
+from warpqem.decimation.pruning import DropRecord
+
+__all__ = ["CollapseForest", "Cut", "last_collapses"]
+
+
+def last_collapses(log: CollapseRecord, kept: np.ndarray, vertex_count: int) -> np.ndarray:
+    """The last collapse of the cluster that goes by each vertex, of those kept, (C,) bool.
+
+    Returns:
+        (V,) int, -1 for a vertex of the input itself, or one that collapsed into another first.
+    """
+    last = np.full(vertex_count, -1, dtype=np.int64)
+    index = np.flatnonzero(kept)
+    # Of several the last one counts.
+    last[log.kept[index]] = index
+    return last
+
+
+@dataclass(frozen=True)
+class Cut:
+    """A level between the input and what ordering left.
+
+    Attributes:
+        kept: (C,) bool, the collapses that it makes.
+        dropped: (D,) bool, the small components that it prunes.
+    """
+
+    kept: np.ndarray
+    dropped: np.ndarray
+
+
+class CollapseForest:
+    """The collapses of one ordering and what each needs.
+
+    Args:
+        log: the collapses.
+        drops: the pruned components.
+        vertex_count: input vertices.
+    """
+
+    def __init__(self, log: CollapseRecord, drops: DropRecord, vertex_count: int) -> None:
+        self.log, self.drops, self._vertex_count = log, drops, vertex_count
+        ends = [*np.flatnonzero(np.diff(log.round_index)) + 1, len(log)]
+        # Of one round no two collapses share a vertex.
+        self._rounds = [slice(a, b) for a, b in itertools.pairwise([0, *ends])]
+        # The collapses that made the two clusters of each one, (C, 2); -1 for an input vertex.
+        self._parts = np.empty((len(log), 2), dtype=np.int64)
+        # The collapse that takes the cluster of each one, (C,), and the first one of each input vertex, (V,); -1 for
+        # none.
+        self._next = np.full(len(log), -1, dtype=np.int64)
+        self._first = np.full(vertex_count, -1, dtype=np.int64)
+        last = np.full(vertex_count, -1, dtype=np.int64)
+        for part in self._rounds:
+            index = np.arange(part.start, part.stop)
+            for column, vertex in enumerate((log.kept[part], log.removed[part])):
+                made = last[vertex]
+                self._parts[part, column] = made
+                self._next[made[made >= 0]] = index[made >= 0]
+                self._first[vertex[made < 0]] = index[made < 0]
+            last[log.kept[part]] = index
+
+    def within(self, error: float) -> Cut:
+        """The furthest level whose collapses and drops have no larger error."""
+        return self._closed(self.log.error <= error, self.drops.error <= error)
+
+    def last_collapses(self, cut: Cut) -> np.ndarray:
+        """(V,) int, see :func:`last_collapses`."""
+        return last_collapses(self.log, cut.kept, self._vertex_count)
+
+    def without(self, cut: Cut, collapses: np.ndarray, drops: np.ndarray) -> Cut:
+        """A cut without some collapses and drops (indices), and without what needs them."""
+        kept, dropped = cut.kept.copy(), cut.dropped.copy()
+        kept[collapses], dropped[drops] = False, False
+        return self._closed(kept, dropped)
+
+    def with_parts(self, collapses: np.ndarray, generations: int) -> np.ndarray:
+        """Collapses (indices), and so many generations of those that made their clusters."""
+        found = newest = collapses
+        for _ in range(generations):
+            newest = self._parts[newest].ravel()
+            newest = np.unique(newest[newest >= 0])
+            found = np.concatenate([found, newest])
+        return np.unique(found)
+
+    def faces_removed(self, cut: Cut) -> int:
+        """Faces of the input that a cut is without."""
+        return int(self.log.faces_removed[cut.kept].sum()) + int(self.drops.face_count[cut.dropped].sum())
+
+    def _closed(self, kept: np.ndarray, dropped: np.ndarray) -> Cut:
+        """The largest cut within a choice of collapses and drops."""
+        kept = kept.copy()
+        while True:
+            self._drop_dependent(kept)
+            joined = self._joined_opposites(kept)
+            if not len(joined):
+                break
+            kept[joined] = False
+        if len(self.drops):
+            # What was pruned was a component as far as its collapses went.
+            owner = self.drops.vertex_drop[self.log.kept]
+            dropped = dropped.copy()
+            dropped[owner[~kept & (owner >= 0)]] = False
+        return Cut(kept, dropped)
+
+    def _drop_dependent(self, kept: np.ndarray) -> None:
+        """Take out the collapses of clusters that others would have made."""
+        for part in self._rounds:
+            parts = self._parts[part]
+            kept[part] &= (kept[parts] | (parts < 0)).all(axis=1)
+
+    def _joined_opposites(self, kept: np.ndarray) -> np.ndarray:
+        """Collapses that join the two opposite vertices of one that is left out."""
+        root = self.log.chosen(kept).roots(self._vertex_count)
+        opposites = self.log.opposites[~kept]
+        opposites = opposites[opposites[:, 1] >= 0]
+        opposites = opposites[root[opposites[:, 0]] == root[opposites[:, 1]]]
+        # Collapses come after those that they need: from two vertices of one cluster, the earlier one goes on until
+        # both are the collapse that joins them.
+        one, other = self._first[opposites[:, 0]], self._first[opposites[:, 1]]
+        while (one != other).any():
+            one, other = np.where(one < other, self._next[one], one), np.where(other < one, self._next[other], other)
+        return np.unique(one)

@@ -1,0 +1,101 @@
+"""Quadrics of the present faces at any state between the input and what ordering left, for memoryless orders.
+
+A memoryless quadric is that of the faces around a vertex as they are (Lindstrom & Turk 1998), so that it changes with
+every collapse nearby and is no sum that could be recorded once. It is made anew from what is recorded: where the
+vertices were, and which collapses there were. One-rings hold their corners in ascending order, and so do those built
+here, so that the sums have the bits that decimation had.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from warpqem.decimation.adjacency import build_adjacency
+from warpqem.decimation.decimate import DecimatedMesh
+from warpqem.decimation.initial_quadrics import CONSTRAINT_WEIGHT
+from warpqem.decimation.recorded_steps import Phase, Step, part_work, record_shared
+from warpqem.kernels import memoryless_quadric as kernels
+from warpqem.kernels.lanes import width_of
+from warpqem.kernels.mesh_state import KEY_FRAMES, MeshState
+from warpqem.kernels.topology import BORDER
+from warpqem.runtime.cpu_threads import thread_count
+from warpqem.runtime.launches import Recorder
+
+__all__ = ["MemorylessQuadrics"]
+
+
+class MemorylessQuadrics:
+    """Makes quadrics of the faces at a state of an ordering.
+
+    Args:
+        input_faces: (N, 3) int32, what was ordered.
+        ordered: what that left.
+    """
+
+    def __init__(self, input_faces: np.ndarray, ordered: DecimatedMesh) -> None:
+        self._input_faces, self._ordered = input_faces, ordered
+        half_edge = np.stack([input_faces.ravel(), np.roll(input_faces, -1, axis=1).ravel()], axis=1)
+        self._seams = half_edge[(ordered.constrained & 2) != 0]
+        self._borders = np.unique(half_edge[(ordered.constrained & 1) != 0])
+
+    def fill(
+        self, root: np.ndarray, face_map: np.ndarray, wanted: np.ndarray, scale: np.ndarray, position: wp.array,
+        quadric: wp.array,
+    ) -> None:  # fmt: skip
+        """Put the quadrics of some vertices in place.
+
+        Args:
+            root: (V,) int32, the vertex that each input vertex collapsed into.
+            face_map: (M,) int32 ascending, the input's faces that are left.
+            wanted: (n,) int32, rows of the vertices.
+            scale: (n,) float32, what planes at each count.
+            position: (V, B) points, rows of all vertices that are left.
+            quadric: (V, B), where the rows are put.
+        """
+        ordered, device = self._ordered, position.device
+        if ordered.face_order is not None:
+            # As ordering had them, so that the adjacency lists corners in the same order.
+            place = np.empty_like(ordered.face_order)
+            place[ordered.face_order] = np.arange(len(place), dtype=place.dtype)
+            face_map = face_map[np.argsort(place[face_map])]
+        row = ordered.row[root]
+        corner_vertex = row[self._input_faces[face_map]].ravel().astype(np.int32)
+        flags = np.zeros(len(root), dtype=np.int32)
+        flags[row[self._borders]] = int(BORDER)
+        scales = np.ones(len(root), dtype=np.float32)
+        scales[wanted] = scale
+        mask = np.zeros(len(root), dtype=np.int32)
+        mask[wanted] = 1
+        state, frames = MeshState(), KEY_FRAMES[width_of(position)]()
+        state.corner_vertex = wp.array(corner_vertex, device=device)
+        state.adjacency = build_adjacency(state.corner_vertex, len(root)).lists
+        state.vertex_flags = wp.array(flags, device=device)
+        state.quadric_scale = wp.array(scales, device=device)
+        state.seam = wp.array(_images(row[self._seams], corner_vertex, len(root)), device=device)
+        frames.position, frames.quadric = position, quadric
+        weights = kernels.LineWeights()
+        weights.border, weights.seam = CONSTRAINT_WEIGHT[1], CONSTRAINT_WEIGHT[2]
+        chosen, one = wp.array(mask, device=device), wp.array([1], dtype=wp.int32, device=device)
+        part_count = thread_count(str(device))
+
+        def renew(recorder: Recorder, part: int) -> None:
+            work = part_work(part, part_count, str(device))
+            kernel = kernels.renew_quadrics[width_of(position)]
+            record_shared(recorder, kernel, [state, frames, weights, chosen, one], work)
+
+        Step([Phase(renew, part_count)], str(device)).run()
+
+
+def _images(seams: np.ndarray, corner_vertex: np.ndarray, vertex_count: int) -> np.ndarray:
+    """(3M,) int32, 1 at the half-edges that seam edges (S, 2) have become: an edge of two that merged is one if either.
+
+    Both half-edges of an edge are.
+    """
+    faces = corner_vertex.reshape(-1, 3)
+    ends = np.stack([faces.ravel(), np.roll(faces, -1, axis=1).ravel()], axis=1).astype(np.int64)
+    key, image = (
+        np.minimum(pairs[:, 0], pairs[:, 1]).astype(np.int64) * vertex_count + np.maximum(pairs[:, 0], pairs[:, 1])
+        for pairs in (ends, seams)
+    )
+    return np.isin(key, image).astype(np.int32)

@@ -1,0 +1,96 @@
+"""What every loop of passes over a mesh has: its log, the faces that are left, and what to do where it ends."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from warpqem.decimation.collapse_nodes import NodeRecorder
+from warpqem.decimation.pass_steps import ROUNDS, PassSteps
+from warpqem.decimation.pruning import ComponentDrop, Components
+
+__all__ = ["Ordering"]
+
+
+class Ordering:
+    """Collapses the edges of one mesh state, pass by pass.
+
+    Attributes:
+        steps: what passes are made of.
+        log: the collapses so far.
+        face_slots: faces in the arrays, dead ones included.
+        live_faces: faces that are left.
+        drops: the pruned components.
+    """
+
+    def __init__(self, steps: PassSteps) -> None:
+        self.steps = steps
+        self.state, self.frames, self.model, self.device = steps.state, steps.frames, steps.model, steps.device
+        self.log = steps.log
+        self.face_slots = len(self.state.corner_vertex) // 3
+        self.live_faces = self.face_slots
+        self.drops: list[ComponentDrop] = []
+
+    def run(
+        self,
+        target_faces: int,
+        progress: Callable[[int], None] | None = None,
+        recorder: NodeRecorder | None = None,
+        components: Components | None = None,
+    ) -> str:
+        """Collapse until the target is met; small ones of ``components``, if given, may be pruned.
+
+        ``progress`` is called with the live face count after each pass, ``recorder`` is shown what each pass merged.
+
+        Returns:
+            "target"; "max_error" when every edge left would exceed the model's error limit or is illegal, and at least
+            one is held back by the limit alone; "no legal collapse" otherwise.
+        """
+        raise NotImplementedError
+
+    def collapse_count(self) -> int:
+        """Collapses in the log."""
+        return int(self.log.count.numpy()[0])
+
+    def drop_components(self, components: Components, target_faces: int, cost_threshold: float) -> int:
+        """Prune small components that cost no more than a threshold.
+
+        Returns:
+            The faces that went with them.
+        """
+        excess = self.live_faces - target_faces
+        drops = components.drop(self.frames, cost_threshold, excess, self.collapse_count(), self.face_slots)
+        self.drops += drops
+        dropped = sum(drop.face_count for drop in drops)
+        self.live_faces -= dropped
+        return dropped
+
+    def stop_reason(self) -> str:
+        """Why no edge is left to collapse, as :meth:`run` says it; nothing may collapse after it."""
+        held_back = not np.isinf(self.model.error_limit) and self._collapses_without_limit()
+        return "max_error" if held_back else "no legal collapse"
+
+    def _collapses_without_limit(self) -> bool:
+        """Whether a collapse is legal once the error limit is lifted; computes all costs anew."""
+        self.model.error_limit = np.inf
+        self.steps.forget_launches()
+        self.steps.price_all().run()
+        launches = self.steps.launches(1)
+        # Every edge is a candidate.
+        self.steps.sample_step.fill_(1)
+        self.steps.wanted.fill_(3 * self.face_slots)
+        pass_number = int(self.steps.pass_number.numpy()[0])
+        while True:
+            pass_number += 1
+            self.steps.pass_number.fill_(pass_number)
+            launches.collect.run()
+            if not launches.candidates[0].count.numpy().any():
+                return False
+            for i in range(ROUNDS):
+                launches.choose[i % 2].run()
+                count = int(launches.winners.count.numpy()[0])
+                if self.steps.faces_removed[:count].numpy().any():
+                    return True
+                # None is legal: they are suspended, which leaves others to be selected.
+                launches.commit[i % 2].run()

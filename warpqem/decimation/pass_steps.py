@@ -1,0 +1,317 @@
+"""The steps of a pass, recorded once and replayed in every pass, and the arrays that they hand each other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import warp as wp
+
+from warpqem.decimation.adjacency import Adjacency
+from warpqem.decimation.collapse_log import new_log
+from warpqem.decimation.initial_quadrics import CONSTRAINT_WEIGHT
+from warpqem.decimation.recorded_steps import Phase, Step, new_edge_list, part_work, record_shared
+from warpqem.kernels import collapse as collapse_kernels
+from warpqem.kernels import deformation as deformation_kernels
+from warpqem.kernels import edge_cost as cost_kernels
+from warpqem.kernels import independent_set as set_kernels
+from warpqem.kernels import legality as legality_kernels
+from warpqem.kernels import memoryless_quadric as memoryless_kernels
+from warpqem.kernels.lanes import width_of
+from warpqem.kernels.mesh_state import AnyKeyFrames, CostModel, MeshState
+from warpqem.kernels.work import EdgeList
+from warpqem.runtime.cpu_threads import thread_count
+from warpqem.runtime.device import device_traits
+from warpqem.runtime.launches import Recorder
+
+__all__ = ["ROUNDS", "PassLaunches", "PassSteps"]
+
+# Rounds of reservations a pass; each selects collapses among the candidates that the earlier ones left free.
+ROUNDS = 3
+
+# A face may turn over in this part of the key frames (crumpling motion); 1 of 16.
+FLIP_FRACTION = 0.07
+HISTOGRAM_BINS = 4096
+# Stretches of bins that a thread each looks through, and each of which a thread adds up: the work of both is the same.
+HISTOGRAM_STRETCHES = 128
+
+
+@dataclass(frozen=True)
+class PassLaunches:
+    """The steps of a pass, recorded for a number of parts. Rounds take turns with two lists of candidates."""
+
+    collect: Step
+    choose: tuple[Step, Step]
+    commit: tuple[Step, Step]
+    build_adjacency: Step
+    update_adjacency: Step
+    renew: Step
+    candidates: tuple[EdgeList, EdgeList]
+    winners: EdgeList
+    legal: wp.array
+
+
+class PassSteps:
+    """What the passes over one mesh state are made of.
+
+    Attributes:
+        threads: CPU threads that large steps are split over.
+        log: the collapses so far.
+        log_rows: where its arrays lie, see :func:`warpqem.decimation.collapse_log.new_log`.
+        pass_number, pass_begin: (1,) int32, the pass at work, and the length of the log when it began.
+        wanted: (1,) int32, edges that a pass is to look at.
+        sample_step: (1,) int32, the cost threshold is read off every so many half-edges.
+        cost_threshold: (1,) float32, the cost that candidates stay below.
+        faces_removed: int32, the faces that each selected collapse removes; 0 for an illegal one.
+        lists: room (3N,) int32 for the two lists of candidates that rounds take turns with, and for the selected ones.
+
+    Args:
+        memoryless: quadrics are those of the present faces.
+    """
+
+    def __init__(
+        self,
+        state: MeshState,
+        frames: AnyKeyFrames,
+        adjacency: Adjacency,
+        model: CostModel,
+        device: str,
+        memoryless: bool = False,
+    ) -> None:
+        self.state, self.frames, self.adjacency, self.model, self.device = state, frames, adjacency, model, device
+        self._width, self._memoryless = width_of(frames.position), memoryless
+        face_count = len(state.corner_vertex) // 3
+        vertex_count = len(state.vertex_flags)
+        self._flip_tolerance = int(FLIP_FRACTION * model.key_count)
+        self.threads = thread_count(device)
+        self.log, self.log_rows = new_log(vertex_count, device)
+        self.pass_number, self.pass_begin, self.wanted, self.sample_step = (self.integers(1) for _ in range(4))
+        self.cost_threshold = wp.zeros(1, dtype=wp.float32, device=device)
+        self._reservation = wp.full(vertex_count, set_kernels.UNRESERVED, dtype=wp.int64, device=device)
+        self._mask, self._dropped = self.integers(vertex_count), self.integers(vertex_count)
+        # Selected edges share no vertex, so there are V / 2 at most; an edge stands at one of its two half-edges.
+        max_selected = vertex_count // 2 + 1
+        self.lists = [wp.empty(3 * face_count, dtype=wp.int32, device=device) for _ in range(3)]
+        self.faces_removed = self.integers(max_selected)
+        shape = (max_selected, frames.position.shape[1])
+        self._target = wp.empty(shape, dtype=frames.position.dtype, device=device)
+        self._anchor, self._error = (wp.empty(max_selected, dtype=wp.float32, device=device) for _ in range(2))
+        self._launches: dict[int, PassLaunches] = {}
+
+    def integers(self, count: int) -> wp.array:
+        """(count,) int32 zeros."""
+        return wp.zeros(count, dtype=wp.int32, device=self.device)
+
+    def price_all(self) -> Step:
+        """Compute all costs by the model as it is now."""
+
+        def compute_costs(recorder: Recorder, part: int) -> None:
+            work = part_work(part, self.threads, self.device)
+            record_shared(
+                recorder, cost_kernels.compute_all_costs[self._width], [self.state, self.frames, self.model], work
+            )
+
+        measured = self._measuring(deformation_kernels.measure_all_deformation, [self.state])
+        return self._step([*measured, Phase(compute_costs, self.threads)])
+
+    def _measuring(self, kernel: wp.Kernel, inputs: list[Any]) -> list[Phase]:
+        """Measure anew what the deformation term sums over all frames; nothing where there is none."""
+
+        def measure(recorder: Recorder, part: int) -> None:
+            record_shared(recorder, kernel, inputs, part_work(part, self.threads, self.device))
+
+        return [Phase(measure, self.threads)] if self.model.deformation_weight > 0 else []
+
+    def launches(self, part_count: int) -> PassLaunches:
+        """The steps for so many parts, recorded when they are first asked for."""
+        if part_count not in self._launches:
+            candidates = tuple(new_edge_list(storage, part_count) for storage in self.lists[:2])
+            winners = new_edge_list(self.lists[2], part_count)
+            legal, space, slot, pool_slot = (self.integers(part_count) for _ in range(4))
+            choose, commit = [], []
+            for now, left in ((candidates[0], candidates[1]), (candidates[1], candidates[0])):
+                choose.append([self._emptying(winners), *self.choosing(now, winners, legal, space, part_count)])
+                commit.append(
+                    [
+                        self._opening(legal, space, slot, pool_slot),
+                        self._emptying(left),
+                        *self.committing(now, left, winners, self.faces_removed, slot, pool_slot, part_count),
+                    ]
+                )
+            histogram = wp.zeros((part_count, HISTOGRAM_BINS), dtype=wp.int32, device=self.device)
+            self._launches[part_count] = PassLaunches(
+                collect=self._step(
+                    [
+                        Phase(lambda recorder, _: recorder.copy(self.pass_begin, self.log.count)),
+                        self._emptying(candidates[0]),
+                        *self.collecting(candidates[0], histogram, part_count),
+                    ]
+                ),
+                choose=(self._step(choose[0]), self._step(choose[1])),
+                commit=(self._step(commit[0]), self._step(commit[1])),
+                build_adjacency=self._step(self.adjacency.phases(part_count)),
+                update_adjacency=self._step(self.keeping_stars(part_count)),
+                renew=self._step(self.renewing(part_count)),
+                candidates=candidates,
+                winners=winners,
+                legal=legal,
+            )
+        return self._launches[part_count]
+
+    def forget_launches(self) -> None:
+        """Have the steps recorded anew: recorded ones know the model as it was."""
+        self._launches.clear()
+
+    def _step(self, phases: Sequence[Phase]) -> Step:
+        return Step(phases, self.device)
+
+    @staticmethod
+    def _emptying(edges: EdgeList) -> Phase:
+        return Phase(lambda recorder, _: recorder.zero(edges.count))
+
+    def collecting(self, candidates: EdgeList, histogram: wp.array, part_count: int) -> list[Phase]:
+        """Fill an empty list of candidates with the cheapest edges; ``histogram`` is zero between passes."""
+        state = self.state
+
+        def count(recorder: Recorder, part: int) -> None:
+            work = part_work(part, part_count, self.device)
+            record_shared(recorder, set_kernels.count_costs, [state, self.sample_step], work, [histogram])
+
+        def find_cost_threshold(recorder: Recorder, _: int) -> None:
+            inputs = [self.wanted, self.sample_step]
+            if device_traits(self.device).in_order:
+                recorder.launch(set_kernels.find_cost_threshold, 1, inputs, [histogram, self.cost_threshold])
+                return
+            sums = self.integers(HISTOGRAM_STRETCHES)
+            recorder.launch(set_kernels.sum_bins, len(sums), [histogram], [sums])
+            recorder.launch(set_kernels.find_cap_by_sums, len(sums), [*inputs, sums], [histogram, self.cost_threshold])
+
+        def collect(recorder: Recorder, part: int) -> None:
+            work = part_work(part, part_count, self.device)
+            record_shared(recorder, set_kernels.collect_candidates, [state, self.cost_threshold], work, [candidates])
+
+        return [Phase(count, part_count), Phase(find_cost_threshold), Phase(collect, part_count)]
+
+    def choosing(
+        self, candidates: EdgeList, winners: EdgeList, legal: wp.array, space: wp.array, part_count: int
+    ) -> list[Phase]:
+        """Reserve vertices, then select, place and check collapses, into the empty list ``winners``.
+
+        ``legal`` and ``space`` count the legal ones of each part, and the pool entries of their adjacency; empty
+        where nobody asks.
+        """
+        state, frames = self.state, self.frames
+
+        def reservation(recorder: Recorder, part: int) -> None:
+            work = part_work(part, part_count, self.device)
+            record_shared(recorder, set_kernels.reserve_vertices, [state, candidates], work, [self._reservation])
+
+        def select(recorder: Recorder, part: int) -> None:
+            work = part_work(part, part_count, self.device)
+            record_shared(recorder, set_kernels.select_winners, [state, candidates, self._reservation], work, [winners])
+
+        def check(recorder: Recorder, part: int) -> None:
+            work = part_work(part, part_count, self.device)
+            record_shared(recorder, set_kernels.withdraw_claims, [state, candidates], work, [self._reservation])
+            targets = [self._target, self._anchor]
+            record_shared(
+                recorder,
+                legality_kernels.place_winners[self._width],
+                [state, frames, self.model, winners],
+                work,
+                targets,
+            )
+            checked = [state, frames, self.model, winners, self._target, self._flip_tolerance]
+            outputs = [self.faces_removed, self._error, legal, space]
+            record_shared(recorder, legality_kernels.check_collapses[self._width], checked, work, outputs)
+
+        return [Phase(reservation, part_count), Phase(select, part_count), Phase(check, part_count)]
+
+    def _opening(self, legal: wp.array, space: wp.array, slot: wp.array, pool_slot: wp.array) -> Phase:
+        """Reserve room for what was counted, from the first slot of each part on."""
+        outputs = [legal, space, self.log, slot, self.state.adjacency.used, pool_slot]
+        return Phase(lambda recorder, _: recorder.launch(collapse_kernels.open_log, 1, [], outputs))
+
+    def committing(
+        self,
+        candidates: EdgeList,
+        candidates_left: EdgeList,
+        winners: EdgeList,
+        faces_removed: wp.array,
+        slot: wp.array,
+        pool_slot: wp.array,
+        part_count: int,
+    ) -> list[Phase]:
+        """Apply the collapses that remove faces, and keep the candidates that they leave free, in an empty list.
+
+        ``slot`` and ``pool_slot`` count up from the first free places of each part, in the log and the adjacency pool.
+        """
+        state, frames = self.state, self.frames
+
+        def commit(recorder: Recorder, part: int) -> None:
+            work = part_work(part, part_count, self.device)
+            checked = [faces_removed, self._target, self._anchor, self._error]
+            inputs = [state, frames, winners, *checked, self.pass_number]
+            record_shared(
+                recorder,
+                collapse_kernels.commit_winners[self._width],
+                inputs,
+                work,
+                [self._mask, self.log, slot, pool_slot],
+            )
+
+        def shrink(recorder: Recorder, part: int) -> None:
+            work = part_work(part, part_count, self.device)
+            inputs = [state, self._mask, self.pass_number, self.cost_threshold, candidates]
+            record_shared(recorder, set_kernels.shrink_candidates, inputs, work, [candidates_left])
+
+        return [Phase(commit, part_count), Phase(shrink, part_count)]
+
+    def keeping_stars(self, part_count: int) -> list[Phase]:
+        """Bring the adjacency of opposite vertices up to date; that of moved vertices is since the commit."""
+
+        def drop(recorder: Recorder, part: int) -> None:
+            work = part_work(part, part_count, self.device)
+            inputs = [self.state, self.log, self.pass_begin, self.pass_number]
+            record_shared(recorder, collapse_kernels.drop_dead_corners, inputs, work, [self._dropped])
+
+        return [Phase(drop, part_count)]
+
+    def renewing(self, part_count: int) -> list[Phase]:
+        """Update the costs of what moved, resume edges around it. Costs are worth all threads on any mesh."""
+        state = self.state
+
+        def update_costs(recorder: Recorder, part: int) -> None:
+            work = part_work(part, self.threads, self.device)
+            inputs = [state, self.frames, self.model, self.log, self.pass_begin]
+            record_shared(recorder, cost_kernels.update_moved_costs[self._width], inputs, work)
+
+        def resume(recorder: Recorder, part: int) -> None:
+            work = part_work(part, part_count, self.device)
+            record_shared(recorder, cost_kernels.resume_neighbourhoods, [state, self._mask, self.pass_number], work)
+
+        moved = [state, self.log, self.pass_begin]
+        measured = self._measuring(deformation_kernels.move_trajectories, moved)
+        measured += self._measuring(deformation_kernels.measure_moved_deformation, moved)
+        if self._memoryless:
+            return [*measured, *self._renewing_quadrics()]
+        return [*measured, Phase(update_costs, self.threads), Phase(resume, part_count)]
+
+    def _renewing_quadrics(self) -> list[Phase]:
+        """Make the quadrics around what moved anew, and the costs of all edges there."""
+        weights = memoryless_kernels.LineWeights()
+        weights.border, weights.seam = CONSTRAINT_WEIGHT[1], CONSTRAINT_WEIGHT[2]
+        around = [self._mask, self.pass_number]
+
+        def renew(recorder: Recorder, part: int) -> None:
+            work = part_work(part, self.threads, self.device)
+            inputs = [self.state, self.frames, weights, *around]
+            record_shared(recorder, memoryless_kernels.renew_quadrics[self._width], inputs, work)
+
+        def update_costs(recorder: Recorder, part: int) -> None:
+            work = part_work(part, self.threads, self.device)
+            inputs = [self.state, self.frames, self.model, *around]
+            record_shared(recorder, cost_kernels.update_neighbourhood_costs[self._width], inputs, work)
+
+        return [Phase(renew, self.threads), Phase(update_costs, self.threads)]

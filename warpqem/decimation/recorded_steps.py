@@ -1,0 +1,80 @@
+"""Steps of a pass: operations recorded once, and run in every pass with next to no work on the host."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import warp as wp
+
+from warpqem.kernels.work import EdgeList, Work
+from warpqem.runtime.cpu_threads import run_parts
+from warpqem.runtime.device import device_traits
+from warpqem.runtime.launches import Recorder
+
+__all__ = ["Phase", "Step", "new_edge_list", "part_work", "record_shared"]
+
+
+@dataclass(frozen=True)
+class Phase:
+    """Operations that may run at once, one group for each part of the work.
+
+    Attributes:
+        record: records the operations of one part.
+        part_count: parts, each on its own thread; 1 for what one thread does alone.
+    """
+
+    record: Callable[[Recorder, int], None]
+    part_count: int = 1
+
+
+class Step:
+    """Phases one after another, recorded when the step is made, run as often as asked."""
+
+    def __init__(self, phases: Sequence[Phase], device: str) -> None:
+        self._device = device
+        self._runs: list[list[Callable[[], None]]] = []
+        for part_count, group in itertools.groupby(phases, key=lambda phase: phase.part_count):
+            phases_alike = list(group)
+            if part_count == 1:
+                self._runs.append([self._recorded(phases_alike, 0)])
+                continue
+            for phase in phases_alike:
+                self._runs.append([self._recorded([phase], part) for part in range(part_count)])
+
+    def _recorded(self, phases: Sequence[Phase], part: int) -> Callable[[], None]:
+        recorder = Recorder(self._device)
+        for phase in phases:
+            phase.record(recorder, part)
+        return recorder.finish()
+
+    def run(self) -> None:
+        """Run all; on a CPU, done when this returns."""
+        for parts in self._runs:
+            run_parts(parts)
+
+
+def part_work(part: int, part_count: int, device: str) -> Work:
+    """The share of one part."""
+    work = Work()
+    work.part, work.part_count = part, part_count
+    work.lanes = device_traits(device).launch_threads
+    return work
+
+
+def record_shared(
+    recorder: Recorder, kernel: wp.Kernel, inputs: Sequence[Any], work: Work, outputs: Sequence[Any] = ()
+) -> None:
+    """Record a kernel that deals out its items by ``work``, its last input."""
+    recorder.launch(kernel, work.lanes, [*inputs, work], outputs)
+
+
+def new_edge_list(storage: wp.array, part_count: int) -> EdgeList:
+    """An empty list in ``part_count`` segments of ``storage`` (3N,) int32."""
+    edges = EdgeList()
+    edges.half_edge = storage
+    edges.count = wp.zeros(part_count, dtype=wp.int32, device=storage.device)
+    edges.capacity = len(storage) // part_count
+    return edges

@@ -1,0 +1,46 @@
+"""Undirected edges of a triangle mesh with their wings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+__all__ = ["EdgeTable", "edge_key", "edge_table"]
+
+
+@dataclass(frozen=True)
+class EdgeTable:
+    """Edges in ascending order of their ends.
+
+    Attributes:
+        ends: (E, 2) int32, lower vertex first.
+        wings: (E, 2) int32, the vertices opposite the edge in its first and last face, so that the first face
+            runs ``ends[0] -> ends[1]`` where the faces are consistently oriented; the second is -1 at a border.
+        face_count: (E,) int32, faces at the edge.
+    """
+
+    ends: np.ndarray
+    opposites: np.ndarray
+    face_count: np.ndarray
+
+
+def edge_key(tail: np.ndarray, head: np.ndarray, vertex_count: int) -> np.ndarray:
+    """One int64 for each undirected edge of a mesh of ``vertex_count`` vertices, ascending by its ends."""
+    return np.minimum(tail, head).astype(np.int64) * vertex_count + np.maximum(tail, head)
+
+
+def edge_table(faces: np.ndarray) -> EdgeTable:
+    """Edges of ``faces`` (N, 3) int."""
+    tail, head, opposite_vertex = faces.ravel(), np.roll(faces, -1, axis=1).ravel(), np.roll(faces, 1, axis=1).ravel()
+    low, high = np.minimum(tail, head), np.maximum(tail, head)
+    # Half-edges that run from the lower to the higher vertex come first within an edge.
+    key = edge_key(tail, head, int(faces.max()) + 1) * 2 + (tail > head)
+    order = np.argsort(key, kind="stable")
+    key = key[order] >> 1
+    first = np.flatnonzero(np.append(True, key[1:] != key[:-1]))
+    count = np.diff(np.append(first, len(key)))
+    last = first + count - 1
+    ends = np.stack([low[order[first]], high[order[first]]], axis=1)
+    opposites = np.stack([opposite_vertex[order[first]], np.where(count > 1, opposite_vertex[order[last]], -1)], axis=1)
+    return EdgeTable(ends.astype(np.int32), opposites.astype(np.int32), count.astype(np.int32))

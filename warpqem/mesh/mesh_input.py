@@ -1,0 +1,310 @@
+"""Take points and faces from the caller, check them, and find the mesh's unit scale."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from warpqem.arguments.array_input import FLOAT32_MAX, INDEX_LIMIT, first_beyond, first_outside, index_array, real_array
+from warpqem.errors import DegenerateMeshError, FaceIndexError, MeshShapeError, OptionError
+from warpqem.frames.blocks import frame_blocks
+from warpqem.frames.checked_frames import BrokenPoints, check_source, frame_bounds
+from warpqem.frames.stream import ArrayFrames, FrameSource, counted_frames, read_ahead
+
+if TYPE_CHECKING:
+    from warpqem.repair.mended_mesh import MeshRepair
+
+__all__ = [
+    "AnimatedMesh",
+    "FrameObserver",
+    "MeshInput",
+    "as_vertex_values",
+    "finite_points",
+    "is_proper",
+    "measure_mesh",
+    "read_faces",
+    "read_mesh",
+    "read_points",
+]
+
+
+@dataclass(frozen=True)
+class MeshInput:
+    """A mesh in motion as the caller gave it: faces checked, frames not read yet.
+
+    Attributes:
+        source: the frames, in the caller's coordinates.
+        faces: (N, 3) int32 without faces that use a vertex twice.
+        face_index: (N,) int32, the caller's index of each face.
+        input_face_count: faces the caller gave.
+        used: (V,) bool, vertices with a face.
+        repair: how it comes from what the caller gave, where the topology had to be mended; the vertices and faces are
+            then the mended ones.
+    """
+
+    source: FrameSource
+    faces: np.ndarray
+    face_index: np.ndarray
+    input_face_count: int
+    used: np.ndarray
+    repair: MeshRepair | None = field(default=None, kw_only=True)
+
+    @property
+    def frame_count(self) -> int:
+        """Frames F."""
+        return self.source.frame_count
+
+    @property
+    def vertex_count(self) -> int:
+        """Input vertices V, unreferenced ones included."""
+        return self.source.vertex_count
+
+    @property
+    def given_faces(self) -> np.ndarray:
+        """The caller's faces (K, 3) int32, but those that use a vertex twice, before the topology was mended."""
+        return self.faces if self.repair is None else self.repair.given_faces
+
+
+@dataclass(frozen=True)
+class AnimatedMesh(MeshInput):
+    """A mesh in motion whose frames have all been seen once.
+
+    Attributes:
+        origin: (3,) float64, taken off before the points are rounded to float32.
+        centre: (3,) float32, middle of the bounding box of all frames, about ``origin``.
+        diagonal: largest bounding-box diagonal of a frame, in the caller's units.
+    """
+
+    origin: np.ndarray
+    centre: np.ndarray
+    diagonal: float
+
+    def points(self, frames: slice) -> np.ndarray:
+        """Consecutive frames in the caller's coordinates minus ``origin``: (n, V, 3) float32, C-contiguous."""
+        return _about(self.source.read(frames), self.origin)
+
+    def chosen_points(self, frames: np.ndarray) -> np.ndarray:
+        """The same of any frames, ascending."""
+        chosen = np.empty((len(frames), self.vertex_count, 3), dtype=np.float32)
+        for index, frame in enumerate(frames.tolist()):
+            chosen[index] = self.points(slice(frame, frame + 1))[0]
+        return chosen
+
+    def to_unit(self, points: np.ndarray) -> np.ndarray:
+        """Points about ``origin`` on a mesh of unit diagonal about ``centre``, float32."""
+        unit = points - self.centre
+        unit *= np.float32(1.0 / self.diagonal)
+        return unit
+
+    def original_points(self, unit: np.ndarray) -> np.ndarray:
+        """Unit positions (..., 3) float32 back in the caller's coordinates, float32."""
+        return (unit * self.diagonal + (self.centre + self.origin)).astype(np.float32)
+
+
+class FrameObserver(Protocol):
+    """Learns something from the frames while they are read for the first time."""
+
+    def observe(self, frames: slice, points: np.ndarray) -> None:
+        """See consecutive frames (n, V, 3) float32, about the mesh's origin; called in the order of the frames."""
+        ...
+
+
+def _is_trimesh(value: Any) -> bool:
+    """Whether it is a ``trimesh.Trimesh``, which nobody can hold without having imported trimesh.
+
+    Importing it here would take longer than simplifying a small mesh.
+    """
+    trimesh = sys.modules.get("trimesh")
+    return trimesh is not None and isinstance(value, trimesh.Trimesh)
+
+
+def read_mesh(points: Any, faces: Any = None, admit: Callable[[int], None] | None = None) -> MeshInput:
+    """Check the shape of points (F, V, 3) or (V, 3), or a :class:`FrameSource`, and faces (N, 3).
+
+    A ``trimesh.Trimesh`` as the only argument serves for both, and so does a source with ``faces``, such as a
+    :class:`warpqem.MeshSequence`, and a mesh that has been read. ``admit`` is
+    called with the number of faces before anything is made of them; it may raise.
+
+    Raises:
+        MeshShapeError: wrong shape or dtype.
+        FrameSourceError: an incomplete source.
+        FaceIndexError: index below 0 or not below V.
+        DegenerateMeshError: no point, or no face with three different vertices.
+    """
+    if isinstance(points, MeshInput) and faces is None:
+        return points
+    if faces is None and hasattr(points, "faces") and hasattr(points, "read"):
+        # A source with faces of its own, such as a sequence of mesh files.
+        faces = points.faces
+    if _is_trimesh(points):
+        if faces is not None:
+            raise OptionError("faces must not be given with a trimesh.Trimesh, which has its own")
+        points, faces = points.vertices, points.faces
+    elif faces is None:
+        raise OptionError("faces (N, 3) are missing")
+    source = _checked_source(points)
+    given = index_array(faces, "faces", ("N", 3))
+    if admit is not None:
+        admit(len(given))
+    kept, face_index = _proper_faces(read_faces(given, "faces", source.vertex_count))
+    used = np.zeros(source.vertex_count, dtype=bool)
+    used[kept] = True
+    return MeshInput(source, kept, face_index, len(given), used)
+
+
+def measure_mesh(
+    mesh: MeshInput,
+    observers: Sequence[FrameObserver] = (),
+    block_frames: int | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> AnimatedMesh:
+    """Read all frames once: check them, find the mesh's size, and let observers see them.
+
+    Args:
+        mesh: the mesh.
+        observers: see every block after it was checked.
+        block_frames: frames read at a time; None for as many as keep a device busy.
+        progress: called with the number of frames seen.
+
+    Raises:
+        NonFinitePointError: NaN or infinite coordinate.
+        DegenerateMeshError: no extent.
+    """
+    lows, highs, everywhere = [], [], bool(mesh.used.all())
+    origin = np.zeros(3)
+    broken: BrokenPoints | None = None
+    for frames, raw in read_ahead(mesh.source.read, frame_blocks(mesh.frame_count, mesh.vertex_count, block_frames)):
+        low, high = frame_bounds(raw)
+        if not max(np.abs(low).max(), np.abs(high).max()) <= FLOAT32_MAX:
+            broken = BrokenPoints.add(broken, raw, frames.start)
+        if broken is not None:
+            # All frames are looked through, for the message to say how many points there are.
+            continue
+        if frames.start == 0 and raw.dtype != np.float32:
+            # float64 coordinates far from the origin keep their precision when the offset goes first.
+            origin = raw[0, mesh.used].mean(axis=0)
+        points = _about(raw, origin)
+        if raw.dtype != np.float32 or not everywhere:
+            # A vertex without a face has no say in the mesh's size.
+            low, high = frame_bounds(points if everywhere else points[:, mesh.used])
+        lows.append(low)
+        highs.append(high)
+        for observer in observers:
+            observer.observe(frames, points)
+        if progress:
+            progress(frames.stop)
+    if broken is not None:
+        raise broken.error()
+    low, high = np.concatenate(lows), np.concatenate(highs)
+    diagonal = float(np.linalg.norm(high.astype(np.float64) - low, axis=1)[counted_frames(mesh.source)].max())
+    if not 0.0 < diagonal < np.inf:
+        raise DegenerateMeshError(f"the mesh has no extent: its bounding-box diagonal is {diagonal:g} in every frame")
+    if not 1.0 / FLOAT32_MAX < diagonal < FLOAT32_MAX:
+        raise DegenerateMeshError(f"the bounding-box diagonal, {diagonal:g}, cannot be scaled to 1 in single precision")
+    centre = ((low.min(axis=0).astype(np.float64) + high.max(axis=0)) / 2).astype(np.float32)
+    return AnimatedMesh(
+        mesh.source,
+        mesh.faces,
+        mesh.face_index,
+        mesh.input_face_count,
+        mesh.used,
+        origin,
+        centre,
+        diagonal,
+        repair=mesh.repair,
+    )
+
+
+def _about(points: np.ndarray, origin: np.ndarray) -> np.ndarray:
+    """Points minus ``origin`` as float32; float32 points have none."""
+    return np.ascontiguousarray(points if points.dtype == np.float32 else points - origin, dtype=np.float32)
+
+
+def _checked_source(points: Any) -> FrameSource:
+    return check_source(points, "points") or ArrayFrames(read_points(points, "points"))
+
+
+def read_points(points: Any, name: str) -> np.ndarray:
+    """Check points (F, V, 3) or (V, 3): (F, V, 3) real numbers, which may not be finite; not copied if possible.
+
+    Raises:
+        MeshShapeError: another shape or dtype.
+        DegenerateMeshError: there is none.
+    """
+    found = real_array(points, name, ("F", "V", 3), ("V", 3))
+    if 0 in found.shape:
+        raise DegenerateMeshError(f"{name} are empty: shape {found.shape}")
+    if found.shape[-2] > INDEX_LIMIT:
+        raise MeshShapeError(f"{name} have {found.shape[-2]} vertices, more than the {INDEX_LIMIT} that can be")
+    return found[None] if found.ndim == 2 else found
+
+
+def finite_points(points: np.ndarray, prefix: str = "point of") -> np.ndarray:
+    """The same points (F, V, 3), if all of them are finite, in single precision too.
+
+    Raises:
+        NonFinitePointError: one is not; the message names vertex and frame after ``prefix``.
+    """
+    if first_beyond(points, FLOAT32_MAX) is not None:
+        broken = BrokenPoints.add(None, points.astype(np.float64), 0)
+        assert broken is not None
+        raise broken.error(prefix)
+    return points
+
+
+def read_faces(faces: Any, name: str, vertex_count: int | None) -> np.ndarray:
+    """Check faces (N, 3) of a mesh with so many vertices: (N, 3) int32, C-contiguous; not copied if possible.
+
+    Args:
+        faces: the argument.
+        name: what messages call it.
+        vertex_count: vertices V; None where faces are all that is given.
+
+    Raises:
+        MeshShapeError: another shape or dtype, or more of them than can be.
+        DegenerateMeshError: there is none.
+        FaceIndexError: index below 0 or not below V.
+    """
+    found, prefix = index_array(faces, name, ("N", 3)), "" if name == "faces" else f"{name}: "
+    if len(found) == 0:
+        raise DegenerateMeshError(f"{prefix}there are no faces")
+    outside = first_outside(found, INDEX_LIMIT if vertex_count is None else vertex_count)
+    if outside is not None:
+        vertex = int(found[outside])
+        there = "" if vertex_count is None else f", but there are {vertex_count} vertices"
+        limit = "; indices are not negative" if vertex < 0 else f"; indices are below {vertex_count or INDEX_LIMIT}"
+        raise FaceIndexError(f"{prefix}face {outside[0]} corner {outside[1]} refers to vertex {vertex}{there}{limit}")
+    return np.ascontiguousarray(found, dtype=np.int32)
+
+
+def is_proper(faces: np.ndarray) -> np.ndarray:
+    """(N,) bool, faces (N, 3) with three different vertices: others cover nothing."""
+    proper: np.ndarray = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    return proper
+
+
+def _proper_faces(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Faces with three different vertices, and the index of each."""
+    proper = is_proper(faces)
+    if not proper.any():
+        raise DegenerateMeshError(f"none of the {len(faces)} faces has three different vertices")
+    return np.ascontiguousarray(faces[proper]), np.flatnonzero(proper).astype(np.int32)
+
+
+def as_vertex_values(values: Any, name: str, vertex_count: int) -> np.ndarray:
+    """Check one finite number per vertex, (V,) in the caller's dtype.
+
+    Raises:
+        MeshShapeError: another shape or dtype, or a value that is not finite.
+    """
+    expected = f"{vertex_count} numbers, one per vertex"
+    array = real_array(values, name, (vertex_count,), expected=expected, bools=True)
+    finite = np.isfinite(array)
+    if not finite.all():
+        vertex = int(np.flatnonzero(~finite)[0])
+        raise MeshShapeError(f"{name} of vertex {vertex} is {array[vertex]}")
+    return array

@@ -1,1 +1,0 @@
-"""The order stage: which edges collapse, decided on the key frames."""

@@ -1,0 +1,78 @@
+"""Choose the frames that decide the order of collapses."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from warpqem.frames.stream import counted_frames
+from warpqem.mesh.mesh_input import MeshInput
+
+__all__ = ["KeyFrameChoice", "pose_bytes"]
+
+# Poses are compared at about so many vertices, spread over the index range: enough to see every limb of a character.
+SAMPLED_VERTICES = 1024
+# Of long animations fewer vertices are kept, so that the poses take no more memory than this, but so many at least.
+POSE_BYTES = 16 * 2**20
+MIN_VERTICES = 64
+# Distances are taken so many frames at a time, so that no second copy of all poses is made.
+FRAMES_AT_ONCE = 256
+
+
+class KeyFrameChoice:
+    """Farthest-point choice in pose space, starting with the first frame that counts.
+
+    The distance of two frames is the RMS distance of corresponding vertices after their centroids are laid together,
+    so that travelling through the scene is not taken for a change of pose. Some vertices of every frame are gathered
+    while the frames are read.
+
+    Args:
+        mesh: the mesh; vertices without a face are not looked at.
+        count: how many frames to choose, at least 1.
+    """
+
+    def __init__(self, mesh: MeshInput, count: int) -> None:
+        # Where the source says which frames count, the others are no key frames.
+        self._counted = np.flatnonzero(counted_frames(mesh.source))
+        self._count = min(count, len(self._counted))
+        used = np.flatnonzero(mesh.used)
+        self._vertex = used[:: _step(mesh.frame_count, len(used))]
+        self._all = self._count == len(self._counted)
+        self._poses = np.empty((0 if self._all else mesh.frame_count, len(self._vertex), 3), dtype=np.float32)
+
+    def observe(self, frames: slice, points: np.ndarray) -> None:
+        """Keep what distinguishes these frames (n, V, 3) from others."""
+        if not self._all:
+            # Laid out alike for any number of frames, so that sums round alike.
+            pose = np.take(points, self._vertex, axis=1)
+            self._poses[frames] = pose - pose.mean(axis=1, keepdims=True)
+
+    def choose(self) -> np.ndarray:
+        """The key frames, (K,) int, ascending; fewer than asked for where poses repeat."""
+        if self._all:
+            return self._counted
+        frame_count = len(self._poses)
+        distance = np.full(frame_count, -np.inf)
+        distance[self._counted] = np.inf
+        chosen = [int(self._counted[0])]
+        while len(chosen) < self._count:
+            last = self._poses[chosen[-1]]
+            for first in range(0, frame_count, FRAMES_AT_ONCE):
+                block = slice(first, first + FRAMES_AT_ONCE)
+                away = ((self._poses[block] - last) ** 2).sum(axis=(1, 2))
+                distance[block] = np.minimum(distance[block], away)
+            chosen.append(int(distance.argmax()))
+        # A repeated frame (a still animation) adds nothing.
+        return np.unique(chosen)
+
+
+def pose_bytes(frame_count: int, vertex_count: int) -> int:
+    """What the poses of all frames take."""
+    return 12 * frame_count * -(-vertex_count // _step(frame_count, vertex_count))
+
+
+def _step(frame_count: int, vertex_count: int) -> int:
+    """Every so manieth vertex is kept; it depends on the mesh alone, so that memory never changes a result."""
+    most = POSE_BYTES // (12 * frame_count)
+    if most >= SAMPLED_VERTICES:
+        return max(1, vertex_count // SAMPLED_VERTICES)
+    return -(-vertex_count // max(MIN_VERTICES, most))

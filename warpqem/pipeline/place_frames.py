@@ -1,0 +1,111 @@
+"""After decimation: place all frames, refit them where that is asked for, and hand them on, block by block."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from warpqem.frames.stream import FrameSink, FrameWriter, read_ahead
+from warpqem.mesh.mesh_input import AnimatedMesh
+from warpqem.place.block_placer import PlacedFrames
+from warpqem.place.frame_store import FrameStore
+from warpqem.place.place import Placer
+from warpqem.refit.fit_surface import fit_corrections
+
+__all__ = ["FinishedFrames", "Placing", "place_frames", "place_refitted"]
+
+Progress = Callable[[int], None] | None
+
+
+@dataclass
+class FinishedFrames:
+    """What is known of the frames once they are with the sink.
+
+    Attributes:
+        flips: (F,) int32, output faces of each frame that face away from the input.
+        first: (1, C, 3) float32, the first frame in the caller's coordinates.
+    """
+
+    flips: np.ndarray
+    first: np.ndarray = field(default_factory=lambda: np.empty((1, 0, 3), dtype=np.float32))
+
+
+@dataclass(frozen=True)
+class Placing:
+    """What it takes to place the frames of a mesh.
+
+    Attributes:
+        mesh: the input.
+        placer: what places its frames.
+        sink: takes them.
+        blocks: frames to work on at once.
+        faces: (N', 3) int32, the faces that the sink is to have.
+        progress: called with the number of frames placed.
+    """
+
+    mesh: AnimatedMesh
+    placer: Placer
+    sink: FrameSink
+    blocks: Sequence[slice]
+    faces: np.ndarray
+    progress: Progress = None
+
+    def placed(self) -> Iterator[tuple[slice, PlacedFrames]]:
+        """All frames, block by block."""
+        for frames, points in read_ahead(self.mesh.points, self.blocks):
+            yield frames, self.placer.place(self.mesh, points)
+            if self.progress:
+                self.progress(frames.stop)
+
+
+class _Finish:
+    """Counts flips, brings frames back to the caller's coordinates, and hands them to a sink on a thread."""
+
+    def __init__(self, work: Placing) -> None:
+        self._mesh, self._placer = work.mesh, work.placer
+        self.finished = FinishedFrames(np.empty(work.mesh.frame_count, dtype=np.int32))
+        work.sink.begin(work.mesh.frame_count, work.placer.vertex_count, work.faces)
+
+    def take(self, frames: slice, placed: PlacedFrames, write: FrameWriter[np.ndarray]) -> None:
+        """Finish consecutive frames."""
+        self.finished.flips[frames] = self._placer.count_flips(self._mesh, placed)
+        points = self._placer.original_points(self._mesh, placed)
+        if frames.start == 0:
+            self.finished.first = points[:1].copy()
+        write(frames, points)
+
+
+def place_frames(work: Placing) -> FinishedFrames:
+    """Place all frames straight from the source to the sink."""
+    finish = _Finish(work)
+    with FrameWriter(work.sink.write, len(work.blocks)) as write:
+        for frames, placed in work.placed():
+            finish.take(frames, placed, write)
+    return finish.finished
+
+
+def place_refitted(work: Placing, *, key_frames: np.ndarray, error: float, on_disk: bool) -> FinishedFrames:
+    """Place all frames into a store, fit the corrections, and hand the corrected frames to the sink.
+
+    Args:
+        work: what to place.
+        key_frames: (K,) int, the frames to fit.
+        error: the largest error of a collapse, in diagonals.
+        on_disk: keep the placed frames in a temporary file.
+    """
+    placer = work.placer
+    store = FrameStore(work.mesh.frame_count, placer.vertex_count, placer.copied_count, on_disk)
+    try:
+        with FrameWriter(store.write, len(work.blocks)) as keep:
+            for frames, placed in work.placed():
+                keep(frames, placed)
+        correct = fit_corrections(work.mesh, placer, store, key_frames, error, work.blocks, placer.device)
+        finish = _Finish(work)
+        with FrameWriter(work.sink.write, len(work.blocks)) as write:
+            for frames, placed in read_ahead(store.read, work.blocks):
+                finish.take(frames, correct(placed), write)
+    finally:
+        store.close()
+    return finish.finished

@@ -1,0 +1,224 @@
+"""The result of simplifying: the last steps to it from a decimated mesh."""
+
+from __future__ import annotations
+
+import functools
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpqem.decimation.collapse_log import CollapseRecord
+from warpqem.decimation.decimate import DecimatedMesh
+from warpqem.decimation.pruning import DropRecord
+from warpqem.errors import UnreachableTargetError
+from warpqem.frames.stream import ArraySink, FrameSink
+from warpqem.mesh.mesh_input import MeshInput
+from warpqem.pipeline.memory_plan import MemoryPlan
+from warpqem.pipeline.place_frames import Placing, place_frames, place_refitted
+from warpqem.pipeline.prepare import ORDER_END, Prepared, Progress
+from warpqem.place.place import Placer
+from warpqem.repair.mended_mesh import MeshRepair
+
+if TYPE_CHECKING:
+    import trimesh
+
+    from warpqem.measure.measured import Measured
+
+__all__ = ["Delivery", "Outcome", "SimplifiedMesh", "finish", "in_input_terms", "reached", "written_faces"]
+
+
+@dataclass(frozen=True)
+class SimplifiedMesh:
+    """What :func:`simplify` returns.
+
+    Attributes:
+        points: (F, V', 3) float32, in the input's coordinates; where a sink took the frames, the first one, (1, V', 3).
+        faces: (N', 3) int32.
+        vertex_map: (V,) int32, input vertex to the output vertex it collapsed into; -1 for a vertex without a face. Of
+            a vertex that was cut, see ``repair``, that of one sheet of the surface.
+        face_map: (N',) int32, the input face that each output face goes on from.
+        stopped: "target", "max_error", "max_size_error" or "no legal collapse".
+        error: the estimate from the costs of collapses, in % of the bounding-box diagonal: the largest RMS
+            distance, among all collapses, of a merged vertex from the planes of the faces it stands for, over key
+            frames, or of the input vertices it stands for from the faces around it, in the first one. It is neither a
+            bound nor a measured distance; see ``measured``.
+        flips: (F,) int32, output faces that face away from the planes they stand for there: an estimate; faces that
+            oppose the input are ``measured.flips``.
+        log: the collapses, for levels of detail; where the topology was mended, on the vertices of ``repair``.
+        key_frames: (K,) int, the frames that decided which edges collapse.
+        diagonal: largest bounding-box diagonal of a frame of the input, in its units.
+        components_removed: components of the input that were pruned, see ``keep_components``.
+        plan: the blocks of frames it was done in, and the memory for it.
+        repair: what was mended of the input's topology before, see :mod:`warpqem.repair`; None where it was clean.
+        copy_map: (V',) int32, the output vertex of each vertex of ``repair``; None without one.
+        measuring: what measures it, see ``measured``; None for nothing.
+    """
+
+    points: np.ndarray
+    faces: np.ndarray
+    vertex_map: np.ndarray
+    face_map: np.ndarray
+    stopped: str
+    error: float
+    flips: np.ndarray
+    log: CollapseRecord
+    key_frames: np.ndarray
+    diagonal: float
+    plan: MemoryPlan
+    components_removed: int = 0
+    repair: MeshRepair | None = None
+    copy_map: np.ndarray | None = None
+    measuring: Callable[[SimplifiedMesh], Measured] | None = field(default=None, repr=False, compare=False)
+
+    @property
+    def estimate(self) -> float:
+        """The same as ``error``, under the name that says what it is."""
+        return self.error
+
+    @functools.cached_property
+    def measured(self) -> Measured | None:
+        """The measured errors, both ways and over all frames; None where nothing was to be measured.
+
+        Frames in memory are measured when this is first asked for, against the input, which must not have been changed
+        since. Those that a sink took were measured on their way.
+
+        Raises:
+            DegenerateMeshError: a frame has no extent or no area, so there is nothing to measure by.
+        """
+        return None if self.measuring is None else self.measuring(self)
+
+    def corner_clusters(self, faces: np.ndarray) -> np.ndarray:
+        """(N, 3) int32, the output vertex of each corner of the input's ``faces`` (N, 3), -1 for none."""
+        if self.repair is None or self.copy_map is None:
+            clusters: np.ndarray = self.vertex_map[faces]
+            return clusters
+        return self.repair.corner_clusters(self.copy_map)
+
+    @property
+    def notes(self) -> list[str]:
+        """What was mended of the input's topology, in words."""
+        return [] if self.repair is None else self.repair.findings.lines()
+
+    def save(self, path: str | os.PathLike[str], numbers: Sequence[int] | None = None, fps: float = 24.0) -> list[str]:
+        """Write the frames in ``points``: as one USD file, or as mesh files, which trimesh writes.
+
+        Args:
+            path: .usd, .usda, .usdc or .usdz; or .ply, .obj, .stl, .off or .glb, with a row of # for the number of the
+                frame where there are several, such as "out/horse_####.ply". Files that are there are replaced.
+            numbers: (F,) the number of each frame, such as ``MeshSequence.numbers``; None for 1, 2, ... In a USD file
+                they are time codes.
+            fps: time codes per second of a USD file.
+
+        Returns:
+            The files.
+
+        Raises:
+            OptionError: the suffix is another one, or frames have no place in the name.
+            MeshFileError, StageError: a file cannot be written.
+        """
+        from warpqem.mesh_files.saving import save_frames
+
+        return save_frames(self.points, self.faces, path, numbers, fps)
+
+    def to_trimesh(self, frame: int = 0) -> trimesh.Trimesh:
+        """One frame as a ``trimesh.Trimesh``, its vertices and faces in their order."""
+        from warpqem.mesh_files.writing import as_trimesh
+
+        return as_trimesh(self.points[frame], self.faces)
+
+
+def in_input_terms(mesh: MeshInput, vertex_map: np.ndarray) -> dict[str, Any]:
+    """The fields of a result that say where the input's vertices went, and how its topology was mended.
+
+    ``vertex_map`` is that of the vertices of ``mesh``.
+    """
+    if mesh.repair is None:
+        return {"vertex_map": vertex_map}
+    clusters = mesh.repair.vertex_clusters(vertex_map)
+    return {"vertex_map": clusters, "repair": mesh.repair, "copy_map": vertex_map}
+
+
+def written_faces(mesh: MeshInput, faces: np.ndarray, face_map: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The faces of a result, those on the backs of others included, and the caller's face that each goes on from."""
+    if mesh.repair is None:
+        return faces, mesh.face_index[face_map]
+    return mesh.repair.with_backs(faces, face_map)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a result says of its decimation."""
+
+    log: CollapseRecord
+    face_map: np.ndarray
+    stopped: str
+    drops: DropRecord
+
+    @classmethod
+    def of(cls, ordered: DecimatedMesh) -> Outcome:
+        """Of a decimated mesh."""
+        return cls(ordered.log, ordered.face_map, ordered.stopped, ordered.drops)
+
+
+@dataclass(frozen=True)
+class Delivery:
+    """How placed frames come about and where they go.
+
+    Attributes:
+        sink: takes them; None to keep them in an array.
+        progress: called with the part done and "place".
+    """
+
+    sink: FrameSink | None = None
+    progress: Progress | None = None
+
+
+def finish(work: Prepared, placer: Placer, outcome: Outcome, refit: bool, delivery: Delivery) -> SimplifiedMesh:
+    """Place all frames, and refit them where that is asked for."""
+    mesh, sink = work.mesh, delivery.sink
+    error = max(float(outcome.log.error.max(initial=0.0)), float(outcome.drops.error.max(initial=0.0)))
+    array = ArraySink()
+    faces, face_map = written_faces(mesh, placer.faces, outcome.face_map)
+    progress = _place_progress(delivery.progress, mesh.frame_count)
+    placing = Placing(mesh, placer, array if sink is None else sink, work.blocks, faces, progress)
+    if refit and not work.place_settings.endpoint and placer.free.any():
+        on_disk = work.plan.scratch_bytes > 0
+        finished = place_refitted(placing, key_frames=work.key_frames, error=error, on_disk=on_disk)
+    else:
+        finished = place_frames(placing)
+    return SimplifiedMesh(
+        points=array.points if sink is None else finished.first,
+        faces=faces,
+        face_map=face_map,
+        **in_input_terms(mesh, placer.vertex_map),
+        stopped=outcome.stopped,
+        error=100.0 * error,
+        flips=finished.flips,
+        log=outcome.log,
+        key_frames=work.key_frames,
+        diagonal=mesh.diagonal,
+        plan=work.plan,
+        components_removed=len(outcome.drops),
+    )
+
+
+def reached(result: SimplifiedMesh, target_faces: int) -> SimplifiedMesh:
+    """The result itself.
+
+    Raises:
+        UnreachableTargetError: it has more faces than the target, if that is not 0, and no collapse is legal.
+    """
+    if target_faces > 0 and result.stopped == "no legal collapse":
+        raise UnreachableTargetError(
+            f"{len(result.faces)} faces are left and no edge collapse is legal, {target_faces} were asked for", result
+        )
+    return result
+
+
+def _place_progress(progress: Progress | None, frame_count: int) -> Callable[[int], None] | None:
+    if progress is None:
+        return None
+    return lambda done: progress(ORDER_END + (1.0 - ORDER_END) * done / frame_count, "place")

@@ -1,0 +1,139 @@
+"""``warpqem.simplify``: one topology for a whole animation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING
+
+from warpqem.arguments.array_types import ArrayInput, MeshPoints
+from warpqem.arguments.number_input import flag
+from warpqem.costs.models import cost_model
+from warpqem.frames.checked_frames import check_sink
+from warpqem.frames.stream import FrameSink
+from warpqem.mesh.mesh_input import read_mesh
+from warpqem.options import SimplifyKeywords, read_keywords
+from warpqem.pipeline.bounded import simplify_within
+from warpqem.pipeline.measure_result import ResultMeasure, measured_on_the_way, with_errors
+from warpqem.pipeline.memory_plan import MemoryPlan, admit_faces
+from warpqem.pipeline.prepare import Progress, plan_work, prepare
+from warpqem.pipeline.result import Delivery, Outcome, SimplifiedMesh, finish, reached
+from warpqem.repair.mended_mesh import repaired_mesh, repaired_options
+from warpqem.runtime.device import on_device, resolve_device
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+    from warpqem.measure.measured import Measured
+
+__all__ = ["plan", "simplify"]
+
+
+@on_device
+def simplify(
+    points: MeshPoints,
+    faces: ArrayInput | None = None,
+    *,
+    sink: FrameSink | None = None,
+    measure: bool = True,
+    progress: Progress | None = None,
+    **options: Unpack[SimplifyKeywords],
+) -> SimplifiedMesh:
+    """Simplify an animated mesh to one topology that fits all its frames.
+
+    The result is deterministic: the same input gives the same bits on the same device, also where several threads call
+    at once, ``asyncio.to_thread`` included. On a CPU such calls run side by side, a GPU takes one at a time; that holds
+    for all public functions.
+
+    Faces may repeat, in either winding, face this way and that, or meet three and more at an edge: decimation works on
+    a mended copy of the topology, and ``SimplifiedMesh.notes`` says what was found. What has two sides keeps both, and
+    each connected part gets the winding that most of its faces have.
+
+    Args:
+        points: (F, V, 3) or (V, 3) coordinates in any unit: NumPy, Warp, or anything with the array interface or
+            DLPack; or a :class:`warpqem.FrameSource`, which is read block by block, twice, and once more for the key
+            frames; or a ``trimesh.Trimesh``, or what :func:`warpqem.load` gives, then without ``faces``.
+        faces: (N, 3) vertex indices.
+        sink: takes the frames of the result, block by block, in place of an array.
+        measure: give the result its ``measured`` errors: where it is an array, they are computed when they are first
+            asked for, and the result holds on to the input; where there is a sink, on the way to it, for which the
+            frames are read once more. It decides no bit of the result.
+        progress: called with the part done, 0 to 1, and the stage, "read", "order" or "place".
+        options: how far and how to simplify: the fields of :class:`warpqem.SimplifyOptions`, explained there. At least
+            one of ``ratio``, ``target_faces`` and ``max_error`` is needed; with a count, whichever comes first stops.
+
+    Raises:
+        TypeError: there is no such option.
+        OptionError: an option outside its range, or options that exclude each other.
+        MeshShapeError, NonFinitePointError, FaceIndexError, DegenerateMeshError: see :mod:`warpqem.errors`.
+        FeaturePointError: metric "face", and the mesh is none.
+        DeviceError: there is no such device.
+        MemoryLimitError: it cannot be done in that memory; raised before the work starts.
+        UnreachableTargetError: no legal collapse leads to the face count asked for; its ``result`` is what there is.
+    """
+    asked = read_keywords(options)
+    check_sink(sink)
+    bounded = asked.bounded
+    measure = flag(measure, "measure")
+    work = prepare(
+        points,
+        faces,
+        asked,
+        keep_frames=sink is None,
+        keep_nodes=bounded,
+        measured=measure and sink is not None,
+        progress=progress,
+    )
+    measuring: Callable[[SimplifiedMesh], Measured] | None = None
+    if measure:
+        if sink is None:
+            measuring = ResultMeasure.of(work.mesh, work.device)
+        else:
+            work, sink = measured_on_the_way(work, sink)
+            measuring = sink.measured
+    delivery = Delivery(sink, progress)
+    if bounded:
+        return with_errors(partial(simplify_within, work, asked.refits, delivery), measuring)
+    ordered = work.order(progress)
+    placer, outcome = work.placer(ordered), Outcome.of(ordered)
+    # Placing needs the memory of decimation.
+    work = work.without_input()
+    del ordered
+    result = finish(work, placer, outcome, asked.refits, delivery)
+    return reached(replace(result, measuring=measuring), work.goal.target_faces)
+
+
+def plan(
+    points: MeshPoints,
+    faces: ArrayInput | None = None,
+    *,
+    sink: FrameSink | None = None,
+    levels: bool = False,
+    measure: bool = True,
+    **options: Unpack[SimplifyKeywords],
+) -> MemoryPlan:
+    """What :func:`simplify` would do with these arguments, and the memory for it; no frame is read.
+
+    Args:
+        points: as for :func:`simplify`.
+        faces: likewise.
+        sink: likewise.
+        levels: plan for the coarsest level of :func:`order_levels`.
+        measure: as for :func:`simplify`.
+        options: the other options of :func:`simplify`, but for ``progress``.
+
+    Raises:
+        MemoryLimitError: it cannot be done in that memory.
+        OptionError, MeshShapeError, FaceIndexError, DegenerateMeshError, DeviceError: as for :func:`simplify`.
+    """
+    check_sink(sink)
+    asked = read_keywords(options)
+    spec, levels = cost_model(asked.metric), flag(levels, "levels")
+    device = resolve_device(asked.device)
+    given = read_mesh(points, faces, partial(admit_faces, limit=asked.memory, device=device))
+    mesh = repaired_mesh(given, device)
+    asked = repaired_options(asked, given, mesh)
+    keep_nodes = levels or asked.bounded
+    measured = flag(measure, "measure") and sink is not None and not levels
+    return plan_work(mesh, spec, asked, device, keep_frames=sink is None, keep_nodes=keep_nodes, measured=measured)

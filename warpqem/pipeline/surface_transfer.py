@@ -1,0 +1,241 @@
+"""Transfer values from the input surface to the output: every output corner knows its point on the input.
+
+The point is the nearest one in a reference pose, among the input faces that the output vertex stands for, on the
+corner's side of the seams: values never leak from one UV island, or one side of a cut, to another.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+
+from warpqem.arguments.array_input import is_empty, real_array
+from warpqem.arguments.number_input import shown, whole_number
+from warpqem.errors import MeshShapeError, OptionError
+from warpqem.kernels import transfer as kernels
+from warpqem.mesh.blending import blend
+from warpqem.mesh.components import lowest_members
+from warpqem.mesh.edges import edge_key
+from warpqem.mesh.mesh_input import finite_points, is_proper, read_faces, read_points
+from warpqem.mesh.seams import seam_ends
+from warpqem.place.cluster_rows import gather_faces, group_rows
+from warpqem.runtime.device import on_device, resolve_device
+from warpqem.runtime.launches import launch
+
+if TYPE_CHECKING:
+    from warpqem.pipeline.result import SimplifiedMesh
+
+__all__ = ["SurfaceTransfer", "check_fit", "check_result", "joined_faces", "surface_transfer"]
+
+
+@dataclass(frozen=True)
+class SurfaceTransfer:
+    """Points on the input surface for W wedges: an output vertex has one wedge on each side of the seams through it.
+
+    Attributes:
+        corner_wedge: (N', 3) int32, the wedge of each output corner.
+        vertex_wedge: (V',) int32, one wedge of each output vertex.
+        wedge_face: (W,) int32, input face.
+        wedge_weight: (W, 3) float32, barycentric, not negative, sum 1.
+        wedge_vertex: (W, 3) int32, the input vertices of ``wedge_face``.
+        face_map: (N',) int32, the input face that each output face goes on from.
+    """
+
+    corner_wedge: np.ndarray
+    vertex_wedge: np.ndarray
+    wedge_face: np.ndarray
+    wedge_weight: np.ndarray
+    wedge_vertex: np.ndarray
+    face_map: np.ndarray
+
+    def from_vertices(self, values: np.ndarray) -> np.ndarray:
+        """Values at output vertices, (V', ...) float64, from values at input vertices (V, ...)."""
+        return self.wedges_from_vertices(values)[self.vertex_wedge]
+
+    def wedges_from_vertices(self, values: np.ndarray) -> np.ndarray:
+        """Values at wedges, (W, ...) float64, from values at input vertices (V, ...)."""
+        return blend(values[self.wedge_vertex], self.wedge_weight)
+
+    def wedges_from_corners(self, values: np.ndarray) -> np.ndarray:
+        """Values at wedges, (W, ...) float64, from values at input corners (N, 3, ...)."""
+        return blend(values[self.wedge_face], self.wedge_weight)
+
+
+@on_device
+def surface_transfer(
+    points: Any,
+    faces: Any,
+    result: SimplifiedMesh,
+    *,
+    reference_frame: int = 0,
+    seams: Any = None,
+    device: str | None = None,
+) -> SurfaceTransfer:
+    """Find the point on the input surface of every output corner.
+
+    Args:
+        points: (V, 3), the input's pose in the reference frame.
+        faces: (N, 3), the input's faces, as given to :func:`warpqem.simplify`.
+        result: what that returned.
+        reference_frame: the frame of ``result.points`` that ``points`` is the pose of.
+        seams: (S, 2) int, ends of the edges that values do not cross, as given to :func:`warpqem.simplify`.
+        device: Warp device; None takes cuda:0 if present, else cpu.
+
+    Raises:
+        OptionError: ``result`` is none, has no such frame, or a seam names a vertex that does not exist.
+        MeshShapeError, NonFinitePointError, FaceIndexError, DegenerateMeshError: see :mod:`warpqem.errors`; the first
+            one also where the result is that of another mesh.
+    """
+    device = resolve_device(device)
+    check_result(result)
+    given = read_points(real_array(points, "points", ("V", 3)), "points")
+    pose = finite_points(given)[0].astype(np.float64)
+    faces = read_faces(faces, "faces", len(pose))
+    check_fit(result, faces, len(pose))
+    reference_frame = _checked_frame(reference_frame, len(result.points))
+    ends = None if seams is None or is_empty(seams) else seam_ends(seams, len(pose))
+    cluster = result.corner_clusters(faces)
+    usable = (cluster >= 0).all(axis=1) & is_proper(faces)
+    sheets = faces if result.repair is None else result.repair.sheets
+    two_sided = result.repair is not None and bool(result.repair.is_double.any())
+    vertex_count = result.points.shape[1]
+    corner_cluster = np.where(usable[:, None], cluster, -1).ravel()
+    start, face, _ = gather_faces(corner_cluster, np.ones(faces.size, dtype=np.float32), vertex_count, device)
+    owner = np.repeat(np.arange(vertex_count), np.diff(start))
+    # Entry: one input face at one output vertex; (owner, face) ascends over the entries.
+    entry_key = owner * len(faces) + face
+    side = owner
+    if two_sided or (ends is not None and len(ends)):
+        first, second = joined_faces(faces, np.zeros((0, 2), dtype=np.int64) if ends is None else ends, sheets)
+        side = _sides(first, second, cluster, entry_key, len(faces))
+    _, wedge = np.unique(side, return_inverse=True)
+    order, wedge_start = group_rows(wedge, int(wedge.max()) + 1)
+    wedge_owner = owner[order[wedge_start[:-1]]]
+    placed = result.points[reference_frame][wedge_owner]
+    wedge_face, wedge_weight = _wedge_sources(pose, faces, placed, wedge_start, face[order], device)
+    corner_key = result.faces.astype(np.int64) * len(faces) + result.face_map[:, None]
+    vertex_wedge = np.empty(vertex_count, dtype=np.int32)
+    vertex_wedge[wedge_owner[::-1]] = np.arange(len(wedge_owner) - 1, -1, -1)
+    return SurfaceTransfer(
+        corner_wedge=wedge[np.searchsorted(entry_key, corner_key)].astype(np.int32),
+        vertex_wedge=vertex_wedge,
+        wedge_face=wedge_face,
+        wedge_weight=wedge_weight,
+        wedge_vertex=faces[wedge_face],
+        face_map=result.face_map,
+    )
+
+
+def _checked_frame(frame: Any, frame_count: int) -> int:
+    expected = f"a frame of the result, 0 to {frame_count - 1}"
+    frame = whole_number(frame, "reference_frame", least=0, expected=expected)
+    if frame >= frame_count:
+        raise OptionError(f"reference_frame must be {expected}, got {frame}")
+    return frame
+
+
+def _wedge_sources(
+    pose: np.ndarray, faces: np.ndarray, placed: np.ndarray, start: np.ndarray, face: np.ndarray, device: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """The input face that is nearest to each wedge, (W,) int32, and where on it, (W, 3) float32 barycentric.
+
+    Args:
+        pose: (V, 3) float64, the input.
+        faces: (N, 3) int32, its faces.
+        placed: (W, 3), the output vertex of each wedge.
+        start: (W + 1,) int32, where its faces begin.
+        face: (E,) the faces of each wedge.
+        device: Warp device.
+    """
+    # Nearness is that about the pose's middle, where float32 is finest.
+    middle = (pose.min(axis=0) + pose.max(axis=0)) / 2
+    source = wp.empty(len(placed), dtype=wp.int32, device=device)
+    weight = wp.empty(len(placed), dtype=wp.vec3, device=device)
+    launch(
+        kernels.find_wedge_sources,
+        dim=len(placed),
+        inputs=[
+            wp.array(start, device=device),
+            wp.array(face, dtype=wp.int32, device=device),
+            wp.array((placed - middle).astype(np.float32), dtype=wp.vec3, device=device),
+            wp.array(faces.ravel(), device=device),
+            wp.array((pose - middle).astype(np.float32), dtype=wp.vec3, device=device),
+        ],
+        outputs=[source, weight],
+        device=device,
+    )
+    return source.numpy(), weight.numpy()
+
+
+def check_result(result: Any) -> None:
+    """Raise an OptionError for what is no result of simplifying."""
+    # What simplifies is loaded where there is a result: comparing meshes needs none of it.
+    from warpqem.pipeline.result import SimplifiedMesh
+
+    if not isinstance(result, SimplifiedMesh):
+        raise OptionError(f"result must be a SimplifiedMesh, as warpqem.simplify returns, got {shown(result)}")
+
+
+def check_fit(result: SimplifiedMesh, faces: np.ndarray, vertex_count: int) -> None:
+    """Raise a MeshShapeError where a result is that of another mesh than this one with faces (N, 3)."""
+    repaired = len(faces) if result.repair is None else len(result.repair.sheets)
+    if (
+        len(result.vertex_map) != vertex_count
+        or result.face_map.max(initial=-1) >= len(faces)
+        or repaired != len(faces)
+    ):
+        raise MeshShapeError(
+            f"the result is that of a mesh with {len(result.vertex_map)} vertices and at least "
+            f"{result.face_map.max(initial=-1) + 1} faces, this one has {vertex_count} and {len(faces)}"
+        )
+    # Every face that is left is one of the input with its vertices merged; a mirrored one starts at another corner.
+    was = np.sort(result.corner_clusters(faces)[result.face_map], axis=1)
+    other = np.flatnonzero((was != np.sort(result.faces, axis=1)).any(axis=1))
+    if len(other):
+        raise MeshShapeError(
+            f"the result is that of a mesh with other faces: its face {other[0]} does not go on from face "
+            f"{result.face_map[other[0]]} of this one ({len(other)} do not)"
+        )
+
+
+def _sides(
+    first: np.ndarray, second: np.ndarray, cluster: np.ndarray, entry_key: np.ndarray, face_count: int
+) -> np.ndarray:
+    """Per entry, the lowest entry that it is joined to through pairs of faces that go on from each other."""
+    links = []
+    for k in range(3):
+        owner = cluster[first, k]
+        shared = (owner >= 0) & (cluster[second] == owner[:, None]).any(axis=1)
+        keys = owner[shared].astype(np.int64) * face_count
+        links.append(
+            np.stack(
+                [
+                    np.searchsorted(entry_key, keys + first[shared]),
+                    np.searchsorted(entry_key, keys + second[shared]),
+                ],
+                axis=1,
+            )
+        )
+    return lowest_members(len(entry_key), np.concatenate(links))
+
+
+def joined_faces(
+    faces: np.ndarray, seams: np.ndarray, sheets: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Pairs of faces that share an edge which is no seam.
+
+    ``sheets`` (N, 3) are corners that only faces share which go on from each other, see
+    :class:`warpqem.repair.mended_mesh.MeshRepair`, where the topology was mended.
+    """
+    sheets = faces if sheets is None else sheets
+    vertex_count = int(faces.max()) + 1
+    key = edge_key(sheets.ravel(), np.roll(sheets, -1, axis=1).ravel(), int(sheets.max()) + 1)
+    order = np.argsort(key, kind="stable")
+    order = order[np.repeat(is_proper(sheets), 3)[order]]
+    key = key[order]
+    authored = edge_key(faces.ravel(), np.roll(faces, -1, axis=1).ravel(), vertex_count)[order[1:]]
+    pair = np.flatnonzero((key[1:] == key[:-1]) & ~np.isin(authored, edge_key(seams[:, 0], seams[:, 1], vertex_count)))
+    return order[pair] // 3, order[pair + 1] // 3

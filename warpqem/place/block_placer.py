@@ -1,0 +1,103 @@
+"""Place clusters of input vertices in a block of frames at a time.
+
+Memory is that of the block and of the clusters; the number of frames does not matter. Frames do not know of each other,
+so how they are cut into blocks makes no difference to a single bit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from warpqem.frames.blocks import block_width, pack_frames, unpack_frames
+from warpqem.kernels import placement as kernels
+from warpqem.mesh.mesh_input import AnimatedMesh
+from warpqem.runtime.cpu_threads import launch_parts
+from warpqem.runtime.launches import launch
+
+__all__ = ["BlockPlacer", "ClusterData", "PlacedFrames"]
+
+
+@dataclass(frozen=True)
+class PlacedFrames:
+    """Some placed frames: ``points`` (n, C, 3) float32, in diagonals, and area-weighted normals of the input there.
+
+    A normal (n, C, 3) is the sum over the faces of the vertex's cluster, twice their area long. ``copied`` (n, M, 3)
+    float32 are the input's points, about its origin, at the vertices that are copied from it.
+    """
+
+    points: np.ndarray
+    normals: np.ndarray
+    copied: np.ndarray
+
+    def to_rows(self) -> np.ndarray:
+        """All of it as one array (n, 2C + M, 3)."""
+        return np.concatenate([self.points, self.normals, self.copied], axis=1)
+
+    @classmethod
+    def from_rows(cls, rows: np.ndarray, vertex_count: int) -> PlacedFrames:
+        """Back from such an array, for C vertices."""
+        parts = (rows[:, :vertex_count], rows[:, vertex_count : 2 * vertex_count], rows[:, 2 * vertex_count :])
+        return cls(*(np.ascontiguousarray(part) for part in parts))
+
+
+@dataclass(frozen=True)
+class ClusterData:
+    """What placing takes, in arrays on the host.
+
+    Attributes:
+        corner_vertex: (3N,) int32, the input's faces.
+        rows: the arrays of :class:`warpqem.kernels.placement.Clusters` by their names.
+        copied_from: (M,) int32, the input vertices that are copied.
+    """
+
+    corner_vertex: np.ndarray
+    rows: dict[str, np.ndarray]
+    copied_from: np.ndarray
+
+    @property
+    def vertex_count(self) -> int:
+        """Clusters C."""
+        return len(self.rows["solved"])
+
+
+class BlockPlacer:
+    """Clusters on a device.
+
+    Args:
+        data: the clusters.
+        device: Warp device.
+    """
+
+    def __init__(self, data: ClusterData, device: str) -> None:
+        self._data, self._device = data, device
+        self._corner_vertex = wp.array(data.corner_vertex, dtype=wp.int32, device=device, copy=False)
+        self._clusters = kernels.Clusters()
+        for name, values in data.rows.items():
+            dtype = kernels.Clusters.vars[name].type.dtype
+            setattr(self._clusters, name, wp.array(values, dtype=dtype, device=device, copy=False))
+
+    def place(self, mesh: AnimatedMesh, points: np.ndarray) -> PlacedFrames:
+        """Place some frames of the mesh, given about its origin: (n, V, 3) float32."""
+        device, width, vertex_count = self._device, block_width(mesh.frame_count, self._device), self._data.vertex_count
+        kernel = kernels.place_vertices[width]
+        packed = pack_frames(points, device, centre=mesh.centre, scale=1 / mesh.diagonal, width=width)
+        block_count = packed.shape[1]
+        out = wp.empty((vertex_count, block_count), dtype=packed.dtype, device=device)
+        normal = wp.empty_like(out)
+
+        def place(part: slice) -> None:
+            launch(
+                kernel,
+                dim=(part.stop - part.start, block_count),
+                inputs=[packed, self._corner_vertex, self._clusters, part.start],
+                outputs=[out, normal],
+                device=device,
+            )
+
+        launch_parts(place, vertex_count, device)
+        return PlacedFrames(
+            unpack_frames(out, len(points)), unpack_frames(normal, len(points)), points[:, self._data.copied_from]
+        )

@@ -1,0 +1,102 @@
+"""Compressed rows: items grouped by cluster."""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from warpqem.decimation.adjacency import build_adjacency
+from warpqem.kernels import cluster_rows as kernels
+from warpqem.runtime.cpu_threads import launch_parts
+from warpqem.runtime.launches import launch
+
+__all__ = ["gather_faces", "group_rows", "match_keys", "sum_repeated"]
+
+
+def group_rows(row: np.ndarray, row_count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Order that groups items by row, keeping their order within one, and where each row starts, (R+1,) int32."""
+    order = np.argsort(row, kind="stable")
+    start = np.zeros(row_count + 1, dtype=np.int32)
+    np.cumsum(np.bincount(row, minlength=row_count), out=start[1:])
+    return order, start
+
+
+def sum_repeated(
+    row: np.ndarray, item: np.ndarray, weight: np.ndarray, row_count: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Items by row with the weights of repeated ones added.
+
+    Args:
+        row: (M,) int, the row of each entry; -1 for an entry to leave out.
+        item: (M,) int.
+        weight: (M,) float.
+        row_count: rows R.
+
+    Returns:
+        ``start`` (R+1,) int32, ``item`` int32 ascending within a row, ``weight`` float32.
+    """
+    inside = np.flatnonzero(row >= 0)
+    order = inside[np.lexsort((item[inside], row[inside]))]
+    row, item = row[order], item[order]
+    first = np.ones(len(order), dtype=bool)
+    first[1:] = (row[1:] != row[:-1]) | (item[1:] != item[:-1])
+    summed = np.bincount(np.cumsum(first) - 1, weight[order]) if len(order) else np.empty(0)
+    start = np.concatenate([[0], np.cumsum(np.bincount(row[first], minlength=row_count))])
+    return start.astype(np.int32), item[first].astype(np.int32), summed.astype(np.float32)
+
+
+def match_keys(wanted: np.ndarray, key: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Every pair of a wanted key (M,) int and an item of that ``key`` (N,) int: their indices, (P,) int64 each."""
+    chosen = np.flatnonzero(np.isin(key, wanted))
+    order = chosen[np.argsort(key[chosen], kind="stable")]
+    first, last = (np.searchsorted(key[order], wanted, side=side) for side in ("left", "right"))
+    count = last - first
+    entry = np.repeat(np.arange(len(wanted)), count)
+    within = np.arange(len(entry)) - np.repeat(np.cumsum(count) - count, count)
+    return entry, order[first[entry] + within]
+
+
+def gather_faces(
+    corner_cluster: np.ndarray, corner_weight: np.ndarray, cluster_count: int, device: str
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The faces that have a corner in each cluster, each once: :func:`sum_repeated` for meshes of any size.
+
+    Args:
+        corner_cluster: (3N,) int32, the cluster of each corner; -1 for a corner to leave out.
+        corner_weight: (3N,) float32.
+        cluster_count: clusters C.
+        device: Warp device.
+
+    Returns:
+        ``start`` (C+1,) int32, ``face`` int32 ascending within a cluster, ``weight`` float32, the sum over its corners.
+    """
+    adjacency = build_adjacency(wp.array(corner_cluster, dtype=wp.int32, device=device), cluster_count)
+    count = wp.empty(cluster_count, dtype=wp.int32, device=device)
+
+    def count_part(part: slice) -> None:
+        launch(
+            kernels.count_faces,
+            dim=part.stop - part.start,
+            inputs=[adjacency.start[part.start : part.stop + 1], adjacency.corner],
+            outputs=[count[part]],
+            device=device,
+        )
+
+    launch_parts(count_part, cluster_count, device)
+    start = np.concatenate([[0], np.cumsum(count.numpy())]).astype(np.int32)
+    weight_in, start_in = (wp.array(a, device=device) for a in (corner_weight, start))
+    face = wp.empty(int(start[-1]), dtype=wp.int32, device=device)
+    weight = wp.empty(len(face), dtype=wp.float32, device=device)
+
+    def list_part(part: slice) -> None:
+        rows = slice(part.start, part.stop + 1)
+        launch(
+            kernels.list_faces,
+            dim=part.stop - part.start,
+            inputs=[adjacency.start[rows], adjacency.corner, weight_in, start_in[rows]],
+            outputs=[face, weight],
+            device=device,
+        )
+
+    launch_parts(list_part, cluster_count, device)
+    return start, face.numpy(), weight.numpy()

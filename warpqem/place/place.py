@@ -1,0 +1,68 @@
+"""Placement: the output vertices of an ordered mesh, and its faces."""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from warpqem.decimation.decimate import DecimatedMesh
+from warpqem.decimation.quadric_sums import QuadricSums
+from warpqem.frames.blocks import block_width, pack_frames
+from warpqem.kernels import placement as kernels
+from warpqem.mesh.mesh_input import AnimatedMesh
+from warpqem.place.block_placer import PlacedFrames
+from warpqem.place.clusters import ClusterPlacer, PlaceSettings
+from warpqem.runtime.launches import launch
+
+__all__ = ["Placer"]
+
+
+class Placer(ClusterPlacer):
+    """Places the output vertices of one ordered mesh in any block of frames.
+
+    Args:
+        faces: (N, 3) int32, the input's faces.
+        ordered: result of decimation.
+        quadric_scale: (V,) float32, scale of each input vertex's quadric.
+        pinned: (V,) bool, input vertices that keep their position.
+        settings: see :class:`PlaceSettings`.
+        device: Warp device.
+        sums: quadrics of other vertices that count at a vertex too; None for none.
+
+    Attributes:
+        vertex_map: (V,) int32, input vertex to output vertex, -1 for a vertex without a face.
+        faces: (N', 3) int32 over output vertices.
+    """
+
+    def __init__(
+        self,
+        faces: np.ndarray,
+        ordered: DecimatedMesh,
+        quadric_scale: np.ndarray,
+        pinned: np.ndarray,
+        settings: PlaceSettings,
+        device: str,
+        sums: QuadricSums | None = None,
+    ) -> None:
+        # Output vertices keep the order of the input vertices they go by.
+        kept, out_faces = np.unique(ordered.faces, return_inverse=True)
+        index = np.full(len(ordered.root), -1, dtype=np.int32)
+        index[kept] = np.arange(len(kept), dtype=np.int32)
+        self.vertex_map = index[ordered.root]
+        self.faces = out_faces.reshape(-1, 3).astype(np.int32)
+        super().__init__(faces, ordered, kept, self.vertex_map, quadric_scale, pinned, settings, device, sums)
+        self._out_corner_vertex = wp.array(self.faces.ravel(), dtype=wp.int32, device=device)
+
+    def count_flips(self, mesh: AnimatedMesh, placed: PlacedFrames) -> np.ndarray:
+        """Faces of each frame that face away from the input, (n,) int32."""
+        width = block_width(mesh.frame_count, self.device)
+        points, normals = (pack_frames(a, self.device, width=width) for a in (placed.points, placed.normals))
+        count = wp.zeros(points.shape[1] * width, dtype=wp.int32, device=self.device)
+        launch(
+            kernels.count_flips[width],
+            dim=(len(self.faces), points.shape[1]),
+            inputs=[points, normals, self._out_corner_vertex],
+            outputs=[count],
+            device=self.device,
+        )
+        return count[: len(placed.points)].numpy()

@@ -1,0 +1,216 @@
+"""A mesh in motion at any level of detail."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from warpqem.arguments.number_input import real_number, whole_number
+from warpqem.errors import OptionError
+from warpqem.options import check_ratio, target_count
+from warpqem.progressive.vertex_splits import SplitTopology
+
+__all__ = ["MeshLevel", "ProgressiveMesh"]
+
+
+@dataclass(frozen=True)
+class MeshLevel:
+    """One level of a :class:`ProgressiveMesh`: what :func:`warpqem.simplify` gives for as many faces, to the bit.
+
+    Attributes:
+        points: (F, V', 3) float32.
+        faces: (N', 3) int32.
+        face_map: (N',) int32, the input face that each goes on from.
+        vertex: (V',) int32, the input vertex that each output vertex goes by.
+        error: % of the bounding-box diagonal, as ``SimplifiedMesh.error``.
+        split_count: vertex splits from the base mesh.
+    """
+
+    points: np.ndarray
+    faces: np.ndarray
+    face_map: np.ndarray
+    vertex: np.ndarray
+    error: float
+    split_count: int
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """The vertices of one level: ``row`` (V',) by input vertex, and ``start``, their ranks, with ``by_start``."""
+
+    row: np.ndarray
+    start: np.ndarray
+    by_start: np.ndarray
+
+
+class ProgressiveMesh:
+    """Every level between an animated mesh and its base mesh, one vertex after the other.
+
+    Splits may arrive later than the base: see :func:`warpqem.progressive.file.load`.
+
+    Args:
+        topology: the base mesh and the splits.
+        points: (F, B + 2 C, 3) float32, the rows' positions in all frames, in the input's coordinates.
+
+    Attributes:
+        source: the file it was loaded from; None for a mesh that was built.
+    """
+
+    def __init__(self, topology: SplitTopology, points: np.ndarray) -> None:
+        self.topology, self.points = topology, points
+        self.source: str | None = None
+        self._face_counts = topology.face_counts()
+
+    @property
+    def split_count(self) -> int:
+        """Splits C that are loaded; all of them lead to the input itself."""
+        return self.topology.split_count
+
+    @property
+    def base_face_count(self) -> int:
+        """Faces of the base mesh."""
+        return int(self._face_counts[0])
+
+    @property
+    def face_count(self) -> int:
+        """Faces of the input."""
+        return self.topology.face_count
+
+    @property
+    def loaded_face_count(self) -> int:
+        """Faces of the finest level that is loaded."""
+        return len(self.topology.face_rank)
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether all splits are loaded."""
+        return self.loaded_face_count == self.face_count
+
+    @property
+    def frame_count(self) -> int:
+        """Frames F."""
+        return len(self.points)
+
+    def splits_for(
+        self, *, ratio: float | None = None, target_faces: int | None = None, max_error: float | None = None
+    ) -> int:
+        """The splits of the level with so many faces, or one fewer, or of the coarsest one within an error.
+
+        Args:
+            ratio: part of the input's faces, in (0, 1].
+            target_faces: faces.
+            max_error: % of the bounding-box diagonal.
+
+        Raises:
+            OptionError: not exactly one of them is given, or the base mesh has more faces.
+        """
+        given = [value for value in (ratio, target_faces, max_error) if value is not None]
+        if len(given) != 1:
+            raise OptionError(f"exactly one of ratio, target_faces and max_error is needed, got {len(given)}")
+        if max_error is not None:
+            max_error = real_number(max_error, "max_error", "a number of % of the diagonal", lambda x: x >= 0.0)
+            within = np.flatnonzero(100.0 * self.topology.error.astype(np.float64) <= max_error)
+            if not len(within):
+                raise OptionError(f"an error of {max_error} % was asked for, that of all levels here is larger")
+            return int(within[0])
+        if ratio is not None:
+            target = target_count(check_ratio(ratio), self.face_count)
+        else:
+            target = whole_number(target_faces, "target_faces")
+        split_count = int(np.searchsorted(self._face_counts, target, side="right")) - 1
+        if split_count < 0:
+            raise OptionError(f"{target} faces were asked for, the base mesh has {self.base_face_count}")
+        if split_count == self.split_count and target > self.loaded_face_count and not self.is_complete:
+            raise OptionError(f"{target} faces were asked for, {self.loaded_face_count} are loaded")
+        return split_count
+
+    def error(self, split_count: int) -> float:
+        """The error after so many splits, in % of the bounding-box diagonal, as ``SimplifiedMesh.error``.
+
+        Raises:
+            OptionError: there are not so many splits.
+        """
+        return 100.0 * float(self.topology.error[self._checked_count(split_count)])
+
+    def level(self, split_count: int) -> MeshLevel:
+        """The mesh after so many splits of the base mesh, in time that grows with its size alone.
+
+        Raises:
+            OptionError: there are not so many splits.
+        """
+        split_count = self._checked_count(split_count)
+        rows = self._rows(split_count)
+        face_count = int(self._face_counts[split_count])
+        order = np.argsort(self.topology.face_index[:face_count])
+        corner = self._find(rows, self.topology.face_rank[:face_count][order])
+        return MeshLevel(
+            points=np.take(self.points, rows.row, axis=1),
+            faces=corner.astype(np.int32),
+            face_map=self.topology.face_index[:face_count][order],
+            vertex=self.topology.row_vertex[rows.row],
+            error=self.error(split_count),
+            split_count=split_count,
+        )
+
+    def vertex_map(self, split_count: int) -> np.ndarray:
+        """(V,) int32, input vertex to the output vertex of a level; -1 for a vertex without a face.
+
+        Raises:
+            OptionError: not all splits are loaded, or there are not so many.
+        """
+        if not self.is_complete:
+            raise OptionError(f"only {self.loaded_face_count} of {self.face_count} faces are loaded")
+        rows = self._rows(self._checked_count(split_count))
+        full = self._rows(self.split_count)
+        vertex_map = np.full(self.topology.vertex_count, -1, dtype=np.int32)
+        vertex_map[self.topology.row_vertex[full.row]] = self._find(rows, self.topology.row_start[full.row])
+        return vertex_map
+
+    def morph(self, coarse: int, fine: int, blend: float) -> tuple[np.ndarray, np.ndarray]:
+        """The level after ``fine`` splits on its way from the one after ``coarse`` splits (geomorph, Hoppe 1996).
+
+        Args:
+            coarse: splits of the coarser level.
+            fine: splits of the finer one.
+            blend: 0 to 1: at 0 every vertex lies on the one it splits from, so that the surface is the coarser level,
+                with faces of no area; at 1 it is the finer level.
+
+        Returns:
+            Points (F, V', 3) float32 and faces (N', 3) int32 of the finer level.
+
+        Raises:
+            OptionError: ``blend`` is outside its range, or the levels are in the wrong order.
+        """
+        blend = real_number(blend, "blend", "in [0, 1]", lambda value: 0.0 <= value <= 1.0)
+        coarse, fine = self._checked_count(coarse), self._checked_count(fine)
+        if coarse > fine:
+            raise OptionError(f"the coarser level has {coarse} splits, the finer one {fine}")
+        before, after, level = self._rows(coarse), self._rows(fine), self.level(fine)
+        source = before.row[self._find(before, self.topology.row_start[after.row])]
+        start = np.take(self.points, source, axis=1)
+        if blend == 0.0:
+            return start, level.faces
+        if blend == 1.0:
+            return level.points, level.faces
+        return start + np.float32(blend) * (level.points - start), level.faces
+
+    def _checked_count(self, split_count: int) -> int:
+        most = self.split_count
+        if isinstance(split_count, (int, np.integer, float, np.floating)) and not 0 <= split_count <= most:
+            raise OptionError(f"there are 0 to {most} splits, got {split_count}")
+        return whole_number(split_count, "the number of splits", least=0, expected=f"0 to {most}")
+
+    def _rows(self, split_count: int) -> _Rows:
+        topology = self.topology
+        row = np.flatnonzero(topology.row_end[: topology.base_count + 2 * split_count] >= split_count)
+        row = row[np.argsort(topology.row_vertex[row])]
+        start = topology.row_start[row]
+        by_start = np.argsort(start)
+        return _Rows(row, start[by_start], by_start)
+
+    @staticmethod
+    def _find(rows: _Rows, rank: np.ndarray) -> np.ndarray:
+        """The vertices of a level that hold some ranks."""
+        found: np.ndarray = rows.by_start[np.searchsorted(rows.start, rank, side="right") - 1]
+        return found

@@ -1,0 +1,160 @@
+"""A copy of a mesh's topology that decimation can work on, with what was found on the way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from warpqem.decimation.adjacency import build_adjacency, classify_vertices
+from warpqem.kernels.topology import NON_MANIFOLD
+from warpqem.mesh.components import lowest_members
+from warpqem.repair.face_pairing import Pairs, distinct_faces, pair_faces, turned_faces
+
+__all__ = ["TopologyFindings", "TopologyRepair", "repair_topology"]
+
+# Sheets stay joined where no more than this part of the vertices has several, as these then keep their place: of the
+# vertices of a mesh with a tenth of its faces they are a tenth.
+HELD_SHARE = 0.01
+
+
+@dataclass(frozen=True)
+class TopologyFindings:
+    """What is dirty about a topology.
+
+    Attributes:
+        repeated_faces: faces with the same vertices and winding as an earlier one. They are left out.
+        double_sided_faces: faces with the vertices of an earlier one and the other winding. They stay, as the back of
+            a sheet with two sides.
+        turned_faces: faces whose winding was not that of most faces around. They are turned over.
+        branching_edges: edges with more than two faces, both sides of one counted once.
+        touching_vertices: vertices where parts of the surface meet in nothing but this point.
+        is_cut: whether the surface was cut at these edges and vertices; otherwise they keep their place.
+    """
+
+    repeated_faces: int = 0
+    double_sided_faces: int = 0
+    turned_faces: int = 0
+    branching_edges: int = 0
+    touching_vertices: int = 0
+    is_cut: bool = False
+
+    def lines(self) -> list[str]:
+        """The same in words, one line for each kind that was found."""
+        what_then = "cut" if self.is_cut else "held in place"
+        words = {
+            "faces that repeat another, left out": self.repeated_faces,
+            "faces on the back of another, kept as its other side": self.double_sided_faces,
+            "faces wound unlike most around them, turned over": self.turned_faces,
+            f"edges with more than two faces, {what_then}": self.branching_edges,
+            f"vertices where surfaces touch in a point, {what_then}": self.touching_vertices,
+        }
+        return [f"{what}: {count}" for what, count in words.items() if count]
+
+
+@dataclass(frozen=True)
+class TopologyRepair:
+    """A mesh of V vertices and N faces as M faces on V' vertices that decimation can work on.
+
+    Attributes:
+        kept: (M,) int32, the face of the input that each one is.
+        faces: (M, 3) int32, their corners.
+        turned: (M,) bool, those whose corners are in the reverse order.
+        back: (M,) int32, the face of the input on the same vertices with the other winding; -1 where there is none.
+        vertex: (V',) int32, the input vertex that each vertex is: the V themselves, then copies.
+        findings: what was mended.
+    """
+
+    kept: np.ndarray
+    faces: np.ndarray
+    turned: np.ndarray
+    back: np.ndarray
+    vertex: np.ndarray
+    findings: TopologyFindings
+
+
+def repair_topology(faces: np.ndarray, vertex_count: int, device: str) -> TopologyRepair | None:
+    """Mend the topology of faces (N, 3) int32, each with three different vertices; None where nothing is to mend.
+
+    Faces that repeat another one are left out, and connected parts get one winding, that of most of their faces. Edges
+    and vertices where more than one sheet of the surface meets are cut, each sheet with copies of the vertices, unless
+    they are so few that decimation can go around them. What a surface with one side only, such as a Möbius strip, keeps
+    of unlike winding stays as it is.
+    """
+    if _is_clean(faces, vertex_count, device):
+        return None
+    distinct = distinct_faces(faces)
+    kept, back = distinct.kept, distinct.back
+    corner = faces[kept]
+    pairs = pair_faces(corner, vertex_count)
+    double = back >= 0
+    turned = turned_faces(pairs, ~double)
+    fan = _fans(len(corner), pairs)
+    split, vertex = _split_vertices(corner, fan, vertex_count)
+    joined = len(np.unique(vertex[vertex_count:]))
+    is_cut = joined > HELD_SHARE * len(np.unique(corner))
+    if not is_cut:
+        split, vertex = corner.copy(), np.arange(vertex_count, dtype=np.int32)
+    findings = TopologyFindings(
+        distinct.repeated,
+        int(double.sum()),
+        int((turned & ~double).sum()),
+        len(pairs.branching),
+        _touching(corner, fan, pairs.branching),
+        is_cut,
+    )
+    split[turned] = split[turned][:, ::-1]
+    # Turned over, a face with two sides is its other side.
+    kept, back = np.where(turned & double, back, kept), np.where(turned & double, kept, back)
+    if not findings.lines():
+        return None
+    return TopologyRepair(kept.astype(np.int32), split, turned & ~double, back.astype(np.int32), vertex, findings)
+
+
+def _is_clean(faces: np.ndarray, vertex_count: int, device: str) -> bool:
+    """Whether the faces around each vertex are one fan, and no two faces have the same vertices.
+
+    Only the second is not seen at a vertex: both sides of a strip can close to one fan.
+    """
+    # One sort of integers is ten times faster than one of rows. Odd factors of this size spread the 31 bits of an index
+    # over 64, whatever wraps around; two faces that get one number by chance only cost time.
+    corners = faces.astype(np.uint64)
+    spread = corners * np.uint64(0x9E3779B97F4A7C15)
+    spread ^= spread >> np.uint64(29)
+    mixed = np.sort((spread * np.uint64(0xBF58476D1CE4E5B9)).sum(axis=1, dtype=np.uint64))
+    if (mixed[1:] == mixed[:-1]).any():
+        return False
+    corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device)
+    flags = wp.zeros(vertex_count, dtype=wp.int32, device=device)
+    classify_vertices(corner_vertex, build_adjacency(corner_vertex, vertex_count), flags)
+    return not (flags.numpy() & int(NON_MANIFOLD)).any()
+
+
+def _fans(face_count: int, pairs: Pairs) -> np.ndarray:
+    """(3M,) the lowest corner of the fan of faces that each corner is in."""
+    one, other = pairs.half_edge.T
+    next_one, next_other = (h - h % 3 + (h + 1) % 3 for h in (one, other))
+    at_tail, at_head = np.where(pairs.opposed, next_other, other), np.where(pairs.opposed, other, next_other)
+    links = np.concatenate([np.stack([one, at_tail], axis=1), np.stack([next_one, at_head], axis=1)])
+    return lowest_members(3 * face_count, links)
+
+
+def _split_vertices(faces: np.ndarray, fan: np.ndarray, vertex_count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Faces (M, 3) int32 whose fans at a vertex have a vertex each, and (V',) int32, which vertex each one was."""
+    corner_vertex = faces.ravel()
+    heads = np.flatnonzero(fan == np.arange(len(fan)))
+    # The first fan of each vertex keeps it.
+    _, first = np.unique(corner_vertex[heads], return_index=True)
+    others = np.delete(heads, first)
+    place = corner_vertex.copy()
+    place[others] = vertex_count + np.arange(len(others))
+    vertex = np.concatenate([np.arange(vertex_count), corner_vertex[others]])
+    return place[fan].reshape(-1, 3).astype(np.int32), vertex.astype(np.int32)
+
+
+def _touching(faces: np.ndarray, fan: np.ndarray, branching: np.ndarray) -> int:
+    """Vertices with more than one fan, none of which ends at an edge that was cut."""
+    heads = np.flatnonzero(fan == np.arange(len(fan)))
+    vertex, count = np.unique(faces.ravel()[heads], return_counts=True)
+    return len(np.setdiff1d(vertex[count > 1], branching))

@@ -1,0 +1,228 @@
+"""One mesh made ready for simplification: its frames, its seams, and what deforms it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from pxr import Sdf
+
+from warpqem.frames.blocks import frame_blocks
+from warpqem.frames.stream import ArrayFrames, FrameSource, JoinedFrames, KeptFrames, read_ahead
+from warpqem.pipeline.result import SimplifiedMesh
+from warpqem.repair.mended_mesh import MeshRepair, face_repair
+from warpqem.usd.read.blend_shapes import choose_targets
+from warpqem.usd.read.mesh_seams import MeshSeams, find_seams
+from warpqem.usd.read.mesh_skin import Skin, read_skin
+from warpqem.usd.read.read_mesh import MeshLayout, MeshSource, PoseFrames
+from warpqem.usd.read.time_codes import FrameRange
+from warpqem.usd.read.weld import weld
+from warpqem.usd.write.attribute_transfer import AttributeTransfer
+
+__all__ = ["MeshJob", "ReadOptions", "RestFit"]
+
+# Poses of up to so many bytes are kept once they have been read: as much as USD and Warp take themselves.
+KEPT_BYTES = 64 * 2**20
+# Where memory is limited they take one part in so many of it at most.
+KEPT_PART = 8
+
+
+@dataclass(frozen=True)
+class RestFit:
+    """A scaling and a move that bring the rest shape to the size and place of the poses.
+
+    The skeleton may work in other units than the mesh; frames of another size would count for more, or for nothing.
+    """
+
+    scale: float
+    rest_centre: npt.NDArray[np.float64]
+    pose_centre: npt.NDArray[np.float64]
+
+    @classmethod
+    def of(cls, rest: npt.NDArray[np.float32], pose: npt.NDArray[np.float32]) -> RestFit:
+        """What brings this rest shape (V, 3) to the size and place of this pose (V, 3)."""
+        extents = [np.ptp(points.astype(np.float64), axis=0) for points in (rest, pose)]
+        sizes = [float(np.linalg.norm(extent)) for extent in extents]
+        centres = [points.min(axis=0) + extent / 2 for points, extent in zip((rest, pose), extents, strict=True)]
+        return cls(sizes[1] / sizes[0] if min(sizes) > 0 else 1.0, centres[0], centres[1])
+
+    def apply(self, points: npt.NDArray[np.floating]) -> npt.NDArray[np.float32]:
+        """Rest points as large as the poses."""
+        return ((points - self.rest_centre) * self.scale + self.pose_centre).astype(np.float32)
+
+    def moved(self, transforms: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Transforms (..., 3, 4) of rest points, for rest points that this has been applied to."""
+        linear = transforms[..., :3] / self.scale
+        origin = self.rest_centre - self.pose_centre / self.scale
+        return np.concatenate([linear, transforms[..., 3:] + (transforms[..., :3] @ origin)[..., None]], axis=-1)
+
+    def undo(self, points: npt.NDArray[np.floating]) -> npt.NDArray[np.float32]:
+        """Such points as large as the rest shape again."""
+        return ((points - self.pose_centre) / self.scale + self.rest_centre).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class ReadOptions:
+    """How meshes are read.
+
+    Attributes:
+        frames: Time codes to read; None for all authored ones.
+        bake: Leave the skin aside.
+        weld: Join points that differ in nothing that moves them.
+        influences: Joints that move a new point at most; None for as many as move an old one.
+        memory: Bytes that the work may take; None for most of what is free.
+    """
+
+    frames: FrameRange | None = None
+    bake: bool = False
+    weld: bool = True
+    influences: int | None = None
+    memory: int | None = None
+
+
+@dataclass(frozen=True)
+class MeshJob:
+    """One mesh made ready.
+
+    Attributes:
+        source: The mesh on the stage.
+        mesh: Its triangles and when it is posed.
+        faces: int32, shape (N, 3), its triangles on welded vertices; those that welding closed name a vertex twice.
+        seams: Its seams.
+        skin: What goes on deforming it; None for poses as point samples.
+        unskinned_because: Why a skin is there but cannot be taken over; None if it can, or there is none.
+        frames: E + F frames of the welded vertices in use: first E that only say how the mesh is shaped, then the
+            poses. These E are the rest shape of a mesh with a skin and its blend shapes at full weight, or example
+            poses of one without.
+        pose_start: E.
+        rest_fit: What brought the rest shape of a mesh with a skin to the poses; None without one.
+        repair: What simplifying mends of the topology first; None for nothing.
+        examples: The same mesh in example poses; None without any.
+    """
+
+    source: MeshSource
+    mesh: MeshLayout
+    faces: npt.NDArray[np.int32]
+    seams: MeshSeams
+    skin: Skin | None
+    unskinned_because: str | None
+    frames: FrameSource
+    pose_start: int
+    rest_fit: RestFit | None
+    repair: MeshRepair | None = None
+    examples: MeshSource | None = None
+
+    @classmethod
+    def prepare(
+        cls,
+        source: MeshSource,
+        options: ReadOptions | None = None,
+        *,
+        shape_users: Counter[Sdf.Path] | None = None,
+        examples: MeshSource | None = None,
+    ) -> MeshJob:
+        """Read a mesh.
+
+        Args:
+            source: The mesh.
+            options: How to read it; None for the defaults.
+            shape_users: How many meshes use each BlendShape prim of the stage; None if each has one.
+            examples: The same mesh in example poses. They take the place of the poses of a mesh with a skin, and come
+                before those of one without.
+
+        Raises:
+            StageError: a pose cannot be read.
+        """
+        options = options or ReadOptions()
+        skin, reason = None, None
+        if not options.bake and len(source.topology.triangles):
+            skin, reason = read_skin(source, shape_users or Counter(), options.influences)
+        mesh = source.layout(source.frame_times(options.frames, baked=skin is None))
+        if not len(mesh.faces):
+            frames = PoseFrames(source, mesh.times, mesh.used_points)
+            return cls(source, mesh, mesh.faces, MeshSeams(), None, None, frames, 0, None)
+        clips = [(source, mesh.times)]
+        if examples is not None:
+            clips.insert(0, (examples, examples.frame_times()))
+        joined: np.ndarray = np.arange(len(mesh.used_points))
+        if options.weld:
+            shown = [PoseFrames(*clip, mesh.used_points) for clip in clips]
+            joined = weld(mesh.faces, _what_moves(mesh, skin, shown))
+        kept, vertex = np.unique(joined, return_inverse=True)
+        vertex_point, faces = mesh.used_points[kept], vertex.ravel().astype(np.int32)[mesh.faces]
+        repair = face_repair(faces, len(vertex_point))
+        seams = find_seams(
+            source,
+            faces,
+            repair=repair,
+            welded=len(vertex_point) < len(mesh.used_points),
+            # Normals of a rest shape fit no pose, so that they are dropped where poses are written.
+            with_normals=skin is not None or not source.has_skin_binding,
+        )
+        poses = [_kept_if_small(PoseFrames(*clip, vertex_point), options.memory) for clip in clips]
+        if skin is None:
+            start = sum(part.frame_count for part in poses[:-1])
+            return cls(source, mesh, faces, seams, None, reason, JoinedFrames(poses), start, None, repair, examples)
+        # Examples take the place of the mesh's own poses.
+        rest = skin.rest_points[vertex_point]
+        targets = [rest + offsets[vertex_point] for offsets in choose_targets(skin.shapes)]
+        fit = RestFit.of(rest, poses[0].read(slice(0, 1))[0])
+        extra = fit.apply(np.stack([rest, *targets]))
+        shapes = JoinedFrames([ArrayFrames(extra), poses[0]])
+        return cls(source, mesh, faces, seams, skin, None, shapes, len(extra), fit, repair, examples)
+
+    @property
+    def pose_count(self) -> int:
+        """How many of `frames` are poses."""
+        return self.frames.frame_count - self.pose_start
+
+    @property
+    def has_own_poses(self) -> bool:
+        """False where `frames` has example poses in place of the mesh's own."""
+        return self.skin is None or self.examples is None
+
+    @property
+    def written_times(self) -> list[float] | None:
+        """Times of the points to write: those of the poses; None for the rest shape of a mesh with a skin."""
+        return self.mesh.times if self.rest_fit is None else None
+
+    def is_simplified_by(self, result: SimplifiedMesh) -> bool:
+        """Whether anything was removed."""
+        return len(result.log) > 0 or len(result.faces) < len(self.mesh.faces)
+
+    def rest_shape(self, result: SimplifiedMesh) -> npt.NDArray[np.float32]:
+        """The rest shape of a mesh with a skin, simplified: float32, shape (1, V', 3)."""
+        assert self.rest_fit is not None
+        return self.rest_fit.undo(result.points[:1])
+
+    def transfer(self, result: SimplifiedMesh, device: str | None) -> AttributeTransfer:
+        """Where the simplified mesh gets its values from."""
+        return AttributeTransfer(self.source, self.faces, self.frames.read(slice(0, 1))[0], result, self.seams, device)
+
+
+def _kept_if_small(frames: PoseFrames, memory: int | None) -> FrameSource:
+    """Poses that fit in little memory are read once, and skinned or interpolated once."""
+    kept = KeptFrames(frames)
+    most = KEPT_BYTES if memory is None else min(KEPT_BYTES, memory // KEPT_PART)
+    return kept if kept.held_bytes <= most else frames
+
+
+def _what_moves(mesh: MeshLayout, skin: Skin | None, clips: Sequence[PoseFrames]) -> Iterator[npt.NDArray[Any]]:
+    """Everything that points must agree in to be one vertex: (V, ...) each; first what is in memory already."""
+    if skin is not None:
+        yield skin.rest_points[mesh.used_points]
+        for influences in skin.influences.values():
+            yield influences.joints[mesh.used_points]
+            yield influences.weights[mesh.used_points]
+        for shape in skin.shapes:
+            for name, array in shape.arrays.items():
+                # Normal offsets are values on the surface; they do not move it.
+                if not name.endswith("normalOffsets"):
+                    yield array[mesh.used_points]
+    for clip in clips:
+        for _, points in read_ahead(clip.read, frame_blocks(clip.frame_count, clip.vertex_count)):
+            yield from points

@@ -1,0 +1,100 @@
+"""Write the result for one mesh: its points, skin and values into a layer of edits, and its figures into the report."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+from pxr import UsdGeom
+
+import warpqem
+from warpqem.arguments.distance_limit import DistanceLimit
+from warpqem.usd.commands.face_points import points_on_level
+from warpqem.usd.commands.measuring import measure_written, written_within
+from warpqem.usd.commands.mesh_job import MeshJob
+from warpqem.usd.commands.simplify_options import SimplifyOptions
+from warpqem.usd.commands.skin_fit import FittedMesh
+from warpqem.usd.read.mesh_skin import Skin
+from warpqem.usd.write.feature_subsets import write_feature_points
+from warpqem.usd.write.point_samples import PointSamples
+from warpqem.usd.write.stage_report import PrimReport
+from warpqem.usd.write.write import OverLayer
+
+__all__ = ["MeshResult"]
+
+
+@dataclass(frozen=True)
+class MeshResult:
+    """One mesh as the core has simplified it.
+
+    Attributes:
+        job: The mesh.
+        mesh: What came of it.
+        samples: What has its points in the poses already, where these are written.
+        fitted: Its skin; None for a mesh without one, or whose skin is to be interpolated.
+        limit: How far it may be from the input.
+        face: How the feature points of a face were kept; None for other cost models.
+    """
+
+    job: MeshJob
+    mesh: warpqem.SimplifiedMesh
+    samples: PointSamples
+    fitted: FittedMesh | None
+    limit: DistanceLimit
+    face: warpqem.face.FaceProtection | None
+
+    def write(self, layer: OverLayer, report: PrimReport, options: SimplifyOptions) -> None:
+        """Write the mesh, and measure what was written if the options say so.
+
+        Args:
+            layer: Edits over the stage that the mesh was read from.
+            report: Gets what came of the mesh.
+            options: What is asked for.
+        """
+        job, mesh = self.job, self.mesh
+        transfer = job.transfer(mesh, options.device)
+        transfer.feature_points = points_on_level(job, self.face, mesh.vertex_map)
+        skin = job.skin
+        if skin is not None:
+            skin, rest = self._at_rest(skin)
+            self.samples.begin(1, mesh.points.shape[1], mesh.faces)
+            self.samples.write(slice(0, 1), rest)
+        dropped = layer.replace_mesh(job.mesh.path, self.samples, job.written_times, mesh.faces, transfer, skin)
+        written = UsdGeom.Mesh(layer.stage.GetPrimAtPath(job.mesh.path))
+        write_feature_points(written, transfer.feature_points, create=self.face is not None)
+        report.dropped = [*self._explained(dropped, options.bake), *self._left_out()]
+        report.components_removed = mesh.components_removed
+        report.faces_after = len(mesh.faces)
+        report.vertices_after = mesh.points.shape[1]
+        report.estimate = float(mesh.error)
+        if skin is not None and self.limit and not written_within(job, layer.stage, self.limit, options.device):
+            report.problems.append(f"{job.mesh.path}: {self.limit}: not proved for the skin as it is written")
+        if options.measure:
+            measure_written(job, layer.stage, report, options.device)
+
+    def _at_rest(self, skin: Skin) -> tuple[Skin, npt.NDArray[np.float32]]:
+        """The skin of the new points and their rest shape (1, V', 3)."""
+        if self.fitted is None:
+            return skin, self.job.rest_shape(self.mesh)
+        return replace(skin, fitted=self.fitted.influences), self.fitted.rest_points[None]
+
+    def _explained(self, dropped: list[str], bake: bool) -> list[str]:
+        """What was taken off the mesh, with why its skin was."""
+        if bake:
+            # What was asked for is no loss.
+            return [name for name in dropped if not name.startswith("skin binding")]
+        reason = self.job.unskinned_because
+        if reason is None:
+            return dropped
+        return [f"{name} ({reason})" if name.startswith("skin binding") else name for name in dropped]
+
+    def _left_out(self) -> list[str]:
+        """What the new mesh has no longer, though nothing had to be taken off it."""
+        lines = []
+        unused = self.job.source.point_count - len(self.job.mesh.used_points)
+        if unused:
+            lines.append(f"{unused} point{'s' if unused > 1 else ''} that no face uses")
+        if self.mesh.components_removed:
+            lines.append(f"{self.mesh.components_removed} small components of the surface")
+        return lines

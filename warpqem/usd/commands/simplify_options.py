@@ -1,0 +1,383 @@
+"""What to do with the meshes of a USD file."""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import dataclass
+from numbers import Real
+from typing import TYPE_CHECKING, Any, Literal
+
+from warpqem.arguments.limits import COUNT, WEIGHTS, Limits
+from warpqem.arguments.option_fields import check_options, option
+from warpqem.costs.models import cost_model
+from warpqem.costs.screen_error import ScreenView
+from warpqem.errors import OptionError
+from warpqem.options import MethodOptions
+from warpqem.usd.commands.option_checks import (
+    FRAMES_HELP,
+    AttributeWeights,
+    check_faces,
+    check_lods,
+    check_weights,
+    parse_faces,
+    read_folders,
+    read_frames,
+    read_length,
+    read_paths,
+    read_ratios,
+    read_weights,
+)
+from warpqem.usd.read.lengths import parse_length
+from warpqem.usd.read.time_codes import FrameRange
+
+if TYPE_CHECKING:
+    from warpqem.costs.motion_features import MotionWeighting
+    from warpqem.face import FaceProtection, FacialFeatures
+
+__all__ = ["GOALS", "SimplifyOptions"]
+
+# These say how far to simplify.
+GOALS = ("ratio", "faces", "max_error", "max_distance", "screen", "lods")
+
+MorphWeights = Literal["thirds", "rank", "distance", "usage"]
+WeightScales = Literal["cost", "quadrics"]
+FeatureWeight = Literal["size", "root", "log", "bend"]
+VaryingTopology = Literal["runs", "refuse"]
+Axis = Literal["x", "y", "z", "auto"]
+# A dihedral angle changes by half a turn at most.
+ANGLE = Limits(0.0, 180.0)
+
+
+@dataclass(frozen=True)
+class SimplifyOptions(MethodOptions):
+    """How to simplify the meshes of a stage: to a count (`ratio`, `faces`), within limits, or to levels (`lods`).
+
+    One or more of `ratio`, `faces`, `max_error`, `max_distance` and `screen` are given, or `lods`; of `ratio` and
+    `faces` only one. Of several, whichever comes first stops.
+
+    Attributes:
+        faces: Triangles of all meshes together, or a share of them such as "25%", split so that a face saves the same
+            error on each.
+        max_distance: The limit of `max_error` as a length in units of the stage, whatever size a mesh has; or text with
+            a unit of its own, such as "2mm", by the stage's metersPerUnit, see `warpqem.usd.read.lengths`.
+        screen: Largest error of each mesh on a screen, at a distance in world units: the same limit as `max_distance`.
+        lods: Ratios of levels of detail, each smaller than the one before, between 0 and 1. The output offers the input
+            and one level for each ratio as variants LOD0, LOD1, ... of the root prim that holds the default prim.
+        usd_lod: With `lods`, write the levels as prims below that root prim, with the schemas of UsdLod, instead.
+        lod_files: With `lods`, write each level as a file of its own beside the output, which is not written itself:
+            OUT_LOD1.usdc, OUT_LOD2.usdc, ... for OUT.usdc.
+        max_size_error: A mesh stops above its number of faces, or within its limit, where its error would pass so many
+            % of its bounding-box diagonal, see `warpqem.SimplifyOptions`; of two triangles none goes. 5, a twentieth of
+            its size, keeps cubes and cards whole, and lets meshes of some hundred triangles come down to a twentieth of
+            them. None or infinity for no limit.
+        uv_weight: Weight of the error of texture coordinates in the order of collapses: at 1 an error of the whole UV
+            square counts as much as one bounding-box diagonal, see `warpqem.costs.AttributeField`; 0 does not look at
+            them. None for the weight of the metric: 0.1 of "face", 0 of the others.
+        attribute_weights: Names of primvars and the weights of their error; for a texture coordinate it takes the place
+            of `uv_weight`.
+        weight_primvar: Name of a primvar of numbers that say how much the surface counts where it is painted; infinity
+            locks. None for none.
+        weight_scales: What those numbers scale: "cost", that of collapses, or "quadrics" (Kho & Garland 2003), so that
+            merged vertices go nearer to what counts more, too; see `vertex_weights` and `quadric_scale` of
+            `warpqem.SimplifyOptions`.
+        morph_weights: Scale the error of what moves more between the shapes of a mesh, see
+            `warpqem.costs.morph_weights`: "thirds", "rank", "distance" or "usage"; None for no weights.
+        face_points: JSON file with feature points by name for the metric "face", such as `warpqem face detect` writes;
+            they take precedence over those that the mesh names itself, see
+            `warpqem.usd.commands.face_points`, and these over those that are found. They are of the mesh that the file
+            names, or of the largest one.
+        face_weight: Weight of the feature points, see `warpqem.face.FaceProtection`; None for its default.
+        face_ring: Neighbours up to so many edges away count at a feature point; None for the default.
+        face_keep: Feature points stay where they are, as points, whatever the face count.
+        feature_threshold: With a metric that keeps motion features, such as "aqem": degrees that an edge bends by
+            between two frames to be part of one, see `warpqem.costs.MotionWeighting`; None for the mean over all edges.
+        feature_floor: Degrees that it bends by in any case; None for 1.
+        feature_weight: What a vertex in a motion feature weighs: "size", "root", "log" or "bend"; None for "size".
+        measure: Measure every mesh that was written against the input; no bit of the output depends on it.
+        symmetry: "x", "y" or "z": a mesh whose first pose, or rest shape, is its own mirror image across that local
+            axis stays so; "auto" for the first of them; None for no care. Other meshes are simplified as usual.
+        frames: Time codes to read; None for all authored ones.
+        poses: USD file with example poses, see `warpqem.usd.read.example_poses`: they decide how a mesh with a skin is
+            simplified instead of its own animation, and how one without is beside it. None for none.
+        influences: Joints that move a new point of a skinned mesh at most; None for as many as in the input.
+        skin_fit: Fit rest points and joint influences of skinned meshes together to their poses, see
+            `warpqem.skinning.fit_skin`; otherwise influences are interpolated.
+        pose_independent: Simplify meshes with a linear skin in their rest shape, by rest-pose quadrics of the
+            errors of all poses, and interpolate their skin, see `warpqem.skinning.rest_pose_quadrics`: a method to
+            compare with.
+        asset_roots: Folders that all files which the input needs must be in, or in its own; empty for anywhere.
+        prims: Prim paths; meshes at and below them are simplified. Empty for all.
+        bake: Write skinned and blend-shaped meshes as point samples without their skin.
+        weld: Join points of a mesh that differ in nothing that moves them before simplifying; what else differs between
+            them stays apart as faceVarying values.
+        varying_topology: "runs": a mesh whose topology varies over time is simplified run by run of constant topology,
+            to the goal in each; "refuse": it is left as it is, with an error.
+        flatten: Write one self-contained file instead of a layer over the input.
+        strict: Stop at the first mesh that cannot be done, also if it only misses its face count, and write nothing.
+    """
+
+    faces: int | str | None = option(
+        None,
+        "Triangles of all meshes together, such as 5000, or a share of them, such as 25%; each mesh gets its part by "
+        "the error that its faces save. For stages of many meshes.",
+        "COUNT",
+        basic=True,
+        parse=parse_faces,
+    )
+    max_size_error: float | None = option(
+        5.0,
+        "A mesh stops where its error would pass so many % of its bounding-box diagonal, so that cards and boxes are "
+        "not destroyed for a face count or a large distance; inf for no limit.",
+        "PCT",
+        Limits(0.0, open_low=True, infinite=True),
+    )
+    max_distance: float | str | None = option(
+        None,
+        "Largest distance of each mesh from the input as a length, in units of the stage or with mm, cm, m, in or ft, "
+        "such as 2mm. Limits go together, and with --ratio or --faces: whichever comes first stops.",
+        "LENGTH",
+        parse=read_length,
+    )
+    screen: ScreenView | None = option(None, "")
+    lods: tuple[float, ...] = option(
+        (),
+        "Levels of detail, such as 0.5,0.25,0.1: OUT offers IN as LOD0 and one level for each ratio as LOD1, LOD2, ... "
+        "in the variant set LOD of its default prim.",
+        "SHARES",
+        basic=True,
+        parse=read_ratios,
+    )
+    usd_lod: bool = option(
+        False,
+        "With --lods: write the levels with the UsdLod schemas, for renderers to choose by size or distance.",
+    )
+    lod_files: bool = option(
+        False,
+        "With --lods: write each level as a file of its own, OUT_LOD1.usdc, OUT_LOD2.usdc, ..., for programs that know "
+        "neither variants nor UsdLod; OUT itself is not written.",
+    )
+    uv_weight: float | None = option(
+        None,
+        "Weight of texture-coordinate error in the choice of collapses: at 1 the whole UV square counts as much as the "
+        "bounding-box diagonal; 0 does not look at UVs (Hoppe 1999). By default 0.1 with --metric face, else 0.",
+        "WEIGHT",
+        WEIGHTS,
+    )
+    attribute_weights: AttributeWeights = option(
+        (),
+        "The same for the primvar NAME; may be given several times.",
+        "NAME=WEIGHT",
+        name="attribute_weight",
+        parse=read_weights,
+        repeated=True,
+    )
+    weight_primvar: str | None = option(
+        None,
+        "Primvar of numbers, painted on the meshes: 10 is ten times as important as 1, infinity locks.",
+        "NAME",
+    )
+    weight_scales: WeightScales = option(
+        "cost",
+        "What --weight-primvar scales: the cost of collapses, or the quadrics (Kho & Garland 2003), which also draw "
+        "merged vertices to what counts more.",
+    )
+    morph_weights: MorphWeights | None = option(
+        None,
+        "Keep more detail where blend shapes or poses move the surface more: scale quadrics by thirds of the points "
+        "(Berner & Rieger 2006), by rank, by distance, or by distance as an animation uses the shapes.",
+    )
+    face_points: str | os.PathLike[str] | None = option(
+        None,
+        "With --metric face: JSON file with feature points by name, such as face detect writes. They take precedence "
+        "over point subsets of the family face and primvars such as face:chin, these over what is found.",
+        "FILE",
+    )
+    face_weight: float | None = option(
+        None,
+        "With --metric face: weight of the quadrics of a feature point and of its neighbours, which are summed at it "
+        "(equation 1 of multiresolution facial animation); 100 by default.",
+        "WEIGHT",
+        Limits(1.0, 1e12),
+    )
+    face_ring: int | None = option(
+        None,
+        "With --metric face: neighbours up to so many edges away are summed; 1 by default.",
+        "EDGES",
+        Limits(0),
+    )
+    face_keep: bool = option(
+        True,
+        "With --metric face: feature points stay as they are at any face count; or as long as their weight holds.",
+    )
+    feature_threshold: float | None = option(
+        None,
+        "Joints: degrees that an edge bends by between two frames to be part of one; by default the mean over all "
+        "edges. Less finds finer ones.",
+        "DEG",
+        ANGLE,
+    )
+    feature_floor: float | None = option(
+        None, "Joints: degrees that an edge bends by in any case; by default 1.", "DEG", ANGLE
+    )
+    feature_weight: FeatureWeight | None = option(
+        None,
+        "With --metric aqem: what a joint weighs: its size in points (the default, Yang et al. 2019), the root or one "
+        "plus the logarithm of that, or how far it bends. All but size cost the rest less shape.",
+    )
+    measure: bool = option(
+        True, "Measure what was written against IN, as `warpqem compare` does: RMS and largest distance, flips."
+    )
+    symmetry: Axis | None = option(
+        None,
+        "Meshes that are their own mirror image across this local axis, at rest or in the first pose, stay so; auto "
+        "for the first axis of which this is true.",
+    )
+    frames: FrameRange | None = option(None, FRAMES_HELP, "START:END[:STEP]", basic=True, parse=read_frames)
+    poses: str | os.PathLike[str] | None = option(
+        None,
+        "USD file with example poses at the same prim paths, such as another clip: they decide how skinned meshes are "
+        "simplified, instead of the animation in IN.",
+        "FILE",
+    )
+    influences: int | None = option(
+        None, "Joints that move a point of a skinned mesh at most; by default as many as in IN.", "JOINTS", COUNT
+    )
+    skin_fit: bool = option(
+        True,
+        "Fit rest points and joint influences of skinned meshes together to their poses (Landreneau & Schaefer 2009); "
+        "or interpolate them.",
+    )
+    pose_independent: bool = option(
+        False,
+        "To compare with: simplify skinned meshes in their rest shape, by rest-pose quadrics of all poses, and "
+        "interpolate their skin (DeCoro & Rusinkiewicz 2005).",
+    )
+    asset_roots: tuple[str, ...] = option(
+        (),
+        "Refuse inputs that name files outside of this folder and their own; may be given several times.",
+        "DIR",
+        name="asset_root",
+        parse=read_folders,
+        repeated=True,
+    )
+    prims: tuple[str, ...] = option(
+        (),
+        "Only the meshes at and below this prim path, such as /Root/Body; may be given several times.",
+        "PATH",
+        name="prim",
+        basic=True,
+        parse=read_paths,
+        repeated=True,
+    )
+    bake: bool = option(
+        False, "Write skinned and blend-shaped meshes as point samples, without their skin.", basic=True
+    )
+    varying_topology: VaryingTopology = option(
+        "runs",
+        "Meshes whose topology varies over time: simplify each run of constant topology over its frames, to the goal "
+        "in each; or leave them as they are, with an error.",
+    )
+    weld: bool = option(True, "Join points that lie together in every frame, such as those split at UV seams.")
+    flatten: bool = option(
+        False,
+        "Write one self-contained file instead of a layer over IN; textures in packages or other folders are copied to "
+        "NAME_textures beside it.",
+        basic=True,
+    )
+    strict: bool = option(False, "Stop at the first mesh that cannot be done, and write nothing.")
+
+    def __post_init__(self) -> None:
+        """Check the options, and those that need or exclude each other."""
+        self._check_goals()
+        if isinstance(self.ratio, Real) and 1 < self.ratio <= 100:
+            raise OptionError(
+                f"ratio must be in (0, 1], got {self.ratio:g}; for {self.ratio:g} % give {self.ratio / 100:g}"
+            )
+        check_options(self)
+        if self.faces is not None:
+            check_faces(self.faces)
+        if self.max_distance is not None:
+            parse_length(self.max_distance, meters_per_unit=1.0)
+        if self.memory is not None:
+            from warpqem.pipeline.memory_plan import parse_bytes
+
+            parse_bytes(self.memory)
+        check_lods(self.lods)
+        check_weights(self.attribute_weights)
+        self._check_face()
+        # Those of features and cost models check their values when they are made.
+        _ = self.motion
+        self._check_pose_independent()
+        self._check_levels()
+
+    def _check_goals(self) -> None:
+        given = [name for name in GOALS if getattr(self, name) not in (None, ())]
+        if not given:
+            raise OptionError("one of ratio, faces, max_error, max_distance, screen and lods is needed")
+        if given[:2] == ["ratio", "faces"]:
+            raise OptionError(f"ratio {self.ratio} and faces {self.faces} exclude each other")
+        if "lods" in given and len(given) > 1:
+            raise OptionError(f"lods and {given[0]} exclude each other: the ratios of the levels say how far to go")
+
+    def _check_levels(self) -> None:
+        if self.lods and self.flatten and not self.lod_files:
+            raise OptionError(
+                "lods and flatten exclude each other: every level is a layer over the input; with lod_files each level "
+                "is a file that can be flat"
+            )
+        for name in ("usd_lod", "lod_files"):
+            if getattr(self, name) and not self.lods:
+                raise OptionError(f"{name} needs lods: the ratios of the levels")
+        if self.usd_lod and self.lod_files:
+            raise OptionError("usd_lod and lod_files exclude each other: all levels in one file, or one file for each")
+
+    def _check_pose_independent(self) -> None:
+        others = (
+            self.symmetry
+            or self.refits
+            or self.memoryless_orders
+            or self.bake
+            or self.lods
+            or self.metric != "dsd"
+            or self.placement != "optimal"
+            or self.motion is not None
+        )
+        if self.pose_independent and others:
+            raise OptionError(
+                "pose_independent excludes symmetry, quality best, refit, memoryless, bake, lods, another metric, its "
+                "options and another placement"
+            )
+
+    def _check_face(self) -> None:
+        given = [name for name in ("face_points", "face_weight", "face_ring") if getattr(self, name) is not None]
+        given += [] if self.face_keep else ["face_keep"]
+        if given and not cost_model(self.metric).keeps_face:
+            raise OptionError(f"{given[0]}: needs metric 'face', not {self.metric!r}")
+
+    def face_protection(self, features: FacialFeatures | None = None) -> FaceProtection:
+        """How these feature points are kept."""
+        from warpqem.face import FaceProtection
+
+        chosen: dict[str, Any] = {"weight": self.face_weight, "ring": self.face_ring, "keep": self.face_keep}
+        return FaceProtection(features, **{name: value for name, value in chosen.items() if value is not None})
+
+    @property
+    def size_limit(self) -> float | None:
+        """`max_size_error` for `warpqem.simplify`; None where it limits nothing, as an infinite one."""
+        limit = self.max_size_error
+        return None if limit is None or math.isinf(limit) else limit
+
+    @property
+    def texture_weight(self) -> float:
+        """Weight of texture coordinates that `attribute_weights` does not name."""
+        return cost_model(self.metric).uv_weight if self.uv_weight is None else self.uv_weight
+
+    @property
+    def motion(self) -> MotionWeighting | None:
+        """How motion features are found and weighted, for `warpqem.simplify`; None where nothing is asked for."""
+        if self.feature_threshold is None and self.feature_floor is None and self.feature_weight is None:
+            return None
+        from warpqem.costs.motion_features import motion_weighting
+
+        return motion_weighting(self.feature_threshold, self.feature_floor, self.feature_weight)

@@ -1,0 +1,1 @@
+"""Meshes, poses, skins, seams and values read from a stage. Imports layers, checks and the core."""

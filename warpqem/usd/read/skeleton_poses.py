@@ -1,0 +1,238 @@
+"""Poses of skinned and blend-shaped meshes, through UsdSkel.
+
+The points equal what `UsdSkel.BakeSkinning` would write: blend shapes first, then linear or dual-quaternion skinning
+with the geomBindTransform, then from the skeleton's space to the mesh's (UsdSkel documentation, "Schemas In-Depth").
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
+
+from warpqem.errors import StageError
+from warpqem.usd.read.descendants import like
+
+__all__ = ["MeshPoser", "StagePoses"]
+
+
+class StagePoses:
+    """The skin bindings of a whole stage."""
+
+    def __init__(self, stage: Usd.Stage) -> None:
+        """Resolve the bindings below every SkelRoot of `stage`."""
+        self._cache = UsdSkel.Cache()
+        self._bindings: dict[Sdf.Path, tuple[UsdSkel.SkeletonQuery, UsdSkel.SkinningQuery]] = {}
+        # Those below a class count as well: the meshes there are edited in place of the instances of it.
+        for prim in Usd.PrimRange.Stage(stage, Usd.PrimIsActive & Usd.PrimIsLoaded):
+            if prim.IsA(UsdSkel.Root):
+                self._collect(UsdSkel.Root(prim))
+
+    def _collect(self, root: UsdSkel.Root) -> None:
+        predicate = like(root.GetPrim())
+        if not self._cache.Populate(root, predicate):
+            return
+        for binding in self._cache.ComputeSkelBindings(root, predicate):
+            skeleton_query = self._cache.GetSkelQuery(binding.GetSkeleton())
+            if not skeleton_query:
+                continue
+            for skinning_query in binding.GetSkinningTargets():
+                self._bindings[skinning_query.GetPrim().GetPath()] = (skeleton_query, skinning_query)
+
+    def poser(self, prim: Usd.Prim) -> MeshPoser | None:
+        """What deforms `prim`, or None if no skeleton or blend shape is bound to it."""
+        binding = self._bindings.get(prim.GetPath())
+        if binding is None:
+            return None
+        skeleton_query, skinning_query = binding
+        if not skinning_query.HasJointInfluences() and not skinning_query.HasBlendShapes():
+            return None
+        return MeshPoser.create(prim, skeleton_query, skinning_query)
+
+
+@dataclass(frozen=True)
+class MeshPoser:
+    """Deforms the rest points of one mesh.
+
+    Attributes:
+        prim: The mesh.
+        skeleton_query: The skeleton bound to it.
+        skinning_query: Its joint influences and blend shapes.
+        blend_shape_query: Its blend shapes, None if it has none or no animation drives them.
+        point_indices: For each blend shape the points it moves, empty for all of them.
+        point_offsets: For each sub-shape (shape or inbetween) the offsets.
+    """
+
+    prim: Usd.Prim
+    skeleton_query: UsdSkel.SkeletonQuery
+    skinning_query: UsdSkel.SkinningQuery
+    blend_shape_query: UsdSkel.BlendShapeQuery | None
+    point_indices: list[Vt.IntArray]
+    point_offsets: list[Vt.Vec3fArray]
+
+    @classmethod
+    def create(
+        cls, prim: Usd.Prim, skeleton_query: UsdSkel.SkeletonQuery, skinning_query: UsdSkel.SkinningQuery
+    ) -> MeshPoser:
+        """Fetch the blend shapes once, for all times."""
+        animation_query = skeleton_query.GetAnimQuery()
+        if not skinning_query.HasBlendShapes() or not animation_query:
+            return cls(prim, skeleton_query, skinning_query, None, [], [])
+        query = UsdSkel.BlendShapeQuery(UsdSkel.BindingAPI(prim))
+        return cls(
+            prim,
+            skeleton_query,
+            skinning_query,
+            query,
+            query.ComputeBlendShapePointIndices(),
+            query.ComputeSubShapePointOffsets(),
+        )
+
+    @property
+    def joint_count(self) -> int:
+        """Number of joints in the order that the influences of this mesh use."""
+        if not self.skinning_query.HasJointInfluences():
+            return 0
+        order = self.skinning_query.GetJointOrder()
+        return len(order if order is not None else self.skeleton_query.GetJointOrder())
+
+    @property
+    def blend_shape_count(self) -> int:
+        """Number of blend shapes bound to this mesh."""
+        order = self.skinning_query.GetBlendShapeOrder() if self.skinning_query.HasBlendShapes() else None
+        return 0 if order is None else len(order)
+
+    def times(self) -> set[float]:
+        """Every time code at which something that moves the points is authored."""
+        times: set[float] = set()
+        animation_query = self.skeleton_query.GetAnimQuery()
+        query = self.skinning_query
+        if query.HasJointInfluences():
+            if animation_query:
+                times.update(animation_query.GetJointTransformTimeSamples())
+            for attribute in (query.GetGeomBindTransformAttr(), query.GetJointWeightsPrimvar()):
+                if attribute:
+                    times.update(attribute.GetTimeSamples())
+            times.update(_relative_transform_times(self.prim, self.skeleton_query.GetPrim()))
+        if self.blend_shape_query is not None:
+            times.update(animation_query.GetBlendShapeWeightTimeSamples())
+        return times
+
+    def pose(self, rest_points: Vt.Vec3fArray, time: float | Usd.TimeCode) -> npt.NDArray[np.float32]:
+        """Deform the points.
+
+        Args:
+            rest_points: The authored points at `time`.
+            time: Time code of the pose.
+
+        Returns:
+            float32, shape (point count, 3), in the local space of the mesh.
+
+        Raises:
+            StageError: the influences or blend shapes do not fit the mesh.
+        """
+        points = Vt.Vec3fArray(rest_points)
+        if self.blend_shape_query is not None:
+            self._apply_blend_shapes(points, time)
+        if not self.skinning_query.HasJointInfluences():
+            return np.array(points, dtype=np.float32).reshape(-1, 3)
+        transforms = self.skeleton_query.ComputeSkinningTransforms(time)
+        if transforms is not None and self.skinning_query.IsRigidlyDeformed():
+            # One transform for all points, as UsdSkel bakes it. Blending several joints point by point rounds otherwise
+            # and comes out up to a few millionths of the distance from the origin apart.
+            rigid = np.array(self.skinning_query.ComputeSkinnedTransform(transforms, time))
+            return self._to_local_space(_transform(np.asarray(points), rigid), time)
+        if transforms is None or not self._skin(transforms, points, time):
+            raise StageError(
+                f"{self.prim.GetPath()}: UsdSkel cannot skin the {len(points)} points at time {time} "
+                f"with skeleton {self.skeleton_query.GetPrim().GetPath()} (primvars:skel:jointIndices, jointWeights)"
+            )
+        return self._to_local_space(np.asarray(points), time)
+
+    def _skin(self, transforms: Vt.Matrix4dArray, points: Vt.Vec3fArray, time: float | Usd.TimeCode) -> bool:
+        """Move points by joints, in place; false where their influences do not fit."""
+        query = self.skinning_query
+        influences = [
+            primvar.ComputeFlattened(time)
+            for primvar in (query.GetJointIndicesPrimvar(), query.GetJointWeightsPrimvar())
+        ]
+        if isinstance(influences[0], Vt.IntArray) and isinstance(influences[1], Vt.FloatArray):
+            return bool(query.ComputeSkinnedPoints(transforms, points, time))
+        # UsdSkel reads no numbers of other types, such as weights in double precision, but calculates with them.
+        joints, weights = (np.asarray(values) for values in influences)
+        if joints.dtype.kind not in "iu" or weights.dtype.kind not in "fiu":
+            return False
+        mapper = query.GetJointMapper()
+        ordered = transforms if mapper is None else mapper.RemapTransforms(transforms)
+        return bool(
+            UsdSkel.SkinPoints(
+                query.GetSkinningMethod(),
+                query.GetGeomBindTransform(time),
+                ordered,
+                Vt.IntArray.FromNumpy(joints.astype(np.int32)),
+                Vt.FloatArray.FromNumpy(weights.astype(np.float32)),
+                query.GetNumInfluencesPerComponent(),
+                points,
+            )
+        )
+
+    def shaped(self, rest_points: Vt.Vec3fArray, time: float | Usd.TimeCode) -> npt.NDArray[np.float32]:
+        """The rest points as blend shapes leave them to the joints, float32, shape (point count, 3)."""
+        points = Vt.Vec3fArray(rest_points)
+        if self.blend_shape_query is not None:
+            self._apply_blend_shapes(points, time)
+        return np.array(points, dtype=np.float32).reshape(-1, 3)
+
+    def _apply_blend_shapes(self, points: Vt.Vec3fArray, time: float | Usd.TimeCode) -> None:
+        assert self.blend_shape_query is not None
+        weights = self.skeleton_query.GetAnimQuery().ComputeBlendShapeWeights(time)
+        if weights is None:
+            raise StageError(
+                f"{self.skeleton_query.GetAnimQuery().GetPrim().GetPath()}.blendShapeWeights: no value at time {time}"
+            )
+        mapper = self.skinning_query.GetBlendShapeMapper()
+        mapped = weights if mapper is None else mapper.Remap(weights)
+        sub_weights, shape_indices, sub_indices = self.blend_shape_query.ComputeSubShapeWeights(mapped)
+        if not self.blend_shape_query.ComputeDeformedPoints(
+            sub_weights, shape_indices, sub_indices, self.point_indices, self.point_offsets, points
+        ):
+            raise StageError(
+                f"{self.prim.GetPath()}: a blend shape refers to points outside the {len(points)} points "
+                f"of the mesh (skel:blendShapeTargets) at time {time}"
+            )
+
+    def _to_local_space(self, points: npt.NDArray[np.floating], time: float | Usd.TimeCode) -> npt.NDArray[np.float32]:
+        """From the skeleton's space to the mesh's; USD matrices act on row vectors."""
+        cache = UsdGeom.XformCache(time)
+        to_world = np.array(cache.GetLocalToWorldTransform(self.skeleton_query.GetPrim()))
+        from_world = np.array(cache.GetLocalToWorldTransform(self.prim).GetInverse())
+        return _transform(points, to_world @ from_world).astype(np.float32)
+
+
+def _transform(points: npt.NDArray[np.floating], matrix: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    moved: npt.NDArray[np.float64] = points.astype(np.float64) @ matrix[:3, :3] + matrix[3, :3]
+    return moved
+
+
+def _relative_transform_times(first: Usd.Prim, second: Usd.Prim) -> set[float]:
+    """Samples of the transforms between two prims; those of common ancestors cancel out."""
+    times: set[float] = set()
+    chains = [_transform_chain(first), _transform_chain(second)]
+    for path in chains[0].keys() ^ chains[1].keys():
+        times.update((chains[0].get(path) or chains[1][path]).GetTimeSamples())
+    return times
+
+
+def _transform_chain(prim: Usd.Prim) -> dict[Sdf.Path, UsdGeom.Xformable]:
+    """The transformable prims from `prim` up to the root or to the first that resets the transform stack."""
+    chain: dict[Sdf.Path, UsdGeom.Xformable] = {}
+    while prim and not prim.IsPseudoRoot():
+        xformable = UsdGeom.Xformable(prim)
+        if xformable:
+            chain[prim.GetPath()] = xformable
+            if xformable.GetResetXformStack():
+                break
+        prim = prim.GetParent()
+    return chain

@@ -1,0 +1,221 @@
+"""All meshes of a file as one, in world space, as a picture shows them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+from pxr import Sdf, Usd, UsdGeom
+
+from warpqem.errors import StageError, VaryingTopologyError
+from warpqem.usd.read.open_stage import find_meshes, open_stage
+from warpqem.usd.read.read_mesh import MeshSource, StageMesh
+from warpqem.usd.read.skeleton_poses import StagePoses
+from warpqem.usd.read.time_codes import FrameRange
+from warpqem.usd.read.topology_runs import TopologyRun, find_runs, open_run
+
+__all__ = ["WorldMeshes", "chosen_times", "limit_places"]
+
+# Instances may show a mesh a million times: with so many points of all files together (96 MB a frame in float64), each
+# mesh is drawn at one place only.
+MAX_POINTS = 4_000_000
+
+
+class WorldMeshes:
+    """All meshes of one file in world space.
+
+    Attributes:
+        name: The file's name without its folder.
+        stage: The file.
+        left_out: Paths of meshes whose topology varies over time, where those are not wanted.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        prims: Sequence[str] = (),
+        variant: tuple[Sdf.Path, str, str] | None = None,
+        passing: Sequence[str] = (),
+        varying: bool = False,
+        stage: Usd.Stage | None = None,
+    ) -> None:
+        """Find the meshes.
+
+        Args:
+            path: USD file.
+            prims: Prim paths; meshes at and below them are taken. Empty for all.
+            variant: Prim path, name of a variant set and the variant to select there; None for what the file selects.
+            passing: Prim paths of meshes that are left out, such as those that could not be simplified.
+            varying: Take meshes whose topology varies over time too; then one time can be read at once.
+            stage: The file, open already; None to open it.
+
+        Raises:
+            StageError: the file cannot be read, or has no mesh.
+            VaryingTopologyError: the topology of all of its meshes varies, and those are not wanted.
+        """
+        self.name = os.path.basename(os.fspath(path))
+        self.stage: Usd.Stage = open_stage(path) if stage is None else stage
+        if variant is not None:
+            prim_path, variant_set, variant_name = variant
+            # In the session layer, which is not part of the file.
+            with Usd.EditContext(self.stage, self.stage.GetSessionLayer()):
+                self.stage.GetPrimAtPath(prim_path).GetVariantSet(variant_set).SetVariantSelection(variant_name)
+        selection = find_meshes(self.stage, prims)
+        poses = StagePoses(self.stage)
+        meshes = []
+        for prim in selection.prims:
+            places = [place for place, shown in selection.places.items() if shown == prim.GetPath()]
+            if not {str(prim.GetPath()), *map(str, places)} & set(passing):
+                meshes.append(_WorldMesh.of(prim, poses, places))
+        if not meshes:
+            raise StageError(f"{path}: there is no mesh on the stage")
+        self.left_out = [str(mesh.prim.GetPath()) for mesh in meshes if mesh.runs and not varying]
+        self._meshes = [mesh for mesh in meshes if varying or not mesh.runs]
+        if not self._meshes:
+            raise VaryingTopologyError(
+                f"{self.left_out[0]}: its topology varies over time; this shows meshes with one topology "
+                "(warpqem render shows others)"
+            )
+
+    @property
+    def times(self) -> list[float]:
+        """Every time code at which a mesh has a sample."""
+        return sorted({time for mesh in self._meshes for time in mesh.times})
+
+    @property
+    def point_count(self) -> int:
+        """Points of all meshes wherever they show; of one whose topology varies, at its first frame."""
+        return sum(mesh.point_count for mesh in self._meshes)
+
+    @property
+    def up(self) -> str:
+        """The up axis, "y" or "z"."""
+        return "z" if UsdGeom.GetStageUpAxis(self.stage) == UsdGeom.Tokens.z else "y"
+
+    @property
+    def first_places(self) -> list[Sdf.Path]:
+        """One path for each mesh, the first at which the stage shows it."""
+        return [mesh.places[0] for mesh in self._meshes]
+
+    def show_only(self, places: Sequence[Sdf.Path]) -> None:
+        """Leave meshes out of all other paths; one that is at none of these is left at its first."""
+        wanted = set(places)
+        self._meshes = [
+            replace(mesh, places=[place for place in mesh.places if place in wanted] or mesh.places[:1])
+            for mesh in self._meshes
+        ]
+
+    def read(self, times: Sequence[float] | None) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int32]]:
+        """Points (F, V, 3) and counter-clockwise faces (N, 3) of all meshes as one.
+
+        Raises:
+            StageError: a mesh cannot be read at one of the times.
+        """
+        points, faces, count = [], [], 0
+        for item in self._meshes:
+            mesh = item.read(times)
+            if mesh is None:
+                continue
+            posed = np.repeat(mesh.points, len(times or [0]) // len(mesh.points), axis=0).astype(np.float64)
+            for place in item.places:
+                points.append(self._in_world(posed, place, times))
+                faces.append(mesh.right_handed_faces + count)
+                count += posed.shape[1]
+        if not points:
+            return np.zeros((len(times or [0]), 0, 3), dtype=np.float32), np.zeros((0, 3), dtype=np.int32)
+        return np.concatenate(points, axis=1).astype(np.float32), np.concatenate(faces).astype(np.int32)
+
+    def _in_world(
+        self, points: npt.NDArray[np.float64], place: Sdf.Path, times: Sequence[float] | None
+    ) -> npt.NDArray[np.float64]:
+        """Points (F, V, 3) of a mesh where the stage shows it."""
+        moved = np.empty_like(points)
+        for frame, time in enumerate(times or [None]):
+            code = Usd.TimeCode.Default() if time is None else Usd.TimeCode(time)
+            matrix = np.array(UsdGeom.XformCache(code).GetLocalToWorldTransform(self.stage.GetPrimAtPath(place)))
+            moved[frame] = points[frame] @ matrix[:3, :3] + matrix[3, :3]
+        return moved
+
+
+@dataclass(frozen=True)
+class _WorldMesh:
+    """One mesh.
+
+    Attributes:
+        prim: Where it is defined.
+        places: Paths at which the stage shows it: that of the prim, or those of instances of it.
+        source: The mesh, if it has one topology.
+        runs: Its runs of constant topology otherwise.
+    """
+
+    prim: Usd.Prim
+    places: Sequence[Sdf.Path]
+    source: MeshSource | None
+    runs: Sequence[TopologyRun]
+
+    @classmethod
+    def of(cls, prim: Usd.Prim, poses: StagePoses, places: Sequence[Sdf.Path]) -> _WorldMesh:
+        try:
+            return cls(prim, places, MeshSource(prim, poses), ())
+        except VaryingTopologyError:
+            if poses.poser(prim) is not None:
+                raise
+            return cls(prim, places, None, find_runs(UsdGeom.Mesh(prim)))
+
+    @property
+    def times(self) -> list[float]:
+        if self.source is not None:
+            return self.source.authored_times
+        return [time for run in self.runs for time in run.times]
+
+    @property
+    def point_count(self) -> int:
+        if self.source is not None:
+            return self.source.point_count * len(self.places)
+        return len(UsdGeom.Mesh(self.prim).GetPointsAttr().Get(self.runs[0].times[0]) or ()) * len(self.places)
+
+    def read(self, times: Sequence[float] | None) -> StageMesh | None:
+        """The mesh at some times; None where it shows nothing."""
+        if self.source is not None:
+            return self.source.read(times if self.source.authored_times else None)
+        if times is None or len(times) != 1:
+            raise VaryingTopologyError(f"{self.prim.GetPath()}: its topology varies over time; one time can be read")
+        run = next(run for run in self.runs if run.shows(times[0]))
+        if run.is_empty:
+            return None
+        with open_run(self.prim, replace(run, times=tuple(times))) as alone:
+            source = MeshSource(alone, StagePoses(alone.GetStage()))
+            return source.read(times if source.authored_times else None)
+
+
+def limit_places(meshes: Sequence[WorldMeshes]) -> bool:
+    """Where instances show more points than can be drawn, leave each mesh at one place, the same in all files.
+
+    Returns:
+        Whether anything was left out.
+    """
+    if sum(item.point_count for item in meshes) <= MAX_POINTS:
+        return False
+    places = meshes[0].first_places
+    counts = [item.point_count for item in meshes]
+    for item in meshes:
+        item.show_only(places)
+    return counts != [item.point_count for item in meshes]
+
+
+def chosen_times(meshes: Sequence[WorldMeshes], frames: FrameRange | None = None) -> list[float]:
+    """The time codes of all of them, within a range; empty where nothing moves.
+
+    Raises:
+        StageError: there is no sample in the range.
+    """
+    times = sorted({time for item in meshes for time in item.times})
+    if frames is None:
+        return times
+    chosen = frames.select(times)
+    if not chosen:
+        raise StageError(f"no sample in the frame range {frames}")
+    return chosen

@@ -1,0 +1,174 @@
+"""Where on the input mesh each element of the simplified mesh gets its values from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+from pxr import UsdGeom
+
+from warpqem.mesh.blending import blend
+from warpqem.mesh.mesh_input import is_proper
+from warpqem.pipeline.surface_transfer import SurfaceTransfer, surface_transfer
+from warpqem.usd.read.mesh_seams import MeshSeams
+from warpqem.usd.read.read_mesh import MeshSource
+from warpqem.usd.write.feature_subsets import FAMILY
+from warpqem.usd.write.vertex_colors import fitted_values
+
+if TYPE_CHECKING:
+    from warpqem.pipeline.result import SimplifiedMesh
+
+__all__ = ["AttributeTransfer", "Rows"]
+
+# Shorter vectors than this have no direction.
+SHORTEST = 1e-12
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Output elements as blends of input elements.
+
+    Attributes:
+        index: int64, shape (R, K), input elements.
+        weight: float32, shape (R, K), not negative, each row sums to one.
+    """
+
+    index: npt.NDArray[np.int64]
+    weight: npt.NDArray[np.float32]
+
+    @property
+    def heaviest(self) -> npt.NDArray[np.int64]:
+        """The input element with the largest weight of each row, shape (R,)."""
+        return np.take_along_axis(self.index, self.weight.argmax(axis=1)[:, None], axis=1)[:, 0]
+
+    def pick(self, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """The value of the heaviest input element: (R, ...) of (elements, ...)."""
+        return values[self.heaviest]
+
+    def blend(self, values: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
+        """The weighted mean: (R, ...) float64 of (elements, ...)."""
+        return blend(values[self.index], self.weight)
+
+    def blend_directions(self, values: npt.NDArray[Any], signed: bool = True) -> npt.NDArray[np.float64]:
+        """The weighted mean of vectors (elements, ..., D), scaled to length one; where it is zero, the heaviest.
+
+        Args:
+            values: Directions.
+            signed: False if a vector and its negative mean the same, as with the quaternions of rotations. These keep
+                the mean of their lengths.
+        """
+        corners, heaviest = values[self.index].astype(np.float64), self.pick(values).astype(np.float64)
+        weight = self.weight.astype(np.float64).reshape(*self.weight.shape, *[1] * (corners.ndim - 2))
+        if not signed:
+            agreement = (corners * heaviest[:, None]).sum(axis=-1, keepdims=True)
+            corners = np.where(agreement < 0, -corners, corners)
+        mean = (weight * corners).sum(axis=1)
+        length = np.linalg.norm(mean, axis=-1, keepdims=True)
+        # A quaternion of another length than one stays so: what its maker means by it is not known.
+        wanted = 1.0 if signed else (weight * np.linalg.norm(corners, axis=-1, keepdims=True)).sum(axis=1)
+        return np.where(length > SHORTEST, wanted * mean / np.maximum(length, SHORTEST), heaviest)
+
+
+class AttributeTransfer:
+    """Rows for the points, faces and corners of one simplified mesh.
+
+    Attributes:
+        feature_points: Points of it that are feature points of a face, by name.
+    """
+
+    def __init__(
+        self,
+        source: MeshSource,
+        faces: npt.NDArray[np.int32],
+        reference_points: npt.NDArray[np.float32],
+        result: SimplifiedMesh,
+        seams: MeshSeams,
+        device: str | None = None,
+    ) -> None:
+        """Prepare for one mesh.
+
+        Args:
+            source: The input mesh.
+            faces: int32, shape (N, 3), its triangles as given to `warpqem.simplify`.
+            reference_points: float32, shape (V, 3), the pose of `result.points[0]` on the input.
+            result: What that returned.
+            seams: The seams of the input.
+            device: Warp device; None for the default.
+        """
+        self.prim = source.prim
+        self.input_count = source.element_count
+        self.topology = source.topology
+        self.point_count = source.point_count
+        self.seams = seams
+        self.faces = result.faces
+        self.vertex_count: int = result.points.shape[1]
+        self.face_polygon = source.topology.triangle_polygons[result.face_map].astype(np.int64)
+        self._input = (reference_points, faces, result)
+        self.feature_points: dict[str, int] = {}
+        self._device = device
+        self._transfers: dict[bytes, SurfaceTransfer] = {}
+
+    def hard_edges(self) -> npt.NDArray[np.int32]:
+        """Pairs (S, 2) of new points between which the input has `MeshSeams.hard`."""
+        pairs: npt.NDArray[np.int32] = self._input[2].vertex_map[self.seams.hard]
+        return pairs[(pairs[:, 0] != pairs[:, 1]) & (pairs >= 0).all(axis=1)]
+
+    def names_feature_point(self, subset: UsdGeom.Subset) -> bool:
+        """True of a point subset that names one of `feature_points`."""
+        family = subset.GetFamilyNameAttr().Get()
+        return family == FAMILY and subset.GetPrim().GetName() in self.feature_points
+
+    def vertices(self) -> Rows:
+        """Output vertices as blends of authored points."""
+        transfer = self._transfer(np.zeros((0, 2), dtype=np.int32))
+        wedge = transfer.vertex_wedge
+        return Rows(self.topology.triangles[transfer.wedge_face[wedge]].astype(np.int64), transfer.wedge_weight[wedge])
+
+    def colors(self, values: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
+        """Colours of the output vertices, (V', ...) float64, from those of the authored points, (P, ...)."""
+        points, faces, result = self._input
+        blended = self.vertices().blend(values)
+        cluster = np.where(is_proper(faces)[:, None], result.vertex_map[faces], -1)
+        corners = values[self.topology.triangles].reshape(len(faces), 3, -1)
+        fitted, found = fitted_values(corners, points, faces, cluster, result.points[0])
+        return np.where(found.reshape(-1, *[1] * (values.ndim - 1)), fitted.reshape(blended.shape), blended)
+
+    def polygons(self) -> Rows:
+        """Output faces as authored faces."""
+        return Rows(self.face_polygon[:, None], np.ones((len(self.face_polygon), 1), dtype=np.float32))
+
+    def facets(self, name: str) -> npt.NDArray[np.int8] | None:
+        """`facet_signs` of the faces that the output faces go on from; None if normals shade none of them flat."""
+        signs = self.seams.facets.get(name)
+        return None if signs is None else signs[self._input[2].face_map]
+
+    def is_cut(self, name: str) -> bool:
+        """True if an attribute has seams, values of its own at corners of flat faces, or others on a sheet's back."""
+        return len(self.seams.by_name.get(name, ())) > 0 or name in self.seams.facets or name in self.seams.two_sided
+
+    def corners(self, name: str, of_points: bool = False) -> tuple[Rows, npt.NDArray[np.int32]]:
+        """Output corners as blends of input corners, those of an attribute on one side of its own seams as one.
+
+        Args:
+            name: The attribute.
+            of_points: True if it has a value for each point, of which welding made one vertex of several.
+
+        Returns:
+            Rows of corners, or of points, each used by at least one output corner, and the row of each output corner
+            (int32, shape (N', 3)).
+        """
+        transfer = self._transfer(self.seams.by_name[name])
+        used, row = np.unique(transfer.corner_wedge, return_inverse=True)
+        elements = self.topology.triangles if of_points else self.topology.triangle_corners
+        index = elements[transfer.wedge_face[used]].astype(np.int64)
+        return Rows(index, transfer.wedge_weight[used]), row.reshape(-1, 3).astype(np.int32)
+
+    def _transfer(self, seams: npt.NDArray[np.int32]) -> SurfaceTransfer:
+        """Each attribute is cut along its own seams only: those of others would make seams where it has none."""
+        key = seams.tobytes()
+        if key not in self._transfers:
+            points, faces, result = self._input
+            self._transfers[key] = surface_transfer(points, faces, result, seams=seams, device=self._device)
+        return self._transfers[key]

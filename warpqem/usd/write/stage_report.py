@@ -1,0 +1,145 @@
+"""What happened to each mesh of a stage."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from warpqem.measure.verdict import rank
+
+__all__ = ["PrimReport", "RunReport", "StageReport", "name_prim"]
+
+
+def name_prim(path: str, error: Exception) -> str:
+    """The text of an error, with the prim it is about in front if it does not name it."""
+    text = str(error)
+    return text if text.startswith(path) else f"{path}: {text}"
+
+
+@dataclass
+class RunReport:
+    """The outcome for one run of constant topology of a mesh whose topology varies over time.
+
+    Attributes:
+        first_time: Time code of its first frame.
+        last_time: Time code of its last frame.
+        frames: Number of its frames.
+        faces_before: Triangles before.
+        faces_after: Triangles after.
+        measured: See `PrimReport`.
+        estimate: See `PrimReport`.
+        stopped: Why simplification stopped; None where it was kept.
+    """
+
+    first_time: float
+    last_time: float
+    frames: int
+    faces_before: int
+    faces_after: int
+    measured: dict[str, Any] | None
+    estimate: float | None
+    stopped: str | None
+
+
+@dataclass
+class PrimReport:
+    """The outcome for one mesh.
+
+    Attributes:
+        path: Prim path.
+        status: "simplified"; "kept" where nothing was to be removed, and the mesh is as in the input; or "failed".
+        frames: Number of poses that were read.
+        faces_before: Triangles before.
+        faces_after: Triangles after.
+        vertices_before: Points in use before.
+        vertices_after: Points after.
+        measured: The measured errors, see `warpqem.measure.Measured.to_dict`: `rms`, `hausdorff`, `flips`, `verdict`
+            and others; None where the mesh was not simplified, or not measured.
+        estimate: What the order of collapses takes for the error, in % of the bounding-box diagonal: the largest error
+            of a collapse, which is neither a bound nor a measured distance.
+        stopped: Why simplification stopped.
+        components_removed: Small components of the surface that were pruned.
+        seconds: Wall-clock time.
+        dropped: What did not fit the new mesh and was taken off it.
+        message: Why it failed, or why it was kept.
+        skin: "fitted" or "interpolated: " and why, for a mesh that joints go on moving point by point; None for others.
+        symmetry: Where symmetry was asked for, "kept" or why the mesh is not symmetric.
+        plan: The blocks of frames it was done in, and the memory for it, see `warpqem.MemoryPlan`.
+        problems: Values that it was done with, but that cannot be meant, such as a normal that is no number.
+        notes: What is worth knowing about how it was done.
+        runs: The runs of constant topology, for a mesh whose topology varies over time; the counts above are then means
+            over the frames. Empty for others.
+    """
+
+    path: str
+    status: str
+    frames: int = 0
+    faces_before: int = 0
+    faces_after: int = 0
+    vertices_before: int = 0
+    vertices_after: int = 0
+    measured: dict[str, Any] | None = None
+    estimate: float | None = None
+    stopped: str | None = None
+    components_removed: int = 0
+    seconds: float = 0.0
+    dropped: list[str] = field(default_factory=list)
+    message: str | None = None
+    skin: str | None = None
+    symmetry: str | None = None
+    plan: dict[str, Any] | None = None
+    problems: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    runs: list[RunReport] = field(default_factory=list)
+
+
+def _badness(prim: PrimReport) -> tuple[int, tuple[int, float]]:
+    """What meshes are sorted by: the worst have the least."""
+    if prim.status == "failed":
+        return 0, (0, 0.0)
+    if prim.measured is None:
+        return 2, (0, 0.0)
+    return 1, rank(prim.measured["verdict"], prim.measured["hausdorff"])
+
+
+@dataclass
+class StageReport:
+    """The outcome for a stage.
+
+    Attributes:
+        input: Path of the file that was read.
+        output: Path of the file that was written, the first of several; None if nothing was.
+        prims: One report for each mesh, in stage order; instance proxies last.
+        problems: What is wrong with how the input is composed, such as references to what is missing.
+        notes: What is written in another place than it may be looked for at, such as meshes of instances.
+        outputs: Paths of all files that were written, one for each level where that was asked for; not of textures.
+        run: Versions, device, options, seconds and memory; see `warpqem.usd.commands.run_info`.
+    """
+
+    input: str
+    output: str | None
+    prims: list[PrimReport]
+    problems: list[str] = field(default_factory=list)
+    outputs: list[str] = field(default_factory=list)
+    run: dict[str, Any] | None = None
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def failed(self) -> list[PrimReport]:
+        """The meshes that could not be done."""
+        return [prim for prim in self.prims if prim.status == "failed"]
+
+    @property
+    def worst_first(self) -> list[PrimReport]:
+        """The meshes, those that failed first, then by verdict, then by the largest distance."""
+        return sorted(self.prims, key=_badness)
+
+    @property
+    def face_share(self) -> float:
+        """Triangles after per triangle before, of all meshes that could be read; 1 if there are none."""
+        before = sum(prim.faces_before for prim in self.prims)
+        return sum(prim.faces_after for prim in self.prims) / before if before else 1.0
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain dictionaries, lists, numbers and None, ready for JSON."""
+        return asdict(self)
