@@ -140,7 +140,7 @@ def test_batch_that_is_stopped_leaves_no_worker_and_no_file(tmp_path, number, wh
     # Workers of this interpreter are caught while they write: they load this before anything else.
     is_worker = "'spawn_main' in ' '.join(sys.orig_argv)"
     (tmp_path / "at" / "sitecustomize.py").write_text(f"import sys\nif {is_worker}: {trapped}")
-    path = os.pathsep.join([str(tmp_path / "at"), str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
+    path = os.pathsep.join([str(tmp_path / "at"), str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", "")])
     before, os.environ["PYTHONPATH"] = os.environ.get("PYTHONPATH"), path
     try:
         process = start(tmp_path / "at", "batch in.usda -o out --ratio 0.5 --device cpu --jobs 1")

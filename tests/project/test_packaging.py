@@ -2,9 +2,11 @@
 
 import ast
 import importlib.metadata
+import os
 import re
 import subprocess
 import sys
+import tarfile
 import zipfile
 from pathlib import Path
 from shutil import copy, copytree, ignore_patterns
@@ -49,8 +51,8 @@ def setuptools_version() -> int:
 
 
 @pytest.fixture(scope="module")
-def wheel_names(tmp_path_factory):
-    """Names of the files in a wheel built from a copy of the checkout, without network."""
+def built(tmp_path_factory):
+    """Folder with the source distribution of a copy of the checkout, and a wheel made of that; without network."""
     if setuptools_version() < 77:
         pytest.skip("building needs setuptools 77 or later (see build-system.requires), which is not installed")
     source, out = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("wheel")
@@ -60,11 +62,38 @@ def wheel_names(tmp_path_factory):
         copytree(
             ROOT / name, source / name, symlinks=True, ignore=ignore_patterns("__pycache__", "*.usdc", "node_modules")
         )
-    command = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(out), str(source)]
+    # Without a choice between them, the wheel is built from the source distribution.
+    command = [sys.executable, "-m", "build", "--no-isolation", "--outdir", str(out), str(source)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
-    with zipfile.ZipFile(next(out.glob("*.whl"))) as wheel:
+    return out
+
+
+@pytest.fixture(scope="module")
+def wheel_names(built):
+    """Names of the files in the wheel."""
+    with zipfile.ZipFile(next(built.glob("*.whl"))) as wheel:
         return set(wheel.namelist())
+
+
+def test_source_distribution_holds_no_link(built):
+    with tarfile.open(next(built.glob("*.tar.gz"))) as archive:
+        assert [member.name for member in archive if member.issym() or member.islnk()] == []
+
+
+def test_installed_wheel_works_without_the_checkout(built, tmp_path):
+    site = tmp_path / "site"
+    install = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index", "--target", str(site)]
+    subprocess.run([*install, str(next(built.glob("*.whl")))], check=True, capture_output=True)
+    code = (
+        "import warpqem; print(warpqem.__file__); "
+        "warpqem.simplify([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]], ratio=1, device='cpu')"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(site)}
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, env=environment, check=True
+    )
+    assert done.stdout.splitlines()[0] == str(site / "warpqem" / "__init__.py")
 
 
 def test_wheel_holds_every_kernel_module(wheel_names):
@@ -203,6 +232,11 @@ def test_no_room_imports_one_above_it(path):
     floor = FLOORS.index(own)
     others = {room_of(module) for module in imported_when_run(path)} - {own, "kernels"}
     assert {other for other in others if FLOORS.index(other) > floor} == set()
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "tests").rglob("*.py")), ids=lambda p: p.relative_to(ROOT).as_posix())
+def test_no_test_imports_another(path):
+    assert [name for name in imported(path) if name.startswith("tests.") and ".test_" in name] == []
 
 
 def test_every_room_has_a_floor():

@@ -132,7 +132,7 @@ def run(*arguments: str, cache: str = "") -> subprocess.CompletedProcess[str]:
 def test_command_fills_a_folder_that_is_warps_cache_elsewhere(tmp_path):
     code = """
 import sys
-from warpqem import precompile
+from warpqem.runtime import precompile
 modules = precompile.gpu_modules
 precompile.gpu_modules = lambda: [m for m in modules() if m.name == "warpqem.kernels.transfer"]
 sys.exit(precompile.main(sys.argv[1:]))

@@ -86,7 +86,7 @@ def test_one_of_several_meshes_has_to_be_chosen(tmp_path):
     stage = cloth_stage(tmp_path / "in.usda")
     define_cloth(stage, "/Root/Other")
     stage.Save()
-    with pytest.raises(OptionError, match=r"2 meshes .*choose one with --prim"):
+    with pytest.raises(OptionError, match=r"2 meshes \(/\S+, /[^ ,]+\): choose one with --prim"):
         build_file(tmp_path / "in.usda", tmp_path / "out.wpqm", CPU)
     info = build_file(tmp_path / "in.usda", tmp_path / "out.wpqm", BuildOptions(prim="/Root/Other", device="cpu"))
     assert info.extra["prim"] == "/Root/Other"

@@ -65,12 +65,12 @@ def extract(
     choice = read_options(options, LevelChoice)
     count, error = extract_level(file, output, choice, memory, named_outputs({"--json": json}))
     table = PlainTable(f"{file} -> {output}")
-    for name in ("faces", "error %"):
+    for name in ("faces", "estimate %"):
         table.add_column(name, justify="right")
     table.add_row(str(count), f"{error:.4f}")
     print_table(table, to_stderr=json == "-")
     if json is not None:
-        write_json(json, {"input": file, "output": output, "faces": count, "error": error})
+        write_json(json, {"input": file, "output": output, "faces": count, "estimate": error})
 
 
 @progressive.command(epilog=epilog("progressive info"))

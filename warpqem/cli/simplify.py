@@ -162,9 +162,7 @@ def _print_small(report: StageReport) -> None:
     stopped = list(dict.fromkeys(prim.path for prim in report.prims if prim.stopped == "max_size_error"))
     if stopped:
         more = f" and {len(stopped) - 1} more" if len(stopped) > 1 else ""
-        print_message(
-            "note", f"{stopped[0]}{more}: kept above the face count, where the error would pass --max-size-error"
-        )
+        print_message("note", f"{stopped[0]}{more}: keeps more faces, as the error would pass --max-size-error")
 
 
 def _table(report: StageReport) -> PlainTable:

@@ -137,7 +137,8 @@ def _one_mesh(stage: Usd.Stage, path: str | None) -> Usd.Prim:
         raise StageError("there is no mesh on the stage")
     if len(selection.prims) > 1:
         names = ", ".join(str(prim.GetPath()) for prim in selection.prims[:5])
-        raise OptionError(f"there are {len(selection.prims)} meshes ({names}, ...): choose one with --prim")
+        more = ", ..." if len(selection.prims) > 5 else ""
+        raise OptionError(f"there are {len(selection.prims)} meshes ({names}{more}): choose one with --prim")
     return selection.prims[0]
 
 

@@ -46,14 +46,19 @@ class LevelChoice:
     Attributes:
         ratio: Share of the input's triangles.
         faces: Triangles.
-        max_error: Largest error, in % of the bounding-box diagonal.
-        screen: Largest error on a screen, at a distance in the units of the stage.
+        max_error: Largest error, as the order estimates it, in % of the bounding-box diagonal; not proved.
+        screen: Largest error on a screen, estimated likewise, at a distance in the units of the stage.
     """
 
     ratio: float | None = option(None, "Share of the input's triangles.", "SHARE", SHARE, basic=True)
     faces: int | None = option(None, "Triangles.", "FACES", COUNT, basic=True)
     max_error: float | None = option(
-        None, "Largest error, in % of the bounding-box diagonal.", "PCT", ABOVE_0, basic=True
+        None,
+        "Largest error by the estimate of the order, in % of the bounding-box diagonal; not proved, and a point may be "
+        "several times as far.",
+        "PCT",
+        ABOVE_0,
+        basic=True,
     )
     screen: ScreenView | None = option(None, "")
 
