@@ -49,6 +49,10 @@ dKaNZUKw/MOqwL2gf1IHALIoAHJD/PBE9s8cuYO5ctybwwLXMMjY9K7PvXXMWkQh7GHsOhTyy9oxHD4z
 GAjjDTM9AiEmLgssAK9YC5xMNSUAADIDAH1lCxUvC0U+ARsAGPIAdwIAeAAAAHwAAO4AAPABAHkAAAEAAAQAAHkAAHcAAHcAAHkAAAABAAA=
 """
 
+# What a file may say of its stage.
+UNITS = {"up_axis": "Y", "metres_per_unit": 0.01, "time_codes_per_second": 24.0, "frames_per_second": 24.0}
+NOTES = {"prim": "/Root/Mesh", "times": [1.0, 2.0, 3.0], "diagonal": 3.5, "stage": UNITS}
+
 
 def packed(data: bytes) -> bytes:
     """Bytes as a part of a chunk holds them."""

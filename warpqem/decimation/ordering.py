@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 
 import numpy as np
@@ -13,7 +14,7 @@ from warpqem.decimation.pruning import ComponentDrop, Components
 __all__ = ["Ordering"]
 
 
-class Ordering:
+class Ordering(ABC):
     """Collapses the edges of one mesh state, pass by pass.
 
     Attributes:
@@ -32,6 +33,7 @@ class Ordering:
         self.live_faces = self.face_slots
         self.drops: list[ComponentDrop] = []
 
+    @abstractmethod
     def run(
         self,
         target_faces: int,
@@ -47,7 +49,6 @@ class Ordering:
             "target"; "max_error" when every edge left would exceed the model's error limit or is illegal, and at least
             one is held back by the limit alone; "no legal collapse" otherwise.
         """
-        raise NotImplementedError
 
     def collapse_count(self) -> int:
         """Collapses in the log."""
