@@ -63,3 +63,11 @@ def test_command_tells_warnings_of_usd_in_its_own_way(tmp_path):
     assert len(lines) == 1
     assert lines[0].startswith("note: ")
     assert not CODE.search(result.stderr)
+
+
+def test_command_tells_nothing_that_was_warned_of_before_it(tmp_path, capfd):
+    (tmp_path / "in.usda").write_text("#usda 1.0\n")
+    run("info", tmp_path / "in.usda")
+    Tf.Warn("between two commands")
+    assert "between two commands" in capfd.readouterr().err  # USD's own way
+    assert "between two commands" not in run("info", tmp_path / "in.usda").stderr

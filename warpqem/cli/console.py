@@ -123,8 +123,10 @@ class OneLineErrors(typer.core.TyperGroup):
 
 
 def print_usd_warnings() -> None:
-    """Print what USD has warned of, but for what the command has printed itself."""
+    """Print what USD has warned of, but for what the command has printed itself, and listen no longer."""
+    global _usd_messages
     warnings = [] if _usd_messages is None else _usd_messages.take()
+    _usd_messages = None
     warnings = [text for text in warnings if not any(t and (text in t or t in text) for t in printed_messages)]
     printed_messages.clear()
     for text in warnings[:MAX_WARNINGS]:
