@@ -9,6 +9,7 @@ import os
 import re
 import signal
 import tempfile
+import threading
 import time
 from collections import deque
 from collections.abc import Iterator, Sequence
@@ -147,7 +148,9 @@ class _Pool:
         self._folder = temporary_path(Path(tempfile.gettempdir()), ".batch")
         self._folder.mkdir(mode=0o700)
         self._started, self._owner = 0, os.getpid()
-        # Where an error keeps the iterator of a batch from being closed, the end of the process does it.
+        # Where an error keeps the iterator of a batch from being closed, the end of the process does it, which waits
+        # where another thread is about it.
+        self._lock, self._closed = threading.RLock(), False
         atexit.register(self.close)
 
     def run(self) -> Iterator[Update]:
@@ -163,10 +166,14 @@ class _Pool:
         """End all workers at once, and remove what they were writing."""
         if os.getpid() != self._owner:  # a process that was forked from this one ends
             return
-        while self.workers:
-            self._kill(self.workers[-1])
-            self.workers.pop()
-        remove_path(self._folder)
+        with self._lock:
+            self._closed = True
+            while self.workers:
+                worker = self.workers[-1]
+                self._kill(worker)
+                if worker in self.workers:
+                    self.workers.remove(worker)
+            remove_path(self._folder)
         atexit.unregister(self.close)
 
     def _start(self, device: str) -> None:
@@ -176,9 +183,12 @@ class _Pool:
         process = multiprocessing.get_context("spawn").Process(
             target=run_worker, args=(there, self.engine.setup(self._size, device, output)), daemon=True
         )
-        # Before it starts, so that one whose start is interrupted is not forgotten.
-        self.workers.append(_Worker(process, here, output, device))
-        _start_undisturbed(process)
+        with self._lock:
+            if self._closed:  # by the end of the process, while another thread reads what workers say
+                return
+            # Before it starts, so that one whose start is interrupted is not forgotten.
+            self.workers.append(_Worker(process, here, output, device))
+            _start_undisturbed(process)
         if process.pid is not None:
             note_process(process.pid)
         there.close()
