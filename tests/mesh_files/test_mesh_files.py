@@ -20,7 +20,7 @@ from warpqem.cli.app import app
 from warpqem.errors import MeshFileError, OptionError
 from warpqem.mesh_files.file_names import find_mesh_files, frame_numbers, is_mesh_name, numbered_files
 from warpqem.mesh_files.reading import read_mesh_file
-from warpqem.mesh_files.writing import SurfaceValues, as_trimesh, write_frames
+from warpqem.mesh_files.writing import WrittenValues, as_trimesh, write_frames
 from warpqem.usd import SimplifyOptions, simplify_stage
 from warpqem.usd.commands.mesh_stage import save_stage
 from warpqem.usd.commands.simplify_meshes import simplify_mesh_files
@@ -384,12 +384,12 @@ def test_frame_of_a_result_is_a_trimesh():
 
 
 def test_seams_of_values_split_vertices():
-    from warpqem.mesh_files.writing import SurfaceValues
+    from warpqem.mesh_files.writing import WrittenValues
 
     faces = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
     points = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=np.float32)
     uv = np.array([[[0, 0], [1, 0], [1, 1]], [[0, 0], [0.5, 0.5], [0, 1]]], dtype=np.float32)
-    found = as_trimesh(points, faces, SurfaceValues(uv))
+    found = as_trimesh(points, faces, WrittenValues(uv))
     # Vertex 2 has two sides.
     assert len(found.vertices) == 5
     assert np.array_equal(found.vertices[found.faces], points[faces])
@@ -416,6 +416,6 @@ def test_long_sequence_takes_no_more_memory_than_a_short_one(tmp_path):
 def test_text_formats_hold_every_bit_of_points_of_any_size(tmp_path, suffix, with_colors, points):
     faces = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
     colors = np.random.default_rng(0).random((2, 3, 4)).astype(np.float32) if with_colors else None
-    write_frames([points], faces, 4, [str(tmp_path / f"a{suffix}")], SurfaceValues(colors=colors))
+    write_frames([points], faces, 4, [str(tmp_path / f"a{suffix}")], WrittenValues(colors=colors))
     found = read_mesh_file(str(tmp_path / f"a{suffix}"))
     np.testing.assert_array_equal(found.points.astype(np.float32)[found.faces], points[faces])

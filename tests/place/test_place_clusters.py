@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.support import meshes
-from warpqem.options import SimplifyOptions
+from warpqem.options import MeshOptions
 from warpqem.pipeline.prepare import prepare
 from warpqem.place.clusters import MAX_PULLED, MIN_PULL, PULLED_SIZE
 
@@ -12,7 +12,7 @@ from warpqem.place.clusters import MAX_PULLED, MIN_PULL, PULLED_SIZE
 def pull_and_size(coherence, device):
     """Pull of each output vertex of a sphere, and the input vertices that it stands for."""
     points, faces = meshes.icosphere(4)
-    options = SimplifyOptions(ratio=0.1, coherence=coherence, device=device)
+    options = MeshOptions(ratio=0.1, coherence=coherence, device=device)
     work = prepare(points, faces, options)
     placer = work.placer(work.order(None))
     return placer.clusters.rows["pull"], np.bincount(placer.vertex_map)

@@ -13,7 +13,7 @@ from warpqem.arguments.number_input import check_function, whole_number
 from warpqem.frames.stream import ArrayFrames
 from warpqem.measure.binding import bind, check_vertex_map
 from warpqem.measure.checked_meshes import (
-    MeshSequence,
+    CheckedMesh,
     check_same_frame_count,
     check_sequence,
     chosen_frames,
@@ -68,7 +68,7 @@ class Comparison(Measured):
 
 
 def _jitter(
-    reference: MeshSequence, test: MeshSequence, centre: Doubles, diagonal: Doubles, seed: int, device: str
+    reference: CheckedMesh, test: CheckedMesh, centre: Doubles, diagonal: Doubles, seed: int, device: str
 ) -> float | None:
     """Jitter over the middle frames in % of the mean diagonal; None below three frames."""
     frame_count = len(reference.points)

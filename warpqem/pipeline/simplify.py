@@ -60,8 +60,9 @@ def simplify(
             asked for, and the result holds on to the input; where there is a sink, on the way to it, for which the
             frames are read once more. It decides no bit of the result.
         progress: called with the part done, 0 to 1, and the stage, "read", "order" or "place".
-        options: how far and how to simplify: the fields of :class:`warpqem.SimplifyOptions`, explained there. At least
-            one of ``ratio``, ``target_faces`` and ``max_error`` is needed; with a count, whichever comes first stops.
+        options: how far and how to simplify: the fields of :class:`warpqem.options.MeshOptions`, explained there. At
+            least one of ``ratio``, ``target_faces`` and ``max_error`` is needed; with a count, whichever comes first
+            stops.
 
     Raises:
         TypeError: there is no such option.
