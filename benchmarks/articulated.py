@@ -29,7 +29,7 @@ from warpqem.mesh.mesh_input import is_proper, read_mesh
 from warpqem.options import MeshOptions
 from warpqem.pipeline.key_frames import KeyFrameChoice
 from warpqem.pipeline.prepare import prepare
-from warpqem.pipeline.result import Delivery, Outcome, SimplifiedMesh, finish
+from warpqem.pipeline.result import SimplifiedMesh, finish
 from warpqem.runtime.device import resolve_device
 from warpqem.skinning.linear_skin import LinearSkin, pose_skin
 
@@ -222,4 +222,4 @@ class _Study:
             quadric=wp.array(blocks, dtype=QUADRIC[width], device=self._device),
             log=log,
         )
-        return finish(work, work.placer(ordered), Outcome.of(ordered), refit, Delivery())
+        return finish(work, ordered, refit)

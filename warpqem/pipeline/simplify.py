@@ -18,7 +18,7 @@ from warpqem.pipeline.bounded import simplify_within
 from warpqem.pipeline.measure_result import ResultMeasure, measured_on_the_way, with_errors
 from warpqem.pipeline.memory_plan import MemoryPlan, admit_faces
 from warpqem.pipeline.prepare import Progress, plan_work, prepare
-from warpqem.pipeline.result import Delivery, Outcome, SimplifiedMesh, finish, reached
+from warpqem.pipeline.result import SimplifiedMesh, reached, with_frames, without_frames
 from warpqem.repair.mended_mesh import repaired_mesh, repaired_options
 from warpqem.runtime.device import on_device, resolve_device
 
@@ -93,15 +93,16 @@ def simplify(
         else:
             work, sink = measured_on_the_way(work, sink)
             measuring = sink.measured
-    delivery = Delivery(sink, progress)
     if bounded:
-        return with_errors(partial(simplify_within, work, asked.refits, delivery), measuring)
+        within = partial(simplify_within, work, asked.refits, sink=sink, progress=progress)
+        return with_errors(within, measuring)
     ordered = work.order(progress)
-    placer, outcome = work.placer(ordered), Outcome.of(ordered)
+    placer = work.placer(ordered)
+    result = without_frames(work, placer, ordered)
     # Placing needs the memory of decimation.
     work = work.without_input()
     del ordered
-    result = finish(work, placer, outcome, asked.refits, delivery)
+    result = with_frames(result, work, placer, asked.refits, sink=sink, progress=progress)
     return reached(replace(result, measuring=measuring), work.goal.target_faces)
 
 

@@ -33,7 +33,7 @@ from warpqem.pipeline.coarsest import find_coarsest
 from warpqem.pipeline.measure_result import ResultMeasure, with_errors
 from warpqem.pipeline.mirror import Mirror, MirrorPlane, find_mirror
 from warpqem.pipeline.prepare import Progress, prepare
-from warpqem.pipeline.result import Delivery, Outcome, SimplifiedMesh, finish, in_input_terms, reached, written_faces
+from warpqem.pipeline.result import SimplifiedMesh, finish, in_input_terms, reached, written_faces
 from warpqem.repair.mended_mesh import repaired_mesh, repaired_options
 from warpqem.runtime.device import on_device, resolve_device
 
@@ -139,7 +139,7 @@ def _simplify_half(half: _Half, sink: FrameSink | None, progress: Progress | Non
     work = replace(work, order_input=replace(work.order_input, vertex_flags=flags))
     ordered = work.order(progress)
     placed = ArraySink()
-    part = finish(work, work.placer(ordered), Outcome.of(ordered), half.options.refits, Delivery(placed, progress))
+    part = finish(work, ordered, half.options.refits, sink=placed, progress=progress)
     return reached(half.whole(part, placed.points, sink), half.target)
 
 

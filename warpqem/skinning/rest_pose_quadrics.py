@@ -22,7 +22,7 @@ from warpqem.mesh.edges import edge_table
 from warpqem.mesh.mesh_input import is_proper, read_faces
 from warpqem.options import SimplifyKeywords, read_keywords
 from warpqem.pipeline.prepare import Progress, prepare
-from warpqem.pipeline.result import SimplifiedMesh, in_input_terms, reached, written_faces
+from warpqem.pipeline.result import SimplifiedMesh, reached, without_frames
 from warpqem.runtime.device import on_device
 from warpqem.skinning.linear_skin import LinearSkin, read_poses, read_transforms
 
@@ -88,20 +88,10 @@ def simplify_pulled_back(
     ordered = work.order(progress)
     placer = work.placer(ordered)
     rest = _place(poses[0].astype(np.float64), placer.vertex_map, matrices, work.pinned | ordered.frozen)
-    written, face_map = written_faces(work.mesh, placer.faces, ordered.face_map)
-    result = SimplifiedMesh(
+    result = replace(
+        without_frames(work, placer, ordered),
         points=rest[None].astype(np.float32),
-        faces=written,
-        face_map=face_map,
-        **in_input_terms(work.mesh, placer.vertex_map),
-        stopped=ordered.stopped,
-        error=100.0 * float(ordered.log.error.max(initial=0.0)),
         flips=np.zeros(1, dtype=np.int32),
-        log=ordered.log,
-        key_frames=np.zeros(1, dtype=np.int64),
-        diagonal=work.mesh.diagonal,
-        plan=work.plan,
-        components_removed=len(ordered.drops),
     )
     return reached(result, work.goal.target_faces)
 
