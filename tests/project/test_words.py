@@ -12,7 +12,7 @@ from tests.support.cli import run
 ROOT = Path(__file__).resolve().parents[2]
 FOLDERS = ("kernels", "warpqem", "tests", "benchmarks", "docs", "examples", "scenes")
 FILES = sorted(p for folder in FOLDERS for p in (ROOT / folder).rglob("*.py") if "warpqem/kernels" not in p.as_posix())
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 COMMANDS = ("simplify", "batch", "info", "compare", "features", "render", "view", "face simplify", "progressive build")
 
 # Costs are costly, collapses are checked, vertices lie opposite an edge, components are pruned, attributes transferred.
