@@ -33,7 +33,7 @@ COMMANDS = {
 }
 # How the help of a number says what it counts.
 UNITS = (
-    r"%|pixels|degrees|units of the stage|seconds|SECONDS|[Tt]riangles|[Ff]aces|frames|0 to 1|[Ww]eight|[Jj]oints|"
+    r"%|pixels|degrees|units of the stage|seconds|SECONDS|[Tt]riangles|[Ff]aces|frames|0 to 1|[Ww]eight|Joints|joints|"
     r"Processes|How often|cores|GPUs|Pictures|sample points|[Pp]ort|twice|edges"
 )
 
