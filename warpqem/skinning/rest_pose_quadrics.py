@@ -29,7 +29,10 @@ from warpqem.skinning.linear_skin import LinearSkin, read_poses, read_transforms
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-__all__ = ["pulled_back_matrices", "simplify_pulled_back"]
+__all__ = ["UNUSED_OPTIONS", "pulled_back_matrices", "simplify_pulled_back"]
+
+# Options of `warpqem.simplify` that have no meaning for one rest shape without its poses.
+UNUSED_OPTIONS = frozenset({"metric", "coherence", "key_frames", "placement", "quality", "refit", "memoryless"})
 
 # Pull of a vertex towards the mean of its cluster, relative to its quadric: as in the order of collapses at coherence
 # 0, enough for a solve where the surface is flat.
@@ -63,7 +66,7 @@ def simplify_pulled_back(
     Raises:
         The errors of :func:`warpqem.simplify`; OptionError for an option that has no meaning here.
     """
-    unknown = {"metric", "coherence", "key_frames", "placement", "quality", "refit", "memoryless"} & options.keys()
+    unknown = UNUSED_OPTIONS & options.keys()
     if unknown:
         raise OptionError(f"{', '.join(sorted(unknown))}: no option of simplifying by pulled back quadrics")
     asked = read_keywords(options, metric="qem", coherence=0.0)
