@@ -88,7 +88,6 @@ class MethodOptions:
         placement: "optimal", or "endpoint" to use vertices of the input only.
         key_frames: how many frames decide the order, chosen by their pose; None for all.
         lock_borders: lock the vertices at edges with one face too.
-        lock_seams: lock the vertices on seams too.
         keep_components: no component is pruned. Otherwise small ones are, as a whole, once collapses have left four
             faces of them or fewer, where the shape misses that less than the next collapses, and where no other
             collapse is legal; the result may then have up to three faces fewer than asked for. A locked vertex keeps
@@ -147,7 +146,6 @@ class MethodOptions:
         16, "Number of frames, different in pose, that decide the topology.", "FRAMES", COUNT
     )
     lock_borders: bool = option(False, "Keep the points of open borders.")
-    lock_seams: bool = option(False, "Keep the points on seams, such as those of texture coordinates.")
     keep_components: bool = option(False, "Prune no small component, even if the shape would miss it less than others.")
     memory: int | str | None = option(
         None,
@@ -250,7 +248,6 @@ class MethodKeywords(TypedDict, total=False):
     placement: Literal["optimal", "endpoint"]
     key_frames: int | None
     lock_borders: bool
-    lock_seams: bool
     keep_components: bool
     memory: int | str | None
     device: str | None

@@ -144,8 +144,6 @@ def prepare(
     pinned |= lock_mask(options.locked, given.vertex_count)
     if options.lock_borders:
         pinned |= border_vertices(given)
-    if options.lock_seams:
-        pinned |= seam.on_seam
     scale = read_quadric_scale(options.quadric_scale, given)
     if options.face is not None and not spec.keeps_face:
         raise OptionError(f"face= needs metric 'face', not {options.metric!r}")
