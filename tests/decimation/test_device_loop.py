@@ -127,12 +127,9 @@ def test_progress_falls_to_the_target(simplified):
 
 def orderer_of(mesh, device, pool):
     points, faces = mesh
-    mesh = build_mesh(points, faces, device)
-    vertex_count = points.shape[1]
-    spare = int((pool - 1) * faces.size)
-    adjacency = build_adjacency(mesh.state.corner_vertex, vertex_count, mesh.state.face_count, spare)
-    mesh.state.adjacency = adjacency.lists
-    return mesh, DeviceOrderer(PassSteps(mesh.state, mesh.frames, adjacency, cost_model(key_count=len(points)), device))
+    mesh = build_mesh(points, faces, device, spare=int((pool - 1) * faces.size))
+    model = cost_model(key_count=len(points))
+    return mesh, DeviceOrderer(PassSteps(mesh.state, mesh.frames, mesh.adjacency, model, device))
 
 
 @pytest.mark.parametrize("is_queued", [False, True], ids=["loop in the graph", "turns"])

@@ -17,8 +17,7 @@ def orderer(device):
     """A priced mesh of 61440 half-edges."""
     points, faces = meshes.icosphere(5)
     mesh = build_mesh(points, faces, device)
-    adjacency = build_adjacency(mesh.state.corner_vertex, len(points), mesh.state.face_count)
-    orderer = Orderer(PassSteps(mesh.state, mesh.frames, adjacency, cost_model(), device))
+    orderer = Orderer(PassSteps(mesh.state, mesh.frames, mesh.adjacency, cost_model(), device))
     orderer.steps.price_all().run()
     return orderer
 
@@ -74,11 +73,9 @@ def test_stars_are_those_of_the_faces_after_every_pass(spare, threads, device, m
     if wp.get_device(device).is_cpu:
         monkeypatch.setattr("warpqem.decimation.pass_steps.thread_count", lambda _: threads)
     points, faces = meshes.waving_grid(24, 3)
-    mesh = build_mesh(points, faces, device)
+    mesh = build_mesh(points, faces, device, spare=spare)
     vertex_count = points.shape[1]
-    adjacency = build_adjacency(mesh.state.corner_vertex, vertex_count, mesh.state.face_count, spare)
-    mesh.state.adjacency = adjacency.lists
-    orderer = Orderer(PassSteps(mesh.state, mesh.frames, adjacency, cost_model(key_count=3), device))
+    orderer = Orderer(PassSteps(mesh.state, mesh.frames, mesh.adjacency, cost_model(key_count=3), device))
     orderer.steps.price_all().run()
     for _ in range(12):
         orderer._run_pass(200, CANDIDATE_FRACTION)

@@ -9,7 +9,6 @@ from tests.oracles import motion as oracle
 from tests.oracles.quadrics import unpack
 from tests.support import meshes
 from tests.support.mesh_state import build_mesh, cost_model
-from warpqem.decimation.adjacency import build_adjacency
 from warpqem.decimation.deformation import build_deformation
 from warpqem.decimation.pass_steps import PassSteps
 from warpqem.decimation.passes import CANDIDATE_FRACTION, Orderer
@@ -119,10 +118,8 @@ EPSILON = 0.05
 
 def orderer_of(points, faces, device, chunk_frames, memoryless):
     mesh = build_mesh(points, faces, device, with_trajectory=True, chunk_frames=chunk_frames)
-    adjacency = build_adjacency(mesh.state.corner_vertex, points.shape[1], mesh.state.face_count, spare=faces.size)
-    mesh.state.adjacency = adjacency.lists
     model = cost_model(EPSILON, deformation_weight=WEIGHT, key_count=len(points))
-    return mesh, Orderer(PassSteps(mesh.state, mesh.frames, adjacency, model, device, memoryless))
+    return mesh, Orderer(PassSteps(mesh.state, mesh.frames, mesh.adjacency, model, device, memoryless))
 
 
 def anchor_of(quadrics, positions, on_border):

@@ -6,12 +6,11 @@ import warp as wp
 
 from tests.oracles import topology as oracle
 from tests.support import meshes
-from tests.support.mesh_state import build_mesh, cost_model, edge_list, listed, one_part
+from tests.support.mesh_state import build_mesh, cost_model, edge_list, listed, one_part, state_of_costs
 from warpqem.decimation.recorded_steps import new_edge_list
 from warpqem.kernels import independent_set as kernels
 from warpqem.kernels.edge_cost import compute_all_costs
 from warpqem.kernels.lanes import width_of
-from warpqem.kernels.mesh_state import MeshState
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
@@ -51,16 +50,6 @@ def bins_of(cost, device) -> np.ndarray:
     return out.numpy()
 
 
-def priced_faces(cost, device) -> MeshState:
-    """Faces of which nothing is known but the costs at their half-edges, filled up with inf."""
-    state = MeshState()
-    state.face_count = wp.array([-(-len(cost) // 3)], dtype=wp.int32, device=device)
-    filled = np.full(3 * -(-len(cost) // 3), np.inf, dtype=np.float32)
-    filled[: len(cost)] = cost
-    state.edge_cost = wp.array(filled, device=device)
-    return state
-
-
 def step_of(step, device) -> wp.array:
     return wp.array([step], dtype=wp.int32, device=device)
 
@@ -69,7 +58,7 @@ def histogram_of(cost, device, step=1, part_count=1) -> wp.array:
     """(P, BINS)."""
     histogram = wp.zeros((part_count, BINS), dtype=wp.int32, device=device)
     for part in range(part_count):
-        inputs = [priced_faces(cost, device), step_of(step, device), one_part(device, part, part_count)]
+        inputs = [state_of_costs(cost, device), step_of(step, device), one_part(device, part, part_count)]
         wp.launch(kernels.count_costs, dim=1, inputs=inputs, outputs=[histogram], device=device)
     return histogram
 
@@ -130,7 +119,7 @@ def test_cap_by_sums_of_no_costs_is_zero(device):
 
 def collected(cost, cost_threshold, device) -> np.ndarray:
     candidates = edge_list([], device, len(cost))
-    inputs = [priced_faces(cost, device), cost_threshold, one_part(device)]
+    inputs = [state_of_costs(cost, device), cost_threshold, one_part(device)]
     wp.launch(kernels.collect_candidates, dim=1, inputs=inputs, outputs=[candidates], device=device)
     return np.sort(listed(candidates))
 
