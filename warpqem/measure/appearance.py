@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from warpqem.arguments.array_input import real_array
+from warpqem.arguments.json_types import Json
 from warpqem.arguments.number_input import check_function, whole_number
 from warpqem.errors import DegenerateMeshError
 from warpqem.measure.appearance_errors import SEAM_SAMPLES, FieldErrors, MovingPair, UvErrors, UvMeasure, angles
@@ -79,7 +80,7 @@ class Appearance:
     seam_sample_count: int
     frame_count: int
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Json]:
         """Plain dictionaries, numbers and None, ready for JSON."""
         return asdict(self)
 

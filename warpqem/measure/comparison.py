@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from warpqem.arguments.json_types import Json
 from warpqem.arguments.number_input import check_function, whole_number
 from warpqem.frames.stream import ArrayFrames
 from warpqem.measure.binding import bind, check_vertex_map
@@ -60,11 +60,10 @@ class Comparison(Measured):
     reference_topology: Topology
     test_topology: Topology
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Json]:
         """Plain dictionaries, lists, numbers and None, ready for JSON."""
-        result = super().to_dict()
-        result["per_frame"] = {key: value.tolist() for key, value in result["per_frame"].items()}
-        return result
+        frames = {key: value.tolist() for key, value in vars(self.per_frame).items()}
+        return {**super().to_dict(), "per_frame": frames}
 
 
 def _jitter(

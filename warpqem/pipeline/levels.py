@@ -179,6 +179,8 @@ def simplify_levels(
         try:
             results.append(order.level(target, progress=part))
         except UnreachableTargetError as error:
+            if error.result is None:
+                raise
             results.append(error.result)
     return results
 

@@ -116,6 +116,8 @@ def _simplify_within(
             return None
         except UnreachableTargetError as error:
             # No level has fewer faces than this one, which the search therefore ends with.
+            if error.result is None:
+                raise
             result, stuck = error.result, True
         return replace(result, points=array.points)
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from warpqem.arguments.json_types import Json
 from warpqem.costs.motion_features import motion_features
 from warpqem.errors import WarpqemError
 from warpqem.measure import Comparison, compare, vertex_distances
@@ -49,7 +50,7 @@ def chosen_frames(frame_count: int, point_count: int) -> range:
     return range(0, frame_count, -(-frame_count // room))
 
 
-def report_data(report: Report, device: str | None = None, progress: Progress | None = None) -> dict[str, Any]:
+def report_data(report: Report, device: str | None = None, progress: Progress | None = None) -> dict[str, Json]:
     """Measure the levels and pack everything: plain dictionaries, lists, numbers, text and None, ready for JSON.
 
     Positions are rounded to 16 bits per component of the box around all of them.
