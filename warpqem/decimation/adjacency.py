@@ -10,9 +10,10 @@ import warp as wp
 from warpqem.decimation.recorded_steps import Phase, Step, part_work, record_shared
 from warpqem.kernels import topology as kernels
 from warpqem.kernels.topology import VertexAdjacency
-from warpqem.runtime.cpu_threads import launch_parts, thread_count
+from warpqem.runtime.cpu_threads import thread_count
 from warpqem.runtime.device import device_traits
-from warpqem.runtime.launches import Recorder, launch
+from warpqem.runtime.launches import Recorder
+from warpqem.runtime.part_launches import FIRST_ITEM, launch_in_parts
 
 __all__ = ["Adjacency", "build_adjacency", "classify_vertices", "group_items"]
 
@@ -121,15 +122,6 @@ def classify_vertices(corner_vertex: wp.array, adjacency: Adjacency, vertex_flag
     """Add BORDER and NON_MANIFOLD to ``vertex_flags`` (V,) int32; return (3N,) int32, 1 at each border half-edge."""
     device = corner_vertex.device
     border = wp.zeros(len(corner_vertex), dtype=wp.int32, device=device)
-
-    def classify(part: slice) -> None:
-        launch(
-            kernels.classify_vertices,
-            dim=part.stop - part.start,
-            inputs=[corner_vertex, adjacency.lists, part.start],
-            outputs=[vertex_flags, border],
-            device=device,
-        )
-
-    launch_parts(classify, len(vertex_flags), device)
+    inputs = [corner_vertex, adjacency.lists, FIRST_ITEM]
+    launch_in_parts(kernels.classify_vertices, len(vertex_flags), inputs, [vertex_flags, border], device=device)
     return border

@@ -28,9 +28,9 @@ from warpqem.kernels import attribute as attribute_kernels
 from warpqem.kernels.lanes import width_of
 from warpqem.kernels.mesh_state import KEY_FRAMES, CostModel, MeshState
 from warpqem.kernels.topology import CORNER, NON_MANIFOLD
-from warpqem.runtime.cpu_threads import launch_parts
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import launch
+from warpqem.runtime.part_launches import launch_in_parts, rows_of
 
 __all__ = ["DecimatedMesh", "DecimationInput", "OrderSettings", "faces_left", "order_collapses"]
 
@@ -191,19 +191,13 @@ def faces_left(input_faces: np.ndarray, faces: np.ndarray, drops: DropRecord) ->
 def _rearranged(mesh: DecimationInput, arrangement: Arrangement) -> DecimationInput:
     device, vertex = mesh.key_position.device, arrangement.vertex
     position = wp.empty_like(mesh.key_position)
-    kernel = arrangement_kernels.gather_rows[width_of(position)]
-    index = wp.array(vertex, device=device)
-
-    def gather(part: slice) -> None:
-        launch(
-            kernel,
-            dim=(part.stop - part.start, position.shape[1]),
-            inputs=[mesh.key_position, index[part]],
-            outputs=[position[part]],
-            device=device,
-        )
-
-    launch_parts(gather, len(vertex), device)
+    launch_in_parts(
+        arrangement_kernels.gather_rows[width_of(position)],
+        position.shape,
+        inputs=[mesh.key_position, rows_of(wp.array(vertex, device=device))],
+        outputs=[rows_of(position)],
+        device=device,
+    )
     return replace(
         mesh,
         faces=arrangement.rearrange_faces(mesh.faces),

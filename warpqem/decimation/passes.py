@@ -8,6 +8,7 @@ which suits a CPU; on a GPU :mod:`warpqem.decimation.device_loop` does.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -21,8 +22,8 @@ from warpqem.kernels import collapse as collapse_kernels
 from warpqem.kernels import deformation as deformation_kernels
 from warpqem.kernels import pass_control as control_kernels
 from warpqem.kernels.topology import PINNED
-from warpqem.runtime.cpu_threads import launch_parts
 from warpqem.runtime.launches import launch
+from warpqem.runtime.part_launches import corners_of, launch_in_parts, rows_of
 
 __all__ = ["Orderer"]
 
@@ -176,36 +177,18 @@ class Orderer(Ordering):
             return False
         state = self.state
         rank = self._live_rank[: self.face_slots]
-
-        def mark(part: slice) -> None:
-            launch(
-                collapse_kernels.mark_live_faces,
-                dim=part.stop - part.start,
-                inputs=[state.corner_vertex[3 * part.start : 3 * part.stop]],
-                outputs=[rank[part]],
-                device=self.device,
-            )
-
-        def move(part: slice) -> None:
-            corners = slice(3 * part.start, 3 * part.stop)
-            launch(
-                collapse_kernels.move_live_faces,
-                dim=part.stop - part.start,
-                inputs=[state.corner_vertex[corners], state.edge_cost[corners], state.seam[corners], rank[part]],
-                outputs=[self._spare_corner_vertex, self._spare_edge_cost, self._spare_seam],
-                device=self.device,
-            )
-
-        launch_parts(mark, self.face_slots, self.device, COMPACTED_FACES)
+        corner_vertex = corners_of(state.corner_vertex)
+        self._launch_over_faces(collapse_kernels.mark_live_faces, [corner_vertex], [rows_of(rank)])
         wp.utils.array_scan(rank, rank, inclusive=True)
-        launch_parts(move, self.face_slots, self.device, COMPACTED_FACES)
+        self._launch_over_faces(
+            collapse_kernels.move_live_faces,
+            [corner_vertex, corners_of(state.edge_cost), corners_of(state.seam), rows_of(rank)],
+            [self._spare_corner_vertex, self._spare_edge_cost, self._spare_seam],
+        )
         if state.wedges.channel_count > 0:
+            inputs = [state.corner_vertex, state.wedges.corner_wedge, rank]
             launch(
-                attribute_kernels.move_corner_wedges,
-                dim=self.face_slots,
-                inputs=[state.corner_vertex, state.wedges.corner_wedge, rank],
-                outputs=[self._spare_wedge],
-                device=self.device,
+                attribute_kernels.move_corner_wedges, self.face_slots, inputs, [self._spare_wedge], device=self.device
             )
             wp.copy(state.wedges.corner_wedge, self._spare_wedge, count=3 * self.live_faces)
         if self.model.deformation_weight > 0:
@@ -219,25 +202,21 @@ class Orderer(Ordering):
         wp.copy(state.seam, self._spare_seam, count=half_edge_count)
         return True
 
+    def _launch_over_faces(self, kernel: wp.Kernel, inputs: list[Any], outputs: list[Any], *rest: int) -> None:
+        launch_in_parts(
+            kernel, (self.face_slots, *rest), inputs, outputs, device=self.device, min_items=COMPACTED_FACES
+        )
+
     def _move_deformation(self, rank: wp.array) -> None:
         """Close the gaps in what the deformation term has measured; ``rank`` as for the faces, which still stand."""
         measured = self.state.deformation
         chunk_count = measured.steps.shape[1]
-
-        def move(part: slice) -> None:
-            launch(
-                deformation_kernels.move_deformation,
-                dim=(part.stop - part.start, chunk_count),
-                inputs=[
-                    self.state.corner_vertex[3 * part.start : 3 * part.stop],
-                    measured.face_area[part],
-                    measured.steps[3 * part.start : 3 * part.stop],
-                    rank[part],
-                ],
-                outputs=[self._spare_area, self._spare_steps],
-                device=self.device,
-            )
-
-        launch_parts(move, self.face_slots, self.device, COMPACTED_FACES)
+        rows = [corners_of(self.state.corner_vertex), rows_of(measured.face_area), corners_of(measured.steps)]
+        self._launch_over_faces(
+            deformation_kernels.move_deformation,
+            [*rows, rows_of(rank)],
+            [self._spare_area, self._spare_steps],
+            chunk_count,
+        )
         wp.copy(measured.face_area, self._spare_area, count=self.live_faces * chunk_count)
         wp.copy(measured.steps, self._spare_steps, count=3 * self.live_faces * chunk_count)

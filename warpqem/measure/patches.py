@@ -14,9 +14,10 @@ from warpqem.kernels import surface_distance as kernels
 from warpqem.kernels.distance_screen import SCREEN_HINTS, ScreenPatches, bound_patches
 from warpqem.kernels.near_faces import HINTS
 from warpqem.measure.cells import Cells
-from warpqem.runtime.cpu_threads import launch_parts, run_parts, split_range, thread_count
+from warpqem.runtime.cpu_threads import run_parts, split_range, thread_count
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import launch
+from warpqem.runtime.part_launches import FIRST_ITEM, launch_in_parts
 
 __all__ = ["Found", "Patches", "bound_frames", "pack_points", "search_patches", "vertex_distances"]
 
@@ -111,17 +112,14 @@ def bound_frames(
     screen.hint = wp.array(hint, dtype=wp.int32, device=device)
     block_count = points[0].shape[1]
     bound = wp.empty((len(patches), block_count * width), dtype=wp.float32, device=device)
-
-    def one(part: slice) -> None:
-        launch(
-            bound_patches[width],
-            dim=(part.stop - part.start, block_count),
-            inputs=[*points, own.corner_vertex, other.corner_vertex, screen, float(enough), part.start],
-            outputs=[bound],
-            device=device,
-        )
-
-    launch_parts(one, len(patches), device, MIN_PART)
+    launch_in_parts(
+        bound_patches[width],
+        (len(patches), block_count),
+        inputs=[*points, own.corner_vertex, other.corner_vertex, screen, float(enough), FIRST_ITEM],
+        outputs=[bound],
+        device=device,
+        min_items=MIN_PART,
+    )
     # Frame by frame, as they are asked for.
     found: Singles = np.ascontiguousarray(bound.numpy().T)
     return found
@@ -136,17 +134,14 @@ def vertex_distances(own: Cells, other: Cells, device: str) -> tuple[Doubles, In
     face = wp.array(corner // 3, dtype=wp.int32, device=device)
     inputs = [own.surface, other.surface, face, wp.array(place, dtype=wp.vec2d, device=device)]
     near = wp.empty(len(corner), dtype=wp.int32, device=device)
-
-    def one(part: slice) -> None:
-        launch(
-            kernels.sample_distances,
-            dim=part.stop - part.start,
-            inputs=[*inputs, part.start],
-            outputs=[distance, angle, near],
-            device=device,
-        )
-
-    launch_parts(one, len(corner), device, MIN_PART)
+    launch_in_parts(
+        kernels.sample_distances,
+        len(corner),
+        inputs=[*inputs, FIRST_ITEM],
+        outputs=[distance, angle, near],
+        device=device,
+        min_items=MIN_PART,
+    )
     return distance.numpy(), corner // 3
 
 

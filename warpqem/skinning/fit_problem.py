@@ -14,8 +14,7 @@ from warpqem.mesh.edges import edge_table
 from warpqem.mesh.mesh_input import is_proper
 from warpqem.mesh.seams import read_seams
 from warpqem.place.cluster_rows import sum_repeated
-from warpqem.runtime.cpu_threads import launch_parts
-from warpqem.runtime.launches import launch
+from warpqem.runtime.part_launches import FIRST_ITEM, columns_of, launch_in_parts, rows_of, starts_of
 
 __all__ = ["CandidateRows", "ClusterPlanes", "SkinFit"]
 
@@ -109,20 +108,16 @@ class ClusterPlanes:
             wp.array(start[clusters.start : clusters.stop + 1], dtype=wp.int32, device=self._device)
             for start in self._starts
         ]
-
-        def gather(part: slice) -> None:
-            inputs: list[Any] = []
-            for start, (item, weight) in zip(starts, self._rows, strict=True):
-                inputs += [start[part.start : part.stop + 1], item, weight]
-            launch(
-                kernels.gather_planes,
-                dim=(part.stop - part.start, shape[0]),
-                inputs=[*inputs, points, place[:, part], SURFACE_PULL, int(to_planes)],
-                outputs=[stiffness[part], goal[:, part]],
-                device=self._device,
-            )
-
-        launch_parts(gather, count, self._device)
+        inputs: list[Any] = []
+        for start, (item, weight) in zip(starts, self._rows, strict=True):
+            inputs += [starts_of(start), item, weight]
+        launch_in_parts(
+            kernels.gather_planes,
+            (count, shape[0]),
+            inputs=[*inputs, points, columns_of(place), SURFACE_PULL, int(to_planes)],
+            outputs=[rows_of(stiffness), columns_of(goal)],
+            device=self._device,
+        )
         return stiffness, goal
 
 
@@ -203,17 +198,8 @@ class SkinFit:
         rest = wp.empty(count, dtype=wp.vec3d, device=device)
         weight = wp.empty(row.stop - row.start, dtype=wp.float64, device=device)
         before, after = (wp.empty(count, dtype=wp.float64, device=device) for _ in range(2))
-
-        def fit(part: slice) -> None:
-            launch(
-                kernels.fit_vertices,
-                dim=part.stop - part.start,
-                inputs=[problem, scratch, part.start],
-                outputs=[rest, weight, before, after],
-                device=device,
-            )
-
-        launch_parts(fit, count, device)
+        outputs = [rest, weight, before, after]
+        launch_in_parts(kernels.fit_vertices, count, [problem, scratch, FIRST_ITEM], outputs, device=device)
         return rest.numpy(), weight.numpy(), before.numpy(), after.numpy()
 
     def _scratch(self, size: np.ndarray) -> kernels.SkinScratch:
