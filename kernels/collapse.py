@@ -16,13 +16,13 @@ from warpqem.kernels.topology import (
     BORDER,
     CORNER,
     OPEN,
-    PINNED,
     SEAM,
     find_half_edge,
     half_edge_target,
     next_corner,
     previous_corner,
 )
+from warpqem.kernels.vertex_kind import removed_end
 from warpqem.kernels.work import EdgeList, Work, count_before, first_item, last_item
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
@@ -243,12 +243,8 @@ def commit_winners(
             a = state.corner_vertex[h]
             b = half_edge_target(state.corner_vertex, h)
             opposite = find_half_edge(state.corner_vertex, state.adjacency, b, a)
-            u = a
-            v = b
-            # A pinned vertex is the one kept, so that it keeps its index; else the lower index is.
-            if (state.vertex_flags[b] & PINNED) != 0 or ((state.vertex_flags[a] & PINNED) == 0 and b < a):
-                u = b
-                v = a
+            v = removed_end(state.vertex_flags, a, b)
+            u = wp.where(v == a, b, a)
             slot = wp.atomic_add(log_slot, work.part, 1)
             log.kept[slot] = u
             log.removed[slot] = v

@@ -21,9 +21,7 @@ from warpqem.kernels.quadric import (
     value_at_minimiser,
 )
 from warpqem.kernels.topology import (
-    BORDER,
     CORNER,
-    NON_MANIFOLD,
     PINNED,
     SEAM,
     find_half_edge,
@@ -32,6 +30,7 @@ from warpqem.kernels.topology import (
     next_corner,
     previous_corner,
 )
+from warpqem.kernels.vertex_kind import may_collapse, may_collapse_into
 from warpqem.kernels.work import Work, first_item, last_item
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
@@ -71,19 +70,12 @@ def merged_quadric(frames: AnyKeyFrames, u: wp.int32, v: wp.int32, t: wp.int32, 
 def edge_anchor(state: MeshState, frames: AnyKeyFrames, model: CostModel, u: wp.int32, v: wp.int32) -> wp.float32:
     """``lambda`` of the material anchor ``(1 - lambda) p_u + lambda p_v``: minimises the quadrics' sum over all frames.
 
-    A vertex on the border or a seam, or pinned, is the anchor itself when the other end is free; so is the corner of a
-    seam against the rest of it.
+    Where one end may only collapse into the other, the other is the anchor.
     """
-    fu = state.vertex_flags[u]
-    fv = state.vertex_flags[v]
-    if ((fu & PINNED) != 0) != ((fv & PINNED) != 0):
-        return wp.where((fv & PINNED) != 0, wp.float32(1.0), wp.float32(0.0))
-    if (fu & BORDER) != (fv & BORDER):
-        return wp.where((fv & BORDER) != 0, wp.float32(1.0), wp.float32(0.0))
-    if (fu & SEAM) != (fv & SEAM):
-        return wp.where((fv & SEAM) != 0, wp.float32(1.0), wp.float32(0.0))
-    if (fu & CORNER) != (fv & CORNER):
-        return wp.where((fv & CORNER) != 0, wp.float32(1.0), wp.float32(0.0))
+    u_goes = may_collapse_into(state.vertex_flags[u], state.vertex_flags[v])
+    v_goes = may_collapse_into(state.vertex_flags[v], state.vertex_flags[u])
+    if u_goes != v_goes:
+        return wp.where(u_goes, wp.float32(1.0), wp.float32(0.0))
     slope = wp.float32(0.0)
     stiffness = wp.float32(0.0)
     regularisation = wp.float32(0.0)
@@ -157,24 +149,13 @@ def breaks_seams(state: MeshState, h: wp.int32) -> wp.bool:
 
 
 @wp.func
-def is_priced(fu: wp.int32, fv: wp.int32) -> wp.bool:
-    """Whether an edge between vertices of these flags may collapse: not between two pinned ones.
-
-    Nor between a non-manifold vertex and one on a border, where the link condition says nothing.
-    """
-    if (fu & PINNED) != 0 and (fv & PINNED) != 0:
-        return False
-    return ((fu & NON_MANIFOLD) == 0 or (fv & BORDER) == 0) and ((fv & NON_MANIFOLD) == 0 or (fu & BORDER) == 0)
-
-
-@wp.func
 def price_edge(state: MeshState, frames: AnyKeyFrames, model: CostModel, h: wp.int32) -> EdgePrice:
     """Cost over key frames of the collapse of half-edge ``h``; an infinite cost where no collapse is allowed."""
     u = state.corner_vertex[h]
     v = half_edge_target(state.corner_vertex, h)
     result = EdgePrice()
     result.cost = INFINITE_COST
-    if not is_priced(state.vertex_flags[u], state.vertex_flags[v]):
+    if not may_collapse(state.vertex_flags[u], state.vertex_flags[v]):
         return result
     anchor = edge_anchor(state, frames, model, u, v)
     at_anchor = keeps_anchor(state, model, u, v)

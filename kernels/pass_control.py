@@ -3,7 +3,8 @@
 import warp as wp
 
 from warpqem.kernels.mesh_state import CollapseLog, MeshState
-from warpqem.kernels.topology import PINNED, half_edge_target
+from warpqem.kernels.topology import half_edge_target
+from warpqem.kernels.vertex_kind import removed_end
 from warpqem.kernels.work import EdgeList, Work
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
@@ -112,12 +113,21 @@ def begin_round(
 @wp.func
 def log_key(state: MeshState, h: wp.int32) -> wp.int64:
     """The order of the log within a round: cost, then the vertex that the commit removes."""
-    a = state.corner_vertex[h]
-    b = half_edge_target(state.corner_vertex, h)
-    removed = b
-    if (state.vertex_flags[b] & PINNED) != 0 or ((state.vertex_flags[a] & PINNED) == 0 and b < a):
-        removed = a
+    removed = removed_end(state.vertex_flags, state.corner_vertex[h], half_edge_target(state.corner_vertex, h))
     return (wp.int64(wp.cast(state.edge_cost[h], wp.int32)) << wp.int64(32)) | wp.int64(removed)
+
+
+@wp.kernel
+def list_log_keys(
+    # in
+    state: MeshState,
+    half_edge_in: wp.array[wp.int32],
+    # out
+    key_out: wp.array[wp.int64],
+):
+    """What collapses are put in order by, for a host that decides which of them go ahead."""
+    i = wp.tid()
+    key_out[i] = log_key(state, half_edge_in[i])
 
 
 @wp.kernel

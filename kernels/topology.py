@@ -14,8 +14,8 @@ wp.set_module_options({"enable_backward": False})  # no gradients are taken
 # SEAM: an edge that values do not cross ends here (UV seam, subset border, hard edge).
 # CORNER: a seam ends, forks or meets a border here. Set along with SEAM.
 # MIRROR: on the plane along which a symmetric mesh was cut; set along with BORDER.
-# NON_MANIFOLD: the one-ring is not one fan of faces. The vertex keeps its position, and only inner ones may collapse
-# into it: the link condition says nothing of edges between two such vertices, or from one to a border.
+# NON_MANIFOLD: the one-ring is not one fan of faces. The vertex keeps its position.
+# Which vertices may collapse into which is in :mod:`warpqem.kernels.vertex_kind`.
 BORDER = wp.constant(wp.int32(1))
 LOCKED = wp.constant(wp.int32(2))
 NON_MANIFOLD = wp.constant(wp.int32(4))

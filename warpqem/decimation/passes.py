@@ -21,7 +21,6 @@ from warpqem.kernels import attribute as attribute_kernels
 from warpqem.kernels import collapse as collapse_kernels
 from warpqem.kernels import deformation as deformation_kernels
 from warpqem.kernels import pass_control as control_kernels
-from warpqem.kernels.topology import PINNED
 from warpqem.runtime.launches import launch
 from warpqem.runtime.part_launches import corners_of, launch_in_parts, rows_of
 
@@ -153,23 +152,16 @@ class Orderer(Ordering):
         """Leave out the costliest collapses beyond the ``remaining`` faces to remove; the faces the others remove."""
         count = int(launches.winners.count.numpy()[0])
         faces = self.steps.faces_removed[:count].numpy().copy()
-        half_edge = launches.winners.half_edge[:count].numpy()
         # The order of the log, so that what is left is a beginning of it.
-        order = np.lexsort((self._removed_vertices(half_edge), self.state.edge_cost.numpy()[half_edge]))
+        key = wp.empty(count, dtype=wp.int64, device=self.device)
+        inputs = [self.state, launches.winners.half_edge]
+        launch(control_kernels.list_log_keys, count, inputs, [key], device=self.device)
+        order = np.argsort(key.numpy(), kind="stable")
         removed_before = np.cumsum(faces[order]) - faces[order]
         faces[order[removed_before >= remaining]] = 0
         self.steps.faces_removed[:count].assign(faces)
         launches.legal.fill_(int(np.count_nonzero(faces)))
         return int(faces.sum())
-
-    def _removed_vertices(self, half_edge: np.ndarray) -> np.ndarray:
-        """The end that each collapse removes, as the commit chooses it."""
-        corner_vertex, flags = self.state.corner_vertex.numpy(), self.state.vertex_flags.numpy()
-        ends = corner_vertex[np.stack([half_edge, half_edge - half_edge % 3 + (half_edge + 1) % 3])]
-        pinned = (flags[ends] & int(PINNED)) != 0
-        keeps_second = pinned[1] | (~pinned[0] & (ends[1] < ends[0]))
-        removed: np.ndarray = np.where(keeps_second, ends[0], ends[1])
-        return removed
 
     def _compact(self) -> bool:
         """Close the gaps that dead faces leave, once they are many; whether that was so. It renumbers the corners."""
