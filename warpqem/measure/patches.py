@@ -10,7 +10,8 @@ import numpy.typing as npt
 import warp as wp
 
 from warpqem.frames.blocks import pack_frames
-from warpqem.kernels import surface_distance as kernels
+from warpqem.kernels import largest_distance as kernels
+from warpqem.kernels import surface_distance
 from warpqem.kernels.distance_screen import SCREEN_HINTS, ScreenPatches, bound_patches
 from warpqem.kernels.near_faces import HINTS
 from warpqem.measure.cells import Cells
@@ -73,7 +74,7 @@ class Patches:
 
 @dataclass(frozen=True)
 class Found:
-    """What a search of n patches gives, see :func:`warpqem.kernels.surface_distance.largest_distances`.
+    """What a search of n patches gives, see :func:`warpqem.kernels.largest_distance.largest_distances`.
 
     Attributes:
         low: (n,) distance of a point, or the floor.
@@ -135,7 +136,7 @@ def vertex_distances(own: Cells, other: Cells, device: str) -> tuple[Doubles, In
     inputs = [own.surface, other.surface, face, wp.array(place, dtype=wp.vec2d, device=device)]
     near = wp.empty(len(corner), dtype=wp.int32, device=device)
     launch_in_parts(
-        kernels.sample_distances,
+        surface_distance.sample_distances,
         len(corner),
         inputs=[*inputs, FIRST_ITEM],
         outputs=[distance, angle, near],
@@ -172,42 +173,42 @@ def search_patches(
     hint = wp.empty(patches.hint.shape, dtype=wp.int32, device=device)
     room = max(1, PIECES_PER_FACE * (len(patches) + other.face_count)) if cut else 0
     while True:
-        piece = _piece_room(len(parts) * room, device)
-        counts = wp.zeros(len(parts), dtype=wp.int32, device=device)
+        pieces = _piece_room(len(parts), room, device)
 
-        def search(index: int, part: slice, counts: wp.array = counts, piece: kernels.FoundPieces = piece) -> None:
+        def search(index: int, part: slice, pieces: kernels.FoundPieces = pieces) -> None:
             launch(
                 kernels.largest_distances,
                 dim=part.stop - part.start,
-                inputs=[*inputs, index, part.start, counts],
-                outputs=[piece, low, high, hint],
+                inputs=[*inputs, index, part.start],
+                outputs=[pieces, low, high, hint],
                 device=device,
             )
 
         run_parts([partial(search, index, part) for index, part in enumerate(parts)])
-        needed = int(counts.numpy().max(initial=0))
+        needed = int(pieces.count.numpy().max(initial=0))
         if not cut or needed <= room:
             break
         room = needed
-    return Found(low.numpy(), high.numpy(), hint.numpy(), *_read_pieces(patches, piece, counts.numpy(), room, cut))
+    return Found(low.numpy(), high.numpy(), hint.numpy(), *_read_pieces(patches, pieces, room, cut))
 
 
-def _piece_room(count: int, device: str) -> kernels.FoundPieces:
-    piece = kernels.FoundPieces()
-    piece.item = wp.empty(count, dtype=wp.int32, device=device)
-    piece.place = wp.empty((count, 6), dtype=wp.float64, device=device)
-    piece.hint = wp.empty((count, int(HINTS)), dtype=wp.int32, device=device)
-    return piece
+def _piece_room(part_count: int, room: int, device: str) -> kernels.FoundPieces:
+    """Room for so many pieces of each part."""
+    count = part_count * room
+    pieces = kernels.FoundPieces()
+    pieces.count = wp.zeros(part_count, dtype=wp.int32, device=device)
+    pieces.item = wp.empty(count, dtype=wp.int32, device=device)
+    pieces.place = wp.empty((count, 6), dtype=wp.float64, device=device)
+    pieces.hint = wp.empty((count, int(HINTS)), dtype=wp.int32, device=device)
+    return pieces
 
 
-def _read_pieces(
-    patches: Patches, piece: kernels.FoundPieces, counts: npt.NDArray[np.int32], room: int, cut: bool
-) -> tuple[Patches, Ints]:
+def _read_pieces(patches: Patches, pieces: kernels.FoundPieces, room: int, cut: bool) -> tuple[Patches, Ints]:
     if not cut:
         return patches.rows(slice(0)), np.zeros(0, dtype=np.int64)
-    rows = np.concatenate([part * room + np.arange(count) for part, count in enumerate(counts)])
-    item = piece.item.numpy()[rows]
+    rows = np.concatenate([part * room + np.arange(count) for part, count in enumerate(pieces.count.numpy())])
+    item = pieces.item.numpy()[rows]
     # A patch is cut by one thread, in order; threads come in any order.
     order = np.argsort(item, kind="stable")
     rows, item = rows[order], item[order].astype(np.int64)
-    return Patches(patches.face[item], piece.place.numpy()[rows], piece.hint.numpy()[rows]), item
+    return Patches(patches.face[item], pieces.place.numpy()[rows], pieces.hint.numpy()[rows]), item

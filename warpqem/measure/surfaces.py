@@ -76,7 +76,7 @@ class SurfaceComparison:
 
     In each frame, samples of both surfaces are drawn in proportion to area, in strata, and differently in each frame.
     The largest distance is searched for over both surfaces in all frames, by branch and bound
-    (:mod:`warpqem.kernels.surface_distance`): it holds at every point, not at samples only. Equal frames give equal
+    (:mod:`warpqem.kernels.largest_distance`): it holds at every point, not at samples only. Equal frames give equal
     bits, however they come in blocks.
 
     Args:
