@@ -8,7 +8,7 @@ from warpqem.kernels.attribute import first_frame, merge_wedges
 from warpqem.kernels.edge_cost import INFINITE_COST, merged_quadric
 from warpqem.kernels.lanes import POINTS_ARRAY, lane_kernel, lane_max, lane_sum
 from warpqem.kernels.member_distance import join_members
-from warpqem.kernels.mesh_state import KEY_FRAMES, AnyKeyFrames, CollapseLog, MeshState
+from warpqem.kernels.mesh_state import KEY_FRAMES, AnyKeyFrames, CollapseLog, MeshState, degree
 from warpqem.kernels.prefetch import prefetch_adjacency, prefetch_winners
 from warpqem.kernels.quadric import NO_PLANE, shift_origin, trace
 from warpqem.kernels.quadric_sums import merge_sums
@@ -209,6 +209,35 @@ def open_log(
     pool_used[0] = entry
 
 
+@wp.func
+def log_collapse(
+    state: MeshState, log: CollapseLog, slot: wp.int32, u: wp.int32, v: wp.int32, h: wp.int32, opposite: wp.int32
+):
+    """Log the collapse of half-edge ``h``, and ``opposite`` or -1, that keeps ``u`` and removes ``v``."""
+    log.kept[slot] = u
+    log.removed[slot] = v
+    log.left_opposite[slot] = state.corner_vertex[previous_corner(h)]
+    log.right_opposite[slot] = -1
+    if opposite >= 0:
+        log.right_opposite[slot] = state.corner_vertex[previous_corner(opposite)]
+    log.cost[slot] = state.edge_cost[h]
+    log.round_index[slot] = log.round_count[0]
+
+
+@wp.func
+def merge_corners(state: MeshState, u: wp.int32, v: wp.int32):
+    """Hand the corners of ``v`` to ``u``, but for those of faces with both, which die."""
+    for i in range(state.adjacency.start[v], state.adjacency.end[v]):
+        h = state.adjacency.corner[i]
+        f = h // 3
+        if half_edge_target(state.corner_vertex, h) == u or state.corner_vertex[previous_corner(h)] == u:
+            for k in range(3):
+                state.corner_vertex[3 * f + k] = -1
+                state.edge_cost[3 * f + k] = INFINITE_COST
+        else:
+            state.corner_vertex[h] = u
+
+
 @lane_kernel(frames=KEY_FRAMES, target_in=POINTS_ARRAY)
 def commit_winners(
     # in and out
@@ -246,15 +275,8 @@ def commit_winners(
             v = removed_end(state.vertex_flags, a, b)
             u = wp.where(v == a, b, a)
             slot = wp.atomic_add(log_slot, work.part, 1)
-            log.kept[slot] = u
-            log.removed[slot] = v
-            log.left_opposite[slot] = state.corner_vertex[previous_corner(h)]
-            log.right_opposite[slot] = -1
-            if opposite >= 0:
-                log.right_opposite[slot] = state.corner_vertex[previous_corner(opposite)]
+            log_collapse(state, log, slot, u, v, h, opposite)
             log.faces_removed[slot] = faces_removed_in[i]
-            log.cost[slot] = state.edge_cost[h]
-            log.round_index[slot] = log.round_count[0]
             mask_ring(state, mask, pass_number_in[0], u)
             mask_ring(state, mask, pass_number_in[0], v)
             if state.trajectory.shape[0] > 0:
@@ -267,19 +289,9 @@ def commit_winners(
             join_seams(state, u, v, h)
             if opposite >= 0:
                 join_seams(state, u, v, opposite)
-            for j in range(state.adjacency.start[v], state.adjacency.end[v]):
-                g = state.adjacency.corner[j]
-                f = g // 3
-                if half_edge_target(state.corner_vertex, g) == u or state.corner_vertex[previous_corner(g)] == u:
-                    for k in range(3):
-                        state.corner_vertex[3 * f + k] = -1
-                        state.edge_cost[3 * f + k] = INFINITE_COST
-                else:
-                    state.corner_vertex[g] = u
+            merge_corners(state, u, v)
             classify_seams(state, u, v)
-            adjacency_size = (
-                state.adjacency.end[u] - state.adjacency.start[u] + state.adjacency.end[v] - state.adjacency.start[v]
-            )
+            adjacency_size = degree(state, u) + degree(state, v)
             entry = wp.atomic_add(pool_slot, work.part, adjacency_size)
             # A pool without room for it is known by its count: then the adjacency is built anew after the pass.
             if entry + adjacency_size <= state.adjacency.corner.shape[0]:

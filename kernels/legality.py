@@ -25,7 +25,7 @@ from warpqem.kernels.lanes import (
     lane_max,
 )
 from warpqem.kernels.member_distance import lead_point, member_gap
-from warpqem.kernels.mesh_state import KEY_FRAMES, AnyKeyFrames, CostModel, MeshState
+from warpqem.kernels.mesh_state import KEY_FRAMES, AnyKeyFrames, CostModel, MeshState, degree
 from warpqem.kernels.prefetch import prefetch_ends, prefetch_winners
 from warpqem.kernels.quadric import NO_PLANE
 from warpqem.kernels.topology import (
@@ -61,12 +61,6 @@ def is_ring_vertex(state: MeshState, u: wp.int32, w: wp.int32) -> wp.bool:
         if open_fan and state.corner_vertex[previous_corner(h)] == w:
             return True
     return False
-
-
-@wp.func
-def degree(state: MeshState, v: wp.int32) -> wp.int32:
-    """Faces at a vertex."""
-    return state.adjacency.end[v] - state.adjacency.start[v]
 
 
 @wp.func

@@ -210,6 +210,37 @@ def is_closed_fan(corner_vertex: wp.array[wp.int32], adjacency: VertexAdjacency,
     return False
 
 
+@wp.func
+def count_open_in(corner_vertex: wp.array[wp.int32], adjacency: VertexAdjacency, v: wp.int32) -> wp.int32:
+    """Half-edges that enter a vertex without an opposite one."""
+    count = wp.int32(0)
+    for i in range(adjacency.start[v], adjacency.end[v]):
+        w = corner_vertex[previous_corner(adjacency.corner[i])]
+        if find_half_edge(corner_vertex, adjacency, v, w) < 0:
+            count += 1
+    return count
+
+
+@wp.func
+def fan_size(corner_vertex: wp.array[wp.int32], adjacency: VertexAdjacency, v: wp.int32, border: wp.int32) -> wp.int32:
+    """Faces met by turning about a vertex, from the half-edge that leaves it on a border, or -1: from any."""
+    first = adjacency.start[v]
+    degree = adjacency.end[v] - first
+    start = border
+    if start < 0:
+        start = adjacency.corner[first]
+    h = start
+    fan = wp.int32(0)
+    # Turn from the face on the left of v -> w to the one whose half-edge leaves v along the other side.
+    while h >= 0 and fan < degree:
+        fan += 1
+        w = corner_vertex[previous_corner(h)]
+        h = find_half_edge(corner_vertex, adjacency, v, w)
+        if h == start:
+            h = -1
+    return fan
+
+
 @wp.kernel
 def classify_vertices(
     # in
@@ -254,30 +285,13 @@ def classify_vertices(
             border_half_edge_out[h] = 1
             open_out += 1
             start = h
-    open_in = wp.int32(0)
-    for i in range(first, last):
-        w = corner_vertex_in[previous_corner(adjacency_in.corner[i])]
-        after = wp.int32(0)
-        for j in range(first, last):
-            if half_edge_target(corner_vertex_in, adjacency_in.corner[j]) == w:
-                after += 1
-        if after == 0:
-            open_in += 1
+    open_in = count_open_in(corner_vertex_in, adjacency_in, v)
     flags = vertex_flags[v]
     if open_out + open_in > 0:
         flags = flags | BORDER
     fan = wp.int32(0)
     if repeated == 0 and open_out <= 1 and open_in == open_out and degree > 0:
-        if start < 0:
-            start = adjacency_in.corner[first]
-        h = start
-        # Turn from the face on the left of v -> w to the one whose half-edge leaves v along the other side.
-        while h >= 0 and fan < degree:
-            fan += 1
-            w = corner_vertex_in[previous_corner(h)]
-            h = find_half_edge(corner_vertex_in, adjacency_in, v, w)
-            if h == start:
-                h = -1
+        fan = fan_size(corner_vertex_in, adjacency_in, v, start)
     if degree > 0 and fan != degree:
         flags = flags | NON_MANIFOLD
     vertex_flags[v] = flags
