@@ -24,7 +24,7 @@ from warpqem.kernels.quadric import apply_matrix, linear_part, trace
 # Entries of G are sums of products of the size of tr(A) |p|^2 that cancel where a cluster is flat; float32 leaves about
 # 1e-7 of that size. Regularisation by 1e-5 of it keeps such a matrix positive definite: a flat cluster gets equal
 # weights.
-ROUNDING_PULL = wp.constant(wp.float32(1.0e-5))
+ROUNDING_REGULARISATION = wp.constant(wp.float32(1.0e-5))
 # An anchor may lie so far beyond its members, in radii of the cluster: the middle of a spherical cap of half an
 # angle of 30 degrees does.
 OVERHANG = wp.constant(wp.float32(0.25))
@@ -197,7 +197,8 @@ def fit_anchor_weights(
     total = wp.float32(0.0)
     for i in range(n):
         total += matrix[o + packed(i, i)]
-    shift = (regularisation_in[cluster] * wp.max(total, 0.0) + ROUNDING_PULL * size) / wp.float32(n) + MIN_DIAGONAL
+    shift = regularisation_in[cluster] * wp.max(total, 0.0) + ROUNDING_REGULARISATION * size
+    shift = shift / wp.float32(n) + MIN_DIAGONAL
     for i in range(n):
         matrix[o + packed(i, i)] = matrix[o + packed(i, i)] + shift
     factorise(matrix, o, n)

@@ -9,7 +9,7 @@ from warpqem.kernels.edge_cost import INFINITE_COST, merged_quadric
 from warpqem.kernels.lanes import POINTS_ARRAY, lane_kernel, lane_max, lane_sum
 from warpqem.kernels.member_distance import join_members
 from warpqem.kernels.mesh_state import KEY_FRAMES, AnyKeyFrames, CollapseLog, MeshState, degree
-from warpqem.kernels.prefetch import prefetch_adjacency, prefetch_winners
+from warpqem.kernels.prefetch import prefetch_adjacency, prefetch_collapses
 from warpqem.kernels.quadric import NO_PLANE, shift_origin, trace
 from warpqem.kernels.quadric_sums import merge_sums
 from warpqem.kernels.topology import (
@@ -144,7 +144,7 @@ def merge_adjacency(state: MeshState, u: wp.int32, v: wp.int32, first: wp.int32)
 
 
 @wp.kernel
-def drop_dead_corners(
+def remove_dead_corners(
     # in and out
     state: MeshState,
     # in
@@ -153,21 +153,21 @@ def drop_dead_corners(
     pass_number_in: wp.array[wp.int32],
     work: Work,
     # in and out
-    dropped: wp.array[wp.int32],
+    updated: wp.array[wp.int32],
 ):
     """Remove the dead corners of the vertices opposite the last pass's edges. A part does so for its own vertices.
 
-    A vertex may lie opposite two edges; ``dropped`` (the number of the pass that last did it) lets one thread in.
+    A vertex may lie opposite two edges; ``updated`` (the number of the pass that last did it) lets one thread in.
     """
-    first_vertex = first_item(dropped.shape[0], work)
-    last_vertex = last_item(dropped.shape[0], work)
-    for i in range(pass_begin[0] + wp.tid(), log.count[0], work.lanes):
+    first_vertex = first_item(updated.shape[0], work)
+    last_vertex = last_item(updated.shape[0], work)
+    for i in range(pass_begin[0] + wp.tid(), log.count[0], work.thread_count):
         prefetch_adjacency(state, log.left_opposite, i, log.count[0], work)
         prefetch_adjacency(state, log.right_opposite, i, log.count[0], work)
         for side in range(2):
             w = wp.where(side == 0, log.left_opposite[i], log.right_opposite[i])
             mine = w >= first_vertex and w < last_vertex
-            if mine and wp.atomic_max(dropped, w, pass_number_in[0]) < pass_number_in[0]:
+            if mine and wp.atomic_max(updated, w, pass_number_in[0]) < pass_number_in[0]:
                 last = state.adjacency.start[w]
                 for j in range(last, state.adjacency.end[w]):
                     h = state.adjacency.corner[j]
@@ -239,12 +239,12 @@ def merge_corners(state: MeshState, u: wp.int32, v: wp.int32):
 
 
 @lane_kernel(frames=KEY_FRAMES, target_in=POINTS_ARRAY)
-def commit_winners(
+def commit_collapses(
     # in and out
     state: MeshState,
     frames: AnyKeyFrames,
     # in
-    winners: EdgeList,
+    selected: EdgeList,
     faces_removed_in: wp.array[wp.int32],
     target_in: Any,
     anchor_in: wp.array[wp.float32],
@@ -263,12 +263,12 @@ def commit_winners(
     Its adjacency is put together at once: no other collapse of the pass reads it. That of the opposite vertices stays
     as it is until the pass is over.
     """
-    first_slot = count_before(winners, work.part)
-    for w in range(wp.tid(), winners.count[work.part], work.lanes):
+    first_slot = count_before(selected, work.part)
+    for w in range(wp.tid(), selected.count[work.part], work.thread_count):
         i = first_slot + w
-        prefetch_winners(state, frames, winners, work, w)
+        prefetch_collapses(state, frames, selected, work, w)
         if faces_removed_in[i] > 0:
-            h = winners.half_edge[work.part * winners.capacity + w]
+            h = selected.half_edge[work.part * selected.capacity + w]
             a = state.corner_vertex[h]
             b = half_edge_target(state.corner_vertex, h)
             opposite = find_half_edge(state.corner_vertex, state.adjacency, b, a)

@@ -111,7 +111,7 @@ def count_corners(
     """Corners per vertex (zeroed before the launch). A part walks all corners for its own vertices."""
     first_vertex = first_item(corner_count_out.shape[0], work)
     last_vertex = last_item(corner_count_out.shape[0], work)
-    for h in range(wp.tid(), 3 * face_count_in[0], work.lanes):
+    for h in range(wp.tid(), 3 * face_count_in[0], work.thread_count):
         v = corner_vertex_in[h]
         if v >= first_vertex and v < last_vertex:
             wp.atomic_add(corner_count_out, v, 1)
@@ -131,7 +131,7 @@ def fill_adjacency(
     """Put each corner into its vertex's list; ``adjacency_cursor`` starts at the beginning of each list and runs up."""
     first_vertex = first_item(adjacency_cursor.shape[0], work)
     last_vertex = last_item(adjacency_cursor.shape[0], work)
-    for h in range(wp.tid(), 3 * face_count_in[0], work.lanes):
+    for h in range(wp.tid(), 3 * face_count_in[0], work.thread_count):
         v = corner_vertex_in[h]
         if v >= first_vertex and v < last_vertex:
             adjacent_corner_out[wp.atomic_add(adjacency_cursor, v, 1)] = h
@@ -149,7 +149,7 @@ def list_corners(
     corner_out: wp.array[wp.int32],
 ):
     """Every corner (3N,) with its vertex as the key to sort by; dead ones come last, with the number of vertices."""
-    for h in range(wp.tid(), corner_vertex_in.shape[0], work.lanes):
+    for h in range(wp.tid(), corner_vertex_in.shape[0], work.thread_count):
         v = wp.int32(-1)
         if h < 3 * face_count_in[0]:
             v = corner_vertex_in[h]
@@ -178,11 +178,11 @@ def find_starts(
     corner_count: wp.int32,
     work: Work,
     # out
-    star_start_out: wp.array[wp.int32],
+    start_out: wp.array[wp.int32],
 ):
     """Where the corners of each vertex (V+1,) begin among ``corner_count`` sorted keys: a binary search each."""
-    for v in range(wp.tid(), star_start_out.shape[0], work.lanes):
-        star_start_out[v] = count_below(key_in, corner_count, v)
+    for v in range(wp.tid(), start_out.shape[0], work.thread_count):
+        start_out[v] = count_below(key_in, corner_count, v)
 
 
 @wp.func

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warpqem.decimation.recorded_steps import Phase, Step, part_work, record_shared
+from warpqem.decimation.recorded_launches import LaunchGroup, RecordedLaunches, part_work, record_shared
 from warpqem.kernels import topology as kernels
 from warpqem.kernels.topology import VertexAdjacency
 from warpqem.runtime.cpu_threads import thread_count
@@ -51,14 +51,14 @@ class Adjacency:
                 wp.empty(2 * len(corner_vertex), dtype=wp.int32, device=self._device) for _ in range(2)
             )
 
-    def phases(self, part_count: int) -> list[Phase]:
+    def launch_groups(self, part_count: int) -> list[LaunchGroup]:
         """What builds the lists, in ``part_count`` parts.
 
         Threads in order put each corner behind those of its vertex that came before; others leave the order to a sort
         that keeps it among equal keys. Either way a list is ascending.
         """
         if not self._in_order:
-            return [Phase(self._sort), Phase(self._hand_out)]
+            return [LaunchGroup(self._sort), LaunchGroup(self._hand_out)]
 
         def count(recorder: Recorder, part: int) -> None:
             self._record(recorder, kernels.count_corners, [self._cursor], part, part_count)
@@ -67,11 +67,11 @@ class Adjacency:
             self._record(recorder, kernels.fill_adjacency, [self._cursor, self.corner], part, part_count)
 
         return [
-            Phase(lambda recorder, _: recorder.zero(self._cursor)),
-            Phase(count, part_count),
-            Phase(self._scan),
-            Phase(fill, part_count),
-            Phase(self._hand_out),
+            LaunchGroup(lambda recorder, _: recorder.zero(self._cursor)),
+            LaunchGroup(count, part_count),
+            LaunchGroup(self._scan),
+            LaunchGroup(fill, part_count),
+            LaunchGroup(self._hand_out),
         ]
 
     def _record(self, recorder: Recorder, kernel: wp.Kernel, outputs: list[Any], part: int, part_count: int) -> None:
@@ -106,7 +106,7 @@ def build_adjacency(
     if face_count is None:
         face_count = wp.array([len(corner_vertex) // 3], dtype=wp.int32, device=device)
     adjacency = Adjacency(corner_vertex, face_count, vertex_count, spare)
-    Step(adjacency.phases(thread_count(device)), device).run()
+    RecordedLaunches(adjacency.launch_groups(thread_count(device)), device).run()
     return adjacency
 
 

@@ -76,7 +76,7 @@ class DecimatedMesh:
             attribute error too.
         constrained: (3N,) int32, 1 at the input's border half-edges, 2 at its seams'.
         line_rank: (V,) int, of input vertices: 2 at corners of seams, 1 elsewhere on a seam or border, 0 inside.
-        frozen: (V,) bool, input vertices whose faces are not one fan; they keep their position.
+        non_manifold: (V,) bool, input vertices whose faces are not one fan; they keep their position.
         face_order: (N,) int32, the input face at each place of the order that faces had; None for the input's.
         stopped: "target", "max_error", "max_size_error" or "no legal collapse".
         log: the collapses.
@@ -92,7 +92,7 @@ class DecimatedMesh:
     quadric: wp.array
     constrained: np.ndarray
     line_rank: np.ndarray
-    frozen: np.ndarray
+    non_manifold: np.ndarray
     face_order: np.ndarray | None
     stopped: str
     log: CollapseRecord
@@ -125,7 +125,7 @@ class _Collapsed:
     position: wp.array
     quadric: wp.array
     constrained: np.ndarray
-    frozen: np.ndarray
+    non_manifold: np.ndarray
     stopped: str
     log: CollapseRecord
     drops: DropRecord
@@ -169,7 +169,7 @@ def order_collapses(
         line_rank=np.where(
             mesh.vertex_flags & int(CORNER), 2, _ends(mesh.faces, constrained, vertex_count).astype(np.int32)
         ),
-        frozen=collapsed.frozen[row],
+        non_manifold=collapsed.non_manifold[row],
         face_order=face_order,
         stopped=collapsed.stopped,
         log=log,
@@ -222,7 +222,7 @@ def _collapse(
 ) -> _Collapsed:
     """Collapse edges; the rows of ``mesh.key_position`` move along."""
     state, frames, adjacency, constrained = _on_device(mesh, settings.memoryless, device)
-    frozen = (state.vertex_flags.numpy() & int(NON_MANIFOLD)) != 0
+    non_manifold = (state.vertex_flags.numpy() & int(NON_MANIFOLD)) != 0
     model = _cost_model(mesh, settings)
     lowest_limit = min(settings.error_limit, settings.size_limit)
     steps = PassSteps(state, frames, adjacency, model, device, settings.memoryless)
@@ -243,7 +243,7 @@ def _collapse(
         launch(add_attributes, len(frames.quadric), [state.wedges.quadric], [frames.quadric], device=device)
     log = read_log(steps.log_rows, orderer.collapse_count())
     drops = DropRecord.none(len(mesh.vertex_flags)) if components is None else components.record(orderer.drops)
-    return _Collapsed(frames.position, frames.quadric, constrained, frozen, stopped, log, drops)
+    return _Collapsed(frames.position, frames.quadric, constrained, non_manifold, stopped, log, drops)
 
 
 def _on_device(

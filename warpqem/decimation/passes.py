@@ -69,7 +69,7 @@ class Orderer(Ordering):
         components: Components | None = None,
     ) -> str:
         """See :class:`Ordering`."""
-        self.steps.price_all().run()
+        self.steps.compute_all_costs().run()
         candidate_fraction = CANDIDATE_FRACTION
         while self.live_faces > target_faces:
             candidate_count, collapsed = self._run_pass(target_faces, candidate_fraction)
@@ -143,18 +143,18 @@ class Orderer(Ordering):
         """Rounds of one part that stop when ``remaining`` faces are gone."""
         for i in range(ROUNDS):
             launches.choose[i % 2].run()
-            remaining -= self._trim_winners(launches, remaining)
+            remaining -= self._trim_selected(launches, remaining)
             launches.commit[i % 2].run()
             if remaining <= 0:
                 return
 
-    def _trim_winners(self, launches: PassLaunches, remaining: int) -> int:
+    def _trim_selected(self, launches: PassLaunches, remaining: int) -> int:
         """Leave out the costliest collapses beyond the ``remaining`` faces to remove; the faces the others remove."""
-        count = int(launches.winners.count.numpy()[0])
+        count = int(launches.selected.count.numpy()[0])
         faces = self.steps.faces_removed[:count].numpy().copy()
         # The order of the log, so that what is left is a beginning of it.
         key = wp.empty(count, dtype=wp.int64, device=self.device)
-        inputs = [self.state, launches.winners.half_edge]
+        inputs = [self.state, launches.selected.half_edge]
         launch(control_kernels.list_log_keys, count, inputs, [key], device=self.device)
         order = np.argsort(key.numpy(), kind="stable")
         removed_before = np.cumsum(faces[order]) - faces[order]

@@ -134,9 +134,9 @@ def fit_anchors(
     member_start, member = (wp.array(a, device=device) for a in (members.start, members.vertex))
     first_entry = wp.array(matrix_start.astype(np.int32), device=device)
     matrix = wp.zeros(int(matrix_start[-1]), dtype=wp.float32, device=device)
-    pull = wp.array(regularisation, dtype=wp.float32, device=device)
+    stiffness = wp.array(regularisation, dtype=wp.float32, device=device)
     weight = wp.zeros(len(members.vertex), dtype=wp.float32, device=device)
     lists = [rows_of(row), starts_of(member_start), member, starts_of(first_entry)]
-    inputs = [*lists, ordered.key_position, ordered.position, ordered.quadric, rows_of(pull)]
+    inputs = [*lists, ordered.key_position, ordered.position, ordered.quadric, rows_of(stiffness)]
     launch_in_parts(kernel, len(kept), inputs, [matrix, weight], device=device)
     return Anchors(members.start, members.vertex, weight.numpy())

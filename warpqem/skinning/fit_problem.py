@@ -20,12 +20,12 @@ __all__ = ["CandidateRows", "ClusterPlanes", "SkinFit"]
 
 # Rounds of the two solves. See the notes for what more of them bring.
 ROUNDS = 6
-# Pull along the surface towards where placement put the vertex, relative to the quadric. See the notes.
-SURFACE_PULL = 0.01
-# Pull of the rest position and of the weights towards where they start, relative to their systems: little enough to
-# leave what the poses tell apart to them.
-POSITION_PULL = 1e-3
-WEIGHT_PULL = 1e-3
+# Regularisation along the surface, towards where placement put the vertex, relative to the quadric. See the notes.
+SURFACE_REGULARISATION = 0.01
+# Regularisation of the rest position and of the weights towards where they start, relative to their systems: little
+# enough to leave to the poses what they tell apart.
+POSITION_REGULARISATION = 1e-3
+WEIGHT_REGULARISATION = 1e-3
 # Vertices solved for at once, which bounds the scratch memory: a few KB each.
 VERTICES_AT_ONCE = 16384
 
@@ -114,7 +114,7 @@ class ClusterPlanes:
         launch_in_parts(
             kernels.gather_planes,
             (count, shape[0]),
-            inputs=[*inputs, points, columns_of(place), SURFACE_PULL, int(to_planes)],
+            inputs=[*inputs, points, columns_of(place), SURFACE_REGULARISATION, int(to_planes)],
             outputs=[rows_of(stiffness), columns_of(goal)],
             device=self._device,
         )
@@ -172,7 +172,7 @@ class SkinFit:
         for first in range(0, len(self._rest), VERTICES_AT_ONCE):
             batch = slice(first, min(first + VERTICES_AT_ONCE, len(self._rest)))
             stiffness, goal = planes.gather(batch, position, self._placed[:, batch], to_planes)
-            size += float(np.trace(stiffness.numpy(), axis1=2, axis2=3).sum()) / (1.0 + 3.0 * SURFACE_PULL)
+            size += float(np.trace(stiffness.numpy(), axis1=2, axis2=3).sum()) / (1.0 + 3.0 * SURFACE_REGULARISATION)
             parts.append(self._solve_batch(batch, stiffness, goal, influences))
         rest, weight, before, after = (np.concatenate(column) for column in zip(*parts, strict=True))
         return rest, weight, before, after, size
@@ -192,7 +192,8 @@ class SkinFit:
         offsets = np.zeros((0, 0, 3)) if self._offsets is None else self._offsets[:, batch]
         problem.offset = self._array(offsets, wp.vec3d)
         problem.stiffness, problem.goal = stiffness, goal
-        problem.position_regularisation, problem.regularisation_of_weight = POSITION_PULL, WEIGHT_PULL
+        problem.position_regularisation = POSITION_REGULARISATION
+        problem.regularisation_of_weight = WEIGHT_REGULARISATION
         problem.rounds, problem.max_influences = ROUNDS, influences
         scratch = self._scratch(np.diff(start).astype(np.int64))
         rest = wp.empty(count, dtype=wp.vec3d, device=device)
