@@ -111,6 +111,11 @@ def _trim_collapses(a: Arguments) -> Demand:
     return Demand(2 * _length(a["selected"]) * INT)
 
 
+def _list_log_keys(a: Arguments) -> Demand:
+    # The half-edge, its cost, both ends and their flags; the key written.
+    return Demand(len(a["key_out"]) * 6 * INT + _size(a["key_out"]))
+
+
 def _collect_candidates(a: Arguments) -> Demand:
     return Demand(_half_edges(a) * INT)
 
@@ -264,6 +269,7 @@ _MODELS: dict[str, Callable[[Arguments], Demand]] = {
         _sum_bins,
         _find_threshold_by_sums,
         _trim_collapses,
+        _list_log_keys,
         _collect_candidates,
         _reserve_vertices,
         _select_collapses,

@@ -5,8 +5,6 @@ The kind of a vertex follows from its flags, and the kinds of its ends decide wh
 them; where only one may, it stays with the other.
 """
 
-import itertools
-
 import warp as wp
 
 from warpqem.kernels.topology import BORDER, CORNER, LOCKED, NON_MANIFOLD, PINNED, SEAM
@@ -38,7 +36,9 @@ KIND_COUNT = wp.constant(wp.int32(len(_MAY_COLLAPSE)))
     NON_MANIFOLD_KIND,
 ) = (wp.constant(wp.int32(kind)) for kind in range(len(_MAY_COLLAPSE)))
 # The table as the bits of one number: a kernel would build a matrix anew for every edge.
-COLLAPSE_BITS = wp.constant(wp.uint64(sum(bit << k for k, bit in enumerate(itertools.chain(*_MAY_COLLAPSE)))))
+COLLAPSE_BITS = wp.constant(
+    wp.uint64(sum(bit << k for k, bit in enumerate([bit for row in _MAY_COLLAPSE for bit in row])))
+)
 
 
 @wp.func

@@ -40,8 +40,16 @@ def refused(name) -> bool:
 
 @pytest.mark.parametrize(
     "name",
-    ["dearest", "reprice_all", "EdgeJudge", "gear", "left_wing", "_vanished", "MOST_NAMED", "price_edge", "EdgePrice"]
-    + [
+    [
+        "dearest",
+        "reprice_all",
+        "EdgeJudge",
+        "gear",
+        "left_wing",
+        "_vanished",
+        "MOST_NAMED",
+        "price_edge",
+        "EdgePrice",
         "commit_winners",
         "withdraw_claims",
         "STARS",
