@@ -98,7 +98,7 @@ def test_vertices_are_placed_by_the_same_sums(name, device):
                 total += oracle.shifted(own[v], anchor - x[v])
                 for other, factor in zip(vertex[row == v], weight[row == v], strict=True):
                     total += oracle.shifted(own[other], anchor - x[other]).scaled(factor)
-            expected = anchor + oracle.tangential_minimiser(total, float(rows["pull"][c]))
+            expected = anchor + oracle.tangential_minimiser(total, float(rows["stiffness"][c]))
             np.testing.assert_allclose(placed[frame, c], expected, atol=1e-4)
 
 

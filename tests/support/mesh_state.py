@@ -16,9 +16,9 @@ from warpqem.kernels.work import EdgeList, Work
 
 
 def one_part(device, part=0, part_count=1) -> Work:
-    """The whole work in one lane, or one part of it."""
+    """The whole work in one thread, or one part of it."""
     work = Work()
-    work.part, work.part_count, work.lanes = part, part_count, 1
+    work.part, work.part_count, work.thread_count = part, part_count, 1
     return work
 
 
@@ -63,7 +63,7 @@ def build_mesh(
 ) -> DeviceMesh:
     """Points (K, V, 3) or (V, 3), taken as they are, and faces; every frame is a key frame.
 
-    The pool of stars has room for ``spare`` corners more than the mesh has, by default as many again.
+    The adjacency pool has room for ``spare`` corners more than the mesh has, by default as many again.
     """
     points = points[None] if points.ndim == 2 else points
     vertex_count = points.shape[1]

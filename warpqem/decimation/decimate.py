@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import warp as wp
 
-from warpqem.decimation.adjacency import build_adjacency, classify_vertices
+from warpqem.decimation.adjacency import Adjacency, build_adjacency, classify_vertices
 from warpqem.decimation.arrangement import ARRANGED_FACES, Arrangement, arrange
 from warpqem.decimation.attribute_quadrics import build_wedges
 from warpqem.decimation.cluster_vertices import build_members
@@ -26,11 +26,11 @@ from warpqem.decimation.quadric_sums import QuadricSums, add_quadric_sums
 from warpqem.kernels import arrangement as arrangement_kernels
 from warpqem.kernels import attribute as attribute_kernels
 from warpqem.kernels.lanes import width_of
-from warpqem.kernels.mesh_state import KEY_FRAMES, CostModel, MeshState
+from warpqem.kernels.mesh_state import KEY_FRAMES, AnyKeyFrames, CostModel, MeshState
 from warpqem.kernels.topology import CORNER, NON_MANIFOLD
-from warpqem.runtime.cpu_threads import launch_parts
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import launch
+from warpqem.runtime.part_launches import launch_in_parts, rows_of
 
 __all__ = ["DecimatedMesh", "DecimationInput", "OrderSettings", "faces_left", "order_collapses"]
 
@@ -76,7 +76,7 @@ class DecimatedMesh:
             attribute error too.
         constrained: (3N,) int32, 1 at the input's border half-edges, 2 at its seams'.
         line_rank: (V,) int, of input vertices: 2 at corners of seams, 1 elsewhere on a seam or border, 0 inside.
-        frozen: (V,) bool, input vertices whose faces are not one fan; they keep their position.
+        non_manifold: (V,) bool, input vertices whose faces are not one fan; they keep their position.
         face_order: (N,) int32, the input face at each place of the order that faces had; None for the input's.
         stopped: "target", "max_error", "max_size_error" or "no legal collapse".
         log: the collapses.
@@ -92,7 +92,7 @@ class DecimatedMesh:
     quadric: wp.array
     constrained: np.ndarray
     line_rank: np.ndarray
-    frozen: np.ndarray
+    non_manifold: np.ndarray
     face_order: np.ndarray | None
     stopped: str
     log: CollapseRecord
@@ -125,7 +125,7 @@ class _Collapsed:
     position: wp.array
     quadric: wp.array
     constrained: np.ndarray
-    frozen: np.ndarray
+    non_manifold: np.ndarray
     stopped: str
     log: CollapseRecord
     drops: DropRecord
@@ -169,7 +169,7 @@ def order_collapses(
         line_rank=np.where(
             mesh.vertex_flags & int(CORNER), 2, _ends(mesh.faces, constrained, vertex_count).astype(np.int32)
         ),
-        frozen=collapsed.frozen[row],
+        non_manifold=collapsed.non_manifold[row],
         face_order=face_order,
         stopped=collapsed.stopped,
         log=log,
@@ -191,19 +191,13 @@ def faces_left(input_faces: np.ndarray, faces: np.ndarray, drops: DropRecord) ->
 def _rearranged(mesh: DecimationInput, arrangement: Arrangement) -> DecimationInput:
     device, vertex = mesh.key_position.device, arrangement.vertex
     position = wp.empty_like(mesh.key_position)
-    kernel = arrangement_kernels.gather_rows[width_of(position)]
-    index = wp.array(vertex, device=device)
-
-    def gather(part: slice) -> None:
-        launch(
-            kernel,
-            dim=(part.stop - part.start, position.shape[1]),
-            inputs=[mesh.key_position, index[part]],
-            outputs=[position[part]],
-            device=device,
-        )
-
-    launch_parts(gather, len(vertex), device)
+    launch_in_parts(
+        arrangement_kernels.gather_rows[width_of(position)],
+        position.shape,
+        inputs=[mesh.key_position, rows_of(wp.array(vertex, device=device))],
+        outputs=[rows_of(position)],
+        device=device,
+    )
     return replace(
         mesh,
         faces=arrangement.rearrange_faces(mesh.faces),
@@ -227,47 +221,10 @@ def _collapse(
     recorder: NodeRecorder | None,
 ) -> _Collapsed:
     """Collapse edges; the rows of ``mesh.key_position`` move along."""
-    vertex_count = len(mesh.vertex_flags)
-    corner_vertex = wp.array(mesh.faces.ravel(), dtype=wp.int32, device=device)
-    state = MeshState()
-    state.face_count = wp.array([len(mesh.faces)], dtype=wp.int32, device=device)
-    adjacency = build_adjacency(corner_vertex, vertex_count, state.face_count, spare=len(corner_vertex))
-    state.corner_vertex = corner_vertex
-    state.adjacency = adjacency.lists
-    state.vertex_flags = wp.array(mesh.vertex_flags, dtype=wp.int32, device=device)
-    constrained = classify_vertices(corner_vertex, adjacency, state.vertex_flags).numpy() | 2 * mesh.seam
-    frozen = (state.vertex_flags.numpy() & int(NON_MANIFOLD)) != 0
-    state.seam = wp.array(mesh.seam, dtype=wp.int32, device=device)
-    width = width_of(mesh.key_position)
-    frames = KEY_FRAMES[width]()
-    frames.position = mesh.key_position
-    state.quadric_scale = wp.array(mesh.quadric_scale, dtype=wp.float32, device=device)
-    if mesh.matrices is None:
-        frames.quadric = initial_quadrics(corner_vertex, adjacency, constrained, mesh.key_position, state.quadric_scale)
-    else:
-        frames.quadric = given_quadrics(mesh.matrices, device)
-    if mesh.sums is not None:
-        added = add_quadric_sums(mesh.sums, mesh.key_position, frames.quadric)
-        if settings.memoryless:
-            rows = np.full(vertex_count, -1, dtype=np.int32)
-            rows[mesh.sums.row] = np.arange(len(mesh.sums.row))
-            state.sum_row, frames.kept_sum = wp.array(rows, device=device), added
-    state.cost_weight = wp.array(mesh.cost_weight, dtype=wp.float32, device=device)
-    state.edge_cost = wp.empty(len(corner_vertex), dtype=wp.float32, device=device)
-    state.trajectory, state.deformation = build_deformation(mesh.trajectories, len(mesh.faces), device)
-    state.wedges = build_wedges(mesh.faces, mesh.key_position, mesh.attributes, mesh.key_count)
-    state.members = build_members(mesh.faces, mesh.key_position)
-
-    model = CostModel()
-    model.key_count = float(mesh.key_count)
-    model.epsilon = settings.epsilon
-    model.endpoint = int(settings.endpoint)
+    state, frames, adjacency, constrained = _on_device(mesh, settings.memoryless, device)
+    non_manifold = (state.vertex_flags.numpy() & int(NON_MANIFOLD)) != 0
+    model = _cost_model(mesh, settings)
     lowest_limit = min(settings.error_limit, settings.size_limit)
-    model.error_limit = lowest_limit**2
-    # The term sums over all frames, the quadrics over the key frames: brought to the same number of frames.
-    frame_count = 1 if mesh.trajectories is None else mesh.trajectories.shape[1]
-    model.deformation_weight = settings.deformation_weight * mesh.key_count / frame_count
-
     steps = PassSteps(state, frames, adjacency, model, device, settings.memoryless)
     orderer = _new_ordering(steps)
     components = (
@@ -282,16 +239,62 @@ def _collapse(
     if stopped == "max_error" and settings.size_limit < settings.error_limit:
         stopped = "max_size_error"
     if mesh.attributes is not None:
-        launch(
-            attribute_kernels.add_attribute_quadrics[width],
-            dim=vertex_count,
-            inputs=[state.wedges.quadric],
-            outputs=[frames.quadric],
-            device=device,
-        )
+        add_attributes = attribute_kernels.add_attribute_quadrics[width_of(frames.quadric)]
+        launch(add_attributes, len(frames.quadric), [state.wedges.quadric], [frames.quadric], device=device)
     log = read_log(steps.log_rows, orderer.collapse_count())
-    drops = DropRecord.none(vertex_count) if components is None else components.record(orderer.drops)
-    return _Collapsed(frames.position, frames.quadric, constrained, frozen, stopped, log, drops)
+    drops = DropRecord.none(len(mesh.vertex_flags)) if components is None else components.record(orderer.drops)
+    return _Collapsed(frames.position, frames.quadric, constrained, non_manifold, stopped, log, drops)
+
+
+def _on_device(
+    mesh: DecimationInput, memoryless: bool, device: str
+) -> tuple[MeshState, AnyKeyFrames, Adjacency, np.ndarray]:
+    """The mesh as kernels see it; ``frames.position`` is ``mesh.key_position`` itself.
+
+    Returns:
+        state, key frames, adjacency, and (3N,) int32, 1 at border half-edges and 2 at those of seams.
+    """
+    vertex_count = len(mesh.vertex_flags)
+    corner_vertex = wp.array(mesh.faces.ravel(), dtype=wp.int32, device=device)
+    state = MeshState()
+    state.face_count = wp.array([len(mesh.faces)], dtype=wp.int32, device=device)
+    adjacency = build_adjacency(corner_vertex, vertex_count, state.face_count, spare=len(corner_vertex))
+    state.corner_vertex = corner_vertex
+    state.adjacency = adjacency.lists
+    state.vertex_flags = wp.array(mesh.vertex_flags, dtype=wp.int32, device=device)
+    constrained = classify_vertices(corner_vertex, adjacency, state.vertex_flags).numpy() | 2 * mesh.seam
+    state.seam = wp.array(mesh.seam, dtype=wp.int32, device=device)
+    frames = KEY_FRAMES[width_of(mesh.key_position)]()
+    frames.position = mesh.key_position
+    state.quadric_scale = wp.array(mesh.quadric_scale, dtype=wp.float32, device=device)
+    if mesh.matrices is None:
+        frames.quadric = initial_quadrics(corner_vertex, adjacency, constrained, mesh.key_position, state.quadric_scale)
+    else:
+        frames.quadric = given_quadrics(mesh.matrices, device)
+    if mesh.sums is not None:
+        added = add_quadric_sums(mesh.sums, mesh.key_position, frames.quadric)
+        if memoryless:
+            rows = np.full(vertex_count, -1, dtype=np.int32)
+            rows[mesh.sums.row] = np.arange(len(mesh.sums.row))
+            state.sum_row, frames.kept_sum = wp.array(rows, device=device), added
+    state.cost_weight = wp.array(mesh.cost_weight, dtype=wp.float32, device=device)
+    state.edge_cost = wp.empty(len(corner_vertex), dtype=wp.float32, device=device)
+    state.trajectory, state.deformation = build_deformation(mesh.trajectories, len(mesh.faces), device)
+    state.wedges = build_wedges(mesh.faces, mesh.key_position, mesh.attributes, mesh.key_count)
+    state.members = build_members(mesh.faces, mesh.key_position)
+    return state, frames, adjacency, constrained
+
+
+def _cost_model(mesh: DecimationInput, settings: OrderSettings) -> CostModel:
+    model = CostModel()
+    model.key_count = float(mesh.key_count)
+    model.epsilon = settings.epsilon
+    model.endpoint = int(settings.endpoint)
+    model.error_limit = min(settings.error_limit, settings.size_limit) ** 2
+    # The term sums over all frames, the quadrics over the key frames: brought to the same number of frames.
+    frame_count = 1 if mesh.trajectories is None else mesh.trajectories.shape[1]
+    model.deformation_weight = settings.deformation_weight * mesh.key_count / frame_count
+    return model
 
 
 def _new_ordering(steps: PassSteps) -> Ordering:

@@ -107,7 +107,7 @@ def compare(
 
     In each frame both surfaces are sampled in proportion to area. As in Cignoni, Rocchini and Scopigno, "Metro:
     Measuring Error on Simplified Surfaces" (1998), both directions are taken. The largest distance is searched for over
-    the whole surfaces, see :mod:`warpqem.kernels.surface_distance`. Equal arguments give equal bits, and the figures of
+    the whole surfaces, see :mod:`warpqem.kernels.largest_distance`. Equal arguments give equal bits, and the figures of
     :class:`Measured` are those that :func:`warpqem.simplify` gives for its result.
 
     Args:

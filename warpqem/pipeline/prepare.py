@@ -27,7 +27,7 @@ from warpqem.mesh.seams import Seams, read_seams
 from warpqem.options import Goal, MeshOptions
 from warpqem.pipeline.key_frames import KeyFrameChoice
 from warpqem.pipeline.memory_plan import MemoryNeeds, MemoryPlan, admit_faces, plan_memory
-from warpqem.place.clusters import MIN_PULL, PlaceSettings
+from warpqem.place.clusters import MIN_STIFFNESS, PlaceSettings
 from warpqem.place.place import Placer
 from warpqem.repair.mended_mesh import faces_for, repaired_mesh, repaired_options
 from warpqem.runtime.device import resolve_device
@@ -299,7 +299,7 @@ def _trajectories(mesh: AnimatedMesh) -> np.ndarray:
 
 def _epsilon(coherence: float) -> float:
     """Regularisation weight towards the anchor: the least there is, 1e-3, at coherence 0; 0.5 at one half; 250 at 1."""
-    return MIN_PULL * 500.0 ** (2.0 * coherence)
+    return MIN_STIFFNESS * 500.0 ** (2.0 * coherence)
 
 
 def _regularisation(coherence: float) -> float:

@@ -182,7 +182,7 @@ def _features(points: np.ndarray, faces: np.ndarray, device: str | None) -> np.n
     return label if label.max(initial=-1) >= 0 else None
 
 
-def _carried(
+def _transferred(
     labels: np.ndarray, points: np.ndarray, faces: np.ndarray, new_points: np.ndarray, device: str | None
 ) -> np.ndarray:
     """Label of the vertex near each new point."""
@@ -206,7 +206,7 @@ def _level_data(
 ) -> dict[str, Any]:
     meshes = (original, report.faces, level.points, level.faces)
     distance = vertex_distances(*meshes, device=device)
-    own_labels = None if labels is None else _carried(labels, original[0], report.faces, level.points[0], device)
+    own_labels = None if labels is None else _transferred(labels, original[0], report.faces, level.points[0], device)
     measures = _measures(compare(*meshes, device=device, progress=progress), report.thinned, level.measured or {})
     # The colours end at the largest distance of the table.
     scale = measures["hausdorff"] if distance.max(initial=0.0) > NO_DISTANCE else 0.0
