@@ -118,19 +118,6 @@ class DecimationInput:
     sums: QuadricSums | None = None  # quadrics of other vertices that count at a vertex too
 
 
-@dataclass(frozen=True)
-class _Collapsed:
-    """What the collapses left: rows of each vertex (V, B), half-edge and vertex flags, the log, pruned components."""
-
-    position: wp.array
-    quadric: wp.array
-    constrained: np.ndarray
-    non_manifold: np.ndarray
-    stopped: str
-    log: CollapseRecord
-    drops: DropRecord
-
-
 def order_collapses(
     mesh: DecimationInput,
     settings: OrderSettings,
@@ -142,18 +129,25 @@ def order_collapses(
 
     ``progress`` is called with the live face count after each pass; ``recorder`` keeps every vertex on the way.
     """
-    vertex_count = len(mesh.vertex_flags)
+    vertex_count, arrangement = len(mesh.vertex_flags), None
     if len(mesh.faces) >= ARRANGED_FACES:
         arrangement = arrange(mesh.faces, mesh.key_position[:, :1].numpy()[:, 0, :, 0])
-        collapsed = _collapse(_rearranged(mesh, arrangement), settings, device, progress, recorder)
-        row, log, face_order = arrangement.place, arrangement.restore_log(collapsed.log), arrangement.face
-        drops = collapsed.drops.for_vertices(arrangement.vertex)
-        constrained = arrangement.restore_corners(collapsed.constrained)
+        moving = _rearranged(mesh, arrangement)
     else:
         moving = replace(mesh, key_position=wp.clone(mesh.key_position))
-        collapsed = _collapse(moving, settings, device, progress, recorder)
-        row, log, constrained = np.arange(vertex_count, dtype=np.int32), collapsed.log, collapsed.constrained
-        drops, face_order = collapsed.drops, None
+    state, frames, adjacency, constrained = _on_device(moving, settings.memoryless, device)
+    non_manifold = (state.vertex_flags.numpy() & int(NON_MANIFOLD)) != 0
+    steps = PassSteps(state, frames, adjacency, _cost_model(moving, settings), device, settings.memoryless)
+    stopped, log, drops = _collapse(steps, settings, progress, recorder)
+    if mesh.attributes is not None:
+        add_attributes = attribute_kernels.add_attribute_quadrics[width_of(frames.quadric)]
+        launch(add_attributes, len(frames.quadric), [state.wedges.quadric], [frames.quadric], device=device)
+    # What follows needs their memory.
+    del moving, state, adjacency, steps
+    row = np.arange(vertex_count, dtype=np.int32)
+    if arrangement is not None:
+        row, log, drops = arrangement.place, arrangement.restore_log(log), drops.for_vertices(arrangement.vertex)
+        constrained = arrangement.restore_corners(constrained)
     root = log.roots(vertex_count)
     faces = root[mesh.faces]
     face_map = faces_left(mesh.faces, faces, drops)
@@ -163,15 +157,15 @@ def order_collapses(
         root=root,
         key_position=mesh.key_position,
         row=row,
-        position=collapsed.position,
-        quadric=collapsed.quadric,
+        position=frames.position,
+        quadric=frames.quadric,
         constrained=constrained,
         line_rank=np.where(
             mesh.vertex_flags & int(CORNER), 2, _ends(mesh.faces, constrained, vertex_count).astype(np.int32)
         ),
-        non_manifold=collapsed.non_manifold[row],
-        face_order=face_order,
-        stopped=collapsed.stopped,
+        non_manifold=non_manifold[row],
+        face_order=None if arrangement is None else arrangement.face,
+        stopped=stopped,
         log=log,
         drops=drops,
     )
@@ -214,21 +208,19 @@ def _rearranged(mesh: DecimationInput, arrangement: Arrangement) -> DecimationIn
 
 
 def _collapse(
-    mesh: DecimationInput,
+    steps: PassSteps,
     settings: OrderSettings,
-    device: str,
     progress: Callable[[int], None] | None,
     recorder: NodeRecorder | None,
-) -> _Collapsed:
-    """Collapse edges; the rows of ``mesh.key_position`` move along."""
-    state, frames, adjacency, constrained = _on_device(mesh, settings.memoryless, device)
-    non_manifold = (state.vertex_flags.numpy() & int(NON_MANIFOLD)) != 0
-    model = _cost_model(mesh, settings)
+) -> tuple[str, CollapseRecord, DropRecord]:
+    """Collapse edges: why it stopped, the log, and the pruned components. The rows of the key frames move along."""
+    state = steps.state
     lowest_limit = min(settings.error_limit, settings.size_limit)
-    steps = PassSteps(state, frames, adjacency, model, device, settings.memoryless)
     orderer = _new_ordering(steps)
     components = (
-        None if settings.keep_components else Components(state, model.epsilon, settings.error_limit**2, lowest_limit**2)
+        None
+        if settings.keep_components
+        else Components(state, steps.model.epsilon, settings.error_limit**2, lowest_limit**2)
     )
     if components is not None and components.count == 1:
         # One always stays.
@@ -238,12 +230,9 @@ def _collapse(
     stopped = orderer.run(settings.target_faces, progress, recorder, components)
     if stopped == "max_error" and settings.size_limit < settings.error_limit:
         stopped = "max_size_error"
-    if mesh.attributes is not None:
-        add_attributes = attribute_kernels.add_attribute_quadrics[width_of(frames.quadric)]
-        launch(add_attributes, len(frames.quadric), [state.wedges.quadric], [frames.quadric], device=device)
     log = read_log(steps.log_rows, orderer.collapse_count())
-    drops = DropRecord.none(len(mesh.vertex_flags)) if components is None else components.record(orderer.drops)
-    return _Collapsed(frames.position, frames.quadric, constrained, non_manifold, stopped, log, drops)
+    vertex_count = len(state.vertex_flags)
+    return stopped, log, DropRecord.none(vertex_count) if components is None else components.record(orderer.drops)
 
 
 def _on_device(
