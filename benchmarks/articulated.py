@@ -26,10 +26,10 @@ from warpqem.frames.blocks import pack_frames
 from warpqem.kernels.lanes import QUADRIC, width_of
 from warpqem.measure import compare
 from warpqem.mesh.mesh_input import is_proper, read_mesh
-from warpqem.options import SimplifyOptions
+from warpqem.options import MeshOptions
 from warpqem.pipeline.key_frames import KeyFrameChoice
 from warpqem.pipeline.prepare import prepare
-from warpqem.pipeline.result import Delivery, Outcome, SimplifiedMesh, finish
+from warpqem.pipeline.result import SimplifiedMesh, finish
 from warpqem.runtime.device import resolve_device
 from warpqem.skinning.linear_skin import LinearSkin, pose_skin
 
@@ -195,7 +195,7 @@ class _Study:
 
     def _placed(self, order: PoseOrder, left: Collapsed, target: int, refit: bool) -> SimplifiedMesh:
         """The mesh that an order left, placed as warpqem places its own."""
-        options = SimplifyOptions(target_faces=len(self._clip.faces), key_frames=None, device=self._device)
+        options = MeshOptions(target_faces=len(self._clip.faces), key_frames=None, device=self._device)
         work = prepare(self._poses, self._clip.faces, options)
         scale, p, given = 1.0 / work.mesh.diagonal, order.posed, order.quadrics
         slope = np.einsum("vpij,vpj->vpi", given.A, p) + given.b
@@ -222,4 +222,4 @@ class _Study:
             quadric=wp.array(blocks, dtype=QUADRIC[width], device=self._device),
             log=log,
         )
-        return finish(work, work.placer(ordered), Outcome.of(ordered), refit, Delivery())
+        return finish(work, ordered, refit)

@@ -18,7 +18,7 @@ VALENCE = 6
 # Position and quadric of a vertex in one frame.
 ROW = POINT + QUADRIC
 # Operations per edge and frame: the anchor 67; the merged quadric 70, its minimiser 56, value and sums 27.
-PRICE_FLOPS = 220
+COST_FLOPS = 220
 # A face plane in a vertex quadric: cross product 15, length 7, plane and products 30, ten sums.
 PLANE_FLOPS = 62
 

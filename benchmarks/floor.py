@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 
 from benchmarks.cards import H200, Card
-from benchmarks.demand import INT, PLANE_FLOPS, POINT, PRICE_FLOPS, ROW, VALENCE, Arguments, Demand
+from benchmarks.demand import COST_FLOPS, INT, PLANE_FLOPS, POINT, ROW, VALENCE, Arguments, Demand
 from benchmarks.demand import frames_of as _frames
 from benchmarks.demand import half_edges_of as _half_edges
 from benchmarks.demand import keys_of as _keys
@@ -40,36 +40,36 @@ def floor_seconds(demand: Demand, card: Card = H200) -> float:
 
 def _compute_all_costs(a: Arguments) -> Demand:
     vertices, keys, half_edges = len(a["state"].vertex_flags), _keys(a), _half_edges(a)
-    # Corners, stars and costs of each half-edge; the row starts and flags of each vertex.
+    # Corners, adjacency and costs of each half-edge; the row starts and flags of each vertex.
     topology = half_edges * 3 * INT + vertices * 3 * INT
-    return Demand(vertices * keys * ROW + topology, half_edges / 2 * keys * PRICE_FLOPS)
+    return Demand(vertices * keys * ROW + topology, half_edges / 2 * keys * COST_FLOPS)
 
 
 def _update_moved_costs(a: Arguments) -> Demand:
     moved, keys = _moved(a), _keys(a)
-    # The vertex and its ring; corners and stars to find them; a cost at either half-edge of each edge.
+    # The vertex and its ring; corners and adjacency to find them; a cost at either half-edge of each edge.
     return Demand(
         moved * ((1 + VALENCE) * (keys * ROW + 3 * INT) + VALENCE * (3 + 3 + 2) * INT),
-        moved * VALENCE * keys * PRICE_FLOPS,
+        moved * VALENCE * keys * COST_FLOPS,
     )
 
 
 def _resume_neighbourhoods(a: Arguments) -> Demand:
-    # All costs; what the few sleeping edges need besides is not counted.
+    # All costs; what the few suspended edges need besides is not counted.
     return Demand(_half_edges(a) * INT)
 
 
-def _place_winners(a: Arguments) -> Demand:
-    winners, keys = _length(a["winners"]), _keys(a)
-    return Demand(winners * (keys * (2 * ROW + POINT) + 6 * INT), winners * keys * TARGET_FLOPS)
+def _place_collapses(a: Arguments) -> Demand:
+    selected, keys = _length(a["selected"]), _keys(a)
+    return Demand(selected * (keys * (2 * ROW + POINT) + 6 * INT), selected * keys * TARGET_FLOPS)
 
 
 def _check_collapses(a: Arguments) -> Demand:
-    winners, keys = _length(a["winners"]), _keys(a)
-    # Both stars: eight faces stay, over the two ends and a ring of eight, against one target.
+    selected, keys = _length(a["selected"]), _keys(a)
+    # Both one-rings: eight faces stay, over the two ends and a ring of eight, against one target.
     faces, vertices = 2 * (VALENCE - 2), 2 + 2 * (VALENCE - 2)
     return Demand(
-        winners * (keys * (vertices + 1) * POINT + 2 * VALENCE * 4 * INT), winners * keys * faces * FLIP_FLOPS
+        selected * (keys * (vertices + 1) * POINT + 2 * VALENCE * 4 * INT), selected * keys * faces * FLIP_FLOPS
     )
 
 
@@ -77,14 +77,14 @@ def _open_log(a: Arguments) -> Demand:
     return Demand(_size(a["legal_count"]) * 4 + _size(a["log_slot"]) * 2)
 
 
-def _drop_dead_corners(a: Arguments) -> Demand:
-    # Two wings: each a star read and written, its faces looked at.
+def _remove_dead_corners(a: Arguments) -> Demand:
+    # Two opposite vertices: the adjacency of each read and written, its faces looked at.
     return Demand(_moved(a) * 2 * (VALENCE * 3 + 4) * INT)
 
 
-def _commit_winners(a: Arguments) -> Demand:
-    collapses, keys = int(np.count_nonzero(a["faces_removed_in"].numpy()[: _length(a["winners"])])), _keys(a)
-    # Two rows and the target read, one row written; the log; the mask and corners of both stars.
+def _commit_collapses(a: Arguments) -> Demand:
+    collapses, keys = int(np.count_nonzero(a["faces_removed_in"].numpy()[: _length(a["selected"])])), _keys(a)
+    # Two rows and the target read, one row written; the log; the mask and corners of both ends.
     return Demand(
         collapses * (keys * (3 * ROW + POINT) + 8 * INT + 2 * VALENCE * 6 * INT), collapses * keys * MERGE_FLOPS
     )
@@ -102,13 +102,18 @@ def _sum_bins(a: Arguments) -> Demand:
     return Demand(_size(a["histogram_in"]) + _size(a["sum_out"]))
 
 
-def _find_cap_by_sums(a: Arguments) -> Demand:
+def _find_threshold_by_sums(a: Arguments) -> Demand:
     return Demand(2 * _size(a["histogram"]) + _size(a["sum_in"]))
 
 
-def _trim_winners(a: Arguments) -> Demand:
+def _trim_collapses(a: Arguments) -> Demand:
     # Faces read and written; only the last rounds look at keys.
-    return Demand(2 * _length(a["winners"]) * INT)
+    return Demand(2 * _length(a["selected"]) * INT)
+
+
+def _list_log_keys(a: Arguments) -> Demand:
+    # The half-edge, its cost, both ends and their flags; the key written.
+    return Demand(len(a["key_out"]) * 6 * INT + _size(a["key_out"]))
 
 
 def _collect_candidates(a: Arguments) -> Demand:
@@ -116,16 +121,16 @@ def _collect_candidates(a: Arguments) -> Demand:
 
 
 def _reserve_vertices(a: Arguments) -> Demand:
-    # The half-edge, its cost and corners; a claim of eight bytes read and written at either end.
+    # The half-edge, its cost and corners; a reservation of eight bytes read and written at either end.
     return Demand(_length(a["candidates"]) * (4 * INT + 2 * 2 * 8))
 
 
-def _select_winners(a: Arguments) -> Demand:
-    # The half-edge, its cost, corners and the claims at both ends; most candidates need no more.
+def _select_collapses(a: Arguments) -> Demand:
+    # The half-edge, its cost, corners and the reservations at both ends; most candidates need no more.
     return Demand(_length(a["candidates"]) * (4 * INT + 2 * 8))
 
 
-def _withdraw_claims(a: Arguments) -> Demand:
+def _clear_reservations(a: Arguments) -> Demand:
     return Demand(_length(a["candidates"]) * (3 * INT + 2 * 8))
 
 
@@ -146,7 +151,7 @@ def _list_corners(a: Arguments) -> Demand:
 
 
 def _find_starts(a: Arguments) -> Demand:
-    return Demand(a["corner_count"] * INT + _size(a["star_start_out"]))
+    return Demand(a["corner_count"] * INT + _size(a["start_out"]))
 
 
 def _classify_vertices(a: Arguments) -> Demand:
@@ -254,20 +259,21 @@ _MODELS: dict[str, Callable[[Arguments], Demand]] = {
         _compute_all_costs,
         _update_moved_costs,
         _resume_neighbourhoods,
-        _place_winners,
+        _place_collapses,
         _check_collapses,
         _open_log,
-        _drop_dead_corners,
-        _commit_winners,
+        _remove_dead_corners,
+        _commit_collapses,
         _count_costs,
         _find_cost_threshold,
         _sum_bins,
-        _find_cap_by_sums,
-        _trim_winners,
+        _find_threshold_by_sums,
+        _trim_collapses,
+        _list_log_keys,
         _collect_candidates,
         _reserve_vertices,
-        _select_winners,
-        _withdraw_claims,
+        _select_collapses,
+        _clear_reservations,
         _shrink_candidates,
         _count_corners,
         _fill_adjacency,
@@ -295,7 +301,15 @@ _MODELS: dict[str, Callable[[Arguments], Demand]] = {
 
 _MODELS |= OPTION_MODELS
 # One thread with some numbers of the loop of passes.
-_BOOKKEEPING = ("begin_pass", "begin_round", "end_pass", "note_new_stars", "resume_passes", "begin_steps", "end_step")
+_BOOKKEEPING = (
+    "begin_pass",
+    "begin_round",
+    "end_pass",
+    "note_new_adjacency",
+    "resume_passes",
+    "begin_steps",
+    "end_step",
+)
 _MODELS |= dict.fromkeys(_BOOKKEEPING, lambda _: Demand(8 * INT))
 
 # Names of the kernels that have a floor.

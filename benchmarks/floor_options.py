@@ -9,10 +9,10 @@ import numpy as np
 import warp as wp
 
 from benchmarks.demand import (
+    COST_FLOPS,
     INT,
     PLANE_FLOPS,
     POINT,
-    PRICE_FLOPS,
     QUADRIC,
     ROW,
     VALENCE,
@@ -137,7 +137,7 @@ def _update_neighbourhood_costs(a: Arguments) -> Demand:
     # Every masked vertex has six edges, each shared with one other at most.
     edges = masked * VALENCE / 2
     needed = size_of(a["mask_in"]) + half_edges_of(a) * INT + masked * keys * ROW + edges * INT
-    return Demand(needed, edges * keys * PRICE_FLOPS)
+    return Demand(needed, edges * keys * COST_FLOPS)
 
 
 def _measure_dihedral_changes(a: Arguments) -> Demand:

@@ -18,7 +18,7 @@ from unittest.mock import patch
 import warp as wp
 
 from benchmarks.floor import Demand, count_demand
-from warpqem.decimation.recorded_steps import Phase, Step
+from warpqem.decimation.recorded_launches import LaunchGroup, RecordedLaunches
 from warpqem.runtime.launches import Recorder
 
 __all__ = ["LaunchProfile", "profile_launches"]
@@ -105,13 +105,13 @@ def profile_launches() -> Iterator[LaunchProfile]:
         if command is not None:
             profile.time(command, _thread_count(dim))
 
-    def keep_phases(self: Any, phases: Sequence[Phase], device: str) -> None:
-        self.phases, self.device = list(phases), device
+    def keep_groups(self: Any, groups: Sequence[LaunchGroup], device: str) -> None:
+        self.groups, self.device = list(groups), device
 
-    def run_phases(self: Any) -> None:
-        for phase in self.phases:
-            for part in range(phase.part_count):
-                phase.record(_AtOnce(self.device), part)
+    def run_groups(self: Any) -> None:
+        for group in self.groups:
+            for part in range(group.part_count):
+                group.record(_AtOnce(self.device), part)
 
     def record(self: Any, kernel: wp.Kernel, dim: int, inputs: Sequence, outputs: Sequence = ()) -> None:
         self._add(partial(launch, kernel, dim, list(inputs), list(outputs), device=self._device), *inputs, *outputs)
@@ -120,8 +120,8 @@ def profile_launches() -> Iterator[LaunchProfile]:
         patch.object(wp, "launch", launch),
         patch.object(Recorder, "launch", record),
         patch.object(Recorder, "_finish", lambda self, run: run),
-        patch.object(Step, "__init__", keep_phases),
-        patch.object(Step, "run", run_phases),
+        patch.object(RecordedLaunches, "__init__", keep_groups),
+        patch.object(RecordedLaunches, "run", run_groups),
     )
     with ExitStack() as stack:
         for stand_in in stand_ins:

@@ -44,7 +44,7 @@ class Collapsed:
 
 
 class _Mesh:
-    """Faces with stars, and the rules of :mod:`warpqem.kernels.legality` that need no more than them."""
+    """Faces by vertex, and the rules of :mod:`warpqem.kernels.legality` that need no more than them."""
 
     def __init__(self, faces: np.ndarray, points: np.ndarray) -> None:
         vertex_count = len(points)
@@ -56,36 +56,40 @@ class _Mesh:
         area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1) / 6.0
         self.area = np.bincount(faces.ravel(), np.repeat(area, 3), minlength=vertex_count)
         self.alive = np.ones(len(faces), dtype=bool)
-        self.star: list[set[int]] = [set() for _ in range(vertex_count)]
+        self.faces_of: list[set[int]] = [set() for _ in range(vertex_count)]
         for face, corners in enumerate(faces.tolist()):
             for vertex in corners:
-                self.star[vertex].add(face)
+                self.faces_of[vertex].add(face)
         edges = edge_table(faces)
-        self.frozen = np.zeros(vertex_count, dtype=bool)
-        self.frozen[edges.ends[edges.face_count > 2]] = True
+        self.non_manifold = np.zeros(vertex_count, dtype=bool)
+        self.non_manifold[edges.ends[edges.face_count > 2]] = True
         for vertex in np.unique(faces).tolist():
             # A fan has as many neighbours as faces inside, one more at a border.
-            self.frozen[vertex] |= len(self.ring(vertex)) - len(self.star[vertex]) not in (0, 1)
+            self.non_manifold[vertex] |= len(self.ring(vertex)) - len(self.faces_of[vertex]) not in (0, 1)
 
     def ring(self, vertex: int) -> set[int]:
-        return set(self.faces[list(self.star[vertex])].ravel().tolist()) - {vertex}
+        return set(self.faces[list(self.faces_of[vertex])].ravel().tolist()) - {vertex}
 
     def on_border(self, vertex: int) -> bool:
-        return len(self.ring(vertex)) != len(self.star[vertex])
+        return len(self.ring(vertex)) != len(self.faces_of[vertex])
 
     def is_legal(self, u: int, v: int, posed: np.ndarray, target: np.ndarray) -> bool:
-        shared = self.star[u] & self.star[v]
-        if self.frozen[u] or self.frozen[v] or len(self.star[u]) + len(self.star[v]) <= 2 * len(shared):
+        shared = self.faces_of[u] & self.faces_of[v]
+        if (
+            self.non_manifold[u]
+            or self.non_manifold[v]
+            or len(self.faces_of[u]) + len(self.faces_of[v]) <= 2 * len(shared)
+        ):
             return False
         opposites = set(self.faces[list(shared)].ravel().tolist()) - {u, v}
         if self.ring(u) & self.ring(v) != opposites or (len(shared) == 2 and self.on_border(u) and self.on_border(v)):
             return False
         if any(
-            len(self.star[opposite_vertex]) <= (1 if self.on_border(opposite_vertex) else 3)
+            len(self.faces_of[opposite_vertex]) <= (1 if self.on_border(opposite_vertex) else 3)
             for opposite_vertex in opposites
         ):
             return False
-        corners = self.faces[list((self.star[u] | self.star[v]) - shared)]
+        corners = self.faces[list((self.faces_of[u] | self.faces_of[v]) - shared)]
         old = posed[corners]
         new = np.where(((corners == u) | (corners == v))[..., None, None], target, old)
         n, m = (np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]) for x in (old, new))
@@ -94,22 +98,22 @@ class _Mesh:
 
     def gap(self, u: int, v: int, posed: np.ndarray, target: np.ndarray) -> float:
         """Area times squared distance of the merged vertices from the faces left around them, in the first pose."""
-        corners = self.faces[list((self.star[u] | self.star[v]) - (self.star[u] & self.star[v]))]
+        corners = self.faces[list((self.faces_of[u] | self.faces_of[v]) - (self.faces_of[u] & self.faces_of[v]))]
         triangles = np.where(((corners == u) | (corners == v))[..., None], target[0], posed[corners, 0])
         members = self.members[u] + self.members[v]
         return float((self.area[members] * squared_distances(self.points[members], triangles).min(axis=1)).sum())
 
     def collapse(self, u: int, v: int) -> None:
         """Let v become u."""
-        shared = self.star[u] & self.star[v]
+        shared = self.faces_of[u] & self.faces_of[v]
         for face in shared:
             self.alive[face] = False
             for vertex in self.faces[face].tolist():
-                self.star[vertex].discard(face)
-        for face in self.star[v]:
+                self.faces_of[vertex].discard(face)
+        for face in self.faces_of[v]:
             self.faces[face][self.faces[face] == v] = u
-        self.star[u] |= self.star[v]
-        self.star[v] = set()
+        self.faces_of[u] |= self.faces_of[v]
+        self.faces_of[v] = set()
         self.members[u] += self.members[v]
         self.parent[v] = u
 
@@ -158,10 +162,10 @@ class _Costs:
 
     def candidates(self, fraction: float) -> tuple[list[int], bool]:
         """The cheapest edges that are not suspended, and whether they are all of them."""
-        awake = np.flatnonzero(~self.suspended)
-        count = min(max(MIN_CANDIDATES, int(fraction * len(self.ends))), len(awake))
-        order = np.argsort(self.rows["cost"][awake], kind="stable")
-        return awake[order[:count]].tolist(), count == len(awake)
+        left = np.flatnonzero(~self.suspended)
+        count = min(max(MIN_CANDIDATES, int(fraction * len(self.ends))), len(left))
+        order = np.argsort(self.rows["cost"][left], kind="stable")
+        return left[order[:count]].tolist(), count == len(left)
 
 
 def collapse_edges(order: Order, faces: np.ndarray, targets: Sequence[int]) -> Iterator[Collapsed]:
@@ -194,8 +198,8 @@ def _collapse_some(order: Order, mesh: _Mesh, costs: _Costs, chosen: list[int], 
     collapsed = costlier = 0
     for edge in chosen:
         u, v = costs.ends[edge].tolist()
-        star = mesh.star[u] | mesh.star[v]
-        if mesh.alive.sum() <= target or star & taken:
+        around = mesh.faces_of[u] | mesh.faces_of[v]
+        if mesh.alive.sum() <= target or around & taken:
             continue
         row = {name: values[edge] for name, values in costs.rows.items()}
         if not mesh.is_legal(u, v, order.posed, row["posed"]):
@@ -206,7 +210,7 @@ def _collapse_some(order: Order, mesh: _Mesh, costs: _Costs, chosen: list[int], 
             costs.rows["cost"][edge] = cost
             costlier += 1
             continue
-        taken |= star
+        taken |= around
         mesh.collapse(u, v)
         order.commit(u, v, row)
         ring = [u, *mesh.ring(u)]
@@ -214,7 +218,7 @@ def _collapse_some(order: Order, mesh: _Mesh, costs: _Costs, chosen: list[int], 
         costs.changed[ring if order.memoryless else u] = True
         if order.memoryless:
             for vertex in ring:
-                order.renew(vertex, mesh.faces[list(mesh.star[vertex])])
+                order.renew(vertex, mesh.faces[list(mesh.faces_of[vertex])])
         collapsed += 1
     return collapsed, costlier
 

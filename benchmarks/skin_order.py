@@ -16,7 +16,7 @@ import warp as wp
 
 from warpqem.kernels.skin_fit import REACH
 from warpqem.mesh.edges import edge_table
-from warpqem.skinning.fit_problem import SURFACE_PULL, CandidateRows, SkinFit
+from warpqem.skinning.fit_problem import SURFACE_REGULARISATION, CandidateRows, SkinFit
 from warpqem.skinning.linear_skin import LinearSkin, blend_influences
 
 __all__ = ["JointOrder", "Order", "PoseOrder", "PoseQuadrics", "Rows", "pose_quadrics"]
@@ -49,7 +49,7 @@ class PoseQuadrics:
     def least(self, near: np.ndarray, most: float) -> tuple[np.ndarray, np.ndarray]:
         """``H`` (n, P, 3, 3) and where the quadric pulled towards ``near`` is least, at most so many radii from it."""
         trace = np.trace(self.A, axis1=2, axis2=3)
-        H = self.A + (SURFACE_PULL * trace + TINY)[..., None, None] * np.eye(3)
+        H = self.A + (SURFACE_REGULARISATION * trace + TINY)[..., None, None] * np.eye(3)
         slope = np.einsum("npij,npj->npi", self.A, near) + self.b
         away = np.linalg.solve(H, slope[..., None])[..., 0]
         reach = most * np.sqrt(trace / (3.0 * np.pi))

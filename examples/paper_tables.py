@@ -35,7 +35,7 @@ import warpqem
 from scenes import cape, head, quadruped
 from scenes.scene import Scene
 from warpqem.face import FaceMesh
-from warpqem.face import retarget as carry_expressions
+from warpqem.face import retarget as retarget_expressions
 from warpqem.measure import compare, vertex_distances
 from warpqem.usd import CompareOptions, FrameRange, SimplifyOptions, compare_stages, simplify_stage
 
@@ -234,7 +234,7 @@ def retarget() -> Table:
             level = _face_levels(count)[name]
             away = np.linalg.norm(level.points[0] - points[0, features.indices][:, None], axis=2)
             own = replace(features, vertices=dict(zip(features.names, away.argmin(axis=1).tolist(), strict=True)))
-            moved = carry_expressions(source, FaceMesh(level.points[0], level.faces, own), points)
+            moved = retarget_expressions(source, FaceMesh(level.points[0], level.faces, own), points)
             row.append(compare(points, faces, moved.points, level.faces, samples=4000).rms)
         _add(table, count, *row)
     return table

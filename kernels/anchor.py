@@ -24,12 +24,68 @@ from warpqem.kernels.quadric import apply_matrix, linear_part, trace
 # Entries of G are sums of products of the size of tr(A) |p|^2 that cancel where a cluster is flat; float32 leaves about
 # 1e-7 of that size. Regularisation by 1e-5 of it keeps such a matrix positive definite: a flat cluster gets equal
 # weights.
-ROUNDING_PULL = wp.constant(wp.float32(1.0e-5))
+ROUNDING_REGULARISATION = wp.constant(wp.float32(1.0e-5))
 # An anchor may lie so far beyond its members, in radii of the cluster: the middle of a spherical cap of half an
 # angle of 30 degrees does.
 OVERHANG = wp.constant(wp.float32(0.25))
 # Added to the diagonal for clusters without any extent.
 MIN_DIAGONAL = wp.constant(wp.float32(1.0e-20))
+
+
+@wp.func
+def add_gram(
+    key_position: Any,
+    ordered_position: Any,
+    quadric: Any,
+    u: wp.int32,
+    member: wp.array[wp.int32],
+    first: wp.int32,
+    n: wp.int32,
+    matrix: wp.array[wp.float32],
+    o: wp.int32,
+) -> wp.float32:
+    """Add the quadric form of each pair of members to the packed matrix at ``o``; returns area times squared distance.
+
+    The quadrics are those of the cluster of ``u`` in all key frames.
+    """
+    size = wp.float32(0.0)
+    for t in range(key_position.shape[1]):
+        q = quadric[u, t]
+        area = trace(q)
+        b = linear_part(q)
+        origin = ordered_position[u, t]
+        for i in range(n):
+            p = key_position[member[first + i], t] - origin
+            y = apply_matrix(q, p) + b
+            s = lane_sum(lane_dot(b, p) + q[9])
+            size += wp.dot(area, lane_dot(p, p))
+            for j in range(i + 1):
+                r = key_position[member[first + j], t] - origin
+                matrix[o + packed(i, j)] = matrix[o + packed(i, j)] + lane_sum(lane_dot(y, r)) + s
+    return size
+
+
+@wp.func
+def solve_for_sum_one(
+    matrix: wp.array[wp.float32], o: wp.int32, n: wp.int32, weight: wp.array[wp.float32], first: wp.int32
+):
+    """The solution for ones on the right, by the factor at ``o``, divided by its sum: the least with a sum of one."""
+    for i in range(n):
+        s = wp.float32(1.0)
+        for k in range(i):
+            s -= matrix[o + packed(i, k)] * weight[first + k]
+        weight[first + i] = s / matrix[o + packed(i, i)]
+    sum = wp.float32(0.0)
+    for back in range(n):
+        i = n - 1 - back
+        s = weight[first + i]
+        for k in range(i + 1, n):
+            s -= matrix[o + packed(k, i)] * weight[first + k]
+        s = s / matrix[o + packed(i, i)]
+        weight[first + i] = s
+        sum += s
+    for i in range(n):
+        weight[first + i] = weight[first + i] / sum
 
 
 @lane_kernel(key_position_in=POINTS_ARRAY, ordered_position_in=POINTS_ARRAY)
@@ -137,43 +193,16 @@ def fit_anchor_weights(
     first = member_start_in[cluster]
     n = member_start_in[cluster + 1] - first
     o = matrix_start_in[cluster]
-    size = wp.float32(0.0)
-    for t in range(key_position_in.shape[1]):
-        q = quadric_in[u, t]
-        area = trace(q)
-        b = linear_part(q)
-        origin = ordered_position_in[u, t]
-        for i in range(n):
-            p = key_position_in[member_in[first + i], t] - origin
-            y = apply_matrix(q, p) + b
-            s = lane_sum(lane_dot(b, p) + q[9])
-            size += wp.dot(area, lane_dot(p, p))
-            for j in range(i + 1):
-                r = key_position_in[member_in[first + j], t] - origin
-                matrix[o + packed(i, j)] = matrix[o + packed(i, j)] + lane_sum(lane_dot(y, r)) + s
+    size = add_gram(key_position_in, ordered_position_in, quadric_in, u, member_in, first, n, matrix, o)
     total = wp.float32(0.0)
     for i in range(n):
         total += matrix[o + packed(i, i)]
-    shift = (regularisation_in[cluster] * wp.max(total, 0.0) + ROUNDING_PULL * size) / wp.float32(n) + MIN_DIAGONAL
+    shift = regularisation_in[cluster] * wp.max(total, 0.0) + ROUNDING_REGULARISATION * size
+    shift = shift / wp.float32(n) + MIN_DIAGONAL
     for i in range(n):
         matrix[o + packed(i, i)] = matrix[o + packed(i, i)] + shift
     factorise(matrix, o, n)
-    for i in range(n):
-        s = wp.float32(1.0)
-        for k in range(i):
-            s -= matrix[o + packed(i, k)] * weight_out[first + k]
-        weight_out[first + i] = s / matrix[o + packed(i, i)]
-    sum = wp.float32(0.0)
-    for back in range(n):
-        i = n - 1 - back
-        s = weight_out[first + i]
-        for k in range(i + 1, n):
-            s -= matrix[o + packed(k, i)] * weight_out[first + k]
-        s = s / matrix[o + packed(i, i)]
-        weight_out[first + i] = s
-        sum += s
-    for i in range(n):
-        weight_out[first + i] = weight_out[first + i] / sum
+    solve_for_sum_one(matrix, o, n, weight_out, first)
     share = share_within_reach(member_in, key_position_in, weight_out, first, n)
     finite = wp.isfinite(share)
     for i in range(n):

@@ -8,21 +8,21 @@ from warpqem.kernels.attribute import first_frame, merge_wedges
 from warpqem.kernels.edge_cost import INFINITE_COST, merged_quadric
 from warpqem.kernels.lanes import POINTS_ARRAY, lane_kernel, lane_max, lane_sum
 from warpqem.kernels.member_distance import join_members
-from warpqem.kernels.mesh_state import KEY_FRAMES, AnyKeyFrames, CollapseLog, MeshState
-from warpqem.kernels.prefetch import prefetch_adjacency, prefetch_winners
+from warpqem.kernels.mesh_state import KEY_FRAMES, AnyKeyFrames, CollapseLog, MeshState, degree
+from warpqem.kernels.prefetch import prefetch_adjacency, prefetch_collapses
 from warpqem.kernels.quadric import NO_PLANE, shift_origin, trace
 from warpqem.kernels.quadric_sums import merge_sums
 from warpqem.kernels.topology import (
     BORDER,
     CORNER,
     OPEN,
-    PINNED,
     SEAM,
     find_half_edge,
     half_edge_target,
     next_corner,
     previous_corner,
 )
+from warpqem.kernels.vertex_kind import removed_end
 from warpqem.kernels.work import EdgeList, Work, count_before, first_item, last_item
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
@@ -144,7 +144,7 @@ def merge_adjacency(state: MeshState, u: wp.int32, v: wp.int32, first: wp.int32)
 
 
 @wp.kernel
-def drop_dead_corners(
+def remove_dead_corners(
     # in and out
     state: MeshState,
     # in
@@ -153,21 +153,21 @@ def drop_dead_corners(
     pass_number_in: wp.array[wp.int32],
     work: Work,
     # in and out
-    dropped: wp.array[wp.int32],
+    updated: wp.array[wp.int32],
 ):
     """Remove the dead corners of the vertices opposite the last pass's edges. A part does so for its own vertices.
 
-    A vertex may lie opposite two edges; ``dropped`` (the number of the pass that last did it) lets one thread in.
+    A vertex may lie opposite two edges; ``updated`` (the number of the pass that last did it) lets one thread in.
     """
-    first_vertex = first_item(dropped.shape[0], work)
-    last_vertex = last_item(dropped.shape[0], work)
-    for i in range(pass_begin[0] + wp.tid(), log.count[0], work.lanes):
+    first_vertex = first_item(updated.shape[0], work)
+    last_vertex = last_item(updated.shape[0], work)
+    for i in range(pass_begin[0] + wp.tid(), log.count[0], work.thread_count):
         prefetch_adjacency(state, log.left_opposite, i, log.count[0], work)
         prefetch_adjacency(state, log.right_opposite, i, log.count[0], work)
         for side in range(2):
             w = wp.where(side == 0, log.left_opposite[i], log.right_opposite[i])
             mine = w >= first_vertex and w < last_vertex
-            if mine and wp.atomic_max(dropped, w, pass_number_in[0]) < pass_number_in[0]:
+            if mine and wp.atomic_max(updated, w, pass_number_in[0]) < pass_number_in[0]:
                 last = state.adjacency.start[w]
                 for j in range(last, state.adjacency.end[w]):
                     h = state.adjacency.corner[j]
@@ -209,13 +209,42 @@ def open_log(
     pool_used[0] = entry
 
 
+@wp.func
+def log_collapse(
+    state: MeshState, log: CollapseLog, slot: wp.int32, u: wp.int32, v: wp.int32, h: wp.int32, opposite: wp.int32
+):
+    """Log the collapse of half-edge ``h``, and ``opposite`` or -1, that keeps ``u`` and removes ``v``."""
+    log.kept[slot] = u
+    log.removed[slot] = v
+    log.left_opposite[slot] = state.corner_vertex[previous_corner(h)]
+    log.right_opposite[slot] = -1
+    if opposite >= 0:
+        log.right_opposite[slot] = state.corner_vertex[previous_corner(opposite)]
+    log.cost[slot] = state.edge_cost[h]
+    log.round_index[slot] = log.round_count[0]
+
+
+@wp.func
+def merge_corners(state: MeshState, u: wp.int32, v: wp.int32):
+    """Hand the corners of ``v`` to ``u``, but for those of faces with both, which die."""
+    for i in range(state.adjacency.start[v], state.adjacency.end[v]):
+        h = state.adjacency.corner[i]
+        f = h // 3
+        if half_edge_target(state.corner_vertex, h) == u or state.corner_vertex[previous_corner(h)] == u:
+            for k in range(3):
+                state.corner_vertex[3 * f + k] = -1
+                state.edge_cost[3 * f + k] = INFINITE_COST
+        else:
+            state.corner_vertex[h] = u
+
+
 @lane_kernel(frames=KEY_FRAMES, target_in=POINTS_ARRAY)
-def commit_winners(
+def commit_collapses(
     # in and out
     state: MeshState,
     frames: AnyKeyFrames,
     # in
-    winners: EdgeList,
+    selected: EdgeList,
     faces_removed_in: wp.array[wp.int32],
     target_in: Any,
     anchor_in: wp.array[wp.float32],
@@ -234,31 +263,20 @@ def commit_winners(
     Its adjacency is put together at once: no other collapse of the pass reads it. That of the opposite vertices stays
     as it is until the pass is over.
     """
-    first_slot = count_before(winners, work.part)
-    for w in range(wp.tid(), winners.count[work.part], work.lanes):
+    first_slot = count_before(selected, work.part)
+    for w in range(wp.tid(), selected.count[work.part], work.thread_count):
         i = first_slot + w
-        prefetch_winners(state, frames, winners, work, w)
+        prefetch_collapses(state, frames, selected, work, w)
         if faces_removed_in[i] > 0:
-            h = winners.half_edge[work.part * winners.capacity + w]
+            h = selected.half_edge[work.part * selected.capacity + w]
             a = state.corner_vertex[h]
             b = half_edge_target(state.corner_vertex, h)
             opposite = find_half_edge(state.corner_vertex, state.adjacency, b, a)
-            u = a
-            v = b
-            # A pinned vertex is the one kept, so that it keeps its index; else the lower index is.
-            if (state.vertex_flags[b] & PINNED) != 0 or ((state.vertex_flags[a] & PINNED) == 0 and b < a):
-                u = b
-                v = a
+            v = removed_end(state.vertex_flags, a, b)
+            u = wp.where(v == a, b, a)
             slot = wp.atomic_add(log_slot, work.part, 1)
-            log.kept[slot] = u
-            log.removed[slot] = v
-            log.left_opposite[slot] = state.corner_vertex[previous_corner(h)]
-            log.right_opposite[slot] = -1
-            if opposite >= 0:
-                log.right_opposite[slot] = state.corner_vertex[previous_corner(opposite)]
+            log_collapse(state, log, slot, u, v, h, opposite)
             log.faces_removed[slot] = faces_removed_in[i]
-            log.cost[slot] = state.edge_cost[h]
-            log.round_index[slot] = log.round_count[0]
             mask_ring(state, mask, pass_number_in[0], u)
             mask_ring(state, mask, pass_number_in[0], v)
             if state.trajectory.shape[0] > 0:
@@ -271,19 +289,9 @@ def commit_winners(
             join_seams(state, u, v, h)
             if opposite >= 0:
                 join_seams(state, u, v, opposite)
-            for j in range(state.adjacency.start[v], state.adjacency.end[v]):
-                g = state.adjacency.corner[j]
-                f = g // 3
-                if half_edge_target(state.corner_vertex, g) == u or state.corner_vertex[previous_corner(g)] == u:
-                    for k in range(3):
-                        state.corner_vertex[3 * f + k] = -1
-                        state.edge_cost[3 * f + k] = INFINITE_COST
-                else:
-                    state.corner_vertex[g] = u
+            merge_corners(state, u, v)
             classify_seams(state, u, v)
-            adjacency_size = (
-                state.adjacency.end[u] - state.adjacency.start[u] + state.adjacency.end[v] - state.adjacency.start[v]
-            )
+            adjacency_size = degree(state, u) + degree(state, v)
             entry = wp.atomic_add(pool_slot, work.part, adjacency_size)
             # A pool without room for it is known by its count: then the adjacency is built anew after the pass.
             if entry + adjacency_size <= state.adjacency.corner.shape[0]:

@@ -134,10 +134,10 @@ def measure_all_deformation(
     """Areas of all faces and steps of all edges, the threads dealt out to the chunks of frames."""
     chunk_count = state.deformation.steps.shape[1]
     half_edge_count = 3 * state.face_count[0]
-    threads = wp.max(work.lanes // wp.max(chunk_count, 1), 1)  # for each chunk
+    threads = wp.max(work.thread_count // wp.max(chunk_count, 1), 1)  # for each chunk
     begin = first_item(half_edge_count, work) + wp.tid() % threads
     end = last_item(half_edge_count, work)
-    for chunk in range(wp.tid() // threads, chunk_count, work.lanes // threads):
+    for chunk in range(wp.tid() // threads, chunk_count, work.thread_count // threads):
         for h in range(begin, end, threads):
             if state.corner_vertex[h] >= 0:
                 measure_half_edge(state, h, chunk)
@@ -160,7 +160,7 @@ def move_trajectories(
     """
     chunk_count = state.deformation.anchor.shape[1]
     item_count = (log.count[0] - pass_begin[0]) * chunk_count
-    for i in range(first_item(item_count, work) + wp.tid(), last_item(item_count, work), work.lanes):
+    for i in range(first_item(item_count, work) + wp.tid(), last_item(item_count, work), work.thread_count):
         u = log.kept[pass_begin[0] + i // chunk_count]
         v = log.removed[pass_begin[0] + i // chunk_count]
         chunk = i % chunk_count
@@ -187,7 +187,7 @@ def measure_moved_deformation(
     """
     chunk_count = state.deformation.steps.shape[1]
     item_count = (log.count[0] - pass_begin[0]) * chunk_count
-    for i in range(first_item(item_count, work) + wp.tid(), last_item(item_count, work), work.lanes):
+    for i in range(first_item(item_count, work) + wp.tid(), last_item(item_count, work), work.thread_count):
         u = log.kept[pass_begin[0] + i // chunk_count]
         for j in range(state.adjacency.start[u], state.adjacency.end[u]):
             h = state.adjacency.corner[j]

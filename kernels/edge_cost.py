@@ -21,9 +21,7 @@ from warpqem.kernels.quadric import (
     value_at_minimiser,
 )
 from warpqem.kernels.topology import (
-    BORDER,
     CORNER,
-    NON_MANIFOLD,
     PINNED,
     SEAM,
     find_half_edge,
@@ -32,6 +30,7 @@ from warpqem.kernels.topology import (
     next_corner,
     previous_corner,
 )
+from warpqem.kernels.vertex_kind import may_collapse, may_collapse_into
 from warpqem.kernels.work import Work, first_item, last_item
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
@@ -41,19 +40,19 @@ INFINITE_COST = wp.constant(wp.float32(wp.inf))
 MIN_COST = wp.constant(wp.float32(1.0e-37))
 # Regularisation towards the middle of the edge, relative to the stiffness of the quadrics: it decides where these leave
 # the anchor open (faces that are flat, or none), and is far below the stiffness of any curvature.
-MIDDLE_PULL = wp.constant(wp.float32(1.0e-5))
+MIDDLE_REGULARISATION = wp.constant(wp.float32(1.0e-5))
 # On flat ground every edge costs nothing. This part of area x length^2 makes short edges go first, far below the cost
 # of any visible bend, so that triangles stay compact.
 LENGTH_COST = wp.constant(wp.float32(1.0e-8))
 # Threads for the edges around a vertex: most have six faces, so that each computes the cost of one or two edges.
-STAR_SLOTS = wp.constant(wp.int32(8))
+RING_SLOTS = wp.constant(wp.int32(8))
 # A collapse that changes how seams run counts as an error of this part of the edge's length, squared: costly enough
 # that seams stay as long as the shape has something to spare, and that the smallest go first.
 SEAM_COST = wp.constant(wp.float32(0.01))
 
 
 @wp.struct
-class EdgePrice:
+class EdgeCost:
     """What a collapse costs (area x length^2, weighted) and its mean squared error (length^2)."""
 
     cost: wp.float32
@@ -71,19 +70,12 @@ def merged_quadric(frames: AnyKeyFrames, u: wp.int32, v: wp.int32, t: wp.int32, 
 def edge_anchor(state: MeshState, frames: AnyKeyFrames, model: CostModel, u: wp.int32, v: wp.int32) -> wp.float32:
     """``lambda`` of the material anchor ``(1 - lambda) p_u + lambda p_v``: minimises the quadrics' sum over all frames.
 
-    A vertex on the border or a seam, or pinned, is the anchor itself when the other end is free; so is the corner of a
-    seam against the rest of it.
+    Where one end may only collapse into the other, the other is the anchor.
     """
-    fu = state.vertex_flags[u]
-    fv = state.vertex_flags[v]
-    if ((fu & PINNED) != 0) != ((fv & PINNED) != 0):
-        return wp.where((fv & PINNED) != 0, wp.float32(1.0), wp.float32(0.0))
-    if (fu & BORDER) != (fv & BORDER):
-        return wp.where((fv & BORDER) != 0, wp.float32(1.0), wp.float32(0.0))
-    if (fu & SEAM) != (fv & SEAM):
-        return wp.where((fv & SEAM) != 0, wp.float32(1.0), wp.float32(0.0))
-    if (fu & CORNER) != (fv & CORNER):
-        return wp.where((fv & CORNER) != 0, wp.float32(1.0), wp.float32(0.0))
+    u_goes = may_collapse_into(state.vertex_flags[u], state.vertex_flags[v])
+    v_goes = may_collapse_into(state.vertex_flags[v], state.vertex_flags[u])
+    if u_goes != v_goes:
+        return wp.where(u_goes, wp.float32(1.0), wp.float32(0.0))
     slope = wp.float32(0.0)
     stiffness = wp.float32(0.0)
     regularisation = wp.float32(0.0)
@@ -104,7 +96,7 @@ def edge_anchor(state: MeshState, frames: AnyKeyFrames, model: CostModel, u: wp.
     if model.endpoint == 1:
         # Q(1) - Q(0) = 2 b.d + d^T A d
         return wp.where(2.0 * slope + stiffness < 0.0, wp.float32(1.0), wp.float32(0.0))
-    regularisation *= MIDDLE_PULL
+    regularisation *= MIDDLE_REGULARISATION
     if stiffness + regularisation <= NO_PLANE:
         return 0.5
     return wp.clamp((0.5 * regularisation - slope) / (stiffness + regularisation), 0.0, 1.0)
@@ -157,24 +149,13 @@ def breaks_seams(state: MeshState, h: wp.int32) -> wp.bool:
 
 
 @wp.func
-def is_priced(fu: wp.int32, fv: wp.int32) -> wp.bool:
-    """Whether an edge between vertices of these flags may collapse: not between two pinned ones.
-
-    Nor between a non-manifold vertex and one on a border, where the link condition says nothing.
-    """
-    if (fu & PINNED) != 0 and (fv & PINNED) != 0:
-        return False
-    return ((fu & NON_MANIFOLD) == 0 or (fv & BORDER) == 0) and ((fv & NON_MANIFOLD) == 0 or (fu & BORDER) == 0)
-
-
-@wp.func
-def price_edge(state: MeshState, frames: AnyKeyFrames, model: CostModel, h: wp.int32) -> EdgePrice:
+def compute_edge_cost(state: MeshState, frames: AnyKeyFrames, model: CostModel, h: wp.int32) -> EdgeCost:
     """Cost over key frames of the collapse of half-edge ``h``; an infinite cost where no collapse is allowed."""
     u = state.corner_vertex[h]
     v = half_edge_target(state.corner_vertex, h)
-    result = EdgePrice()
+    result = EdgeCost()
     result.cost = INFINITE_COST
-    if not is_priced(state.vertex_flags[u], state.vertex_flags[v]):
+    if not may_collapse(state.vertex_flags[u], state.vertex_flags[v]):
         return result
     anchor = edge_anchor(state, frames, model, u, v)
     at_anchor = keeps_anchor(state, model, u, v)
@@ -210,7 +191,7 @@ def cost_at(state: MeshState, frames: AnyKeyFrames, model: CostModel, h: wp.int3
     """What stands at half-edge ``h`` of a live face: the cost of its edge, once for both half-edges."""
     cost = INFINITE_COST
     if is_canonical(state.corner_vertex, state.adjacency, state.vertex_flags, h):
-        result = price_edge(state, frames, model, h)
+        result = compute_edge_cost(state, frames, model, h)
         cost = result.cost
     return cost
 
@@ -226,7 +207,7 @@ def compute_all_costs(
 ):
     """The costs of all edges of the mesh, into ``state.edge_cost``."""
     half_edge_count = 3 * state.face_count[0]
-    for h in range(first_item(half_edge_count, work) + wp.tid(), last_item(half_edge_count, work), work.lanes):
+    for h in range(first_item(half_edge_count, work) + wp.tid(), last_item(half_edge_count, work), work.thread_count):
         cost = INFINITE_COST
         if state.corner_vertex[h] >= 0:
             cost = cost_at(state, frames, model, h)
@@ -260,13 +241,13 @@ def update_moved_costs(
     weighs an edge by the area of its faces, so with it the edges opposite a moved vertex cost something else too. Their
     ends stay; two moved vertices may share one, and both then write the same cost.
 
-    Where there are many lanes, those of a vertex take turns with its edges.
+    Where there are many threads, those of a vertex take turns with its edges.
     """
     moved_count = log.count[0] - pass_begin[0]
     sides = wp.where(model.deformation_weight > 0.0, 3, 2)
-    slots = wp.where(work.lanes > 1, STAR_SLOTS, 1)
+    slots = wp.where(work.thread_count > 1, RING_SLOTS, 1)
     first = slots * first_item(moved_count, work)
-    for item in range(first + wp.tid(), slots * last_item(moved_count, work), work.lanes):
+    for item in range(first + wp.tid(), slots * last_item(moved_count, work), work.thread_count):
         i = item // slots
         prefetch_moved(state, frames, log.kept, pass_begin[0] + i, log.count[0], work)
         u = log.kept[pass_begin[0] + i]
@@ -297,7 +278,7 @@ def update_neighbourhood_costs(
 ):
     """Update the costs of the edges that have an end among the vertices that this pass masked."""
     half_edge_count = 3 * state.face_count[0]
-    for h in range(first_item(half_edge_count, work) + wp.tid(), last_item(half_edge_count, work), work.lanes):
+    for h in range(first_item(half_edge_count, work) + wp.tid(), last_item(half_edge_count, work), work.thread_count):
         u = state.corner_vertex[h]
         if u >= 0:
             v = half_edge_target(state.corner_vertex, h)
@@ -328,4 +309,4 @@ def resume_neighbourhoods(
             v = half_edge_target(state.corner_vertex, h)
             if mask_in[u] == pass_number_in[0] or mask_in[v] == pass_number_in[0]:
                 state.edge_cost[h] = -cost
-        h += work.lanes
+        h += work.thread_count

@@ -65,7 +65,7 @@ def count_costs(
     """Histogram of the costs of the candidate edges at every ``sample_step``-th half-edge, a row for each part."""
     sample_step = sample_step_in[0]
     sample_count = (3 * state.face_count[0] + sample_step - 1) // sample_step
-    for i in range(first_item(sample_count, work) + wp.tid(), last_item(sample_count, work), work.lanes):
+    for i in range(first_item(sample_count, work) + wp.tid(), last_item(sample_count, work), work.thread_count):
         cost = state.edge_cost[i * sample_step]
         if is_candidate_cost(cost):
             wp.atomic_add(histogram_out, work.part, cost_bin(cost), 1)
@@ -116,7 +116,7 @@ def sum_bins(
 
 
 @wp.kernel
-def find_cap_by_sums(
+def find_threshold_by_sums(
     # in
     wanted_in: wp.array[wp.int32],
     sample_step_in: wp.array[wp.int32],
@@ -168,7 +168,7 @@ def collect_candidates(
         cost = state.edge_cost[h]
         if cost > 0.0 and cost < cost_threshold:
             append(candidates, work.part, h)
-        h += work.lanes
+        h += work.thread_count
 
 
 @wp.kernel
@@ -184,7 +184,7 @@ def reserve_vertices(
     first_vertex = first_item(reservation.shape[0], work)
     last_vertex = last_item(reservation.shape[0], work)
     for part in range(work.part_count):
-        for i in range(wp.tid(), candidates.count[part], work.lanes):
+        for i in range(wp.tid(), candidates.count[part], work.thread_count):
             prefetch_edges(state, candidates, part, i, reservation, work)
             h = candidates.half_edge[part * candidates.capacity + i]
             u = state.corner_vertex[h]
@@ -214,17 +214,17 @@ def holds_ring(state: MeshState, reservation: wp.array[wp.int64], v: wp.int32, k
 
 
 @wp.kernel
-def select_winners(
+def select_collapses(
     # in
     state: MeshState,
     candidates: EdgeList,
     reservation_in: wp.array[wp.int64],
     work: Work,
     # out
-    winners: EdgeList,
+    selected: EdgeList,
 ):
     """Candidates whose key is the smallest in the one-rings of both ends (counts zeroed before the launch)."""
-    for i in range(wp.tid(), candidates.count[work.part], work.lanes):
+    for i in range(wp.tid(), candidates.count[work.part], work.thread_count):
         prefetch_edges(state, candidates, work.part, i, reservation_in, work)
         h = candidates.half_edge[work.part * candidates.capacity + i]
         u = state.corner_vertex[h]
@@ -237,11 +237,11 @@ def select_winners(
             and holds_ring(state, reservation_in, u, key)
             and holds_ring(state, reservation_in, v, key)
         ):
-            append(winners, work.part, h)
+            append(selected, work.part, h)
 
 
 @wp.kernel
-def withdraw_claims(
+def clear_reservations(
     # in
     state: MeshState,
     candidates: EdgeList,
@@ -250,7 +250,7 @@ def withdraw_claims(
     reservation_out: wp.array[wp.int64],
 ):
     """Clear the reservation of every vertex for the next round."""
-    for i in range(wp.tid(), candidates.count[work.part], work.lanes):
+    for i in range(wp.tid(), candidates.count[work.part], work.thread_count):
         h = candidates.half_edge[work.part * candidates.capacity + i]
         reservation_out[state.corner_vertex[h]] = UNRESERVED
         reservation_out[half_edge_target(state.corner_vertex, h)] = UNRESERVED
@@ -272,7 +272,7 @@ def shrink_candidates(
 
     The one-ring of a collapse is masked whole, so those of what is kept are as they were when the pass began.
     """
-    for i in range(wp.tid(), candidates_in.count[work.part], work.lanes):
+    for i in range(wp.tid(), candidates_in.count[work.part], work.thread_count):
         prefetch_edges(state, candidates_in, work.part, i, mask_in, work)
         h = candidates_in.half_edge[work.part * candidates_in.capacity + i]
         u = state.corner_vertex[h]

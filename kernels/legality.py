@@ -15,7 +15,7 @@ from typing import Any
 
 import warp as wp
 
-from warpqem.kernels.edge_cost import INFINITE_COST, breaks_seams, edge_anchor, merged_position, price_edge
+from warpqem.kernels.edge_cost import INFINITE_COST, breaks_seams, compute_edge_cost, edge_anchor, merged_position
 from warpqem.kernels.lanes import (
     POINTS_ARRAY,
     lane_cross,
@@ -25,8 +25,8 @@ from warpqem.kernels.lanes import (
     lane_max,
 )
 from warpqem.kernels.member_distance import lead_point, member_gap
-from warpqem.kernels.mesh_state import KEY_FRAMES, AnyKeyFrames, CostModel, MeshState
-from warpqem.kernels.prefetch import prefetch_ends, prefetch_winners
+from warpqem.kernels.mesh_state import KEY_FRAMES, AnyKeyFrames, CostModel, MeshState, degree
+from warpqem.kernels.prefetch import prefetch_collapses, prefetch_ends
 from warpqem.kernels.quadric import NO_PLANE
 from warpqem.kernels.topology import (
     BORDER,
@@ -61,12 +61,6 @@ def is_ring_vertex(state: MeshState, u: wp.int32, w: wp.int32) -> wp.bool:
         if open_fan and state.corner_vertex[previous_corner(h)] == w:
             return True
     return False
-
-
-@wp.func
-def degree(state: MeshState, v: wp.int32) -> wp.int32:
-    """Faces at a vertex."""
-    return state.adjacency.end[v] - state.adjacency.start[v]
 
 
 @wp.func
@@ -204,23 +198,23 @@ def turns_over(
 
 
 @lane_kernel(frames=KEY_FRAMES, target_out=POINTS_ARRAY)
-def place_winners(
+def place_collapses(
     # in
     state: MeshState,
     frames: AnyKeyFrames,
     model: CostModel,
-    winners: EdgeList,
+    selected: EdgeList,
     work: Work,
     # out
     target_out: Any,
     anchor_out: wp.array[wp.float32],
 ):
     """The merged vertex of each selected collapse in each key frame, and the anchor along its edge."""
-    first_slot = count_before(winners, work.part)
-    for k in range(wp.tid(), winners.count[work.part], work.lanes):
+    first_slot = count_before(selected, work.part)
+    for k in range(wp.tid(), selected.count[work.part], work.thread_count):
         i = first_slot + k
-        prefetch_ends(state, frames, winners, work, k)
-        h = winners.half_edge[work.part * winners.capacity + k]
+        prefetch_ends(state, frames, selected, work, k)
+        h = selected.half_edge[work.part * selected.capacity + k]
         u = state.corner_vertex[h]
         v = half_edge_target(state.corner_vertex, h)
         anchor = edge_anchor(state, frames, model, u, v)
@@ -236,7 +230,7 @@ def check_collapses(
     # in
     frames: AnyKeyFrames,
     model: CostModel,
-    winners: EdgeList,
+    selected: EdgeList,
     target_in: Any,
     flip_tolerance: wp.int32,
     work: Work,
@@ -253,11 +247,11 @@ def check_collapses(
     vertices that a legal collapse merges. Counts the legal ones of each part too, and the entries that their adjacency
     takes (both zeroed before the launch, or empty: then not).
     """
-    first_slot = count_before(winners, work.part)
-    for k in range(wp.tid(), winners.count[work.part], work.lanes):
+    first_slot = count_before(selected, work.part)
+    for k in range(wp.tid(), selected.count[work.part], work.thread_count):
         i = first_slot + k
-        prefetch_winners(state, frames, winners, work, k)
-        h = winners.half_edge[work.part * winners.capacity + k]
+        prefetch_collapses(state, frames, selected, work, k)
+        h = selected.half_edge[work.part * selected.capacity + k]
         u = state.corner_vertex[h]
         v = half_edge_target(state.corner_vertex, h)
         legal = is_manifold_collapse(state, h)
@@ -272,7 +266,7 @@ def check_collapses(
                 j += 1
         cost = state.edge_cost[h]
         if legal and breaks_seams(state, h):
-            fresh = price_edge(state, frames, model, h)
+            fresh = compute_edge_cost(state, frames, model, h)
             cost = fresh.cost
         if legal:
             gap = member_gap(state, frames, u, v, lead_point(target_in[i, 0]))

@@ -12,7 +12,7 @@ wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
 # Regularisation of the tangents towards a plain rotation, relative to the spread of the ring's edges. A ring that is
 # nearly a line in the reference frame says nothing about stretch across it.
-ROTATION_PULL = wp.constant(wp.float32(0.05))
+ROTATION_REGULARISATION = wp.constant(wp.float32(0.05))
 
 # A normal or a ring smaller than this (areas and squared lengths on a mesh of unit diagonal) has no direction.
 NO_EXTENT = wp.constant(wp.float32(1.0e-30))
@@ -74,8 +74,8 @@ def material_frame(
     if length > NO_EXTENT and spread > NO_EXTENT:
         # Divided by the spread, so that the determinant stays far from the smallest floats.
         rotation = wp.mat22(cosine, -sine, sine, cosine) / length
-        b = (m / spread + ROTATION_PULL * rotation) * wp.inverse(
-            g / spread + ROTATION_PULL * wp.identity(n=2, dtype=wp.float32)
+        b = (m / spread + ROTATION_REGULARISATION * rotation) * wp.inverse(
+            g / spread + ROTATION_REGULARISATION * wp.identity(n=2, dtype=wp.float32)
         )
     e = b[0, 0] * x + b[1, 0] * y
     f = b[0, 1] * x + b[1, 1] * y

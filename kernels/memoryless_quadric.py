@@ -78,7 +78,7 @@ def renew_quadrics(
 ):
     """Make the quadrics of the vertices that this pass masked anew: of the planes around them, and the sums kept."""
     vertex_count = state.vertex_flags.shape[0]
-    for u in range(first_item(vertex_count, work) + wp.tid(), last_item(vertex_count, work), work.lanes):
+    for u in range(first_item(vertex_count, work) + wp.tid(), last_item(vertex_count, work), work.thread_count):
         if mask_in[u] == pass_number_in[0] and state.adjacency.end[u] > state.adjacency.start[u]:
             for t in range(frames.position.shape[1]):
                 frames.quadric[u, t] = state.quadric_scale[u] * memoryless_quadric(state, frames, weights, u, t)

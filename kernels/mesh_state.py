@@ -73,6 +73,12 @@ class MeshState:
     members: Members
 
 
+@wp.func
+def degree(state: MeshState, v: wp.int32) -> wp.int32:
+    """Faces at a vertex."""
+    return state.adjacency.end[v] - state.adjacency.start[v]
+
+
 def _key_frames(width: int) -> type:
     """The struct for blocks of ``width`` frames."""
 

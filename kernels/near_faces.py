@@ -18,6 +18,8 @@ AROUND = wp.constant(wp.int32(32))
 FacesAround = wp.types.vector(length=int(AROUND), dtype=wp.int32)
 # The search is in single precision, which places points of a mesh of unit diagonal to some 1e-7.
 SEARCH_MARGIN = wp.constant(wp.float64(1.0e-6))
+# Beyond every distance; its square fits single precision.
+ANYWHERE = wp.constant(wp.float64(1.0e15))
 
 
 @wp.struct
@@ -94,6 +96,21 @@ def nearest_face(surface: Surface, p: wp.vec3d, limit: wp.float64) -> wp.int32:
     if found.result:
         return found.face
     return -1
+
+
+@wp.func
+def nearer_face(other: Surface, best: wp.int32, best_squared: wp.float64, p: wp.vec3d) -> wp.int32:
+    """The face nearest to a point, where one is known at a squared distance, or -1."""
+    radius = wp.float32(wp.sqrt(best_squared) + SEARCH_MARGIN)
+    found = wp.mesh_query_point_no_sign(
+        other.mesh, wp.vec3(wp.float32(p[0]), wp.float32(p[1]), wp.float32(p[2])), radius
+    )
+    nearest = best
+    if found.result:  # noqa: SIM102 - a kernel evaluates both sides of an "and", and there may be no face
+        # In single precision, the search may prefer the other one of two faces.
+        if squared_distance(other, found.face, p) < best_squared:
+            nearest = found.face
+    return nearest
 
 
 @wp.func

@@ -3,7 +3,8 @@
 import warp as wp
 
 from warpqem.kernels.mesh_state import CollapseLog, MeshState
-from warpqem.kernels.topology import PINNED, half_edge_target
+from warpqem.kernels.topology import half_edge_target
+from warpqem.kernels.vertex_kind import removed_end
 from warpqem.kernels.work import EdgeList, Work
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
@@ -24,11 +25,12 @@ MIN_SAMPLE = wp.constant(wp.int32(2048))
 # A component of so many faces has hardly an edge left to collapse: a tetrahedron, or a triangle or two.
 MAX_REMNANT_FACES = wp.constant(wp.int32(4))
 
-# Why a loop of passes ended. STARS: the adjacency has to be built anew. COMPONENTS: some are small enough to be pruned.
+# Why a loop of passes ended. FULL_POOL: the adjacency has to be built anew, for want of room. COMPONENTS: some are
+# small enough to be pruned.
 RUNNING = wp.constant(wp.int32(0))
 TARGET = wp.constant(wp.int32(1))
 STUCK = wp.constant(wp.int32(2))
-STARS = wp.constant(wp.int32(3))
+FULL_POOL = wp.constant(wp.int32(3))
 COMPONENTS = wp.constant(wp.int32(4))
 
 
@@ -44,7 +46,7 @@ class PassControl:
     removed_faces: wp.array[wp.int32]  # by the round at work
     candidate_count: wp.array[wp.int32]  # of the last pass
     pass_collapses: wp.array[wp.int32]  # of the last pass
-    pass_cap: wp.array[wp.float32]  # of the last pass
+    pass_threshold: wp.array[wp.float32]  # of the last pass
     overfull: wp.array[wp.int32]  # 1: the adjacency pool may be too small for another pass
     remnant_count: wp.array[wp.int32]  # components that may be pruned as a whole
     fraction: wp.array[wp.float64]  # of the edges that the pass may touch
@@ -95,11 +97,11 @@ def begin_round(
     control: PassControl,
     log: CollapseLog,
     # out
-    winners: EdgeList,
+    selected: EdgeList,
     candidates_left: EdgeList,
 ):
     """Empty lists for a round; ``first`` is 1 in the first one of a pass. After the end no round counts."""
-    winners.count[0] = 0
+    selected.count[0] = 0
     candidates_left.count[0] = 0
     if control.running[0] == 0:
         return
@@ -112,19 +114,28 @@ def begin_round(
 @wp.func
 def log_key(state: MeshState, h: wp.int32) -> wp.int64:
     """The order of the log within a round: cost, then the vertex that the commit removes."""
-    a = state.corner_vertex[h]
-    b = half_edge_target(state.corner_vertex, h)
-    removed = b
-    if (state.vertex_flags[b] & PINNED) != 0 or ((state.vertex_flags[a] & PINNED) == 0 and b < a):
-        removed = a
+    removed = removed_end(state.vertex_flags, state.corner_vertex[h], half_edge_target(state.corner_vertex, h))
     return (wp.int64(wp.cast(state.edge_cost[h], wp.int32)) << wp.int64(32)) | wp.int64(removed)
 
 
 @wp.kernel
-def trim_winners(
+def list_log_keys(
     # in
     state: MeshState,
-    winners: EdgeList,
+    half_edge_in: wp.array[wp.int32],
+    # out
+    key_out: wp.array[wp.int64],
+):
+    """What collapses are put in order by, for a host that decides which of them go ahead."""
+    i = wp.tid()
+    key_out[i] = log_key(state, half_edge_in[i])
+
+
+@wp.kernel
+def trim_collapses(
+    # in
+    state: MeshState,
+    selected: EdgeList,
     faces_removed_in: wp.array[wp.int32],
     work: Work,
     # in and out
@@ -138,15 +149,15 @@ def trim_winners(
     round that comes to the target.
     """
     remaining = control.live_faces[0] - control.target_faces[0]
-    count = winners.count[0]
-    for i in range(wp.tid(), count, work.lanes):
+    count = selected.count[0]
+    for i in range(wp.tid(), count, work.thread_count):
         faces = faces_removed_in[i]
         # A collapse removes two faces at most.
         if faces > 0 and 2 * count > remaining:
-            key = log_key(state, winners.half_edge[i])
+            key = log_key(state, selected.half_edge[i])
             before = wp.int32(0)
             for j in range(count):
-                if faces_removed_in[j] > 0 and log_key(state, winners.half_edge[j]) < key:
+                if faces_removed_in[j] > 0 and log_key(state, selected.half_edge[j]) < key:
                     before += faces_removed_in[j]
             if before >= remaining:
                 faces = 0
@@ -162,7 +173,7 @@ def has_full_pool(state: MeshState, live: wp.int32) -> wp.bool:
 
 
 @wp.func
-def close_pass(state: MeshState, control: PassControl, stops_for_stars: wp.int32):
+def close_pass(state: MeshState, control: PassControl, stops_when_full: wp.int32):
     """Whether another pass follows, and how far it looks."""
     fraction = control.fraction[0]
     status = wp.int32(RUNNING)
@@ -175,17 +186,17 @@ def close_pass(state: MeshState, control: PassControl, stops_for_stars: wp.int32
         control.fraction[0] = wp.min(wp.float64(1.0), FRACTION_GROWTH * fraction)
     if control.live_faces[0] <= control.target_faces[0]:
         status = TARGET
-    go_on(state, control, status, stops_for_stars)
+    go_on(state, control, status, stops_when_full)
 
 
 @wp.func
-def go_on(state: MeshState, control: PassControl, status: wp.int32, stops_for_stars: wp.int32):
-    """Set the status, and whether to build the adjacency anew: with ``stops_for_stars`` 1 the loop ends for that."""
+def go_on(state: MeshState, control: PassControl, status: wp.int32, stops_when_full: wp.int32):
+    """Set the status, and whether to build the adjacency anew: with ``stops_when_full`` 1 the loop ends for that."""
     overfull = has_full_pool(state, control.live_faces[0])
     control.overfull[0] = wp.where(overfull, 1, 0)
     control.status[0] = status
-    if overfull and status == RUNNING and stops_for_stars == 1:
-        control.status[0] = STARS
+    if overfull and status == RUNNING and stops_when_full == 1:
+        control.status[0] = FULL_POOL
     control.running[0] = wp.where(control.status[0] == RUNNING, 1, 0)
 
 
@@ -195,7 +206,7 @@ def end_pass(
     state: MeshState,
     log: CollapseLog,
     threshold_in: wp.array[wp.float32],
-    stops_for_stars: wp.int32,
+    stops_when_full: wp.int32,
     # in and out
     control: PassControl,
 ):
@@ -205,13 +216,13 @@ def end_pass(
     take_off_removed(control)
     control.collapse_count[0] = log.count[0]
     control.pass_collapses[0] = log.count[0] - control.pass_begin[0]
-    control.pass_cap[0] = threshold_in[0]
+    control.pass_threshold[0] = threshold_in[0]
     if control.remnant_count[0] > 0 and control.live_faces[0] > control.target_faces[0]:
         # The pass is closed by ``resume_passes``.
         control.status[0] = COMPONENTS
         control.running[0] = 0
         return
-    close_pass(state, control, stops_for_stars)
+    close_pass(state, control, stops_when_full)
 
 
 @wp.kernel
@@ -219,29 +230,29 @@ def resume_passes(
     # in
     state: MeshState,
     dropped_faces: wp.int32,
-    stops_for_stars: wp.int32,
+    stops_when_full: wp.int32,
     # in and out
     control: PassControl,
 ):
     """Go on after the host has pruned components of ``dropped_faces`` faces together."""
     if dropped_faces == 0:
-        close_pass(state, control, stops_for_stars)
+        close_pass(state, control, stops_when_full)
         return
     control.live_faces[0] = control.live_faces[0] - dropped_faces
     status = wp.int32(RUNNING)
     if control.live_faces[0] <= control.target_faces[0]:
         status = TARGET
-    go_on(state, control, status, stops_for_stars)
+    go_on(state, control, status, stops_when_full)
 
 
 @wp.kernel
-def note_new_stars(
+def note_new_adjacency(
     # in and out
     control: PassControl,
 ):
     """Go on after the adjacency has been built anew."""
     control.overfull[0] = 0
-    if control.status[0] == STARS:
+    if control.status[0] == FULL_POOL:
         control.status[0] = RUNNING
         control.running[0] = 1
 
@@ -256,7 +267,7 @@ def count_component_faces(
     face_count: wp.array[wp.int32],
 ):
     """Live faces of each component (zeroed before the launch); ``component_in`` (V,) is that of each vertex."""
-    for f in range(wp.tid(), state.face_count[0], work.lanes):
+    for f in range(wp.tid(), state.face_count[0], work.thread_count):
         v = state.corner_vertex[3 * f]
         if v >= 0:
             wp.atomic_add(face_count, component_in[v], 1)
@@ -272,6 +283,6 @@ def count_remnants(
     control: PassControl,
 ):
     """Components that are small enough to be pruned and may be (zeroed before the launch)."""
-    for c in range(wp.tid(), face_count.shape[0], work.lanes):
+    for c in range(wp.tid(), face_count.shape[0], work.thread_count):
         if face_count[c] > 0 and face_count[c] <= MAX_REMNANT_FACES and may_be_pruned[c] == 1:
             wp.atomic_add(control.remnant_count, 0, 1)

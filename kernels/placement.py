@@ -27,7 +27,7 @@ class Clusters:
     border: wp.array[wp.int32]  # border and seam half-edges with an end in the cluster
     border_weight: wp.array[wp.float32]
     solved: wp.array[wp.int32]  # (C,) 0: the vertex is the anchor itself
-    pull: wp.array[wp.float32]  # (C,) regularisation towards the anchor, relative to the quadric
+    stiffness: wp.array[wp.float32]  # (C,) regularisation towards the anchor, relative to the quadric
 
 
 @lane_kernel(points_in=POINTS_ARRAY, points_out=POINTS_ARRAY, normal_out=POINTS_ARRAY)
@@ -73,7 +73,7 @@ def place_vertices(
             b = points_in[half_edge_target(corner_vertex_in, h), t]
             opposite = points_in[corner_vertex_in[previous_corner(h)], t]
             q = add_border_plane(q, a, b, opposite, anchor, clusters.border_weight[j])
-        x = anchor + tangential_minimiser(q, clusters.pull[c])
+        x = anchor + tangential_minimiser(q, clusters.stiffness[c])
     points_out[c, t] = x
 
 

@@ -3,7 +3,7 @@
 What a collapse touches lies wherever its vertex is, so on a mesh larger than the caches each first look at a neighbour
 waits for memory, one after the other. A thread that walks a list knows who comes next: it asks for the rows of the
 next items while it works on this one. A GPU hides the same waits behind its other threads and needs no hint: where a
-part has more than one lane, nothing is done here.
+part has more than one thread, nothing is done here.
 """
 
 from typing import Any
@@ -19,7 +19,7 @@ wp.set_module_options({"enable_backward": False})  # no gradients are taken
 # How many items ahead of its use each link of the chain is asked for: from the half-edge to its ends, to their
 # corners, to the faces of these, to the vertices of those. Each needs what the one before has brought.
 ENDS_AHEAD = wp.constant(wp.int32(8))
-STARS_AHEAD = wp.constant(wp.int32(6))
+ADJACENCY_AHEAD = wp.constant(wp.int32(6))
 LISTS_AHEAD = wp.constant(wp.int32(4))
 FACES_AHEAD = wp.constant(wp.int32(2))
 RINGS_AHEAD = wp.constant(wp.int32(1))
@@ -55,7 +55,7 @@ def prefetch_faces(state: MeshState, v: wp.int32):
 
 
 @wp.func
-def prefetch_prices(state: MeshState, v: wp.int32):
+def prefetch_costs(state: MeshState, v: wp.int32):
     """The faces around a vertex and the costs of their edges."""
     for i in range(state.adjacency.start[v], state.adjacency.end[v]):
         prefetch(state.corner_vertex, state.adjacency.corner[i])
@@ -70,7 +70,7 @@ def prefetch_ring(state: MeshState, positions: Any, v: wp.int32):
 
 
 @wp.func
-def prefetch_priced_ring(state: MeshState, frames: AnyKeyFrames, v: wp.int32):
+def prefetch_cost_ring(state: MeshState, frames: AnyKeyFrames, v: wp.int32):
     """All that the costs of the edges at a vertex take from its neighbours."""
     for i in range(state.adjacency.start[v], state.adjacency.end[v]):
         w = half_edge_target(state.corner_vertex, state.adjacency.corner[i])
@@ -85,26 +85,26 @@ def prefetch_moved(
     state: MeshState, frames: AnyKeyFrames, vertices: wp.array[wp.int32], i: wp.int32, count: wp.int32, work: Work
 ):
     """What new costs around the vertices that come after the ``i``-th of a list need."""
-    if work.lanes > 1:
+    if work.thread_count > 1:
         return
     if i + FACES_AHEAD < count:
-        prefetch_prices(state, vertices[i + FACES_AHEAD])
+        prefetch_costs(state, vertices[i + FACES_AHEAD])
     if i + RINGS_AHEAD < count:
-        prefetch_priced_ring(state, frames, vertices[i + RINGS_AHEAD])
+        prefetch_cost_ring(state, frames, vertices[i + RINGS_AHEAD])
 
 
 @wp.func
-def prefetch_ends(state: MeshState, frames: AnyKeyFrames, winners: EdgeList, work: Work, k: wp.int32):
+def prefetch_ends(state: MeshState, frames: AnyKeyFrames, selected: EdgeList, work: Work, k: wp.int32):
     """The rows of the ends of the selected edges that come after the ``k``-th of a part."""
-    if work.lanes > 1:
+    if work.thread_count > 1:
         return
-    first = work.part * winners.capacity
-    count = winners.count[work.part]
+    first = work.part * selected.capacity
+    count = selected.count[work.part]
     if k + ENDS_AHEAD < count:
-        prefetch(state.corner_vertex, winners.half_edge[first + k + ENDS_AHEAD])
+        prefetch(state.corner_vertex, selected.half_edge[first + k + ENDS_AHEAD])
     if k + LISTS_AHEAD < count:
         for side in range(2):
-            v = end_of(state, winners.half_edge[first + k + LISTS_AHEAD], side)
+            v = end_of(state, selected.half_edge[first + k + LISTS_AHEAD], side)
             prefetch(state.vertex_flags, v)
             prefetch_row(frames.position, v)
             prefetch_row(frames.quadric, v)
@@ -113,10 +113,10 @@ def prefetch_ends(state: MeshState, frames: AnyKeyFrames, winners: EdgeList, wor
 @wp.func
 def prefetch_adjacency(state: MeshState, vertices: wp.array[wp.int32], i: wp.int32, count: wp.int32, work: Work):
     """The corners of the vertices that come after the ``i``-th of a list, and their faces; -1 is passed over."""
-    if work.lanes > 1:
+    if work.thread_count > 1:
         return
-    if i + STARS_AHEAD < count:
-        v = vertices[i + STARS_AHEAD]
+    if i + ADJACENCY_AHEAD < count:
+        v = vertices[i + ADJACENCY_AHEAD]
         if v >= 0:
             prefetch(state.adjacency.start, v)
             prefetch(state.adjacency.end, v)
@@ -131,29 +131,29 @@ def prefetch_adjacency(state: MeshState, vertices: wp.array[wp.int32], i: wp.int
 
 
 @wp.func
-def prefetch_winners(state: MeshState, frames: AnyKeyFrames, winners: EdgeList, work: Work, k: wp.int32):
+def prefetch_collapses(state: MeshState, frames: AnyKeyFrames, selected: EdgeList, work: Work, k: wp.int32):
     """What the selected edges that come after the ``k``-th of a part need: ends, faces and positions around them."""
-    if work.lanes > 1:
+    if work.thread_count > 1:
         return
-    first = work.part * winners.capacity
-    count = winners.count[work.part]
+    first = work.part * selected.capacity
+    count = selected.count[work.part]
     if k + ENDS_AHEAD < count:
-        prefetch(state.corner_vertex, winners.half_edge[first + k + ENDS_AHEAD])
-        prefetch(state.edge_cost, winners.half_edge[first + k + ENDS_AHEAD])
+        prefetch(state.corner_vertex, selected.half_edge[first + k + ENDS_AHEAD])
+        prefetch(state.edge_cost, selected.half_edge[first + k + ENDS_AHEAD])
     for side in range(2):
-        if k + STARS_AHEAD < count:
-            v = end_of(state, winners.half_edge[first + k + STARS_AHEAD], side)
+        if k + ADJACENCY_AHEAD < count:
+            v = end_of(state, selected.half_edge[first + k + ADJACENCY_AHEAD], side)
             prefetch(state.adjacency.start, v)
             prefetch(state.adjacency.end, v)
         if k + LISTS_AHEAD < count:
-            v = end_of(state, winners.half_edge[first + k + LISTS_AHEAD], side)
+            v = end_of(state, selected.half_edge[first + k + LISTS_AHEAD], side)
             prefetch(state.adjacency.corner, state.adjacency.start[v])
         if k + FACES_AHEAD < count:
-            v = end_of(state, winners.half_edge[first + k + FACES_AHEAD], side)
+            v = end_of(state, selected.half_edge[first + k + FACES_AHEAD], side)
             prefetch_faces(state, v)
             prefetch_row(frames.quadric, v)
         if k + RINGS_AHEAD < count:
-            prefetch_ring(state, frames.position, end_of(state, winners.half_edge[first + k + RINGS_AHEAD], side))
+            prefetch_ring(state, frames.position, end_of(state, selected.half_edge[first + k + RINGS_AHEAD], side))
 
 
 @wp.func
@@ -167,7 +167,7 @@ def end_of(state: MeshState, h: wp.int32, side: wp.int32) -> wp.int32:
 @wp.func
 def prefetch_edges(state: MeshState, edges: EdgeList, part: wp.int32, i: wp.int32, values: Any, work: Work):
     """What the edges that come after the ``i``-th of a part need: ends, cost, and the ``values`` of both ends."""
-    if work.lanes > 1:
+    if work.thread_count > 1:
         return
     first = part * edges.capacity
     count = edges.count[part]

@@ -5,7 +5,7 @@
 Pose ``j`` takes the rest position ``v`` to ``p_j = sum_k a_k (R_k^j (v + o_j) + t_k^j)`` with the transforms of its
 joints, its skin weights ``a`` and the offset ``o_j`` of blend shapes. With the cluster's quadric matrix ``A_j`` and its
 least ``y_j`` there, ``E(v, a) = sum_j (p_j - y_j)^T H_j (p_j - y_j)`` is minimised,
-``H_j = A_j + pull tr(A_j) I``: stiff across the surface, soft along it. E is quartic, but quadratic in either argument:
+``H_j = A_j + s tr(A_j) I``: stiff across the surface, soft along it. E is quartic, but quadratic in either argument:
 
 - position: a 3x3 system with the weights fixed;
 - weights: with ``u_k = R_k (v + o) + t_k - y``, minimise ``a^T G a``, ``G_kl = sum_j u_k^T H u_l``, subject to
@@ -83,7 +83,7 @@ def gather_planes(
     border_weight_in: wp.array[wp.float32],
     points_in: wp.array2d[wp.vec3],
     placed_in: wp.array2d[wp.vec3d],
-    pull: wp.float64,
+    regularisation: wp.float64,
     to_planes: wp.int32,
     # out
     stiffness_out: wp.array2d[wp.mat33d],
@@ -119,7 +119,7 @@ def gather_planes(
             weight = wp.dot(edge, edge) * wp.float64(border_weight_in[i]) / (length * length)
             total += plane_matrix(across, weight)
             slope += across * (weight * wp.dot(across, place - p))
-    soft = pull * wp.trace(total) + MIN_TRACE
+    soft = regularisation * wp.trace(total) + MIN_TRACE
     stiffness = total + wp.mat33d(
         soft, wp.float64(0.0), wp.float64(0.0),
         wp.float64(0.0), soft, wp.float64(0.0),

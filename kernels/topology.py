@@ -14,8 +14,8 @@ wp.set_module_options({"enable_backward": False})  # no gradients are taken
 # SEAM: an edge that values do not cross ends here (UV seam, subset border, hard edge).
 # CORNER: a seam ends, forks or meets a border here. Set along with SEAM.
 # MIRROR: on the plane along which a symmetric mesh was cut; set along with BORDER.
-# NON_MANIFOLD: the one-ring is not one fan of faces. The vertex keeps its position, and only inner ones may collapse
-# into it: the link condition says nothing of edges between two such vertices, or from one to a border.
+# NON_MANIFOLD: the one-ring is not one fan of faces. The vertex keeps its position.
+# Which vertices may collapse into which is in :mod:`warpqem.kernels.vertex_kind`.
 BORDER = wp.constant(wp.int32(1))
 LOCKED = wp.constant(wp.int32(2))
 NON_MANIFOLD = wp.constant(wp.int32(4))
@@ -111,7 +111,7 @@ def count_corners(
     """Corners per vertex (zeroed before the launch). A part walks all corners for its own vertices."""
     first_vertex = first_item(corner_count_out.shape[0], work)
     last_vertex = last_item(corner_count_out.shape[0], work)
-    for h in range(wp.tid(), 3 * face_count_in[0], work.lanes):
+    for h in range(wp.tid(), 3 * face_count_in[0], work.thread_count):
         v = corner_vertex_in[h]
         if v >= first_vertex and v < last_vertex:
             wp.atomic_add(corner_count_out, v, 1)
@@ -131,7 +131,7 @@ def fill_adjacency(
     """Put each corner into its vertex's list; ``adjacency_cursor`` starts at the beginning of each list and runs up."""
     first_vertex = first_item(adjacency_cursor.shape[0], work)
     last_vertex = last_item(adjacency_cursor.shape[0], work)
-    for h in range(wp.tid(), 3 * face_count_in[0], work.lanes):
+    for h in range(wp.tid(), 3 * face_count_in[0], work.thread_count):
         v = corner_vertex_in[h]
         if v >= first_vertex and v < last_vertex:
             adjacent_corner_out[wp.atomic_add(adjacency_cursor, v, 1)] = h
@@ -149,7 +149,7 @@ def list_corners(
     corner_out: wp.array[wp.int32],
 ):
     """Every corner (3N,) with its vertex as the key to sort by; dead ones come last, with the number of vertices."""
-    for h in range(wp.tid(), corner_vertex_in.shape[0], work.lanes):
+    for h in range(wp.tid(), corner_vertex_in.shape[0], work.thread_count):
         v = wp.int32(-1)
         if h < 3 * face_count_in[0]:
             v = corner_vertex_in[h]
@@ -178,11 +178,11 @@ def find_starts(
     corner_count: wp.int32,
     work: Work,
     # out
-    star_start_out: wp.array[wp.int32],
+    start_out: wp.array[wp.int32],
 ):
     """Where the corners of each vertex (V+1,) begin among ``corner_count`` sorted keys: a binary search each."""
-    for v in range(wp.tid(), star_start_out.shape[0], work.lanes):
-        star_start_out[v] = count_below(key_in, corner_count, v)
+    for v in range(wp.tid(), start_out.shape[0], work.thread_count):
+        start_out[v] = count_below(key_in, corner_count, v)
 
 
 @wp.func
@@ -208,6 +208,37 @@ def is_closed_fan(corner_vertex: wp.array[wp.int32], adjacency: VertexAdjacency,
         if h == start:
             return turned == last - first
     return False
+
+
+@wp.func
+def count_open_in(corner_vertex: wp.array[wp.int32], adjacency: VertexAdjacency, v: wp.int32) -> wp.int32:
+    """Half-edges that enter a vertex without an opposite one."""
+    count = wp.int32(0)
+    for i in range(adjacency.start[v], adjacency.end[v]):
+        w = corner_vertex[previous_corner(adjacency.corner[i])]
+        if find_half_edge(corner_vertex, adjacency, v, w) < 0:
+            count += 1
+    return count
+
+
+@wp.func
+def fan_size(corner_vertex: wp.array[wp.int32], adjacency: VertexAdjacency, v: wp.int32, border: wp.int32) -> wp.int32:
+    """Faces met by turning about a vertex, from the half-edge that leaves it on a border, or -1: from any."""
+    first = adjacency.start[v]
+    degree = adjacency.end[v] - first
+    start = border
+    if start < 0:
+        start = adjacency.corner[first]
+    h = start
+    fan = wp.int32(0)
+    # Turn from the face on the left of v -> w to the one whose half-edge leaves v along the other side.
+    while h >= 0 and fan < degree:
+        fan += 1
+        w = corner_vertex[previous_corner(h)]
+        h = find_half_edge(corner_vertex, adjacency, v, w)
+        if h == start:
+            h = -1
+    return fan
 
 
 @wp.kernel
@@ -254,30 +285,13 @@ def classify_vertices(
             border_half_edge_out[h] = 1
             open_out += 1
             start = h
-    open_in = wp.int32(0)
-    for i in range(first, last):
-        w = corner_vertex_in[previous_corner(adjacency_in.corner[i])]
-        after = wp.int32(0)
-        for j in range(first, last):
-            if half_edge_target(corner_vertex_in, adjacency_in.corner[j]) == w:
-                after += 1
-        if after == 0:
-            open_in += 1
+    open_in = count_open_in(corner_vertex_in, adjacency_in, v)
     flags = vertex_flags[v]
     if open_out + open_in > 0:
         flags = flags | BORDER
     fan = wp.int32(0)
     if repeated == 0 and open_out <= 1 and open_in == open_out and degree > 0:
-        if start < 0:
-            start = adjacency_in.corner[first]
-        h = start
-        # Turn from the face on the left of v -> w to the one whose half-edge leaves v along the other side.
-        while h >= 0 and fan < degree:
-            fan += 1
-            w = corner_vertex_in[previous_corner(h)]
-            h = find_half_edge(corner_vertex_in, adjacency_in, v, w)
-            if h == start:
-                h = -1
+        fan = fan_size(corner_vertex_in, adjacency_in, v, start)
     if degree > 0 and fan != degree:
         flags = flags | NON_MANIFOLD
     vertex_flags[v] = flags

@@ -1,7 +1,7 @@
-"""How the items of a launch are dealt out: parts for CPU threads, lanes for a GPU.
+"""How the items of a launch are shared out: in parts between CPU threads, one by one between those of a GPU.
 
 A CPU runs a launch on one thread, so a long one is made of parts that write apart from each other, a thread each. There
-is one lane in a part, which walks its items in order. A GPU has a single part and as many lanes as keep it busy.
+is one thread in a part, which walks its items in order. A GPU has a single part and as many threads as keep it busy.
 """
 
 import warp as wp
@@ -15,7 +15,7 @@ class Work:
 
     part: wp.int32
     part_count: wp.int32
-    lanes: wp.int32  # threads of the launch: each takes every so many of its part's items
+    thread_count: wp.int32  # of the launch: each takes every so many of its part's items
 
 
 @wp.func

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from warpqem.pipeline.result import SimplifiedMesh
 
 __all__ = [
     "BatchError",
@@ -69,7 +72,7 @@ class UnreachableTargetError(WarpqemError, RuntimeError):
         result: the :class:`warpqem.SimplifiedMesh` as far as legal collapses go, for callers who can use it.
     """
 
-    def __init__(self, message: str, result: Any = None) -> None:
+    def __init__(self, message: str, result: SimplifiedMesh | None = None) -> None:
         super().__init__(message)
         self.result = result
 

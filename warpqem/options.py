@@ -1,12 +1,13 @@
 """The options of simplifying, each with its range, unit and help; command line, manifests and batches derive theirs.
 
-:class:`MethodOptions` are those of a mesh wherever it comes from, :class:`SimplifyOptions` add what
+:class:`MethodOptions` are those of a mesh wherever it comes from, :class:`MeshOptions` add what
 :func:`warpqem.simplify` takes as arrays, ``warpqem.usd.SimplifyOptions`` what a stage has names for.
 """
 
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, Literal, TypedDict
@@ -26,10 +27,10 @@ if TYPE_CHECKING:
 __all__ = [
     "Goal",
     "LevelKeywords",
+    "MeshOptions",
     "MethodKeywords",
     "MethodOptions",
     "SimplifyKeywords",
-    "SimplifyOptions",
     "check_ratio",
     "read_goal",
     "read_keywords",
@@ -172,7 +173,7 @@ class MethodOptions:
 
 
 @dataclass(frozen=True)
-class SimplifyOptions(MethodOptions):
+class MeshOptions(MethodOptions):
     """What decides the result of :func:`warpqem.simplify` for a mesh.
 
     Attributes:
@@ -209,7 +210,7 @@ class SimplifyOptions(MethodOptions):
     face: FaceProtection | None = None
     motion: MotionWeighting | None = None
 
-    def checked(self) -> SimplifyOptions:
+    def checked(self) -> MeshOptions:
         """The same with Python's own numbers and flags.
 
         Raises:
@@ -237,7 +238,7 @@ class SimplifyOptions(MethodOptions):
 
 
 class MethodKeywords(TypedDict, total=False):
-    """Keyword arguments that say how :func:`warpqem.simplify` works: :class:`SimplifyOptions` without the goals."""
+    """Keyword arguments that say how :func:`warpqem.simplify` works: :class:`MeshOptions` without the goals."""
 
     quality: Literal["fast", "best"]
     metric: str
@@ -266,7 +267,7 @@ class LevelKeywords(MethodKeywords, total=False):
 
 
 class SimplifyKeywords(LevelKeywords, total=False):
-    """Keyword arguments of :func:`warpqem.simplify`, for type checkers: the fields of :class:`SimplifyOptions`."""
+    """Keyword arguments of :func:`warpqem.simplify`, for type checkers: the fields of :class:`MeshOptions`."""
 
     ratio: float | None
     target_faces: int | None
@@ -274,18 +275,18 @@ class SimplifyKeywords(LevelKeywords, total=False):
     max_distance: float | None
 
 
-def read_keywords(keywords: SimplifyKeywords | MethodKeywords, **goals: Any) -> SimplifyOptions:
+def read_keywords(keywords: SimplifyKeywords | MethodKeywords, **goals: Any) -> MeshOptions:
     """Checked options from keyword arguments.
 
     Raises:
         TypeError: there is no such option.
-        OptionError: as for :meth:`SimplifyOptions.checked`.
+        OptionError: as for :meth:`MeshOptions.checked`.
     """
-    names = [entry.name for entry in fields(SimplifyOptions)]
+    names = [entry.name for entry in fields(MeshOptions)]
     for name in keywords:
         if name not in names:
             raise TypeError(f"unexpected keyword argument {name!r}; the options are {', '.join(names)}")
-    return SimplifyOptions(**keywords, **goals).checked()
+    return MeshOptions(**keywords, **goals).checked()
 
 
 def _checked_fields(attributes: Any) -> tuple[AttributeField, ...]:
@@ -323,3 +324,13 @@ def read_goal(face_count: int, ratio: float | None, target_faces: int | None, ma
     """With an error limit alone, ordering goes on until the limit stops it."""
     target = int(target_faces or 0) if ratio is None else target_count(ratio, face_count)
     return Goal(target, math.inf if max_error is None else max_error)
+
+
+if not TYPE_CHECKING:  # to a type checker every name would exist
+
+    def __getattr__(name: str) -> Any:
+        # The name before 0.2, which `warpqem.usd` has for another class; gone in 0.3.
+        if name == "SimplifyOptions":
+            warnings.warn("warpqem.options.SimplifyOptions is now MeshOptions", DeprecationWarning, stacklevel=2)
+            return MeshOptions
+        raise AttributeError(f"module 'warpqem.options' has no attribute {name!r}")

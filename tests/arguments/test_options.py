@@ -26,8 +26,8 @@ from warpqem.cli.option_parameters import takes_options
 from warpqem.cli.progressive import build, extract
 from warpqem.cli.simplify import simplify
 from warpqem.errors import OptionError
-from warpqem.options import MethodOptions, SimplifyKeywords, SimplifyOptions
-from warpqem.usd import SimplifyOptions as StageOptions
+from warpqem.options import MeshOptions, MethodOptions, SimplifyKeywords
+from warpqem.usd import SimplifyOptions
 from warpqem.usd.commands.progressive_options import BuildOptions, LevelChoice
 
 POINTS, FACES = meshes.swaying_sphere(2, 3)
@@ -46,7 +46,7 @@ class Sample:
     other: object = None
 
 
-@pytest.mark.parametrize("options", [SimplifyOptions, StageOptions, BuildOptions, LevelChoice])
+@pytest.mark.parametrize("options", [MeshOptions, SimplifyOptions, BuildOptions, LevelChoice])
 def test_every_number_says_its_unit_and_its_range(options):
     for name, entry in named_options(options).items():
         if entry.kind in (int, float):
@@ -71,8 +71,8 @@ def test_help_shows_a_screen_of_options(command):
 
 def test_keyword_arguments_are_the_fields_of_the_options():
     assert typing.get_type_hints(MethodOptions).keys() | {"target_faces"} <= SimplifyKeywords.__annotations__.keys()
-    assert set(SimplifyKeywords.__annotations__) == {entry.name for entry in fields(SimplifyOptions)}
-    for entry in fields(SimplifyOptions):
+    assert set(SimplifyKeywords.__annotations__) == {entry.name for entry in fields(MeshOptions)}
+    for entry in fields(MeshOptions):
         assert SimplifyKeywords.__annotations__[entry.name].__forward_arg__ == entry.type
 
 
@@ -225,7 +225,7 @@ def test_help_all_shows_what_help_leaves_out():
     ],
 )
 def test_quality_says_what_single_options_do_not(given, refits, present):
-    options = SimplifyOptions(ratio=0.5, **given).checked()
+    options = MeshOptions(ratio=0.5, **given).checked()
     assert (options.refits, options.memoryless_orders) == (refits, present)
 
 

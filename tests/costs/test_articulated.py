@@ -13,7 +13,7 @@ from tests.oracles import articulated as oracle
 from tests.support.meshes import rotation, tube
 from warpqem.kernels.skin_fit import REACH
 from warpqem.measure import topology
-from warpqem.skinning.fit_problem import SURFACE_PULL, CandidateRows, ClusterPlanes, SkinFit
+from warpqem.skinning.fit_problem import SURFACE_REGULARISATION, CandidateRows, ClusterPlanes, SkinFit
 from warpqem.skinning.linear_skin import LinearSkin, pose_skin
 from warpqem.usd.read.read_mesh import MeshSource
 from warpqem.usd.read.skeleton_poses import StagePoses
@@ -53,7 +53,7 @@ def quadrics(vertices, poses):
 
 
 def test_fit_of_a_merged_vertex_minimises_the_formula(device):
-    # (p - y)^T H (p - y) is p^T Q p and the pull towards where the vertex was placed, up to a constant.
+    # (p - y)^T H (p - y) is p^T Q p and the regularisation towards where the vertex was placed, up to a constant.
     poses = pose_skin(SKIN, TRANSFORMS).astype(np.float32)
     checked = 0
     for u, v in inner_edges()[::11].tolist():
@@ -73,8 +73,8 @@ def test_fit_of_a_merged_vertex_minimises_the_formula(device):
         fit = SkinFit(TRANSFORMS, rows, rest[None], placed[:, None], None, 1.0, device)
         fitted, weight, before, after = fit._solve_batch(slice(0, 1), stiffness, goal, JOINTS)
         moved = oracle.skinned(TRANSFORMS, fitted[0], weight)[:, :3]
-        pull = SURFACE_PULL * (trace * ((moved - placed) ** 2).sum(axis=1)).sum()
-        lower = oracle.energy(Q, TRANSFORMS, fitted[0], weight) + pull
+        soft = SURFACE_REGULARISATION * (trace * ((moved - placed) ** 2).sum(axis=1)).sum()
+        lower = oracle.energy(Q, TRANSFORMS, fitted[0], weight) + soft
         assert before[0] - after[0] == pytest.approx(oracle.energy(Q, TRANSFORMS, rest, weights) - lower, rel=1e-4)
         assert after[0] < before[0]
         checked += 1

@@ -127,12 +127,9 @@ def test_progress_falls_to_the_target(simplified):
 
 def orderer_of(mesh, device, pool):
     points, faces = mesh
-    mesh = build_mesh(points, faces, device)
-    vertex_count = points.shape[1]
-    spare = int((pool - 1) * faces.size)
-    adjacency = build_adjacency(mesh.state.corner_vertex, vertex_count, mesh.state.face_count, spare)
-    mesh.state.adjacency = adjacency.lists
-    return mesh, DeviceOrderer(PassSteps(mesh.state, mesh.frames, adjacency, cost_model(key_count=len(points)), device))
+    mesh = build_mesh(points, faces, device, spare=int((pool - 1) * faces.size))
+    model = cost_model(key_count=len(points))
+    return mesh, DeviceOrderer(PassSteps(mesh.state, mesh.frames, mesh.adjacency, model, device))
 
 
 @pytest.mark.parametrize("is_queued", [False, True], ids=["loop in the graph", "turns"])
@@ -159,14 +156,14 @@ def test_size_of_the_pool_changes_no_bit(is_queued, device, request):
         np.testing.assert_array_equal(quadric, left[0][2])
 
 
-def test_stars_are_built_anew_where_the_pool_is_full(device, monkeypatch):
+def test_adjacency_is_built_anew_where_the_pool_is_full(device, monkeypatch):
     builds = []
-    note = DeviceOrderer._building_stars
+    note = DeviceOrderer._building_adjacency
     mesh, orderer = orderer_of(CLOSED, device, 2)
     corner_count = len(mesh.state.corner_vertex)
-    monkeypatch.setattr(DeviceOrderer, "_building_stars", lambda self: builds.append(1) or note(self))
+    monkeypatch.setattr(DeviceOrderer, "_building_adjacency", lambda self: builds.append(1) or note(self))
     orderer.run(100)
-    # Without that, what stars have taken would be beyond the pool.
+    # Without that, what adjacency has taken would be beyond the pool.
     assert int(mesh.state.adjacency.used.numpy()[0]) <= 2 * corner_count
     with pytest.raises(ValueError, match=r"need a pool of"):
         orderer_of(CLOSED, device, 1.5)

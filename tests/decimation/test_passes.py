@@ -1,4 +1,4 @@
-"""Choice of a pass's candidates on meshes that are large enough for a sampled cap."""
+"""Choice of a pass's candidates on meshes that are large enough for a sampled threshold."""
 
 import numpy as np
 import pytest
@@ -14,30 +14,29 @@ from warpqem.decimation.passes import CANDIDATE_FRACTION, Orderer
 
 @pytest.fixture
 def orderer(device):
-    """A priced mesh of 61440 half-edges."""
+    """A mesh of 61440 half-edges with their costs."""
     points, faces = meshes.icosphere(5)
     mesh = build_mesh(points, faces, device)
-    adjacency = build_adjacency(mesh.state.corner_vertex, len(points), mesh.state.face_count)
-    orderer = Orderer(PassSteps(mesh.state, mesh.frames, adjacency, cost_model(), device))
-    orderer.steps.price_all().run()
+    orderer = Orderer(PassSteps(mesh.state, mesh.frames, mesh.adjacency, cost_model(), device))
+    orderer.steps.compute_all_costs().run()
     return orderer
 
 
-def only_awake(orderer, half_edge):
+def only_resumed(orderer, half_edge):
     cost = np.full(len(orderer.state.edge_cost), np.inf, dtype=np.float32)
     cost[half_edge] = 1.0
     orderer.state.edge_cost.assign(cost)
 
 
 @pytest.mark.parametrize("half_edge", [7 * 100, 7 * 100 + 1, 7 * 100 + 6])
-def test_pass_after_one_without_a_winner_sees_every_edge(half_edge, orderer):
+def test_pass_after_one_without_a_collapse_sees_every_edge(half_edge, orderer):
     launches = orderer.steps.launches(1)
     assert orderer._collect_candidates(launches, CANDIDATE_FRACTION) > 0
-    only_awake(orderer, half_edge)
+    only_resumed(orderer, half_edge)
     assert orderer._collect_candidates(launches, 4 * CANDIDATE_FRACTION) == 1
 
 
-def test_sampled_cap_is_near_the_exact_one(orderer):
+def test_sampled_threshold_is_near_the_exact_one(orderer):
     cost = orderer.state.edge_cost.numpy()
     wanted = int(CANDIDATE_FRACTION * 1.5 * orderer.live_faces)
     count = orderer._collect_candidates(orderer.steps.launches(1), CANDIDATE_FRACTION)
@@ -70,16 +69,16 @@ def lists_of(adjacency, vertex_count):
 
 @pytest.mark.parametrize("threads", [1, 3])
 @pytest.mark.parametrize("spare", [0, 300, 10**5], ids=["no room", "some room", "room"])
-def test_stars_are_those_of_the_faces_after_every_pass(spare, threads, device, monkeypatch, shared_from_the_first_face):
+def test_adjacency_is_that_of_the_faces_after_every_pass(
+    spare, threads, device, monkeypatch, shared_from_the_first_face
+):
     if wp.get_device(device).is_cpu:
         monkeypatch.setattr("warpqem.decimation.pass_steps.thread_count", lambda _: threads)
     points, faces = meshes.waving_grid(24, 3)
-    mesh = build_mesh(points, faces, device)
+    mesh = build_mesh(points, faces, device, spare=spare)
     vertex_count = points.shape[1]
-    adjacency = build_adjacency(mesh.state.corner_vertex, vertex_count, mesh.state.face_count, spare)
-    mesh.state.adjacency = adjacency.lists
-    orderer = Orderer(PassSteps(mesh.state, mesh.frames, adjacency, cost_model(key_count=3), device))
-    orderer.steps.price_all().run()
+    orderer = Orderer(PassSteps(mesh.state, mesh.frames, mesh.adjacency, cost_model(key_count=3), device))
+    orderer.steps.compute_all_costs().run()
     for _ in range(12):
         orderer._run_pass(200, CANDIDATE_FRACTION)
         fresh = build_adjacency(mesh.state.corner_vertex, vertex_count, mesh.state.face_count)

@@ -14,7 +14,7 @@ from tests.support import meshes
 from tests.support.mesh_state import build_mesh
 from warpqem.decimation.quadric_sums import QuadricSums, add_quadric_sums
 from warpqem.face import FaceProtection, FacialFeatures, face_sums
-from warpqem.options import SimplifyOptions
+from warpqem.options import MeshOptions
 from warpqem.pipeline.prepare import prepare
 from warpqem.place.cluster_rows import match_keys
 
@@ -78,7 +78,7 @@ def test_vertices_are_placed_by_the_same_sums(name, device):
     rng, count = np.random.default_rng(1), points.shape[1]
     row, vertex = np.divmod(rng.choice(count * count, 4 * count, replace=False), count)
     weight = rng.uniform(0.1, 2.0, len(row))
-    work = prepare(points, faces, SimplifyOptions(ratio=0.3, device=device))
+    work = prepare(points, faces, MeshOptions(ratio=0.3, device=device))
     assert work.order_input is not None
     sums = QuadricSums.of_entries(row, vertex, weight)
     work = replace(work, quadric_sums=sums, order_input=replace(work.order_input, sums=sums))
@@ -98,7 +98,7 @@ def test_vertices_are_placed_by_the_same_sums(name, device):
                 total += oracle.shifted(own[v], anchor - x[v])
                 for other, factor in zip(vertex[row == v], weight[row == v], strict=True):
                     total += oracle.shifted(own[other], anchor - x[other]).scaled(factor)
-            expected = anchor + oracle.tangential_minimiser(total, float(rows["pull"][c]))
+            expected = anchor + oracle.tangential_minimiser(total, float(rows["stiffness"][c]))
             np.testing.assert_allclose(placed[frame, c], expected, atol=1e-4)
 
 
@@ -106,7 +106,7 @@ def test_normals_are_those_of_the_faces_of_a_cluster_alone(device):
     points, faces = MESHES["closed"]
     face = FaceProtection(features(0), keep=False)
     plain, summed = (
-        prepare(points, faces, SimplifyOptions(ratio=0.9, device=device, **options))
+        prepare(points, faces, MeshOptions(ratio=0.9, device=device, **options))
         for options in ({}, {"metric": "face", "face": face})
     )
     normals = []

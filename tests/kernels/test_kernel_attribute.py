@@ -11,7 +11,7 @@ from tests.support.mesh_state import build_mesh, collapse_log, edge_list, half_e
 from warpqem.decimation.adjacency import build_adjacency
 from warpqem.decimation.attribute_quadrics import build_wedges
 from warpqem.kernels.attribute import attribute_error, move_corner_wedges
-from warpqem.kernels.collapse import commit_winners
+from warpqem.kernels.collapse import commit_collapses
 from warpqem.kernels.mesh_state import MeshState, Point
 
 
@@ -131,7 +131,7 @@ class Mesh:
         mask = wp.zeros(vertex_count, dtype=wp.int32, device=self.device)
         pool_slot = wp.clone(self.state.adjacency.used)
         outputs = [mask, collapse_log(4, self.device), slot, pool_slot]
-        wp.launch(commit_winners[1], dim=1, inputs=inputs, outputs=outputs, device=self.device)
+        wp.launch(commit_collapses[1], dim=1, inputs=inputs, outputs=outputs, device=self.device)
         adjacency = build_adjacency(self.state.corner_vertex, vertex_count, self.state.face_count)
         self.state.adjacency = adjacency.lists
         self.clusters.merge(u, v)

@@ -18,10 +18,10 @@ from tests.support.mesh_state import (
     packed_quadrics,
 )
 from warpqem.decimation.adjacency import build_adjacency
-from warpqem.kernels.collapse import commit_winners, drop_dead_corners, mark_live_faces, move_live_faces, open_log
+from warpqem.kernels.collapse import commit_collapses, mark_live_faces, move_live_faces, open_log, remove_dead_corners
 from warpqem.kernels.deformation import move_trajectories
 from warpqem.kernels.lanes import width_of
-from warpqem.kernels.legality import place_winners
+from warpqem.kernels.legality import place_collapses
 from warpqem.kernels.topology import CORNER, SEAM
 
 MESHES = {"closed": meshes.swaying_sphere(1, 3), "open": meshes.bending_bar(6, 5, 4)}
@@ -58,11 +58,11 @@ class Commit:
             frames.kept_sum = packed_quadrics(list(kept_sums.values()), frames.position)
         self.before = self.mesh.quadric.astype(np.float64)
         self.state.edge_cost.fill_(3.0)
-        winners = edge_list([self.half_edge], device)
+        selected = edge_list([self.half_edge], device)
         target = wp.empty((1, frames.position.shape[1]), dtype=frames.position.dtype, device=device)
         self.anchor = wp.empty(1, dtype=wp.float32, device=device)
-        inputs = [self.state, frames, cost_model(), winners, one_part(device)]
-        wp.launch(place_winners[width_of(target)], dim=1, inputs=inputs, outputs=[target, self.anchor], device=device)
+        inputs = [self.state, frames, cost_model(), selected, one_part(device)]
+        wp.launch(place_collapses[width_of(target)], dim=1, inputs=inputs, outputs=[target, self.anchor], device=device)
         self.target = blocks(target, len(points))[0]
         self.log = collapse_log(points.shape[1], device)
         self.mask = wp.zeros(points.shape[1], dtype=wp.int32, device=device)
@@ -74,9 +74,9 @@ class Commit:
         wp.launch(open_log, dim=1, inputs=[], outputs=outputs, device=device)
         self.pool_used = self.state.adjacency.used.numpy()[0]
         error = wp.array([member_error], dtype=wp.float32, device=device)
-        inputs = [self.state, frames, winners, removed, target, self.anchor, error, number, one_part(device)]
+        inputs = [self.state, frames, selected, removed, target, self.anchor, error, number, one_part(device)]
         outputs = [self.mask, self.log, slot, pool_slot]
-        wp.launch(commit_winners[width_of(target)], dim=1, inputs=inputs, outputs=outputs, device=device)
+        wp.launch(commit_collapses[width_of(target)], dim=1, inputs=inputs, outputs=outputs, device=device)
         self.number = number
         if self.state.trajectory.shape[0]:
             self.move_trajectories(device)
@@ -126,7 +126,7 @@ def test_faces_at_the_edge_die_and_the_others_name_the_kept_vertex(device):
     np.testing.assert_array_equal(commit.live_faces(), oracle.collapsed(commit.faces, *commit.edge))
 
 
-def test_stars_built_after_a_commit_hold_each_live_corner_once(device):
+def test_adjacency_built_after_a_commit_holds_each_live_corner_once(device):
     commit = closed_commit(device)
     adjacency = build_adjacency(commit.state.corner_vertex, len(commit.mask))
     corners = np.flatnonzero(commit.state.corner_vertex.numpy() >= 0)
@@ -159,26 +159,28 @@ def test_merged_vertex_has_the_sums_of_both_about_where_it_is(with_sums, device)
     np.testing.assert_allclose(untouched, sums[40], rtol=1e-6)
 
 
-def star(lists, v):
+def corners_at(lists, v):
     return lists.corner.numpy()[lists.start.numpy()[v] : lists.end.numpy()[v]].tolist()
 
 
 def check_adjacency(commit, device):
-    """Every star is the one that the faces give, in the same order."""
+    """The corners of every vertex are those that the faces give, in the same order."""
     adjacency = commit.state.adjacency
     fresh = build_adjacency(commit.state.corner_vertex, len(commit.mask)).lists
-    assert [star(adjacency, v) for v in range(len(commit.mask))] == [star(fresh, v) for v in range(len(commit.mask))]
+    assert [corners_at(adjacency, v) for v in range(len(commit.mask))] == [
+        corners_at(fresh, v) for v in range(len(commit.mask))
+    ]
 
 
-def drop(commit, device, part=0, part_count=1, dropped=None):
-    dropped = wp.zeros(len(commit.mask), dtype=wp.int32, device=device) if dropped is None else dropped
+def drop(commit, device, part=0, part_count=1, updated=None):
+    updated = wp.zeros(len(commit.mask), dtype=wp.int32, device=device) if updated is None else updated
     begin = wp.zeros(1, dtype=wp.int32, device=device)
     inputs = [commit.state, commit.log, begin, commit.number, one_part(device, part, part_count)]
-    wp.launch(drop_dead_corners, dim=1, inputs=inputs, outputs=[dropped], device=device)
+    wp.launch(remove_dead_corners, dim=1, inputs=inputs, outputs=[updated], device=device)
 
 
 @pytest.mark.parametrize("name", MESHES)
-def test_stars_kept_up_equal_those_built_anew(name, device):
+def test_adjacency_kept_up_equals_one_built_anew(name, device):
     points, faces = MESHES[name]
     commit = Commit(points, faces, faces[0, :2].tolist(), device)
     drop(commit, device)
@@ -187,28 +189,28 @@ def test_stars_kept_up_equal_those_built_anew(name, device):
 
 def test_two_parts_update_the_adjacency_of_all_opposite_vertices(device):
     commit = closed_commit(device)
-    dropped = wp.zeros(len(commit.mask), dtype=wp.int32, device=device)
+    updated = wp.zeros(len(commit.mask), dtype=wp.int32, device=device)
     for part in range(2):
-        drop(commit, device, part, 2, dropped)
+        drop(commit, device, part, 2, updated)
     check_adjacency(commit, device)
 
 
-def test_new_star_lies_behind_those_in_the_pool(device):
+def test_new_adjacency_lies_behind_the_old_in_the_pool(device):
     commit = closed_commit(device)
     first = commit.faces.size
     assert commit.state.adjacency.start.numpy()[commit.edge[0]] == first
     assert commit.pool_used == first + 20
 
 
-def test_star_without_room_in_the_pool_is_left_as_it_was(device):
+def test_adjacency_without_room_in_the_pool_is_left_as_it_was(device):
     points, faces = MESHES["closed"]
     u, v = sorted(faces[0, :2].tolist())
     before = build_mesh(points, faces, device).state.adjacency
     after = Commit(points, faces, (u, v), device, spare=0).state.adjacency
-    assert star(after, u) == star(before, u)
+    assert corners_at(after, u) == corners_at(before, u)
 
 
-def test_dead_faces_have_no_price(device):
+def test_dead_faces_have_no_cost(device):
     commit = closed_commit(device)
     dead = commit.state.corner_vertex.numpy() < 0
     cost = commit.state.edge_cost.numpy()
@@ -308,7 +310,7 @@ def test_neighbourhood_of_a_collapse_is_masked(device):
     np.testing.assert_array_equal(np.flatnonzero(commit.mask.numpy() == PASS), sorted(near))
 
 
-def test_winner_that_removes_no_face_is_left_alone(device):
+def test_selected_edge_that_removes_no_face_is_left_alone(device):
     commit = closed_commit(device, faces_removed=0)
     np.testing.assert_array_equal(commit.live_faces(), commit.faces)
     assert commit.log.count.numpy()[0] == 0
@@ -341,7 +343,7 @@ def test_trajectory_is_the_same_material_point_whichever_way_the_half_edge_runs(
     np.testing.assert_allclose(there.state.trajectory.numpy()[u], back.state.trajectory.numpy()[u], atol=1e-5)
 
 
-def test_compaction_keeps_live_faces_and_their_prices_and_seams_in_order(device):
+def test_compaction_keeps_live_faces_and_their_costs_and_seams_in_order(device):
     faces = meshes.icosphere(1)[1].copy()
     faces[[0, 3, 4, 50, len(faces) - 1]] = -1
     cost = np.arange(faces.size, dtype=np.float32)

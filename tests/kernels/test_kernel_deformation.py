@@ -9,11 +9,10 @@ from tests.oracles import motion as oracle
 from tests.oracles.quadrics import unpack
 from tests.support import meshes
 from tests.support.mesh_state import build_mesh, cost_model
-from warpqem.decimation.adjacency import build_adjacency
 from warpqem.decimation.deformation import build_deformation
 from warpqem.decimation.pass_steps import PassSteps
 from warpqem.decimation.passes import CANDIDATE_FRACTION, Orderer
-from warpqem.decimation.recorded_steps import part_work
+from warpqem.decimation.recorded_launches import part_work
 from warpqem.frames.blocks import CHUNK_FRAMES
 from warpqem.kernels.deformation import length_deformation, measure_all_deformation
 from warpqem.kernels.mesh_state import MeshState
@@ -57,16 +56,16 @@ def test_deformation_matches_the_oracle(name, chunk_frames, device):
     np.testing.assert_allclose(actual[found], expected[found], rtol=1e-4, atol=1e-10)
 
 
-@pytest.mark.parametrize("lanes", [1, 2, 3, 5, 64, 1000])
-def test_threads_share_the_chunks_whatever_their_number(lanes, device):
+@pytest.mark.parametrize("threads", [1, 2, 3, 5, 64, 1000])
+def test_threads_share_the_chunks_whatever_their_number(threads, device):
     points, faces = MESHES["closed"]
     state = build_mesh(points, faces, device, with_trajectory=True, chunk_frames=1).state
     expected = [state.deformation.face_area.numpy().copy(), state.deformation.steps.numpy().copy()]
     state.deformation.face_area.fill_(-1.0)
     state.deformation.steps.fill_(-1.0)
     work = part_work(0, 1, device)
-    work.lanes = lanes
-    wp.launch(measure_all_deformation, dim=lanes, inputs=[state, work], device=device)
+    work.thread_count = threads
+    wp.launch(measure_all_deformation, dim=threads, inputs=[state, work], device=device)
     canonical = ~np.isnan(deformation(points, faces, device))
     np.testing.assert_array_equal(state.deformation.face_area.numpy(), expected[0])
     np.testing.assert_array_equal(state.deformation.steps.numpy()[canonical], expected[1][canonical])
@@ -119,10 +118,8 @@ EPSILON = 0.05
 
 def orderer_of(points, faces, device, chunk_frames, memoryless):
     mesh = build_mesh(points, faces, device, with_trajectory=True, chunk_frames=chunk_frames)
-    adjacency = build_adjacency(mesh.state.corner_vertex, points.shape[1], mesh.state.face_count, spare=faces.size)
-    mesh.state.adjacency = adjacency.lists
     model = cost_model(EPSILON, deformation_weight=WEIGHT, key_count=len(points))
-    return mesh, Orderer(PassSteps(mesh.state, mesh.frames, adjacency, model, device, memoryless))
+    return mesh, Orderer(PassSteps(mesh.state, mesh.frames, mesh.adjacency, model, device, memoryless))
 
 
 def anchor_of(quadrics, positions, on_border):
@@ -164,7 +161,7 @@ def costs_by_the_formula(mesh):
 )
 def test_costs_equal_the_formula_after_every_pass(mesh, chunk_frames, memoryless, device):
     mesh, orderer = orderer_of(*mesh, device, chunk_frames, memoryless)
-    orderer.steps.price_all().run()
+    orderer.steps.compute_all_costs().run()
     target = len(mesh.state.corner_vertex.numpy()) // 3 // 4
     exact = put_off = 0
     while orderer.live_faces > target:

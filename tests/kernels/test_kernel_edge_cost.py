@@ -1,4 +1,4 @@
-"""Price, anchor and placement of an edge collapse over frames."""
+"""Cost, anchor and placement of an edge collapse over frames."""
 
 import numpy as np
 import pytest
@@ -20,17 +20,17 @@ from tests.support.mesh_state import (
     packed,
 )
 from warpqem.decimation.adjacency import build_adjacency
-from warpqem.kernels.collapse import commit_winners
+from warpqem.kernels.collapse import commit_collapses
 from warpqem.kernels.edge_cost import compute_all_costs, resume_neighbourhoods, update_moved_costs
 from warpqem.kernels.lanes import width_of
-from warpqem.kernels.legality import place_winners
+from warpqem.kernels.legality import place_collapses
 from warpqem.kernels.topology import CORNER, SEAM
 
 MESHES = {"closed": meshes.swaying_sphere(1, 3), "open": meshes.bending_bar(6, 5, 4)}
 EPSILON = 0.1
 
 
-def prices(mesh, model, device) -> np.ndarray:
+def costs_of(mesh, model, device) -> np.ndarray:
     inputs = [mesh.state, mesh.frames, model, one_part(device)]
     wp.launch(compute_all_costs[width_of(mesh.frames.position)], dim=1, inputs=inputs, device=device)
     return mesh.state.edge_cost.numpy().copy()
@@ -38,12 +38,12 @@ def prices(mesh, model, device) -> np.ndarray:
 
 def placed(mesh, model, half_edges, device):
     """(targets (E, K, 3), anchors (E,)) of the half-edges."""
-    winners = edge_list(half_edges, device)
+    selected = edge_list(half_edges, device)
     shape = (len(half_edges), mesh.frames.position.shape[1])
     target = wp.empty(shape, dtype=mesh.frames.position.dtype, device=device)
     anchor = wp.empty(len(half_edges), dtype=wp.float32, device=device)
-    inputs = [mesh.state, mesh.frames, model, winners, one_part(device)]
-    wp.launch(place_winners[width_of(target)], dim=1, inputs=inputs, outputs=[target, anchor], device=device)
+    inputs = [mesh.state, mesh.frames, model, selected, one_part(device)]
+    wp.launch(place_collapses[width_of(target)], dim=1, inputs=inputs, outputs=[target, anchor], device=device)
     return blocks(target, mesh.key_count), anchor.numpy()
 
 
@@ -64,9 +64,9 @@ def inner_edges(faces):
 
 
 @pytest.mark.parametrize("name", MESHES)
-def test_every_edge_is_priced_once(name, device):
+def test_every_edge_gets_its_cost_once(name, device):
     points, faces = MESHES[name]
-    cost = prices(build_mesh(points, faces, device), cost_model(), device)
+    cost = costs_of(build_mesh(points, faces, device), cost_model(), device)
     assert np.isfinite(cost).sum() == len(edges(faces))
     assert (cost[np.isfinite(cost)] > 0).all()
 
@@ -85,7 +85,7 @@ def test_cost_and_targets_match_the_oracle(name, device):
     points, faces = MESHES[name]
     picked = inner_edges(faces)[::7]
     mesh, model = build_mesh(points, faces, device), cost_model(EPSILON)
-    cost = prices(mesh, model, device)
+    cost = costs_of(mesh, model, device)
     target, anchor = placed(mesh, model, [h for *_, h in picked], device)
     for i, (u, v, h) in enumerate(picked):
         expected, _, positions = oracle.edge_cost(*edge_data(points, faces, u, v), float(anchor[i]), EPSILON)
@@ -99,8 +99,8 @@ def test_weight_multiplies_the_cost_as_the_mean_of_both_ends(device):
     weight[faces[0, 0]] = 5
     u, v = sorted(faces[0, :2].tolist())
     h = half_edge_between(faces, u, v)
-    plain = prices(build_mesh(points, faces, device), cost_model(), device)[h]
-    weighted = prices(build_mesh(points, faces, device, cost_weight=weight), cost_model(), device)[h]
+    plain = costs_of(build_mesh(points, faces, device), cost_model(), device)[h]
+    weighted = costs_of(build_mesh(points, faces, device, cost_weight=weight), cost_model(), device)[h]
     assert weighted == pytest.approx(3 * plain, rel=1e-5)
 
 
@@ -139,31 +139,31 @@ def test_anchor_of_a_flat_edge_is_its_middle(device):
 
 def test_short_edges_of_a_flat_mesh_are_cheaper(device):
     points, faces = meshes.grid(5, 5)
-    cost = prices(build_mesh(points, faces, device), cost_model(), device)
+    cost = costs_of(build_mesh(points, faces, device), cost_model(), device)
     side, diagonal = half_edge_between(faces, 14, 15), half_edge_between(faces, 15, 20)
     assert 0 < cost[side] < cost[diagonal]
 
 
-def test_edge_between_two_locked_vertices_has_no_price(device):
+def test_edge_between_two_locked_vertices_may_not_collapse(device):
     points, faces = MESHES["closed"]
     u, v = sorted(faces[0, :2].tolist())
-    cost = prices(build_mesh(points, faces, device, locked=[u, v]), cost_model(), device)
+    cost = costs_of(build_mesh(points, faces, device, locked=[u, v]), cost_model(), device)
     assert np.isinf(cost[half_edge_between(faces, u, v)])
     assert np.isinf(cost).sum() == faces.size - len(edges(faces)) + 1
 
 
-def test_edges_from_a_frozen_vertex_to_a_border_have_no_price(device):
+def test_edges_from_a_non_manifold_vertex_to_a_border_may_not_collapse(device):
     points, faces = meshes.double_cone(6)
-    cost = prices(build_mesh(points, faces, device), cost_model(), device)
+    cost = costs_of(build_mesh(points, faces, device), cost_model(), device)
     at_tip = (faces.ravel() == 0) | (np.roll(faces, -1, axis=1).ravel() == 0)
     assert np.isinf(cost[at_tip]).all()
     assert np.isfinite(cost[~at_tip]).all()
 
 
-def test_edges_from_a_frozen_vertex_inwards_are_priced_to_end_there(device):
+def test_edges_from_a_non_manifold_vertex_inwards_cost_what_ending_there_does(device):
     points, faces = meshes.welded(meshes.joined(meshes.icosphere(1), meshes.icosphere(1), spacing=1.0), {42: 0})
     mesh = build_mesh(points, faces, device)
-    cost = prices(mesh, cost_model(), device)
+    cost = costs_of(mesh, cost_model(), device)
     ends = np.stack([faces.ravel(), np.roll(faces, -1, axis=1).ravel()])
     half_edge = np.flatnonzero((ends == 0).any(axis=0) & (ends[0] < ends[1]))
     assert np.isfinite(cost[half_edge]).all()
@@ -171,12 +171,12 @@ def test_edges_from_a_frozen_vertex_inwards_are_priced_to_end_there(device):
     np.testing.assert_array_equal(target, np.broadcast_to(points[None, 0], target.shape))
 
 
-def test_edges_above_the_error_limit_have_no_price(device):
+def test_edges_above_the_error_limit_may_not_collapse(device):
     points, faces = MESHES["closed"]
     mesh = build_mesh(points, faces, device)
-    everything = np.isfinite(prices(mesh, cost_model(EPSILON), device))
+    everything = np.isfinite(costs_of(mesh, cost_model(EPSILON), device))
     limit = 1e-3
-    limited = np.isfinite(prices(mesh, cost_model(EPSILON, error_limit=limit), device))
+    limited = np.isfinite(costs_of(mesh, cost_model(EPSILON, error_limit=limit), device))
     _, anchor = placed(mesh, cost_model(EPSILON), np.flatnonzero(everything), device)
     for h, lam in zip(np.flatnonzero(everything), anchor, strict=True):
         u, v = faces.ravel()[h], np.roll(faces, -1, axis=1).ravel()[h]
@@ -190,8 +190,8 @@ def test_deformation_is_added_with_its_weight(device):
     points, faces = MESHES["open"]
     u, v, h = inner_edges(faces)[3]
     mesh = build_mesh(points, faces, device, with_trajectory=True)
-    plain = prices(mesh, cost_model(), device)[h]
-    with_term = prices(mesh, cost_model(deformation_weight=2.0), device)[h]
+    plain = costs_of(mesh, cost_model(), device)[h]
+    with_term = costs_of(mesh, cost_model(deformation_weight=2.0), device)[h]
     expected = 2 * motion_oracle.length_deformation(points, faces, u, v)
     assert with_term - plain == pytest.approx(expected, rel=1e-2)
     assert expected > 0
@@ -201,16 +201,16 @@ def commit_one(mesh, half_edge, target, device):
     """Collapse one half-edge; the log of it, the mask, and the pass's number, 1."""
     vertex_count = len(mesh.state.vertex_flags)
     log = collapse_log(vertex_count, device)
-    winners = edge_list([half_edge], device)
+    selected = edge_list([half_edge], device)
     mask, slot = (wp.zeros(n, dtype=wp.int32, device=device) for n in (vertex_count, 1))
     one = wp.array([1], dtype=wp.int32, device=device)
     removed = wp.array([2], dtype=wp.int32, device=device)
     anchor = wp.array([0.5], dtype=wp.float32, device=device)
     blocks_in = packed(target.transpose(1, 0, 2), device)
     error = wp.zeros(1, dtype=wp.float32, device=device)
-    inputs = [mesh.state, mesh.frames, winners, removed, blocks_in, anchor, error, one, one_part(device)]
+    inputs = [mesh.state, mesh.frames, selected, removed, blocks_in, anchor, error, one, one_part(device)]
     wp.launch(
-        commit_winners[width_of(blocks_in)],
+        commit_collapses[width_of(blocks_in)],
         dim=1,
         inputs=inputs,
         outputs=[mask, log, slot, wp.clone(mesh.state.adjacency.used)],
@@ -221,33 +221,33 @@ def commit_one(mesh, half_edge, target, device):
 
 
 def rebuilt(mesh, device):
-    """New stars after a commit."""
+    """New adjacency after a commit."""
     adjacency = build_adjacency(mesh.state.corner_vertex, len(mesh.state.vertex_flags))
     mesh.state.adjacency = adjacency.lists
     return mesh
 
 
-@pytest.mark.parametrize("lanes", [1, 3, 8, 61])
-def test_updating_moved_costs_equals_computing_all(lanes, device):
+@pytest.mark.parametrize("threads", [1, 3, 8, 61])
+def test_updating_moved_costs_equals_computing_all(threads, device):
     points, faces = MESHES["closed"]
     mesh, model = build_mesh(points, faces, device), cost_model()
-    prices(mesh, model, device)
+    costs_of(mesh, model, device)
     h = half_edge_between(faces, *sorted(faces[0, :2].tolist()))
     log, *_ = commit_one(mesh, h, placed(mesh, model, [h], device)[0], device)
     rebuilt(mesh, device)
     begin = wp.zeros(1, dtype=wp.int32, device=device)
     work = one_part(device)
-    work.lanes = lanes
+    work.thread_count = threads
     inputs = [mesh.state, mesh.frames, model, log, begin, work]
-    wp.launch(update_moved_costs[width_of(mesh.frames.position)], dim=lanes, inputs=inputs, device=device)
+    wp.launch(update_moved_costs[width_of(mesh.frames.position)], dim=threads, inputs=inputs, device=device)
     updated = mesh.state.edge_cost.numpy().copy()
-    np.testing.assert_array_equal(updated, prices(mesh, model, device))
+    np.testing.assert_array_equal(updated, costs_of(mesh, model, device))
 
 
-def test_sleeping_edges_wake_around_a_moved_vertex_only(device):
+def test_suspended_edges_resume_around_a_moved_vertex_only(device):
     points, faces = meshes.swaying_sphere(2, 2)
     mesh, model = build_mesh(points, faces, device), cost_model()
-    suspended = -prices(mesh, model, device)
+    suspended = -costs_of(mesh, model, device)
     mesh.state.edge_cost.assign(suspended)
     u, v = sorted(faces[0, :2].tolist())
     h = half_edge_between(faces, u, v)
@@ -294,8 +294,8 @@ def test_collapse_that_changes_how_seams_run_is_costly(pairs, corners, costly, d
     built = with_seams(faces, pairs, corners, device)
     edge = half_edge_between(faces, 6, 7)
     # The grid is flat: all that a collapse costs is length.
-    free = prices(build_mesh(meshes.grid(4, 4)[0], faces, device), cost_model(), device)[edge]
-    assert (prices(built, cost_model(), device)[edge] > 100 * free) == costly
+    free = costs_of(build_mesh(meshes.grid(4, 4)[0], faces, device), cost_model(), device)[edge]
+    assert (costs_of(built, cost_model(), device)[edge] > 100 * free) == costly
 
 
 def test_corner_of_a_seam_is_the_anchor_against_the_rest_of_it(device):
@@ -312,7 +312,7 @@ def test_cost_of_one_frame_is_its_quadric_error_and_that_of_several_their_sum(de
     half_edges = [h for *_, h in picked]
     for frames in (points[:1], points):
         mesh, model = build_mesh(frames, faces, device), cost_model(1e-3)
-        cost = prices(mesh, model, device)
+        cost = costs_of(mesh, model, device)
         target, _ = placed(mesh, model, half_edges, device)
         quadrics = [vertex_quadrics(x, faces, origin=np.zeros_like(x, dtype=np.float64)) for x in frames]
         for i, (u, v, h) in enumerate(picked):

@@ -1,4 +1,4 @@
-"""Cap, candidates, claim and winners of a round."""
+"""Threshold, candidates, reservations and selected edges of a round."""
 
 import numpy as np
 import pytest
@@ -6,12 +6,11 @@ import warp as wp
 
 from tests.oracles import topology as oracle
 from tests.support import meshes
-from tests.support.mesh_state import build_mesh, cost_model, edge_list, listed, one_part
-from warpqem.decimation.recorded_steps import new_edge_list
+from tests.support.mesh_state import build_mesh, cost_model, edge_list, listed, one_part, state_of_costs
+from warpqem.decimation.recorded_launches import new_edge_list
 from warpqem.kernels import independent_set as kernels
 from warpqem.kernels.edge_cost import compute_all_costs
 from warpqem.kernels.lanes import width_of
-from warpqem.kernels.mesh_state import MeshState
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
@@ -20,7 +19,7 @@ MESHES = {"closed": meshes.swaying_sphere(2, 2), "open": meshes.bending_bar(8, 1
 
 
 def no_threshold(device) -> wp.array:
-    """A cap above any cost."""
+    """A threshold above any cost."""
     return wp.array([np.inf], dtype=wp.float32, device=device)
 
 
@@ -51,16 +50,6 @@ def bins_of(cost, device) -> np.ndarray:
     return out.numpy()
 
 
-def priced_faces(cost, device) -> MeshState:
-    """Faces of which nothing is known but the costs at their half-edges, filled up with inf."""
-    state = MeshState()
-    state.face_count = wp.array([-(-len(cost) // 3)], dtype=wp.int32, device=device)
-    filled = np.full(3 * -(-len(cost) // 3), np.inf, dtype=np.float32)
-    filled[: len(cost)] = cost
-    state.edge_cost = wp.array(filled, device=device)
-    return state
-
-
 def step_of(step, device) -> wp.array:
     return wp.array([step], dtype=wp.int32, device=device)
 
@@ -69,7 +58,7 @@ def histogram_of(cost, device, step=1, part_count=1) -> wp.array:
     """(P, BINS)."""
     histogram = wp.zeros((part_count, BINS), dtype=wp.int32, device=device)
     for part in range(part_count):
-        inputs = [priced_faces(cost, device), step_of(step, device), one_part(device, part, part_count)]
+        inputs = [state_of_costs(cost, device), step_of(step, device), one_part(device, part, part_count)]
         wp.launch(kernels.count_costs, dim=1, inputs=inputs, outputs=[histogram], device=device)
     return histogram
 
@@ -81,15 +70,15 @@ def test_sampled_histogram_counts_every_seventh_cost(device):
 
 
 @pytest.mark.parametrize("step", [1, 7])
-def test_histograms_of_three_parts_give_the_cap_of_one(step, device):
+def test_histograms_of_three_parts_give_the_threshold_of_one(step, device):
     cost = random_costs()
     one, three = (histogram_of(cost, device, step, parts) for parts in (1, 3))
     np.testing.assert_array_equal(three.numpy().sum(axis=0), one.numpy()[0])
-    assert cap_of(three, 50, device).numpy()[0] == cap_of(one, 50, device).numpy()[0]
+    assert find_threshold(three, 50, device).numpy()[0] == find_threshold(one, 50, device).numpy()[0]
     assert not three.numpy().any()
 
 
-def cap_of(histogram, wanted, device) -> wp.array:
+def find_threshold(histogram, wanted, device) -> wp.array:
     cost_threshold = wp.zeros(1, dtype=wp.float32, device=device)
     wanted = wp.array([wanted], dtype=wp.int32, device=device)
     wp.launch(
@@ -105,14 +94,14 @@ def cap_of(histogram, wanted, device) -> wp.array:
 @pytest.mark.parametrize("stretches", [1, 64, 4096])
 @pytest.mark.parametrize("wanted", [0, 1, 2, 50, 999, 1000, 5000])
 @pytest.mark.parametrize("step", [1, 7])
-def test_cap_by_sums_is_that_of_one_thread(stretches, wanted, step, device):
+def test_threshold_by_sums_is_that_of_one_thread(stretches, wanted, step, device):
     histogram, other = (histogram_of(random_costs(), device, step) for _ in range(2))
     sums = wp.empty(stretches, dtype=wp.int32, device=device)
     cost_threshold = wp.zeros(1, dtype=wp.float32, device=device)
     wp.launch(kernels.sum_bins, dim=stretches, inputs=[histogram], outputs=[sums], device=device)
     inputs = [wp.array([wanted], dtype=wp.int32, device=device), step_of(step, device), sums]
     wp.launch(
-        kernels.find_cap_by_sums, dim=stretches, inputs=inputs, outputs=[histogram, cost_threshold], device=device
+        kernels.find_threshold_by_sums, dim=stretches, inputs=inputs, outputs=[histogram, cost_threshold], device=device
     )
     one = wp.zeros(1, dtype=wp.float32, device=device)
     wp.launch(kernels.find_cost_threshold, dim=1, inputs=inputs[:2], outputs=[other, one], device=device)
@@ -120,17 +109,17 @@ def test_cap_by_sums_is_that_of_one_thread(stretches, wanted, step, device):
     assert not histogram.numpy().any()
 
 
-def test_cap_by_sums_of_no_costs_is_zero(device):
+def test_threshold_by_sums_of_no_costs_is_zero(device):
     histogram, sums = wp.zeros((1, BINS), dtype=wp.int32, device=device), wp.zeros(64, dtype=wp.int32, device=device)
     cost_threshold = wp.full(1, 7.0, dtype=wp.float32, device=device)
     inputs = [wp.array([5], dtype=wp.int32, device=device), step_of(1, device), sums]
-    wp.launch(kernels.find_cap_by_sums, dim=64, inputs=inputs, outputs=[histogram, cost_threshold], device=device)
+    wp.launch(kernels.find_threshold_by_sums, dim=64, inputs=inputs, outputs=[histogram, cost_threshold], device=device)
     assert cost_threshold.numpy()[0] == 0.0
 
 
 def collected(cost, cost_threshold, device) -> np.ndarray:
     candidates = edge_list([], device, len(cost))
-    inputs = [priced_faces(cost, device), cost_threshold, one_part(device)]
+    inputs = [state_of_costs(cost, device), cost_threshold, one_part(device)]
     wp.launch(kernels.collect_candidates, dim=1, inputs=inputs, outputs=[candidates], device=device)
     return np.sort(listed(candidates))
 
@@ -176,65 +165,69 @@ def test_histogram_counts_every_candidate_in_its_bin(device):
     np.testing.assert_array_equal(histogram_of(cost, device).numpy()[0], expected)
 
 
-def test_histogram_leaves_out_sleeping_and_forbidden_edges(device):
+def test_histogram_leaves_out_suspended_and_forbidden_edges(device):
     assert histogram_of(np.array([1, -1, np.inf, -np.inf, 2, np.nan], np.float32), device).numpy().sum() == 2
 
 
 @pytest.mark.parametrize("wanted", [1, 2, 50, 999, 1000])
-def test_cap_is_the_upper_end_of_the_bin_of_the_wanted_cheapest_edge(wanted, device):
+def test_threshold_is_the_upper_end_of_the_bin_of_the_wanted_cheapest_edge(wanted, device):
     cost = random_costs()
-    cost_threshold = cap_of(histogram_of(cost, device), wanted, device).numpy()
+    cost_threshold = find_threshold(histogram_of(cost, device), wanted, device).numpy()
     assert bins_of(cost_threshold, device)[0] == bins_of(np.sort(cost), device)[wanted - 1] + 1
     assert bins_of(np.nextafter(cost_threshold, np.float32(0)), device)[0] == bins_of(np.sort(cost), device)[wanted - 1]
 
 
-def test_cap_takes_everything_where_more_edges_are_wanted_than_exist(device):
+def test_threshold_takes_everything_where_more_edges_are_wanted_than_exist(device):
     cost = random_costs(20)
-    cost_threshold = cap_of(histogram_of(cost, device), 1000, device)
+    cost_threshold = find_threshold(histogram_of(cost, device), 1000, device)
     assert len(collected(cost, cost_threshold, device)) == 20
 
 
-def test_cap_of_no_edge_lets_none_through(device):
-    cost_threshold = cap_of(histogram_of(np.array([np.inf], np.float32), device), 5, device)
+def test_threshold_of_no_edge_lets_none_through(device):
+    cost_threshold = find_threshold(histogram_of(np.array([np.inf], np.float32), device), 5, device)
     assert len(collected(random_costs(5), cost_threshold, device)) == 0
 
 
-def test_histogram_is_clear_after_the_cap_is_found(device):
+def test_histogram_is_clear_after_the_threshold_is_found(device):
     histogram = histogram_of(random_costs(), device)
-    cap_of(histogram, 10, device)
+    find_threshold(histogram, 10, device)
     np.testing.assert_array_equal(histogram.numpy(), 0)
 
 
-def test_candidates_are_the_edges_up_to_the_cap(device):
+def test_candidates_are_the_edges_up_to_the_threshold(device):
     cost = random_costs()
     cost[::7] *= -1
     cost[::11] = np.inf
-    cost_threshold = cap_of(histogram_of(cost, device), 100, device)
+    cost_threshold = find_threshold(histogram_of(cost, device), 100, device)
     expected = np.flatnonzero((cost > 0) & (cost < cost_threshold.numpy()[0]))
     assert len(expected) >= 100
     np.testing.assert_array_equal(collected(cost, cost_threshold, device), expected)
 
 
 def round_of(state, half_edges, reservation, device) -> np.ndarray:
-    """Winners of one round among the half-edges."""
-    candidates, winners = edge_list(half_edges, device), edge_list([], device, len(half_edges))
+    """The edges that one round selects among the half-edges."""
+    candidates, selected = edge_list(half_edges, device), edge_list([], device, len(half_edges))
     work = one_part(device)
     wp.launch(kernels.reserve_vertices, dim=1, inputs=[state, candidates, work], outputs=[reservation], device=device)
     wp.launch(
-        kernels.select_winners, dim=1, inputs=[state, candidates, reservation, work], outputs=[winners], device=device
+        kernels.select_collapses,
+        dim=1,
+        inputs=[state, candidates, reservation, work],
+        outputs=[selected],
+        device=device,
     )
-    wp.launch(kernels.withdraw_claims, dim=1, inputs=[state, candidates, work], outputs=[reservation], device=device)
-    return listed(winners)
+    wp.launch(kernels.clear_reservations, dim=1, inputs=[state, candidates, work], outputs=[reservation], device=device)
+    return listed(selected)
 
 
 @pytest.fixture(scope="module", params=MESHES)
-def priced(request, device):
-    """(state, faces, candidate half-edges, claims) of a mesh with all its edges priced."""
+def with_costs(request, device):
+    """(state, faces, candidate half-edges, reservations) of a mesh with the costs of all its edges."""
     points, faces = MESHES[request.param]
     mesh = build_mesh(points, faces, device)
     state = mesh.state
-    price = compute_all_costs[width_of(mesh.frames.position)]
-    wp.launch(price, dim=1, inputs=[state, mesh.frames, cost_model(), one_part(device)], device=device)
+    compute = compute_all_costs[width_of(mesh.frames.position)]
+    wp.launch(compute, dim=1, inputs=[state, mesh.frames, cost_model(), one_part(device)], device=device)
     candidates = np.flatnonzero(np.isfinite(state.edge_cost.numpy()))
     reservation = wp.full(points.shape[1], kernels.UNRESERVED, dtype=wp.int64, device=device)
     return state, faces, candidates, reservation
@@ -244,24 +237,24 @@ def ends_of(faces, h) -> set[int]:
     return {int(faces.ravel()[h]), int(np.roll(faces, -1, axis=1).ravel()[h])}
 
 
-def test_no_winner_has_an_end_in_the_star_of_another(priced, device):
-    state, faces, candidates, reservation = priced
-    winners = round_of(state, candidates, reservation, device)
-    assert len(winners) > 1
-    ends = [ends_of(faces, h) for h in winners]
+def test_no_selected_edge_has_an_end_in_the_one_ring_of_another(with_costs, device):
+    state, faces, candidates, reservation = with_costs
+    selected = round_of(state, candidates, reservation, device)
+    assert len(selected) > 1
+    ends = [ends_of(faces, h) for h in selected]
     for i, mine in enumerate(ends):
         near = oracle.closed_neighbourhood(faces, mine)
         assert all(near.isdisjoint(other) for j, other in enumerate(ends) if j != i)
 
 
-def test_cheapest_edge_always_wins(priced, device):
-    state, _, candidates, reservation = priced
+def test_cheapest_edge_always_wins(with_costs, device):
+    state, _, candidates, reservation = with_costs
     cost = state.edge_cost.numpy()[candidates]
     assert candidates[cost.argmin()] in round_of(state, candidates, reservation, device)
 
 
-def test_every_winner_is_the_cheapest_of_its_neighbourhood(priced, device):
-    state, faces, candidates, reservation = priced
+def test_every_selected_edge_is_the_cheapest_of_its_neighbourhood(with_costs, device):
+    state, faces, candidates, reservation = with_costs
     cost = state.edge_cost.numpy()
     ends = {int(h): ends_of(faces, h) for h in candidates}
     for h in round_of(state, candidates, reservation, device):
@@ -269,29 +262,29 @@ def test_every_winner_is_the_cheapest_of_its_neighbourhood(priced, device):
         assert cost[h] <= min(cost[g] for g in ends if not near.isdisjoint(ends[g]))
 
 
-def test_winners_do_not_depend_on_the_order_of_candidates(priced, device):
-    state, _, candidates, reservation = priced
+def test_selected_edges_do_not_depend_on_the_order_of_candidates(with_costs, device):
+    state, _, candidates, reservation = with_costs
     shuffled = np.random.default_rng(1).permutation(candidates)
     first, second = (np.sort(round_of(state, c, reservation, device)) for c in (candidates, shuffled))
     np.testing.assert_array_equal(first, second)
 
 
-def test_claims_are_withdrawn(priced, device):
-    state, _, candidates, reservation = priced
+def test_reservations_are_cleared(with_costs, device):
+    state, _, candidates, reservation = with_costs
     round_of(state, candidates, reservation, device)
     assert (reservation.numpy() == int(kernels.UNRESERVED)).all()
 
 
-def test_winners_of_all_rounds_are_a_maximal_independent_set(priced, device):
-    state, faces, candidates, reservation = priced
+def test_selected_edges_of_all_rounds_are_a_maximal_independent_set(with_costs, device):
+    state, faces, candidates, reservation = with_costs
     number = wp.array([1], dtype=wp.int32, device=device)
     taken, left = [], candidates
     masked = np.zeros(len(reservation), dtype=np.int32)
     while len(left):
-        winners = round_of(state, left, reservation, device)
-        assert len(winners)
-        taken += winners.tolist()
-        for h in winners:
+        selected = round_of(state, left, reservation, device)
+        assert len(selected)
+        taken += selected.tolist()
+        for h in selected:
             masked[list(oracle.closed_neighbourhood(faces, ends_of(faces, h)))] = 1
         rest = edge_list([], device, len(left))
         mask = wp.array(masked, dtype=wp.int32, device=device)
@@ -304,7 +297,7 @@ def test_winners_of_all_rounds_are_a_maximal_independent_set(priced, device):
     assert all(any(not n.isdisjoint(ends_of(faces, h)) for n in near) for h in candidates)
 
 
-def test_shrinking_drops_dead_and_sleeping_candidates(device):
+def test_shrinking_drops_dead_and_suspended_candidates(device):
     points, faces = MESHES["closed"]
     dead, suspended, kept = 0, 30, 60
     faces = faces.copy()
@@ -339,23 +332,27 @@ def test_shrinking_drops_candidates_that_were_found_costlier_than_the_threshold(
     assert listed(rest).tolist() == [60]
 
 
-def test_parts_together_find_the_winners_of_one(priced, device):
-    state, _, candidates, reservation = priced
+def test_parts_together_find_the_selected_edges_of_one(with_costs, device):
+    state, _, candidates, reservation = with_costs
     alone = round_of(state, candidates, reservation, device)
     two = wp.array(candidates, dtype=wp.int32, device=device)
-    shared, winners = new_edge_list(two, 2), new_edge_list(wp.empty_like(two), 2)
+    shared, selected = new_edge_list(two, 2), new_edge_list(wp.empty_like(two), 2)
     shared.count.assign([shared.capacity, shared.capacity])
     parts = [one_part(device, part, 2) for part in range(2)]
     for work in parts:
         wp.launch(kernels.reserve_vertices, dim=1, inputs=[state, shared, work], outputs=[reservation], device=device)
     for work in parts:
         wp.launch(
-            kernels.select_winners, dim=1, inputs=[state, shared, reservation, work], outputs=[winners], device=device
+            kernels.select_collapses,
+            dim=1,
+            inputs=[state, shared, reservation, work],
+            outputs=[selected],
+            device=device,
         )
     for work in parts:
-        wp.launch(kernels.withdraw_claims, dim=1, inputs=[state, shared, work], outputs=[reservation], device=device)
-    taken = winners.half_edge.numpy().reshape(2, -1)
-    found = [taken[part][:count] for part, count in enumerate(winners.count.numpy())]
+        wp.launch(kernels.clear_reservations, dim=1, inputs=[state, shared, work], outputs=[reservation], device=device)
+    taken = selected.half_edge.numpy().reshape(2, -1)
+    found = [taken[part][:count] for part, count in enumerate(selected.count.numpy())]
     last = len(candidates) // 2 * 2
     expected = alone if last == len(candidates) else round_of(state, candidates[:last], reservation, device)
     np.testing.assert_array_equal(np.concatenate(found), expected)

@@ -13,17 +13,17 @@ from warpqem.kernels.legality import check_collapses
 from warpqem.kernels.topology import MIRROR, SEAM
 
 
-def checked(built, half_edges, target, device, flip_tolerance=0, price=1e30) -> np.ndarray:
+def checked(built, half_edges, target, device, flip_tolerance=0, cost=1e30) -> np.ndarray:
     """Faces removed by each half-edge, 0 where illegal; ``target`` (E, K, 3).
 
-    By default edges are so dear that no distance makes them costlier.
+    By default edges are so costly that no distance makes them costlier.
     """
-    built.state.edge_cost.fill_(price)
+    built.state.edge_cost.fill_(cost)
     out = wp.full(len(half_edges), -1, dtype=wp.int32, device=device)
     legal, space = (wp.zeros(1, dtype=wp.int32, device=device) for _ in range(2))
     blocks = packed(np.asarray(target).transpose(1, 0, 2), device)
-    winners, work = edge_list(half_edges, device), one_part(device)
-    inputs = [built.state, built.frames, cost_model(), winners, blocks, flip_tolerance, work]
+    selected, work = edge_list(half_edges, device), one_part(device)
+    inputs = [built.state, built.frames, cost_model(), selected, blocks, flip_tolerance, work]
     error = wp.zeros(len(half_edges), dtype=wp.float32, device=device)
     outputs = [out, error, legal, space]
     wp.launch(check_collapses[width_of(blocks)], dim=1, inputs=inputs, outputs=outputs, device=device)
@@ -169,12 +169,12 @@ def test_verdict_does_not_depend_on_the_size_of_faces(scale, device):
     assert checked_at_middle(small, 14, 15, device) == 2
 
 
-def test_refused_edge_falls_asleep_and_a_legal_one_does_not(device):
+def test_refused_edge_is_suspended_and_a_legal_one_is_not(device):
     points, faces = meshes.grid(4, 1)
     built = build_mesh(points, faces, device)
     pinched, border = half_edge_between(faces, 2, 7), half_edge_between(faces, 1, 2)
     middle = np.array([points[[2, 7]].mean(axis=0), points[[1, 2]].mean(axis=0)])[:, None]
-    assert checked(built, [pinched, border], middle, device, price=3.0).tolist() == [0, 1]
+    assert checked(built, [pinched, border], middle, device, cost=3.0).tolist() == [0, 1]
     assert built.state.edge_cost.numpy()[[pinched, border]].tolist() == [-3, 3]
 
 
@@ -202,11 +202,11 @@ def test_edge_that_seams_made_costly_is_put_back_at_its_new_cost(device):
     h = half_edge_between(faces, u, v)
     middle = (points[None, u] + points[None, v]) / 2
     cheap = 1e-12
-    assert checked(built, [h], middle[None], device, price=cheap)[0] == 2
+    assert checked(built, [h], middle[None], device, cost=cheap)[0] == 2
     flags = built.state.vertex_flags.numpy()
     flags[[u, v]] |= int(SEAM)
     built.state.vertex_flags = wp.array(flags, dtype=wp.int32, device=device)
-    assert checked(built, [h], middle[None], device, price=cheap)[0] == 0
+    assert checked(built, [h], middle[None], device, cost=cheap)[0] == 0
     assert cheap < built.state.edge_cost.numpy()[h] < np.inf
 
 

@@ -19,9 +19,9 @@ FAR = 1e30
 
 
 class CheckedCollapse:
-    """One edge whose collapse to ``target`` (3,) is judged: faces removed, error, and the price it has then."""
+    """One edge whose collapse to ``target`` (3,) is checked: faces removed, error, and the cost it has then."""
 
-    def __init__(self, points, faces, edge, target, device, price=FAR, chains=(), **model):
+    def __init__(self, points, faces, edge, target, device, cost=FAR, chains=(), **model):
         mesh = build_mesh(points, faces, device)
         for first, second in chains:
             following, last = (a.numpy().copy() for a in (mesh.state.members.following, mesh.state.members.last))
@@ -29,16 +29,16 @@ class CheckedCollapse:
             mesh.state.members.following.assign(following)
             mesh.state.members.last.assign(last)
         half_edge = half_edge_between(faces, *edge)
-        mesh.state.edge_cost.fill_(price)
+        mesh.state.edge_cost.fill_(cost)
         blocks = packed(np.asarray(target, dtype=np.float32).reshape(1, 1, 3), device)
         removed, legal, space = (wp.zeros(1, dtype=wp.int32, device=device) for _ in range(3))
         error = wp.zeros(1, dtype=wp.float32, device=device)
-        winners = edge_list([half_edge], device)
-        inputs = [mesh.state, mesh.frames, cost_model(**model), winners, blocks, 0, one_part(device)]
+        selected = edge_list([half_edge], device)
+        inputs = [mesh.state, mesh.frames, cost_model(**model), selected, blocks, 0, one_part(device)]
         outputs = [removed, error, legal, space]
         wp.launch(check_collapses[width_of(blocks)], dim=1, inputs=inputs, outputs=outputs, device=device)
         self.removed, self.error = int(removed.numpy()[0]), float(error.numpy()[0])
-        self.price = float(mesh.state.edge_cost.numpy()[half_edge])
+        self.cost = float(mesh.state.edge_cost.numpy()[half_edge])
         self.area = mesh.state.members.area.numpy().astype(np.float64)
 
 
@@ -47,10 +47,10 @@ def expected_gap(points, faces, edge, target, members):
     moved = points.astype(np.float64).copy()
     moved[list(edge)] = target
     left = oracle.collapsed(faces, *edge)
-    star = left[np.isin(left, edge).any(axis=1)]
+    around = left[np.isin(left, edge).any(axis=1)]
     squares = []
     for query in points[members].astype(np.float64):
-        nearest = trimesh.triangles.closest_point(moved[star], np.tile(query, (len(star), 1)))
+        nearest = trimesh.triangles.closest_point(moved[around], np.tile(query, (len(around), 1)))
         squares.append(((nearest - query) ** 2).sum(axis=1).min())
     return np.array(squares)
 
@@ -87,21 +87,21 @@ def test_collapse_that_is_costlier_by_distance_is_put_off_at_its_new_cost(device
     points = points.astype(np.float32)
     u, v = faces[10, :2].tolist()
     target = points[u]
-    checked = CheckedCollapse(points, faces, (u, v), target, device, price=1e-12, key_count=3)
+    checked = CheckedCollapse(points, faces, (u, v), target, device, cost=1e-12, key_count=3)
     area = checked.area[[u, v]].sum()
     assert checked.removed == 0
-    assert checked.price == pytest.approx(3 * float(GAP_COST) * checked.error * area, rel=1e-4)
-    assert CheckedCollapse(points, faces, (u, v), target, device, price=checked.price, key_count=3).removed == 2
+    assert checked.cost == pytest.approx(3 * float(GAP_COST) * checked.error * area, rel=1e-4)
+    assert CheckedCollapse(points, faces, (u, v), target, device, cost=checked.cost, key_count=3).removed == 2
 
 
-def test_collapse_beyond_the_error_limit_has_no_price(device):
+def test_collapse_beyond_the_error_limit_has_an_infinite_cost(device):
     points, faces = meshes.bumpy_sphere(2)
     points = points.astype(np.float32)
     u, v = faces[10, :2].tolist()
     error = CheckedCollapse(points, faces, (u, v), points[u], device).error
     assert CheckedCollapse(points, faces, (u, v), points[u], device, error_limit=1.01 * error).removed == 2
     beyond = CheckedCollapse(points, faces, (u, v), points[u], device, error_limit=0.99 * error)
-    assert (beyond.removed, beyond.price) == (0, np.inf)
+    assert (beyond.removed, beyond.cost) == (0, np.inf)
 
 
 @pytest.mark.parametrize("memoryless", [False, True])

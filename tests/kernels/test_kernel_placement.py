@@ -54,7 +54,7 @@ def placed(points, faces, clusters, device, epsilon=EPSILON):
     position = packed(points, device)
     out = [wp.empty((1, position.shape[1]), dtype=position.dtype, device=device) for _ in range(2)]
     corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device)
-    clusters.pull = wp.full(1, epsilon, dtype=wp.float32, device=device)
+    clusters.stiffness = wp.full(1, epsilon, dtype=wp.float32, device=device)
     inputs = [position, corner_vertex, clusters, 0]
     wp.launch(place_vertices[width_of(position)], dim=out[0].shape, inputs=inputs, outputs=out, device=device)
     return blocks(out[0], len(points))[0], blocks(out[1], len(points))[0]
@@ -95,7 +95,7 @@ def test_vertex_that_is_not_solved_is_its_anchor(name, device):
     np.testing.assert_allclose(x, points[:, [0, 1]].mean(axis=1), atol=1e-7)
 
 
-def test_strong_pull_keeps_the_vertex_on_the_material(device):
+def test_high_stiffness_keeps_the_vertex_on_the_material(device):
     points, faces = MESHES["closed"]
     x, _ = placed(points, faces, gathered(faces, [0, 11, 5], device), device, epsilon=1e4)
     np.testing.assert_allclose(x, points[:, [0, 11, 5]].mean(axis=1), atol=1e-4)

@@ -89,19 +89,19 @@ def test_vertices_that_the_pass_did_not_mask_keep_their_planes(device):
     assert set(np.flatnonzero((mesh.quadric != before).any(axis=(1, 2)))) == {3}
 
 
-def test_edges_at_masked_vertices_get_the_price_of_all_edges(device):
+def test_edges_at_masked_vertices_get_the_cost_of_all_edges(device):
     points, faces = MESHES["open"]
     mesh = build_mesh(points, faces, device)
     width = width_of(mesh.frames.position)
     inputs = [mesh.state, mesh.frames, cost_model()]
     wp.launch(compute_all_costs[width], dim=1, inputs=[*inputs, one_part(device)], device=device)
-    prices = mesh.state.edge_cost.numpy().copy()
+    costs = mesh.state.edge_cost.numpy().copy()
     mesh.state.edge_cost.fill_(-7.0)
     given = [*inputs, *around(mesh, [2, 9], device), one_part(device)]
     wp.launch(update_neighbourhood_costs[width], dim=1, inputs=given, device=device)
     ends = np.stack([faces.ravel(), np.roll(faces, -1, axis=1).ravel()])
     near = np.isin(ends, [2, 9]).any(axis=0)
-    np.testing.assert_array_equal(mesh.state.edge_cost.numpy(), np.where(near, prices, np.float32(-7.0)))
+    np.testing.assert_array_equal(mesh.state.edge_cost.numpy(), np.where(near, costs, np.float32(-7.0)))
 
 
 def test_memoryless_order_fits_a_waving_cloth_better(device):

@@ -179,7 +179,7 @@ def test_minimiser_of_an_empty_quadric_is_the_origin(device):
     np.testing.assert_array_equal(outputs[5], np.zeros((1, 3)))
 
 
-def test_minimiser_is_accurate_at_the_least_pull_used(device):
+def test_minimiser_is_accurate_at_the_least_stiffness_used(device):
     quadrics, x = random_quadrics(16, planes=3)
     minimiser = evaluate(quadrics, x, device, epsilon=1e-3)[5]
     expected = np.array([oracle.minimiser(q, 1e-3) for q in quadrics])

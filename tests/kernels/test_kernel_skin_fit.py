@@ -6,7 +6,7 @@ import warp as wp
 
 from tests.oracles import skin as oracle
 from tests.support.meshes import rotation
-from warpqem.skinning.fit_problem import POSITION_PULL, WEIGHT_PULL, CandidateRows, SkinFit
+from warpqem.skinning.fit_problem import POSITION_REGULARISATION, WEIGHT_REGULARISATION, CandidateRows, SkinFit
 
 JOINTS, POSES, VERTICES = 5, 6, 12
 
@@ -45,9 +45,9 @@ def test_one_round_is_the_best_position_then_the_best_weights(seed, device, monk
     found_rest, found_weights, before, after = solved(given, JOINTS, device)
     for c in range(VERTICES):
         of_vertex = transforms, stiffness[c], goal[:, c]
-        position = oracle.best_position(*of_vertex, weights[c], rest[c], POSITION_PULL)
+        position = oracle.best_position(*of_vertex, weights[c], rest[c], POSITION_REGULARISATION)
         np.testing.assert_allclose(found_rest[c], position, atol=1e-9)
-        expected = oracle.best_weights(*of_vertex, position, weights[c], WEIGHT_PULL)
+        expected = oracle.best_weights(*of_vertex, position, weights[c], WEIGHT_REGULARISATION)
         np.testing.assert_allclose(found_weights[c], expected, atol=1e-7)
         assert before[c] == pytest.approx(oracle.energy(*of_vertex, rest[c], weights[c]), rel=1e-9)
         assert after[c] == pytest.approx(oracle.energy(*of_vertex, found_rest[c], found_weights[c]), rel=1e-9)

@@ -1,4 +1,4 @@
-"""Half-edges, stars, BORDER and NON_MANIFOLD of every kind of neighbourhood."""
+"""Half-edges, adjacency, BORDER and NON_MANIFOLD of every kind of neighbourhood."""
 
 from itertools import pairwise
 
@@ -71,7 +71,7 @@ def query_half_edges(
 
 
 def classified(mesh, device, flags=None):
-    """(stars, vertex flags, border marks) of a mesh."""
+    """(adjacency, vertex flags, border marks) of a mesh."""
     points, faces = mesh
     corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device)
     adjacency = build_adjacency(corner_vertex, len(points))
@@ -96,7 +96,7 @@ def queried(mesh, device):
 
 
 @pytest.mark.parametrize("name", ALL)
-def test_stars_hold_every_corner_in_ascending_order(name, device):
+def test_adjacency_holds_every_corner_in_ascending_order(name, device):
     points, faces = ALL[name]
     adjacency, _, _ = classified(ALL[name], device)
     start, corner = adjacency.start.numpy(), adjacency.corner.numpy()
@@ -104,7 +104,7 @@ def test_stars_hold_every_corner_in_ascending_order(name, device):
     assert rows == oracle.adjacency(faces, len(points))
 
 
-def test_stars_are_sorted_where_threads_fill_them_in_any_order(device):
+def test_adjacency_is_sorted_where_threads_fill_it_in_any_order(device):
     faces = np.random.default_rng(0).permutation(meshes.fan(300)[1])
     adjacency, _, _ = classified((meshes.fan(300)[0], faces), device)
     centre = adjacency.corner.numpy()[: adjacency.start.numpy()[1]]
@@ -112,7 +112,7 @@ def test_stars_are_sorted_where_threads_fill_them_in_any_order(device):
     assert (np.diff(centre) > 0).all()
 
 
-def test_dead_faces_are_left_out_of_the_stars(device):
+def test_dead_faces_are_left_out_of_the_adjacency(device):
     points, faces = meshes.octahedron()
     faces = faces.copy()
     faces[3] = -1
@@ -151,25 +151,25 @@ def test_each_edge_has_one_canonical_half_edge(name, device):
 
 
 @pytest.mark.parametrize("name", ALL)
-def test_border_and_frozen_flags(name, device):
+def test_border_and_non_manifold_flags(name, device):
     points, faces = ALL[name]
     _, flags, _ = classified(ALL[name], device)
     np.testing.assert_array_equal(flags.numpy(), oracle.vertex_flags(faces, len(points)))
 
 
 @pytest.mark.parametrize("name", WELL_FORMED)
-def test_no_vertex_of_a_manifold_mesh_is_frozen(name, device):
+def test_no_vertex_of_a_manifold_mesh_is_non_manifold(name, device):
     _, flags, _ = classified(WELL_FORMED[name], device)
     assert not (flags.numpy() & int(NON_MANIFOLD)).any()
 
 
 @pytest.mark.parametrize(
-    ("name", "frozen"),
+    ("name", "non_manifold"),
     [("bow_tie", [0]), ("double_cone", [0]), ("book", [0, 3, 6]), ("repeated_face", [0, 2, 4]), ("fins", [0, 1])],
 )
-def test_frozen_vertices_of_a_broken_mesh(name, frozen, device):
+def test_non_manifold_vertices_of_a_broken_mesh(name, non_manifold, device):
     _, flags, _ = classified(BROKEN[name], device)
-    np.testing.assert_array_equal(np.flatnonzero(flags.numpy() & int(NON_MANIFOLD)), frozen)
+    np.testing.assert_array_equal(np.flatnonzero(flags.numpy() & int(NON_MANIFOLD)), non_manifold)
 
 
 def test_border_of_a_tube_is_its_two_rims(device):

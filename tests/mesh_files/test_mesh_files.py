@@ -8,19 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
-from pxr import Usd, UsdGeom
 from typer.testing import CliRunner
 
 import warpqem
+from tests.support.mesh_files import poses, usd_frames, usd_mesh, write_files
 from tests.support.meshes import grid, icosphere
 from warpqem.cli.app import app
 from warpqem.errors import MeshFileError, OptionError
 from warpqem.mesh_files.file_names import find_mesh_files, frame_numbers, is_mesh_name, numbered_files
-from warpqem.mesh_files.reading import read_mesh_file
-from warpqem.mesh_files.writing import SurfaceValues, as_trimesh, write_frames
 from warpqem.usd import SimplifyOptions, simplify_stage
 from warpqem.usd.commands.mesh_stage import save_stage
 from warpqem.usd.commands.simplify_meshes import simplify_mesh_files
@@ -29,43 +24,6 @@ FORMATS = (".ply", ".obj", ".off", ".stl", ".glb")
 # Which have single precision numbers as they are; the others are text.
 BINARY = (".ply", ".stl", ".glb")
 HALF = SimplifyOptions(ratio=0.5, device="cpu")
-
-
-def poses(frame_count: int = 3) -> tuple[np.ndarray, np.ndarray]:
-    """Points (F, V, 3), float32, and faces of a sphere that sways."""
-    points, faces = icosphere(2)
-    moved = np.repeat(np.asarray(points, dtype=np.float32)[None], frame_count, axis=0)
-    for frame in range(frame_count):
-        moved[frame, :, 0] += np.float32(0.3) * np.sin(moved[frame, :, 2] + np.float32(frame))
-    return moved, np.asarray(faces, dtype=np.int32)
-
-
-def write_files(folder: Path, suffix: str, points: np.ndarray, faces: np.ndarray, name: str = "ball-{}") -> list[Path]:
-    """A file for each frame, numbered from 8 so that names and numbers sort in different orders."""
-    folder.mkdir(exist_ok=True)
-    files = []
-    for frame, pose in enumerate(points, start=8):
-        files.append(folder / (name.format(frame) + suffix))
-        options = {"digits": 9} if suffix == ".obj" else {}
-        trimesh.Trimesh(pose, faces, process=False).export(files[-1], **options)
-    return files
-
-
-def usd_mesh(path: Path) -> tuple[Usd.Stage, UsdGeom.Mesh]:
-    stage = Usd.Stage.Open(str(path))
-    [mesh] = [prim for prim in stage.Traverse() if prim.IsA(UsdGeom.Mesh)]
-    return stage, UsdGeom.Mesh(mesh)
-
-
-def usd_frames(path: Path) -> tuple[np.ndarray, np.ndarray, list[float]]:
-    """Points of all frames, faces, and time codes of the only mesh of a file."""
-    stage, mesh = usd_mesh(path)
-    times = mesh.GetPointsAttr().GetTimeSamples()
-    codes = times or [Usd.TimeCode.Default()]
-    points = np.array([mesh.GetPointsAttr().Get(code) for code in codes])
-    faces = np.array(mesh.GetFaceVertexIndicesAttr().Get()).reshape(-1, 3)
-    del stage
-    return points, faces, times
 
 
 @pytest.mark.parametrize("suffix", FORMATS)
@@ -342,60 +300,6 @@ def test_rate_that_is_none_is_refused(tmp_path, fps):
         simplify_mesh_files(tmp_path / "a.ply", tmp_path / "out.usdc", HALF, fps=fps)
 
 
-def test_sequence_is_simplified_as_its_arrays_are(tmp_path):
-    points, faces = poses()
-    write_files(tmp_path, ".ply", points, faces)
-    found = warpqem.simplify(warpqem.load(tmp_path / "ball-*.ply"), ratio=0.5, device="cpu")
-    expected = warpqem.simplify(points, faces, ratio=0.5, device="cpu")
-    assert np.array_equal(found.points, expected.points)
-    assert np.array_equal(found.faces, expected.faces)
-
-
-@pytest.mark.parametrize("suffix", [".usda", ".usdc", ".usdz"])
-def test_result_is_saved_as_usd(tmp_path, suffix):
-    result = warpqem.simplify(*poses(), ratio=0.5, device="cpu")
-    result.save(tmp_path / f"out{suffix}", numbers=[4, 5, 9])
-    points, faces, times = usd_frames(tmp_path / f"out{suffix}")
-    assert np.array_equal(points, result.points)
-    assert np.array_equal(faces, result.faces)
-    assert times == [4.0, 5.0, 9.0]
-
-
-def test_result_is_saved_as_mesh_files(tmp_path):
-    result = warpqem.simplify(*poses(), ratio=0.5, device="cpu")
-    files = result.save(tmp_path / "b_##.ply")
-    assert [Path(file).name for file in files] == ["b_01.ply", "b_02.ply", "b_03.ply"]
-    assert np.array_equal(warpqem.load(files).read(slice(0, 3)), result.points)
-
-
-def test_result_of_other_suffix_or_count_is_refused(tmp_path):
-    result = warpqem.simplify(*poses(), ratio=0.5, device="cpu")
-    with pytest.raises(OptionError, match="suffix"):
-        result.save(tmp_path / "out.abc")
-    with pytest.raises(OptionError, match="2 of them for 3 frames"):
-        result.save(tmp_path / "out.usda", numbers=[1, 2])
-
-
-def test_frame_of_a_result_is_a_trimesh():
-    result = warpqem.simplify(*poses(), ratio=0.5, device="cpu")
-    found = result.to_trimesh(2)
-    assert np.array_equal(found.vertices.astype(np.float32), result.points[2])
-    assert np.array_equal(found.faces, result.faces)
-
-
-def test_seams_of_values_split_vertices():
-    from warpqem.mesh_files.writing import SurfaceValues
-
-    faces = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
-    points = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=np.float32)
-    uv = np.array([[[0, 0], [1, 0], [1, 1]], [[0, 0], [0.5, 0.5], [0, 1]]], dtype=np.float32)
-    found = as_trimesh(points, faces, SurfaceValues(uv))
-    # Vertex 2 has two sides.
-    assert len(found.vertices) == 5
-    assert np.array_equal(found.vertices[found.faces], points[faces])
-    assert np.array_equal(found.visual.uv[found.faces], uv)
-
-
 def test_long_sequence_takes_no_more_memory_than_a_short_one(tmp_path):
     points, faces = icosphere(4)
     for frame in range(120):
@@ -407,15 +311,3 @@ def test_long_sequence_takes_no_more_memory_than_a_short_one(tmp_path):
     grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) * 1024
     # All points would be 120 x 2562 x 3 x 8 bytes, and what trimesh keeps of each mesh several times as much.
     assert grown < 5 * 2**20
-
-
-@pytest.mark.parametrize("with_colors", [False, True])
-@pytest.mark.parametrize("suffix", [".obj", ".off"])
-@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(points=arrays(np.float32, (4, 3), elements=st.floats(-1e6, 1e6, width=32)))
-def test_text_formats_hold_every_bit_of_points_of_any_size(tmp_path, suffix, with_colors, points):
-    faces = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
-    colors = np.random.default_rng(0).random((2, 3, 4)).astype(np.float32) if with_colors else None
-    write_frames([points], faces, 4, [str(tmp_path / f"a{suffix}")], SurfaceValues(colors=colors))
-    found = read_mesh_file(str(tmp_path / f"a{suffix}"))
-    np.testing.assert_array_equal(found.points.astype(np.float32)[found.faces], points[faces])

@@ -1,10 +1,10 @@
-"""The price of an edge collapse over frames, from the quadrics' definition."""
+"""The cost of an edge collapse over frames, from the quadrics' definition."""
 
 import numpy as np
 
 from tests.oracles.quadrics import minimiser, shifted
 
-MIDDLE_PULL = 1e-5
+MIDDLE_REGULARISATION = 1e-5
 LENGTH_COST = 1e-8
 
 
@@ -17,14 +17,15 @@ def merged(qu, qv, pu, pv, anchor):
 def edge_anchor(quadrics_u, quadrics_v, points_u, points_v) -> float:
     """``lambda`` in [0, 1] with the least sum over frames at ``(1 - lambda) p_u + lambda p_v``, by three samples.
 
-    The sum is a parabola in lambda, so its values at 0, 1/2 and 1 say all; the pull to the middle is added to it.
+    The sum is a parabola in lambda, so its values at 0, 1/2 and 1 say all; the regularisation towards the middle is
+    added to it.
     """
 
     def total(s):
         value = 0.0
         for qu, qv, pu, pv in zip(quadrics_u, quadrics_v, points_u, points_v, strict=True):
             value += merged(qu, qv, pu, pv, s).c
-            value += MIDDLE_PULL * np.trace(qu.A + qv.A) * ((pv - pu) @ (pv - pu)) * (s - 0.5) ** 2
+            value += MIDDLE_REGULARISATION * np.trace(qu.A + qv.A) * ((pv - pu) @ (pv - pu)) * (s - 0.5) ** 2
         return value
 
     low, middle, high = total(0.0), total(0.5), total(1.0)

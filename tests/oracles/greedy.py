@@ -23,24 +23,24 @@ class GreedySimplifier:
         self.x = points.astype(np.float64).transpose(1, 0, 2).copy()
         self.A, self.b, self.c = _stacked(points, faces)
         self.faces = [tuple(f) for f in faces.tolist()]
-        self.star = [set() for _ in range(points.shape[1])]
+        self.faces_of = [set() for _ in range(points.shape[1])]
         for i, f in enumerate(self.faces):
             for v in f:
-                self.star[v].add(i)
+                self.faces_of[v].add(i)
         self.alive = len(self.faces)
         self.version = [0] * points.shape[1]
         self.heap = []
 
     def ring(self, v):
-        return {w for i in self.star[v] for w in self.faces[i]} - {v}
+        return {w for i in self.faces_of[v] for w in self.faces[i]} - {v}
 
     def on_border(self, v):
-        return len(self.ring(v)) != len(self.star[v])
+        return len(self.ring(v)) != len(self.faces_of[v])
 
     def best(self, u, v):
         A, b, c = self.A[u] + self.A[v], self.b[u] + self.b[v], self.c[u] + self.c[v]
         middle = (self.x[u] + self.x[v]) / 2
-        # A weak pull to the edge's middle keeps flat stars solvable.
+        # A weak regularisation towards the edge's middle keeps flat one-rings solvable.
         soft = 1e-3 * np.trace(A, axis1=1, axis2=2)[:, None, None] * np.eye(3)
         x = np.linalg.solve(A + soft, (np.einsum("tij,tj->ti", soft, middle) - b)[..., None])[..., 0]
         cost = np.einsum("ti,tij,tj->", x, A, x) + 2 * (b * x).sum() + c.sum()
@@ -51,13 +51,13 @@ class GreedySimplifier:
         heapq.heappush(self.heap, (cost, u, v, self.version[u], self.version[v], x.tobytes()))
 
     def is_legal(self, u, v, x):
-        shared = self.star[u] & self.star[v]
+        shared = self.faces_of[u] & self.faces_of[v]
         opposites = {w for i in shared for w in self.faces[i]} - {u, v}
         if self.ring(u) & self.ring(v) != opposites or (len(shared) == 2 and self.on_border(u) and self.on_border(v)):
             return False
-        if any(len(self.star[w]) <= (1 if self.on_border(w) else 3) for w in opposites):
+        if any(len(self.faces_of[w]) <= (1 if self.on_border(w) else 3) for w in opposites):
             return False
-        for i in (self.star[u] | self.star[v]) - shared:
+        for i in (self.faces_of[u] | self.faces_of[v]) - shared:
             old = self.x[list(self.faces[i])]
             new = np.stack([x if w in (u, v) else self.x[w] for w in self.faces[i]])
             n, m = (np.cross(y[1] - y[0], y[2] - y[0]) for y in (old, new))
@@ -66,14 +66,14 @@ class GreedySimplifier:
         return True
 
     def collapse(self, u, v, x):
-        for i in self.star[u] & self.star[v]:
+        for i in self.faces_of[u] & self.faces_of[v]:
             for w in self.faces[i]:
-                self.star[w].discard(i)
+                self.faces_of[w].discard(i)
             self.alive -= 1
-        for i in self.star[v]:
+        for i in self.faces_of[v]:
             self.faces[i] = tuple(u if w == v else w for w in self.faces[i])
-        self.star[u] |= self.star[v]
-        self.star[v] = set()
+        self.faces_of[u] |= self.faces_of[v]
+        self.faces_of[v] = set()
         self.x[u] = x
         self.A[u] += self.A[v]
         self.b[u] += self.b[v]
@@ -97,7 +97,7 @@ class GreedySimplifier:
             x = np.frombuffer(packed).reshape(-1, 3)
             if self.is_legal(u, v, x):
                 self.collapse(u, v, x)
-        live = sorted({i for star in self.star for i in star})
+        live = sorted({i for around in self.faces_of for i in around})
         used, faces = np.unique([self.faces[i] for i in live], return_inverse=True)
         return self.x[used].transpose(1, 0, 2), faces.reshape(-1, 3)
 

@@ -20,7 +20,7 @@ def energy(transforms, stiffness, goal, rest, weights):
     return float(np.einsum("pi,pij,pj->", away, stiffness, away))
 
 
-def best_position(transforms, stiffness, goal, weights, start, pull):
+def best_position(transforms, stiffness, goal, weights, start, regularisation):
     """The first sub-problem: the position with the weights fixed, a 3x3 system."""
     matrix, right = np.zeros((3, 3)), np.zeros(3)
     for pose, h, y in zip(transforms, stiffness, goal, strict=True):
@@ -28,16 +28,16 @@ def best_position(transforms, stiffness, goal, weights, start, pull):
         linear, shift = blend[:, :3], blend[:, 3]
         matrix += linear.T @ h @ linear
         right += linear.T @ h @ (y - shift)
-    soft = pull * np.trace(matrix) / 3
+    soft = regularisation * np.trace(matrix) / 3
     return np.linalg.solve(matrix + soft * np.eye(3), right + soft * start)
 
 
-def best_weights(transforms, stiffness, goal, rest, start, pull, most=None):
+def best_weights(transforms, stiffness, goal, rest, start, regularisation, most=None):
     """The second: the weights with the position fixed, sum one, none below zero, by trying every set of joints."""
     away = moved(transforms, rest) - goal[:, None]
     gram = np.einsum("pki,pij,plj->kl", away, stiffness, away)
     count = len(gram)
-    soft = pull * np.trace(gram) / count
+    soft = regularisation * np.trace(gram) / count
     gram, linear = gram + soft * np.eye(count), soft * start
     best = (np.inf, start)
     for size in range(1, (most or count) + 1):

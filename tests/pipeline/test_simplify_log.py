@@ -85,7 +85,7 @@ def test_opposites_of_the_log_are_opposite_the_edge(device):
         live = collapsed(live, kept, removed)
 
 
-def test_unreachable_target_carries_the_mesh_so_far(device):
+def test_unreachable_target_holds_the_mesh_so_far(device):
     points, faces = meshes.bumpy_sphere(2)
     with pytest.raises(UnreachableTargetError, match=r"4 faces .* 2 were asked for") as caught:
         warpqem.simplify(points, faces, target_faces=2, device=device)
@@ -105,7 +105,7 @@ def test_edges_are_all_tried_before_giving_up(device):
 
 @pytest.mark.parametrize("count", [10, 42, 162])
 def test_every_free_vertex_of_a_large_mesh_is_found(count, device):
-    # More half-edges than the cap looks at one by one, and few of them at vertices that may move: the first ones of a
+    # More half-edges than the threshold looks at one by one, and few of them at vertices that may move: the first of a
     # subdivided sphere, far apart from each other.
     points, faces = meshes.icosphere(5)
     locked = np.arange(len(points)) >= count

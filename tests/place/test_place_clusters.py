@@ -4,28 +4,28 @@ import numpy as np
 import pytest
 
 from tests.support import meshes
-from warpqem.options import SimplifyOptions
+from warpqem.options import MeshOptions
 from warpqem.pipeline.prepare import prepare
-from warpqem.place.clusters import MAX_PULLED, MIN_PULL, PULLED_SIZE
+from warpqem.place.clusters import MAX_RELATIVE_SIZE, MIN_STIFFNESS, REGULARISED_SIZE
 
 
-def pull_and_size(coherence, device):
+def stiffness_and_size(coherence, device):
     """Pull of each output vertex of a sphere, and the input vertices that it stands for."""
     points, faces = meshes.icosphere(4)
-    options = SimplifyOptions(ratio=0.1, coherence=coherence, device=device)
+    options = MeshOptions(ratio=0.1, coherence=coherence, device=device)
     work = prepare(points, faces, options)
     placer = work.placer(work.order(None))
-    return placer.clusters.rows["pull"], np.bincount(placer.vertex_map)
+    return placer.clusters.rows["stiffness"], np.bincount(placer.vertex_map)
 
 
-def test_pull_grows_with_the_square_root_of_the_size(device):
-    pull, size = pull_and_size(0.5, device)
+def test_stiffness_grows_with_the_square_root_of_the_size(device):
+    stiffness, size = stiffness_and_size(0.5, device)
     assert len(np.unique(size)) > 3
-    at_once = pull[size == 4][0] / 4**0.5
-    held = size <= MAX_PULLED * PULLED_SIZE
-    np.testing.assert_allclose(pull[held], at_once * np.sqrt(size[held]), rtol=1e-5)
+    at_once = stiffness[size == 4][0] / 4**0.5
+    held = size <= MAX_RELATIVE_SIZE * REGULARISED_SIZE
+    np.testing.assert_allclose(stiffness[held], at_once * np.sqrt(size[held]), rtol=1e-5)
 
 
 @pytest.mark.parametrize("coherence", [0.0, 0.1])
 def test_no_cluster_is_pulled_less_than_float32_solves(coherence, device):
-    assert pull_and_size(coherence, device)[0].min() >= np.float32(MIN_PULL)
+    assert stiffness_and_size(coherence, device)[0].min() >= np.float32(MIN_STIFFNESS)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-import os
 import tracemalloc
 from pathlib import Path
 from typing import Any
@@ -13,16 +12,15 @@ from typing import Any
 import numpy as np
 import pytest
 import zstandard
-from typer.testing import CliRunner
 
 import warpqem
 from tests.support import meshes, progressive_cases
 from tests.support.progressive_files import (
     MADE_BEFORE,
-    NOTES,
     SMALLEST,
     Chunks,
     Header,
+    changed,
     file_bytes,
     packed,
     read_file,
@@ -31,11 +29,9 @@ from tests.support.progressive_files import (
     write_file,
     zeros,
 )
-from warpqem.cli.main import app
 from warpqem.errors import DegenerateMeshError, MemoryLimitError, OptionError, ProgressiveFileError
-from warpqem.progressive import load, read_info, save, stream
+from warpqem.progressive import load, read_info, save
 from warpqem.progressive import memory_limit as limits
-from warpqem.progressive.file import ProgressiveFile
 from warpqem.report.live import LiveLevels
 
 # What Python, NumPy and zstandard take for a file of no size.
@@ -52,13 +48,6 @@ def refused(path: Path, match: str) -> None:
         assert tracemalloc.get_traced_memory()[1] < SMALL_BYTES + 4 * path.stat().st_size
     finally:
         tracemalloc.stop()
-
-
-def changed(good: Path, chunk: int, part: int, data: bytes) -> Path:
-    """The file with another part in it."""
-    header, chunks = read_file(good)
-    chunks[chunk][part] = data
-    return write_file(good.with_name("changed.wpqm"), header, chunks)
 
 
 def numbers_of(good: Path, chunk: int, part: int, dtype: type = np.int32) -> np.ndarray:
@@ -342,44 +331,6 @@ def test_number_of_parts_that_is_wrong_is_refused(good, chunk):
     refused(write_file(good, header, chunks), "parts where .* belong")
 
 
-# Files that are none, or do not stay as they are.
-
-
-@pytest.mark.skipif(os.name != "posix", reason="pipes and devices in folders")
-def test_what_is_no_regular_file_is_refused_at_once(tmp_path):
-    os.mkfifo(tmp_path / "pipe.wpqm")
-    for path in (tmp_path, tmp_path / "pipe.wpqm", Path("/dev/zero"), Path("/dev/null")):
-        for use in (load, read_info, lambda path: list(stream(path))):
-            with pytest.raises(ProgressiveFileError, match="no regular file"):
-                use(path)
-
-
-def test_file_that_is_cut_short_while_it_is_streamed_is_named(good):
-    meshes_so_far = stream(good)
-    assert next(meshes_so_far).split_count == 0
-    os.truncate(good, good.stat().st_size // 2)
-    with pytest.raises(ProgressiveFileError, match=r"good\.wpqm: the file has become shorter while it was read"):
-        next(meshes_so_far)
-
-
-def test_chunk_that_is_changed_while_it_is_streamed_is_named(good):
-    meshes_so_far = stream(good)
-    next(meshes_so_far)
-    with open(good, "r+b") as file:
-        file.seek(-20, os.SEEK_END)
-        file.write(bytes(20))
-    with pytest.raises(ProgressiveFileError, match=r"good\.wpqm: chunk 1 is damaged"):
-        next(meshes_so_far)
-
-
-def test_open_file_stays_the_one_that_was_opened(good, sphere, tmp_path):
-    with ProgressiveFile(good) as file:
-        save(sphere, tmp_path / "other.wpqm", {**NOTES, "times": [7.0, 8.0, 9.0]})
-        os.replace(tmp_path / "other.wpqm", good)
-        assert file.load().frame_count == len(file.info.extra["times"])
-        assert file.info.extra["times"] == [1.0, 2.0, 3.0]
-
-
 # What no page can show.
 
 
@@ -394,29 +345,3 @@ def test_mesh_that_no_page_can_show_is_named(tmp_path, shape):
     path = write_file(tmp_path / "flat.wpqm", header, chunks)
     with pytest.raises(DegenerateMeshError, match=r"flat\.wpqm: .*(no faces|no extent)"):
         LiveLevels(load(path), path.name, {}, device="cpu").data()
-
-
-# The command line.
-
-
-def test_commands_name_what_is_wrong_with_a_file(good):
-    bad = changed(good, 1, 6, zeros(2**31))
-    for arguments in (
-        ["extract", str(bad), "-o", str(bad.with_suffix(".usda")), "--ratio", "1"],
-        ["info", str(good.parent)],
-    ):
-        done = CliRunner().invoke(app, ["progressive", *arguments])
-        assert done.exit_code == 1
-        assert done.stderr.startswith(f"error: {arguments[1]}: ")
-        assert len(done.stderr.splitlines()) == 1
-    done = CliRunner().invoke(app, ["view", str(bad), "--no-browser"])
-    assert done.exit_code == 1
-    assert f"error: {bad}: chunk 1: {2**31} bytes where" in done.stderr
-
-
-def test_memory_is_an_option_of_commands_that_load(good):
-    arguments = ["progressive", "extract", str(good), "-o", str(good.with_suffix(".usda")), "--ratio", "1"]
-    assert CliRunner().invoke(app, [*arguments, "--memory", "1K"]).exit_code == 1
-    assert CliRunner().invoke(app, [*arguments, "--memory", "x"]).exit_code == 2
-    assert CliRunner().invoke(app, [*arguments, "--memory", "1G"]).exit_code == 0
-    assert CliRunner().invoke(app, ["view", "in.usda", "--memory", "1G"]).exit_code == 2

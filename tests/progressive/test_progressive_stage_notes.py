@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 import warpqem
-from tests.support import progressive_cases
+from tests.support import progressive_changes
 from tests.support.progressive_files import (
     NOTES,
     UNITS,
@@ -51,7 +51,7 @@ def test_rate_that_shows_nothing_is_named(sphere, rate):
         LiveLevels(sphere, "a.wpqm", notes, device="cpu").data()
 
 
-@pytest.mark.parametrize("prim", [*progressive_cases.PATHS, None, 3, ["/A"], "\0", "x" * 10**6])
+@pytest.mark.parametrize("prim", [*progressive_changes.PATHS, None, 3, ["/A"], "\0", "x" * 10**6])
 def test_path_that_is_none_of_a_prim_is_named(sphere, tmp_path, prim):
     save(sphere, tmp_path / "bad.wpqm", {**NOTES, "prim": prim})
     with pytest.raises(WarpqemError, match=r"bad\.wpqm: .*prim") as raised:

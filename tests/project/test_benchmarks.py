@@ -195,7 +195,7 @@ def test_a_profile_does_not_change_the_result(profile):
 
 def test_every_kernel_of_a_simplification_has_a_floor(profile):
     table = profile[2].by_kernel()
-    assert {"compute_all_costs", "update_moved_costs", "commit_winners", "place_vertices"} <= set(table)
+    assert {"compute_all_costs", "update_moved_costs", "commit_collapses", "place_vertices"} <= set(table)
     assert [name for name, launches in table.items() if any(demand is None for _, demand in launches)] == []
 
 
@@ -224,10 +224,10 @@ def test_a_launch_without_threads_is_none():
 
 def test_parts_of_a_launch_add_up_to_the_whole(profile):
     work, _, taken = profile
-    pricing = [demand for _, demand in taken.by_kernel()["compute_all_costs"]]
+    costs = [demand for _, demand in taken.by_kernel()["compute_all_costs"]]
     vertices, half_edges = work.points.shape[1], 3 * len(work.faces)
-    assert sum(d.bytes for d in pricing) == pytest.approx(vertices * 16 * 52 + 12 * (half_edges + vertices))
-    assert sum(d.flops for d in pricing) == pytest.approx(half_edges / 2 * 16 * 220)
+    assert sum(d.bytes for d in costs) == pytest.approx(vertices * 16 * 52 + 12 * (half_edges + vertices))
+    assert sum(d.flops for d in costs) == pytest.approx(half_edges / 2 * 16 * 220)
 
 
 def test_kernel_shares_add_up(profile):

@@ -14,7 +14,7 @@ from PIL import Image
 from tests.support.docs import ROOT, run_line
 from warpqem.cli.main import app
 
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 GUIDES = ["pipeline.md", "batch.md", "python.md", "cookbook.md", "appearance.md"]
 
 

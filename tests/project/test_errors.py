@@ -195,5 +195,5 @@ def test_motion_features_refuse_a_bad_mesh_as_simplify_does():
 
 
 def test_unknown_attribute_of_the_package_is_an_attribute_error():
-    with pytest.raises(AttributeError, match="no attribute 'simplfy'"):
-        _ = warpqem.simplfy
+    with pytest.raises(AttributeError, match="no attribute 'simplifier'"):
+        _ = warpqem.simplifier

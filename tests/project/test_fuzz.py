@@ -139,7 +139,7 @@ def test_attribute_of_a_type_that_does_not_exist_is_named(tmp_path, name):
     assert report.prims[0].message.startswith("/Root/Cloth")
 
 
-def test_primvar_that_is_only_called_like_one_of_a_skin_is_carried(tmp_path):
+def test_primvar_that_is_only_called_like_one_of_a_skin_is_transferred(tmp_path):
     stage = skinned_stage(tmp_path / "in.usda")
     primvars = UsdGeom.PrimvarsAPI(stage.GetPrimAtPath("/Char/Body"))
     primvars.CreatePrimvar("skel:mine", Sdf.ValueTypeNames.FloatArray, "vertex").Set([1.0] * 81)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -89,7 +90,25 @@ def test_old_names_at_the_root_work_and_name_their_new_home(name):
     assert caught[0].filename == __file__
 
 
-@pytest.mark.parametrize("package", ["warpqem", "warpqem.costs", "warpqem.usd"])
+def test_old_name_of_the_options_of_a_mesh_works_and_names_the_new_one():
+    options = importlib.import_module("warpqem.options")
+    with pytest.warns(DeprecationWarning, match=r"^warpqem\.options\.SimplifyOptions is now MeshOptions$") as caught:
+        found = options.SimplifyOptions
+    assert found is options.MeshOptions
+    assert caught[0].filename == __file__
+
+
+def test_no_two_classes_share_a_name():
+    # Private ones aside, which a module has to itself.
+    found: dict[str, list[str]] = {}
+    for path in sorted(path for path in (ROOT / "warpqem").rglob("*.py") if "kernels" not in path.parts):
+        for name in re.findall(r"^class ([A-Z]\w*)", path.read_text(), re.MULTILINE):
+            found.setdefault(name, []).append(str(path.relative_to(ROOT)))
+    assert len(found) > 100
+    assert {name: paths for name, paths in found.items() if len(paths) > 1} == {}
+
+
+@pytest.mark.parametrize("package", ["warpqem", "warpqem.costs", "warpqem.options", "warpqem.usd"])
 def test_a_name_that_is_nowhere_is_an_attribute_error(package):
     with pytest.raises(AttributeError, match=f"module '{package}' has no attribute 'nonsense'"):
         getattr(importlib.import_module(package), "nonsense")  # noqa: B009

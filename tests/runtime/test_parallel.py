@@ -9,8 +9,17 @@ import pytest
 import warp as wp
 
 from warpqem.runtime import cpu_threads as parallel
-from warpqem.runtime import launches
+from warpqem.runtime import launches, part_launches
 from warpqem.runtime.cpu_threads import launch_parts, run_parts, split_range
+from warpqem.runtime.part_launches import (
+    FIRST_ITEM,
+    PerPart,
+    columns_of,
+    corners_of,
+    launch_in_parts,
+    rows_of,
+    starts_of,
+)
 
 
 @wp.kernel(enable_backward=False)
@@ -40,12 +49,39 @@ def test_slices_cover_the_range_once(count, parts):
 def test_parts_of_a_launch_cover_all_items(three_threads):
     x = wp.array(np.arange(10), dtype=wp.float32, device="cpu")
     out = wp.zeros_like(x)
-
-    def launch(part):
-        wp.launch(square, dim=part.stop - part.start, inputs=[x[part]], outputs=[out[part]], device="cpu")
-
-    launch_parts(launch, len(x), "cpu")
+    launch_in_parts(square, len(x), [rows_of(x)], [rows_of(out)], device="cpu")
     np.testing.assert_array_equal(out.numpy(), np.arange(10.0) ** 2)
+
+
+ITEMS = np.arange(30)
+IN_PARTS = [slice(0, 3), slice(3, 6), slice(6, 10)]
+
+
+@pytest.mark.parametrize(
+    ("argument", "expected"),
+    [
+        (rows_of(ITEMS), [ITEMS[:3], ITEMS[3:6], ITEMS[6:10]]),
+        (columns_of(ITEMS.reshape(3, 10)), [ITEMS.reshape(3, 10)[:, part] for part in IN_PARTS]),
+        (corners_of(ITEMS), [ITEMS[:9], ITEMS[9:18], ITEMS[18:30]]),
+        (starts_of(ITEMS[:11]), [ITEMS[:4], ITEMS[3:7], ITEMS[6:11]]),
+        (FIRST_ITEM, [0, 3, 6]),
+        (PerPart(lambda part: part.stop), [3, 6, 10]),
+        ("the same", ["the same"] * 3),
+    ],
+)
+def test_each_part_gets_its_own_of_an_argument(argument, expected, three_threads, monkeypatch):
+    seen = {}
+
+    def note(kernel, dim, inputs, outputs, *, device):
+        seen[inputs[0].start] = (dim, inputs[1], outputs[0])
+
+    monkeypatch.setattr(part_launches, "launch", note)
+    launch_in_parts(square, (10, 7), [PerPart(lambda part: part), argument], [argument], device="cpu")
+    found = [seen[part.start] for part in IN_PARTS]
+    assert [dim for dim, _, _ in found] == [(3, 7), (3, 7), (4, 7)]
+    for (_, given, written), value in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(given, value)
+        np.testing.assert_array_equal(written, value)
 
 
 def test_threads_load_a_module_once(three_threads, monkeypatch):

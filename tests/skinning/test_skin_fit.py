@@ -19,7 +19,7 @@ from tests.support.skin_fit import (
 from warpqem.errors import MeshShapeError, OptionError
 from warpqem.kernels.skin_fit import REACH
 from warpqem.pipeline.surface_transfer import surface_transfer
-from warpqem.skinning.fit_problem import SURFACE_PULL, WEIGHT_PULL
+from warpqem.skinning.fit_problem import SURFACE_REGULARISATION, WEIGHT_REGULARISATION
 from warpqem.skinning.fit_skin import fit_skin
 from warpqem.skinning.linear_skin import LinearSkin, blend_influences, blend_skin, normalised_weights, pose_skin
 
@@ -90,7 +90,7 @@ def interpolated_of(skin, poses, faces, result) -> np.ndarray:
 
 
 def normal_equations(poses, faces, result, vertex, rest, start, unit) -> tuple[np.ndarray, np.ndarray]:
-    """``G`` with its pull, and what pulls, for one output vertex, as the module's docstring says."""
+    """``G`` with its regularisation, and the right side, for one output vertex, as the module's docstring says."""
     gram = np.zeros((4, 4))
     for pose, goal, transform in zip(poses, result.points[:, vertex] * unit, TRANSFORMS, strict=True):
         corner = pose[faces].astype(np.float64)
@@ -99,13 +99,13 @@ def normal_equations(poses, faces, result, vertex, rest, start, unit) -> tuple[n
         share = (result.vertex_map[faces] == vertex).sum(axis=1) * 0.5 / length
         matrix = np.einsum("f,fi,fj->ij", share, cross, cross)
         reach = float(REACH) * np.sqrt(np.trace(matrix) / (3 * np.pi))
-        matrix += SURFACE_PULL * np.trace(matrix) * np.eye(3)
+        matrix += SURFACE_REGULARISATION * np.trace(matrix) * np.eye(3)
         slope = np.einsum("f,fi,f->i", share, cross, np.einsum("fi,fi->f", cross, goal - corner[:, 0]))
         away = np.linalg.solve(matrix, slope)
         goal = goal - away * min(1.0, reach / max(np.linalg.norm(away), 1e-30))
         away = transform[:, :, :3] @ rest + transform[:, :, 3] * unit - goal
         gram += away @ matrix @ away.T
-    soft = WEIGHT_PULL * np.trace(gram) / 4
+    soft = WEIGHT_REGULARISATION * np.trace(gram) / 4
     return gram + soft * np.eye(4), soft * start[vertex]
 
 

@@ -35,8 +35,8 @@ def test_matrix_measures_displacements_of_the_rest_position_in_the_poses():
     linear = np.einsum("k,pkab->pab", SKIN.weights[vertex], TRANSFORMS[:, SKIN.joints[vertex], :, :3])
     total = 0.0
     for pose, matrix in zip(pose_skin(SKIN, TRANSFORMS), linear, strict=True):
-        star = FACES[(vertex == FACES).any(axis=1)]
-        cross = np.cross(pose[star[:, 1]] - pose[star[:, 0]], pose[star[:, 2]] - pose[star[:, 0]])
+        around = FACES[(vertex == FACES).any(axis=1)]
+        cross = np.cross(pose[around[:, 1]] - pose[around[:, 0]], pose[around[:, 2]] - pose[around[:, 0]])
         area = np.linalg.norm(cross, axis=1) / 2
         total += (area * (cross / (2 * area[:, None]) @ (matrix @ step)) ** 2).sum()
     matrices = pulled_back_matrices(pose_skin(SKIN, TRANSFORMS), FACES, SKIN, TRANSFORMS)

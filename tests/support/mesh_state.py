@@ -3,7 +3,7 @@
 import numpy as np
 import warp as wp
 
-from warpqem.decimation.adjacency import build_adjacency, classify_vertices
+from warpqem.decimation.adjacency import Adjacency, build_adjacency, classify_vertices
 from warpqem.decimation.attribute_quadrics import build_wedges
 from warpqem.decimation.cluster_vertices import build_members
 from warpqem.decimation.deformation import build_deformation
@@ -16,9 +16,9 @@ from warpqem.kernels.work import EdgeList, Work
 
 
 def one_part(device, part=0, part_count=1) -> Work:
-    """The whole work in one lane, or one part of it."""
+    """The whole work in one thread, or one part of it."""
     work = Work()
-    work.part, work.part_count, work.lanes = part, part_count, 1
+    work.part, work.part_count, work.thread_count = part, part_count, 1
     return work
 
 
@@ -29,10 +29,10 @@ def blocks(values, frame_count) -> np.ndarray:
 
 
 class DeviceMesh:
-    """A mesh on the device: its state, its key frames as the kernels see them and as (V, K, C)."""
+    """A mesh on the device: its state, its adjacency, its key frames as the kernels see them and as (V, K, C)."""
 
-    def __init__(self, state: MeshState, frames, key_count: int) -> None:
-        self.state, self.frames, self.key_count = state, frames, key_count
+    def __init__(self, state: MeshState, adjacency: Adjacency, frames, key_count: int) -> None:
+        self.state, self.adjacency, self.frames, self.key_count = state, adjacency, frames, key_count
 
     @property
     def position(self) -> np.ndarray:
@@ -63,7 +63,7 @@ def build_mesh(
 ) -> DeviceMesh:
     """Points (K, V, 3) or (V, 3), taken as they are, and faces; every frame is a key frame.
 
-    The pool of stars has room for ``spare`` corners more than the mesh has, by default as many again.
+    The adjacency pool has room for ``spare`` corners more than the mesh has, by default as many again.
     """
     points = points[None] if points.ndim == 2 else points
     vertex_count = points.shape[1]
@@ -94,7 +94,18 @@ def build_mesh(
     state.trajectory, state.deformation = build_deformation(trajectories, len(faces), device, chunk_frames)
     if with_trajectory:
         wp.launch(measure_all_deformation, dim=1, inputs=[state, one_part(device)], device=device)
-    return DeviceMesh(state, frames, len(points))
+    return DeviceMesh(state, adjacency, frames, len(points))
+
+
+def state_of_costs(cost, device) -> MeshState:
+    """Faces of which nothing is known but the costs at their half-edges, filled up with inf."""
+    state = MeshState()
+    face_count = -(-len(cost) // 3)
+    state.face_count = wp.array([face_count], dtype=wp.int32, device=device)
+    filled = np.full(3 * face_count, np.inf, dtype=np.float32)
+    filled[: len(cost)] = cost
+    state.edge_cost = wp.array(filled, device=device)
+    return state
 
 
 def cost_model(epsilon=0.1, endpoint=False, error_limit=np.inf, deformation_weight=0.0, key_count=1) -> CostModel:

@@ -203,3 +203,11 @@ def swaying_sphere(subdivisions: int = 3, frames: int = 8) -> Mesh:
         z = points[:, 2] * (1 + 0.3 * t * np.sin(3 * points[:, 0]))
         moved.append(np.stack([x, y, z], axis=1))
     return np.asarray(moved, dtype=np.float32), faces
+
+
+def shape_quality(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Return 4 sqrt(3) area / sum of squared edge lengths: 1 for equilateral triangles, 0 for degenerate ones."""
+    corner = points[faces].astype(float)
+    length_squared = ((corner - np.roll(corner, 1, axis=1)) ** 2).sum(axis=(1, 2))
+    double_area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
+    return 2.0 * np.sqrt(3.0) * double_area / length_squared

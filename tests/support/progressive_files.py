@@ -120,3 +120,10 @@ def write_file(path: Path, header: Header, chunks: Chunks) -> Path:
     """A file whose chunks are where the header says."""
     path.write_bytes(file_bytes(with_table(header, chunks), chunks))
     return path
+
+
+def changed(good: Path, chunk: int, part: int, data: bytes) -> Path:
+    """The file with another part in it."""
+    header, chunks = read_file(good)
+    chunks[chunk][part] = data
+    return write_file(good.with_name("changed.wpqm"), header, chunks)

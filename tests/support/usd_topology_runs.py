@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom, Vt
 
 from tests.support.usd_stages import quad_grid
+from warpqem.usd import SimplifyOptions, simplify_stage
 
 PATH = "/Root/Capture"
 
@@ -48,3 +52,45 @@ def define_capture(
                 patch.Set(Vt.IntArray.FromNumpy(left.astype(np.int32) + 10 * run), time)
                 half.CreateIndicesAttr().Set(Vt.IntArray.FromNumpy(np.flatnonzero(left).astype(np.int32)), time)
     return mesh
+
+
+# A prim does not keep its stage alive.
+HELD: list[Usd.Stage] = []
+
+
+def capture(path: Path, sizes: list[int], frames: int, **options: Any) -> UsdGeom.Mesh:
+    """The same as the only mesh of a file."""
+    stage = Usd.Stage.CreateNew(str(path))
+    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/Root").GetPrim())
+    define_capture(stage, sizes, frames, **options)
+    stage.Save()
+    HELD.append(stage)
+    return UsdGeom.Mesh(stage.GetPrimAtPath(PATH))
+
+
+def simplified(folder: Path, **options: Any) -> tuple[Any, UsdGeom.Mesh]:
+    """The report on the only mesh of in.usda, and that mesh of the output."""
+    report = simplify_stage(folder / "in.usda", folder / "out.usda", SimplifyOptions(device="cpu", **options))
+    [prim] = report.prims
+    stage = Usd.Stage.Open(str(folder / "out.usda"))
+    HELD.append(stage)
+    return prim, UsdGeom.Mesh(stage.GetPrimAtPath(PATH))
+
+
+def check_at(mesh: UsdGeom.Mesh, time: float) -> None:
+    """Everything that a renderer reads of a mesh at one time fits together."""
+    counts, indices = (
+        np.asarray(attribute.Get(time))
+        for attribute in (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr())
+    )
+    points = np.asarray(mesh.GetPointsAttr().Get(time))
+    assert counts.sum() == len(indices)
+    assert indices.min() >= 0
+    assert indices.max() < len(points)
+    sizes = {"vertex": len(points), "uniform": len(counts), "faceVarying": len(indices)}
+    for primvar in UsdGeom.PrimvarsAPI(mesh).GetPrimvarsWithAuthoredValues():
+        assert len(primvar.ComputeFlattened(time)) == sizes[primvar.GetInterpolation()], primvar.GetAttr().GetPath()
+    for subset in UsdGeom.Subset.GetAllGeomSubsets(mesh):
+        members = np.asarray(subset.GetIndicesAttr().Get(time))
+        assert 0 < len(members) < len(counts)
+        assert members.max() < len(counts)

@@ -13,12 +13,12 @@ from tests.support.usd_checks import check_stage, compare_properties, metadata, 
 from warpqem.usd import SimplifyOptions, simplify_stage
 from warpqem.usd.write.stage_report import StageReport
 
-CARRIED = [*KINDS, "sized", "moving", "indexed", "turning"]
+TRANSFERRED = [*KINDS, "sized", "moving", "indexed", "turning"]
 
 # What becomes of the properties of the mesh. All that is not named here is kept, value by value, with its metadata.
 RECOMPUTED = ["points", "faceVertexCounts", "faceVertexIndices", "extent", "subdivisionScheme"]
 REMAPPED = [
-    *(f"primvars:{name}_{kind}" for name in CARRIED for kind in LENGTHS if kind != "constant"),
+    *(f"primvars:{name}_{kind}" for name in TRANSFERRED for kind in LENGTHS if kind != "constant"),
     *("primvars:st", "primvars:gaps", "primvars:normals", "primvars:blockedOnce"),
     *("normals", "velocities", "accelerations"),
 ]  # fmt: skip

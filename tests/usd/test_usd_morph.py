@@ -14,13 +14,15 @@ from warpqem.costs.blend_shape_weights import morph_weights
 from warpqem.errors import OptionError
 from warpqem.usd import SimplifyOptions, simplify_stage
 from warpqem.usd.commands.blend_shape_weights import morph_scale
-from warpqem.usd.commands.mesh_job import MeshJob, ReadOptions
+from warpqem.usd.commands.mesh_job import MeshJob
 from warpqem.usd.read.read_mesh import MeshSource
 from warpqem.usd.read.skeleton_poses import StagePoses
 
 
 def job_of(stage: Usd.Stage, path: str, **options: bool) -> MeshJob:
-    return MeshJob.prepare(MeshSource(stage.GetPrimAtPath(path), StagePoses(stage)), ReadOptions(**options))
+    return MeshJob.prepare(
+        MeshSource(stage.GetPrimAtPath(path), StagePoses(stage)), SimplifyOptions(ratio=1.0, **options)
+    )
 
 
 @pytest.mark.parametrize("bake", [False, True])

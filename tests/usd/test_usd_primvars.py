@@ -106,7 +106,7 @@ def test_seam_stays_a_line_of_edges(flat):
     flat.primvar("island", NAMES.FloatArray, "faceVarying").Set((100.0 * right).tolist())
     mesh = flat.simplified()
     x = points_of(mesh)[faces_of(mesh)][:, :, 0]
-    # A tenth of a quad: the pull to the material may move vertices a little off the line.
+    # A tenth of a quad: the regularisation towards the material may move vertices a little off the line.
     assert ((x <= SIZE / 2 + 0.1).all(axis=1) | (x >= SIZE / 2 - 0.1).all(axis=1)).all()
 
 
@@ -146,7 +146,7 @@ def test_elements_of_several_numbers_stay_together(flat):
     np.testing.assert_allclose(value_of(mesh, "pair").reshape(-1, 2), points_of(mesh)[:, :2], atol=1e-4)
 
 
-def test_every_sample_is_carried(flat):
+def test_every_sample_is_transferred(flat):
     primvar = flat.primvar("x", NAMES.FloatArray, "vertex")
     for time in (3.0, 7.5):
         primvar.Set((time * POINTS[:, 0]).tolist(), time)
@@ -215,7 +215,7 @@ def test_attribute_of_another_length_is_left_alone(flat):
     assert list(flat.simplified().GetPrim().GetAttribute("studio:x").Get()) == [1.0, 2.0]
 
 
-def test_velocities_at_the_times_of_the_points_are_carried(flat):
+def test_velocities_at_the_times_of_the_points_are_transferred(flat):
     flat.mesh.GetPointsAttr().Clear()
     for time in (1.0, 2.0):
         flat.mesh.GetPointsAttr().Set(Vt.Vec3fArray.FromNumpy(POINTS + np.float32(time)), time)

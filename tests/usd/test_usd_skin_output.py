@@ -110,7 +110,7 @@ def test_bake_option_writes_point_samples(tmp_path):
     assert dropped == []
 
 
-def test_normals_of_the_rest_shape_are_carried(tmp_path):
+def test_normals_of_the_rest_shape_are_transferred(tmp_path):
     source = skinned_stage(tmp_path / "in.usda")
     UsdGeom.Mesh(source.GetPrimAtPath(BODY)).CreateNormalsAttr([Gf.Vec3f(0, 0, 1)] * 81)
     source.Save()

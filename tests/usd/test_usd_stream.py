@@ -15,9 +15,8 @@ from tests.support.usd_stages import cloth_stage, define_cloth, quad_grid, skinn
 from tests.support.usd_stream import CLOTH, STAGES, TIMES, simplify, text_of, written
 from warpqem.errors import StageError
 from warpqem.frames.stream import NoFrames, held_bytes
-from warpqem.pipeline.memory_plan import parse_bytes
 from warpqem.usd import SimplifyOptions, color_features, simplify_stage
-from warpqem.usd.commands.mesh_job import MeshJob, ReadOptions
+from warpqem.usd.commands.mesh_job import MeshJob
 from warpqem.usd.read.read_mesh import MeshSource, PoseFrames
 from warpqem.usd.read.skeleton_poses import StagePoses
 from warpqem.usd.read.value_arrays import Samples
@@ -61,7 +60,7 @@ def test_memory_decides_the_blocks_and_no_bit_of_the_result(tmp_path, monkeypatc
 def test_small_clips_are_kept_where_memory_has_room_and_the_plan_counts_them(memory, kept):
     stage = cloth_stage(times=TIMES)
     source = MeshSource(stage.GetPrimAtPath(CLOTH), StagePoses(stage))
-    options = ReadOptions(memory=None if memory is None else parse_bytes(memory))
+    options = SimplifyOptions(ratio=1.0, memory=memory)
     job = MeshJob.prepare(source, options)
     assert held_bytes(job.frames) == (12 * 21 * 81 if kept else 0)
     frames = PoseFrames(source, TIMES, job.mesh.used_points)

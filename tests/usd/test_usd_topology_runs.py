@@ -3,59 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
 
-from tests.support.usd_topology_runs import PATH, bumps, define_capture
+from tests.support.usd_topology_runs import HELD, PATH, bumps, capture, check_at, define_capture, simplified
 from warpqem.errors import OptionError, StageError
-from warpqem.usd import CompareOptions, FrameRange, SimplifyOptions, compare_stages, inspect_stage, simplify_stage
-from warpqem.usd.commands.render import RenderOptions, render_sheet
-from warpqem.usd.commands.report_page import write_simplify_report
+from warpqem.usd import FrameRange, SimplifyOptions, simplify_stage
 from warpqem.usd.read.topology_runs import find_runs
-
-# A prim does not keep its stage alive.
-HELD: list[Usd.Stage] = []
-
-
-def capture(path: Path, sizes: list[int], frames: int, **options: Any) -> UsdGeom.Mesh:
-    """The same as the only mesh of a file."""
-    stage = Usd.Stage.CreateNew(str(path))
-    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/Root").GetPrim())
-    define_capture(stage, sizes, frames, **options)
-    stage.Save()
-    HELD.append(stage)
-    return UsdGeom.Mesh(stage.GetPrimAtPath(PATH))
-
-
-def simplified(folder: Path, **options: Any) -> tuple[Any, UsdGeom.Mesh]:
-    """The report on the only mesh of in.usda, and that mesh of the output."""
-    report = simplify_stage(folder / "in.usda", folder / "out.usda", SimplifyOptions(device="cpu", **options))
-    [prim] = report.prims
-    stage = Usd.Stage.Open(str(folder / "out.usda"))
-    HELD.append(stage)
-    return prim, UsdGeom.Mesh(stage.GetPrimAtPath(PATH))
-
-
-def check_at(mesh: UsdGeom.Mesh, time: float) -> None:
-    """Everything that a renderer reads of a mesh at one time fits together."""
-    counts, indices = (
-        np.asarray(attribute.Get(time))
-        for attribute in (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr())
-    )
-    points = np.asarray(mesh.GetPointsAttr().Get(time))
-    assert counts.sum() == len(indices)
-    assert indices.min() >= 0
-    assert indices.max() < len(points)
-    sizes = {"vertex": len(points), "uniform": len(counts), "faceVarying": len(indices)}
-    for primvar in UsdGeom.PrimvarsAPI(mesh).GetPrimvarsWithAuthoredValues():
-        assert len(primvar.ComputeFlattened(time)) == sizes[primvar.GetInterpolation()], primvar.GetAttr().GetPath()
-    for subset in UsdGeom.Subset.GetAllGeomSubsets(mesh):
-        members = np.asarray(subset.GetIndicesAttr().Get(time))
-        assert 0 < len(members) < len(counts)
-        assert members.max() < len(counts)
 
 
 def height_error(mesh: UsdGeom.Mesh, time: float) -> float:
@@ -348,66 +304,6 @@ def test_topology_before_its_points_shows_what_was_there(tmp_path):
     _, after = simplified(tmp_path, ratio=0.5)
     for time in (0.0, 1.0, 1.5, 2.0):
         check_at(after, time)
-
-
-def test_info_describes_the_runs(tmp_path):
-    capture(tmp_path / "in.usda", [10, 12, 9], 4)
-    [info] = inspect_stage(tmp_path / "in.usda")
-    assert (info.runs, info.frames, info.first_time, info.last_time) == (3, 12, 0, 11)
-    assert (info.faces, info.triangles, info.subsets, info.uv_sets) == (100, 200, ["half"], ["st"])
-    assert info.problems == [
-        "topology varies over time: 3 runs of constant topology (81 to 144 faces); "
-        "the figures are those of times 0 to 3"
-    ]
-
-
-def test_comparison_goes_run_by_run(tmp_path):
-    capture(tmp_path / "in.usda", [10, 14], 4)
-    simplified(tmp_path, ratio=0.3)
-    heatmap = tmp_path / "heat.usda"
-    options = CompareOptions(samples=2000, device="cpu", heatmap=str(heatmap))
-    [pair] = compare_stages(tmp_path / "in.usda", tmp_path / "out.usda", options)
-    assert pair.message is None
-    assert pair.times == list(range(8))
-    assert pair.comparison.frame_count == len(pair.comparison.per_frame.rms) == 8
-    assert 0 < pair.comparison.rms < 1
-    assert pair.comparison.jitter is not None
-    stage = Usd.Stage.Open(str(heatmap))
-    HELD.append(stage)
-    check_at(UsdGeom.Mesh(stage.GetPrimAtPath(PATH)), 5.0)
-
-
-def test_comparison_of_a_mesh_with_itself_finds_nothing(tmp_path):
-    capture(tmp_path / "in.usda", [10, 14], 2)
-    [pair] = compare_stages(tmp_path / "in.usda", tmp_path / "in.usda", CompareOptions(samples=500, device="cpu"))
-    assert pair.comparison.hausdorff < 1e-3
-
-
-def test_pictures_show_each_topology(tmp_path):
-    capture(tmp_path / "in.usda", [6, 9], 2)
-    simplified(tmp_path, ratio=0.3)
-    options = RenderOptions(pictures=4, size=(80, 60), device="cpu", heatmap=True)
-    scale = render_sheet(tmp_path / "out.usda", tmp_path / "sheet.png", options, tmp_path / "in.usda")
-    assert 0 < scale < 10
-
-
-def test_page_with_one_topology_names_what_it_leaves_out(tmp_path):
-    capture(tmp_path / "in.usda", [6, 9], 2)
-    stage = Usd.Stage.Open(str(tmp_path / "in.usda"))
-    define_capture(stage, [8], 2, path="/Root/Other")
-    stage.Save()
-    options = SimplifyOptions(ratio=0.5, device="cpu")
-    report = simplify_stage(tmp_path / "in.usda", tmp_path / "out.usda", options)
-    write_simplify_report(tmp_path / "page.html", report, options)
-    assert f"{PATH}: not shown, its topology varies over time" in (tmp_path / "page.html").read_text()
-
-
-def test_page_of_nothing_else_says_so(tmp_path):
-    capture(tmp_path / "in.usda", [6, 9], 2)
-    options = SimplifyOptions(ratio=0.5, device="cpu")
-    report = simplify_stage(tmp_path / "in.usda", tmp_path / "out.usda", options)
-    with pytest.raises(StageError, match=f"{PATH}: its topology varies over time"):
-        write_simplify_report(tmp_path / "page.html", report, options)
 
 
 def test_faces_without_points_at_any_time_are_refused(tmp_path):

@@ -67,7 +67,7 @@ def test_attribute_of_another_type_is_read_written_as_the_schemas_and_noted(tmp_
     assert report.problems == [f"{CLOTH}.{name}: {kind} in the file, taken as {declared}"]
 
 
-def test_values_that_are_indexed_and_sampled_are_carried(tmp_path):
+def test_values_that_are_indexed_and_sampled_are_transferred(tmp_path):
     mesh = cloth()
     primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", NAMES.TexCoord2fArray, "faceVarying")
     points = np.array(mesh.GetPointsAttr().Get())

@@ -63,7 +63,7 @@ def test_choice_is_read_as_it_is_written(text, choice):
     assert str(choice) == text
 
 
-@pytest.mark.parametrize("text", ["", "LOD", "=LOD1", "LOD=", "Root{LOD=LOD1}", "/Root{LOD}", "/Ro ot{LOD=LOD1}"])
+@pytest.mark.parametrize("text", ["", "LOD", "=LOD1", "LOD=", "Root{LOD=LOD1}", "/Root{LOD}", "/Body 1{LOD=LOD1}"])
 def test_what_is_no_choice_is_refused(text):
     with pytest.raises(OptionError, match="expected SET=NAME"):
         VariantChoice.parse(text)

@@ -13,7 +13,8 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdSkel
 import warpqem
 from tests.support.usd_stages import FRAMES, cloth_stage, skinned_stage
 from warpqem.errors import OptionError, StageError
-from warpqem.usd.commands.mesh_job import MeshJob, ReadOptions
+from warpqem.usd import SimplifyOptions
+from warpqem.usd.commands.mesh_job import MeshJob
 from warpqem.usd.read.read_mesh import MeshSource
 from warpqem.usd.read.skeleton_poses import StagePoses
 from warpqem.usd.read.stage_views import copy_stage_metadata
@@ -44,7 +45,7 @@ class Replacement:
 def simplified(source: Usd.Stage, path: str = CLOTH) -> Replacement:
     """A mesh simplified to 40 faces, baked where it has a skin."""
     mesh_source = MeshSource(source.GetPrimAtPath(path), StagePoses(source))
-    job = MeshJob.prepare(mesh_source, ReadOptions(bake=True))
+    job = MeshJob.prepare(mesh_source, SimplifyOptions(ratio=1.0, bake=True))
     result = warpqem.simplify(job.frames, job.faces, target_faces=40, seams=job.seams.hold(), device="cpu")
     return Replacement(job.written_times, result.points, result.faces, job.transfer(result, "cpu"))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 if TYPE_CHECKING:
     import numpy as np
@@ -44,13 +44,13 @@ class HasDlpack(Protocol):
 
 if TYPE_CHECKING:
     # An array on the host or on a GPU, or nested lists.
-    ArrayInput = (
+    ArrayInput: TypeAlias = (
         np.ndarray[Any, Any] | wp.array[Any] | HasArrayInterface | HasCudaArrayInterface | HasDlpack | Sequence[Any]
     )
     # Points (F, V, 3) or (V, 3), or a source of frames.
-    Points = ArrayInput | FrameSource
+    Points: TypeAlias = ArrayInput | FrameSource
     # The same, or a mesh that has faces of its own.
-    MeshPoints = Points | MeshSequence | trimesh.Trimesh
+    MeshPoints: TypeAlias = Points | MeshSequence | trimesh.Trimesh
 else:
     # What they name is loaded when it is used; here nothing is.
     ArrayInput = Points = MeshPoints = Any

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from warpqem.arguments.json_types import Json
 from warpqem.errors import WarpqemError
 
-__all__ = ["DONE", "FAILED", "PARTIAL", "SKIPPED", "BatchResult", "named"]
+__all__ = ["DONE", "FAILED", "PARTIAL", "SKIPPED", "BatchResult", "named", "report_of"]
 
 DONE, PARTIAL, FAILED, SKIPPED = "done", "partial", "failed", "skipped"
 
@@ -46,17 +47,22 @@ class BatchResult:
     attempts: int = 1
     peak_memory: int | None = None
     process: str | None = None
-    report: dict[str, Any] | None = None
-    fingerprint: dict[str, Any] | None = None
+    report: dict[str, Json] | None = None
+    fingerprint: dict[str, Json] | None = None
 
     @property
     def ok(self) -> bool:
         """True if the whole output is there."""
         return self.status in (DONE, SKIPPED)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Json]:
         """Plain dictionaries, lists, numbers and None, ready for JSON."""
         return asdict(self)
+
+
+def report_of(result: BatchResult) -> dict[str, Any]:
+    """The report of an asset, empty without one; what its entries are only `StageReport.to_dict` says."""
+    return result.report or {}
 
 
 def named(source: str, error: Exception) -> str:

@@ -15,7 +15,7 @@ from types import TracebackType
 from typing import Any
 
 from warpqem.batching.fingerprint import files_hash, is_current
-from warpqem.batching.job_result import DONE, BatchResult
+from warpqem.batching.job_result import DONE, BatchResult, report_of
 from warpqem.batching.jobs import BatchJob
 from warpqem.errors import BatchError
 from warpqem.files.file_kinds import check_regular
@@ -72,7 +72,7 @@ class Journal:
             return
         record = {
             "output": self._key(result.output),
-            "output_hash": files_hash((result.report or {}).get("outputs") or [result.output]),
+            "output_hash": files_hash(report_of(result).get("outputs") or [result.output]),
             "fingerprint": result.fingerprint,
         }
         try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import Annotated, Any
 
 import typer
@@ -46,7 +47,7 @@ app = typer.Typer(
 )
 
 for command in (simplify, batch, info, compare, features, render, view):
-    app.command(epilog=epilog(command.__name__))(command)
+    app.command(epilog=epilog(*sys.modules[command.__module__].EXAMPLES))(command)
 app.add_typer(progressive)
 app.add_typer(face)
 

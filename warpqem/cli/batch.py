@@ -35,7 +35,13 @@ if TYPE_CHECKING:
     from warpqem.batching.jobs import BatchJob
     from warpqem.batching.manifest import Manifest, WrongLine
 
-__all__ = ["batch"]
+__all__ = ["EXAMPLES", "batch"]
+
+# Under its help; tests run them.
+EXAMPLES = (
+    "warpqem batch 'talking*.usdc' cape_wind.usdc -o small --ratio 0.2 --jobs 1 --json results.jsonl",
+    "warpqem batch 'talking*.usdc' cape_wind.usdc -o small --ratio 0.2 --resume",
+)
 
 
 class EngineName(str, Enum):

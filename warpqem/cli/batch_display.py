@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, TaskID, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from warpqem.batching.engine import Finished, Progressed, Started, Update
-from warpqem.batching.job_result import DONE, FAILED, PARTIAL, SKIPPED, BatchResult
+from warpqem.batching.job_result import DONE, FAILED, PARTIAL, SKIPPED, BatchResult, report_of
 from warpqem.batching.jobs import BatchJob
 from warpqem.batching.journal import Journal
 from warpqem.cli.batch_losses import has_losses
@@ -149,7 +149,7 @@ def _add_verdicts(table: PlainTable, results: Sequence[BatchResult]) -> None:
     found = [
         (result.input, prim["path"], prim["measured"])
         for result in results
-        for prim in (result.report or {}).get("prims", [])
+        for prim in report_of(result).get("prims", [])
         if prim.get("measured")
     ]
     if not found:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from warpqem.batching.job_result import BatchResult
+from warpqem.batching.job_result import BatchResult, report_of
 
 __all__ = ["has_losses", "loss_lines"]
 
@@ -20,7 +20,7 @@ def has_losses(result: BatchResult) -> bool:
 
 def loss_lines(result: BatchResult) -> list[tuple[str, str]]:
     """What to show of one asset: "warning" or "note", and the text. Meshes that lost the same share a line."""
-    report = result.report or {}
+    report = report_of(result)
     lost = _grouped(((prim, name) for prim in _prims(result) for name in prim["dropped"]), ", ")
     lines = [("warning", f"{place}: dropped, does not fit the new mesh: {names}") for names, place in lost]
     notes = [("warning", text) for text in report.get("problems", [])]
@@ -34,7 +34,7 @@ def loss_lines(result: BatchResult) -> list[tuple[str, str]]:
 
 
 def _prims(result: BatchResult) -> list[dict[str, Any]]:
-    found: list[dict[str, Any]] = (result.report or {}).get("prims", [])
+    found: list[dict[str, Any]] = report_of(result).get("prims", [])
     return found
 
 

@@ -23,7 +23,10 @@ from warpqem.cli.parameters import Device, Frames, JsonReport, Prims, ReportPage
 if TYPE_CHECKING:
     from warpqem.usd.commands.compare import PairReport
 
-__all__ = ["compare"]
+__all__ = ["EXAMPLES", "compare"]
+
+# Under its help; tests run them.
+EXAMPLES = ("warpqem compare cape_wind.usdc cape.usda --heatmap heat.usdc --report compare.html",)
 
 
 def compare(

@@ -36,7 +36,11 @@ FindOrientation = Annotated[
 ]
 
 
-@face.command(epilog=epilog("face detect"))
+@face.command(
+    epilog=epilog(
+        "warpqem face detect talking_head.usdc -o points.json --picture points.png",
+    )
+)
 def detect(
     input_file: Input,
     output: Annotated[
@@ -81,7 +85,12 @@ def detect(
     print_table(table, to_stderr="-" in (json, output))
 
 
-@face.command(epilog=epilog("face simplify"))
+@face.command(
+    epilog=epilog(
+        "warpqem face simplify talking_head.usdc -o head_2000.usda --faces 2000",
+        "warpqem face simplify talking_head.usdc -o head_620.usda --faces 620 --points points.json --ring 2",
+    )
+)
 @takes_options(SimplifyOptions, without=POINT_OPTIONS, hidden=("bake", "flatten"))
 def simplify(
     input_file: Input,
@@ -125,7 +134,11 @@ def simplify(
     run_simplify(input_file, output, {**options, "metric": "face", **chosen}, report, json)
 
 
-@face.command(epilog=epilog("face retarget"))
+@face.command(
+    epilog=epilog(
+        "warpqem face retarget talking_head.usdc head_2000.usda -o talking_2000.usdc",
+    )
+)
 def retarget(
     source_file: Annotated[str, typer.Argument(metavar="SOURCE", help="USD file with the face that moves.")],
     target_file: Annotated[str, typer.Argument(metavar="TARGET", help="USD file with the face to move.")],

@@ -21,7 +21,10 @@ from warpqem.cli.option_parameters import takes_options
 from warpqem.cli.parameters import Input, JsonReport, Output
 from warpqem.usd.commands.simplify_options import SimplifyOptions
 
-__all__ = ["features"]
+__all__ = ["EXAMPLES", "features"]
+
+# Under its help; tests run them.
+EXAMPLES = ("warpqem features quadruped_gallop.usdc -o joints.usda",)
 
 
 @takes_options(SimplifyOptions, only=("frames", "feature_threshold", "feature_floor", "prim", "device"))

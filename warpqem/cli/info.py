@@ -10,7 +10,10 @@ from warpqem.cli.parameters import Input, JsonReport, Variants
 if TYPE_CHECKING:
     from warpqem.usd.read.inspect import MeshInfo
 
-__all__ = ["info"]
+__all__ = ["EXAMPLES", "info"]
+
+# Under its help; tests run them.
+EXAMPLES = ("warpqem info talking_head.usdc",)
 
 
 def info(input_file: Input, variant: Variants = None, json: JsonReport = None) -> None:

@@ -25,7 +25,11 @@ progressive = typer.Typer(
 MeshFile = Annotated[str, typer.Argument(metavar="FILE", help="Progressive mesh (.wpqm).")]
 
 
-@progressive.command(epilog=epilog("build"))
+@progressive.command(
+    epilog=epilog(
+        "warpqem progressive build cape_wind.usdc -o cape.wpqm",
+    )
+)
 @takes_options(BuildOptions, without=NOT_TO_BUILD)
 def build(
     input_file: Input,
@@ -48,7 +52,11 @@ def build(
     _show(f"{input_file} -> {output}", info, json)
 
 
-@progressive.command(epilog=epilog("extract"))
+@progressive.command(
+    epilog=epilog(
+        "warpqem progressive extract cape.wpqm -o level.usda --faces 700",
+    )
+)
 @takes_options(LevelChoice)
 def extract(
     file: MeshFile, output: Output, options: dict[str, Any], memory: MeshMemory = None, json: JsonReport = None
@@ -73,7 +81,11 @@ def extract(
         write_json(json, {"input": file, "output": output, "faces": count, "estimate": error})
 
 
-@progressive.command(epilog=epilog("progressive info"))
+@progressive.command(
+    epilog=epilog(
+        "warpqem progressive info cape.wpqm",
+    )
+)
 def info(file: MeshFile, json: JsonReport = None) -> None:
     """Say what is in a progressive mesh.
 

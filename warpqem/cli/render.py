@@ -10,7 +10,10 @@ from warpqem.cli.console import load_usd, print_message, progress_bar, quiet_lib
 from warpqem.cli.parameters import Device, Frames, Input, Prims, Variants
 from warpqem.errors import OptionError
 
-__all__ = ["render"]
+__all__ = ["EXAMPLES", "render"]
+
+# Under its help; tests run them.
+EXAMPLES = ("warpqem render cape.usda -o sheet.png --reference cape_wind.usdc --heatmap --pictures 3",)
 
 
 def render(

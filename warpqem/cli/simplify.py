@@ -25,7 +25,15 @@ if TYPE_CHECKING:
     from warpqem.pipeline.memory_plan import MemoryPlan
     from warpqem.usd.write.stage_report import PrimReport, StageReport
 
-__all__ = ["run_simplify", "simplify"]
+__all__ = ["EXAMPLES", "run_simplify", "simplify"]
+
+# Under its help; tests run them.
+EXAMPLES = (
+    "warpqem simplify quadruped_gallop.usdc -o out.usdc --ratio 0.1 --report out.html",
+    "warpqem simplify cape_wind.usdc -o cape.usda --max-error 0.2 --lock-borders",
+    "warpqem simplify cape_wind.usdc -o far.usda --screen-error 1 --distance 10",
+    "warpqem simplify cape_wind.usdc -o levels.usda --lods 0.5,0.2,0.05",
+)
 
 # Outputs that a title names.
 MAX_NAMED = 4

@@ -14,7 +14,10 @@ from warpqem.cli.crash_guard import interruptible
 from warpqem.cli.parameters import Device, Frames, MeshMemory, Prims, Variants
 from warpqem.errors import MemoryLimitError, OptionError, StageError, WarpqemError
 
-__all__ = ["view"]
+__all__ = ["EXAMPLES", "view"]
+
+# Under its help; tests run them.
+EXAMPLES = ("warpqem view cape_wind.usdc cape.usda",)
 
 
 def view(

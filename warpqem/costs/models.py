@@ -17,9 +17,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any
+from typing import TYPE_CHECKING
 
 from warpqem.errors import OptionError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from warpqem.arguments.array_types import ArrayInput
 
 __all__ = ["COST_MODELS", "ENTRY_POINTS", "CostModelSpec", "cost_model", "cost_model_names"]
 
@@ -54,7 +59,7 @@ class CostModelSpec:
     single_frame: bool = False
     deformation_weight: float = 0.0
     uses_motion_features: bool = False
-    vertex_weight: Callable[[Any, Any], Any] | None = None
+    vertex_weight: Callable[[np.ndarray, np.ndarray], ArrayInput] | None = None
     keeps_face: bool = False
     uv_weight: float = 0.0
     source: str = ""

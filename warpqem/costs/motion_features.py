@@ -73,7 +73,7 @@ class MotionWeighting:
 
     threshold: float | None = None
     floor: float = FLOOR_DEGREES
-    weight: str | Callable[[MotionFeatures], Any] = "size"
+    weight: str | Callable[[MotionFeatures], ArrayInput] = "size"
 
     def __post_init__(self) -> None:
         """Refuse angles that are none, and weights that there are not."""
@@ -180,7 +180,7 @@ class MotionWatch:
         return _weighted(MotionFeatures(label, weight, table.ends, factor, threshold), asked.weight)
 
 
-def _weighted(features: MotionFeatures, weight: str | Callable[[MotionFeatures], Any]) -> MotionFeatures:
+def _weighted(features: MotionFeatures, weight: str | Callable[[MotionFeatures], ArrayInput]) -> MotionFeatures:
     """The features, weighted by size, with other weights."""
     if weight == "size":
         return features

@@ -7,12 +7,13 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warpqem.decimation.recorded_steps import Phase, Step, part_work, record_shared
+from warpqem.decimation.recorded_launches import LaunchGroup, RecordedLaunches, part_work, record_shared
 from warpqem.kernels import topology as kernels
 from warpqem.kernels.topology import VertexAdjacency
-from warpqem.runtime.cpu_threads import launch_parts, thread_count
+from warpqem.runtime.cpu_threads import thread_count
 from warpqem.runtime.device import device_traits
-from warpqem.runtime.launches import Recorder, launch
+from warpqem.runtime.launches import Recorder
+from warpqem.runtime.part_launches import FIRST_ITEM, launch_in_parts
 
 __all__ = ["Adjacency", "build_adjacency", "classify_vertices", "group_items"]
 
@@ -50,14 +51,14 @@ class Adjacency:
                 wp.empty(2 * len(corner_vertex), dtype=wp.int32, device=self._device) for _ in range(2)
             )
 
-    def phases(self, part_count: int) -> list[Phase]:
+    def launch_groups(self, part_count: int) -> list[LaunchGroup]:
         """What builds the lists, in ``part_count`` parts.
 
         Threads in order put each corner behind those of its vertex that came before; others leave the order to a sort
         that keeps it among equal keys. Either way a list is ascending.
         """
         if not self._in_order:
-            return [Phase(self._sort), Phase(self._hand_out)]
+            return [LaunchGroup(self._sort), LaunchGroup(self._hand_out)]
 
         def count(recorder: Recorder, part: int) -> None:
             self._record(recorder, kernels.count_corners, [self._cursor], part, part_count)
@@ -66,11 +67,11 @@ class Adjacency:
             self._record(recorder, kernels.fill_adjacency, [self._cursor, self.corner], part, part_count)
 
         return [
-            Phase(lambda recorder, _: recorder.zero(self._cursor)),
-            Phase(count, part_count),
-            Phase(self._scan),
-            Phase(fill, part_count),
-            Phase(self._hand_out),
+            LaunchGroup(lambda recorder, _: recorder.zero(self._cursor)),
+            LaunchGroup(count, part_count),
+            LaunchGroup(self._scan),
+            LaunchGroup(fill, part_count),
+            LaunchGroup(self._hand_out),
         ]
 
     def _record(self, recorder: Recorder, kernel: wp.Kernel, outputs: list[Any], part: int, part_count: int) -> None:
@@ -105,7 +106,7 @@ def build_adjacency(
     if face_count is None:
         face_count = wp.array([len(corner_vertex) // 3], dtype=wp.int32, device=device)
     adjacency = Adjacency(corner_vertex, face_count, vertex_count, spare)
-    Step(adjacency.phases(thread_count(device)), device).run()
+    RecordedLaunches(adjacency.launch_groups(thread_count(device)), device).run()
     return adjacency
 
 
@@ -121,15 +122,6 @@ def classify_vertices(corner_vertex: wp.array, adjacency: Adjacency, vertex_flag
     """Add BORDER and NON_MANIFOLD to ``vertex_flags`` (V,) int32; return (3N,) int32, 1 at each border half-edge."""
     device = corner_vertex.device
     border = wp.zeros(len(corner_vertex), dtype=wp.int32, device=device)
-
-    def classify(part: slice) -> None:
-        launch(
-            kernels.classify_vertices,
-            dim=part.stop - part.start,
-            inputs=[corner_vertex, adjacency.lists, part.start],
-            outputs=[vertex_flags, border],
-            device=device,
-        )
-
-    launch_parts(classify, len(vertex_flags), device)
+    inputs = [corner_vertex, adjacency.lists, FIRST_ITEM]
+    launch_in_parts(kernels.classify_vertices, len(vertex_flags), inputs, [vertex_flags, border], device=device)
     return border

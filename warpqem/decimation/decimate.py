@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import warp as wp
 
-from warpqem.decimation.adjacency import build_adjacency, classify_vertices
+from warpqem.decimation.adjacency import Adjacency, build_adjacency, classify_vertices
 from warpqem.decimation.arrangement import ARRANGED_FACES, Arrangement, arrange
 from warpqem.decimation.attribute_quadrics import build_wedges
 from warpqem.decimation.cluster_vertices import build_members
@@ -26,11 +26,11 @@ from warpqem.decimation.quadric_sums import QuadricSums, add_quadric_sums
 from warpqem.kernels import arrangement as arrangement_kernels
 from warpqem.kernels import attribute as attribute_kernels
 from warpqem.kernels.lanes import width_of
-from warpqem.kernels.mesh_state import KEY_FRAMES, CostModel, MeshState
+from warpqem.kernels.mesh_state import KEY_FRAMES, AnyKeyFrames, CostModel, MeshState
 from warpqem.kernels.topology import CORNER, NON_MANIFOLD
-from warpqem.runtime.cpu_threads import launch_parts
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import launch
+from warpqem.runtime.part_launches import launch_in_parts, rows_of
 
 __all__ = ["DecimatedMesh", "DecimationInput", "OrderSettings", "faces_left", "order_collapses"]
 
@@ -76,7 +76,7 @@ class DecimatedMesh:
             attribute error too.
         constrained: (3N,) int32, 1 at the input's border half-edges, 2 at its seams'.
         line_rank: (V,) int, of input vertices: 2 at corners of seams, 1 elsewhere on a seam or border, 0 inside.
-        frozen: (V,) bool, input vertices whose faces are not one fan; they keep their position.
+        non_manifold: (V,) bool, input vertices whose faces are not one fan; they keep their position.
         face_order: (N,) int32, the input face at each place of the order that faces had; None for the input's.
         stopped: "target", "max_error", "max_size_error" or "no legal collapse".
         log: the collapses.
@@ -92,7 +92,7 @@ class DecimatedMesh:
     quadric: wp.array
     constrained: np.ndarray
     line_rank: np.ndarray
-    frozen: np.ndarray
+    non_manifold: np.ndarray
     face_order: np.ndarray | None
     stopped: str
     log: CollapseRecord
@@ -118,19 +118,6 @@ class DecimationInput:
     sums: QuadricSums | None = None  # quadrics of other vertices that count at a vertex too
 
 
-@dataclass(frozen=True)
-class _Collapsed:
-    """What the collapses left: rows of each vertex (V, B), half-edge and vertex flags, the log, pruned components."""
-
-    position: wp.array
-    quadric: wp.array
-    constrained: np.ndarray
-    frozen: np.ndarray
-    stopped: str
-    log: CollapseRecord
-    drops: DropRecord
-
-
 def order_collapses(
     mesh: DecimationInput,
     settings: OrderSettings,
@@ -142,18 +129,25 @@ def order_collapses(
 
     ``progress`` is called with the live face count after each pass; ``recorder`` keeps every vertex on the way.
     """
-    vertex_count = len(mesh.vertex_flags)
+    vertex_count, arrangement = len(mesh.vertex_flags), None
     if len(mesh.faces) >= ARRANGED_FACES:
         arrangement = arrange(mesh.faces, mesh.key_position[:, :1].numpy()[:, 0, :, 0])
-        collapsed = _collapse(_rearranged(mesh, arrangement), settings, device, progress, recorder)
-        row, log, face_order = arrangement.place, arrangement.restore_log(collapsed.log), arrangement.face
-        drops = collapsed.drops.for_vertices(arrangement.vertex)
-        constrained = arrangement.restore_corners(collapsed.constrained)
+        moving = _rearranged(mesh, arrangement)
     else:
         moving = replace(mesh, key_position=wp.clone(mesh.key_position))
-        collapsed = _collapse(moving, settings, device, progress, recorder)
-        row, log, constrained = np.arange(vertex_count, dtype=np.int32), collapsed.log, collapsed.constrained
-        drops, face_order = collapsed.drops, None
+    state, frames, adjacency, constrained = _on_device(moving, settings.memoryless, device)
+    non_manifold = (state.vertex_flags.numpy() & int(NON_MANIFOLD)) != 0
+    steps = PassSteps(state, frames, adjacency, _cost_model(moving, settings), device, settings.memoryless)
+    stopped, log, drops = _collapse(steps, settings, progress, recorder)
+    if mesh.attributes is not None:
+        add_attributes = attribute_kernels.add_attribute_quadrics[width_of(frames.quadric)]
+        launch(add_attributes, len(frames.quadric), [state.wedges.quadric], [frames.quadric], device=device)
+    # What follows needs their memory.
+    del moving, state, adjacency, steps
+    row = np.arange(vertex_count, dtype=np.int32)
+    if arrangement is not None:
+        row, log, drops = arrangement.place, arrangement.restore_log(log), drops.for_vertices(arrangement.vertex)
+        constrained = arrangement.restore_corners(constrained)
     root = log.roots(vertex_count)
     faces = root[mesh.faces]
     face_map = faces_left(mesh.faces, faces, drops)
@@ -163,15 +157,15 @@ def order_collapses(
         root=root,
         key_position=mesh.key_position,
         row=row,
-        position=collapsed.position,
-        quadric=collapsed.quadric,
+        position=frames.position,
+        quadric=frames.quadric,
         constrained=constrained,
         line_rank=np.where(
             mesh.vertex_flags & int(CORNER), 2, _ends(mesh.faces, constrained, vertex_count).astype(np.int32)
         ),
-        frozen=collapsed.frozen[row],
-        face_order=face_order,
-        stopped=collapsed.stopped,
+        non_manifold=non_manifold[row],
+        face_order=None if arrangement is None else arrangement.face,
+        stopped=stopped,
         log=log,
         drops=drops,
     )
@@ -191,19 +185,13 @@ def faces_left(input_faces: np.ndarray, faces: np.ndarray, drops: DropRecord) ->
 def _rearranged(mesh: DecimationInput, arrangement: Arrangement) -> DecimationInput:
     device, vertex = mesh.key_position.device, arrangement.vertex
     position = wp.empty_like(mesh.key_position)
-    kernel = arrangement_kernels.gather_rows[width_of(position)]
-    index = wp.array(vertex, device=device)
-
-    def gather(part: slice) -> None:
-        launch(
-            kernel,
-            dim=(part.stop - part.start, position.shape[1]),
-            inputs=[mesh.key_position, index[part]],
-            outputs=[position[part]],
-            device=device,
-        )
-
-    launch_parts(gather, len(vertex), device)
+    launch_in_parts(
+        arrangement_kernels.gather_rows[width_of(position)],
+        position.shape,
+        inputs=[mesh.key_position, rows_of(wp.array(vertex, device=device))],
+        outputs=[rows_of(position)],
+        device=device,
+    )
     return replace(
         mesh,
         faces=arrangement.rearrange_faces(mesh.faces),
@@ -220,58 +208,19 @@ def _rearranged(mesh: DecimationInput, arrangement: Arrangement) -> DecimationIn
 
 
 def _collapse(
-    mesh: DecimationInput,
+    steps: PassSteps,
     settings: OrderSettings,
-    device: str,
     progress: Callable[[int], None] | None,
     recorder: NodeRecorder | None,
-) -> _Collapsed:
-    """Collapse edges; the rows of ``mesh.key_position`` move along."""
-    vertex_count = len(mesh.vertex_flags)
-    corner_vertex = wp.array(mesh.faces.ravel(), dtype=wp.int32, device=device)
-    state = MeshState()
-    state.face_count = wp.array([len(mesh.faces)], dtype=wp.int32, device=device)
-    adjacency = build_adjacency(corner_vertex, vertex_count, state.face_count, spare=len(corner_vertex))
-    state.corner_vertex = corner_vertex
-    state.adjacency = adjacency.lists
-    state.vertex_flags = wp.array(mesh.vertex_flags, dtype=wp.int32, device=device)
-    constrained = classify_vertices(corner_vertex, adjacency, state.vertex_flags).numpy() | 2 * mesh.seam
-    frozen = (state.vertex_flags.numpy() & int(NON_MANIFOLD)) != 0
-    state.seam = wp.array(mesh.seam, dtype=wp.int32, device=device)
-    width = width_of(mesh.key_position)
-    frames = KEY_FRAMES[width]()
-    frames.position = mesh.key_position
-    state.quadric_scale = wp.array(mesh.quadric_scale, dtype=wp.float32, device=device)
-    if mesh.matrices is None:
-        frames.quadric = initial_quadrics(corner_vertex, adjacency, constrained, mesh.key_position, state.quadric_scale)
-    else:
-        frames.quadric = given_quadrics(mesh.matrices, device)
-    if mesh.sums is not None:
-        added = add_quadric_sums(mesh.sums, mesh.key_position, frames.quadric)
-        if settings.memoryless:
-            rows = np.full(vertex_count, -1, dtype=np.int32)
-            rows[mesh.sums.row] = np.arange(len(mesh.sums.row))
-            state.sum_row, frames.kept_sum = wp.array(rows, device=device), added
-    state.cost_weight = wp.array(mesh.cost_weight, dtype=wp.float32, device=device)
-    state.edge_cost = wp.empty(len(corner_vertex), dtype=wp.float32, device=device)
-    state.trajectory, state.deformation = build_deformation(mesh.trajectories, len(mesh.faces), device)
-    state.wedges = build_wedges(mesh.faces, mesh.key_position, mesh.attributes, mesh.key_count)
-    state.members = build_members(mesh.faces, mesh.key_position)
-
-    model = CostModel()
-    model.key_count = float(mesh.key_count)
-    model.epsilon = settings.epsilon
-    model.endpoint = int(settings.endpoint)
+) -> tuple[str, CollapseRecord, DropRecord]:
+    """Collapse edges: why it stopped, the log, and the pruned components. The rows of the key frames move along."""
+    state = steps.state
     lowest_limit = min(settings.error_limit, settings.size_limit)
-    model.error_limit = lowest_limit**2
-    # The term sums over all frames, the quadrics over the key frames: brought to the same number of frames.
-    frame_count = 1 if mesh.trajectories is None else mesh.trajectories.shape[1]
-    model.deformation_weight = settings.deformation_weight * mesh.key_count / frame_count
-
-    steps = PassSteps(state, frames, adjacency, model, device, settings.memoryless)
     orderer = _new_ordering(steps)
     components = (
-        None if settings.keep_components else Components(state, model.epsilon, settings.error_limit**2, lowest_limit**2)
+        None
+        if settings.keep_components
+        else Components(state, steps.model.epsilon, settings.error_limit**2, lowest_limit**2)
     )
     if components is not None and components.count == 1:
         # One always stays.
@@ -281,17 +230,60 @@ def _collapse(
     stopped = orderer.run(settings.target_faces, progress, recorder, components)
     if stopped == "max_error" and settings.size_limit < settings.error_limit:
         stopped = "max_size_error"
-    if mesh.attributes is not None:
-        launch(
-            attribute_kernels.add_attribute_quadrics[width],
-            dim=vertex_count,
-            inputs=[state.wedges.quadric],
-            outputs=[frames.quadric],
-            device=device,
-        )
     log = read_log(steps.log_rows, orderer.collapse_count())
-    drops = DropRecord.none(vertex_count) if components is None else components.record(orderer.drops)
-    return _Collapsed(frames.position, frames.quadric, constrained, frozen, stopped, log, drops)
+    vertex_count = len(state.vertex_flags)
+    return stopped, log, DropRecord.none(vertex_count) if components is None else components.record(orderer.drops)
+
+
+def _on_device(
+    mesh: DecimationInput, memoryless: bool, device: str
+) -> tuple[MeshState, AnyKeyFrames, Adjacency, np.ndarray]:
+    """The mesh as kernels see it; ``frames.position`` is ``mesh.key_position`` itself.
+
+    Returns:
+        state, key frames, adjacency, and (3N,) int32, 1 at border half-edges and 2 at those of seams.
+    """
+    vertex_count = len(mesh.vertex_flags)
+    corner_vertex = wp.array(mesh.faces.ravel(), dtype=wp.int32, device=device)
+    state = MeshState()
+    state.face_count = wp.array([len(mesh.faces)], dtype=wp.int32, device=device)
+    adjacency = build_adjacency(corner_vertex, vertex_count, state.face_count, spare=len(corner_vertex))
+    state.corner_vertex = corner_vertex
+    state.adjacency = adjacency.lists
+    state.vertex_flags = wp.array(mesh.vertex_flags, dtype=wp.int32, device=device)
+    constrained = classify_vertices(corner_vertex, adjacency, state.vertex_flags).numpy() | 2 * mesh.seam
+    state.seam = wp.array(mesh.seam, dtype=wp.int32, device=device)
+    frames = KEY_FRAMES[width_of(mesh.key_position)]()
+    frames.position = mesh.key_position
+    state.quadric_scale = wp.array(mesh.quadric_scale, dtype=wp.float32, device=device)
+    if mesh.matrices is None:
+        frames.quadric = initial_quadrics(corner_vertex, adjacency, constrained, mesh.key_position, state.quadric_scale)
+    else:
+        frames.quadric = given_quadrics(mesh.matrices, device)
+    if mesh.sums is not None:
+        added = add_quadric_sums(mesh.sums, mesh.key_position, frames.quadric)
+        if memoryless:
+            rows = np.full(vertex_count, -1, dtype=np.int32)
+            rows[mesh.sums.row] = np.arange(len(mesh.sums.row))
+            state.sum_row, frames.kept_sum = wp.array(rows, device=device), added
+    state.cost_weight = wp.array(mesh.cost_weight, dtype=wp.float32, device=device)
+    state.edge_cost = wp.empty(len(corner_vertex), dtype=wp.float32, device=device)
+    state.trajectory, state.deformation = build_deformation(mesh.trajectories, len(mesh.faces), device)
+    state.wedges = build_wedges(mesh.faces, mesh.key_position, mesh.attributes, mesh.key_count)
+    state.members = build_members(mesh.faces, mesh.key_position)
+    return state, frames, adjacency, constrained
+
+
+def _cost_model(mesh: DecimationInput, settings: OrderSettings) -> CostModel:
+    model = CostModel()
+    model.key_count = float(mesh.key_count)
+    model.epsilon = settings.epsilon
+    model.endpoint = int(settings.endpoint)
+    model.error_limit = min(settings.error_limit, settings.size_limit) ** 2
+    # The term sums over all frames, the quadrics over the key frames: brought to the same number of frames.
+    frame_count = 1 if mesh.trajectories is None else mesh.trajectories.shape[1]
+    model.deformation_weight = settings.deformation_weight * mesh.key_count / frame_count
+    return model
 
 
 def _new_ordering(steps: PassSteps) -> Ordering:

@@ -17,9 +17,9 @@ from warpqem.decimation.collapse_nodes import NodeRecorder
 from warpqem.decimation.ordering import Ordering
 from warpqem.decimation.pass_steps import HISTOGRAM_BINS, ROUNDS, PassSteps
 from warpqem.decimation.pruning import Components
-from warpqem.decimation.recorded_steps import Phase, Step, new_edge_list, part_work, record_shared
+from warpqem.decimation.recorded_launches import LaunchGroup, RecordedLaunches, new_edge_list, part_work, record_shared
 from warpqem.kernels import pass_control as kernels
-from warpqem.kernels.pass_control import COMPONENTS, RUNNING, STARS, STUCK, PassControl
+from warpqem.kernels.pass_control import COMPONENTS, FULL_POOL, RUNNING, STUCK, PassControl
 from warpqem.kernels.work import EdgeList
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import Recorder, launch
@@ -53,7 +53,7 @@ class DeviceOrderer(Ordering):
             raise ValueError(f"adjacency lists of {corner_count} corners need a pool of {2 * corner_count}")
         self._report = steps.integers(len(_Report.__dataclass_fields__))
         self._control = self._new_control()
-        self._stops_for_stars = int(not device_traits(self.device).graph_loops)
+        self._stops_when_full = int(not device_traits(self.device).graph_loops)
         self._collapse_count = 0
         self._recorded = 0  # collapses that a recorder has seen
         self._work = part_work(0, 1, self.device)
@@ -66,7 +66,7 @@ class DeviceOrderer(Ordering):
             setattr(control, name, steps.integers(1))
         for name in ("pass_number", "pass_begin", "wanted", "sample_step"):
             setattr(control, name, getattr(steps, name))
-        control.pass_cap = wp.zeros(1, dtype=wp.float32, device=self.device)
+        control.pass_threshold = wp.zeros(1, dtype=wp.float32, device=self.device)
         control.fraction = wp.full(1, float(kernels.CANDIDATE_FRACTION), dtype=wp.float64, device=self.device)
         return control
 
@@ -78,18 +78,18 @@ class DeviceOrderer(Ordering):
         components: Components | None = None,
     ) -> str:
         """See :class:`Ordering`."""
-        self.steps.price_all().run()
+        self.steps.compute_all_costs().run()
         if self.live_faces <= target_faces:
             return "target"
         self._report.assign(np.array([1, int(RUNNING), self.live_faces, 0], dtype=np.int32))
         self._control.target_faces.fill_(target_faces)
-        building = Step(self._building_stars(), self.device)
+        building = RecordedLaunches(self._building_adjacency(), self.device)
         in_turns = progress is not None or recorder is not None
         loop = DeviceLoop(self._record_pass(components), self._report, self.device, in_turns)
         while True:
             report = self._go_on(loop, progress, recorder)
             self.live_faces, self._collapse_count = report.live_faces, report.collapse_count
-            if report.status == STARS:
+            if report.status == FULL_POOL:
                 building.run()
             elif report.status == COMPONENTS:
                 assert components is not None
@@ -123,37 +123,37 @@ class DeviceOrderer(Ordering):
         """Prune components after a pass, and close it."""
         control = self._control
         stuck = int(control.candidate_count.numpy()[0]) == 0 and float(control.fraction.numpy()[0]) >= 1.0
-        cost_threshold = np.inf if stuck else float(control.pass_cap.numpy()[0])
+        cost_threshold = np.inf if stuck else float(control.pass_threshold.numpy()[0])
         dropped = self.drop_components(components, target_faces, cost_threshold)
-        inputs = [self.state, dropped, self._stops_for_stars]
+        inputs = [self.state, dropped, self._stops_when_full]
         launch(kernels.resume_passes, 1, inputs, [self._control], device=self.device)
         if progress and not dropped:
             progress(self.live_faces)
 
     def _record_pass(self, components: Components | None) -> Recorder:
         recorder = Recorder(self.device)
-        if not self._stops_for_stars:
+        if not self._stops_when_full:
             building = Recorder(self.device)
-            _record(building, self._building_stars())
+            _record(building, self._building_adjacency())
             recorder.branch(self._control.overfull, building)
-        _record(recorder, self._pass_phases())
+        _record(recorder, self._pass_groups())
         if components is not None:
             self._record_remnants(recorder, components)
-        inputs = [self.state, self.log, self.steps.cost_threshold, self._stops_for_stars]
+        inputs = [self.state, self.log, self.steps.cost_threshold, self._stops_when_full]
         recorder.launch(kernels.end_pass, 1, inputs, [self._control])
         return recorder
 
-    def _pass_phases(self) -> list[Phase]:
+    def _pass_groups(self) -> list[LaunchGroup]:
         steps, control = self.steps, self._control
         lists = [new_edge_list(storage, 1) for storage in steps.lists]
-        winners = lists.pop()
+        selected = lists.pop()
         histogram = wp.zeros((1, HISTOGRAM_BINS), dtype=wp.int32, device=self.device)
         kept, uncounted = steps.integers(len(steps.faces_removed)), steps.integers(0)
 
         def begin(recorder: Recorder, _: int) -> None:
             recorder.launch(kernels.begin_pass, 1, [self.log], [control, lists[0]])
 
-        phases = [Phase(begin), *steps.collecting(lists[0], histogram, 1)]
+        groups = [LaunchGroup(begin), *steps.collecting(lists[0], histogram, 1)]
         for index in range(ROUNDS):
             now, left = lists[index % 2], lists[1 - index % 2]
 
@@ -161,25 +161,25 @@ class DeviceOrderer(Ordering):
                 recorder: Recorder, _: int, index: int = index, now: EdgeList = now, left: EdgeList = left
             ) -> None:
                 inputs = [now, int(index == 0)]
-                recorder.launch(kernels.begin_round, 1, inputs, [control, self.log, winners, left])
+                recorder.launch(kernels.begin_round, 1, inputs, [control, self.log, selected, left])
 
             def trim(recorder: Recorder, _: int) -> None:
-                inputs = [self.state, winners, steps.faces_removed]
-                record_shared(recorder, kernels.trim_winners, inputs, self._work, [control, kept])
+                inputs = [self.state, selected, steps.faces_removed]
+                record_shared(recorder, kernels.trim_collapses, inputs, self._work, [control, kept])
 
-            phases += [
-                Phase(begin_round),
-                *steps.choosing(now, winners, uncounted, uncounted, 1),
-                Phase(trim),
-                *steps.committing(now, left, winners, kept, self.log.count, self.state.adjacency.used, 1),
+            groups += [
+                LaunchGroup(begin_round),
+                *steps.choosing(now, selected, uncounted, uncounted, 1),
+                LaunchGroup(trim),
+                *steps.committing(now, left, selected, kept, self.log.count, self.state.adjacency.used, 1),
             ]
-        return [*phases, *steps.keeping_stars(1), *steps.renewing(1)]
+        return [*groups, *steps.updating_adjacency(1), *steps.renewing(1)]
 
-    def _building_stars(self) -> list[Phase]:
+    def _building_adjacency(self) -> list[LaunchGroup]:
         def note(recorder: Recorder, _: int) -> None:
-            recorder.launch(kernels.note_new_stars, 1, [], [self._control])
+            recorder.launch(kernels.note_new_adjacency, 1, [], [self._control])
 
-        return [*self.steps.adjacency.phases(1), Phase(note)]
+        return [*self.steps.adjacency.launch_groups(1), LaunchGroup(note)]
 
     def _record_remnants(self, recorder: Recorder, components: Components) -> None:
         """Count the components that are small enough to be pruned."""
@@ -194,7 +194,7 @@ class DeviceOrderer(Ordering):
         record_shared(recorder, kernels.count_remnants, [face_count, may_be_pruned], self._work, [self._control])
 
 
-def _record(recorder: Recorder, phases: Sequence[Phase]) -> None:
-    for phase in phases:
-        for part in range(phase.part_count):
-            phase.record(recorder, part)
+def _record(recorder: Recorder, groups: Sequence[LaunchGroup]) -> None:
+    for group in groups:
+        for part in range(group.part_count):
+            group.record(recorder, part)

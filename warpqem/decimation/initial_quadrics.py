@@ -8,8 +8,8 @@ import warp as wp
 from warpqem.decimation.adjacency import Adjacency
 from warpqem.kernels import plane_quadrics as kernels
 from warpqem.kernels.lanes import POINTS, QUADRIC, width_of
-from warpqem.runtime.cpu_threads import launch_parts
 from warpqem.runtime.launches import launch
+from warpqem.runtime.part_launches import corners_of, launch_in_parts, rows_of, starts_of
 
 __all__ = ["CONSTRAINT_WEIGHT", "constraint_lists", "given_quadrics", "initial_quadrics"]
 
@@ -61,28 +61,20 @@ def initial_quadrics(
     face_count = len(corner_vertex) // 3
     normal = wp.empty((face_count, block_count), dtype=POINTS[width], device=device)
     quadric = wp.empty((vertex_count, block_count), dtype=QUADRIC[width], device=device)
-    weigh_kernel, gather_kernel = kernels.weigh_face_normals[width], kernels.gather_vertex_quadrics[width]
-
-    def weigh(part: slice) -> None:
-        launch(
-            weigh_kernel,
-            dim=(part.stop - part.start, block_count),
-            inputs=[corner_vertex[3 * part.start : 3 * part.stop], position],
-            outputs=[normal[part]],
-            device=device,
-        )
-
-    def gather(part: slice) -> None:
-        launch(
-            gather_kernel,
-            dim=(part.stop - part.start, block_count),
-            inputs=[adjacency.start[part.start : part.stop + 1], adjacency.corner, normal, quadric_scale[part]],
-            outputs=[quadric[part]],
-            device=device,
-        )
-
-    launch_parts(weigh, face_count, device)
-    launch_parts(gather, vertex_count, device)
+    launch_in_parts(
+        kernels.weigh_face_normals[width],
+        (face_count, block_count),
+        inputs=[corners_of(corner_vertex), position],
+        outputs=[rows_of(normal)],
+        device=device,
+    )
+    launch_in_parts(
+        kernels.gather_vertex_quadrics[width],
+        (vertex_count, block_count),
+        inputs=[starts_of(adjacency.start), adjacency.corner, normal, rows_of(quadric_scale)],
+        outputs=[rows_of(quadric)],
+        device=device,
+    )
     corners = corner_vertex.numpy()
     for kind, weight in CONSTRAINT_WEIGHT.items():
         vertex, start, half_edge = constraint_lists(corners, constrained == kind)

@@ -76,7 +76,7 @@ class Ordering(ABC):
         """Whether a collapse is legal once the error limit is lifted; computes all costs anew."""
         self.model.error_limit = np.inf
         self.steps.forget_launches()
-        self.steps.price_all().run()
+        self.steps.compute_all_costs().run()
         launches = self.steps.launches(1)
         # Every edge is a candidate.
         self.steps.sample_step.fill_(1)
@@ -90,7 +90,7 @@ class Ordering(ABC):
                 return False
             for i in range(ROUNDS):
                 launches.choose[i % 2].run()
-                count = int(launches.winners.count.numpy()[0])
+                count = int(launches.selected.count.numpy()[0])
                 if self.steps.faces_removed[:count].numpy().any():
                     return True
                 # None is legal: they are suspended, which leaves others to be selected.

@@ -11,7 +11,7 @@ import warp as wp
 from warpqem.decimation.adjacency import Adjacency
 from warpqem.decimation.collapse_log import new_log
 from warpqem.decimation.initial_quadrics import CONSTRAINT_WEIGHT
-from warpqem.decimation.recorded_steps import Phase, Step, new_edge_list, part_work, record_shared
+from warpqem.decimation.recorded_launches import LaunchGroup, RecordedLaunches, new_edge_list, part_work, record_shared
 from warpqem.kernels import collapse as collapse_kernels
 from warpqem.kernels import deformation as deformation_kernels
 from warpqem.kernels import edge_cost as cost_kernels
@@ -41,14 +41,14 @@ HISTOGRAM_STRETCHES = 128
 class PassLaunches:
     """The steps of a pass, recorded for a number of parts. Rounds take turns with two lists of candidates."""
 
-    collect: Step
-    choose: tuple[Step, Step]
-    commit: tuple[Step, Step]
-    build_adjacency: Step
-    update_adjacency: Step
-    renew: Step
+    collect: RecordedLaunches
+    choose: tuple[RecordedLaunches, RecordedLaunches]
+    commit: tuple[RecordedLaunches, RecordedLaunches]
+    build_adjacency: RecordedLaunches
+    update_adjacency: RecordedLaunches
+    renew: RecordedLaunches
     candidates: tuple[EdgeList, EdgeList]
-    winners: EdgeList
+    selected: EdgeList
     legal: wp.array
 
 
@@ -89,7 +89,7 @@ class PassSteps:
         self.pass_number, self.pass_begin, self.wanted, self.sample_step = (self.integers(1) for _ in range(4))
         self.cost_threshold = wp.zeros(1, dtype=wp.float32, device=device)
         self._reservation = wp.full(vertex_count, set_kernels.UNRESERVED, dtype=wp.int64, device=device)
-        self._mask, self._dropped = self.integers(vertex_count), self.integers(vertex_count)
+        self._mask, self._updated = self.integers(vertex_count), self.integers(vertex_count)
         # Selected edges share no vertex, so there are V / 2 at most; an edge stands at one of its two half-edges.
         max_selected = vertex_count // 2 + 1
         self.lists = [wp.empty(3 * face_count, dtype=wp.int32, device=device) for _ in range(3)]
@@ -103,7 +103,7 @@ class PassSteps:
         """(count,) int32 zeros."""
         return wp.zeros(count, dtype=wp.int32, device=self.device)
 
-    def price_all(self) -> Step:
+    def compute_all_costs(self) -> RecordedLaunches:
         """Compute all costs by the model as it is now."""
 
         def compute_costs(recorder: Recorder, part: int) -> None:
@@ -113,48 +113,48 @@ class PassSteps:
             )
 
         measured = self._measuring(deformation_kernels.measure_all_deformation, [self.state])
-        return self._step([*measured, Phase(compute_costs, self.threads)])
+        return self._recorded([*measured, LaunchGroup(compute_costs, self.threads)])
 
-    def _measuring(self, kernel: wp.Kernel, inputs: list[Any]) -> list[Phase]:
+    def _measuring(self, kernel: wp.Kernel, inputs: list[Any]) -> list[LaunchGroup]:
         """Measure anew what the deformation term sums over all frames; nothing where there is none."""
 
         def measure(recorder: Recorder, part: int) -> None:
             record_shared(recorder, kernel, inputs, part_work(part, self.threads, self.device))
 
-        return [Phase(measure, self.threads)] if self.model.deformation_weight > 0 else []
+        return [LaunchGroup(measure, self.threads)] if self.model.deformation_weight > 0 else []
 
     def launches(self, part_count: int) -> PassLaunches:
         """The steps for so many parts, recorded when they are first asked for."""
         if part_count not in self._launches:
             candidates = tuple(new_edge_list(storage, part_count) for storage in self.lists[:2])
-            winners = new_edge_list(self.lists[2], part_count)
+            selected = new_edge_list(self.lists[2], part_count)
             legal, space, slot, pool_slot = (self.integers(part_count) for _ in range(4))
             choose, commit = [], []
             for now, left in ((candidates[0], candidates[1]), (candidates[1], candidates[0])):
-                choose.append([self._emptying(winners), *self.choosing(now, winners, legal, space, part_count)])
+                choose.append([self._emptying(selected), *self.choosing(now, selected, legal, space, part_count)])
                 commit.append(
                     [
                         self._opening(legal, space, slot, pool_slot),
                         self._emptying(left),
-                        *self.committing(now, left, winners, self.faces_removed, slot, pool_slot, part_count),
+                        *self.committing(now, left, selected, self.faces_removed, slot, pool_slot, part_count),
                     ]
                 )
             histogram = wp.zeros((part_count, HISTOGRAM_BINS), dtype=wp.int32, device=self.device)
             self._launches[part_count] = PassLaunches(
-                collect=self._step(
+                collect=self._recorded(
                     [
-                        Phase(lambda recorder, _: recorder.copy(self.pass_begin, self.log.count)),
+                        LaunchGroup(lambda recorder, _: recorder.copy(self.pass_begin, self.log.count)),
                         self._emptying(candidates[0]),
                         *self.collecting(candidates[0], histogram, part_count),
                     ]
                 ),
-                choose=(self._step(choose[0]), self._step(choose[1])),
-                commit=(self._step(commit[0]), self._step(commit[1])),
-                build_adjacency=self._step(self.adjacency.phases(part_count)),
-                update_adjacency=self._step(self.keeping_stars(part_count)),
-                renew=self._step(self.renewing(part_count)),
+                choose=(self._recorded(choose[0]), self._recorded(choose[1])),
+                commit=(self._recorded(commit[0]), self._recorded(commit[1])),
+                build_adjacency=self._recorded(self.adjacency.launch_groups(part_count)),
+                update_adjacency=self._recorded(self.updating_adjacency(part_count)),
+                renew=self._recorded(self.renewing(part_count)),
                 candidates=candidates,
-                winners=winners,
+                selected=selected,
                 legal=legal,
             )
         return self._launches[part_count]
@@ -163,14 +163,14 @@ class PassSteps:
         """Have the steps recorded anew: recorded ones know the model as it was."""
         self._launches.clear()
 
-    def _step(self, phases: Sequence[Phase]) -> Step:
-        return Step(phases, self.device)
+    def _recorded(self, groups: Sequence[LaunchGroup]) -> RecordedLaunches:
+        return RecordedLaunches(groups, self.device)
 
     @staticmethod
-    def _emptying(edges: EdgeList) -> Phase:
-        return Phase(lambda recorder, _: recorder.zero(edges.count))
+    def _emptying(edges: EdgeList) -> LaunchGroup:
+        return LaunchGroup(lambda recorder, _: recorder.zero(edges.count))
 
-    def collecting(self, candidates: EdgeList, histogram: wp.array, part_count: int) -> list[Phase]:
+    def collecting(self, candidates: EdgeList, histogram: wp.array, part_count: int) -> list[LaunchGroup]:
         """Fill an empty list of candidates with the cheapest edges; ``histogram`` is zero between passes."""
         state = self.state
 
@@ -185,18 +185,20 @@ class PassSteps:
                 return
             sums = self.integers(HISTOGRAM_STRETCHES)
             recorder.launch(set_kernels.sum_bins, len(sums), [histogram], [sums])
-            recorder.launch(set_kernels.find_cap_by_sums, len(sums), [*inputs, sums], [histogram, self.cost_threshold])
+            recorder.launch(
+                set_kernels.find_threshold_by_sums, len(sums), [*inputs, sums], [histogram, self.cost_threshold]
+            )
 
         def collect(recorder: Recorder, part: int) -> None:
             work = part_work(part, part_count, self.device)
             record_shared(recorder, set_kernels.collect_candidates, [state, self.cost_threshold], work, [candidates])
 
-        return [Phase(count, part_count), Phase(find_cost_threshold), Phase(collect, part_count)]
+        return [LaunchGroup(count, part_count), LaunchGroup(find_cost_threshold), LaunchGroup(collect, part_count)]
 
     def choosing(
-        self, candidates: EdgeList, winners: EdgeList, legal: wp.array, space: wp.array, part_count: int
-    ) -> list[Phase]:
-        """Reserve vertices, then select, place and check collapses, into the empty list ``winners``.
+        self, candidates: EdgeList, selected: EdgeList, legal: wp.array, space: wp.array, part_count: int
+    ) -> list[LaunchGroup]:
+        """Reserve vertices, then select, place and check collapses, into the empty list ``selected``.
 
         ``legal`` and ``space`` count the legal ones of each part, and the pool entries of their adjacency; empty
         where nobody asks.
@@ -209,40 +211,42 @@ class PassSteps:
 
         def select(recorder: Recorder, part: int) -> None:
             work = part_work(part, part_count, self.device)
-            record_shared(recorder, set_kernels.select_winners, [state, candidates, self._reservation], work, [winners])
+            record_shared(
+                recorder, set_kernels.select_collapses, [state, candidates, self._reservation], work, [selected]
+            )
 
         def check(recorder: Recorder, part: int) -> None:
             work = part_work(part, part_count, self.device)
-            record_shared(recorder, set_kernels.withdraw_claims, [state, candidates], work, [self._reservation])
+            record_shared(recorder, set_kernels.clear_reservations, [state, candidates], work, [self._reservation])
             targets = [self._target, self._anchor]
             record_shared(
                 recorder,
-                legality_kernels.place_winners[self._width],
-                [state, frames, self.model, winners],
+                legality_kernels.place_collapses[self._width],
+                [state, frames, self.model, selected],
                 work,
                 targets,
             )
-            checked = [state, frames, self.model, winners, self._target, self._flip_tolerance]
+            checked = [state, frames, self.model, selected, self._target, self._flip_tolerance]
             outputs = [self.faces_removed, self._error, legal, space]
             record_shared(recorder, legality_kernels.check_collapses[self._width], checked, work, outputs)
 
-        return [Phase(reservation, part_count), Phase(select, part_count), Phase(check, part_count)]
+        return [LaunchGroup(reservation, part_count), LaunchGroup(select, part_count), LaunchGroup(check, part_count)]
 
-    def _opening(self, legal: wp.array, space: wp.array, slot: wp.array, pool_slot: wp.array) -> Phase:
+    def _opening(self, legal: wp.array, space: wp.array, slot: wp.array, pool_slot: wp.array) -> LaunchGroup:
         """Reserve room for what was counted, from the first slot of each part on."""
         outputs = [legal, space, self.log, slot, self.state.adjacency.used, pool_slot]
-        return Phase(lambda recorder, _: recorder.launch(collapse_kernels.open_log, 1, [], outputs))
+        return LaunchGroup(lambda recorder, _: recorder.launch(collapse_kernels.open_log, 1, [], outputs))
 
     def committing(
         self,
         candidates: EdgeList,
         candidates_left: EdgeList,
-        winners: EdgeList,
+        selected: EdgeList,
         faces_removed: wp.array,
         slot: wp.array,
         pool_slot: wp.array,
         part_count: int,
-    ) -> list[Phase]:
+    ) -> list[LaunchGroup]:
         """Apply the collapses that remove faces, and keep the candidates that they leave free, in an empty list.
 
         ``slot`` and ``pool_slot`` count up from the first free places of each part, in the log and the adjacency pool.
@@ -252,10 +256,10 @@ class PassSteps:
         def commit(recorder: Recorder, part: int) -> None:
             work = part_work(part, part_count, self.device)
             checked = [faces_removed, self._target, self._anchor, self._error]
-            inputs = [state, frames, winners, *checked, self.pass_number]
+            inputs = [state, frames, selected, *checked, self.pass_number]
             record_shared(
                 recorder,
-                collapse_kernels.commit_winners[self._width],
+                collapse_kernels.commit_collapses[self._width],
                 inputs,
                 work,
                 [self._mask, self.log, slot, pool_slot],
@@ -266,19 +270,19 @@ class PassSteps:
             inputs = [state, self._mask, self.pass_number, self.cost_threshold, candidates]
             record_shared(recorder, set_kernels.shrink_candidates, inputs, work, [candidates_left])
 
-        return [Phase(commit, part_count), Phase(shrink, part_count)]
+        return [LaunchGroup(commit, part_count), LaunchGroup(shrink, part_count)]
 
-    def keeping_stars(self, part_count: int) -> list[Phase]:
+    def updating_adjacency(self, part_count: int) -> list[LaunchGroup]:
         """Bring the adjacency of opposite vertices up to date; that of moved vertices is since the commit."""
 
-        def drop(recorder: Recorder, part: int) -> None:
+        def remove_dead(recorder: Recorder, part: int) -> None:
             work = part_work(part, part_count, self.device)
             inputs = [self.state, self.log, self.pass_begin, self.pass_number]
-            record_shared(recorder, collapse_kernels.drop_dead_corners, inputs, work, [self._dropped])
+            record_shared(recorder, collapse_kernels.remove_dead_corners, inputs, work, [self._updated])
 
-        return [Phase(drop, part_count)]
+        return [LaunchGroup(remove_dead, part_count)]
 
-    def renewing(self, part_count: int) -> list[Phase]:
+    def renewing(self, part_count: int) -> list[LaunchGroup]:
         """Update the costs of what moved, resume edges around it. Costs are worth all threads on any mesh."""
         state = self.state
 
@@ -296,9 +300,9 @@ class PassSteps:
         measured += self._measuring(deformation_kernels.measure_moved_deformation, moved)
         if self._memoryless:
             return [*measured, *self._renewing_quadrics()]
-        return [*measured, Phase(update_costs, self.threads), Phase(resume, part_count)]
+        return [*measured, LaunchGroup(update_costs, self.threads), LaunchGroup(resume, part_count)]
 
-    def _renewing_quadrics(self) -> list[Phase]:
+    def _renewing_quadrics(self) -> list[LaunchGroup]:
         """Make the quadrics around what moved anew, and the costs of all edges there."""
         weights = memoryless_kernels.LineWeights()
         weights.border, weights.seam = CONSTRAINT_WEIGHT[1], CONSTRAINT_WEIGHT[2]
@@ -314,4 +318,4 @@ class PassSteps:
             inputs = [self.state, self.frames, self.model, *around]
             record_shared(recorder, cost_kernels.update_neighbourhood_costs[self._width], inputs, work)
 
-        return [Phase(renew, self.threads), Phase(update_costs, self.threads)]
+        return [LaunchGroup(renew, self.threads), LaunchGroup(update_costs, self.threads)]

@@ -8,6 +8,7 @@ which suits a CPU; on a GPU :mod:`warpqem.decimation.device_loop` does.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -20,9 +21,8 @@ from warpqem.kernels import attribute as attribute_kernels
 from warpqem.kernels import collapse as collapse_kernels
 from warpqem.kernels import deformation as deformation_kernels
 from warpqem.kernels import pass_control as control_kernels
-from warpqem.kernels.topology import PINNED
-from warpqem.runtime.cpu_threads import launch_parts
 from warpqem.runtime.launches import launch
+from warpqem.runtime.part_launches import corners_of, launch_in_parts, rows_of
 
 __all__ = ["Orderer"]
 
@@ -69,7 +69,7 @@ class Orderer(Ordering):
         components: Components | None = None,
     ) -> str:
         """See :class:`Ordering`."""
-        self.steps.price_all().run()
+        self.steps.compute_all_costs().run()
         candidate_fraction = CANDIDATE_FRACTION
         while self.live_faces > target_faces:
             candidate_count, collapsed = self._run_pass(target_faces, candidate_fraction)
@@ -143,32 +143,25 @@ class Orderer(Ordering):
         """Rounds of one part that stop when ``remaining`` faces are gone."""
         for i in range(ROUNDS):
             launches.choose[i % 2].run()
-            remaining -= self._trim_winners(launches, remaining)
+            remaining -= self._trim_selected(launches, remaining)
             launches.commit[i % 2].run()
             if remaining <= 0:
                 return
 
-    def _trim_winners(self, launches: PassLaunches, remaining: int) -> int:
+    def _trim_selected(self, launches: PassLaunches, remaining: int) -> int:
         """Leave out the costliest collapses beyond the ``remaining`` faces to remove; the faces the others remove."""
-        count = int(launches.winners.count.numpy()[0])
+        count = int(launches.selected.count.numpy()[0])
         faces = self.steps.faces_removed[:count].numpy().copy()
-        half_edge = launches.winners.half_edge[:count].numpy()
         # The order of the log, so that what is left is a beginning of it.
-        order = np.lexsort((self._removed_vertices(half_edge), self.state.edge_cost.numpy()[half_edge]))
+        key = wp.empty(count, dtype=wp.int64, device=self.device)
+        inputs = [self.state, launches.selected.half_edge]
+        launch(control_kernels.list_log_keys, count, inputs, [key], device=self.device)
+        order = np.argsort(key.numpy(), kind="stable")
         removed_before = np.cumsum(faces[order]) - faces[order]
         faces[order[removed_before >= remaining]] = 0
         self.steps.faces_removed[:count].assign(faces)
         launches.legal.fill_(int(np.count_nonzero(faces)))
         return int(faces.sum())
-
-    def _removed_vertices(self, half_edge: np.ndarray) -> np.ndarray:
-        """The end that each collapse removes, as the commit chooses it."""
-        corner_vertex, flags = self.state.corner_vertex.numpy(), self.state.vertex_flags.numpy()
-        ends = corner_vertex[np.stack([half_edge, half_edge - half_edge % 3 + (half_edge + 1) % 3])]
-        pinned = (flags[ends] & int(PINNED)) != 0
-        keeps_second = pinned[1] | (~pinned[0] & (ends[1] < ends[0]))
-        removed: np.ndarray = np.where(keeps_second, ends[0], ends[1])
-        return removed
 
     def _compact(self) -> bool:
         """Close the gaps that dead faces leave, once they are many; whether that was so. It renumbers the corners."""
@@ -176,36 +169,18 @@ class Orderer(Ordering):
             return False
         state = self.state
         rank = self._live_rank[: self.face_slots]
-
-        def mark(part: slice) -> None:
-            launch(
-                collapse_kernels.mark_live_faces,
-                dim=part.stop - part.start,
-                inputs=[state.corner_vertex[3 * part.start : 3 * part.stop]],
-                outputs=[rank[part]],
-                device=self.device,
-            )
-
-        def move(part: slice) -> None:
-            corners = slice(3 * part.start, 3 * part.stop)
-            launch(
-                collapse_kernels.move_live_faces,
-                dim=part.stop - part.start,
-                inputs=[state.corner_vertex[corners], state.edge_cost[corners], state.seam[corners], rank[part]],
-                outputs=[self._spare_corner_vertex, self._spare_edge_cost, self._spare_seam],
-                device=self.device,
-            )
-
-        launch_parts(mark, self.face_slots, self.device, COMPACTED_FACES)
+        corner_vertex = corners_of(state.corner_vertex)
+        self._launch_over_faces(collapse_kernels.mark_live_faces, [corner_vertex], [rows_of(rank)])
         wp.utils.array_scan(rank, rank, inclusive=True)
-        launch_parts(move, self.face_slots, self.device, COMPACTED_FACES)
+        self._launch_over_faces(
+            collapse_kernels.move_live_faces,
+            [corner_vertex, corners_of(state.edge_cost), corners_of(state.seam), rows_of(rank)],
+            [self._spare_corner_vertex, self._spare_edge_cost, self._spare_seam],
+        )
         if state.wedges.channel_count > 0:
+            inputs = [state.corner_vertex, state.wedges.corner_wedge, rank]
             launch(
-                attribute_kernels.move_corner_wedges,
-                dim=self.face_slots,
-                inputs=[state.corner_vertex, state.wedges.corner_wedge, rank],
-                outputs=[self._spare_wedge],
-                device=self.device,
+                attribute_kernels.move_corner_wedges, self.face_slots, inputs, [self._spare_wedge], device=self.device
             )
             wp.copy(state.wedges.corner_wedge, self._spare_wedge, count=3 * self.live_faces)
         if self.model.deformation_weight > 0:
@@ -219,25 +194,21 @@ class Orderer(Ordering):
         wp.copy(state.seam, self._spare_seam, count=half_edge_count)
         return True
 
+    def _launch_over_faces(self, kernel: wp.Kernel, inputs: list[Any], outputs: list[Any], *rest: int) -> None:
+        launch_in_parts(
+            kernel, (self.face_slots, *rest), inputs, outputs, device=self.device, min_items=COMPACTED_FACES
+        )
+
     def _move_deformation(self, rank: wp.array) -> None:
         """Close the gaps in what the deformation term has measured; ``rank`` as for the faces, which still stand."""
         measured = self.state.deformation
         chunk_count = measured.steps.shape[1]
-
-        def move(part: slice) -> None:
-            launch(
-                deformation_kernels.move_deformation,
-                dim=(part.stop - part.start, chunk_count),
-                inputs=[
-                    self.state.corner_vertex[3 * part.start : 3 * part.stop],
-                    measured.face_area[part],
-                    measured.steps[3 * part.start : 3 * part.stop],
-                    rank[part],
-                ],
-                outputs=[self._spare_area, self._spare_steps],
-                device=self.device,
-            )
-
-        launch_parts(move, self.face_slots, self.device, COMPACTED_FACES)
+        rows = [corners_of(self.state.corner_vertex), rows_of(measured.face_area), corners_of(measured.steps)]
+        self._launch_over_faces(
+            deformation_kernels.move_deformation,
+            [*rows, rows_of(rank)],
+            [self._spare_area, self._spare_steps],
+            chunk_count,
+        )
         wp.copy(measured.face_area, self._spare_area, count=self.live_faces * chunk_count)
         wp.copy(measured.steps, self._spare_steps, count=3 * self.live_faces * chunk_count)

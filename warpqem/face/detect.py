@@ -15,7 +15,7 @@ from warpqem.face.mouth import LipMotion, find_parting, follow_dent
 from warpqem.face.nose import FaceUnits, find_units
 from warpqem.face.relief import Relief, make_relief
 from warpqem.face.sides import CornerFinder, LidFinder, find_side
-from warpqem.face.skin_regions import Skin, without_head_motion
+from warpqem.face.skin_regions import FaceSkin, without_head_motion
 from warpqem.face.spots import Missing, Spot
 
 __all__ = ["FoundFace", "FoundMidline", "find_midline", "find_spots"]
@@ -67,7 +67,7 @@ class FoundMidline:
         return self.profile.spots
 
 
-def find_midline(points: np.ndarray, skin: Skin, axes: np.ndarray, strip: bool = False) -> FoundMidline | None:
+def find_midline(points: np.ndarray, skin: FaceSkin, axes: np.ndarray, strip: bool = False) -> FoundMidline | None:
     """The nose and the profile of a face with points (V, 3); None where there is no nose.
 
     With ``strip`` the relief is that of the profile alone, and coarser: enough to compare directions.
@@ -83,7 +83,7 @@ def find_midline(points: np.ndarray, skin: Skin, axes: np.ndarray, strip: bool =
     return FoundMidline(units, relief, sigma, find_profile(relief, None))
 
 
-def find_spots(points: np.ndarray, skin: Skin, axes: np.ndarray) -> FoundFace | None:
+def find_spots(points: np.ndarray, skin: FaceSkin, axes: np.ndarray) -> FoundFace | None:
     """Find the feature points in the first frame.
 
     Args:
@@ -136,7 +136,7 @@ def _corner(lips: ContactLine | LipMotion | None) -> CornerFinder:
     return follow_dent if lips is None else lips.corner
 
 
-def _outline(local: np.ndarray, skin: Skin, bottom: float | None, top: float | None) -> Found:
+def _outline(local: np.ndarray, skin: FaceSkin, bottom: float | None, top: float | None) -> Found:
     """Top and sides of the head."""
     place = local[skin.vertices]
     border = local[skin.border]

@@ -16,7 +16,7 @@ from warpqem.face.feature_points import FacialFeatures
 from warpqem.measure.closest_points import ClosestPointSearch
 from warpqem.mesh.edges import edge_table
 
-__all__ = ["Correspondence", "LipLine", "correspond", "vertex_normals"]
+__all__ = ["FaceCorrespondence", "LipLine", "correspond", "vertex_normals"]
 
 # The axis of the cylinder is this far behind the tip of the nose, in noses: about the middle of a head.
 AXIS_BEHIND = 1.9
@@ -37,7 +37,7 @@ LIP_REACH = 0.45
 
 
 @dataclass(frozen=True)
-class Correspondence:
+class FaceCorrespondence:
     """Points on the source for T vertices.
 
     Attributes:
@@ -50,9 +50,9 @@ class Correspondence:
     weight: np.ndarray
     distance: np.ndarray
 
-    def where(self, mask: np.ndarray, other: Correspondence) -> Correspondence:
+    def where(self, mask: np.ndarray, other: FaceCorrespondence) -> FaceCorrespondence:
         """The other's points where the mask (T,) holds."""
-        return Correspondence(
+        return FaceCorrespondence(
             np.where(mask[:, None], other.vertex, self.vertex),
             np.where(mask[:, None], other.weight, self.weight),
             np.where(mask, other.distance, self.distance),
@@ -111,7 +111,7 @@ def correspond(
     target: np.ndarray,
     target_side: np.ndarray,
     device: str,
-) -> Correspondence:
+) -> FaceCorrespondence:
     """Find the point of the source for every vertex of the target, both in noses of the target.
 
     Args:
@@ -123,7 +123,7 @@ def correspond(
         device: Warp device.
     """
 
-    def search(place: np.ndarray, queries: np.ndarray, faces: np.ndarray, by_side: bool) -> Correspondence:
+    def search(place: np.ndarray, queries: np.ndarray, faces: np.ndarray, by_side: bool) -> FaceCorrespondence:
         vertex, weight = np.zeros((len(target), 3), dtype=np.int64), np.zeros((len(target), 3))
         corner_side = source_side[faces]
         for side in (0, 1, -1) if by_side else (0,):
@@ -134,7 +134,7 @@ def correspond(
                 found = ClosestPointSearch(own, device, "source").closest(place, queries[asked], 0)
                 vertex[asked], weight[asked] = own[found.face], found.barycentric
         at = np.einsum("tk,tkx->tx", weight, source[vertex])
-        return Correspondence(vertex, weight, np.linalg.norm(at - target, axis=1))
+        return FaceCorrespondence(vertex, weight, np.linalg.norm(at - target, axis=1))
 
     nearest = search(source, target, source_faces, False)
     on_side = search(source, target, source_faces, True)

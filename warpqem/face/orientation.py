@@ -12,7 +12,7 @@ import numpy as np
 
 from warpqem.errors import OptionError
 from warpqem.face.detect import FoundFace, find_midline, find_spots
-from warpqem.face.skin_regions import Skin
+from warpqem.face.skin_regions import FaceSkin
 from warpqem.face.spots import Missing, Spot
 
 __all__ = ["axes_of", "find_face"]
@@ -49,7 +49,7 @@ def axes_of(up: str, forward: str) -> np.ndarray:
     return np.stack([np.cross(vectors[0], vectors[1]), *vectors])
 
 
-def find_face(points: np.ndarray, skin: Skin) -> tuple[FoundFace | None, np.ndarray]:
+def find_face(points: np.ndarray, skin: FaceSkin) -> tuple[FoundFace | None, np.ndarray]:
     """The face in points (F, V, 3), and its axes (3, 3) to the left, up and forward; no face where none is found."""
     first = points[0]
     normal, across = _symmetry(first, skin.vertices)

@@ -15,11 +15,11 @@ from warpqem.arguments.array_input import first_outside, real_array
 from warpqem.arguments.array_types import ArrayInput, Points
 from warpqem.arguments.number_input import shown
 from warpqem.errors import FeaturePointError, MeshShapeError, OptionError
-from warpqem.face.face_correspondence import Correspondence, LipLine, correspond
+from warpqem.face.face_correspondence import FaceCorrespondence, LipLine, correspond
 from warpqem.face.feature_points import FacialFeatures, facial_features
 from warpqem.face.lips import keep_apart, lip_pairs
 from warpqem.face.nose import FaceUnits
-from warpqem.face.skin_regions import Skin, find_skin, head_motion
+from warpqem.face.skin_regions import FaceSkin, find_skin, head_motion
 from warpqem.face.volume_morph import VolumeMorph, shared_points
 from warpqem.mesh.mesh_input import finite_points, read_mesh, read_points
 from warpqem.runtime.device import on_device, resolve_device
@@ -152,7 +152,7 @@ class _Prepared:
     faces: np.ndarray
     features: FacialFeatures
     units: FaceUnits
-    skin: Skin
+    skin: FaceSkin
     others: np.ndarray
 
     @property
@@ -193,7 +193,7 @@ class _Prepared:
         return cls(points, faces, features, features.units, skin, np.setdiff1d(used, np.unique(skin.seen)))
 
 
-def _match(a: _Prepared, b: _Prepared, morphed: np.ndarray, device: str) -> Correspondence:
+def _match(a: _Prepared, b: _Prepared, morphed: np.ndarray, device: str) -> FaceCorrespondence:
     """The point of the morphed source for each vertex of the target's skin."""
     used, skin = a.skin.vertices, b.skin.vertices
     # Vertices of the skins alone, numbered anew.
@@ -205,7 +205,7 @@ def _match(a: _Prepared, b: _Prepared, morphed: np.ndarray, device: str) -> Corr
     if lines[0] is not None and lines[1] is not None:
         sides = [lines[0].sides(a.local, a.skin.faces)[used], lines[1].sides(target, b.skin.faces)]
     found = correspond(local, number[a.skin.faces], sides[0], target[skin], sides[1][skin], device)
-    return Correspondence(used[found.vertex], found.weight, found.distance)
+    return FaceCorrespondence(used[found.vertex], found.weight, found.distance)
 
 
 def _spread(points: np.ndarray) -> float:

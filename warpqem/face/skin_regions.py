@@ -9,7 +9,7 @@ import numpy as np
 from warpqem.mesh.components import lowest_members
 from warpqem.mesh.edges import edge_table
 
-__all__ = ["Skin", "border_vertices_of", "find_skin", "head_motion", "without_head_motion"]
+__all__ = ["FaceSkin", "border_vertices_of", "find_skin", "head_motion", "without_head_motion"]
 
 # Eyeballs are about as deep as they are wide; lashes, tear fluid and covers are sheets and strips.
 ROUND = 0.6
@@ -18,7 +18,7 @@ RIGID_ROUNDS, STIFF_PART = 4, 0.4
 
 
 @dataclass(frozen=True)
-class Skin:
+class FaceSkin:
     """The skin of a face mesh.
 
     Attributes:
@@ -34,7 +34,7 @@ class Skin:
     border: np.ndarray
 
 
-def find_skin(points: np.ndarray, faces: np.ndarray) -> Skin:
+def find_skin(points: np.ndarray, faces: np.ndarray) -> FaceSkin:
     """The component with the largest area is the skin; round ones beside it are eyes (points (V, 3), faces (N, 3))."""
     label = lowest_members(len(points), faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2))[faces[:, 0]]
     corner = points[faces]
@@ -46,7 +46,7 @@ def find_skin(points: np.ndarray, faces: np.ndarray) -> Skin:
         if other != skin and _is_round(points[np.unique(faces[part == other])]):
             seen |= part == other
     own = faces[part == skin]
-    return Skin(own, faces[seen], np.unique(own), border_vertices_of(own))
+    return FaceSkin(own, faces[seen], np.unique(own), border_vertices_of(own))
 
 
 def border_vertices_of(faces: np.ndarray) -> np.ndarray:

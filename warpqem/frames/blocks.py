@@ -6,9 +6,9 @@ import numpy as np
 import warp as wp
 
 from warpqem.kernels import lanes as kernels
-from warpqem.runtime.cpu_threads import launch_parts
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import launch
+from warpqem.runtime.part_launches import columns_of, launch_in_parts, rows_of
 
 __all__ = ["block_width", "chunk_frames", "chunk_steps", "frame_blocks", "pack_frames", "unpack_frames"]
 
@@ -69,20 +69,15 @@ def pack_frames(
     """
     frame_count, vertex_count = points.shape[:2]
     width = block_width(frame_count, device) if width is None else width
-    kernel = kernels.pack_frames[width]
     source = wp.array(points, dtype=wp.vec3, device=device, copy=False)
     blocks = wp.empty((vertex_count, -(-frame_count // width)), dtype=kernels.POINTS[width], device=device)
-
-    def pack(part: slice) -> None:
-        launch(
-            kernel,
-            dim=(part.stop - part.start, blocks.shape[1]),
-            inputs=[source[:, part], wp.vec3(*map(float, centre)), float(scale)],
-            outputs=[blocks[part]],
-            device=device,
-        )
-
-    launch_parts(pack, vertex_count, device)
+    launch_in_parts(
+        kernels.pack_frames[width],
+        blocks.shape,
+        inputs=[columns_of(source), wp.vec3(*map(float, centre)), float(scale)],
+        outputs=[rows_of(blocks)],
+        device=device,
+    )
     return blocks
 
 

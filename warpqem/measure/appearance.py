@@ -10,10 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from warpqem.arguments.array_input import real_array
+from warpqem.arguments.json_types import Json
 from warpqem.arguments.number_input import check_function, whole_number
 from warpqem.errors import DegenerateMeshError
-from warpqem.measure.appearance_errors import SEAM_SAMPLES, FieldErrors, MeshPair, UvErrors, UvMeasure, angles
-from warpqem.measure.checked_meshes import MeshSequence, check_same_frame_count, chosen_frames
+from warpqem.measure.appearance_errors import SEAM_SAMPLES, FieldErrors, MovingPair, UvErrors, UvMeasure, angles
+from warpqem.measure.checked_meshes import CheckedMesh, check_same_frame_count, chosen_frames
 from warpqem.measure.color_difference import color_difference
 from warpqem.measure.followed_points import MovingMesh
 from warpqem.measure.sampling import draw_material_samples
@@ -79,7 +80,7 @@ class Appearance:
     seam_sample_count: int
     frame_count: int
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Json]:
         """Plain dictionaries, numbers and None, ready for JSON."""
         return asdict(self)
 
@@ -153,7 +154,7 @@ def compare_appearance(
 
 
 def _measure_frames(
-    pair: MeshPair,
+    pair: MovingPair,
     uvs: list[UvMeasure],
     fields: list[FieldErrors],
     frames: list[int],
@@ -175,28 +176,28 @@ def _measure_frames(
             progress(done, len(frames))
 
 
-def _sequence(points: npt.ArrayLike, faces: npt.ArrayLike, name: str) -> MeshSequence:
+def _sequence(points: npt.ArrayLike, faces: npt.ArrayLike, name: str) -> CheckedMesh:
     """A checked sequence that keeps the points as they are given, in single precision, too."""
     given = read_points(real_array(points, f"{name} points", ("F", "V", 3), ("V", 3)), f"{name} points")
     array: Any = finite_points(given, f"{name} points:")
     face_array = read_faces(faces, f"{name} faces", array.shape[1]).astype(np.int64)
-    return MeshSequence(array, face_array, np.unique(face_array))
+    return CheckedMesh(array, face_array, np.unique(face_array))
 
 
-def _make_pair(reference: MeshSequence, test: MeshSequence, samples: int, seed: int, device: str) -> MeshPair:
+def _make_pair(reference: CheckedMesh, test: CheckedMesh, samples: int, seed: int, device: str) -> MovingPair:
     centre, diagonal = _scale(reference)
     drawn = tuple(
         draw_material_samples(mesh, samples, seed + number, name)
         for number, (mesh, name) in enumerate(((reference, "reference"), (test, "test")))
     )
-    return MeshPair(
+    return MovingPair(
         MovingMesh(reference, centre, diagonal, device),
         MovingMesh(test, centre, diagonal, device),
         (drawn[0], drawn[1]),
     )
 
 
-def _scale(reference: MeshSequence) -> tuple[Floats, Floats]:
+def _scale(reference: CheckedMesh) -> tuple[Floats, Floats]:
     """Centres (F, 3) and diagonals (F,) of the bounding boxes of the vertices in use, frame by frame.
 
     Raises:

@@ -21,7 +21,7 @@ from warpqem.measure.texture_coordinates import (
 )
 from warpqem.mesh.blending import blend
 
-__all__ = ["SEAM_SAMPLES", "ErrorSums", "FieldErrors", "MeshPair", "UvErrors", "UvMeasure", "angles"]
+__all__ = ["SEAM_SAMPLES", "ErrorSums", "FieldErrors", "MovingPair", "UvErrors", "UvMeasure", "angles"]
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -64,7 +64,7 @@ class UvErrors:
     seam_drift_largest: float | None
 
 
-class MeshPair:
+class MovingPair:
     """Reference and test mesh at one frame, and samples of each."""
 
     def __init__(self, reference: MovingMesh, test: MovingMesh, samples: tuple[MaterialSamples, MaterialSamples]):
@@ -126,7 +126,7 @@ class FieldErrors:
         self._values, self._difference = values, difference
         self._sums = ErrorSums(power=1)
 
-    def add(self, pair: MeshPair, ways: tuple[Correspondence, Correspondence], frame: int) -> None:
+    def add(self, pair: MovingPair, ways: tuple[Correspondence, Correspondence], frame: int) -> None:
         """Take the frame that the pair shows."""
         values = pair.read(self._values, frame, 3)
         self._sums.add(np.concatenate([self._difference(*ends) for ends in _both_ways(pair, ways, values)]))
@@ -139,7 +139,7 @@ class FieldErrors:
 class UvMeasure:
     """Errors of one set of texture coordinates, with seams and islands as they are in the first frame."""
 
-    def __init__(self, pair: MeshPair, values: tuple[CornerValues, CornerValues], seed: int) -> None:
+    def __init__(self, pair: MovingPair, values: tuple[CornerValues, CornerValues], seed: int) -> None:
         """The pair is at the first frame."""
         self._pair, self._values = pair, values
         moving = (pair.reference, pair.test)
@@ -238,7 +238,7 @@ def angles(first: Floats, second: Floats) -> Floats:
 
 
 def _both_ways(
-    pair: MeshPair, ways: tuple[Correspondence, Correspondence], values: tuple[Floats, Floats]
+    pair: MovingPair, ways: tuple[Correspondence, Correspondence], values: tuple[Floats, Floats]
 ) -> list[tuple[Floats, Floats]]:
     """Values (S, C) at the samples of each mesh, and at the points of the other mesh that correspond to them."""
     ends = []

@@ -19,7 +19,7 @@ from warpqem.arguments.array_input import index_array
 from warpqem.errors import MeshShapeError
 from warpqem.kernels.binding import find_listed
 from warpqem.measure.binding_surface import WALK_STEPS, ReferenceSurface, TestVertices, facing_sign
-from warpqem.measure.checked_meshes import MeshSequence, chosen_frames
+from warpqem.measure.checked_meshes import CheckedMesh, chosen_frames
 from warpqem.measure.closest_points import ClosestPointSearch
 from warpqem.mesh.components import lowest_members
 from warpqem.mesh.mesh_input import is_proper
@@ -64,8 +64,8 @@ class Binding:
 
 
 def bind(
-    reference: MeshSequence,
-    test: MeshSequence,
+    reference: CheckedMesh,
+    test: CheckedMesh,
     centre: Floats,
     diagonal: Floats,
     device: str,
@@ -88,7 +88,7 @@ def bind(
     return bind_by_shape(reference, test, centre, diagonal, device)
 
 
-def check_vertex_map(vertex_map: Any, reference: MeshSequence, test: MeshSequence) -> Ints:
+def check_vertex_map(vertex_map: Any, reference: CheckedMesh, test: CheckedMesh) -> Ints:
     """The vertex map of a collapse record as (V,) int64.
 
     Raises:
@@ -117,8 +117,8 @@ def check_vertex_map(vertex_map: Any, reference: MeshSequence, test: MeshSequenc
 
 
 def bind_by_record(
-    reference: MeshSequence,
-    test: MeshSequence,
+    reference: CheckedMesh,
+    test: CheckedMesh,
     centre: Floats,
     diagonal: Floats,
     device: str,
@@ -136,9 +136,7 @@ def bind_by_record(
     return Binding(*_nearest_over_time(surface, vertices, _ListedSearch(surface, vertices, test, vertex_map)))
 
 
-def bind_by_shape(
-    reference: MeshSequence, test: MeshSequence, centre: Floats, diagonal: Floats, device: str
-) -> Binding:
+def bind_by_shape(reference: CheckedMesh, test: CheckedMesh, centre: Floats, diagonal: Floats, device: str) -> Binding:
     """Bind each vertex to the nearest point, in the first frame, of the sheet that it belongs to.
 
     Candidates are the nearest points, in each of eight frames, of faces that face as the vertex does. Of these the
@@ -158,7 +156,7 @@ def bind_by_shape(
     return Binding(face, barycentric)
 
 
-def _key_frames(reference: MeshSequence) -> list[int]:
+def _key_frames(reference: CheckedMesh) -> list[int]:
     frames: list[int] = chosen_frames(KEY_FRAMES, len(reference.points)).tolist()
     return frames
 
@@ -196,7 +194,7 @@ class _WholeSearch:
 class _ListedSearch:
     """Only faces that a vertex stands for count."""
 
-    def __init__(self, surface: ReferenceSurface, vertices: TestVertices, test: MeshSequence, vertex_map: Ints) -> None:
+    def __init__(self, surface: ReferenceSurface, vertices: TestVertices, test: CheckedMesh, vertex_map: Ints) -> None:
         self._surface, self._vertices = surface, vertices
         faces = surface.mesh.faces
         slot = np.full(test.points.shape[1] + 1, -1, dtype=np.int32)

@@ -7,7 +7,7 @@ import numpy.typing as npt
 import warp as wp
 
 from warpqem.kernels.binding import find_facing, walk_surface
-from warpqem.measure.checked_meshes import MeshSequence
+from warpqem.measure.checked_meshes import CheckedMesh
 from warpqem.measure.coincidence import coincident
 from warpqem.measure.sampling import normals_and_areas, place
 from warpqem.measure.validity import unique_edges
@@ -136,7 +136,7 @@ def make_rings(corner_place: Ints, device: str) -> Rings:
 class ReferenceSurface:
     """The reference on the key frames, scaled, with what is next to each face."""
 
-    def __init__(self, mesh: MeshSequence, centre: Floats, diagonal: Floats, frames: list[int], device: str) -> None:
+    def __init__(self, mesh: CheckedMesh, centre: Floats, diagonal: Floats, frames: list[int], device: str) -> None:
         self.mesh, self.frames, self.device = mesh, frames, device
         self.centre, self.diagonal = centre[frames], diagonal[frames]
         self.points = self.scaled(mesh)
@@ -149,7 +149,7 @@ class ReferenceSurface:
         tail = place_of[mesh.faces]
         self._edges = np.unique(edge_key(tail, np.roll(tail, -1, axis=1), len(place_of)))
 
-    def scaled(self, mesh: MeshSequence) -> Floats:
+    def scaled(self, mesh: CheckedMesh) -> Floats:
         """A mesh's points in the key frames (K, V, 3), about the origin with the reference's diagonal as unit."""
         return np.stack(
             [(mesh.points[f] - c) / d for f, c, d in zip(self.frames, self.centre, self.diagonal, strict=True)]
@@ -193,7 +193,7 @@ class TestVertices:
         reach: (U,) the longest edge at each vertex in the first frame.
     """
 
-    def __init__(self, test: MeshSequence, surface: ReferenceSurface) -> None:
+    def __init__(self, test: CheckedMesh, surface: ReferenceSurface) -> None:
         self.points = surface.scaled(test)[:, test.used]
         faces = np.searchsorted(test.used, test.faces)
         place_of = coincident(self.points)

@@ -14,11 +14,11 @@ from warpqem.arguments.number_input import shown
 from warpqem.errors import DegenerateMeshError, MeshShapeError, OptionError
 from warpqem.mesh.mesh_input import finite_points, read_faces, read_points
 
-__all__ = ["MeshSequence", "check_same_frame_count", "check_sequence", "chosen_frames", "frame_scale"]
+__all__ = ["CheckedMesh", "check_same_frame_count", "check_sequence", "chosen_frames", "frame_scale"]
 
 
 @dataclass(frozen=True)
-class MeshSequence:
+class CheckedMesh:
     """Triangle mesh with one topology and moving points.
 
     Attributes:
@@ -32,7 +32,7 @@ class MeshSequence:
     used: npt.NDArray[np.int64]
 
 
-def check_sequence(points: npt.ArrayLike, faces: npt.ArrayLike, name: str) -> MeshSequence:
+def check_sequence(points: npt.ArrayLike, faces: npt.ArrayLike, name: str) -> CheckedMesh:
     """Mesh sequence with checked shapes, indices and values.
 
     Args:
@@ -51,10 +51,10 @@ def check_sequence(points: npt.ArrayLike, faces: npt.ArrayLike, name: str) -> Me
         raise MeshShapeError(f"{name} points: expected at least one frame, got shape {given.shape}")
     array = finite_points(read_points(given, f"{name} points"), f"{name} points:").astype(np.float64)
     face_array = read_faces(faces, f"{name} faces", array.shape[1]).astype(np.int64)
-    return MeshSequence(array, face_array, np.unique(face_array))
+    return CheckedMesh(array, face_array, np.unique(face_array))
 
 
-def check_same_frame_count(reference: MeshSequence, test: MeshSequence) -> None:
+def check_same_frame_count(reference: CheckedMesh, test: CheckedMesh) -> None:
     """Raise MeshShapeError naming both counts where the two sequences differ in length."""
     if len(reference.points) != len(test.points):
         raise MeshShapeError(
@@ -87,7 +87,7 @@ def chosen_frames(frames: int | Sequence[int] | None, frame_count: int) -> npt.N
     return np.unique(given).astype(np.int64)
 
 
-def frame_scale(reference: MeshSequence) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+def frame_scale(reference: CheckedMesh) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """Centres (F, 3) and diagonals (F,) of the bounding boxes of the vertices in use.
 
     Raises:

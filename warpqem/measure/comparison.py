@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from warpqem.arguments.json_types import Json
 from warpqem.arguments.number_input import check_function, whole_number
 from warpqem.frames.stream import ArrayFrames
 from warpqem.measure.binding import bind, check_vertex_map
 from warpqem.measure.checked_meshes import (
-    MeshSequence,
+    CheckedMesh,
     check_same_frame_count,
     check_sequence,
     chosen_frames,
@@ -60,15 +60,14 @@ class Comparison(Measured):
     reference_topology: Topology
     test_topology: Topology
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Json]:
         """Plain dictionaries, lists, numbers and None, ready for JSON."""
-        result = super().to_dict()
-        result["per_frame"] = {key: value.tolist() for key, value in result["per_frame"].items()}
-        return result
+        frames = {key: value.tolist() for key, value in vars(self.per_frame).items()}
+        return {**super().to_dict(), "per_frame": frames}
 
 
 def _jitter(
-    reference: MeshSequence, test: MeshSequence, centre: Doubles, diagonal: Doubles, seed: int, device: str
+    reference: CheckedMesh, test: CheckedMesh, centre: Doubles, diagonal: Doubles, seed: int, device: str
 ) -> float | None:
     """Jitter over the middle frames in % of the mean diagonal; None below three frames."""
     frame_count = len(reference.points)
@@ -108,7 +107,7 @@ def compare(
 
     In each frame both surfaces are sampled in proportion to area. As in Cignoni, Rocchini and Scopigno, "Metro:
     Measuring Error on Simplified Surfaces" (1998), both directions are taken. The largest distance is searched for over
-    the whole surfaces, see :mod:`warpqem.kernels.surface_distance`. Equal arguments give equal bits, and the figures of
+    the whole surfaces, see :mod:`warpqem.kernels.largest_distance`. Equal arguments give equal bits, and the figures of
     :class:`Measured` are those that :func:`warpqem.simplify` gives for its result.
 
     Args:

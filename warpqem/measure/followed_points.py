@@ -7,7 +7,7 @@ import numpy.typing as npt
 import warp as wp
 
 from warpqem.measure.binding_surface import WALK_STEPS, facing_sign, make_rings, nearest_facing, walk
-from warpqem.measure.checked_meshes import MeshSequence
+from warpqem.measure.checked_meshes import CheckedMesh
 from warpqem.measure.closest_points import ClosestPointSearch
 from warpqem.measure.coincidence import coincident
 from warpqem.measure.sampling import MaterialSamples, normals_and_areas, place
@@ -43,7 +43,7 @@ class MovingMesh:
         points: (V, 3) of the frame shown, scaled.
     """
 
-    def __init__(self, mesh: MeshSequence, centre: Floats, diagonal: Floats, device: str) -> None:
+    def __init__(self, mesh: CheckedMesh, centre: Floats, diagonal: Floats, device: str) -> None:
         self.mesh, self.device = mesh, device
         self._centre, self._diagonal = centre, diagonal
         frames = np.unique(np.linspace(0, len(mesh.points) - 1, PLACE_FRAMES).round().astype(np.int64))

@@ -131,7 +131,7 @@ class LargestDistance:
     """Finds the largest distance in each frame, both ways.
 
     In a block of frames, all patches are bounded at once by the faces that they were near to before; those that may
-    hold more than what is known are searched by branch and bound (:mod:`warpqem.kernels.surface_distance`), and give
+    hold more than what is known are searched by branch and bound (:mod:`warpqem.kernels.largest_distance`), and give
     way to the pieces that they were cut into, which fit this frame and mostly the next ones.
 
     Args:

@@ -9,6 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from warpqem.arguments.json_types import Json
 from warpqem.frames.stream import FrameSink, FrameSource
 from warpqem.measure.surfaces import SurfaceComparison, sample_count
 from warpqem.measure.verdict import Verdict, verdict_of
@@ -59,7 +60,7 @@ class Measured:
         """Good, look or poor, and why; see :mod:`warpqem.measure.verdict`."""
         return verdict_of(self)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Json]:
         """Plain dictionaries, numbers and text, ready for JSON."""
         return {**asdict(self), "verdict": self.verdict.word, "reason": self.verdict.reason}
 

@@ -10,13 +10,15 @@ import numpy.typing as npt
 import warp as wp
 
 from warpqem.frames.blocks import pack_frames
-from warpqem.kernels import surface_distance as kernels
+from warpqem.kernels import largest_distance as kernels
+from warpqem.kernels import surface_distance
 from warpqem.kernels.distance_screen import SCREEN_HINTS, ScreenPatches, bound_patches
 from warpqem.kernels.near_faces import HINTS
 from warpqem.measure.cells import Cells
-from warpqem.runtime.cpu_threads import launch_parts, run_parts, split_range, thread_count
+from warpqem.runtime.cpu_threads import run_parts, split_range, thread_count
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import launch
+from warpqem.runtime.part_launches import FIRST_ITEM, launch_in_parts
 
 __all__ = ["Found", "Patches", "bound_frames", "pack_points", "search_patches", "vertex_distances"]
 
@@ -72,7 +74,7 @@ class Patches:
 
 @dataclass(frozen=True)
 class Found:
-    """What a search of n patches gives, see :func:`warpqem.kernels.surface_distance.largest_distances`.
+    """What a search of n patches gives, see :func:`warpqem.kernels.largest_distance.largest_distances`.
 
     Attributes:
         low: (n,) distance of a point, or the floor.
@@ -111,17 +113,14 @@ def bound_frames(
     screen.hint = wp.array(hint, dtype=wp.int32, device=device)
     block_count = points[0].shape[1]
     bound = wp.empty((len(patches), block_count * width), dtype=wp.float32, device=device)
-
-    def one(part: slice) -> None:
-        launch(
-            bound_patches[width],
-            dim=(part.stop - part.start, block_count),
-            inputs=[*points, own.corner_vertex, other.corner_vertex, screen, float(enough), part.start],
-            outputs=[bound],
-            device=device,
-        )
-
-    launch_parts(one, len(patches), device, MIN_PART)
+    launch_in_parts(
+        bound_patches[width],
+        (len(patches), block_count),
+        inputs=[*points, own.corner_vertex, other.corner_vertex, screen, float(enough), FIRST_ITEM],
+        outputs=[bound],
+        device=device,
+        min_items=MIN_PART,
+    )
     # Frame by frame, as they are asked for.
     found: Singles = np.ascontiguousarray(bound.numpy().T)
     return found
@@ -136,17 +135,14 @@ def vertex_distances(own: Cells, other: Cells, device: str) -> tuple[Doubles, In
     face = wp.array(corner // 3, dtype=wp.int32, device=device)
     inputs = [own.surface, other.surface, face, wp.array(place, dtype=wp.vec2d, device=device)]
     near = wp.empty(len(corner), dtype=wp.int32, device=device)
-
-    def one(part: slice) -> None:
-        launch(
-            kernels.sample_distances,
-            dim=part.stop - part.start,
-            inputs=[*inputs, part.start],
-            outputs=[distance, angle, near],
-            device=device,
-        )
-
-    launch_parts(one, len(corner), device, MIN_PART)
+    launch_in_parts(
+        surface_distance.sample_distances,
+        len(corner),
+        inputs=[*inputs, FIRST_ITEM],
+        outputs=[distance, angle, near],
+        device=device,
+        min_items=MIN_PART,
+    )
     return distance.numpy(), corner // 3
 
 
@@ -177,42 +173,42 @@ def search_patches(
     hint = wp.empty(patches.hint.shape, dtype=wp.int32, device=device)
     room = max(1, PIECES_PER_FACE * (len(patches) + other.face_count)) if cut else 0
     while True:
-        piece = _piece_room(len(parts) * room, device)
-        counts = wp.zeros(len(parts), dtype=wp.int32, device=device)
+        pieces = _piece_room(len(parts), room, device)
 
-        def search(index: int, part: slice, counts: wp.array = counts, piece: kernels.FoundPieces = piece) -> None:
+        def search(index: int, part: slice, pieces: kernels.FoundPieces = pieces) -> None:
             launch(
                 kernels.largest_distances,
                 dim=part.stop - part.start,
-                inputs=[*inputs, index, part.start, counts],
-                outputs=[piece, low, high, hint],
+                inputs=[*inputs, index, part.start],
+                outputs=[pieces, low, high, hint],
                 device=device,
             )
 
         run_parts([partial(search, index, part) for index, part in enumerate(parts)])
-        needed = int(counts.numpy().max(initial=0))
+        needed = int(pieces.count.numpy().max(initial=0))
         if not cut or needed <= room:
             break
         room = needed
-    return Found(low.numpy(), high.numpy(), hint.numpy(), *_read_pieces(patches, piece, counts.numpy(), room, cut))
+    return Found(low.numpy(), high.numpy(), hint.numpy(), *_read_pieces(patches, pieces, room, cut))
 
 
-def _piece_room(count: int, device: str) -> kernels.FoundPieces:
-    piece = kernels.FoundPieces()
-    piece.item = wp.empty(count, dtype=wp.int32, device=device)
-    piece.place = wp.empty((count, 6), dtype=wp.float64, device=device)
-    piece.hint = wp.empty((count, int(HINTS)), dtype=wp.int32, device=device)
-    return piece
+def _piece_room(part_count: int, room: int, device: str) -> kernels.FoundPieces:
+    """Room for so many pieces of each part."""
+    count = part_count * room
+    pieces = kernels.FoundPieces()
+    pieces.count = wp.zeros(part_count, dtype=wp.int32, device=device)
+    pieces.item = wp.empty(count, dtype=wp.int32, device=device)
+    pieces.place = wp.empty((count, 6), dtype=wp.float64, device=device)
+    pieces.hint = wp.empty((count, int(HINTS)), dtype=wp.int32, device=device)
+    return pieces
 
 
-def _read_pieces(
-    patches: Patches, piece: kernels.FoundPieces, counts: npt.NDArray[np.int32], room: int, cut: bool
-) -> tuple[Patches, Ints]:
+def _read_pieces(patches: Patches, pieces: kernels.FoundPieces, room: int, cut: bool) -> tuple[Patches, Ints]:
     if not cut:
         return patches.rows(slice(0)), np.zeros(0, dtype=np.int64)
-    rows = np.concatenate([part * room + np.arange(count) for part, count in enumerate(counts)])
-    item = piece.item.numpy()[rows]
+    rows = np.concatenate([part * room + np.arange(count) for part, count in enumerate(pieces.count.numpy())])
+    item = pieces.item.numpy()[rows]
     # A patch is cut by one thread, in order; threads come in any order.
     order = np.argsort(item, kind="stable")
     rows, item = rows[order], item[order].astype(np.int64)
-    return Patches(patches.face[item], piece.place.numpy()[rows], piece.hint.numpy()[rows]), item
+    return Patches(patches.face[item], pieces.place.numpy()[rows], pieces.hint.numpy()[rows]), item

@@ -20,8 +20,9 @@ from warpqem.frames.blocks import block_width
 from warpqem.kernels import distance_bound as kernels
 from warpqem.kernels.distance_pieces import check_pieces
 from warpqem.measure.unit_frames import UnitBlock
-from warpqem.runtime.cpu_threads import launch_parts, run_parts, split_range, thread_count
+from warpqem.runtime.cpu_threads import run_parts, split_range, thread_count
 from warpqem.runtime.launches import launch
+from warpqem.runtime.part_launches import PerPart, launch_in_parts, rows_of
 
 if TYPE_CHECKING:
     from warpqem.measure.bound_side import BoundSide
@@ -216,18 +217,15 @@ class PieceProof:
         apart = wp.empty((len(pieces), left.shape[1]), dtype=wp.int32, device=device)
         left_device = wp.array(left, dtype=wp.int32, device=device, copy=False)
         squared = (self._limit - SINGLE_MARGIN) ** 2
-
-        def check(part: slice) -> None:
-            corners = [own.corner_vertex, other.corner_vertex]
-            launch(
-                check_pieces[self._width],
-                dim=(part.stop - part.start, left.shape[1]),
-                inputs=[points, others, *corners, pieces.part(part).on_device(device), squared, left_device],
-                outputs=[apart[part]],
-                device=device,
-            )
-
-        launch_parts(check, len(pieces), device, MIN_PIECES)
+        of_part = PerPart(lambda part: pieces.part(part).on_device(device))
+        launch_in_parts(
+            check_pieces[self._width],
+            apart.shape,
+            inputs=[points, others, own.corner_vertex, other.corner_vertex, of_part, squared, left_device],
+            outputs=[rows_of(apart)],
+            device=device,
+            min_items=MIN_PIECES,
+        )
         bits: npt.NDArray[np.int32] = apart.numpy()
         return bits
 

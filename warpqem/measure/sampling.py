@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from warpqem.errors import DegenerateMeshError
-from warpqem.measure.checked_meshes import MeshSequence, chosen_frames
+from warpqem.measure.checked_meshes import CheckedMesh, chosen_frames
 
 __all__ = ["MaterialSamples", "draw_material_samples", "normals_and_areas", "place"]
 
@@ -61,7 +61,7 @@ class MaterialSamples:
         return weight / weight.sum()
 
 
-def draw_material_samples(mesh: MeshSequence, count: int, seed: int, name: str) -> MaterialSamples:
+def draw_material_samples(mesh: CheckedMesh, count: int, seed: int, name: str) -> MaterialSamples:
     """Samples drawn in proportion to the face areas averaged over eight frames, in strata of the area.
 
     Within a face the square-root map of Osada et al., "Shape Distributions" (2002), equation 1, is uniform.

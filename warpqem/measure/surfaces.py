@@ -17,8 +17,7 @@ from warpqem.kernels.lanes import WIDE
 from warpqem.measure.cells import Cells, cell_places
 from warpqem.measure.largest import LargestDistance
 from warpqem.measure.per_frame import FrameErrors
-from warpqem.runtime.cpu_threads import launch_parts
-from warpqem.runtime.launches import launch
+from warpqem.runtime.part_launches import FIRST_ITEM, launch_in_parts
 
 __all__ = ["SurfaceComparison", "sample_count"]
 
@@ -77,7 +76,7 @@ class SurfaceComparison:
 
     In each frame, samples of both surfaces are drawn in proportion to area, in strata, and differently in each frame.
     The largest distance is searched for over both surfaces in all frames, by branch and bound
-    (:mod:`warpqem.kernels.surface_distance`): it holds at every point, not at samples only. Equal frames give equal
+    (:mod:`warpqem.kernels.largest_distance`): it holds at every point, not at samples only. Equal frames give equal
     bits, however they come in blocks.
 
     Args:
@@ -243,16 +242,7 @@ class SurfaceComparison:
         return total
 
     def _launch(self, kernel: wp.Kernel, count: int, inputs: list[Any], outputs: list[wp.array]) -> None:
-        def one(part: slice) -> None:
-            launch(
-                kernel,
-                dim=part.stop - part.start,
-                inputs=[*inputs, part.start],
-                outputs=outputs,
-                device=self._device,
-            )
-
-        launch_parts(one, count, self._device, MIN_PART)
+        launch_in_parts(kernel, count, [*inputs, FIRST_ITEM], outputs, device=self._device, min_items=MIN_PART)
 
     def per_frame(self) -> FrameErrors:
         """The errors of the frames so far."""

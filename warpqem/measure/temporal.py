@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from warpqem.measure.binding import Binding
-from warpqem.measure.checked_meshes import MeshSequence
+from warpqem.measure.checked_meshes import CheckedMesh
 from warpqem.measure.sampling import TINY, normals_and_areas, place
 from warpqem.measure.validity import unique_edges
 
@@ -86,7 +86,7 @@ class BindingErrors:
 
 
 def binding_errors(
-    reference: MeshSequence, test: MeshSequence, binding: Binding, diagonal: npt.NDArray[np.float64]
+    reference: CheckedMesh, test: CheckedMesh, binding: Binding, diagonal: npt.NDArray[np.float64]
 ) -> BindingErrors:
     """Slide and edge-length error of the test mesh.
 

@@ -18,7 +18,7 @@ from warpqem.files.temporary import replacing
 if TYPE_CHECKING:
     import trimesh
 
-__all__ = ["SurfaceValues", "as_trimesh", "check_mesh_output", "write_frames"]
+__all__ = ["WrittenValues", "as_trimesh", "check_mesh_output", "write_frames"]
 
 # Digits behind the point. They hold every bit of single precision of numbers above a tenth, so that points are written
 # again. Normals are left out, as the programs that read the files make them.
@@ -41,7 +41,7 @@ WHITE = 255.0
 
 
 @dataclass(frozen=True)
-class SurfaceValues:
+class WrittenValues:
     """Values on the faces of a mesh that does not change its faces.
 
     Attributes:
@@ -66,7 +66,7 @@ def check_mesh_output(output: str | os.PathLike[str], option: str = "output") ->
 
 
 def as_trimesh(
-    points: npt.NDArray[np.floating], faces: npt.NDArray[np.int32], values: SurfaceValues | None = None
+    points: npt.NDArray[np.floating], faces: npt.NDArray[np.int32], values: WrittenValues | None = None
 ) -> trimesh.Trimesh:
     """One frame as a ``trimesh.Trimesh``, its vertices and faces in their order.
 
@@ -75,7 +75,7 @@ def as_trimesh(
         faces: (N, 3).
         values: Texture coordinates and colours; where they have seams, vertices come once for each side.
     """
-    return _Template(faces, len(points), values or SurfaceValues()).mesh(points)
+    return _Template(faces, len(points), values or WrittenValues()).mesh(points)
 
 
 def write_frames(
@@ -83,7 +83,7 @@ def write_frames(
     faces: npt.NDArray[np.int32],
     vertex_count: int,
     files: Sequence[str],
-    values: SurfaceValues | None = None,
+    values: WrittenValues | None = None,
 ) -> None:
     """Write each frame as a file, under a temporary name first.
 
@@ -97,7 +97,7 @@ def write_frames(
     Raises:
         MeshFileError: a file cannot be written.
     """
-    template = _Template(faces, vertex_count, values or SurfaceValues())
+    template = _Template(faces, vertex_count, values or WrittenValues())
     for points, file in zip(frames, files, strict=True):
         target = Path(file).absolute()
         kind = target.suffix.lower()[1:]
@@ -130,7 +130,7 @@ def _with_all_digits(text: str, kind: str, points: npt.NDArray[np.floating]) -> 
 class _Template:
     """What the files of all frames share: faces, and vertices that are split where values have seams."""
 
-    def __init__(self, faces: npt.NDArray[np.int32], vertex_count: int, values: SurfaceValues) -> None:
+    def __init__(self, faces: npt.NDArray[np.int32], vertex_count: int, values: WrittenValues) -> None:
         self._point_of: npt.NDArray[np.int64] | None = None
         self._faces, self._uv, self._colors = faces, None, None
         self._face_colors = values.face_colors

@@ -13,9 +13,8 @@ from warpqem.arguments.number_input import real_number, shown, whole_number
 from warpqem.errors import OptionError
 from warpqem.kernels import render as kernels
 from warpqem.mesh.mesh_input import finite_points, read_faces, read_points
-from warpqem.runtime.cpu_threads import launch_parts
 from warpqem.runtime.device import on_device, resolve_device
-from warpqem.runtime.launches import launch
+from warpqem.runtime.part_launches import PerPart, launch_in_parts, rows_of
 
 __all__ = ["View", "fit_view", "render"]
 
@@ -160,21 +159,21 @@ def render(
     shading.background = wp.vec3(*BACKGROUND)
     image = wp.empty((height, width), dtype=wp.vec3, device=device)
 
-    def draw(part: slice) -> None:
+    def camera_of(part: slice) -> kernels.Camera:
         # Rows of a strip are counted from the picture's top, so the strip's camera looks as far up or down.
         strip = kernels.Camera()
         shift = camera.pixel * (0.5 * height - 0.5 * (part.start + part.stop))
         strip.middle = camera.middle + shift * camera.up
         strip.right, strip.up, strip.pixel, strip.reach = camera.right, camera.up, camera.pixel, camera.reach
-        launch(
-            kernels.render_pixels,
-            dim=(part.stop - part.start, width),
-            inputs=[mesh.id, corner_vertex, mesh.points, strip, shading, SAMPLES],
-            outputs=[image[part]],
-            device=device,
-        )
+        return strip
 
-    launch_parts(draw, height, device)
+    launch_in_parts(
+        kernels.render_pixels,
+        image.shape,
+        inputs=[mesh.id, corner_vertex, mesh.points, PerPart(camera_of), shading, SAMPLES],
+        outputs=[rows_of(image)],
+        device=device,
+    )
     return _encode(image.numpy())
 
 

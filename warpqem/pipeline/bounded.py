@@ -26,7 +26,7 @@ from warpqem.mesh.mesh_input import AnimatedMesh
 from warpqem.pipeline.bound_sink import LimitFrames
 from warpqem.pipeline.memory_plan import KEPT_BYTES, stage_frames
 from warpqem.pipeline.prepare import ORDER_END, Prepared, Progress
-from warpqem.pipeline.result import Delivery, Outcome, SimplifiedMesh, finish, in_input_terms, reached, written_faces
+from warpqem.pipeline.result import SimplifiedMesh, finish, in_input_terms, reached, written_faces
 from warpqem.place.clusters import ClusterPlacer
 from warpqem.repair.mended_mesh import faces_for
 from warpqem.runtime.device import device_turn
@@ -188,7 +188,7 @@ class _Search:
             array = ArraySink()
             bound = self._bound_of(level)
             sink = _BoundFrames(array if keep else NoFrames(), self._frames, bound, self._work.device, proved)
-            result = self._finish(level, Delivery(sink))
+            result = self._finish(level, sink)
             if progress:
                 # The number of levels is unknown: each takes half of what is left.
                 left /= 2
@@ -202,14 +202,16 @@ class _Search:
             for excess in sink.excess:
                 choice = self._finer(level, choice, excess, 1)
 
-    def place(self, choice: _Choice, delivery: Delivery, mesh: AnimatedMesh) -> SimplifiedMesh:
+    def place(self, choice: _Choice, sink: FrameSink, mesh: AnimatedMesh, progress: Progress | None) -> SimplifiedMesh:
         """The result of a level, in the terms of the mesh as it is given."""
-        return self._finish(self._level_of(choice), delivery, mesh)
+        return self._finish(self._level_of(choice), sink, mesh, progress)
 
-    def _finish(self, level: _Level, delivery: Delivery, mesh: AnimatedMesh | None = None) -> SimplifiedMesh:
+    def _finish(
+        self, level: _Level, sink: FrameSink, mesh: AnimatedMesh | None = None, progress: Progress | None = None
+    ) -> SimplifiedMesh:
         work = self._work_of(level)
         work = work if mesh is None else replace(work, mesh=mesh)
-        return finish(work, work.placer(level.ordered), Outcome.of(level.ordered), self._refit, delivery)
+        return finish(work, level.ordered, self._refit, sink=sink, progress=progress)
 
     def _work_of(self, level: _Level) -> Prepared:
         settings = replace(self._work.place_settings, loose=level.choice.loose)
@@ -349,7 +351,9 @@ class _Search:
         return _Choice(forest.without(choice.cut, left_out, dropped), loose)
 
 
-def simplify_within(work: Prepared, refit: bool, delivery: Delivery) -> SimplifiedMesh:
+def simplify_within(
+    work: Prepared, refit: bool, *, sink: FrameSink | None = None, progress: Progress | None = None
+) -> SimplifiedMesh:
     """Simplify a mesh to about the fewest faces, at least those of its goal, whose surface holds the goal's distance.
 
     Raises:
@@ -366,17 +370,17 @@ def simplify_within(work: Prepared, refit: bool, delivery: Delivery) -> Simplifi
     furthest = max(work.goal.limit.relative(work.mesh.diagonal) / min(DISTANCE_PER_ERROR), NO_ERROR)
     work = replace(work, order_settings=replace(work.order_settings, error_limit=furthest))
     # A count is one of both sides.
-    coarsest = replace(work, mesh=whole.mesh).order(delivery.progress, recorder)
+    coarsest = replace(work, mesh=whole.mesh).order(progress, recorder)
     known = OrderedLevels(work.mesh.faces, coarsest, recorder)
     if repair is not None and work.goal.target_faces and repair.is_double.any():
         coarsest = known.at(known.steps_to(faces_for(coarsest, whole.mesh, work.goal.target_faces)))
         known = OrderedLevels(work.mesh.faces, coarsest, recorder)
     forest = CollapseForest(coarsest.log, coarsest.drops, len(coarsest.root))
     search = _Search(work, refit, known, forest)
-    choice, result = search.run(delivery.sink is None, delivery.progress)
-    if delivery.sink is not None:
+    choice, result = search.run(sink is None, progress)
+    if sink is not None:
         # Levels share arrays, which those tried after it have changed.
-        result = search.place(choice, delivery, whole.mesh)
+        result = search.place(choice, sink, whole.mesh, progress)
     elif repair is not None:
         face, row = np.unique(whole.mesh.face_index, return_index=True)
         faces, face_map = written_faces(whole.mesh, result.faces, row[np.searchsorted(face, result.face_map)])

@@ -22,7 +22,7 @@ from warpqem.options import LevelKeywords, check_ratio, read_keywords, target_co
 from warpqem.pipeline.measure_result import ResultMeasure
 from warpqem.pipeline.memory_plan import admit_faces
 from warpqem.pipeline.prepare import ORDER_END, Prepared, Progress, prepare
-from warpqem.pipeline.result import Delivery, Outcome, SimplifiedMesh, finish, reached
+from warpqem.pipeline.result import SimplifiedMesh, finish, reached
 from warpqem.repair.mended_mesh import faces_for
 from warpqem.runtime.device import device_turn, on_device, resolve_device
 
@@ -93,10 +93,9 @@ class LevelOrder:
         target_faces = whole_number(target_faces, "target_faces", least=self._least, expected=expected)
         check_sink(sink)
         check_function(progress, "progress")
-        delivery = Delivery(sink, progress)
         with device_turn(self._work.device):
             ordered = self._levels.at(self._levels.steps_to(self._base_faces(target_faces)))
-            result = finish(self._work, self._work.placer(ordered), Outcome.of(ordered), self._refit, delivery)
+            result = finish(self._work, ordered, self._refit, sink=sink, progress=progress)
         if sink is None:
             result = replace(result, measuring=ResultMeasure.of(self._work.mesh, self._work.device))
         return reached(result, target_faces)
@@ -180,6 +179,8 @@ def simplify_levels(
         try:
             results.append(order.level(target, progress=part))
         except UnreachableTargetError as error:
+            if error.result is None:
+                raise
             results.append(error.result)
     return results
 

@@ -13,10 +13,10 @@ import os
 import re
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import warp as wp
 
+from warpqem.arguments.json_types import Json
 from warpqem.errors import MemoryLimitError, OptionError
 from warpqem.frames.blocks import BLOCK_BYTES, block_width, chunk_frames
 from warpqem.kernels.lanes import WIDE
@@ -86,7 +86,7 @@ class MemoryPlan:
             f"place {format_bytes(self.place_bytes)}{scratch})"
         )
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Json]:
         """Plain numbers, ready for JSON."""
         return {**asdict(self), "peak_bytes": self.peak_bytes}
 

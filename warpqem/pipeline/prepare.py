@@ -24,10 +24,10 @@ from warpqem.frames.stream import held_bytes, read_ahead
 from warpqem.kernels.topology import CORNER, LOCKED, SEAM
 from warpqem.mesh.mesh_input import AnimatedMesh, FrameObserver, MeshInput, measure_mesh, read_mesh
 from warpqem.mesh.seams import Seams, read_seams
-from warpqem.options import Goal, SimplifyOptions
+from warpqem.options import Goal, MeshOptions
 from warpqem.pipeline.key_frames import KeyFrameChoice
 from warpqem.pipeline.memory_plan import MemoryNeeds, MemoryPlan, admit_faces, plan_memory
-from warpqem.place.clusters import MIN_PULL, PlaceSettings
+from warpqem.place.clusters import MIN_STIFFNESS, PlaceSettings
 from warpqem.place.place import Placer
 from warpqem.repair.mended_mesh import faces_for, repaired_mesh, repaired_options
 from warpqem.runtime.device import resolve_device
@@ -118,7 +118,7 @@ class Prepared:
 def prepare(
     points: Any,
     faces: Any,
-    options: SimplifyOptions,
+    options: MeshOptions,
     *,
     keep_frames: bool = True,
     keep_nodes: bool = False,
@@ -172,7 +172,7 @@ def prepare(
     )
 
 
-def _protected_face(given: MeshInput, options: SimplifyOptions) -> tuple[QuadricSums, np.ndarray]:
+def _protected_face(given: MeshInput, options: MeshOptions) -> tuple[QuadricSums, np.ndarray]:
     """Quadrics that count at the feature points of a face, too, and which vertices (V,) stay as these points."""
     from warpqem.face.protect import FaceProtection, protect
 
@@ -181,7 +181,7 @@ def _protected_face(given: MeshInput, options: SimplifyOptions) -> tuple[Quadric
     return protect(given, FaceProtection() if options.face is None else options.face)
 
 
-def _order_settings(spec: CostModelSpec, goal: Goal, options: SimplifyOptions) -> OrderSettings:
+def _order_settings(spec: CostModelSpec, goal: Goal, options: MeshOptions) -> OrderSettings:
     """How to decimate. Options are in % of the diagonal, these settings in parts of it."""
     return OrderSettings(
         target_faces=goal.target_faces,
@@ -198,7 +198,7 @@ def _order_settings(spec: CostModelSpec, goal: Goal, options: SimplifyOptions) -
 def plan_work(
     mesh: MeshInput,
     spec: CostModelSpec,
-    options: SimplifyOptions,
+    options: MeshOptions,
     device: str,
     *,
     keep_frames: bool,
@@ -299,7 +299,7 @@ def _trajectories(mesh: AnimatedMesh) -> np.ndarray:
 
 def _epsilon(coherence: float) -> float:
     """Regularisation weight towards the anchor: the least there is, 1e-3, at coherence 0; 0.5 at one half; 250 at 1."""
-    return MIN_PULL * 500.0 ** (2.0 * coherence)
+    return MIN_STIFFNESS * 500.0 ** (2.0 * coherence)
 
 
 def _regularisation(coherence: float) -> float:

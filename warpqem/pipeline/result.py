@@ -5,14 +5,13 @@ from __future__ import annotations
 import functools
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from warpqem.decimation.collapse_log import CollapseRecord
 from warpqem.decimation.decimate import DecimatedMesh
-from warpqem.decimation.pruning import DropRecord
 from warpqem.errors import UnreachableTargetError
 from warpqem.frames.stream import ArraySink, FrameSink
 from warpqem.mesh.mesh_input import MeshInput
@@ -27,7 +26,15 @@ if TYPE_CHECKING:
 
     from warpqem.measure.measured import Measured
 
-__all__ = ["Delivery", "Outcome", "SimplifiedMesh", "finish", "in_input_terms", "reached", "written_faces"]
+__all__ = [
+    "SimplifiedMesh",
+    "finish",
+    "in_input_terms",
+    "reached",
+    "with_frames",
+    "without_frames",
+    "written_faces",
+]
 
 
 @dataclass(frozen=True)
@@ -148,61 +155,74 @@ def written_faces(mesh: MeshInput, faces: np.ndarray, face_map: np.ndarray) -> t
     return mesh.repair.with_backs(faces, face_map)
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """What a result says of its decimation."""
+def without_frames(work: Prepared, placer: Placer, ordered: DecimatedMesh) -> SimplifiedMesh:
+    """The result of decimation with no frame placed yet; nothing of it is on the device.
 
-    log: CollapseRecord
-    face_map: np.ndarray
-    stopped: str
-    drops: DropRecord
+    ``placer`` is that of ``ordered``.
+    """
+    log, drops = ordered.log, ordered.drops
+    error = max(float(log.error.max(initial=0.0)), float(drops.error.max(initial=0.0)))
+    faces, face_map = written_faces(work.mesh, placer.faces, ordered.face_map)
+    return SimplifiedMesh(
+        points=np.empty((0, placer.vertex_count, 3), dtype=np.float32),
+        faces=faces,
+        face_map=face_map,
+        **in_input_terms(work.mesh, placer.vertex_map),
+        stopped=ordered.stopped,
+        error=100.0 * error,
+        flips=np.empty(0, dtype=np.int32),
+        log=log,
+        key_frames=work.key_frames,
+        diagonal=work.mesh.diagonal,
+        plan=work.plan,
+        components_removed=len(drops),
+    )
 
-    @classmethod
-    def of(cls, ordered: DecimatedMesh) -> Outcome:
-        """Of a decimated mesh."""
-        return cls(ordered.log, ordered.face_map, ordered.stopped, ordered.drops)
 
+def with_frames(
+    result: SimplifiedMesh,
+    work: Prepared,
+    placer: Placer,
+    refit: bool,
+    *,
+    sink: FrameSink | None = None,
+    progress: Progress | None = None,
+) -> SimplifiedMesh:
+    """Place all frames, and refit them where that is asked for.
 
-@dataclass(frozen=True)
-class Delivery:
-    """How placed frames come about and where they go.
-
-    Attributes:
-        sink: takes them; None to keep them in an array.
+    Args:
+        result: what :func:`without_frames` gives.
+        work: the mesh.
+        placer: what places its frames.
+        refit: whether to fit the surface once more.
+        sink: takes the frames; None to keep them in an array.
         progress: called with the part done and "place".
     """
-
-    sink: FrameSink | None = None
-    progress: Progress | None = None
-
-
-def finish(work: Prepared, placer: Placer, outcome: Outcome, refit: bool, delivery: Delivery) -> SimplifiedMesh:
-    """Place all frames, and refit them where that is asked for."""
-    mesh, sink = work.mesh, delivery.sink
-    error = max(float(outcome.log.error.max(initial=0.0)), float(outcome.drops.error.max(initial=0.0)))
-    array = ArraySink()
-    faces, face_map = written_faces(mesh, placer.faces, outcome.face_map)
-    progress = _place_progress(delivery.progress, mesh.frame_count)
-    placing = Placing(mesh, placer, array if sink is None else sink, work.blocks, faces, progress)
+    mesh, array = work.mesh, ArraySink()
+    placed = _place_progress(progress, mesh.frame_count)
+    placing = Placing(mesh, placer, array if sink is None else sink, work.blocks, result.faces, placed)
     if refit and not work.place_settings.endpoint and placer.free.any():
         on_disk = work.plan.scratch_bytes > 0
+        # Errors are single precision: rounding gives the very one that was made a percentage.
+        error = float(np.float32(result.error / 100.0))
         finished = place_refitted(placing, key_frames=work.key_frames, error=error, on_disk=on_disk)
     else:
         finished = place_frames(placing)
-    return SimplifiedMesh(
-        points=array.points if sink is None else finished.first,
-        faces=faces,
-        face_map=face_map,
-        **in_input_terms(mesh, placer.vertex_map),
-        stopped=outcome.stopped,
-        error=100.0 * error,
-        flips=finished.flips,
-        log=outcome.log,
-        key_frames=work.key_frames,
-        diagonal=mesh.diagonal,
-        plan=work.plan,
-        components_removed=len(outcome.drops),
-    )
+    return replace(result, points=array.points if sink is None else finished.first, flips=finished.flips)
+
+
+def finish(
+    work: Prepared,
+    ordered: DecimatedMesh,
+    refit: bool,
+    *,
+    sink: FrameSink | None = None,
+    progress: Progress | None = None,
+) -> SimplifiedMesh:
+    """The result of a decimated mesh that stays in memory meanwhile: both of the above."""
+    placer = work.placer(ordered)
+    result = without_frames(work, placer, ordered)
+    return with_frames(result, work, placer, refit, sink=sink, progress=progress)
 
 
 def reached(result: SimplifiedMesh, target_faces: int) -> SimplifiedMesh:

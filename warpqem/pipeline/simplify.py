@@ -18,7 +18,7 @@ from warpqem.pipeline.bounded import simplify_within
 from warpqem.pipeline.measure_result import ResultMeasure, measured_on_the_way, with_errors
 from warpqem.pipeline.memory_plan import MemoryPlan, admit_faces
 from warpqem.pipeline.prepare import Progress, plan_work, prepare
-from warpqem.pipeline.result import Delivery, Outcome, SimplifiedMesh, finish, reached
+from warpqem.pipeline.result import SimplifiedMesh, reached, with_frames, without_frames
 from warpqem.repair.mended_mesh import repaired_mesh, repaired_options
 from warpqem.runtime.device import on_device, resolve_device
 
@@ -60,8 +60,9 @@ def simplify(
             asked for, and the result holds on to the input; where there is a sink, on the way to it, for which the
             frames are read once more. It decides no bit of the result.
         progress: called with the part done, 0 to 1, and the stage, "read", "order" or "place".
-        options: how far and how to simplify: the fields of :class:`warpqem.SimplifyOptions`, explained there. At least
-            one of ``ratio``, ``target_faces`` and ``max_error`` is needed; with a count, whichever comes first stops.
+        options: how far and how to simplify: the fields of :class:`warpqem.options.MeshOptions`, explained there. At
+            least one of ``ratio``, ``target_faces`` and ``max_error`` is needed; with a count, whichever comes first
+            stops.
 
     Raises:
         TypeError: there is no such option.
@@ -92,15 +93,16 @@ def simplify(
         else:
             work, sink = measured_on_the_way(work, sink)
             measuring = sink.measured
-    delivery = Delivery(sink, progress)
     if bounded:
-        return with_errors(partial(simplify_within, work, asked.refits, delivery), measuring)
+        within = partial(simplify_within, work, asked.refits, sink=sink, progress=progress)
+        return with_errors(within, measuring)
     ordered = work.order(progress)
-    placer, outcome = work.placer(ordered), Outcome.of(ordered)
+    placer = work.placer(ordered)
+    result = without_frames(work, placer, ordered)
     # Placing needs the memory of decimation.
     work = work.without_input()
     del ordered
-    result = finish(work, placer, outcome, asked.refits, delivery)
+    result = with_frames(result, work, placer, asked.refits, sink=sink, progress=progress)
     return reached(replace(result, measuring=measuring), work.goal.target_faces)
 
 

@@ -27,13 +27,13 @@ from warpqem.kernels.topology import MIRROR
 from warpqem.mesh.edges import edge_key
 from warpqem.mesh.mesh_input import MeshInput, finite_points, read_mesh
 from warpqem.mesh.seams import read_seams, seam_ends
-from warpqem.options import SimplifyKeywords, SimplifyOptions, read_keywords
+from warpqem.options import MeshOptions, SimplifyKeywords, read_keywords
 from warpqem.pipeline.bound_sink import BoundSink, ExceededError
 from warpqem.pipeline.coarsest import find_coarsest
 from warpqem.pipeline.measure_result import ResultMeasure, with_errors
 from warpqem.pipeline.mirror import Mirror, MirrorPlane, find_mirror
 from warpqem.pipeline.prepare import Progress, prepare
-from warpqem.pipeline.result import Delivery, Outcome, SimplifiedMesh, finish, in_input_terms, reached, written_faces
+from warpqem.pipeline.result import SimplifiedMesh, finish, in_input_terms, reached, written_faces
 from warpqem.repair.mended_mesh import repaired_mesh, repaired_options
 from warpqem.runtime.device import on_device, resolve_device
 
@@ -95,7 +95,7 @@ def _simplify_within(
     given: MeshInput,
     frames: np.ndarray,
     mirror: Mirror,
-    asked: SimplifyOptions,
+    asked: MeshOptions,
     sink: FrameSink | None,
     progress: Progress | None,
 ) -> SimplifiedMesh:
@@ -103,7 +103,7 @@ def _simplify_within(
     goal, device = asked.goal(len(given.faces)), resolve_device(asked.device)
     limit, diagonal, stuck = goal.limit, _diagonal(frames[:, given.used]), False
 
-    def options(count: int) -> SimplifyOptions:
+    def options(count: int) -> MeshOptions:
         return replace(asked, ratio=None, target_faces=count, max_error=None, max_distance=None)
 
     def attempt(count: int) -> SimplifiedMesh | None:
@@ -116,6 +116,8 @@ def _simplify_within(
             return None
         except UnreachableTargetError as error:
             # No level has fewer faces than this one, which the search therefore ends with.
+            if error.result is None:
+                raise
             result, stuck = error.result, True
         return replace(result, points=array.points)
 
@@ -139,7 +141,7 @@ def _simplify_half(half: _Half, sink: FrameSink | None, progress: Progress | Non
     work = replace(work, order_input=replace(work.order_input, vertex_flags=flags))
     ordered = work.order(progress)
     placed = ArraySink()
-    part = finish(work, work.placer(ordered), Outcome.of(ordered), half.options.refits, Delivery(placed, progress))
+    part = finish(work, ordered, half.options.refits, sink=placed, progress=progress)
     return reached(half.whole(part, placed.points, sink), half.target)
 
 
@@ -170,7 +172,7 @@ class _Half:
         target: faces of the whole asked for; 0 for none.
     """
 
-    def __init__(self, given: MeshInput, frames: np.ndarray, mirror: Mirror, options: SimplifyOptions) -> None:
+    def __init__(self, given: MeshInput, frames: np.ndarray, mirror: Mirror, options: MeshOptions) -> None:
         self._given, self._mirror, self._frame_count = given, mirror, len(frames)
         faces = given.faces[mirror.half]
         self._vertex, index = np.unique(faces, return_inverse=True)
@@ -184,7 +186,7 @@ class _Half:
         self.target = options.goal(len(given.faces)).target_faces
         self.options = replace(options, **self._goal(options), **self._importance(options), **self._values(options))
 
-    def _goal(self, options: SimplifyOptions) -> dict[str, Any]:
+    def _goal(self, options: MeshOptions) -> dict[str, Any]:
         """Half of the faces."""
         target, repair = self.target, self._given.repair
         if repair is not None and target:
@@ -192,7 +194,7 @@ class _Half:
             target = target * len(repair.back) // repair.count_with_backs(np.arange(len(repair.back)))
         return {"ratio": None, "target_faces": max(1, target // 2) if target else options.target_faces}
 
-    def _importance(self, options: SimplifyOptions) -> dict[str, Any]:
+    def _importance(self, options: MeshOptions) -> dict[str, Any]:
         """Weights and locks at the half's vertices: of two images the larger."""
         given, here = self._given, self._vertex
         weights, locked = read_weights(options.vertex_weights, given)
@@ -220,7 +222,7 @@ class _Half:
             "keep_components": True,
         }
 
-    def _values(self, options: SimplifyOptions) -> dict[str, Any]:
+    def _values(self, options: MeshOptions) -> dict[str, Any]:
         """Seams and attributes of the half."""
         given, here = self._given, self._vertex
         rows = given.face_index[self._mirror.half]

@@ -12,9 +12,9 @@ from warpqem.decimation.decimate import DecimatedMesh
 from warpqem.kernels import anchor as kernels
 from warpqem.kernels import cluster_rows as row_kernels
 from warpqem.kernels.lanes import width_of
-from warpqem.runtime.cpu_threads import launch_parts
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import launch
+from warpqem.runtime.part_launches import launch_in_parts, rows_of, starts_of
 
 __all__ = ["Anchors", "fit_anchors", "nearest_anchors"]
 
@@ -66,18 +66,8 @@ def _find_in_order(cluster: np.ndarray, distance: wp.array, first: np.ndarray, s
     device = distance.device
     groups = group_items(cluster, len(start) - 1, device)
     chosen_start, vertex = wp.array(start, device=device), wp.empty(int(start[-1]), dtype=wp.int32, device=device)
-
-    def choose(part: slice) -> None:
-        rows = slice(part.start, part.stop + 1)
-        launch(
-            row_kernels.choose_nearest,
-            dim=part.stop - part.start,
-            inputs=[groups.start[rows], groups.corner, distance, chosen_start[rows]],
-            outputs=[vertex],
-            device=device,
-        )
-
-    launch_parts(choose, len(start) - 1, device)
+    inputs = [starts_of(groups.start), groups.corner, distance, starts_of(chosen_start)]
+    launch_in_parts(row_kernels.choose_nearest, len(start) - 1, inputs, [vertex], device=device)
     return vertex
 
 
@@ -100,17 +90,8 @@ def _cluster_distances(ordered: DecimatedMesh, device: str) -> wp.array:
     kernel = kernels.measure_cluster_distances[width_of(ordered.position)]
     row = wp.array(ordered.row[ordered.root], device=device)
     distance = wp.empty(len(row), dtype=wp.float32, device=device)
-
-    def measure(part: slice) -> None:
-        launch(
-            kernel,
-            dim=part.stop - part.start,
-            inputs=[row[part], ordered.key_position[part], ordered.position],
-            outputs=[distance[part]],
-            device=device,
-        )
-
-    launch_parts(measure, len(row), device)
+    inputs = [rows_of(row), rows_of(ordered.key_position), ordered.position]
+    launch_in_parts(kernel, len(row), inputs, [rows_of(distance)], device=device)
     return distance
 
 
@@ -153,19 +134,9 @@ def fit_anchors(
     member_start, member = (wp.array(a, device=device) for a in (members.start, members.vertex))
     first_entry = wp.array(matrix_start.astype(np.int32), device=device)
     matrix = wp.zeros(int(matrix_start[-1]), dtype=wp.float32, device=device)
-    pull = wp.array(regularisation, dtype=wp.float32, device=device)
+    stiffness = wp.array(regularisation, dtype=wp.float32, device=device)
     weight = wp.zeros(len(members.vertex), dtype=wp.float32, device=device)
-
-    def fit(part: slice) -> None:
-        rows = slice(part.start, part.stop + 1)
-        state = [ordered.key_position, ordered.position, ordered.quadric]
-        launch(
-            kernel,
-            dim=part.stop - part.start,
-            inputs=[row[part], member_start[rows], member, first_entry[rows], *state, pull[part]],
-            outputs=[matrix, weight],
-            device=device,
-        )
-
-    launch_parts(fit, len(kept), device)
+    lists = [rows_of(row), starts_of(member_start), member, starts_of(first_entry)]
+    inputs = [*lists, ordered.key_position, ordered.position, ordered.quadric, rows_of(stiffness)]
+    launch_in_parts(kernel, len(kept), inputs, [matrix, weight], device=device)
     return Anchors(members.start, members.vertex, weight.numpy())

@@ -14,8 +14,7 @@ import warp as wp
 from warpqem.frames.blocks import block_width, pack_frames, unpack_frames
 from warpqem.kernels import placement as kernels
 from warpqem.mesh.mesh_input import AnimatedMesh
-from warpqem.runtime.cpu_threads import launch_parts
-from warpqem.runtime.launches import launch
+from warpqem.runtime.part_launches import FIRST_ITEM, launch_in_parts
 
 __all__ = ["BlockPlacer", "ClusterData", "PlacedFrames"]
 
@@ -82,22 +81,17 @@ class BlockPlacer:
     def place(self, mesh: AnimatedMesh, points: np.ndarray) -> PlacedFrames:
         """Place some frames of the mesh, given about its origin: (n, V, 3) float32."""
         device, width, vertex_count = self._device, block_width(mesh.frame_count, self._device), self._data.vertex_count
-        kernel = kernels.place_vertices[width]
         packed = pack_frames(points, device, centre=mesh.centre, scale=1 / mesh.diagonal, width=width)
         block_count = packed.shape[1]
         out = wp.empty((vertex_count, block_count), dtype=packed.dtype, device=device)
         normal = wp.empty_like(out)
-
-        def place(part: slice) -> None:
-            launch(
-                kernel,
-                dim=(part.stop - part.start, block_count),
-                inputs=[packed, self._corner_vertex, self._clusters, part.start],
-                outputs=[out, normal],
-                device=device,
-            )
-
-        launch_parts(place, vertex_count, device)
+        launch_in_parts(
+            kernels.place_vertices[width],
+            (vertex_count, block_count),
+            inputs=[packed, self._corner_vertex, self._clusters, FIRST_ITEM],
+            outputs=[out, normal],
+            device=device,
+        )
         return PlacedFrames(
             unpack_frames(out, len(points)), unpack_frames(normal, len(points)), points[:, self._data.copied_from]
         )

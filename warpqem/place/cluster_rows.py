@@ -7,8 +7,7 @@ import warp as wp
 
 from warpqem.decimation.adjacency import build_adjacency
 from warpqem.kernels import cluster_rows as kernels
-from warpqem.runtime.cpu_threads import launch_parts
-from warpqem.runtime.launches import launch
+from warpqem.runtime.part_launches import launch_in_parts, rows_of, starts_of
 
 __all__ = ["gather_faces", "group_rows", "match_keys", "sum_repeated"]
 
@@ -72,31 +71,12 @@ def gather_faces(
     """
     adjacency = build_adjacency(wp.array(corner_cluster, dtype=wp.int32, device=device), cluster_count)
     count = wp.empty(cluster_count, dtype=wp.int32, device=device)
-
-    def count_part(part: slice) -> None:
-        launch(
-            kernels.count_faces,
-            dim=part.stop - part.start,
-            inputs=[adjacency.start[part.start : part.stop + 1], adjacency.corner],
-            outputs=[count[part]],
-            device=device,
-        )
-
-    launch_parts(count_part, cluster_count, device)
+    lists = [starts_of(adjacency.start), adjacency.corner]
+    launch_in_parts(kernels.count_faces, cluster_count, lists, [rows_of(count)], device=device)
     start = np.concatenate([[0], np.cumsum(count.numpy())]).astype(np.int32)
     weight_in, start_in = (wp.array(a, device=device) for a in (corner_weight, start))
     face = wp.empty(int(start[-1]), dtype=wp.int32, device=device)
     weight = wp.empty(len(face), dtype=wp.float32, device=device)
-
-    def list_part(part: slice) -> None:
-        rows = slice(part.start, part.stop + 1)
-        launch(
-            kernels.list_faces,
-            dim=part.stop - part.start,
-            inputs=[adjacency.start[rows], adjacency.corner, weight_in, start_in[rows]],
-            outputs=[face, weight],
-            device=device,
-        )
-
-    launch_parts(list_part, cluster_count, device)
+    inputs = [*lists, weight_in, starts_of(start_in)]
+    launch_in_parts(kernels.list_faces, cluster_count, inputs, [face, weight], device=device)
     return start, face.numpy(), weight.numpy()

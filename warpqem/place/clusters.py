@@ -19,15 +19,15 @@ __all__ = ["ClusterPlacer", "PlaceSettings"]
 
 # A cluster of so many input vertices is regularised as set. Smaller ones are so less, since they slide less: on 17
 # sequences this gains 1 to 5 % of the error at half and a quarter of the faces, where slide has room.
-PULLED_SIZE = 8.0
+REGULARISED_SIZE = 8.0
 # Clusters larger than so many times that size are regularised no more than those.
-MAX_PULLED = 4.0
+MAX_RELATIVE_SIZE = 4.0
 # Weights of anchors are regularised by the fourth power of the size, as those of small clusters hardly slide at all; no
 # more than so many times as set.
 MAX_EVENED = 2.0
 # The least regularisation that float32 solves safely, of vertices to their anchors and of the weights of anchors to
 # equal ones.
-MIN_PULL = 1e-3
+MIN_STIFFNESS = 1e-3
 MIN_REGULARISATION = 1e-5
 
 
@@ -36,8 +36,8 @@ class PlaceSettings:
     """How vertices are placed.
 
     Attributes:
-        epsilon: regularisation of a cluster of ``PULLED_SIZE`` vertices towards its material anchor, relative to the
-            quadric; higher is steadier.
+        epsilon: regularisation of a cluster of ``REGULARISED_SIZE`` vertices towards its material anchor, relative
+            to the quadric; higher is steadier.
         regularisation: stiffness of its anchor's weights towards equal ones.
         endpoint: every output vertex is an input vertex.
         loose: (V,) bool, input vertices whose clusters are placed by their quadrics, with the least
@@ -90,12 +90,12 @@ class ClusterPlacer:
         self._settings, self.device = settings, device
         self._cluster = cluster
         self.vertex_count = len(kept)
-        pinned = pinned | ordered.frozen
+        pinned = pinned | ordered.non_manifold
         size = np.bincount(cluster[cluster >= 0], minlength=len(kept))
-        pull, regularisation = _pulls(size, settings)
+        stiffness, regularisation = _stiffness(size, settings)
         if settings.loose is not None:
             loose = np.unique(cluster[settings.loose & (cluster >= 0)])
-            pull[loose], regularisation[loose] = MIN_PULL, MIN_REGULARISATION
+            stiffness[loose], regularisation[loose] = MIN_STIFFNESS, MIN_REGULARISATION
         if settings.endpoint:
             anchors = nearest_anchors(ordered, cluster, len(kept))
             solved = np.zeros(len(kept), dtype=np.int32)
@@ -119,7 +119,7 @@ class ClusterPlacer:
             rows={
                 **self._gather_clusters(faces, ordered.constrained, quadric_scale, anchors, sums),
                 "solved": solved,
-                "pull": pull,
+                "stiffness": stiffness,
             },
             copied_from=self.nearest[single],
         )
@@ -192,12 +192,12 @@ class ClusterPlacer:
         return points
 
 
-def _pulls(size: np.ndarray, settings: PlaceSettings) -> tuple[np.ndarray, np.ndarray]:
+def _stiffness(size: np.ndarray, settings: PlaceSettings) -> tuple[np.ndarray, np.ndarray]:
     """By the ``size`` of clusters, regularisation towards the anchor and of its weights: (C,) float32 each."""
-    relative = size / PULLED_SIZE
-    pull = np.maximum(settings.epsilon * np.sqrt(np.minimum(relative, MAX_PULLED)), MIN_PULL)
+    relative = size / REGULARISED_SIZE
+    stiffness = np.maximum(settings.epsilon * np.sqrt(np.minimum(relative, MAX_RELATIVE_SIZE)), MIN_STIFFNESS)
     regularisation = settings.regularisation * np.minimum(relative**4, MAX_EVENED)
-    return pull.astype(np.float32), regularisation.astype(np.float32)
+    return stiffness.astype(np.float32), regularisation.astype(np.float32)
 
 
 def _on_seam(faces: np.ndarray, constrained: np.ndarray, cluster: np.ndarray, cluster_count: int) -> np.ndarray:

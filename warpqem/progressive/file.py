@@ -9,12 +9,13 @@ indices, the error, the ratio of its vertices, and their trajectories.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
+from warpqem.arguments.json_types import Json
 from warpqem.arguments.number_input import shown, whole_number
 from warpqem.errors import MemoryLimitError, OptionError, ProgressiveFileError, WarpqemError
 from warpqem.files.outputs import InputFile, OutputFile, check_outputs
@@ -31,7 +32,7 @@ __all__ = ["ProgressiveFile", "load", "read_info", "save", "stream"]
 FIRST_CHUNK, MAX_CHUNK = 1024, 32768
 
 
-def save(mesh: ProgressiveMesh, path: str | os.PathLike[str], extra: dict[str, Any] | None = None) -> None:
+def save(mesh: ProgressiveMesh, path: str | os.PathLike[str], extra: Mapping[str, Json] | None = None) -> None:
     """Write a progressive mesh under a temporary name and rename it.
 
     Args:
@@ -62,7 +63,8 @@ def save(mesh: ProgressiveMesh, path: str | os.PathLike[str], extra: dict[str, A
         split_count=topology.split_count,
         rank_count=topology.base_count + topology.split_count,
         chunks=[[0, 0, 0, 0, 0]] + [[first, int(face_counts[first]), 0, 0, 0] for first, _ in bounds],
-        extra={} if extra is None else extra,
+        # It is checked where the header is coded.
+        extra={} if extra is None else cast(dict[str, Any], extra),
     )
     write_chunks(path, info, [_base_parts(mesh)] + [_split_parts(mesh, *bound) for bound in bounds])
 

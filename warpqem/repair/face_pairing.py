@@ -14,7 +14,7 @@ import numpy as np
 from warpqem.mesh.components import lowest_members
 from warpqem.mesh.edges import edge_key
 
-__all__ = ["DistinctFaces", "Pairs", "distinct_faces", "pair_faces", "turned_faces"]
+__all__ = ["DistinctFaces", "EdgePairs", "distinct_faces", "pair_faces", "turned_faces"]
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ def distinct_faces(faces: np.ndarray) -> DistinctFaces:
 
 
 @dataclass(frozen=True)
-class Pairs:
+class EdgePairs:
     """Pairs of half-edges of M faces: half-edge ``3 f + k`` runs from corner ``k`` of face ``f`` to the next.
 
     Attributes:
@@ -67,7 +67,7 @@ class Pairs:
     branching: np.ndarray
 
 
-def pair_faces(faces: np.ndarray, vertex_count: int) -> Pairs:
+def pair_faces(faces: np.ndarray, vertex_count: int) -> EdgePairs:
     """Pair the half-edges of faces (M, 3), no two of which have the same vertices.
 
     At an edge with more than two, faces go together that are joined elsewhere; of what is left those with the same
@@ -92,7 +92,7 @@ def pair_faces(faces: np.ndarray, vertex_count: int) -> Pairs:
         found.append(_pair_by_direction(left, *_runs(key[left]), tail < head))
     half_edge = np.concatenate(found)
     opposed = tail[half_edge[:, 0]] == head[half_edge[:, 1]]
-    return Pairs(half_edge, opposed, np.stack([branching // vertex_count, branching % vertex_count], axis=1))
+    return EdgePairs(half_edge, opposed, np.stack([branching // vertex_count, branching % vertex_count], axis=1))
 
 
 def _runs(labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -120,7 +120,7 @@ def _pair_by_direction(half_edges: np.ndarray, first: np.ndarray, count: np.ndar
     return np.stack([pairs[0][2][mine], pairs[1][2][others]], axis=1)
 
 
-def turned_faces(pairs: Pairs, single: np.ndarray) -> np.ndarray:
+def turned_faces(pairs: EdgePairs, single: np.ndarray) -> np.ndarray:
     """(M,) bool, faces to be turned over so that all of a connected part have the winding that most of its faces have.
 
     Where both windings have as many faces, that of the first face. Parts with one side only, such as a Möbius strip,

@@ -19,7 +19,7 @@ from warpqem.repair.mended_topology import TopologyFindings, repair_topology
 
 if TYPE_CHECKING:
     from warpqem.decimation.decimate import DecimatedMesh
-    from warpqem.options import SimplifyOptions
+    from warpqem.options import MeshOptions
 
 __all__ = ["MeshRepair", "face_repair", "faces_for", "repaired_mesh", "repaired_options"]
 
@@ -177,7 +177,7 @@ def _repair(
     )
 
 
-def repaired_options(options: SimplifyOptions, given: MeshInput, mended: MeshInput) -> SimplifyOptions:
+def repaired_options(options: MeshOptions, given: MeshInput, mended: MeshInput) -> MeshOptions:
     """Options that :func:`warpqem.simplify` got for ``given``, checked, for the mesh that was made of it.
 
     Raises:
@@ -208,7 +208,7 @@ def repaired_options(options: SimplifyOptions, given: MeshInput, mended: MeshInp
     )
 
 
-def _repaired_fields(options: SimplifyOptions, given: MeshInput, repair: MeshRepair) -> tuple[Any, ...]:
+def _repaired_fields(options: MeshOptions, given: MeshInput, repair: MeshRepair) -> tuple[Any, ...]:
     fields = []
     for field, values in zip(options.attributes, checked_fields(options.attributes, given)[0], strict=True):
         if values.ndim == 3:

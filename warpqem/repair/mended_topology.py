@@ -10,7 +10,7 @@ import warp as wp
 from warpqem.decimation.adjacency import build_adjacency, classify_vertices
 from warpqem.kernels.topology import NON_MANIFOLD
 from warpqem.mesh.components import lowest_members
-from warpqem.repair.face_pairing import Pairs, distinct_faces, pair_faces, turned_faces
+from warpqem.repair.face_pairing import EdgePairs, distinct_faces, pair_faces, turned_faces
 
 __all__ = ["TopologyFindings", "TopologyRepair", "repair_topology"]
 
@@ -131,7 +131,7 @@ def _is_clean(faces: np.ndarray, vertex_count: int, device: str) -> bool:
     return not (flags.numpy() & int(NON_MANIFOLD)).any()
 
 
-def _fans(face_count: int, pairs: Pairs) -> np.ndarray:
+def _fans(face_count: int, pairs: EdgePairs) -> np.ndarray:
     """(3M,) the lowest corner of the fan of faces that each corner is in."""
     one, other = pairs.half_edge.T
     next_one, next_other = (h - h % 3 + (h + 1) % 3 for h in (one, other))

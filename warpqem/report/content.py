@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
+
+from warpqem.arguments.json_types import Json
 
 __all__ = ["Level", "Report", "Table"]
 
@@ -25,7 +26,7 @@ class Level:
     name: str
     points: np.ndarray
     faces: np.ndarray
-    measured: Mapping[str, Any] | None = None
+    measured: Mapping[str, Json] | None = None
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from warpqem.arguments.json_types import Json
 from warpqem.costs.motion_features import motion_features
 from warpqem.errors import WarpqemError
 from warpqem.measure import Comparison, compare, vertex_distances
@@ -49,7 +50,7 @@ def chosen_frames(frame_count: int, point_count: int) -> range:
     return range(0, frame_count, -(-frame_count // room))
 
 
-def report_data(report: Report, device: str | None = None, progress: Progress | None = None) -> dict[str, Any]:
+def report_data(report: Report, device: str | None = None, progress: Progress | None = None) -> dict[str, Json]:
     """Measure the levels and pack everything: plain dictionaries, lists, numbers, text and None, ready for JSON.
 
     Positions are rounded to 16 bits per component of the box around all of them.
@@ -181,7 +182,7 @@ def _features(points: np.ndarray, faces: np.ndarray, device: str | None) -> np.n
     return label if label.max(initial=-1) >= 0 else None
 
 
-def _carried(
+def _transferred(
     labels: np.ndarray, points: np.ndarray, faces: np.ndarray, new_points: np.ndarray, device: str | None
 ) -> np.ndarray:
     """Label of the vertex near each new point."""
@@ -205,7 +206,7 @@ def _level_data(
 ) -> dict[str, Any]:
     meshes = (original, report.faces, level.points, level.faces)
     distance = vertex_distances(*meshes, device=device)
-    own_labels = None if labels is None else _carried(labels, original[0], report.faces, level.points[0], device)
+    own_labels = None if labels is None else _transferred(labels, original[0], report.faces, level.points[0], device)
     measures = _measures(compare(*meshes, device=device, progress=progress), report.thinned, level.measured or {})
     # The colours end at the largest distance of the table.
     scale = measures["hausdorff"] if distance.max(initial=0.0) > NO_DISTANCE else 0.0

@@ -99,10 +99,11 @@ class LiveLevels:
             for index, (faces, _) in enumerate(levels)
         ]
         shares = np.array([faces / self._mesh.face_count for faces, _ in levels])
-        found["firstLevel"] = int(np.abs(np.log(shares / FIRST_SHARE)).argmin())
+        first = int(np.abs(np.log(shares / FIRST_SHARE)).argmin())
+        found["firstLevel"] = first
         # The page asks for it at once. All are measured against the finest, so that where one can be packed all can.
         try:
-            self.level(found["firstLevel"])
+            self.level(first)
         except DegenerateMeshError as error:
             raise DegenerateMeshError(f"{self._title}: {error}") from error
         found["curve"] = {"faces": [faces for faces, _ in levels], "error": [error for _, error in levels]}

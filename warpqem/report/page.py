@@ -5,10 +5,12 @@ from __future__ import annotations
 import html
 import json
 import os
+from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+from warpqem.arguments.json_types import Json
 from warpqem.errors import OptionError, StageError
 from warpqem.files.temporary import replacing
 from warpqem.printable import printable
@@ -50,12 +52,12 @@ def check_page_path(path: str | os.PathLike[str]) -> None:
         raise OptionError(f"report {os.fspath(path)}: the suffix must be .html")
 
 
-def report_page(data: dict[str, Any]) -> str:
+def report_page(data: Mapping[str, Json]) -> str:
     """The HTML text for the data of `report_data`."""
     text = asset_text("template.html")
     # Each mark is replaced once, and what it is replaced by is not looked at again.
     parts = {
-        "TITLE": html.escape(printable(data["title"])),
+        "TITLE": html.escape(printable(str(data["title"]))),
         "STYLE": asset_text("page.css"),
         "DATA": page_json(data),
         "THREE": script_text("three.min.js"),

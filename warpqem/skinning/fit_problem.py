@@ -14,19 +14,18 @@ from warpqem.mesh.edges import edge_table
 from warpqem.mesh.mesh_input import is_proper
 from warpqem.mesh.seams import read_seams
 from warpqem.place.cluster_rows import sum_repeated
-from warpqem.runtime.cpu_threads import launch_parts
-from warpqem.runtime.launches import launch
+from warpqem.runtime.part_launches import FIRST_ITEM, columns_of, launch_in_parts, rows_of, starts_of
 
 __all__ = ["CandidateRows", "ClusterPlanes", "SkinFit"]
 
 # Rounds of the two solves. See the notes for what more of them bring.
 ROUNDS = 6
-# Pull along the surface towards where placement put the vertex, relative to the quadric. See the notes.
-SURFACE_PULL = 0.01
-# Pull of the rest position and of the weights towards where they start, relative to their systems: little enough to
-# leave what the poses tell apart to them.
-POSITION_PULL = 1e-3
-WEIGHT_PULL = 1e-3
+# Regularisation along the surface, towards where placement put the vertex, relative to the quadric. See the notes.
+SURFACE_REGULARISATION = 0.01
+# Regularisation of the rest position and of the weights towards where they start, relative to their systems: little
+# enough to leave to the poses what they tell apart.
+POSITION_REGULARISATION = 1e-3
+WEIGHT_REGULARISATION = 1e-3
 # Vertices solved for at once, which bounds the scratch memory: a few KB each.
 VERTICES_AT_ONCE = 16384
 
@@ -109,20 +108,16 @@ class ClusterPlanes:
             wp.array(start[clusters.start : clusters.stop + 1], dtype=wp.int32, device=self._device)
             for start in self._starts
         ]
-
-        def gather(part: slice) -> None:
-            inputs: list[Any] = []
-            for start, (item, weight) in zip(starts, self._rows, strict=True):
-                inputs += [start[part.start : part.stop + 1], item, weight]
-            launch(
-                kernels.gather_planes,
-                dim=(part.stop - part.start, shape[0]),
-                inputs=[*inputs, points, place[:, part], SURFACE_PULL, int(to_planes)],
-                outputs=[stiffness[part], goal[:, part]],
-                device=self._device,
-            )
-
-        launch_parts(gather, count, self._device)
+        inputs: list[Any] = []
+        for start, (item, weight) in zip(starts, self._rows, strict=True):
+            inputs += [starts_of(start), item, weight]
+        launch_in_parts(
+            kernels.gather_planes,
+            (count, shape[0]),
+            inputs=[*inputs, points, columns_of(place), SURFACE_REGULARISATION, int(to_planes)],
+            outputs=[rows_of(stiffness), columns_of(goal)],
+            device=self._device,
+        )
         return stiffness, goal
 
 
@@ -177,7 +172,7 @@ class SkinFit:
         for first in range(0, len(self._rest), VERTICES_AT_ONCE):
             batch = slice(first, min(first + VERTICES_AT_ONCE, len(self._rest)))
             stiffness, goal = planes.gather(batch, position, self._placed[:, batch], to_planes)
-            size += float(np.trace(stiffness.numpy(), axis1=2, axis2=3).sum()) / (1.0 + 3.0 * SURFACE_PULL)
+            size += float(np.trace(stiffness.numpy(), axis1=2, axis2=3).sum()) / (1.0 + 3.0 * SURFACE_REGULARISATION)
             parts.append(self._solve_batch(batch, stiffness, goal, influences))
         rest, weight, before, after = (np.concatenate(column) for column in zip(*parts, strict=True))
         return rest, weight, before, after, size
@@ -197,23 +192,15 @@ class SkinFit:
         offsets = np.zeros((0, 0, 3)) if self._offsets is None else self._offsets[:, batch]
         problem.offset = self._array(offsets, wp.vec3d)
         problem.stiffness, problem.goal = stiffness, goal
-        problem.position_regularisation, problem.regularisation_of_weight = POSITION_PULL, WEIGHT_PULL
+        problem.position_regularisation = POSITION_REGULARISATION
+        problem.regularisation_of_weight = WEIGHT_REGULARISATION
         problem.rounds, problem.max_influences = ROUNDS, influences
         scratch = self._scratch(np.diff(start).astype(np.int64))
         rest = wp.empty(count, dtype=wp.vec3d, device=device)
         weight = wp.empty(row.stop - row.start, dtype=wp.float64, device=device)
         before, after = (wp.empty(count, dtype=wp.float64, device=device) for _ in range(2))
-
-        def fit(part: slice) -> None:
-            launch(
-                kernels.fit_vertices,
-                dim=part.stop - part.start,
-                inputs=[problem, scratch, part.start],
-                outputs=[rest, weight, before, after],
-                device=device,
-            )
-
-        launch_parts(fit, count, device)
+        outputs = [rest, weight, before, after]
+        launch_in_parts(kernels.fit_vertices, count, [problem, scratch, FIRST_ITEM], outputs, device=device)
         return rest.numpy(), weight.numpy(), before.numpy(), after.numpy()
 
     def _scratch(self, size: np.ndarray) -> kernels.SkinScratch:

@@ -22,18 +22,21 @@ from warpqem.mesh.edges import edge_table
 from warpqem.mesh.mesh_input import is_proper, read_faces
 from warpqem.options import SimplifyKeywords, read_keywords
 from warpqem.pipeline.prepare import Progress, prepare
-from warpqem.pipeline.result import SimplifiedMesh, in_input_terms, reached, written_faces
+from warpqem.pipeline.result import SimplifiedMesh, reached, without_frames
 from warpqem.runtime.device import on_device
 from warpqem.skinning.linear_skin import LinearSkin, read_poses, read_transforms
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-__all__ = ["pulled_back_matrices", "simplify_pulled_back"]
+__all__ = ["UNUSED_OPTIONS", "pulled_back_matrices", "simplify_pulled_back"]
 
-# Pull of a vertex towards the mean of its cluster, relative to its quadric: as in the order of collapses at coherence
-# 0, enough for a solve where the surface is flat.
-MEAN_PULL = 1e-3
+# Options of `warpqem.simplify` that have no meaning for one rest shape without its poses.
+UNUSED_OPTIONS = frozenset({"metric", "coherence", "key_frames", "placement", "quality", "refit", "memoryless"})
+
+# Regularisation of a vertex towards the mean of its cluster, relative to its quadric: as in the order of collapses at
+# coherence 0, enough for a solve where the surface is flat.
+MEAN_REGULARISATION = 1e-3
 
 
 @on_device
@@ -63,7 +66,7 @@ def simplify_pulled_back(
     Raises:
         The errors of :func:`warpqem.simplify`; OptionError for an option that has no meaning here.
     """
-    unknown = {"metric", "coherence", "key_frames", "placement", "quality", "refit", "memoryless"} & options.keys()
+    unknown = UNUSED_OPTIONS & options.keys()
     if unknown:
         raise OptionError(f"{', '.join(sorted(unknown))}: no option of simplifying by pulled back quadrics")
     asked = read_keywords(options, metric="qem", coherence=0.0)
@@ -87,21 +90,11 @@ def simplify_pulled_back(
     work = replace(work, order_input=replace(work.order_input, matrices=matrices))
     ordered = work.order(progress)
     placer = work.placer(ordered)
-    rest = _place(poses[0].astype(np.float64), placer.vertex_map, matrices, work.pinned | ordered.frozen)
-    written, face_map = written_faces(work.mesh, placer.faces, ordered.face_map)
-    result = SimplifiedMesh(
+    rest = _place(poses[0].astype(np.float64), placer.vertex_map, matrices, work.pinned | ordered.non_manifold)
+    result = replace(
+        without_frames(work, placer, ordered),
         points=rest[None].astype(np.float32),
-        faces=written,
-        face_map=face_map,
-        **in_input_terms(work.mesh, placer.vertex_map),
-        stopped=ordered.stopped,
-        error=100.0 * float(ordered.log.error.max(initial=0.0)),
         flips=np.zeros(1, dtype=np.int32),
-        log=ordered.log,
-        key_frames=np.zeros(1, dtype=np.int64),
-        diagonal=work.mesh.diagonal,
-        plan=work.plan,
-        components_removed=len(ordered.drops),
     )
     return reached(result, work.goal.target_faces)
 
@@ -126,9 +119,9 @@ def pulled_back_matrices(
     total = np.zeros((len(skin.rest), 3, 3))
     for pose, transform in zip(poses, matrices, strict=True):
         point = pose.astype(np.float64)
-        star = _vertex_matrices(point, faces, line)
+        around = _vertex_matrices(point, faces, line)
         linear = np.einsum("vk,vkab->vab", skin.weights, transform[skin.joints][..., :3])
-        total += np.einsum("vki,vkl,vlj->vij", linear, star, linear)
+        total += np.einsum("vki,vkl,vlj->vij", linear, around, linear)
     return total
 
 
@@ -179,8 +172,8 @@ def _place(rest: np.ndarray, vertex_map: np.ndarray, matrices: np.ndarray, pinne
     matrix, right = np.zeros((count, 3, 3)), np.zeros((count, 3))
     np.add.at(matrix, cluster, matrices[used])
     np.add.at(right, cluster, np.einsum("vij,vj->vi", matrices[used], rest[used] - mean[cluster]))
-    pull = MEAN_PULL * np.trace(matrix, axis1=1, axis2=2) + np.finfo(float).tiny
-    placed = mean + np.linalg.solve(matrix + pull[:, None, None] * np.eye(3), right[..., None])[..., 0]
+    regularisation = MEAN_REGULARISATION * np.trace(matrix, axis1=1, axis2=2) + np.finfo(float).tiny
+    placed = mean + np.linalg.solve(matrix + regularisation[:, None, None] * np.eye(3), right[..., None])[..., 0]
     still = used[pinned[used] | (size[cluster] == 1)]
     placed[vertex_map[still]] = rest[still]
     return placed

@@ -16,6 +16,7 @@ from warpqem.frames.stream import LaterFrames, NoFrames
 from warpqem.mesh.mesh_input import is_proper
 from warpqem.pipeline.mirror import Mirror, find_mirror
 from warpqem.pipeline.symmetry import simplify_symmetric
+from warpqem.skinning.rest_pose_quadrics import UNUSED_OPTIONS
 from warpqem.usd.commands.attributes import weighted_fields
 from warpqem.usd.commands.blend_shape_weights import morph_scale
 from warpqem.usd.commands.context import Context, Progress, SharedOrder
@@ -29,9 +30,6 @@ from warpqem.usd.write.point_samples import PointSamples
 from warpqem.usd.write.stage_report import PrimReport
 
 __all__ = ["CoreCalls"]
-
-# Options of the core that simplifying by rest-pose quadrics has, too.
-PULLBACK_OPTIONS = ("attributes", "lock_borders", "keep_components", "memory", "device", "max_size_error")
 
 Seams = npt.NDArray[np.int32]
 
@@ -167,7 +165,7 @@ class CoreCalls:
     ) -> warpqem.SimplifiedMesh:
         options = {**self._method(job), "max_size_error": self._options.size_limit}
         if self._is_pulled_back(job):
-            options = {name: value for name, value in options.items() if name in PULLBACK_OPTIONS}
+            options = {name: value for name, value in options.items() if name not in UNUSED_OPTIONS}
             options |= {**self._importance(job), "seams": seams, "progress": progress}
             return simplify_by_pullback(self._skin_poses(job), **options, **goal)
         mirror = self._mirror(job)

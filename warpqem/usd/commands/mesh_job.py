@@ -13,17 +13,18 @@ from pxr import Sdf
 
 from warpqem.frames.blocks import frame_blocks
 from warpqem.frames.stream import ArrayFrames, FrameSource, JoinedFrames, KeptFrames, read_ahead
+from warpqem.pipeline.memory_plan import parse_bytes
 from warpqem.pipeline.result import SimplifiedMesh
 from warpqem.repair.mended_mesh import MeshRepair, face_repair
+from warpqem.usd.commands.simplify_options import SimplifyOptions
 from warpqem.usd.read.blend_shapes import choose_targets
 from warpqem.usd.read.mesh_seams import MeshSeams, find_seams
 from warpqem.usd.read.mesh_skin import Skin, read_skin
 from warpqem.usd.read.read_mesh import MeshLayout, MeshSource, PoseFrames
-from warpqem.usd.read.time_codes import FrameRange
 from warpqem.usd.read.weld import weld
 from warpqem.usd.write.attribute_transfer import AttributeTransfer
 
-__all__ = ["MeshJob", "ReadOptions", "RestFit"]
+__all__ = ["MeshJob", "RestFit"]
 
 # Poses of up to so many bytes are kept once they have been read: as much as USD and Warp take themselves.
 KEPT_BYTES = 64 * 2**20
@@ -66,25 +67,6 @@ class RestFit:
 
 
 @dataclass(frozen=True)
-class ReadOptions:
-    """How meshes are read.
-
-    Attributes:
-        frames: Time codes to read; None for all authored ones.
-        bake: Leave the skin aside.
-        weld: Join points that differ in nothing that moves them.
-        influences: Joints that move a new point at most; None for as many as move an old one.
-        memory: Bytes that the work may take; None for most of what is free.
-    """
-
-    frames: FrameRange | None = None
-    bake: bool = False
-    weld: bool = True
-    influences: int | None = None
-    memory: int | None = None
-
-
-@dataclass(frozen=True)
 class MeshJob:
     """One mesh made ready.
 
@@ -120,7 +102,7 @@ class MeshJob:
     def prepare(
         cls,
         source: MeshSource,
-        options: ReadOptions | None = None,
+        options: SimplifyOptions | None = None,
         *,
         shape_users: Counter[Sdf.Path] | None = None,
         examples: MeshSource | None = None,
@@ -129,7 +111,7 @@ class MeshJob:
 
         Args:
             source: The mesh.
-            options: How to read it; None for the defaults.
+            options: How to read it: their `frames`, `bake`, `weld`, `influences` and `memory`; None for the defaults.
             shape_users: How many meshes use each BlendShape prim of the stage; None if each has one.
             examples: The same mesh in example poses. They take the place of the poses of a mesh with a skin, and come
                 before those of one without.
@@ -137,7 +119,7 @@ class MeshJob:
         Raises:
             StageError: a pose cannot be read.
         """
-        options = options or ReadOptions()
+        options = options or SimplifyOptions(ratio=1.0)
         skin, reason = None, None
         if not options.bake and len(source.topology.triangles):
             skin, reason = read_skin(source, shape_users or Counter(), options.influences)
@@ -163,7 +145,8 @@ class MeshJob:
             # Normals of a rest shape fit no pose, so that they are dropped where poses are written.
             with_normals=skin is not None or not source.has_skin_binding,
         )
-        poses = [_kept_if_small(PoseFrames(*clip, vertex_point), options.memory) for clip in clips]
+        memory = None if options.memory is None else parse_bytes(options.memory)
+        poses = [_kept_if_small(PoseFrames(*clip, vertex_point), memory) for clip in clips]
         if skin is None:
             start = sum(part.frame_count for part in poses[:-1])
             return cls(source, mesh, faces, seams, None, reason, JoinedFrames(poses), start, None, repair, examples)

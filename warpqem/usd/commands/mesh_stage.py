@@ -15,7 +15,7 @@ from warpqem.errors import StageError
 from warpqem.mesh_files.file_names import frame_numbers
 from warpqem.mesh_files.reading import has_shared_points, read_mesh_file
 from warpqem.mesh_files.sequence import MeshSequence, Progress, scan
-from warpqem.mesh_files.writing import SurfaceValues, write_frames
+from warpqem.mesh_files.writing import WrittenValues, write_frames
 from warpqem.usd.checks.usd_errors import first_line
 from warpqem.usd.layers.sample_saver import SampleSaver
 from warpqem.usd.write.collect_files import Collection
@@ -189,18 +189,18 @@ def _write_values(mesh: UsdGeom.Mesh, sequence: MeshSequence) -> None:
             mesh.CreateDisplayOpacityPrimvar(interpolation).Set(Vt.FloatArray.FromNumpy(alpha))
 
 
-def _values(mesh: UsdGeom.Mesh, faces: npt.NDArray[np.int32]) -> SurfaceValues:
+def _values(mesh: UsdGeom.Mesh, faces: npt.NDArray[np.int32]) -> WrittenValues:
     """The same of a mesh of triangles, for each corner, or for each face where they are uniform."""
     uv = _per_corner(UsdGeom.PrimvarsAPI(mesh).GetPrimvar("st"), faces)
     color, opacity = mesh.GetDisplayColorPrimvar(), mesh.GetDisplayOpacityPrimvar()
     rgb, alpha = _per_corner(color, faces), _per_corner(opacity, faces)
     if rgb is None:
-        return SurfaceValues(uv)
+        return WrittenValues(uv)
     alpha = np.ones((*rgb.shape[:2], 1), dtype=np.float32) if alpha is None else alpha
     rgba = np.concatenate([rgb, alpha], axis=2)
     if color.GetInterpolation() == UsdGeom.Tokens.uniform:
-        return SurfaceValues(uv, face_colors=rgba[:, 0])
-    return SurfaceValues(uv, rgba)
+        return WrittenValues(uv, face_colors=rgba[:, 0])
+    return WrittenValues(uv, rgba)
 
 
 def _per_corner(primvar: UsdGeom.Primvar, faces: npt.NDArray[np.int32]) -> npt.NDArray[np.float32] | None:

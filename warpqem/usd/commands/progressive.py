@@ -21,8 +21,9 @@ from warpqem.progressive.stage_notes import StageNotes
 from warpqem.usd.checks.byte_check import MAX_NESTED
 from warpqem.usd.checks.input_files import check_stage_outputs
 from warpqem.usd.checks.usd_errors import usd_errors_named
-from warpqem.usd.commands.mesh_job import MeshJob, ReadOptions
+from warpqem.usd.commands.mesh_job import MeshJob
 from warpqem.usd.commands.progressive_options import NOT_TO_BUILD, BuildOptions, LevelChoice
+from warpqem.usd.commands.simplify_options import SimplifyOptions
 from warpqem.usd.read.open_stage import find_meshes, open_stage
 from warpqem.usd.read.read_mesh import MeshSource
 from warpqem.usd.read.skeleton_poses import StagePoses
@@ -55,7 +56,9 @@ def build_file(
     """
     stage = open_stage(input_path)
     check_stage_outputs([OutputFile("output", output_path), *other_outputs], [stage])
-    job = MeshJob.prepare(MeshSource(_one_mesh(stage, options.prim), StagePoses(stage)), _reading(options))
+    # Without its skin, and otherwise as for a whole result.
+    reading = SimplifyOptions(ratio=1.0, frames=options.frames, bake=True)
+    job = MeshJob.prepare(MeshSource(_one_mesh(stage, options.prim), StagePoses(stage)), reading)
     if not len(job.faces):
         raise StageError(f"{job.mesh.path}: the mesh has no faces")
     points = _in_world(job)
@@ -140,10 +143,6 @@ def _one_mesh(stage: Usd.Stage, path: str | None) -> Usd.Prim:
         more = ", ..." if len(selection.prims) > 5 else ""
         raise OptionError(f"there are {len(selection.prims)} meshes ({names}{more}): choose one with --prim")
     return selection.prims[0]
-
-
-def _reading(options: BuildOptions) -> ReadOptions:
-    return ReadOptions(frames=options.frames, bake=True)
 
 
 def _in_world(job: MeshJob) -> npt.NDArray[np.float64]:

@@ -11,14 +11,13 @@ from pxr import Usd
 import warpqem
 from warpqem.errors import DeviceError, OptionError, StageError, VaryingTopologyError, WarpqemError
 from warpqem.options import target_count
-from warpqem.pipeline.memory_plan import parse_bytes
 from warpqem.usd.checks.usd_errors import usd_errors_named
 from warpqem.usd.commands.attributes import check_names
 from warpqem.usd.commands.blend_shape_weights import check_morph
 from warpqem.usd.commands.context import Context, Progress, SharedOrder
 from warpqem.usd.commands.core_calls import CoreCalls
 from warpqem.usd.commands.face_points import FacePoints
-from warpqem.usd.commands.mesh_job import MeshJob, ReadOptions
+from warpqem.usd.commands.mesh_job import MeshJob
 from warpqem.usd.commands.mesh_result import MeshResult
 from warpqem.usd.commands.stage_budget import simplify_to_budget
 from warpqem.usd.commands.varying import simplify_runs
@@ -161,7 +160,7 @@ class Run:
                 source = MeshSource(prim, self.poses)
                 job = MeshJob.prepare(
                     source,
-                    self._reading(),
+                    self.options,
                     shape_users=self.shape_users,
                     examples=None if self.examples is None else self.examples.source(source),
                 )
@@ -176,11 +175,6 @@ class Run:
         if job.repair is not None:
             report.problems += [f"{job.mesh.path}: {line}" for line in job.repair.findings.lines()]
         return job
-
-    def _reading(self) -> ReadOptions:
-        options = self.options
-        memory = None if options.memory is None else parse_bytes(options.memory)
-        return ReadOptions(options.frames, options.bake, options.weld, options.influences, memory)
 
     def try_out(
         self, prim: Usd.Prim, progress: Progress, shared: SharedOrder, least: int

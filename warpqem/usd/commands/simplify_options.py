@@ -68,9 +68,9 @@ class SimplifyOptions(MethodOptions):
         lod_files: With `lods`, write each level as a file of its own beside the output, which is not written itself:
             OUT_LOD1.usdc, OUT_LOD2.usdc, ... for OUT.usdc.
         max_size_error: A mesh stops above its number of faces, or within its limit, where its error would pass so many
-            % of its bounding-box diagonal, see `warpqem.SimplifyOptions`; of two triangles none goes. 5, a twentieth of
-            its size, keeps cubes and cards whole, and lets meshes of some hundred triangles come down to a twentieth of
-            them. None or infinity for no limit.
+            % of its bounding-box diagonal, see `warpqem.options.MeshOptions`; of two triangles none goes. 5, a
+            twentieth of its size, keeps cubes and cards whole, and lets meshes of some hundred triangles come down to a
+            twentieth of them. None or infinity for no limit.
         uv_weight: Weight of the error of texture coordinates in the order of collapses: at 1 an error of the whole UV
             square counts as much as one bounding-box diagonal, see `warpqem.costs.AttributeField`; 0 does not look at
             them. None for the weight of the metric: 0.1 of "face", 0 of the others.
@@ -80,7 +80,7 @@ class SimplifyOptions(MethodOptions):
             locks. None for none.
         weight_scales: What those numbers scale: "cost", that of collapses, or "quadrics" (Kho & Garland 2003), so that
             merged vertices go nearer to what counts more, too; see `vertex_weights` and `quadric_scale` of
-            `warpqem.SimplifyOptions`.
+            `warpqem.options.MeshOptions`.
         morph_weights: Scale the error of what moves more between the shapes of a mesh, see
             `warpqem.costs.morph_weights`: "thirds", "rank", "distance" or "usage"; None for no weights.
         face_points: JSON file with feature points by name for the metric "face", such as `warpqem face detect` writes;

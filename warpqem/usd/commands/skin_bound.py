@@ -35,7 +35,7 @@ class SkinnedFrames:
     Args:
         poses: the mesh in its poses.
         fitted: the skin.
-        carrier: where the simplified mesh gets its values from.
+        transfer: where the simplified mesh gets its values from.
     """
 
     def __init__(self, poses: SkinPoses, fitted: FittedMesh, transfer: AttributeTransfer) -> None:

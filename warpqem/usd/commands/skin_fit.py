@@ -163,7 +163,7 @@ class SkinFitter:
 
         Args:
             result: The simplified mesh, whose frames went through here.
-            carrier: Where it gets its values from.
+            transfer: Where it gets its values from.
             refitted: Whether its surface was fitted as a whole, which the skin is then to follow.
             device: Warp device; None for the default.
 

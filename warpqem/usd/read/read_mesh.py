@@ -17,7 +17,7 @@ from warpqem.usd.read.declared_types import check_declared_types
 from warpqem.usd.read.open_stage import world_scale
 from warpqem.usd.read.skeleton_poses import MeshPoser, StagePoses
 from warpqem.usd.read.time_codes import FrameRange
-from warpqem.usd.read.triangulation import Topology, read_topology
+from warpqem.usd.read.triangulation import TriangulatedFaces, read_topology
 from warpqem.usd.read.visibility import seen_frames
 
 __all__ = ["MeshLayout", "MeshSource", "PoseFrames", "StageMesh"]
@@ -143,7 +143,7 @@ class MeshSource:
         self.point_count = len(first)
         # Polygons are cut by the authored points of the first pose, the rest shape of a mesh with a skin.
         shape = np.array(first, dtype=np.float32).reshape(-1, 3) if isinstance(first, POINT_ARRAYS) else None
-        self.topology: Topology = read_topology(self.mesh, self.point_count, shape)
+        self.topology: TriangulatedFaces = read_topology(self.mesh, self.point_count, shape)
 
     @property
     def has_skin_binding(self) -> bool:

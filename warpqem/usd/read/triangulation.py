@@ -13,7 +13,7 @@ from warpqem.errors import StageError, VaryingTopologyError
 from warpqem.mesh.edges import edge_key
 from warpqem.mesh.polygons import ear_clipped, fans_cover, polygon_normals, repeated_polygons
 
-__all__ = ["Topology", "fan_triangulate", "read_topology"]
+__all__ = ["TriangulatedFaces", "fan_triangulate", "read_topology"]
 
 
 # Rounds in which polygons are turned to be cut from another corner. A quadrilateral has two cuts; larger polygons have
@@ -22,7 +22,7 @@ MAX_TURNS = 8
 
 
 @dataclass(frozen=True)
-class Topology:
+class TriangulatedFaces:
     """The faces of a mesh, the same at every time.
 
     Attributes:
@@ -164,7 +164,7 @@ def _all_of(flag: npt.NDArray[np.bool_], counts: npt.NDArray[np.int32], chosen: 
 
 def read_topology(
     mesh: UsdGeom.Mesh, point_count: int, points: npt.NDArray[np.floating[Any]] | None = None
-) -> Topology:
+) -> TriangulatedFaces:
     """Read and check the faces of a mesh.
 
     Args:
@@ -203,7 +203,7 @@ def read_topology(
         corners, polygons = corners[kept], polygons[kept]
     triangles = indices[corners]
     proper = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)
-    return Topology(
+    return TriangulatedFaces(
         triangles=triangles[proper],
         triangle_polygons=polygons[proper],
         triangle_corners=corners[proper],

@@ -181,9 +181,9 @@ def name_arrays(prim: Usd.Prim, transfer: AttributeTransfer, dropped: Dropped) -
         # Indices of a primvar are no primvar; they and those of a skin are transferred with what they belong to.
         if name.startswith(("primvars:", "skel:")):
             continue
-        original = transfer.prim.GetAttribute(name)
+        # What was transferred has another length by now.
         for element, interpolation in ELEMENTS.items():
-            if _samples_of_length(original, transfer.input_count(interpolation)):
+            if _samples_of_length(attribute, transfer.input_count(interpolation)):
                 dropped.names.append(f"the order of {name} (an entry for each old {element}; make it a primvar)")
                 break
 

@@ -24,7 +24,7 @@ def write_skin(stage: Usd.Stage, prim: Usd.Prim, skin: Skin, transfer: Attribute
         stage: Stage whose edit target takes the edits.
         prim: The mesh.
         skin: Its skin on the old points.
-        carrier: Where the new points get their values from.
+        transfer: Where the new points get their values from.
     """
     rows = transfer.vertices()
     if skin.fitted is not None:

@@ -134,7 +134,7 @@ class OverLayer:
             samples: What has its new points already, in local space.
             times: Time code of each frame, None for one frame at the default time.
             faces: int32, shape (N, 3), in the winding of the mesh's authored orientation.
-            carrier: Where on the input the new points, faces and corners get their values from.
+            transfer: Where on the input the new points, faces and corners get their values from.
             skin: The skin that goes on deforming the points, which are then one frame, the rest shape; None for a mesh
                 without one, or one whose points are poses.
 

@@ -1,4 +1,4 @@
-"""Steps of a pass: operations recorded once, and run in every pass with next to no work on the host."""
+"""Launches of a pass: operations recorded once, and run in every pass with next to no work on the host."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from warpqem.runtime.cpu_threads import run_parts
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import Recorder
 
-__all__ = ["Phase", "Step", "new_edge_list", "part_work", "record_shared"]
+__all__ = ["LaunchGroup", "RecordedLaunches", "new_edge_list", "part_work", "record_shared"]
 
 
 @dataclass(frozen=True)
-class Phase:
+class LaunchGroup:
     """Operations that may run at once, one group for each part of the work.
 
     Attributes:
@@ -30,24 +30,24 @@ class Phase:
     part_count: int = 1
 
 
-class Step:
-    """Phases one after another, recorded when the step is made, run as often as asked."""
+class RecordedLaunches:
+    """Groups of launches one after another, recorded when this is made, run as often as asked."""
 
-    def __init__(self, phases: Sequence[Phase], device: str) -> None:
+    def __init__(self, groups: Sequence[LaunchGroup], device: str) -> None:
         self._device = device
         self._runs: list[list[Callable[[], None]]] = []
-        for part_count, group in itertools.groupby(phases, key=lambda phase: phase.part_count):
-            phases_alike = list(group)
+        for part_count, run in itertools.groupby(groups, key=lambda group: group.part_count):
+            alike = list(run)
             if part_count == 1:
-                self._runs.append([self._recorded(phases_alike, 0)])
+                self._runs.append([self._recorded(alike, 0)])
                 continue
-            for phase in phases_alike:
-                self._runs.append([self._recorded([phase], part) for part in range(part_count)])
+            for group in alike:
+                self._runs.append([self._recorded([group], part) for part in range(part_count)])
 
-    def _recorded(self, phases: Sequence[Phase], part: int) -> Callable[[], None]:
+    def _recorded(self, groups: Sequence[LaunchGroup], part: int) -> Callable[[], None]:
         recorder = Recorder(self._device)
-        for phase in phases:
-            phase.record(recorder, part)
+        for group in groups:
+            group.record(recorder, part)
         return recorder.finish()
 
     def run(self) -> None:
@@ -60,7 +60,7 @@ def part_work(part: int, part_count: int, device: str) -> Work:
     """The share of one part."""
     work = Work()
     work.part, work.part_count = part, part_count
-    work.lanes = device_traits(device).launch_threads
+    work.thread_count = device_traits(device).launch_threads
     return work
 
 
@@ -68,7 +68,7 @@ def record_shared(
     recorder: Recorder, kernel: wp.Kernel, inputs: Sequence[Any], work: Work, outputs: Sequence[Any] = ()
 ) -> None:
     """Record a kernel that deals out its items by ``work``, its last input."""
-    recorder.launch(kernel, work.lanes, [*inputs, work], outputs)
+    recorder.launch(kernel, work.thread_count, [*inputs, work], outputs)
 
 
 def new_edge_list(storage: wp.array, part_count: int) -> EdgeList:
