@@ -271,7 +271,9 @@ def _collapse(
     steps = PassSteps(state, frames, adjacency, model, device, settings.memoryless)
     orderer = _new_ordering(steps)
     components = (
-        None if settings.keep_components else Components(state, model.epsilon, settings.error_limit**2, lowest_limit**2)
+        None
+        if settings.keep_components
+        else Components(state, mesh.key_position, mesh.key_count, settings.error_limit**2, lowest_limit**2)
     )
     if components is not None and components.count == 1:
         # One always stays.
