@@ -1,9 +1,9 @@
 """How far the input vertices that a collapse merges would be from the faces that it leaves around their vertex.
 
 Quadrics measure distances from planes, which go on for ever: a tip that is cut off stays near the planes of its sides.
-This measures distances from faces, at the members of both clusters, in the first key frame; and the other way round how far the faces left are
-from the members, as faces that span the hole of a ring leave no member behind. It takes a walk over members and faces,
-so it is done for the edges that are about to collapse, not for all.
+This measures distances from faces, at the members of both clusters, in the first key frame; and the other way round how
+far the faces left are from the members, as faces that span the hole of a ring leave no member behind. It takes a walk
+over members and faces, so it is done for the edges that are about to collapse, not for all.
 """
 
 from typing import Any
