@@ -1,8 +1,9 @@
 """How far the input vertices that a collapse merges would be from the faces that it leaves around their vertex.
 
 Quadrics measure distances from planes, which go on for ever: a tip that is cut off stays near the planes of its sides.
-This measures distances from faces, at the members of both clusters, in the first key frame. It takes a walk over
-members and faces, so it is done for the edges that are about to collapse, not for all.
+This measures distances from faces, at the members of both clusters, in the first key frame; and the other way round how
+far the faces left are from the members, as faces that span the hole of a ring leave no member behind. It takes a walk
+over members and faces, so it is done for the edges that are about to collapse, not for all.
 """
 
 from typing import Any
@@ -54,6 +55,43 @@ def member_gap(state: MeshState, frames: AnyKeyFrames, u: wp.int32, v: wp.int32,
             area += state.members.area[m]
             m = state.members.following[m]
     return wp.vec2(gap, area)
+
+
+@wp.func
+def nearest_member(state: MeshState, vertex: wp.int32, p: wp.vec3, best: wp.float32) -> wp.float32:
+    """The least of ``best`` and the squared distances of ``p`` from the surface around the members of a vertex."""
+    least = best
+    m = vertex
+    while m >= 0:
+        least = wp.min(least, wp.length_sq(p - state.members.position[m]) - state.members.reach_squared[m])
+        m = state.members.following[m]
+    return least
+
+
+@wp.func
+def face_gap(state: MeshState, frames: AnyKeyFrames, u: wp.int32, v: wp.int32, apex: wp.vec3) -> wp.float32:
+    """Sum over the faces around ``u`` and ``v``, once both are at ``apex``, of area times squared distance of the
+    middle from the members of the corners, as far as it is beyond what these reach.
+    """
+    gap = wp.float32(0.0)
+    for side in range(2):
+        a = wp.where(side == 0, u, v)
+        b = wp.where(side == 0, v, u)
+        for i in range(state.adjacency.start[a], state.adjacency.end[a]):
+            h = state.adjacency.corner[i]
+            x = half_edge_target(state.corner_vertex, h)
+            y = state.corner_vertex[previous_corner(h)]
+            if x != b and y != b:
+                q = lead_point(frames.position[x, 0])
+                r = lead_point(frames.position[y, 0])
+                area = 0.5 * wp.length(wp.cross(q - apex, r - apex))
+                middle = (apex + q + r) / 3.0
+                squared = nearest_member(state, u, middle, wp.float32(wp.inf))
+                squared = nearest_member(state, v, middle, squared)
+                squared = nearest_member(state, x, middle, squared)
+                squared = nearest_member(state, y, middle, squared)
+                gap += area * wp.max(squared, 0.0)
+    return gap
 
 
 @wp.func

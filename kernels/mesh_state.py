@@ -37,6 +37,7 @@ class Members:
 
     position: wp.array[wp.vec3]  # (V,) of the input in the first key frame, in diagonals
     area: wp.array[wp.float32]  # (V,) a third of the faces around, there, in diagonals squared
+    reach_squared: wp.array[wp.float32]  # (V,) how far its faces reach from it, squared
     following: wp.array[wp.int32]  # (V,) -1 for the last one
     last: wp.array[wp.int32]  # (V,)
 

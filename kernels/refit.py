@@ -223,6 +223,13 @@ def match_output_samples(
         pairs.normal[pair] = n
         pairs.residual[pair] = wp.dot(n, offset)
         pairs.weight[pair] = 0.5 * wp.length(cross) / wp.float32(per_face)
+    else:
+        pairs.face[pair] = face
+        pairs.key[pair] = t
+        pairs.barycentric[pair] = barycentric
+        pairs.normal[pair] = wp.normalize(offset)
+        pairs.residual[pair] = wp.length(offset)
+        pairs.weight[pair] = 0.5 * wp.length(cross) / wp.float32(per_face)
 
 
 @wp.func

@@ -220,7 +220,9 @@ def _collapse(
     components = (
         None
         if settings.keep_components
-        else Components(state, steps.model.epsilon, settings.error_limit**2, lowest_limit**2)
+        else Components(
+            state, steps.frames.position, int(steps.model.key_count), settings.error_limit**2, lowest_limit**2
+        )
     )
     if components is not None and components.count == 1:
         # One always stays.

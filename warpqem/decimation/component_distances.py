@@ -1,0 +1,99 @@
+"""What the loss of a component would show: how far its surface is from the components that stay."""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from warpqem.kernels import component_distance as kernels
+from warpqem.runtime.launches import launch
+
+__all__ = ["MAX_FRAMES", "ComponentDistances"]
+
+# Key frames that distances are taken in, evenly spread: parts that come near to others do so in few of them.
+MAX_FRAMES = 4
+# Vertices that stand for the surface of a component, evenly spread over its vertices.
+MAX_SAMPLES = 16
+# The first box of a search reaches so many times the size of the component, in each direction.
+FIRST_BOX = 0.25
+
+
+class ComponentDistances:
+    """Area-weighted squared distances of components from others, as the input has them.
+
+    Distances of what is left would differ by the error of the collapses so far, which is far less than what matters.
+
+    Args:
+        points: (K', V, 3) float32, the input in some key frames.
+        faces: (N, 3) int32.
+        component: (V,) int, the component of each vertex, from 0.
+        weight: (V,) float32, scale of the quadric of each vertex.
+        device: Warp device.
+    """
+
+    def __init__(
+        self, points: np.ndarray, faces: np.ndarray, component: np.ndarray, weight: np.ndarray, device: str
+    ) -> None:
+        used = np.unique(faces)
+        order = used[np.argsort(component[used], kind="stable")]
+        count = np.bincount(component[order], minlength=int(component.max(initial=0)) + 1)
+        self._first = np.concatenate([[0], np.cumsum(np.minimum(count, MAX_SAMPLES))])
+        start = np.concatenate([[0], np.cumsum(count)])[:-1]
+        number = np.arange(self._first[-1]) - np.repeat(self._first[:-1], np.diff(self._first))
+        step = np.repeat(count / np.maximum(1, np.minimum(count, MAX_SAMPLES)), np.diff(self._first))
+        sample = order[np.repeat(start, np.diff(self._first)) + (number * step).astype(np.int64)]
+        shape = (len(points), len(sample), int(kernels.NEAR_COMPONENTS))
+        self._near, self._squared = np.empty(shape, dtype=np.int32), np.empty(shape, dtype=np.float32)
+        self._area = np.empty((len(points), len(count)))
+        indices = wp.array(faces.ravel(), dtype=wp.int32, device=device)
+        own = wp.array(component.astype(np.int32), dtype=wp.int32, device=device)
+        chosen = wp.array(sample.astype(np.int32), dtype=wp.int32, device=device)
+        for frame, positions in enumerate(points):
+            self._area[frame] = _areas(positions, faces, component, weight, len(count))
+            size = _sizes(positions[order], start, count)
+            mesh = wp.Mesh(points=wp.array(positions, dtype=wp.vec3, device=device), indices=indices)
+            near = wp.empty(shape[1:], dtype=wp.int32, device=device)
+            squared = wp.empty(shape[1:], dtype=wp.float32, device=device)
+            radius = FIRST_BOX * np.maximum(size, np.finfo(np.float32).eps)[component[sample]]
+            launch(
+                kernels.find_near_components,
+                dim=len(sample),
+                inputs=[mesh.id, own, chosen, wp.array(radius, dtype=wp.float32, device=device)],
+                outputs=[near, squared],
+                device=device,
+            )
+            self._near[frame], self._squared[frame] = near.numpy(), squared.numpy()
+
+    def loss(self, component: int, stays: np.ndarray) -> tuple[float, float]:
+        """Mean over frames of a component's area, and of its area times the mean squared distance from what stays.
+
+        ``stays`` (C,) bool are the components that are left. Beyond the components that were found near, what stays is
+        as far as the furthest of them.
+        """
+        rows = slice(self._first[component], self._first[component + 1])
+        near, squared = self._near[:, rows], self._squared[:, rows]
+        left = (near >= 0) & stays[near]
+        squared = np.where(left, squared, np.inf).min(axis=2)
+        known = np.where(self._near[:, rows] >= 0, self._squared[:, rows], 0.0).max(axis=2)
+        squared = np.where(np.isfinite(squared), squared, np.where(known > 0.0, known, 1.0))
+        area = self._area[:, component]
+        return float(area.mean()), float((area * squared.mean(axis=1)).mean())
+
+
+def _areas(points: np.ndarray, faces: np.ndarray, component: np.ndarray, weight: np.ndarray, count: int) -> np.ndarray:
+    """(C,) area of each component, each face times the scale of its corners."""
+    corner = points[faces].astype(np.float64)
+    cross = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    area = 0.5 * np.linalg.norm(cross, axis=1) * weight[faces].mean(axis=1)
+    areas: np.ndarray = np.bincount(component[faces[:, 0]], area, count)
+    return areas
+
+
+def _sizes(points: np.ndarray, start: np.ndarray, count: np.ndarray) -> np.ndarray:
+    """(C,) largest extent of each component, whose points lie together."""
+    size = np.zeros(len(count))
+    filled = count > 0
+    begin = start[filled]
+    high, low = (bound.reduceat(points, begin, axis=0) for bound in (np.maximum, np.minimum))
+    size[filled] = (high - low).max(axis=1)
+    return size
