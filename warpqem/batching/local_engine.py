@@ -142,6 +142,7 @@ class _Pool:
         self._devices = [engine.device] if engine.device else [gpu.alias for gpu in wp.get_cuda_devices()] or ["cpu"]
         self._size = engine.worker_count(len(jobs), self._devices)
         self._failed_starts = 0
+        self._closed = False
         # Kernels are compiled by one worker, and found by the others.
         self._warm = False
         self._folder = temporary_path(Path(tempfile.gettempdir()), ".batch")
@@ -163,6 +164,8 @@ class _Pool:
         """End all workers at once, and remove what they were writing."""
         if os.getpid() != self._owner:  # a process that was forked from this one ends
             return
+        # A thread that still waits for a worker starts no other one in its place.
+        self._closed = True
         while self.workers:
             self._kill(self.workers[-1])
             self.workers.pop()
@@ -296,7 +299,7 @@ class _Pool:
         self._kill(worker)
         if worker in self.workers:
             self.workers.remove(worker)
-            if self._left > 0:
+            if self._left > 0 and not self._closed:
                 self._start(worker.device)
                 self._warm_up()
         yield from ()
