@@ -17,8 +17,8 @@ __all__ = ["Winding", "read_winding"]
 Flags = npt.NDArray[np.bool_]
 Doubles = npt.NDArray[np.float64]
 
-# The normals of a patch are one direction where their sum is this part of what it is at most: the face of a polygon that
-# is far from flat, and not the whole of a surface that closes.
+# The normals of a patch are one direction where their sum is this part of what it is at most: a polygon may be far from
+# flat, but is no surface that closes.
 ONE_DIRECTION = 0.5
 # A face that is so much lower than long, as where corners of a polygon are in line, faces any way.
 SLIVER = 0.1
