@@ -50,7 +50,7 @@ def test_identifiers_are_terms_of_the_field(path):
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_help_is_in_terms_of_the_field(command):
-    shown = run(*command.split(), "--help-all" if command in ("simplify", "batch") else "--help")
+    shown = run(*command.split(), "--help-all")
     assert IN_TEXT.findall(shown.output) == []
 
 

@@ -8,6 +8,7 @@ import typer
 
 from warpqem.cli.console import PlainTable, load_usd, print_table, quiet_libraries, write_json
 from warpqem.cli.examples import epilog
+from warpqem.cli.help_option import Command, Group
 from warpqem.cli.option_parameters import takes_options
 from warpqem.cli.parameters import Device, Frames, Input, JsonReport, Output, ReportPage
 from warpqem.cli.simplify import run_simplify
@@ -15,7 +16,9 @@ from warpqem.usd.commands.simplify_options import SimplifyOptions
 
 __all__ = ["face"]
 
-face = typer.Typer(name="face", help="Faces: named feature points, levels that keep them, expressions transferred.")
+face = typer.Typer(
+    name="face", cls=Group, help="Faces: named feature points, levels that keep them, expressions transferred."
+)
 
 # Those of the metric, which the command names itself.
 POINT_OPTIONS = ("metric", "face_points", "face_weight", "face_ring", "face_keep")
@@ -36,7 +39,7 @@ FindOrientation = Annotated[
 ]
 
 
-@face.command(epilog=epilog("face detect"))
+@face.command(cls=Command, epilog=epilog("face detect"))
 def detect(
     input_file: Input,
     output: Annotated[
@@ -81,7 +84,7 @@ def detect(
     print_table(table, to_stderr="-" in (json, output))
 
 
-@face.command(epilog=epilog("face simplify"))
+@face.command(cls=Command, epilog=epilog("face simplify"))
 @takes_options(SimplifyOptions, without=POINT_OPTIONS, hidden=("bake", "flatten"))
 def simplify(
     input_file: Input,
@@ -125,7 +128,7 @@ def simplify(
     run_simplify(input_file, output, {**options, "metric": "face", **chosen}, report, json)
 
 
-@face.command(epilog=epilog("face retarget"))
+@face.command(cls=Command, epilog=epilog("face retarget"))
 def retarget(
     source_file: Annotated[str, typer.Argument(metavar="SOURCE", help="USD file with the face that moves.")],
     target_file: Annotated[str, typer.Argument(metavar="TARGET", help="USD file with the face to move.")],

@@ -8,6 +8,7 @@ import typer
 
 from warpqem.cli.console import PlainTable, load_usd, print_table, progress_bar, quiet_libraries, write_json
 from warpqem.cli.examples import epilog
+from warpqem.cli.help_option import Command, Group
 from warpqem.cli.option_parameters import takes_options
 from warpqem.cli.parameters import Input, JsonReport, MeshMemory, Output
 from warpqem.usd.commands.option_values import read_options
@@ -19,13 +20,15 @@ if TYPE_CHECKING:
 __all__ = ["progressive"]
 
 progressive = typer.Typer(
-    name="progressive", help="Progressive meshes: every level of one animated mesh in one file, from one run."
+    name="progressive",
+    cls=Group,
+    help="Progressive meshes: every level of one animated mesh in one file, from one run.",
 )
 
 MeshFile = Annotated[str, typer.Argument(metavar="FILE", help="Progressive mesh (.wpqm).")]
 
 
-@progressive.command(epilog=epilog("build"))
+@progressive.command(cls=Command, epilog=epilog("build"))
 @takes_options(BuildOptions, without=NOT_TO_BUILD)
 def build(
     input_file: Input,
@@ -48,7 +51,7 @@ def build(
     _show(f"{input_file} -> {output}", info, json)
 
 
-@progressive.command(epilog=epilog("extract"))
+@progressive.command(cls=Command, epilog=epilog("extract"))
 @takes_options(LevelChoice)
 def extract(
     file: MeshFile, output: Output, options: dict[str, Any], memory: MeshMemory = None, json: JsonReport = None
@@ -73,7 +76,7 @@ def extract(
         write_json(json, {"input": file, "output": output, "faces": count, "estimate": error})
 
 
-@progressive.command(epilog=epilog("progressive info"))
+@progressive.command(cls=Command, epilog=epilog("progressive info"))
 def info(file: MeshFile, json: JsonReport = None) -> None:
     """Say what is in a progressive mesh.
 
