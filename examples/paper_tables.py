@@ -44,6 +44,10 @@ PAPER_RATIO = 878 / 3128
 SCENES = Path(__file__).parent.parent / "scenes"
 # Shares of the faces that skins are fitted at.
 SKIN_RATIOS = (0.25, 0.1, 0.05)
+# Reductions of the paper on motion features, in % of the faces.
+REDUCTIONS = (39, 58, 68, 86)
+# Shares of the faces of a head with targets, from the finest level to the coarsest.
+MORPH_RATIOS = tuple(float(ratio) for ratio in np.geomspace(0.6, 0.03, 10))
 
 
 @cache
@@ -120,9 +124,8 @@ def morph() -> Table:
     columns = []
     for options in MORPH_WAYS.values():
         scale = weights if options["weighted"] else None
-        ratios = tuple(np.geomspace(0.6, 0.03, 10))
         levels = warpqem.simplify_levels(
-            frames, scene.faces, ratios=ratios, metric=options["metric"], quadric_scale=scale
+            frames, scene.faces, ratios=MORPH_RATIOS, metric=options["metric"], quadric_scale=scale
         )
         columns.append([(len(level.faces), _mean_distance(frames, scene.faces, moved, level)) for level in levels])
     for cells in zip(*columns, strict=True):
@@ -290,7 +293,7 @@ def reductions() -> Table:
     ways["log"] = {"metric": "aqem", "motion": warpqem.costs.MotionWeighting(weight="log")}
     columns = [f"{name} {figure}" for name in ways for figure in ("RMS %", "in joints")]
     table = _table("A gallop at the reductions of the paper", "reduction %", "faces", *columns)
-    for reduction in (39, 58, 68, 86):
+    for reduction in REDUCTIONS:
         cells: list[object] = []
         for options in ways.values():
             result = warpqem.simplify(points, scene.faces, ratio=1 - reduction / 100, **options)

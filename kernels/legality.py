@@ -47,8 +47,8 @@ COST_SLACK = wp.constant(wp.float32(1.2))
 # planes. Below 1 thin tips go, above 3 fits of compact shapes get worse, as one frame decides more and more.
 GAP_COST = wp.constant(wp.float32(2.0))
 # What the area times the squared distance of the faces left from merged input vertices costs, likewise. Below 2 faces
-# span the holes of rings, above 10 fits get worse: what these vertices reach is a guess. Of 22 cells of assemblies 0, 2,
-# 6 and 20 leave 0.98, 0.99, 0.91 and 0.93 of the better peer's largest distance; surfaces of one piece hardly change.
+# span the holes of rings, above 10 fits get worse: what these vertices reach is a guess. Of 11 cells of assemblies 0, 2
+# and 6 leave 0.98, 0.99 and 0.91 of the better peer's largest distance; surfaces of one piece hardly change.
 FACE_GAP_COST = wp.constant(wp.float32(6.0))
 # Squared normals (4 area^2 squared, in diagonals^4) below this belong to faces without an orientation: nothing to flip.
 NO_AREA = wp.constant(wp.float32(1.0e-28))

@@ -26,6 +26,27 @@ hypothesis.settings.register_profile("new examples", deadline=None)
 hypothesis.settings.load_profile("ci" if os.environ.get("CI") else "new examples")
 
 
+# Files that take longest begin first, so that no process is left with one of them at the end.
+LONG = (
+    "project/test_examples.py",
+    "project/test_docs.py",
+    "kernels/test_compile.py",
+    "project/test_scenes.py",
+    "batching/test_batch_local.py",
+    "cli/test_cli_comfort.py",
+    "project/test_device_benchmark.py",
+)
+
+
+def pytest_configure(config):
+    # Files are begun in their order, and not by the number of their tests.
+    config.option.loadscopereorder = False
+
+
+def pytest_collection_modifyitems(items):
+    items.sort(key=lambda item: not item.nodeid.split("::")[0].endswith(LONG))
+
+
 @pytest.fixture(scope="session", params=["cpu", "cuda:0"] if wp.is_cuda_available() else ["cpu"])
 def device(request):
     """Every Warp device to test on: the CPU, and the first GPU where there is one."""

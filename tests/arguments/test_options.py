@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import inspect
 import math
+import re
 import subprocess
 import sys
 import typing
@@ -12,14 +13,17 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 import pytest
+import typer.main
 from hypothesis import given
 from hypothesis import strategies as st
+from typer.testing import CliRunner
 
 import warpqem
 import warpqem.usd
 from tests.support import meshes
 from warpqem.arguments.limits import Limits
 from warpqem.arguments.option_fields import check_options, named_options, option, option_fields
+from warpqem.cli.app import app
 from warpqem.cli.batch import batch
 from warpqem.cli.face import simplify as simplify_face
 from warpqem.cli.option_parameters import takes_options
@@ -211,6 +215,28 @@ def test_help_all_shows_what_help_leaves_out():
     assert "--memoryless" in long
     assert "--coherence" not in short
     assert "--coherence" in long
+
+
+def commands_of(group: typing.Any, *path: str) -> list[tuple[str, ...]]:
+    found = [path]
+    for name, command in getattr(group, "commands", {}).items():
+        found += commands_of(command, *path, name)
+    return found
+
+
+@pytest.mark.parametrize("command", commands_of(typer.main.get_command(app)), ids=lambda path: " ".join(path) or "all")
+def test_every_command_has_a_help_all_with_all_its_options(command):
+    short, long = (
+        CliRunner().invoke(app, [*command, flag], env={"COLUMNS": "250"}) for flag in ("--help", "--help-all")
+    )
+    assert (long.exit_code, long.stderr) == (0, "")
+    shown = re.findall(r"--[a-z-]+", long.output)
+    assert set(re.findall(r"--[a-z-]+", short.output)) <= set(shown)
+    own = typer.main.get_command(app)
+    for name in command:
+        own = own.commands[name]
+    options = [parameter for parameter in own.params if parameter.param_type_name == "option"]
+    assert {parameter.opts[0] for parameter in options} <= {*shown, "--install-completion", "--show-completion"}
 
 
 @pytest.mark.parametrize(

@@ -11,9 +11,13 @@ from pathlib import Path
 import pytest
 from pxr import Usd, UsdGeom
 
+import warpqem
 from tests.support.cli import run
 from tests.support.usd_stages import cloth_stage, define_cloth
+from warpqem.batching.perform_job import perform
 from warpqem.cli.main import app
+from warpqem.errors import OptionError
+from warpqem.usd import SimplifyOptions, simplify_stage
 
 
 @pytest.fixture
@@ -53,6 +57,17 @@ def test_simplify_passes_all_options_on(cloth, tmp_path):
     assert result.exit_code == 0, result.stderr
     [prim] = json.loads(report.read_text())["prims"]
     assert (prim["frames"], prim["stopped"]) == (2, "max_error")
+
+
+def test_a_limit_that_cannot_be_proved_has_one_answer(cloth, tmp_path):
+    options = SimplifyOptions(max_error=1e-9, device="cpu")
+    with pytest.raises(OptionError, match="max_error 1e-09 %") as refused:
+        simplify_stage(cloth, tmp_path / "out.usda", options)
+    result = run("simplify", cloth, "-o", tmp_path / "out.usda", "--max-error", 1e-9, "--device", "cpu")
+    assert (result.exit_code, result.stderr.splitlines()[-1]) == (2, f"error: {refused.value}")
+    done = perform(warpqem.BatchJob(str(cloth), str(tmp_path / "out.usda"), options))
+    assert (done.status, done.error, done.message) == ("failed", "OptionError", f"{cloth}: {refused.value}")
+    assert not (tmp_path / "out.usda").exists()
 
 
 def test_simplify_names_what_it_drops(tmp_path):

@@ -7,8 +7,9 @@ import pytest
 
 import warpqem
 from tests.support import meshes
-from warpqem.decimation.pruning import DropRecord, _min_sum
-from warpqem.measure import topology
+from warpqem.decimation.component_distances import ComponentDistances
+from warpqem.decimation.pruning import DropRecord
+from warpqem.measure import compare, topology
 
 
 def specks(count: int = 6, size: float = 0.004) -> tuple[np.ndarray, np.ndarray]:
@@ -105,18 +106,37 @@ def test_result_is_the_same_on_every_run(device):
     np.testing.assert_array_equal(first.faces, second.faces)
 
 
-def test_least_sum_of_quadrics_is_that_of_their_planes():
-    rng = np.random.default_rng(1)
-    origins, normals, offsets = rng.normal(size=(4, 1, 3)), rng.normal(size=(4, 3)), rng.normal(size=4)
-    quadrics = []
-    for origin, normal, offset in zip(origins[:, 0], normals, offsets, strict=True):
-        at = offset + normal @ origin
-        outer = np.outer(normal, normal)
-        quadrics.append([*outer[np.triu_indices(3)], *(at * normal), at * at])
-    total, area = _min_sum(origins, np.array(quadrics)[:, None], 1e-12)
-    _, residual, _, _ = np.linalg.lstsq(normals, -offsets, rcond=None)
-    assert total == pytest.approx(residual[0], rel=1e-6)
-    assert area == pytest.approx((normals**2).sum())
+def test_what_stays_is_measured_to_faces_and_without_parts_that_went(device):
+    """A chain of three squares: the one in the middle is near until its neighbours go."""
+    square, faces = meshes.grid(1, 1)
+    points = np.concatenate([square + np.array([0, 0, z]) for z in (0.0, 0.1, 0.3)]).astype(np.float32)
+    faces = np.concatenate([faces + 4 * i for i in range(3)])
+    component = np.repeat(np.arange(3), 4)
+    distances = ComponentDistances(points[None], faces, component, np.ones(12, dtype=np.float32), device)
+    area = float(np.ptp(square, axis=0)[:2].prod())
+    for stays, distance in (((True, True, True), 0.1), ((False, True, True), 0.2)):
+        assert distances.loss(1, np.array(stays)) == pytest.approx((area, area * distance**2), rel=1e-4)
+
+
+def test_what_a_part_costs_counts_all_its_poses(device):
+    """A part that leaves the body in later frames stays; one that does not goes."""
+    points, faces = specks(2, size=0.05)
+    start = len(meshes.bumpy_sphere(3)[0])
+    frames = np.stack([points] * 4)
+    frames[1:, start : start + 42] += np.array([2.0, 0, 0])
+    result = warpqem.simplify(frames, faces, target_faces=60, device=device)
+    kept = [bool((result.vertex_map[first : first + 42] >= 0).any()) for first in (start, start + 42)]
+    assert kept == [True, False]
+
+
+@pytest.mark.parametrize("quality", ["fast", "best"])
+def test_ring_keeps_its_hole(device, quality):
+    """No face spans the hole of a ring: the far side of a face from the input is weighed, too."""
+    ring, ring_faces = meshes.torus(24, 8)
+    points, faces = meshes.joined((ring, ring_faces), meshes.bumpy_sphere(3), spacing=3.0)
+    result = warpqem.simplify(points, faces, target_faces=60, quality=quality, device=device)
+    comparison = compare(points, faces, result.points, result.faces, samples=4000, device=device)
+    assert comparison.hausdorff < 8.0
 
 
 def test_record_begins_with_the_first_drops():

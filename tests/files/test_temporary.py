@@ -12,7 +12,14 @@ from pathlib import Path
 import pytest
 
 import warpqem.files.temporary as temporary
-from warpqem.files.temporary import mark_temporary, remove_leftovers, remove_marked, replacing, temporary_path
+from warpqem.files.temporary import (
+    mark_temporary,
+    remove_leftovers,
+    remove_marked,
+    remove_path,
+    replacing,
+    temporary_path,
+)
 from warpqem.runtime.processes import ProcessId, own_id
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are not asked elsewhere")
@@ -111,6 +118,19 @@ def test_folder_that_a_dead_process_left_goes_with_all_that_is_in_it(tmp_path):
     path.mkdir()
     (path / "0.claimed").touch()
     assert remove_leftovers(tmp_path) == [path]
+    assert os.listdir(tmp_path) == []
+
+
+def test_folder_that_another_thread_is_removing_is_gone_when_both_have_been_asked_to(tmp_path, monkeypatch):
+    folder = temporary_path(tmp_path, ".batch")
+    folder.mkdir()
+    (folder / "1.txt").write_text("x")
+    # The end of the process stops the other one after its first step.
+    with monkeypatch.context() as stopped:
+        stopped.setattr(temporary.shutil, "rmtree", lambda path, **options: None)
+        remove_path(folder)
+    assert os.listdir(tmp_path)
+    remove_path(folder)
     assert os.listdir(tmp_path) == []
 
 

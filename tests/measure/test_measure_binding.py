@@ -193,12 +193,13 @@ def quadruped():
     [prim] = find_meshes(stage).prims
     source = MeshSource(prim, StagePoses(stage))
     mesh = source.read(source.authored_times)
-    return mesh.points, mesh.right_handed_faces
+    # Half of the gallop, which is the same on the other side.
+    return mesh.points[:24], mesh.right_handed_faces
 
 
 def test_slide_of_the_quadruped_falls_with_coherence_and_is_that_of_the_record(quadruped):
     slides = []
-    for coherence in (0.0, 0.2, 0.5, 1.0):
+    for coherence in (0.0, 0.3, 1.0):
         result = warpqem.simplify(*quadruped, ratio=0.1, coherence=coherence, device="cpu")
         two = (*quadruped, result.points, result.faces)
         options = {"samples": 100, "frames": 1, "device": "cpu"}

@@ -1,5 +1,7 @@
 """Flips are faces that oppose both sides of the surface below them: repeats, backs and mixed winding are none."""
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,6 +11,7 @@ import warpqem
 from tests.support import meshes
 from tests.support.moving_meshes import SPHERE
 from warpqem.measure import compare
+from warpqem.measure.winding import read_winding
 
 POINTS, FACES = SPHERE
 
@@ -95,3 +98,87 @@ def flawed_meshes(draw):
 def test_no_mesh_opposes_itself(mesh):
     points, faces = mesh
     assert compare(points, faces, points, faces, samples=20, device="cpu").flips == 0
+
+
+def cut(polygon: list[int], random: np.random.Generator) -> list[list[int]]:
+    """Triangles of a convex polygon, by random diagonals."""
+    if len(polygon) == 3:
+        return [polygon]
+    at = int(random.integers(1, len(polygon) - 1))
+    parts = [part for part in (polygon[: at + 1], [*polygon[at:]]) if len(part) > 2]
+    return [[polygon[0], polygon[at], polygon[-1]], *itertools.chain(*(cut(part, random) for part in parts))]
+
+
+TILINGS = ["quads", "hexagons", "bricks"]
+
+
+def sheet_of_polygons(tiling: str, columns: int, rows: int) -> tuple[np.ndarray, list[list[int]]]:
+    """A waving sheet of polygons: points (3, V, 3), and the corners of each. Bricks have three corners in line."""
+    wide = 1 if tiling == "quads" else 2
+    line = columns * wide + 2
+    row, column = np.divmod(np.arange((rows + 1) * line), line)
+    bulge = {"quads": 0.0, "hexagons": 0.25, "bricks": 0.0}[tiling]
+    x, y = column / line, (row + bulge * (-1.0) ** (row + column)) / rows
+    points = np.stack([np.stack([x, y, 0.03 * np.sin(5 * x + t) * np.cos(4 * y)], axis=1) for t in (0.0, 0.3, 0.6)])
+    polygons = []
+    for j, k in itertools.product(range(rows), range(columns)):
+        first = j * line + k * wide + (j % 2 if wide == 2 else 0)
+        below = list(range(first, first + wide + 1))
+        polygons.append([*below, *(vertex + line for vertex in reversed(below))])
+    return points.astype(np.float32), polygons
+
+
+def two_sided(points, polygons, random, share: float = 1.0, apart: bool = True):
+    """Both sides of a sheet, or the front and a part of the back, cut along diagonals of their own."""
+    front = [face for polygon in polygons for face in cut(polygon, random)]
+    behind = polygons[: round(share * len(polygons))]
+    back = [face for polygon in behind for face in cut(polygon[::-1], random)]
+    if apart:
+        points = np.concatenate([points, points], axis=1)
+        back = (np.array(back) + points.shape[1] // 2).tolist()
+    return points, random.permutation(np.array(front + back))
+
+
+@pytest.mark.parametrize("apart", [True, False], ids=["points of their own", "the same points"])
+@pytest.mark.parametrize("tiling", TILINGS)
+def test_sides_of_a_sheet_that_are_cut_along_other_diagonals_are_no_flips(tiling, apart, device):
+    random = np.random.default_rng(1)
+    points, faces = two_sided(*sheet_of_polygons(tiling, 10, 12), random, apart=apart)
+    result = warpqem.simplify(points, faces, ratio=0.5, device=device)
+    assert result.measured.flips == 0
+    assert result.measured.normal_deviation < 10
+    # Sides that share points are torn at some edges.
+    assert not apart or result.measured.verdict.word == "good"
+
+
+def test_face_turned_over_where_a_sheet_has_no_back_is_a_flip(device):
+    random = np.random.default_rng(0)
+    points, polygons = sheet_of_polygons("quads", 12, 12)
+    points, faces = two_sided(points, polygons, random, share=0.5)
+    middle = points[0, faces].mean(axis=1)
+    # The back is that of the lower half.
+    turned = np.flatnonzero((middle[:, 1] > 0.6) & (middle[:, 0] > 0.5))[:5]
+    flipped = faces.copy()
+    flipped[turned] = flipped[turned, ::-1]
+    assert compare(points, faces, points, faces, samples=50, device=device).flips == 0
+    assert compare(points, faces, points, flipped, samples=50, device=device).flips == len(turned)
+
+
+def test_lens_whose_rim_is_all_that_its_sides_share_is_no_sheet(device):
+    points, faces = meshes.icosphere(2)
+    lens = points * np.array([1.0, 1.0, 0.02])
+    turned = faces.copy()
+    turned[:50] = turned[:50, ::-1]
+    assert compare(lens, faces, lens, turned, samples=50, device=device).flips == 50
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.sampled_from(TILINGS), st.floats(0, 1), st.booleans())
+def test_all_faces_of_a_sheet_with_a_back_have_one_and_no_others(seed, tiling, share, apart):
+    random = np.random.default_rng(seed)
+    points, polygons = sheet_of_polygons(tiling, int(random.integers(2, 6)), int(random.integers(2, 6)))
+    points, faces = two_sided(points, polygons, random, share, apart)
+    behind = {frozenset(polygon) for polygon in polygons[: round(share * len(polygons))]}
+    within = faces % (points.shape[1] // 2 if apart else points.shape[1])
+    expected = [any(polygon.issuperset(face) for polygon in behind) for face in within.tolist()]
+    assert read_winding(points[0], faces).both.tolist() == expected

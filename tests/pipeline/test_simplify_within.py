@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import warpqem
-from tests.support import meshes
+from tests.support import meshes, symmetry
 from warpqem.arguments.distance_limit import DistanceLimit
 from warpqem.measure import compare
 from warpqem.mesh.mesh_input import read_mesh
@@ -114,6 +114,25 @@ def test_a_limit_below_single_precision_is_refused_where_nothing_collapses(devic
     points, faces = meshes.icosphere(2)
     with pytest.raises(warpqem.errors.OptionError, match="single precision does not place the input"):
         warpqem.simplify(points.astype(np.float64) + 0.1, faces, max_error=1e-9, device=device)
+
+
+@pytest.mark.parametrize("count", [{}, {"ratio": 0.5}, {"target_faces": 10}], ids=["alone", "ratio", "target_faces"])
+def test_a_limit_that_single_precision_does_not_resolve_is_refused_where_nothing_goes(count, device):
+    with pytest.raises(warpqem.errors.OptionError, match="max_error 1e-09 %: nothing can be removed"):
+        warpqem.simplify(*meshes.icosphere(2), max_error=1e-9, device=device, **count)
+
+
+def test_such_a_limit_is_refused_of_a_symmetric_mesh_as_well(device):
+    mirror = warpqem.find_mirror(symmetry.POINTS[0], symmetry.FACES, "x")
+    with pytest.raises(warpqem.errors.OptionError, match="max_error 1e-09 %: nothing can be removed"):
+        warpqem.simplify_symmetric(symmetry.POINTS, symmetry.FACES, mirror, max_error=1e-9, device=device)
+
+
+def test_what_costs_nothing_goes_within_any_limit(device):
+    points, faces = meshes.grid(8, 8)
+    result = warpqem.simplify(points, faces, max_error=1e-9, device=device)
+    assert result.stopped == "max_error"
+    assert len(result.faces) < 0.5 * len(faces)
 
 
 def test_the_unit_of_the_scene_makes_no_difference_where_a_frame_has_no_extent(device):

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import tarfile
 import zipfile
+from functools import cache
 from pathlib import Path
 from shutil import copy, copytree, ignore_patterns
 
@@ -26,10 +27,23 @@ CORE_FILES = [
 ]
 
 
+@cache
+def nodes_of(path) -> list[ast.AST]:
+    """The syntax tree of a file, which several checks look through."""
+    return list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+
+
+@cache
+def for_type_checkers(path) -> set[int]:
+    """Which of them only a type checker reads."""
+    blocks = [n for n in nodes_of(path) if isinstance(n, ast.If) and ast.unparse(n.test) == "TYPE_CHECKING"]
+    return {id(n) for block in blocks for n in ast.walk(block)}
+
+
 def imported(path) -> set[str]:
     """Modules that a file imports, anywhere in it."""
     names = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in nodes_of(path):
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
@@ -159,10 +173,8 @@ def test_core_imports_nothing_from_the_layers_above(path):
 @pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.py")), ids=lambda p: p.relative_to(PACKAGE).as_posix())
 def test_trimesh_is_imported_by_the_readers_and_writers_of_mesh_files_alone(path):
     # For type checkers alone a result names its class.
-    tree = ast.parse(path.read_text("utf-8"))
-    blocks = [n for n in ast.walk(tree) if isinstance(n, ast.If) and ast.unparse(n.test) == "TYPE_CHECKING"]
-    left_out = {id(n) for block in blocks for n in ast.walk(block)}
-    nodes = [n for n in ast.walk(tree) if isinstance(n, ast.Import) and id(n) not in left_out]
+    left_out = for_type_checkers(path)
+    nodes = [n for n in nodes_of(path) if isinstance(n, ast.Import) and id(n) not in left_out]
     names = {alias.name for node in nodes for alias in node.names}
     assert "trimesh" not in names or path.parent.name == "mesh_files"
 
@@ -217,10 +229,8 @@ def room_of(module) -> str:
 
 def imported_when_run(path) -> set[str]:
     """Modules of the package that a file imports, but for those that only a type checker reads."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    blocks = [n for n in ast.walk(tree) if isinstance(n, ast.If) and ast.unparse(n.test) == "TYPE_CHECKING"]
-    left_out = {id(n) for block in blocks for n in ast.walk(block)}
-    nodes = [n for n in ast.walk(tree) if isinstance(n, ast.ImportFrom) and id(n) not in left_out]
+    left_out = for_type_checkers(path)
+    nodes = [n for n in nodes_of(path) if isinstance(n, ast.ImportFrom) and id(n) not in left_out]
     return {n.module.removeprefix("warpqem.") for n in nodes if n.module.startswith("warpqem.")}
 
 
@@ -256,7 +266,7 @@ def loaded_by(statement) -> set[str]:
 def test_kernels_are_launched_through_one_module(path):
     # Which loads their modules in one thread, and holds what captured graphs use.
     own = {"launch", "launch_tiled", "load_module", "force_load", "ScopedCapture", "capture_begin", "capture_launch"}
-    calls = {node.attr for node in ast.walk(ast.parse(path.read_text("utf-8"))) if isinstance(node, ast.Attribute)}
+    calls = {node.attr for node in nodes_of(path) if isinstance(node, ast.Attribute)}
     assert path.name == "launches.py" or not calls & own or not any(f"wp.{n}(" in path.read_text("utf-8") for n in own)
 
 

@@ -8,7 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from warpqem.errors import OptionError
+
 __all__ = ["DistanceLimit"]
+
+# Half a unit in the last place of a coordinate as long as the diagonal, in single precision: points of a result are
+# placed no better, wherever the mesh is.
+SINGLE_PRECISION = 2.0**-24
 
 
 @dataclass(frozen=True)
@@ -29,6 +35,18 @@ class DistanceLimit:
     def __str__(self) -> str:
         named = {"max_error": (100.0 * self.part, " %"), "max_distance": (self.length, "")}
         return " and ".join(f"{name} {value:g}{unit}" for name, (value, unit) in named.items() if math.isfinite(value))
+
+    def check_provable(self) -> None:
+        """To be called where nothing could be removed within the limit.
+
+        Raises:
+            OptionError: it is a part of the diagonal that single precision does not resolve.
+        """
+        if self.part < SINGLE_PRECISION:
+            raise OptionError(
+                f"{self}: nothing can be removed within it, as single precision places points to "
+                f"{100 * SINGLE_PRECISION:.1g} % of the diagonal at best"
+            )
 
     def relative(self, diagonal: float) -> float:
         """The limit of a frame with that diagonal, as a part of it."""

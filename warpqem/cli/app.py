@@ -14,6 +14,7 @@ from warpqem.cli.console import OneLineErrors
 from warpqem.cli.examples import epilog
 from warpqem.cli.face import face
 from warpqem.cli.features import features
+from warpqem.cli.help_option import HELP_NAMES, Command, Group
 from warpqem.cli.info import info
 from warpqem.cli.progressive import progressive
 from warpqem.cli.render import render
@@ -27,7 +28,7 @@ __all__ = ["app"]
 REMOVED = {"levels": "warpqem simplify IN -o OUT --lods RATIOS"}
 
 
-class Commands(OneLineErrors):
+class Commands(OneLineErrors, Group):
     """All commands; those that were removed are errors that name what does the same."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
@@ -41,13 +42,14 @@ app = typer.Typer(
     name="warpqem",
     cls=Commands,
     pretty_exceptions_enable=False,
+    context_settings=HELP_NAMES,
     help="Simplify animated meshes in USD files: one topology for all frames, least error over all frames.",
     epilog="Exit codes: 0 all done; 1 an error, or some mesh failed; 2 wrong usage; 130 interrupted (Ctrl-C); "
     "128 + N ended by another signal N.",
 )
 
 for command in (simplify, batch, info, compare, features, render, view):
-    app.command(epilog=epilog(*sys.modules[command.__module__].EXAMPLES))(command)
+    app.command(cls=Command, epilog=epilog(*sys.modules[command.__module__].EXAMPLES))(command)
 app.add_typer(progressive)
 app.add_typer(face)
 

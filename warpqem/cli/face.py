@@ -8,6 +8,7 @@ import typer
 
 from warpqem.cli.console import PlainTable, load_usd, print_table, quiet_libraries, write_json
 from warpqem.cli.examples import epilog
+from warpqem.cli.help_option import Command, Group
 from warpqem.cli.option_parameters import takes_options
 from warpqem.cli.parameters import Device, Frames, Input, JsonReport, Output, ReportPage
 from warpqem.cli.simplify import run_simplify
@@ -15,7 +16,9 @@ from warpqem.usd.commands.simplify_options import SimplifyOptions
 
 __all__ = ["face"]
 
-face = typer.Typer(name="face", help="Faces: named feature points, levels that keep them, expressions transferred.")
+face = typer.Typer(
+    name="face", cls=Group, help="Faces: named feature points, levels that keep them, expressions transferred."
+)
 
 # Those of the metric, which the command names itself.
 POINT_OPTIONS = ("metric", "face_points", "face_weight", "face_ring", "face_keep")
@@ -37,9 +40,10 @@ FindOrientation = Annotated[
 
 
 @face.command(
+    cls=Command,
     epilog=epilog(
         "warpqem face detect talking_head.usdc -o points.json --picture points.png",
-    )
+    ),
 )
 def detect(
     input_file: Input,
@@ -86,10 +90,11 @@ def detect(
 
 
 @face.command(
+    cls=Command,
     epilog=epilog(
         "warpqem face simplify talking_head.usdc -o head_2000.usda --faces 2000",
         "warpqem face simplify talking_head.usdc -o head_620.usda --faces 620 --points points.json --ring 2",
-    )
+    ),
 )
 @takes_options(SimplifyOptions, without=POINT_OPTIONS, hidden=("bake", "flatten"))
 def simplify(
@@ -135,9 +140,10 @@ def simplify(
 
 
 @face.command(
+    cls=Command,
     epilog=epilog(
         "warpqem face retarget talking_head.usdc head_2000.usda -o talking_2000.usdc",
-    )
+    ),
 )
 def retarget(
     source_file: Annotated[str, typer.Argument(metavar="SOURCE", help="USD file with the face that moves.")],

@@ -8,6 +8,7 @@ import typer
 
 from warpqem.cli.console import PlainTable, load_usd, print_table, progress_bar, quiet_libraries, write_json
 from warpqem.cli.examples import epilog
+from warpqem.cli.help_option import Command, Group
 from warpqem.cli.option_parameters import takes_options
 from warpqem.cli.parameters import Input, JsonReport, MeshMemory, Output
 from warpqem.usd.commands.option_values import read_options
@@ -19,16 +20,19 @@ if TYPE_CHECKING:
 __all__ = ["progressive"]
 
 progressive = typer.Typer(
-    name="progressive", help="Progressive meshes: every level of one animated mesh in one file, from one run."
+    name="progressive",
+    cls=Group,
+    help="Progressive meshes: every level of one animated mesh in one file, from one run.",
 )
 
 MeshFile = Annotated[str, typer.Argument(metavar="FILE", help="Progressive mesh (.wpqm).")]
 
 
 @progressive.command(
+    cls=Command,
     epilog=epilog(
         "warpqem progressive build cape_wind.usdc -o cape.wpqm",
-    )
+    ),
 )
 @takes_options(BuildOptions, without=NOT_TO_BUILD)
 def build(
@@ -53,9 +57,10 @@ def build(
 
 
 @progressive.command(
+    cls=Command,
     epilog=epilog(
         "warpqem progressive extract cape.wpqm -o level.usda --faces 700",
-    )
+    ),
 )
 @takes_options(LevelChoice)
 def extract(
@@ -82,9 +87,10 @@ def extract(
 
 
 @progressive.command(
+    cls=Command,
     epilog=epilog(
         "warpqem progressive info cape.wpqm",
-    )
+    ),
 )
 def info(file: MeshFile, json: JsonReport = None) -> None:
     """Say what is in a progressive mesh.

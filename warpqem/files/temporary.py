@@ -198,13 +198,17 @@ def _is_own(path: Path) -> bool:
 
 
 def remove_path(path: Path) -> None:
-    """Remove a file, or a folder with all that is in it; what cannot be removed stays."""
+    """Remove a file, or a folder with all that is in it; what cannot be removed stays.
+
+    A temporary folder that another thread is removing is gone as well when this returns: that thread may be one that
+    the end of the process stops.
+    """
+    known = PATTERN.fullmatch(path.name) is not None
+    gone = path.with_suffix(".removed") if known else path.with_name(f"{path.name}.{uuid.uuid4().hex}")
     with suppress(OSError):
         if path.is_dir() and not path.is_symlink():
             # Renamed first, so that nobody who knows it only by its name can add to it meanwhile.
-            known = PATTERN.fullmatch(path.name) is not None
-            gone = path.with_suffix(".removed") if known else path.with_name(f"{path.name}.{uuid.uuid4().hex}")
             os.replace(path, gone)
-            shutil.rmtree(gone, ignore_errors=True)
         else:
             path.unlink(missing_ok=True)
+    shutil.rmtree(gone, ignore_errors=True)

@@ -357,7 +357,7 @@ def simplify_within(
     """Simplify a mesh to about the fewest faces, at least those of its goal, whose surface holds the goal's distance.
 
     Raises:
-        OptionError: the limit is below what single precision places.
+        OptionError: the limit is below what single precision places, and nothing can be removed within it.
         UnreachableTargetError: as for :func:`warpqem.simplify`.
     """
     # One thread reads the frames to be placed, another those to compare with.
@@ -386,5 +386,7 @@ def simplify_within(
         faces, face_map = written_faces(whole.mesh, result.faces, row[np.searchsorted(face, result.face_map)])
         result = replace(result, faces=faces, face_map=face_map, **in_input_terms(whole.mesh, result.vertex_map))
     if not (choice.cut.kept.all() and choice.cut.dropped.all()):
-        return replace(result, stopped="max_error")
+        result = replace(result, stopped="max_error")
+    if result.stopped == "max_error" and not (choice.cut.kept.any() or choice.cut.dropped.any()):
+        work.goal.limit.check_provable()
     return reached(result, work.goal.target_faces)

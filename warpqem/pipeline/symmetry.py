@@ -129,6 +129,8 @@ def _simplify_within(
         result = replace(result, points=result.points[:1])
     if stuck:
         return reached(replace(result, stopped="no legal collapse"), goal.target_faces)
+    if len(result.faces) == face_count:
+        limit.check_provable()
     at_target = goal.target_faces > 0 and len(result.faces) <= goal.target_faces
     return result if at_target or result.stopped == "max_size_error" else replace(result, stopped="max_error")
 

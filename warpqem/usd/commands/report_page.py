@@ -24,7 +24,7 @@ from warpqem.usd.commands.lods import VARIANT_SET, LevelReport
 from warpqem.usd.commands.simplify_options import SimplifyOptions
 from warpqem.usd.read.open_stage import open_stage
 from warpqem.usd.read.variants import open_stages
-from warpqem.usd.read.world import WorldMeshes, chosen_times, limit_places
+from warpqem.usd.read.world import WorldMeshes, chosen_times, limit_places, longest_run
 from warpqem.usd.write.stage_report import PrimReport, StageReport
 
 if TYPE_CHECKING:
@@ -219,6 +219,12 @@ def _gather(
     if limit_places(all_meshes):
         notes = [*notes, "Each mesh is shown once: its instances have more points than this page has room for."]
     times = chosen_times(all_meshes, frames)
+    if any(meshes.changes for meshes in all_meshes):
+        run = longest_run(all_meshes, times)
+        span = f"time {run[0]:g}" if len(run) == 1 else f"times {run[0]:g} to {run[-1]:g}"
+        part = f"{len(run)} of {len(times)} frames, in which it stays the same"
+        notes = [*notes, f"The topology varies over time. Picture and curves are of {span}, {part}; tables of all."]
+        times = run
     shown = chosen_frames(len(times), sum(meshes.point_count for meshes in all_meshes)) if times else range(0)
     own = [times[index] for index in shown] or None
     thinned = shown.step > 1

@@ -261,6 +261,8 @@ class Run:
             report.status, report.message = "kept", f"nothing could be removed ({report.stopped})"
             if report.stopped == "max_size_error":
                 report.message = self.kept_whole
+            elif report.stopped == "max_error":
+                report.message = f"nothing could be removed within {self.core.distance_limit(job)}"
         except WarpqemError:
             samples.discard()
             raise

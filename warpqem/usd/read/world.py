@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -17,7 +18,7 @@ from warpqem.usd.read.skeleton_poses import StagePoses
 from warpqem.usd.read.time_codes import FrameRange
 from warpqem.usd.read.topology_runs import TopologyRun, find_runs, open_run
 
-__all__ = ["WorldMeshes", "chosen_times", "limit_places"]
+__all__ = ["WorldMeshes", "chosen_times", "limit_places", "longest_run"]
 
 # Instances may show a mesh a million times: with so many points of all files together (96 MB a frame in float64), each
 # mesh is drawn at one place only.
@@ -30,7 +31,7 @@ class WorldMeshes:
     Attributes:
         name: The file's name without its folder.
         stage: The file.
-        left_out: Paths of meshes whose topology varies over time, where those are not wanted.
+        left_out: Paths of meshes whose topology varies over time, where those are not wanted and there are others.
     """
 
     def __init__(
@@ -49,12 +50,12 @@ class WorldMeshes:
             prims: Prim paths; meshes at and below them are taken. Empty for all.
             variant: Prim path, name of a variant set and the variant to select there; None for what the file selects.
             passing: Prim paths of meshes that are left out, such as those that could not be simplified.
-            varying: Take meshes whose topology varies over time too; then one time can be read at once.
+            varying: Take meshes whose topology varies over time too, not only where there are no others. Times within
+                one run of constant topology can be read at once.
             stage: The file, open already; None to open it.
 
         Raises:
             StageError: the file cannot be read, or has no mesh.
-            VaryingTopologyError: the topology of all of its meshes varies, and those are not wanted.
         """
         self.name = os.path.basename(os.fspath(path))
         self.stage: Usd.Stage = open_stage(path) if stage is None else stage
@@ -72,13 +73,18 @@ class WorldMeshes:
                 meshes.append(_WorldMesh.of(prim, poses, places))
         if not meshes:
             raise StageError(f"{path}: there is no mesh on the stage")
+        varying = varying or all(mesh.runs for mesh in meshes)
         self.left_out = [str(mesh.prim.GetPath()) for mesh in meshes if mesh.runs and not varying]
         self._meshes = [mesh for mesh in meshes if varying or not mesh.runs]
-        if not self._meshes:
-            raise VaryingTopologyError(
-                f"{self.left_out[0]}: its topology varies over time; this shows meshes with one topology "
-                "(warpqem render shows others)"
-            )
+
+    @property
+    def changes(self) -> list[float]:
+        """Time codes at which the topology of a mesh changes, ascending."""
+        return sorted({run.start for mesh in self._meshes for run in mesh.runs[1:]})
+
+    def shows_at(self, time: float) -> bool:
+        """Whether a mesh has anything to show at a time."""
+        return any(not mesh.runs or not mesh.run_at(time).is_empty for mesh in self._meshes)
 
     @property
     def times(self) -> list[float]:
@@ -113,6 +119,7 @@ class WorldMeshes:
 
         Raises:
             StageError: a mesh cannot be read at one of the times.
+            VaryingTopologyError: the topology of a mesh changes between them.
         """
         points, faces, count = [], [], 0
         for item in self._meshes:
@@ -177,13 +184,17 @@ class _WorldMesh:
             return self.source.point_count * len(self.places)
         return len(UsdGeom.Mesh(self.prim).GetPointsAttr().Get(self.runs[0].times[0]) or ()) * len(self.places)
 
+    def run_at(self, time: float) -> TopologyRun:
+        """The run that a mesh whose topology varies shows at a time."""
+        return next(run for run in self.runs if run.shows(time))
+
     def read(self, times: Sequence[float] | None) -> StageMesh | None:
         """The mesh at some times; None where it shows nothing."""
         if self.source is not None:
             return self.source.read(times if self.source.authored_times else None)
-        if times is None or len(times) != 1:
-            raise VaryingTopologyError(f"{self.prim.GetPath()}: its topology varies over time; one time can be read")
-        run = next(run for run in self.runs if run.shows(times[0]))
+        run = self.run_at(times[0]) if times else None
+        if run is None or times is None or not all(run.shows(time) for time in times):
+            raise VaryingTopologyError(f"{self.prim.GetPath()}: its topology varies over time; one run can be read")
         if run.is_empty:
             return None
         with open_run(self.prim, replace(run, times=tuple(times))) as alone:
@@ -219,3 +230,19 @@ def chosen_times(meshes: Sequence[WorldMeshes], frames: FrameRange | None = None
     if not chosen:
         raise StageError(f"no sample in the frame range {frames}")
     return chosen
+
+
+def longest_run(meshes: Sequence[WorldMeshes], times: Sequence[float]) -> list[float]:
+    """The most times in a row between which no topology changes and all files show something, the first of as many.
+
+    Raises:
+        StageError: at no time all of them show something.
+    """
+    changes = sorted({time for item in meshes for time in item.changes})
+    runs: dict[int, list[float]] = {}
+    for time in times:
+        if all(item.shows_at(time) for item in meshes):
+            runs.setdefault(bisect_right(changes, time), []).append(time)
+    if not runs:
+        raise StageError(f"{meshes[0].name}: at no time there is anything to show in all files")
+    return max(runs.values(), key=len)
