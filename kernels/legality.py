@@ -9,6 +9,8 @@
 | last face       | the merged vertex keeps a face, also where the opposite vertex is a bow tie with other fans      |
 | flip, any frame | a face may turn past ``TURN_COSINE`` in a few frames only (crumpling motion does so by itself)   |
 | flip, the whole | ``sum over frames of n.n' sqrt(A A' w w')`` must stay positive (Yang et al. 2019, equation 7)    |
+
+Kinds of vertices that may not collapse into each other have no cost: see :mod:`warpqem.kernels.vertex_kind`.
 """
 
 from typing import Any

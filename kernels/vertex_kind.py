@@ -14,16 +14,16 @@ wp.set_module_options({"enable_backward": False})  # no gradients are taken
 # What lies on a line stays on it, where lines meet stays there, and what is pinned stays where it is. The link
 # condition says nothing of an edge from a non-manifold vertex to a border, or to another pinned vertex.
 #
-# Row: the vertex that goes; column: the one it goes into.
-#              INNER SEAM SEAM_CORNER BORDER BORDER_CORNER LOCKED NON_MANIFOLD
+# A row for the vertex that goes, a column for the one it goes into:
+#    INNER  SEAM  SEAM_CORNER  BORDER  BORDER_CORNER  LOCKED  NON_MANIFOLD
 _MAY_COLLAPSE = (
-    (1, 1, 1, 1, 1, 1, 1),  # INNER
-    (0, 1, 1, 1, 1, 1, 1),  # SEAM
-    (0, 0, 1, 1, 1, 1, 1),  # SEAM_CORNER: a seam ends or forks here
-    (0, 0, 0, 1, 1, 1, 0),  # BORDER
-    (0, 0, 0, 0, 1, 1, 0),  # BORDER_CORNER: a seam meets a border here
-    (0, 0, 0, 0, 0, 0, 0),  # LOCKED
-    (0, 0, 0, 0, 0, 0, 0),  # NON_MANIFOLD
+    (1,     1,    1,           1,      1,             1,      1),  # INNER
+    (0,     1,    1,           1,      1,             1,      1),  # SEAM
+    (0,     0,    1,           1,      1,             1,      1),  # SEAM_CORNER: a seam ends or forks here
+    (0,     0,    0,           1,      1,             1,      0),  # BORDER
+    (0,     0,    0,           0,      1,             1,      0),  # BORDER_CORNER: a seam meets a border here
+    (0,     0,    0,           0,      0,             0,      0),  # LOCKED
+    (0,     0,    0,           0,      0,             0,      0),  # NON_MANIFOLD
 )  # fmt: skip
 KIND_COUNT = wp.constant(wp.int32(len(_MAY_COLLAPSE)))
 (
