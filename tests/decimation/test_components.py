@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import trimesh
 
 import warpqem
 from tests.support import meshes
@@ -129,14 +130,13 @@ def test_what_a_part_costs_counts_all_its_poses(device):
     assert kept == [True, False]
 
 
-@pytest.mark.parametrize("quality", ["fast", "best"])
-def test_ring_keeps_its_hole(device, quality):
-    """No face spans the hole of a ring: the far side of a face from the input is weighed, too."""
-    ring, ring_faces = meshes.torus(24, 8)
-    points, faces = meshes.joined((ring, ring_faces), meshes.bumpy_sphere(3), spacing=3.0)
-    result = warpqem.simplify(points, faces, target_faces=60, quality=quality, device=device)
+def test_rings_keep_their_holes(device):
+    """Faces that span the hole of a ring leave no input vertex behind: how far they are from the input counts, too."""
+    ring = trimesh.creation.torus(0.5, 0.1, major_sections=20, minor_sections=8)
+    points, faces = meshes.joined(*[(ring.vertices, ring.faces)] * 3, meshes.bumpy_sphere(3), spacing=2.5)
+    result = warpqem.simplify(points, faces, target_faces=112, quality="best", device=device)
     comparison = compare(points, faces, result.points, result.faces, samples=4000, device=device)
-    assert comparison.hausdorff < 8.0
+    assert comparison.hausdorff < 1.5  # 1.8 % by distances of the input's vertices alone
 
 
 def test_record_begins_with_the_first_drops():
