@@ -1,7 +1,7 @@
 """The material frame at an output vertex: its normal and two tangents that deform with the surface.
 
-A correction that is constant in this frame moves with the surface: it bends, turns and stretches as the surface does,
-and adds no motion of its own.
+A correction that is constant in this frame moves with the surface: it bends, turns, stretches and grows as the surface
+does, and adds no motion of its own.
 """
 
 import warp as wp
@@ -42,7 +42,10 @@ def first_tangent(n: wp.vec3) -> wp.vec3:
 def material_frame(
     rings: OneRings, points: wp.array2d[wp.vec3], normals: wp.array2d[wp.vec3], t: wp.int32, c: wp.int32
 ) -> wp.mat33:
-    """Columns: the two reference tangents, deformed, and the unit normal; all zero where there is no normal.
+    """Columns: the two reference tangents, deformed, and the normal; all zero where there is no normal.
+
+    The normal is as long as lengths around the vertex have become in the mean, the root of the stretch of areas: how
+    far a surface lies from its chords grows with it.
 
     The tangents follow the map of the tangent plane that fits the ring's edges best, from the reference frame to frame
     ``t``: ``B = (M + r R) (G + r I)^-1``, with ``M = sum u u0^T``, ``G = sum u0 u0^T`` over edges ``u0`` that become
@@ -79,7 +82,8 @@ def material_frame(
         )
     e = b[0, 0] * x + b[1, 0] * y
     f = b[0, 1] * x + b[1, 1] * y
-    return wp.mat33(e[0], f[0], n[0], e[1], f[1], n[1], e[2], f[2], n[2])
+    h = wp.sqrt(wp.abs(wp.determinant(b))) * n
+    return wp.mat33(e[0], f[0], h[0], e[1], f[1], h[1], e[2], f[2], h[2])
 
 
 @wp.kernel

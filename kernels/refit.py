@@ -191,6 +191,7 @@ def match_output_samples(
 ):
     """Pair points of every output face, at the given barycentric weights, with the nearest points of the input.
 
+    A point without a partner is paired all the same: left out, it would let a face of a part of few faces go anywhere.
     ``start_in`` is an input vertex near each output vertex; ``mesh`` is the hierarchy of the input in this frame, 0 for
     none.
     """
@@ -216,20 +217,17 @@ def match_output_samples(
         n = wp.normalize(face_cross(source, t, hit.face))
         offset = surface_point(source, t, hit.face, hit.barycentric) - x
     pairs.near[pair] = hit.face
+    pairs.face[pair] = face
+    pairs.key[pair] = t
+    pairs.barycentric[pair] = barycentric
+    pairs.weight[pair] = 0.5 * wp.length(cross) / wp.float32(per_face)
     if are_partners(offset, reach, n, wp.normalize(cross)):
-        pairs.face[pair] = face
-        pairs.key[pair] = t
-        pairs.barycentric[pair] = barycentric
         pairs.normal[pair] = n
         pairs.residual[pair] = wp.dot(n, offset)
-        pairs.weight[pair] = 0.5 * wp.length(cross) / wp.float32(per_face)
     else:
-        pairs.face[pair] = face
-        pairs.key[pair] = t
-        pairs.barycentric[pair] = barycentric
+        # Off the surface, such as at the tip of a needle: straight back to it.
         pairs.normal[pair] = wp.normalize(offset)
         pairs.residual[pair] = wp.length(offset)
-        pairs.weight[pair] = 0.5 * wp.length(cross) / wp.float32(per_face)
 
 
 @wp.func

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 import warp as wp
 
 import warpqem
@@ -100,6 +101,40 @@ def test_refit_leaves_the_ends_of_seams_where_they_are(device):
     ends = placed.vertex_map[column[[0, -1]]]
     np.testing.assert_array_equal(refitted.points[:, ends], placed.points[:, ends])
     assert not np.array_equal(refitted.points, placed.points)
+
+
+@pytest.mark.parametrize("radius", [0.1, 0.15, 0.25])
+def test_refit_draws_no_needles_out_of_parts_of_few_faces(radius, device):
+    """Near the tips of a tetrahedron that stands for a tube no point of the tube faces the same way."""
+    cylinder = trimesh.creation.cylinder(radius, 1.0, sections=12)
+    points, faces = trimesh.remesh.subdivide_to_size(cylinder.vertices, cylinder.faces, 1 / 3)
+    tube = trimesh.Trimesh(points, faces, process=True)
+    placed, refitted = (
+        compare(tube.vertices, tube.faces, result.points, result.faces, samples=3000, device=device)
+        for refit in (False, True)
+        for result in [
+            warpqem.simplify(
+                tube.vertices, tube.faces, target_faces=4, memoryless=True, refit=refit, measure=False, device=device
+            )
+        ]
+    )
+    assert refitted.rms < 0.8 * placed.rms
+    assert refitted.hausdorff < placed.hausdorff
+
+
+def test_refit_of_a_mesh_that_grows_lowers_the_error_in_all_sizes(device):
+    points, faces = meshes.bumpy_sphere(3)
+    frames = points * np.geomspace(1.0, 25.0, 8)[:, None, None]
+    placed, refitted = (
+        warpqem.simplify(frames, faces, ratio=0.1, memoryless=True, refit=refit, device=device)
+        for refit in (False, True)
+    )
+    small, large = (
+        [rms((frames[t : t + 1], faces), replace(r, points=r.points[t : t + 1]), device) for r in (placed, refitted)]
+        for t in (0, 7)
+    )
+    assert small[1] < 0.95 * small[0]
+    assert large[1] < 0.95 * large[0]
 
 
 def test_refit_of_a_mesh_without_area_changes_nothing(device):

@@ -67,7 +67,8 @@ def write(path: Path, points: np.ndarray, faces: list[list[int]], moving: bool) 
 @pytest.mark.parametrize("flaw", flaws())
 def test_flawed_mesh_is_simplified(flaw, moving, tmp_path, flatten):
     write(tmp_path / "in.usda", *flaws()[flaw], moving)
-    options = SimplifyOptions(ratio=0.5, device="cpu", flatten=flatten)
+    # A fin that lies on the sheet and faces without area are the first that may go.
+    options = SimplifyOptions(ratio=0.5, keep_components=True, device="cpu", flatten=flatten)
     [prim] = simplify_stage(tmp_path / "in.usda", tmp_path / "out.usda", options).prims
     lost = [line for line in prim.dropped if "no face uses" not in line]
     assert (prim.status, lost) == ("simplified", [])
