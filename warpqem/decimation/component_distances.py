@@ -15,7 +15,7 @@ MAX_FRAMES = 4
 # Vertices that stand for the surface of a component, evenly spread over its vertices.
 MAX_SAMPLES = 16
 # What lies on another component, such as a label, shows by itself: it counts as if it were off by so much of its size.
-LEAST_DISTANCE = 0.05
+MIN_DISTANCE_PER_SIZE = 0.05
 # The first box of a search reaches so many times the size of the component, in each direction.
 FIRST_BOX = 0.25
 
@@ -46,14 +46,14 @@ class ComponentDistances:
         sample = order[np.repeat(start, np.diff(self._first)) + (number * step).astype(np.int64)]
         shape = (len(points), len(sample), int(kernels.NEAR_COMPONENTS))
         self._near, self._squared = np.empty(shape, dtype=np.int32), np.empty(shape, dtype=np.float32)
-        self._area, self._least = np.empty((len(points), len(count))), np.empty((len(points), len(count)))
+        self._area, self._min_squared = np.empty((len(points), len(count))), np.empty((len(points), len(count)))
         indices = wp.array(faces.ravel(), dtype=wp.int32, device=device)
         own = wp.array(component.astype(np.int32), dtype=wp.int32, device=device)
         chosen = wp.array(sample.astype(np.int32), dtype=wp.int32, device=device)
         for frame, positions in enumerate(points):
             self._area[frame] = _areas(positions, faces, component, weight, len(count))
             size = _sizes(positions[order], start, count)
-            self._least[frame] = (LEAST_DISTANCE * size) ** 2
+            self._min_squared[frame] = (MIN_DISTANCE_PER_SIZE * size) ** 2
             mesh = wp.Mesh(points=wp.array(positions, dtype=wp.vec3, device=device), indices=indices)
             near = wp.empty(shape[1:], dtype=wp.int32, device=device)
             squared = wp.empty(shape[1:], dtype=wp.float32, device=device)
@@ -82,7 +82,9 @@ class ComponentDistances:
         known = np.where(self._near[:, rows] >= 0, self._squared[:, rows], 0.0).max(axis=2)
         squared = np.where(np.isfinite(squared), squared, np.where(known > 0.0, known, 1.0))
         area = self._area[:, component]
-        return float(area.mean()), float((area * np.maximum(squared.mean(axis=1), self._least[:, component])).mean())
+        return float(area.mean()), float(
+            (area * np.maximum(squared.mean(axis=1), self._min_squared[:, component])).mean()
+        )
 
 
 def _areas(points: np.ndarray, faces: np.ndarray, component: np.ndarray, weight: np.ndarray, count: int) -> np.ndarray:
