@@ -82,9 +82,8 @@ class ComponentDistances:
         known = np.where(self._near[:, rows] >= 0, self._squared[:, rows], 0.0).max(axis=2)
         squared = np.where(np.isfinite(squared), squared, np.where(known > 0.0, known, 1.0))
         area = self._area[:, component]
-        return float(area.mean()), float(
-            (area * np.maximum(squared.mean(axis=1), self._min_squared[:, component])).mean()
-        )
+        mean_squared = np.maximum(squared.mean(axis=1), self._min_squared[:, component])
+        return float(area.mean()), float((area * mean_squared).mean())
 
 
 def _areas(points: np.ndarray, faces: np.ndarray, component: np.ndarray, weight: np.ndarray, count: int) -> np.ndarray:

@@ -106,6 +106,7 @@ class _Remnant:
     component: int
     vertex: np.ndarray  # (n,) int32, ascending
     face_count: int
+    weight: float  # mean weight of the cost at its vertices
 
 
 class Components:
@@ -204,10 +205,8 @@ class Components:
         others = stays.copy()
         others[remnant.component] = False
         area, lost = self._distances.loss(remnant.component, others)
-        vertex = wp.array(remnant.vertex, dtype=wp.int32, device=self._state.corner_vertex.device)
-        weight = float(read_rows(self._state.cost_weight, vertex).mean())
         error = float(np.sqrt(lost / area)) if area > NO_AREA else 0.0
-        return COST_PER_LOSS * self._key_count * weight * lost, error
+        return COST_PER_LOSS * self._key_count * remnant.weight * lost, error
 
     def record(self, drops: list[ComponentDrop]) -> DropRecord:
         """The pruned components, by vertex."""
@@ -226,8 +225,10 @@ class Components:
         corners = np.stack([np.repeat(component[inside], 3), live[inside].ravel()], axis=1)
         pairs = np.unique(corners, axis=0)
         start = np.searchsorted(pairs[:, 0], small)
-        vertices = np.split(pairs[:, 1].astype(np.int32), start[1:])
-        return [_Remnant(int(c), v, int(sizes[c])) for c, v in zip(small, vertices, strict=True)]
+        vertex = pairs[:, 1].astype(np.int32)
+        weight = read_rows(self._state.cost_weight, wp.array(vertex, device=self._state.corner_vertex.device))
+        parts = zip(small.tolist(), np.split(vertex, start[1:]), np.split(weight, start[1:]), strict=True)
+        return [_Remnant(c, v, int(sizes[c]), float(w.mean())) for c, v, w in parts]
 
     def _remove(self, vertex: np.ndarray) -> None:
         device = self._state.corner_vertex.device
