@@ -13,8 +13,9 @@ NearComponents = wp.types.vector(length=int(NEAR_COMPONENTS), dtype=wp.int32)
 NearDistances = wp.types.vector(length=int(NEAR_COMPONENTS), dtype=wp.float32)
 # Boxes of a search, each twice as wide as the one before: the last one is a thousand times the first.
 MAX_BOXES = wp.constant(wp.int32(11))
-# Boxes that are looked at after the one that held the first other component.
-MORE_BOXES = wp.constant(wp.int32(2))
+# Boxes looked at after the first with another component. With 390 parts 2 in place of 1 take 1.2 times the time of the
+# whole order and change nothing.
+MORE_BOXES = wp.constant(wp.int32(1))
 
 
 @wp.kernel

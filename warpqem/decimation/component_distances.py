@@ -11,13 +11,13 @@ from warpqem.runtime.launches import launch
 __all__ = ["MAX_FRAMES", "ComponentDistances"]
 
 # Key frames that distances are taken in, evenly spread: parts that come near to others do so in few of them.
-MAX_FRAMES = 4
+MAX_FRAMES = 3
 # Vertices that stand for the surface of a component, evenly spread over its vertices.
 MAX_SAMPLES = 16
 # What lies on another component, such as a label, shows by itself: it counts as if it were off by so much of its size.
 MIN_DISTANCE_PER_SIZE = 0.05
 # The first box of a search reaches so many times the size of the component, in each direction.
-FIRST_BOX = 0.25
+FIRST_BOX = 0.125
 
 
 class ComponentDistances:
