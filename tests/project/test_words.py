@@ -23,8 +23,6 @@ CONSTANTS = r"(?:^|_)(?:MOST|LEAST)_|(?:^|_)(?:STARS?|PULL)(?:_|$)"
 IN_NAMES = re.compile(rf"(?:^|_)(?:{NAMES})(?:_|$)|{CONSTANTS}")
 # Launches come in groups: a phase is one of a wave.
 REFUSED = {"Phase"}
-# What the fit of the surface regularises by is yet to be called so.
-ALLOWED = {"EDGE_PULL", "MIN_PULL", "NORMAL_PULL", "TANGENT_PULL"}
 # Seams are released, motion and attributes transferred, weights those of blend shapes.
 IN_PROSE = re.compile(
     rf"\b(?:{WORDS}|carr(?:y|ies|ied|ying)|(?:let|lets) go|gives? way|morph weights)\b", re.IGNORECASE
@@ -35,7 +33,7 @@ IN_TEXT = re.compile(rf"\b(?:{WORDS})\b", re.IGNORECASE)
 def refused(name) -> bool:
     """Whether a name holds one of the words; `EdgeJudge` counts as `edge_judge`."""
     spelt = name if name.isupper() else re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
-    return name in REFUSED or (IN_NAMES.search(spelt) is not None and name not in ALLOWED)
+    return name in REFUSED or IN_NAMES.search(spelt) is not None
 
 
 @pytest.mark.parametrize(

@@ -26,8 +26,8 @@ from warpqem.place.frame_store import FrameStore
 from warpqem.place.place import Placer
 from warpqem.refit.matching import Matching, make_surface
 from warpqem.refit.solve import solve_elements
-from warpqem.runtime.cpu_threads import launch_parts
 from warpqem.runtime.launches import launch
+from warpqem.runtime.part_launches import launch_in_parts, rows_of
 
 __all__ = ["fit_corrections"]
 
@@ -40,9 +40,9 @@ FRAMES_PER_TURN = 48
 
 # Stiffness of corrections, relative to the area they stand for: along the surface, across it; and on the relative
 # change of edge lengths. Twice as much fits 0.6 % worse and changes edges 2 % less.
-TANGENT_PULL = 0.001
-NORMAL_PULL = 0.00008
-EDGE_PULL = 0.002
+TANGENT_STIFFNESS = 0.001
+NORMAL_STIFFNESS = 0.00008
+EDGE_STIFFNESS = 0.002
 
 # Distances from the output to the input count twice: without that the input's many samples in sharp places draw the
 # output inwards there.
@@ -193,12 +193,12 @@ class _Refit:
         ``matched_at`` (C,) vec3 is the correction that the surface had when it was paired.
         """
         device, face_count = self._device, len(self._faces)
-        pull = kernels.Pull()
-        pull.tangent, pull.normal = TANGENT_PULL, NORMAL_PULL
+        stiffness = kernels.Stiffness()
+        stiffness.tangent, stiffness.normal = TANGENT_STIFFNESS, NORMAL_STIFFNESS
         # One for a vertex's share of the area.
         unit = self._vertex_count / (self._scales.area * self._turns)
-        pull.mass = (1.0 + OUTPUT_SHARE) * self._turns * unit
-        edge_weight = EDGE_PULL / 6.0 / len(self._points)
+        stiffness.mass = (1.0 + OUTPUT_SHARE) * self._turns * unit
+        edge_weight = EDGE_STIFFNESS / 6.0 / len(self._points)
         elements = Elements()
         elements.corner_vertex = self._corner_vertex
         elements.adjacency_start, elements.adjacent_corner = self._adjacency.start, self._adjacency.corner
@@ -215,7 +215,7 @@ class _Refit:
                 self._matching.output_pairs,
                 wp.vec3(unit, OUTPUT_SHARE * unit, edge_weight),
                 self._scales.edge_squared,
-                pull,
+                stiffness,
                 self._points,
                 self._frames,
                 matched_at,
@@ -227,16 +227,13 @@ class _Refit:
         return elements, right
 
     def _move(self, points: wp.array, normals: wp.array, moved: wp.array) -> None:
-        def move(part: slice) -> None:
-            launch(
-                frame_kernels.move_in_material_frame,
-                dim=(part.stop - part.start, self._vertex_count),
-                inputs=[self._rings, points[part], normals[part], self._correction],
-                outputs=[moved[part]],
-                device=self._device,
-            )
-
-        launch_parts(move, len(points), self._device)
+        launch_in_parts(
+            frame_kernels.move_in_material_frame,
+            (len(points), self._vertex_count),
+            [self._rings, rows_of(points), rows_of(normals), self._correction],
+            [rows_of(moved)],
+            device=self._device,
+        )
 
     def hold_back(self, placed: FrameStore, blocks: Sequence[slice]) -> None:
         """Stiffen vertices that turn a face over in some frame, and at last do not move them.

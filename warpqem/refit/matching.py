@@ -6,12 +6,12 @@ import numpy as np
 import warp as wp
 
 from warpqem.decimation.adjacency import Adjacency
-from warpqem.kernels import refit as kernels
+from warpqem.kernels import surface_pairs as kernels
 from warpqem.kernels import surface_walk as walk_kernels
 from warpqem.kernels.surface_walk import Surface
 from warpqem.place.cluster_rows import group_rows
-from warpqem.runtime.cpu_threads import launch_parts
 from warpqem.runtime.launches import launch
+from warpqem.runtime.part_launches import PerPart, launch_in_parts
 
 __all__ = ["OUTPUT_SAMPLES", "Matching", "make_surface"]
 
@@ -150,12 +150,12 @@ class Matching:
         # As many as the first frame has; the kernel leaves out those past the end.
         count = -(-pair_count // (key_count * self._turns)) * self._turns
 
-        def match(part: slice) -> None:
-            turns = kernels.Turns()
-            turns.first, turns.count, turns.key, turns.key_count = part.start, self._turns, key, key_count
-            launch(kernel, dim=part.stop - part.start, inputs=[turns, *inputs], outputs=[pairs], device=self._device)
+        def turns(part: slice) -> kernels.Turns:
+            own = kernels.Turns()
+            own.first, own.count, own.key, own.key_count = part.start, self._turns, key, key_count
+            return own
 
-        launch_parts(match, count, self._device)
+        launch_in_parts(kernel, count, [PerPart(turns), *inputs], [pairs], device=self._device)
 
 
 class _Hierarchy:
