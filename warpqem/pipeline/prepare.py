@@ -32,9 +32,12 @@ from warpqem.place.place import Placer
 from warpqem.repair.mended_mesh import faces_for, repaired_mesh, repaired_options
 from warpqem.runtime.device import resolve_device
 
-__all__ = ["ORDER_END", "Prepared", "Progress", "plan_work", "prepare"]
+__all__ = ["ORDER_END", "Prepared", "Progress", "QuadricSource", "plan_work", "prepare"]
 
 Progress = Callable[[float, str], None]
+# Makes matrices (V, 3, 3) about the vertices of a mesh of one frame, on the mesh of unit diagonal, from the mesh and
+# the scale (V,) of the quadric at each vertex.
+QuadricSource = Callable[[AnimatedMesh, np.ndarray], np.ndarray]
 
 # Where reading for the first time and decimation end in the progress; placing takes the rest.
 READ_END = 0.05
@@ -123,12 +126,15 @@ def prepare(
     keep_frames: bool = True,
     keep_nodes: bool = False,
     measured: bool = False,
+    vertex_flags: np.ndarray | None = None,
+    quadrics: QuadricSource | None = None,
     progress: Progress | None = None,
 ) -> Prepared:
     """Make a mesh ready, with the arguments and errors of :func:`warpqem.simplify`.
 
     ``keep_frames`` says whether the result stays in memory, ``keep_nodes`` whether every vertex on the way down does,
-    ``measured`` whether the result is measured on its way to a sink.
+    ``measured`` whether the result is measured on its way to a sink. ``vertex_flags`` (V,) int32 are kinds of vertices
+    that the faces do not tell, and ``quadrics`` what is used in place of the quadrics of the faces.
     """
     options = options.checked()
     check_function(progress, "progress")
@@ -155,6 +161,7 @@ def prepare(
         pinned |= kept
     values = weighted_corner_values(options.attributes, given)
     mesh, keys, weights = _look_through(given, spec, planned, factors, options.motion, progress, device)
+    flags = np.where(pinned, int(LOCKED), 0) | (0 if vertex_flags is None else vertex_flags)
     return Prepared(
         mesh=mesh,
         key_frames=keys,
@@ -163,7 +170,7 @@ def prepare(
         pinned=pinned,
         quadric_scale=scale,
         quadric_sums=sums,
-        order_input=_order_input(spec, mesh, keys, weights, scale, sums, seam, pinned, values, device),
+        order_input=_order_input(spec, mesh, keys, weights, scale, sums, seam, flags, values, quadrics, device),
         order_settings=_order_settings(spec, goal, options),
         place_settings=PlaceSettings(
             _epsilon(options.coherence), _regularisation(options.coherence), options.placement == "endpoint"
@@ -269,12 +276,12 @@ def _order_input(
     scale: np.ndarray,
     sums: QuadricSums | None,
     seam: Seams,
-    pinned: np.ndarray,
+    flags: np.ndarray,
     attributes: np.ndarray | None,
+    quadrics: QuadricSource | None,
     device: str,
 ) -> DecimationInput:
-    flags = np.where(pinned, int(LOCKED), 0) | np.where(seam.on_seam, int(SEAM), 0)
-    flags |= np.where(seam.corner, int(CORNER), 0)
+    flags = flags | np.where(seam.on_seam, int(SEAM), 0) | np.where(seam.corner, int(CORNER), 0)
     return DecimationInput(
         faces=mesh.faces,
         key_position=pack_frames(mesh.chosen_points(keys), device, centre=mesh.centre, scale=1 / mesh.diagonal),
@@ -285,6 +292,7 @@ def _order_input(
         seam=seam.half_edge,
         trajectories=_trajectories(mesh) if spec.deformation_weight > 0 else None,
         attributes=attributes,
+        matrices=None if quadrics is None else quadrics(mesh, scale),
         sums=sums,
     )
 

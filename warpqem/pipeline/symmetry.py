@@ -137,10 +137,8 @@ def _simplify_within(
 
 def _simplify_half(half: _Half, sink: FrameSink | None, progress: Progress | None) -> SimplifiedMesh:
     """Simplify one half, and put both together."""
-    work = prepare(half.frames, half.faces, half.options, progress=progress)
-    assert work.order_input is not None
-    flags = work.order_input.vertex_flags | np.where(half.on_plane, int(MIRROR), 0).astype(np.int32)
-    work = replace(work, order_input=replace(work.order_input, vertex_flags=flags))
+    flags = np.where(half.on_plane, int(MIRROR), 0).astype(np.int32)
+    work = prepare(half.frames, half.faces, half.options, vertex_flags=flags, progress=progress)
     ordered = work.order(progress)
     placed = ArraySink()
     part = finish(work, ordered, half.options.refits, sink=placed, progress=progress)

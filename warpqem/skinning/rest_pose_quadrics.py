@@ -19,7 +19,7 @@ from warpqem.arguments.number_input import shown
 from warpqem.decimation.initial_quadrics import CONSTRAINT_WEIGHT
 from warpqem.errors import MeshShapeError, OptionError
 from warpqem.mesh.edges import edge_table
-from warpqem.mesh.mesh_input import is_proper, read_faces
+from warpqem.mesh.mesh_input import AnimatedMesh, is_proper, read_faces
 from warpqem.options import SimplifyKeywords, read_keywords
 from warpqem.pipeline.prepare import Progress, prepare
 from warpqem.pipeline.result import SimplifiedMesh, reached, without_frames
@@ -77,20 +77,26 @@ def simplify_pulled_back(
     transforms = read_transforms(transforms, len(poses))
     if len(skin.checked(transforms.shape[1]).rest) != poses.shape[1]:
         raise MeshShapeError(f"the skin has {len(skin.rest)} points, the mesh {poses.shape[1]}")
-    work = prepare(poses[:1], corner, asked, progress=progress)
-    seams, repair = asked.seams, work.mesh.repair
-    if repair is not None:
-        poses, skin = poses[:, repair.vertex], skin.checked(transforms.shape[1]).rows(repair.vertex)
-        corner = work.mesh.faces
-        seams = None if seams is None or is_empty(seams) else repair.edges(seams, corner)
-    matrices = pulled_back_matrices(poses, corner, skin, transforms, seams)
-    # On the mesh of unit diagonal that the order works on; the sum over poses becomes a mean, as for one frame.
-    matrices *= work.quadric_scale[:, None, None] / (len(poses) * work.mesh.diagonal**2)
+
+    def summed_quadrics(mesh: AnimatedMesh, scale: np.ndarray) -> np.ndarray:
+        """Those of all poses, pulled back, as a mean over poses."""
+        own_poses, own_faces, own_skin, seams, repair = poses, corner, skin, asked.seams, mesh.repair
+        if repair is not None:
+            own_poses, own_skin = poses[:, repair.vertex], skin.checked(transforms.shape[1]).rows(repair.vertex)
+            own_faces = mesh.faces
+            seams = None if seams is None or is_empty(seams) else repair.edges(seams, own_faces)
+        matrices = pulled_back_matrices(own_poses, own_faces, own_skin, transforms, seams)
+        matrices *= scale[:, None, None] / (len(poses) * mesh.diagonal**2)
+        return matrices
+
+    work = prepare(poses[:1], corner, asked, quadrics=summed_quadrics, progress=progress)
     assert work.order_input is not None
-    work = replace(work, order_input=replace(work.order_input, matrices=matrices))
+    assert work.order_input.matrices is not None
     ordered = work.order(progress)
     placer = work.placer(ordered)
-    rest = _place(poses[0].astype(np.float64), placer.vertex_map, matrices, work.pinned | ordered.non_manifold)
+    repair = work.mesh.repair
+    first = (poses[0] if repair is None else poses[0, repair.vertex]).astype(np.float64)
+    rest = _place(first, placer.vertex_map, work.order_input.matrices, work.pinned | ordered.non_manifold)
     result = replace(
         without_frames(work, placer, ordered),
         points=rest[None].astype(np.float32),
