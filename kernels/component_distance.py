@@ -18,6 +18,47 @@ MAX_BOXES = wp.constant(wp.int32(11))
 MORE_BOXES = wp.constant(wp.int32(1))
 
 
+@wp.struct
+class Near:
+    """The components nearest to a sample, the nearest first, of two as near the first one; -1 for none."""
+
+    component: NearComponents
+    squared: NearDistances
+
+
+@wp.func
+def no_component() -> Near:
+    """None found yet."""
+    near = Near()
+    for k in range(NEAR_COMPONENTS):
+        near.component[k] = wp.int32(-1)
+        near.squared[k] = wp.float32(wp.inf)
+    return near
+
+
+@wp.func
+def precedes(squared: wp.float32, component: wp.int32, other_squared: wp.float32, other: wp.int32) -> wp.bool:
+    """Whether one component comes before another one, whatever the order of the search."""
+    return squared < other_squared or (squared == other_squared and component < other)
+
+
+@wp.func
+def with_component(near: Near, component: wp.int32, squared: wp.float32) -> Near:
+    """The same with one more face of a component at a squared distance."""
+    place = wp.int32(NEAR_COMPONENTS) - 1
+    for k in range(NEAR_COMPONENTS):
+        if near.component[k] == component:
+            place = k
+    if precedes(squared, component, near.squared[place], near.component[place]):
+        while place > 0 and precedes(squared, component, near.squared[place - 1], near.component[place - 1]):
+            near.component[place] = near.component[place - 1]
+            near.squared[place] = near.squared[place - 1]
+            place -= 1
+        near.component[place] = component
+        near.squared[place] = squared
+    return near
+
+
 @wp.kernel
 def find_near_components(
     # in
@@ -38,59 +79,32 @@ def find_near_components(
     v = sample_in[i]
     own = component_in[v]
     p = wp.mesh_get(mesh).points[v]
-    near = NearComponents()
-    squared = NearDistances()
-    found = wp.int32(0)
+    near = no_component()
     radius = radius_in[i]
     boxes_left = wp.int32(MAX_BOXES)
     more_boxes = wp.int32(MORE_BOXES)
     while boxes_left > 0:
         boxes_left -= 1
-        for k in range(NEAR_COMPONENTS):
-            near[k] = wp.int32(-1)
-            squared[k] = wp.float32(wp.inf)
+        near = no_component()
         extent = wp.vec3(radius, radius, radius)
         query = wp.mesh_query_aabb(mesh, p - extent, p + extent)
         face = wp.int32(0)
         while wp.mesh_query_next(query, face):
             first = wp.mesh_get(mesh).indices[3 * face]
-            other = component_in[first]
-            if other != own:
+            if component_in[first] != own:
                 a = wp.mesh_get(mesh).points[first]
                 b = wp.mesh_get(mesh).points[wp.mesh_get(mesh).indices[3 * face + 1]]
                 c = wp.mesh_get(mesh).points[wp.mesh_get(mesh).indices[3 * face + 2]]
-                distance = offset_squared(p, a, b, c, closest_barycentric(p, a, b, c))
+                squared = offset_squared(p, a, b, c, closest_barycentric(p, a, b, c))
                 # Outside the ball nearer ones may be missing.
-                if distance <= radius * radius:
-                    place = wp.int32(NEAR_COMPONENTS) - 1
-                    for k in range(NEAR_COMPONENTS):
-                        if near[k] == other:
-                            place = k
-                    # Of two components as near the first comes first, so that the order of the search does not count.
-                    if distance < squared[place] or (distance == squared[place] and other < near[place]):
-                        near[place] = other
-                        squared[place] = distance
-                        while place > 0 and (
-                            squared[place] < squared[place - 1]
-                            or (squared[place] == squared[place - 1] and near[place] < near[place - 1])
-                        ):
-                            swapped = near[place - 1]
-                            swapped_squared = squared[place - 1]
-                            near[place - 1] = near[place]
-                            squared[place - 1] = squared[place]
-                            near[place] = swapped
-                            squared[place] = swapped_squared
-                            place -= 1
-        found = wp.int32(0)
-        for k in range(NEAR_COMPONENTS):
-            if near[k] >= 0:
-                found += 1
-        if found > 0:
+                if squared <= radius * radius:
+                    near = with_component(near, component_in[first], squared)
+        if near.component[0] >= 0:
             boxes_left = wp.min(boxes_left, more_boxes)
             more_boxes -= 1
-        if found == NEAR_COMPONENTS:
+        if near.component[NEAR_COMPONENTS - 1] >= 0:
             boxes_left = wp.int32(0)
         radius = 2.0 * radius
     for k in range(NEAR_COMPONENTS):
-        near_out[i, k] = near[k]
-        squared_out[i, k] = squared[k]
+        near_out[i, k] = near.component[k]
+        squared_out[i, k] = near.squared[k]

@@ -6,7 +6,7 @@ import numpy as np
 import warp as wp
 
 from warpqem.kernels import component_distance as kernels
-from warpqem.runtime.launches import launch
+from warpqem.runtime.part_launches import launch_in_parts, rows_of
 
 __all__ = ["MAX_FRAMES", "ComponentDistances"]
 
@@ -58,11 +58,11 @@ class ComponentDistances:
             near = wp.empty(shape[1:], dtype=wp.int32, device=device)
             squared = wp.empty(shape[1:], dtype=wp.float32, device=device)
             radius = FIRST_BOX * np.maximum(size, np.finfo(np.float32).eps)[component[sample]]
-            launch(
+            launch_in_parts(
                 kernels.find_near_components,
-                dim=len(sample),
-                inputs=[mesh.id, own, chosen, wp.array(radius, dtype=wp.float32, device=device)],
-                outputs=[near, squared],
+                len(sample),
+                [mesh.id, own, rows_of(chosen), rows_of(wp.array(radius, dtype=wp.float32, device=device))],
+                [rows_of(near), rows_of(squared)],
                 device=device,
             )
             self._near[frame], self._squared[frame] = near.numpy(), squared.numpy()

@@ -134,7 +134,7 @@ def prepare(
 
     ``keep_frames`` says whether the result stays in memory, ``keep_nodes`` whether every vertex on the way down does,
     ``measured`` whether the result is measured on its way to a sink. ``vertex_flags`` (V,) int32 are kinds of vertices
-    that the faces do not tell, and ``quadrics`` what is used in place of the quadrics of the faces.
+    that the faces do not show, and ``quadrics`` what is used in place of the quadrics of the faces.
     """
     options = options.checked()
     check_function(progress, "progress")
