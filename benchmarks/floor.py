@@ -247,6 +247,15 @@ def _place_vertices(a: Arguments) -> Demand:
     return Demand(once + _size(a["points_in"]) + _size(a["points_out"]) + _size(a["normal_out"]), frames * flops)
 
 
+def _measure_stiffness(a: Arguments) -> Demand:
+    frames, clusters, outputs = _frames(a["points_in"]), a["clusters"], a["area_out"].size
+    faces, members = clusters.face.size, clusters.member.size
+    once = faces * 4 * INT + members * 2 * INT + clusters.border.size * 2 * INT + outputs * 18 * INT
+    # Seven stiffnesses are tried at each place.
+    flops = faces * PLANE_FLOPS + members * 6 + outputs * 7 * (SOLVE_FLOPS + 30)
+    return Demand(once + _size(a["points_in"]), frames * flops)
+
+
 def _count_flips(a: Arguments) -> Demand:
     faces = a["corner_vertex_in"].size / 3
     moved = _size(a["points_in"]) + _size(a["normal_in"])
@@ -295,6 +304,7 @@ _MODELS: dict[str, Callable[[Arguments], Demand]] = {
         _count_faces,
         _list_faces,
         _place_vertices,
+        _measure_stiffness,
         _count_flips,
     )
 }
@@ -336,7 +346,7 @@ def _share(a: Arguments, threads: int) -> float:
     if "work" in a:
         return 1.0 / int(a["work"].part_count)
     if "first_cluster" in a:
-        return threads / a["points_out"].size
+        return threads / a["points_out" if "points_out" in a else "area_out"].size
     if "first_vertex" in a:
         return threads / a["vertex_flags"].size
     if "turns" in a:

@@ -4,10 +4,29 @@ from typing import Any
 
 import warp as wp
 
-from warpqem.kernels.lanes import POINTS_ARRAY, lane_cross, lane_dot, lane_inverse_length, lane_kernel
+from warpqem.kernels.lanes import (
+    POINTS_ARRAY,
+    lane_cross,
+    lane_dot,
+    lane_inverse_length,
+    lane_kernel,
+    lane_max,
+    lane_sum,
+)
 from warpqem.kernels.plane_quadrics import add_border_plane
-from warpqem.kernels.quadric import add_plane, tangential_minimiser, zero_quadric
+from warpqem.kernels.quadric import (
+    add_plane,
+    apply_matrix,
+    linear_part,
+    tangential_minimiser,
+    trace,
+    zero_quadric,
+)
 from warpqem.kernels.topology import half_edge_target, next_corner, previous_corner
+
+# Stiffnesses that are tried at a cluster.
+STEPS = wp.constant(wp.int32(7))
+Steps = wp.types.vector(length=7, dtype=wp.float32)
 
 
 @wp.struct
@@ -30,6 +49,63 @@ class Clusters:
     stiffness: wp.array[wp.float32]  # (C,) regularisation towards the anchor, relative to the quadric
 
 
+@wp.func
+def anchor_position(points: Any, clusters: Clusters, c: wp.int32, t: wp.int32):
+    """The material anchor of a cluster in a block of frames."""
+    anchor = points.dtype()
+    for j in range(clusters.member_start[c], clusters.member_start[c + 1]):
+        anchor += clusters.member_weight[j] * points[clusters.member[j], t]
+    return anchor
+
+
+@wp.func
+def add_faces(
+    q: Any,
+    points: Any,
+    face: wp.array[wp.vec3i],
+    weight: wp.array[wp.float32],
+    first: wp.int32,
+    last: wp.int32,
+    t: wp.int32,
+    anchor: Any,
+):
+    """The quadric with the planes of some faces, and the sum of their normals, each twice its area long."""
+    normal = points.dtype()
+    for j in range(first, last):
+        f = face[j]
+        p = points[f[0], t]
+        cross = lane_cross(points[f[1], t] - p, points[f[2], t] - p)
+        normal += cross
+        # Twice the area is the cross product's length: area n n^T = cross cross^T / (2 length).
+        q = add_plane(q, cross, lane_dot(cross, anchor - p), lane_inverse_length(cross) * (0.5 * weight[j]))
+    return q, normal
+
+
+@wp.func
+def add_own_planes(points: Any, clusters: Clusters, c: wp.int32, t: wp.int32, anchor: Any):
+    """The quadric of the faces of a cluster about its anchor, and the sum of their normals."""
+    first = clusters.face_start[c]
+    last = clusters.face_start[c + 1]
+    return add_faces(zero_quadric(anchor), points, clusters.face, clusters.face_weight, first, last, t, anchor)
+
+
+@wp.func
+def add_other_planes(
+    q: Any, points: Any, corner_vertex: wp.array[wp.int32], clusters: Clusters, c: wp.int32, t: wp.int32, anchor: Any
+):
+    """The quadric with the planes of other vertices, and of borders and seams: they are no part of the surface here."""
+    first = clusters.other_start[c]
+    last = clusters.other_start[c + 1]
+    q, _normal = add_faces(q, points, clusters.other, clusters.other_weight, first, last, t, anchor)
+    for j in range(clusters.border_start[c], clusters.border_start[c + 1]):
+        h = clusters.border[j]
+        a = points[corner_vertex[h], t]
+        b = points[half_edge_target(corner_vertex, h), t]
+        opposite = points[corner_vertex[previous_corner(h)], t]
+        q = add_border_plane(q, a, b, opposite, anchor, clusters.border_weight[j])
+    return q
+
+
 @lane_kernel(points_in=POINTS_ARRAY, points_out=POINTS_ARRAY, normal_out=POINTS_ARRAY)
 def place_vertices(
     # in
@@ -44,37 +120,49 @@ def place_vertices(
     """Positions (C, B) of blocks of frames (V, B), in diagonals, and the area-weighted normal of each cluster."""
     i, t = wp.tid()
     c = first_cluster + i
-    anchor = points_out.dtype()
-    for j in range(clusters.member_start[c], clusters.member_start[c + 1]):
-        anchor += clusters.member_weight[j] * points_in[clusters.member[j], t]
-    q = zero_quadric(anchor)
-    normal = points_out.dtype()
-    for j in range(clusters.face_start[c], clusters.face_start[c + 1]):
-        f = clusters.face[j]
-        p = points_in[f[0], t]
-        cross = lane_cross(points_in[f[1], t] - p, points_in[f[2], t] - p)
-        normal += cross
-        # Twice the area is the cross product's length: area n n^T = cross cross^T / (2 length).
-        weight = lane_inverse_length(cross) * (0.5 * clusters.face_weight[j])
-        q = add_plane(q, cross, lane_dot(cross, anchor - p), weight)
+    anchor = anchor_position(points_in, clusters, c, t)
+    q, normal = add_own_planes(points_in, clusters, c, t, anchor)
     normal_out[c, t] = normal
     x = anchor
     if clusters.solved[c] == 1:
-        # Planes of other vertices: they are no part of the surface here, and have no share in its normal.
-        for j in range(clusters.other_start[c], clusters.other_start[c + 1]):
-            f = clusters.other[j]
-            p = points_in[f[0], t]
-            cross = lane_cross(points_in[f[1], t] - p, points_in[f[2], t] - p)
-            weight = lane_inverse_length(cross) * (0.5 * clusters.other_weight[j])
-            q = add_plane(q, cross, lane_dot(cross, anchor - p), weight)
-        for j in range(clusters.border_start[c], clusters.border_start[c + 1]):
-            h = clusters.border[j]
-            a = points_in[corner_vertex_in[h], t]
-            b = points_in[half_edge_target(corner_vertex_in, h), t]
-            opposite = points_in[corner_vertex_in[previous_corner(h)], t]
-            q = add_border_plane(q, a, b, opposite, anchor, clusters.border_weight[j])
+        q = add_other_planes(q, points_in, corner_vertex_in, clusters, c, t, anchor)
         x = anchor + tangential_minimiser(q, clusters.stiffness[c])
     points_out[c, t] = x
+
+
+@lane_kernel(points_in=POINTS_ARRAY)
+def measure_stiffness(
+    # in
+    points_in: Any,
+    corner_vertex_in: wp.array[wp.int32],
+    clusters: Clusters,
+    stiffness_in: wp.array2d[wp.float32],
+    first_cluster: wp.int32,
+    # out
+    error_out: wp.array2d[wp.float32],
+    area_out: wp.array[wp.float32],
+):
+    """What clusters would have of area times squared distance from their planes over all frames, by stiffness.
+
+    ``stiffness_in`` and ``error_out`` (C, S) are of S = ``STEPS`` choices; ``area_out`` (C,) is what the planes weigh.
+    All is zero at clusters that are not solved for.
+    """
+    c = first_cluster + wp.tid()
+    error = Steps()
+    area = wp.float32(0.0)
+    if clusters.solved[c] == 1:
+        for t in range(points_in.shape[1]):
+            anchor = anchor_position(points_in, clusters, c, t)
+            q, _normal = add_own_planes(points_in, clusters, c, t, anchor)
+            q = add_other_planes(q, points_in, corner_vertex_in, clusters, c, t, anchor)
+            area += lane_sum(trace(q))
+            for step in range(STEPS):
+                x = tangential_minimiser(q, stiffness_in[c, step])
+                value = q[9] + lane_dot(x, 2.0 * linear_part(q) + apply_matrix(q, x))
+                error[step] += lane_sum(lane_max(value, 0.0))
+    for step in range(STEPS):
+        error_out[c, step] = error[step]
+    area_out[c] = area
 
 
 @lane_kernel(points_in=POINTS_ARRAY, normal_in=POINTS_ARRAY)

@@ -9,7 +9,7 @@ from tests.support import meshes
 from tests.support.mesh_state import blocks, packed
 from warpqem.decimation.initial_quadrics import constraint_lists
 from warpqem.kernels.lanes import width_of
-from warpqem.kernels.placement import Clusters, count_flips, place_vertices
+from warpqem.kernels.placement import Clusters, count_flips, measure_stiffness, place_vertices
 from warpqem.place.cluster_rows import gather_faces, sum_repeated
 
 EPSILON = 0.3
@@ -107,6 +107,46 @@ def test_normal_is_the_sum_of_the_faces_cross_products(device):
     corner = points.astype(np.float64)[:, faces[np.isin(faces, [0, 1]).any(axis=1)]]
     cross = np.cross(corner[:, :, 1] - corner[:, :, 0], corner[:, :, 2] - corner[:, :, 0])
     np.testing.assert_allclose(normal, cross.sum(axis=1), rtol=1e-4, atol=1e-6)
+
+
+CHOICES = np.float32([0.6, 0.3, 0.1, 0.03, 0.01, 0.003, 0.001])
+
+
+def measured(points, faces, clusters, device) -> tuple[np.ndarray, float]:
+    """(errors with each of ``CHOICES``, area) of the one cluster."""
+    position = packed(points, device)
+    clusters.stiffness = wp.full(1, EPSILON, dtype=wp.float32, device=device)
+    choices = wp.array(CHOICES[None], dtype=wp.float32, device=device)
+    out = [wp.empty((1, len(CHOICES)), dtype=wp.float32, device=device), wp.empty(1, dtype=wp.float32, device=device)]
+    corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device)
+    inputs = [position, corner_vertex, clusters, choices, 0]
+    wp.launch(measure_stiffness[width_of(position)], dim=1, inputs=inputs, outputs=out, device=device)
+    return out[0].numpy()[0], float(out[1].numpy()[0])
+
+
+@pytest.mark.parametrize("name", MESHES)
+@pytest.mark.parametrize("members", [[0, 1], [0, 6, 7, 12]])
+def test_error_of_a_stiffness_is_that_of_the_quadrics_where_it_leaves_the_vertex(name, members, device):
+    points, faces = MESHES[name]
+    error, area = np.zeros(len(CHOICES)), 0.0
+    for frame in points.astype(np.float64):
+        anchor = frame[members].mean(axis=0)
+        own = oracle.vertex_quadrics(frame, faces, origin=np.repeat(anchor[None], len(frame), axis=0))
+        total = oracle.zero()
+        for m in members:
+            total += own[m]
+        area += np.trace(total.A)
+        error += [total(oracle.tangential_minimiser(total, float(stiffness))) for stiffness in CHOICES]
+    found = measured(points, faces, gathered(faces, members, device), device)
+    np.testing.assert_allclose(found[0], error, rtol=1e-3, atol=1e-6)
+    np.testing.assert_allclose(found[1], area, rtol=1e-5)
+
+
+def test_a_vertex_that_is_not_solved_has_no_error_by_stiffness(device):
+    points, faces = MESHES["closed"]
+    error, area = measured(points, faces, gathered(faces, [0, 1], device, solved=0), device)
+    assert not error.any()
+    assert area == 0.0
 
 
 def flips_of(points, normals, faces, device) -> np.ndarray:

@@ -119,5 +119,13 @@ def test_log_of_more_faces_is_a_beginning_of_the_log_of_fewer(name, device):
     full = warpqem.simplify(points, faces, ratio=0.05, device=device).log
     for ratio in (0.8, 0.31, 0.3, 0.1):
         part = warpqem.simplify(points, faces, ratio=ratio, device=device).log
-        for field in ("kept", "removed", "opposites", "cost", "error", "round_index"):
+        for field in ("kept", "removed", "opposites", "cost", "error", "round_index", "recent_error"):
             np.testing.assert_array_equal(getattr(part, field), getattr(full, field)[: len(part)], err_msg=field)
+
+
+@pytest.mark.parametrize("name", MESHES)
+def test_recent_error_is_that_of_the_last_sixteenth_of_the_collapses(name, device):
+    log = warpqem.simplify(*MESHES[name], ratio=0.2, device=device).log
+    square = log.error.astype(np.float64) ** 2
+    expected = [np.sqrt(square[max(i - max(i // 16, 1), 0) : i].mean()) for i in range(1, len(log) + 1)]
+    np.testing.assert_allclose(log.recent_error, expected, rtol=1e-4, atol=1e-9)

@@ -59,6 +59,7 @@ class Arrangement:
             log.cost,
             log.error,
             log.round_index,
+            log.recent_error,
         )
 
 

@@ -11,6 +11,10 @@ from warpqem.kernels.mesh_state import CollapseLog
 
 __all__ = ["CollapseRecord", "new_log", "read_log"]
 
+# Share of the collapses so far whose errors tell how far the mesh is from the input. Over 68 cells the root mean square
+# of the last sixteenth is 0.2 to 1.6, mostly 0.7 to 1.3, of what the quadrics of all clusters have in the end.
+RECENT = 1.0 / 16.0
+
 
 @dataclass(frozen=True)
 class CollapseRecord:
@@ -27,6 +31,8 @@ class CollapseRecord:
         cost: (C,) float32, sum over key frames of area x squared distance on a mesh of unit diagonal, weighted.
         error: (C,) float32, RMS distance over key frames, in diagonals, of the vertex from its cluster's planes.
         round_index: (C,) int32, the round of reservations, from 1.
+        recent_error: (C,) float32, root mean square of ``error`` over the last collapses up to each: what the mesh as a
+            whole had come to there, see :data:`RECENT`.
     """
 
     kept: np.ndarray
@@ -36,6 +42,7 @@ class CollapseRecord:
     cost: np.ndarray
     error: np.ndarray
     round_index: np.ndarray
+    recent_error: np.ndarray
 
     def __len__(self) -> int:
         return len(self.kept)
@@ -89,7 +96,17 @@ def read_log(rows: wp.array, count: int) -> CollapseRecord:
         cost=cost[order],
         error=np.sqrt(error)[order],
         round_index=integers["round_index"][order],
+        recent_error=_recent_error(np.sqrt(error)[order]),
     )
+
+
+def _recent_error(error: np.ndarray) -> np.ndarray:
+    """(C,) float32, root mean square over the last ``RECENT`` of the collapses up to each, at least itself."""
+    total = np.concatenate([[0.0], np.cumsum(error.astype(np.float64) ** 2)])
+    count = np.arange(1, len(error) + 1)
+    first = count - np.maximum((RECENT * count).astype(np.int64), 1)
+    mean: np.ndarray = np.sqrt(np.maximum(total[count] - total[first], 0.0) / (count - first))
+    return mean.astype(np.float32)
 
 
 def _sorted_rounds(round_index: np.ndarray, cost: np.ndarray, removed: np.ndarray, vertex_count: int) -> np.ndarray:

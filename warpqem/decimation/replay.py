@@ -155,7 +155,8 @@ class OrderedLevels:
                 face_map = faces_left(self._input_faces, faces, self._ordered.drops.head(0))
                 self._show_present([(nodes, all_nodes)], root, face_map)
             inside = np.where(cluster >= 0, root, -1).astype(np.int32)
-            ordered = replace(self._ordered, root=inside, position=self._position, quadric=self._quadric)
+            log = self.log.head(part.stop)
+            ordered = replace(self._ordered, root=inside, position=self._position, quadric=self._quadric, log=log)
             collapse = part.start + np.argsort(self.log.kept[part])
             yield MergedClusters(collapse, kept, cluster, ordered)
 

@@ -27,8 +27,9 @@ from warpqem.mesh.seams import Seams, read_seams
 from warpqem.options import Goal, MeshOptions
 from warpqem.pipeline.key_frames import KeyFrameChoice
 from warpqem.pipeline.memory_plan import MemoryNeeds, MemoryPlan, admit_faces, plan_memory
-from warpqem.place.clusters import MIN_STIFFNESS, PlaceSettings
+from warpqem.place.clusters import PlaceSettings
 from warpqem.place.place import Placer
+from warpqem.place.stiffness import MIN_STIFFNESS
 from warpqem.repair.mended_mesh import faces_for, repaired_mesh, repaired_options
 from warpqem.runtime.device import resolve_device
 
@@ -96,14 +97,14 @@ class Prepared:
         settings = replace(self.order_settings, target_faces=face_count)
         return order_collapses(self.order_input, settings, self.device, listener, recorder)
 
-    def placer(self, ordered: DecimatedMesh) -> Placer:
-        """What places the vertices that decimation left."""
+    def placer(self, ordered: DecimatedMesh, *, refit: bool = False) -> Placer:
+        """What places the vertices that decimation left, to be refitted or not."""
         return Placer(
             self.mesh.faces,
             ordered,
             self.quadric_scale,
             self.pinned,
-            self.place_settings,
+            replace(self.place_settings, evened=refit),
             self.device,
             self.quadric_sums,
         )

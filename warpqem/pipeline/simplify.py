@@ -97,7 +97,7 @@ def simplify(
         within = partial(simplify_within, work, asked.refits, sink=sink, progress=progress)
         return with_errors(within, measuring)
     ordered = work.order(progress)
-    placer = work.placer(ordered)
+    placer = work.placer(ordered, refit=asked.refits)
     result = without_frames(work, placer, ordered)
     # Placing needs the memory of decimation.
     work = work.without_input()

@@ -317,6 +317,7 @@ class _Half:
             cost=(log.cost[index] * size**4).astype(np.float32),
             error=(log.error[index] * size).astype(np.float32),
             round_index=table[:, 6].astype(np.int32),
+            recent_error=(log.recent_error[index] * size).astype(np.float32),
         )
 
 

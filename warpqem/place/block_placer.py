@@ -13,6 +13,7 @@ import warp as wp
 
 from warpqem.frames.blocks import block_width, pack_frames, unpack_frames
 from warpqem.kernels import placement as kernels
+from warpqem.kernels.lanes import width_of
 from warpqem.mesh.mesh_input import AnimatedMesh
 from warpqem.runtime.part_launches import FIRST_ITEM, launch_in_parts
 
@@ -77,6 +78,40 @@ class BlockPlacer:
         for name, values in data.rows.items():
             dtype = kernels.Clusters.vars[name].type.dtype
             setattr(self._clusters, name, wp.array(values, dtype=dtype, device=device, copy=False))
+
+    def measure_stiffness(self, key_position: wp.array, stiffness: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What clusters would have of area times squared distance from their planes, by stiffness; nothing is changed.
+
+        Args:
+            key_position: (V, B) blocks of points, the input on the key frames, in diagonals.
+            stiffness: (C, STEPS) float32, those to try.
+
+        Returns:
+            error: (C, STEPS) float32, sums over the key frames, in diagonals^4.
+            area: (C,) float32, sum of what the planes weigh, in diagonals squared.
+        """
+        count, device = self._data.vertex_count, self._device
+        error = wp.empty(stiffness.shape, dtype=wp.float32, device=device)
+        area = wp.empty(count, dtype=wp.float32, device=device)
+        launch_in_parts(
+            kernels.measure_stiffness[width_of(key_position)],
+            count,
+            inputs=[
+                key_position,
+                self._corner_vertex,
+                self._clusters,
+                wp.array(stiffness, dtype=wp.float32, device=device),
+                FIRST_ITEM,
+            ],
+            outputs=[error, area],
+            device=device,
+        )
+        return error.numpy(), area.numpy()
+
+    def set_stiffness(self, stiffness: np.ndarray) -> None:
+        """Hold clusters to their anchors from now on with this stiffness (C,), relative to their quadrics."""
+        self._data.rows["stiffness"] = stiffness
+        self._clusters.stiffness = wp.array(stiffness, dtype=wp.float32, device=self._device)
 
     def place(self, mesh: AnimatedMesh, points: np.ndarray) -> PlacedFrames:
         """Place some frames of the mesh, given about its origin: (n, V, 3) float32."""

@@ -13,22 +13,16 @@ from warpqem.mesh.mesh_input import AnimatedMesh
 from warpqem.place.anchors import Anchors, fit_anchors, nearest_anchors
 from warpqem.place.block_placer import BlockPlacer, ClusterData, PlacedFrames
 from warpqem.place.cluster_rows import gather_faces, match_keys, sum_repeated
+from warpqem.place.stiffness import (
+    MIN_REGULARISATION,
+    MIN_STIFFNESS,
+    choose_softness,
+    recent_errors,
+    softer_choices,
+    stiffness_by_size,
+)
 
 __all__ = ["ClusterPlacer", "PlaceSettings"]
-
-
-# A cluster of so many input vertices is regularised as set. Smaller ones are so less, since they slide less: on 17
-# sequences this gains 1 to 5 % of the error at half and a quarter of the faces, where slide has room.
-REGULARISED_SIZE = 8.0
-# Clusters larger than so many times that size are regularised no more than those.
-MAX_RELATIVE_SIZE = 4.0
-# Weights of anchors are regularised by the fourth power of the size, as those of small clusters hardly slide at all; no
-# more than so many times as set.
-MAX_EVENED = 2.0
-# The least regularisation that float32 solves safely, of vertices to their anchors and of the weights of anchors to
-# equal ones.
-MIN_STIFFNESS = 1e-3
-MIN_REGULARISATION = 1e-5
 
 
 @dataclass(frozen=True)
@@ -42,12 +36,15 @@ class PlaceSettings:
         endpoint: every output vertex is an input vertex.
         loose: (V,) bool, input vertices whose clusters are placed by their quadrics, with the least
             regularisation; None for none.
+        evened: soften all clusters where stiffness costs the whole mesh much. A cluster's place then depends on the
+            others, so that levels of a progressive mesh, which share clusters, do without.
     """
 
     epsilon: float
     regularisation: float
     endpoint: bool
     loose: np.ndarray | None = None
+    evened: bool = False
 
 
 class ClusterPlacer:
@@ -92,7 +89,7 @@ class ClusterPlacer:
         self.vertex_count = len(kept)
         pinned = pinned | ordered.non_manifold
         size = np.bincount(cluster[cluster >= 0], minlength=len(kept))
-        stiffness, regularisation = _stiffness(size, settings)
+        stiffness, regularisation = stiffness_by_size(size, settings.epsilon, settings.regularisation)
         if settings.loose is not None:
             loose = np.unique(cluster[settings.loose & (cluster >= 0)])
             stiffness[loose], regularisation[loose] = MIN_STIFFNESS, MIN_REGULARISATION
@@ -124,6 +121,11 @@ class ClusterPlacer:
             copied_from=self.nearest[single],
         )
         self._blocks = BlockPlacer(self.clusters, device)
+        if not settings.endpoint:
+            choices = softer_choices(stiffness)
+            error, area = self._blocks.measure_stiffness(ordered.key_position, choices)
+            chosen = choose_softness(error, area, recent_errors(ordered.log, kept), evened=settings.evened)
+            self._blocks.set_stiffness(choices[np.arange(len(kept)), chosen])
 
     def _gather_clusters(
         self,
@@ -190,14 +192,6 @@ class ClusterPlacer:
         points = mesh.original_points(placed.points)
         points[:, self._copied] = placed.copied + mesh.origin
         return points
-
-
-def _stiffness(size: np.ndarray, settings: PlaceSettings) -> tuple[np.ndarray, np.ndarray]:
-    """By the ``size`` of clusters, regularisation towards the anchor and of its weights: (C,) float32 each."""
-    relative = size / REGULARISED_SIZE
-    stiffness = np.maximum(settings.epsilon * np.sqrt(np.minimum(relative, MAX_RELATIVE_SIZE)), MIN_STIFFNESS)
-    regularisation = settings.regularisation * np.minimum(relative**4, MAX_EVENED)
-    return stiffness.astype(np.float32), regularisation.astype(np.float32)
 
 
 def _on_seam(faces: np.ndarray, constrained: np.ndarray, cluster: np.ndarray, cluster_count: int) -> np.ndarray:

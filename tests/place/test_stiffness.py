@@ -1,0 +1,74 @@
+"""How firmly clusters are held to the material, where that costs distance from the input."""
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+
+from warpqem.decimation.collapse_log import CollapseRecord
+from warpqem.kernels.placement import STEPS
+from warpqem.place.stiffness import (
+    MAX_ADDED,
+    MAX_ADDED_SHARE,
+    MIN_STIFFNESS,
+    choose_softness,
+    recent_errors,
+    softer_choices,
+)
+
+CLUSTERS = 5
+POSITIVE = st.floats(0.0, 1.0, width=32)
+
+
+def log_of(kept, recent) -> CollapseRecord:
+    none = np.zeros(len(kept), dtype=np.int32)
+    return CollapseRecord(np.array(kept, dtype=np.int32), none, none, none, none, none, none, np.float32(recent))
+
+
+def test_choices_are_halves_and_at_last_the_least():
+    choices = softer_choices(np.float32([0.8, 0.004]))
+    assert choices.shape == (2, STEPS)
+    np.testing.assert_allclose(choices[0, :6], 0.8 * 0.5 ** np.arange(6))
+    np.testing.assert_allclose(choices[1, :3], [0.004, 0.002, MIN_STIFFNESS])
+    np.testing.assert_array_equal(choices[:, -1], np.float32(MIN_STIFFNESS))
+
+
+def test_a_cluster_has_the_recent_error_of_its_last_collapse():
+    log = log_of([3, 1, 3], [0.1, 0.2, 0.4])
+    np.testing.assert_array_equal(recent_errors(log, np.array([1, 2, 3])), np.float32([0.2, 0.0, 0.4]))
+
+
+def test_a_mesh_without_collapses_has_no_recent_errors():
+    assert not recent_errors(log_of([], []), np.arange(4)).any()
+
+
+def descending(values):
+    """Errors that fall with the stiffness."""
+    return np.sort(values, axis=1)[:, ::-1]
+
+
+@given(arrays.arrays(np.float32, (CLUSTERS, int(STEPS)), elements=POSITIVE).map(descending), POSITIVE)
+def test_the_choice_is_the_first_that_adds_no_more_than_its_bound(error, recent):
+    area = np.full(CLUSTERS, 0.5)
+    chosen = choose_softness(error, area, np.full(CLUSTERS, recent), evened=False)
+    added = error.astype(np.float64) - error[:, -1:].astype(np.float64)
+    bound = max(MAX_ADDED * np.float64(np.float32(recent)), 1e-6) ** 2 * 0.5
+    row = np.arange(CLUSTERS)
+    assert (added[row, chosen] <= bound + 1e-6).all()
+    stiffer = chosen > 0
+    assert (added[row, chosen - 1][stiffer] > bound - 1e-6).all()
+
+
+@given(arrays.arrays(np.float32, (CLUSTERS, int(STEPS)), elements=POSITIVE).map(descending))
+def test_the_whole_mesh_is_softened_until_stiffness_adds_its_share(error):
+    area = np.full(CLUSTERS, 1e-3)
+    alone = choose_softness(error, area, np.ones(CLUSTERS), evened=False)
+    chosen = choose_softness(error, area, np.ones(CLUSTERS), evened=True)
+    assert (chosen >= alone).all()
+    total = error[np.arange(CLUSTERS), chosen].sum(dtype=np.float64)
+    assert total <= (1 + MAX_ADDED_SHARE) * error[:, -1].sum(dtype=np.float64) + 1e-6
+
+
+def test_no_clusters_have_no_choice():
+    error = np.empty((0, int(STEPS)), dtype=np.float32)
+    assert len(choose_softness(error, np.empty(0), np.empty(0, dtype=np.float32), evened=True)) == 0
