@@ -73,12 +73,16 @@ def include_pair(
     v: wp.vec3i,
     frame: wp.array2d[wp.mat33],
     correction: wp.array[wp.vec3],
+    doubt: wp.float32,
 ) -> Element:
-    """Add the equation of a pair, for the whole correction rather than what is still missing of it."""
+    """Add the equation of a pair, for the whole correction rather than what is still missing of it.
+
+    A pair counts for less the further it is apart, for half at ``doubt ** -0.5``.
+    """
     t = pairs.key[i]
     b = pairs.barycentric[i]
     n = pairs.normal[i]
-    weight = scale * pairs.weight[i]
+    weight = scale * pairs.weight[i] / (1.0 + doubt * pairs.residual[i] * pairs.residual[i])
     # n^T R, times the weight of the corner.
     j0 = b[0] * (wp.transpose(frame[t, v[0]]) * n)
     j1 = b[1] * (wp.transpose(frame[t, v[1]]) * n)
@@ -102,6 +106,7 @@ def assemble_elements(
     frame_in: wp.array2d[wp.mat33],
     correction_in: wp.array[wp.vec3],
     hold_in: wp.array[wp.vec3],
+    doubt: wp.float32,
     # out
     block_out: wp.array2d[wp.mat33],
     right_out: wp.array[wp.vec3],
@@ -111,11 +116,11 @@ def assemble_elements(
     v = wp.vec3i(corner_vertex_in[3 * f], corner_vertex_in[3 * f + 1], corner_vertex_in[3 * f + 2])
     e = Element()
     for k in range(input_start_in[f], input_start_in[f + 1]):
-        e = include_pair(e, input_pairs, input_order_in[k], weights[0], v, frame_in, correction_in)
+        e = include_pair(e, input_pairs, input_order_in[k], weights[0], v, frame_in, correction_in, doubt)
     per_face = output_pairs.face.shape[0] / (corner_vertex_in.shape[0] / 3)
     for i in range(f * per_face, (f + 1) * per_face):
         if output_pairs.face[i] >= 0:
-            e = include_pair(e, output_pairs, i, weights[1], v, frame_in, correction_in)
+            e = include_pair(e, output_pairs, i, weights[1], v, frame_in, correction_in, doubt)
     none = wp.vec3()
     area = wp.float32(0.0)
     for t in range(points_in.shape[0]):

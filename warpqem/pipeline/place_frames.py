@@ -86,13 +86,16 @@ def place_frames(work: Placing) -> FinishedFrames:
     return finish.finished
 
 
-def place_refitted(work: Placing, *, key_frames: np.ndarray, error: float, on_disk: bool) -> FinishedFrames:
+def place_refitted(
+    work: Placing, *, key_frames: np.ndarray, error: float, recent_error: float, on_disk: bool
+) -> FinishedFrames:
     """Place all frames into a store, fit the corrections, and hand the corrected frames to the sink.
 
     Args:
         work: what to place.
         key_frames: (K,) int, the frames to fit.
         error: the largest error of a collapse, in diagonals.
+        recent_error: the root mean square of the errors of the last collapses, in diagonals.
         on_disk: keep the placed frames in a temporary file.
     """
     placer = work.placer
@@ -101,7 +104,7 @@ def place_refitted(work: Placing, *, key_frames: np.ndarray, error: float, on_di
         with FrameWriter(store.write, len(work.blocks)) as keep:
             for frames, placed in work.placed():
                 keep(frames, placed)
-        correct = fit_corrections(work.mesh, placer, store, key_frames, error, work.blocks, placer.device)
+        correct = fit_corrections(work.mesh, placer, store, key_frames, error, recent_error, work.blocks, placer.device)
         finish = _Finish(work)
         with FrameWriter(work.sink.write, len(work.blocks)) as write:
             for frames, placed in read_ahead(store.read, work.blocks):

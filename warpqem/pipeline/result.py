@@ -205,7 +205,14 @@ def with_frames(
         on_disk = work.plan.scratch_bytes > 0
         # Errors are single precision: rounding gives the very one that was made a percentage.
         error = float(np.float32(result.error / 100.0))
-        finished = place_refitted(placing, key_frames=work.key_frames, error=error, on_disk=on_disk)
+        recent = result.log.recent_error
+        finished = place_refitted(
+            placing,
+            key_frames=work.key_frames,
+            error=error,
+            recent_error=float(recent[-1]) if len(recent) else 0.0,
+            on_disk=on_disk,
+        )
     else:
         finished = place_frames(placing)
     return replace(result, points=array.points if sink is None else finished.first, flips=finished.flips)
@@ -220,7 +227,7 @@ def finish(
     progress: Progress | None = None,
 ) -> SimplifiedMesh:
     """The result of a decimated mesh that stays in memory meanwhile: both of the above."""
-    placer = work.placer(ordered)
+    placer = work.placer(ordered, refit=refit)
     result = without_frames(work, placer, ordered)
     return with_frames(result, work, placer, refit, sink=sink, progress=progress)
 

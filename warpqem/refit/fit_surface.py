@@ -20,6 +20,7 @@ from warpqem.frames.stream import read_ahead
 from warpqem.kernels import material_frame as frame_kernels
 from warpqem.kernels import refit as kernels
 from warpqem.kernels.element_solve import Elements
+from warpqem.mesh.components import lowest_members
 from warpqem.mesh.mesh_input import AnimatedMesh
 from warpqem.place.block_placer import PlacedFrames
 from warpqem.place.frame_store import FrameStore
@@ -57,6 +58,23 @@ SEAM_STIFFNESS = 250.0
 # point got lost. The surfaces themselves are nowhere further apart than about three times that.
 REACH = 4.0
 
+# The largest distance of a component at samples of both surfaces may grow by so much. Nothing, so that it grows by less
+# than 5 % between the samples.
+MAX_GROWTH = 1.0
+# Below this, in diagonals, no distance counts as larger than another: ten times what float32 resolves.
+SMALLEST_DISTANCE = 1e-6
+# Places that come further away are held so often, more and more.
+ATTEMPTS = 3
+# Then their whole component moves by these shares of what is left, and stays as placed in the end.
+SHARES = (0.5, 0.5, 0.0)
+
+# A pair that lies so many times further apart than what the mesh has come to counts half. Such pairs are where the
+# search went to another side or the surface ends, and draw vertices along it: without this slide is 6 % more, edges 2 %
+# and the largest distance 1 %, and the error no less. Twice as near, the error is 1 % more.
+DOUBTED = 5.0
+# At least so far apart, in diagonals: ten times what float32 resolves.
+MIN_DOUBTED = 1e-6
+
 # A vertex that turns a face over gets so much more stiffness; where it still does, it does not move.
 HOLD = 30.0
 # The stiffness of a vertex that does not move, for its neighbours to be solved with.
@@ -69,6 +87,7 @@ def fit_corrections(
     placed: FrameStore,
     key_frames: np.ndarray,
     error: float,
+    recent_error: float,
     blocks: Sequence[slice],
     device: str,
 ) -> Callable[[PlacedFrames], PlacedFrames]:
@@ -84,15 +103,25 @@ def fit_corrections(
         placed: all frames.
         key_frames: (K,) int, the frames to fit.
         error: the largest error of a collapse, in diagonals.
+        recent_error: the root mean square of the errors of the last collapses, in diagonals.
         blocks: frames to look at at once, when all are looked through for faces that turn over.
         device: Warp device.
     """
-    fit = _Refit(mesh, placer, placed, key_frames, device)
+    fit = _Refit(mesh, placer, placed, key_frames, max(DOUBTED * recent_error, MIN_DOUBTED), device)
     if fit.has_no_area:
         return lambda frames: frames
-    for _ in range(ROUNDS):
-        fit.improve(REACH * error)
+    reach = REACH * error
+    for round_index in range(ROUNDS):
+        fit.improve(reach, first=round_index == 0)
     fit.hold_back(placed, blocks)
+    for _ in range(ATTEMPTS):
+        if not fit.hold_far_places(reach):
+            return fit.apply
+        fit.hold_back(placed, blocks)
+    for share in SHARES:
+        if not fit.shrink_far_components(reach, share):
+            break
+    fit.leave_turned_components(placed, blocks)
     return fit.apply
 
 
@@ -108,9 +137,15 @@ class _Refit:
     """The corrections of one mesh, on the device."""
 
     def __init__(
-        self, mesh: AnimatedMesh, placer: Placer, placed: FrameStore, key_frames: np.ndarray, device: str
+        self,
+        mesh: AnimatedMesh,
+        placer: Placer,
+        placed: FrameStore,
+        key_frames: np.ndarray,
+        far: float,
+        device: str,
     ) -> None:
-        self._device = device
+        self._device, self._far = device, far
         self._faces = placer.faces
         self._vertex_count = placed.vertex_count
         self._corner_vertex = wp.array(placer.faces.ravel(), dtype=wp.int32, device=device)
@@ -145,7 +180,14 @@ class _Refit:
         self._stiffness = np.ones((self._vertex_count, 3), dtype=np.float32)
         self._stiffness[placer.on_seam, :2] = SEAM_STIFFNESS
         self._hold = wp.array(self._stiffness, dtype=wp.vec3, device=device)
+        self._held = np.ones(self._vertex_count, dtype=np.float32)
         self._correction = wp.zeros(self._vertex_count, dtype=wp.vec3, device=device)
+        self._matched_at = self._correction
+        # Of each output face.
+        self._component = np.unique(
+            lowest_members(self._vertex_count, placer.faces[:, [0, 1, 1, 2]].reshape(-1, 2))[placer.faces[:, 0]],
+            return_inverse=True,
+        )[1]
 
     @property
     def has_no_area(self) -> bool:
@@ -176,7 +218,7 @@ class _Refit:
         )
         return frames
 
-    def improve(self, reach: float) -> None:
+    def improve(self, reach: float, *, first: bool) -> None:
         """One round: pair the surfaces as they lie now, and solve for the corrections.
 
         A surface without area, such as one that is flattened to a line, stays as it is: it has nothing to fit to.
@@ -184,8 +226,11 @@ class _Refit:
         if not self._scales.area > 0.0:
             return
         self._move(self._points, self._normals, self._moved)
-        self._matching.find(reach)
-        self._correction = solve_elements(*self._assemble(self._correction))
+        self._matching.find(reach, self._far if first else None)
+        if first:
+            self._limits = self._component_limits()
+        self._matched_at = self._correction
+        self._correction = solve_elements(*self._assemble(self._matched_at))
 
     def _assemble(self, matched_at: wp.array) -> tuple[Elements, wp.array]:
         """The normal equations, and their right side at each corner (3N',) vec3.
@@ -220,6 +265,7 @@ class _Refit:
                 self._frames,
                 matched_at,
                 self._hold,
+                1.0 / self._far**2,
             ],
             outputs=[elements.block, right],
             device=device,
@@ -244,19 +290,73 @@ class _Refit:
         The others are solved for anew each time: a vertex that stays where its neighbours do not expect it would cost
         more than its own share of the fit.
         """
-        matched_at = self._correction
-        hold = np.ones(self._vertex_count, dtype=np.float32)
         while True:
             marked = np.linalg.norm(self._correction.numpy(), axis=1) > self._scales.edge_squared**0.5
             for _, block in read_ahead(placed.read, blocks):
                 marked |= self._turned_over(block)
             if not marked.any():
                 return
-            hold[marked] = np.where(hold[marked] < HOLD, HOLD * hold[marked], np.inf)
-            self._hold.assign(self._stiffness * np.minimum(hold, MAX_HOLD)[:, None])
-            solution = solve_elements(*self._assemble(matched_at)).numpy()
-            solution[np.isinf(hold)] = 0.0
-            self._correction = wp.array(solution, dtype=wp.vec3, device=self._device)
+            self._stiffen(marked)
+
+    def _stiffen(self, marked: np.ndarray) -> None:
+        """Solve again with more stiffness at some vertices (C,) bool; at those marked before, without moving them."""
+        self._held[marked] = np.where(self._held[marked] < HOLD, HOLD * self._held[marked], np.inf)
+        self._hold.assign(self._stiffness * np.minimum(self._held, MAX_HOLD)[:, None])
+        solution = solve_elements(*self._assemble(self._matched_at)).numpy()
+        solution[np.isinf(self._held)] = 0.0
+        self._correction = wp.array(solution, dtype=wp.vec3, device=self._device)
+
+    def _component_limits(self) -> np.ndarray:
+        """(M,) float32, what squared distances of each component may come to, by those of the surface as placed."""
+        squared, face = self._matching.distances()
+        limits = np.full(int(self._component.max(initial=-1)) + 1, SMALLEST_DISTANCE**2, dtype=np.float32)
+        found = face >= 0
+        np.maximum.at(limits, self._component[face[found]], squared[found])
+        return MAX_GROWTH**2 * limits
+
+    def hold_far_places(self, reach: float) -> bool:
+        """Stiffen places that have come further away than any of their component was as placed: whether there are some.
+
+        The surfaces are paired anew, so that all corrections are found once more.
+        """
+        far = self._far_faces(reach)
+        if len(far):
+            self._matched_at = self._correction
+            marked = np.zeros(self._vertex_count, dtype=bool)
+            marked[self._faces[far].ravel()] = True
+            self._stiffen(marked)
+        return len(far) > 0
+
+    def shrink_far_components(self, reach: float, share: float) -> bool:
+        """Move components by a share of what they do, of which a place is further away than any was as placed.
+
+        Whether there are some.
+        """
+        far = self._far_faces(reach)
+        self._shrink(self._component[far], share)
+        return len(far) > 0
+
+    def leave_turned_components(self, placed: FrameStore, blocks: Sequence[slice]) -> None:
+        """Leave components as placed in which part of the way turns a face over that the whole way does not."""
+        marked = np.zeros(self._vertex_count, dtype=bool)
+        for _, block in read_ahead(placed.read, blocks):
+            marked |= self._turned_over(block)
+        self._shrink(self._component[marked[self._faces].any(axis=1)], 0.0)
+
+    def _shrink(self, components: np.ndarray, share: float) -> None:
+        """Move some components by a share of what they do."""
+        if len(components):
+            correction = self._correction.numpy()
+            correction[np.unique(self._faces[np.isin(self._component, components)])] *= share
+            self._correction = wp.array(correction, dtype=wp.vec3, device=self._device)
+
+    def _far_faces(self, reach: float) -> np.ndarray:
+        """Output faces at places that are further away than any of their component was as placed."""
+        self._move(self._points, self._normals, self._moved)
+        self._matching.find(reach, self._far)
+        squared, face = self._matching.distances()
+        found = np.flatnonzero(face >= 0)
+        return np.unique(face[found[squared[found] > self._limits[self._component[face[found]]]]])
 
     def apply(self, placed: PlacedFrames) -> PlacedFrames:
         """Some frames, moved."""

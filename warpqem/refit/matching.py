@@ -11,7 +11,7 @@ from warpqem.kernels import surface_walk as walk_kernels
 from warpqem.kernels.surface_walk import Surface
 from warpqem.place.cluster_rows import group_rows
 from warpqem.runtime.launches import launch
-from warpqem.runtime.part_launches import PerPart, launch_in_parts
+from warpqem.runtime.part_launches import FIRST_ITEM, PerPart, launch_in_parts
 
 __all__ = ["OUTPUT_SAMPLES", "Matching", "make_surface"]
 
@@ -98,27 +98,41 @@ class Matching:
         self._face_count = len(out_faces)
         self._to_output = wp.array(vertex_map, dtype=wp.int32, device=device)
         self._to_input = wp.array(nearest, dtype=wp.int32, device=device)
-        self._hierarchies: tuple[_Hierarchy, _Hierarchy] | None = _Hierarchy(source), _Hierarchy(target)
+        self._hierarchies = _Hierarchy(source), _Hierarchy(target)
         self._borders = _border_half_edges(source), _border_half_edges(target)
         self._sample_count = (len(faces) + len(vertex_map)) * turns
         # Two pairs at each point of a border.
         border_counts = len(self._borders[0]) * INPUT_BORDER_SAMPLES, len(self._borders[1]) * OUTPUT_BORDER_SAMPLES
         self.input_pairs = _empty_pairs(self._sample_count + 2 * turns * sum(border_counts), device)
         self.output_pairs = _empty_pairs(len(OUTPUT_SAMPLES) * len(out_faces) * turns, device)
+        self._vertex_squared = wp.zeros(len(nearest), dtype=wp.float32, device=device)
+        # A face at each output vertex.
+        self._face_of_vertex = np.full(len(nearest), -1, dtype=np.int32)
+        self._face_of_vertex[out_faces.ravel()] = np.repeat(np.arange(len(out_faces), dtype=np.int32), 3)
         self._barycentric = wp.array(OUTPUT_SAMPLES, dtype=wp.vec3, device=device)
 
-    def find(self, reach: float) -> None:
-        """Pair the output as it lies now; points further apart than ``reach`` are no pair."""
+    def find(self, reach: float, far: float | None = None) -> None:
+        """Pair the output as it lies now; points further apart than ``reach`` are no pair.
+
+        With ``far`` a walk that does not end at a partner, or ends further away than that, is followed by a search of
+        the whole surface.
+        """
         source, target = self._source, self._target
-        surfaces = [reach, source, target]
+        surfaces = [reach, 0.0 if far is None else far, source, target]
+        self._vertex_squared.zero_()
         for key in range(len(target.points)):
-            source_mesh, target_mesh = self._show(key)
+            source_mesh, target_mesh = (0, 0) if far is None else self._show(key)
             inputs = [*surfaces, self._to_output, target_mesh]
             self._launch(kernels.match_input_samples, key, self._sample_count, inputs, self.input_pairs)
             inputs = [*surfaces, self._to_input, source_mesh, self._barycentric]
             self._launch(kernels.match_output_samples, key, len(self.output_pairs.face), inputs, self.output_pairs)
             self._find_borders(key, reach)
-        self._hierarchies = None
+            if far is not None:
+                inputs = [FIRST_ITEM, key, far, source, target, self._to_input, source_mesh]
+                count = len(self._vertex_squared)
+                launch_in_parts(
+                    kernels.measure_vertex_distances, count, inputs, [self._vertex_squared], device=self._device
+                )
         face = self.input_pairs.face.numpy()
         hit = np.flatnonzero(face >= 0)
         order, start = group_rows(face[hit], self._face_count)
@@ -126,12 +140,32 @@ class Matching:
         self.input_order = wp.array(hit[order], dtype=wp.int32, device=self._device)
 
     def _show(self, key: int) -> tuple[int, int]:
-        """Hierarchies of both surfaces in a key frame, for walks that get stuck; 0 after the first round."""
-        if self._hierarchies is None:
-            return 0, 0
+        """Hierarchies of both surfaces in a key frame."""
         for hierarchy, surface in zip(self._hierarchies, (self._source, self._target), strict=True):
             hierarchy.show(surface, key)
         return self._hierarchies[0].id, self._hierarchies[1].id
+
+    def distances(self) -> tuple[np.ndarray, np.ndarray]:
+        """How far samples were from the other surface when they were paired last, with ``far``, and where.
+
+        Returns:
+            squared: (S,) float32, of the samples of the input, of those of the output and of its vertices; zero where
+                nothing was found.
+            face: (S,) int32, the output face that is nearest to each sample of the input, or has that of the output.
+        """
+        input_count = self._sample_count
+        per_face = len(self.output_pairs.face) // max(self._face_count, 1)
+        squared = (
+            self.input_pairs.squared.numpy()[:input_count],
+            self.output_pairs.squared.numpy(),
+            self._vertex_squared.numpy(),
+        )
+        face = (
+            self.input_pairs.near.numpy()[:input_count],
+            np.repeat(np.arange(self._face_count, dtype=np.int32), per_face),
+            self._face_of_vertex,
+        )
+        return np.concatenate(squared), np.concatenate(face)
 
     def _find_borders(self, key: int, reach: float) -> None:
         source, target, first = self._source, self._target, self._sample_count
@@ -191,4 +225,5 @@ def _empty_pairs(count: int, device: str) -> kernels.Pairs:
     pairs.residual = wp.empty(count, dtype=wp.float32, device=device)
     pairs.weight = wp.empty(count, dtype=wp.float32, device=device)
     pairs.near = wp.full(count, -1, dtype=wp.int32, device=device)
+    pairs.squared = wp.zeros(count, dtype=wp.float32, device=device)
     return pairs
