@@ -207,6 +207,7 @@ FLOORS = [
     "mesh_files",
     "face",
     "pipeline",
+    "attribute_fit",
     "skinning",
     "progressive",
     "report",

@@ -184,7 +184,17 @@ class MeshJob:
 
     def transfer(self, result: SimplifiedMesh, device: str | None) -> AttributeTransfer:
         """Where the simplified mesh gets its values from."""
-        return AttributeTransfer(self.source, self.faces, self.frames.read(slice(0, 1))[0], result, self.seams, device)
+        reference = self.frames.read(slice(0, 1))[0]
+        transfer = AttributeTransfer(self.source, self.faces, reference, result, self.seams, device)
+        transfer.read_pose = self._read_written
+        return transfer
+
+    def _read_written(self, pose: int) -> npt.NDArray[np.float32]:
+        """The vertices (V, 3) in one of the poses that are written, as large as they are written."""
+        if self.rest_fit is not None:
+            return self.rest_fit.undo(self.frames.read(slice(0, 1))[0])
+        frame = self.pose_start + pose
+        return self.frames.read(slice(frame, frame + 1))[0]
 
 
 def _kept_if_small(frames: PoseFrames, memory: int | None) -> FrameSource:

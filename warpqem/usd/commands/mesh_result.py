@@ -54,10 +54,13 @@ class MeshResult:
         """
         job, mesh = self.job, self.mesh
         transfer = job.transfer(mesh, options.device)
+        transfer.normals, transfer.shades_all = options.normals or "fit", options.normals == "fit"
         transfer.feature_points = points_on_level(job, self.face, mesh.vertex_map)
         skin = job.skin
         if skin is not None:
             skin, rest = self._at_rest(skin)
+            if job.rest_fit is not None:
+                transfer.reference = job.rest_fit.apply(rest[0])
             self.samples.begin(1, mesh.points.shape[1], mesh.faces)
             self.samples.write(slice(0, 1), rest)
         dropped = layer.replace_mesh(job.mesh.path, self.samples, job.written_times, mesh.faces, transfer, skin)

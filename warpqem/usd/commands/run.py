@@ -246,7 +246,8 @@ class Run:
             report.status, report.message = "kept", "the mesh has no more faces than asked for"
             return
         fitter = self.core.fitter(job)
-        samples = self.layer.point_samples(job.mesh.path, job.written_times)
+        with_normals = self.options.normals == "keep"
+        samples = self.layer.point_samples(job.mesh.path, job.written_times, with_normals)
         try:
             with usd_errors_named(job.mesh.path):
                 result, fitted = self.core.simplify_with_skin(job, progress, fitter, samples, target_faces, shared)

@@ -106,6 +106,9 @@ class SimplifyOptions(MethodOptions):
         pose_independent: Simplify meshes with a linear skin in their rest shape, by rest-pose quadrics of the
             errors of all poses, and interpolate their skin, see `warpqem.skinning.rest_pose_quadrics`: a method to
             compare with.
+        normals: "fit": normals are fitted to those of the input, see `warpqem.attribute_fit`, and meshes without any
+            get those of a smooth surface; "keep": they are blended from the input's nearest points; "none": no mesh
+            has any; None: as "fit", but a mesh without any that is not smooth by subdivision gets none.
         asset_roots: Folders that all files which the input needs must be in, or in its own; empty for anywhere.
         prims: Prim paths; meshes at and below them are simplified. Empty for all.
         bake: Write skinned and blend-shaped meshes as point samples without their skin.
@@ -252,6 +255,11 @@ class SimplifyOptions(MethodOptions):
         False,
         "To compare with: simplify skinned meshes in their rest shape, by rest-pose quadrics of all poses, and "
         "interpolate their skin (DeCoro & Rusinkiewicz 2005).",
+    )
+    normals: Literal["fit", "keep", "none"] | None = option(
+        None,
+        "Normals fitted to those of IN by least squares, kept from the nearest points of IN, or none. By default they "
+        "are fitted where IN has some or is smooth by subdivision; with fit all meshes get some.",
     )
     asset_roots: tuple[str, ...] = option(
         (),

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 from pxr import UsdGeom
 
+from warpqem.attribute_fit.partners import Partners, find_partners
+from warpqem.attribute_fit.values import ValueLayout
 from warpqem.mesh.blending import blend
 from warpqem.mesh.mesh_input import is_proper
 from warpqem.pipeline.surface_transfer import SurfaceTransfer, surface_transfer
+from warpqem.runtime.device import resolve_device
 from warpqem.usd.read.mesh_seams import MeshSeams
 from warpqem.usd.read.read_mesh import MeshSource
 from warpqem.usd.write.feature_subsets import FAMILY
@@ -24,6 +28,7 @@ __all__ = ["AttributeTransfer", "Rows"]
 
 # Shorter vectors than this have no direction.
 SHORTEST = 1e-12
+NO_SEAMS = np.zeros((0, 2), dtype=np.int32)
 
 
 @dataclass(frozen=True)
@@ -76,6 +81,10 @@ class AttributeTransfer:
 
     Attributes:
         feature_points: Points of it that are feature points of a face, by name.
+        normals: How normals come to it: fitted to the input's, blended from the nearest ones, or not at all.
+        shades_all: Whether a mesh without normals gets some, too.
+        read_pose: The vertices of the input, float32, shape (V, 3), in each frame that is written, in its space.
+        reference: float32, shape (V', 3), its points in the pose of `reference_points`.
     """
 
     def __init__(
@@ -107,8 +116,13 @@ class AttributeTransfer:
         self.face_polygon = source.topology.triangle_polygons[result.face_map].astype(np.int64)
         self._input = (reference_points, faces, result)
         self.feature_points: dict[str, int] = {}
+        self.reference: npt.NDArray[np.float32] = result.points[0]
+        self.shades_all = False
+        self.read_pose: Callable[[int], npt.NDArray[np.float32]] = lambda _: reference_points
+        self.normals: Literal["fit", "keep", "none"] = "fit"
         self._device = device
         self._transfers: dict[bytes, SurfaceTransfer] = {}
+        self._partners: dict[bytes, Partners] = {}
 
     def hard_edges(self) -> npt.NDArray[np.int32]:
         """Pairs (S, 2) of new points between which the input has `MeshSeams.hard`."""
@@ -122,7 +136,7 @@ class AttributeTransfer:
 
     def vertices(self) -> Rows:
         """Output vertices as blends of authored points."""
-        transfer = self._transfer(np.zeros((0, 2), dtype=np.int32))
+        transfer = self._transfer(NO_SEAMS)
         wedge = transfer.vertex_wedge
         return Rows(self.topology.triangles[transfer.wedge_face[wedge]].astype(np.int64), transfer.wedge_weight[wedge])
 
@@ -164,6 +178,47 @@ class AttributeTransfer:
         elements = self.topology.triangles if of_points else self.topology.triangle_corners
         index = elements[transfer.wedge_face[used]].astype(np.int64)
         return Rows(index, transfer.wedge_weight[used]), row.reshape(-1, 3).astype(np.int32)
+
+    def layout(self, name: str, of_points: bool, corner_row: npt.NDArray[np.int32] | None) -> ValueLayout:
+        """Where the values of an attribute stand, for `warpqem.attribute_fit`.
+
+        Args:
+            name: The attribute.
+            of_points: True if it has a value for each authored point, else for each corner of the authored faces.
+            corner_row: What `corners` gives; None for a value for each output vertex.
+        """
+        seams = NO_SEAMS if corner_row is None else self.seams.by_name[name]
+        elements = self.topology.triangles if of_points else self.topology.triangle_corners
+        return ValueLayout(self._reference_partners(seams), elements, self.faces if corner_row is None else corner_row)
+
+    @property
+    def input_faces(self) -> npt.NDArray[np.int32]:
+        """The triangles of the input on its vertices, int32, shape (N, 3)."""
+        return self._input[1]
+
+    @property
+    def has_backs(self) -> bool:
+        """True where faces of the input lie back to back, so that its vertices face both ways."""
+        repair = self._input[2].repair
+        return repair is not None and bool(repair.is_double.any())
+
+    def sides(self, seams: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
+        """Which corners of the output are on one side of seams (S, 2) of the input: int32, shape (N', 3), by number."""
+        return self._transfer(seams).corner_wedge
+
+    def find_partners(
+        self, seams: npt.NDArray[np.int32], points: npt.NDArray[np.floating], placed: npt.NDArray[np.floating]
+    ) -> Partners:
+        """Partners of samples on one side of seams, in a pose of the input (V, 3) and of the output (V', 3)."""
+        _, faces, result = self._input
+        device, transfer = resolve_device(self._device), self._transfer(seams)
+        return find_partners(points, faces, result, transfer, seams.astype(np.int64), placed, device=device)
+
+    def _reference_partners(self, seams: npt.NDArray[np.int32]) -> Partners:
+        key = seams.tobytes()
+        if key not in self._partners:
+            self._partners[key] = self.find_partners(seams, self._input[0], self.reference)
+        return self._partners[key]
 
     def _transfer(self, seams: npt.NDArray[np.int32]) -> SurfaceTransfer:
         """Each attribute is cut along its own seams only: those of others would make seams where it has none."""

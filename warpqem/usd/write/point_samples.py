@@ -19,16 +19,20 @@ Points = npt.NDArray[np.float32]
 class PointSamples:
     """A `warpqem.FrameSink` that authors the points of a mesh, their extents, and normals where it is to be smooth.
 
-    A mesh is to be smooth if it was so by subdivision alone. Of one that is `creased` besides the normals are written
-    afterwards, when it is known where the creases are; see `warpqem.usd.write.hard_edges`.
+    A mesh is to be smooth if it was so by subdivision alone. `shaded_later` is true of one whose normals are written
+    afterwards: when it is known where its creases are, or what they are fitted to; see `warpqem.usd.write.hard_edges`
+    and `warpqem.usd.write.fitted_normals`.
 
     Args:
         mesh: The mesh on the stage of the edits, before any.
         times: Time code of each frame, None for one frame at the default time.
         saved: Called with the bytes of each sample that was authored.
+        with_normals: False if no normals are to be written here.
     """
 
-    def __init__(self, mesh: UsdGeom.Mesh, times: list[float] | None, saved: Callable[[int], None]) -> None:
+    def __init__(
+        self, mesh: UsdGeom.Mesh, times: list[float] | None, saved: Callable[[int], None], with_normals: bool = True
+    ) -> None:
         self._mesh, self._times, self._saved = mesh, times, saved
         self._path = mesh.GetPath()
         self._layer: Sdf.Layer = mesh.GetPrim().GetStage().GetEditTarget().GetLayer()
@@ -40,8 +44,8 @@ class PointSamples:
         }
         self._left_handed = mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded
         shaded = is_shaded_by_subdivision(mesh)
-        self.creased: bool = shaded and is_creased(mesh)
-        self.smooth: bool = shaded and not self.creased
+        self.shaded_later: bool = shaded and (is_creased(mesh) or not with_normals)
+        self.smooth: bool = shaded and not self.shaded_later
         self._outward = np.empty((0, 3), dtype=np.int32)
 
     def begin(self, frame_count: int, vertex_count: int, faces: npt.NDArray[np.int32]) -> None:

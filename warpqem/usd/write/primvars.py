@@ -30,6 +30,7 @@ from warpqem.usd.read.value_arrays import (
     to_numpy,
 )
 from warpqem.usd.write.attribute_transfer import AttributeTransfer, Rows
+from warpqem.usd.write.fitted_values import fit_transferred, kind_of_values
 from warpqem.usd.write.remove_properties import Dropped, block
 
 __all__ = ["name_arrays", "transfer_motion", "transfer_normals", "transfer_primvars"]
@@ -105,6 +106,11 @@ def _transfer_primvar(
         transferred = samples.map(lambda values: transfer.colors(values).astype(values.dtype))
     else:
         transferred = _transfer(original.GetAttr(), samples, rows, name == "normals")
+    kind = kind_of_values(original)
+    if kind is not None and (kind != "normals" or transfer.normals == "fit"):
+        transferred, corner_row = fit_transferred(
+            transfer, str(primvar.GetAttr().GetName()), kind, interpolation, samples, transferred, corner_row
+        )
     transferred, corner_row = _with_facets(prim, transfer, primvar.GetAttr().GetName(), transferred, corner_row)
     indices = primvar.GetIndicesAttr()
     if corner_row is not None and indices and not reads_as_indices(indices):
@@ -140,13 +146,17 @@ def transfer_normals(mesh: UsdGeom.Mesh, transfer: AttributeTransfer, dropped: D
         dropped.names.append(f"normals ({interpolation})")
         return
     rows, corner_row = _rows(transfer, "normals", interpolation)
-    if corner_row is not None:
-        # The attribute has no indices, so that each corner has its own entry.
-        rows = Rows(rows.index[corner_row.ravel()], rows.weight[corner_row.ravel()])
-        corner_row = np.arange(corner_row.size, dtype=np.int32).reshape(corner_row.shape)
-        mesh.SetNormalsInterpolation(UsdGeom.Tokens.faceVarying)
     with _dropped_where_refused(attribute, f"normals ({interpolation})", dropped):
         transferred = _transfer(original, samples, rows, True)
+        if transfer.normals == "fit" and interpolation != UsdGeom.Tokens.uniform:
+            transferred, corner_row = fit_transferred(
+                transfer, "normals", "normals", interpolation, samples, transferred, corner_row
+            )
+        if corner_row is not None:
+            # The attribute has no indices, so that each corner has its own entry.
+            transferred = transferred.map(itemgetter(corner_row.ravel()))
+            corner_row = np.arange(corner_row.size, dtype=np.int32).reshape(corner_row.shape)
+            mesh.SetNormalsInterpolation(UsdGeom.Tokens.faceVarying)
         _write_values(attribute, _with_facets(mesh.GetPrim(), transfer, "normals", transferred, corner_row)[0], saved)
 
 

@@ -33,7 +33,7 @@ def write_skin(stage: Usd.Stage, prim: Usd.Prim, skin: Skin, transfer: Attribute
         blended = {code: blend_influences(item, rows, skin.influence_limit) for code, item in skin.influences.items()}
         _write_influences(prim, blended)
     for shape in skin.shapes:
-        write_shape(stage, shape, rows, skin.diagonal)
+        write_shape(stage, shape, rows, skin.diagonal, transfer)
 
 
 def _write_influences(prim: Usd.Prim, influences: dict[Usd.TimeCode, Influences]) -> None:

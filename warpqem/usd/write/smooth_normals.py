@@ -6,9 +6,11 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Usd, UsdGeom
 
-__all__ = ["is_creased", "is_shaded_by_subdivision", "vertex_normals"]
+__all__ = ["NORMAL_ATTRIBUTES", "has_normals", "is_creased", "is_shaded_by_subdivision", "vertex_normals"]
 
 SMOOTH_SCHEMES = (UsdGeom.Tokens.catmullClark, UsdGeom.Tokens.loop)
+
+NORMAL_ATTRIBUTES = ("normals", "primvars:normals", "primvars:normals:indices")
 
 # Shorter vectors than this, of sums of unit vectors times angles, have no direction.
 SHORTEST = 1e-12
@@ -21,7 +23,12 @@ def is_shaded_by_subdivision(mesh: UsdGeom.Mesh) -> bool:
     """
     if mesh.GetSubdivisionSchemeAttr().Get() not in SMOOTH_SCHEMES:
         return False
-    return not any(mesh.GetPrim().GetAttribute(name).HasAuthoredValue() for name in ("normals", "primvars:normals"))
+    return not has_normals(mesh.GetPrim())
+
+
+def has_normals(prim: Usd.Prim) -> bool:
+    """True for a mesh with normals of its own."""
+    return any(prim.GetAttribute(name).HasAuthoredValue() for name in NORMAL_ATTRIBUTES[:2])
 
 
 def is_creased(mesh: UsdGeom.Mesh) -> bool:

@@ -23,6 +23,7 @@ from warpqem.usd.read.mesh_skin import Skin
 from warpqem.usd.read.open_stage import MeshSelection
 from warpqem.usd.read.stage_views import copy_stage_metadata, layer_name, open_like
 from warpqem.usd.write.attribute_transfer import AttributeTransfer
+from warpqem.usd.write.fitted_normals import write_fitted_normals
 from warpqem.usd.write.flatten import flattened, write_flat
 from warpqem.usd.write.hard_edges import write_hard_edged_normals
 from warpqem.usd.write.layer_files import export_layer
@@ -30,8 +31,9 @@ from warpqem.usd.write.layer_output import merge_edits
 from warpqem.usd.write.package import is_package
 from warpqem.usd.write.point_samples import PointSamples
 from warpqem.usd.write.primvars import name_arrays, transfer_motion, transfer_normals, transfer_primvars
-from warpqem.usd.write.remove_properties import Dropped, drop_skin, drop_subdivision
+from warpqem.usd.write.remove_properties import Dropped, block, drop_skin, drop_subdivision
 from warpqem.usd.write.skin_output import write_skin
+from warpqem.usd.write.smooth_normals import NORMAL_ATTRIBUTES, has_normals
 from warpqem.usd.write.subsets import transfer_subsets
 
 __all__ = ["OverLayer"]
@@ -100,14 +102,16 @@ class OverLayer:
                 del self._layer.GetPrimAtPath(edited.GetParentPath()).nameChildren[spec.name]
         self._dropped.pop(path, None)
 
-    def point_samples(self, path: str, times: list[float] | None) -> PointSamples:
+    def point_samples(self, path: str, times: list[float] | None, with_normals: bool = True) -> PointSamples:
         """A sink for the points of the simplified mesh that `replace_mesh` is going to be called for.
 
         Args:
             path: Prim path of a mesh on the input.
             times: Time code of each frame, None for one frame at the default time.
+            with_normals: Whether it writes the normals of a mesh that is to be smooth, if it can.
         """
-        return PointSamples(UsdGeom.Mesh(self.stage.OverridePrim(path)), times, self.count_sample)
+        mesh = UsdGeom.Mesh(self.stage.OverridePrim(path))
+        return PointSamples(mesh, times, self.count_sample, with_normals)
 
     @property
     def dropped(self) -> list[Dropped]:
@@ -143,7 +147,8 @@ class OverLayer:
         """
         mesh = UsdGeom.Mesh(self.stage.OverridePrim(path))
         dropped = self._transfer_values(mesh, transfer, times, skin, with_normals=not samples.smooth)
-        shaded = samples.creased or dropped.rest_normals
+        shaded = transfer.normals != "none" and (samples.shaded_later or dropped.rest_normals)
+        shaded |= transfer.shades_all and not has_normals(transfer.prim)
         if shaded:
             # They hide what was blocked, and are to be in a flat file.
             normals = mesh.GetNormalsAttr().GetPath()
@@ -152,7 +157,9 @@ class OverLayer:
         mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(counts))
         mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(np.ascontiguousarray(faces.reshape(-1))))
         mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
-        if shaded:
+        if shaded and transfer.normals == "fit" and not transfer.has_backs:
+            write_fitted_normals(mesh, transfer, times, self.count_sample)
+        elif shaded:
             write_hard_edged_normals(mesh, faces, transfer.hard_edges(), times, self.count_sample)
         return dropped.names
 
@@ -172,9 +179,12 @@ class OverLayer:
         else:
             self._shapes[str(prim.GetPath())] = [shape.path for shape in skin.shapes]
             write_skin(self.stage, prim, skin, transfer)
-        transfer_primvars(prim, transfer, dropped, self.count_sample)
-        if with_normals:
+        if transfer.normals == "none":
+            for name in NORMAL_ATTRIBUTES:
+                block(prim.GetAttribute(name), dropped)
+        elif with_normals:
             transfer_normals(mesh, transfer, dropped, self.count_sample)
+        transfer_primvars(prim, transfer, dropped, self.count_sample)
         transfer_motion(prim, transfer, times or [], dropped, self.count_sample)
         name_arrays(prim, transfer, dropped)
         transfer_subsets(mesh, transfer, dropped)

@@ -1,0 +1,181 @@
+"""Attributes of the output fitted to the input by least squares: partners of samples, right sides, iterations.
+
+Every output face has the same S sample points, all of one weight, so that its element matrix is the face's area times
+one constant 3 x 3 matrix with ``own`` on its diagonal and ``other`` elsewhere: nothing but areas is stored.
+"""
+
+import warp as wp
+
+from warpqem.kernels.surface_walk import Surface, closest_hit, face_cross, walk_to_vertex
+
+wp.set_module_options({"enable_backward": False})  # no gradients are taken
+
+# Points whose faces' normals differ by more than 78 degrees belong to different sides of a fold.
+SAME_SIDE = wp.constant(wp.float32(0.2))
+
+
+@wp.func
+def blended(barycentric: wp.vec3, a: wp.float64, b: wp.float64, c: wp.float64) -> wp.float64:
+    """A value within a face from those at its corners; just ``a`` where all three are equal."""
+    return a + wp.float64(barycentric[1]) * (b - a) + wp.float64(barycentric[2]) * (c - a)
+
+
+@wp.kernel
+def find_partners(
+    # in
+    first_face: wp.int32,
+    source: Surface,
+    start_in: wp.array[wp.int32],
+    corner_vertex_in: wp.array[wp.int32],
+    points_in: wp.array[wp.vec3],
+    barycentric_in: wp.array[wp.vec3],
+    # out
+    face_out: wp.array2d[wp.int32],
+    weight_out: wp.array2d[wp.vec3],
+):
+    """The nearest point of the input for each sample of a face (f, s), downhill from where the face's corners start.
+
+    ``start_in`` (3N',) is a vertex of the input for each output corner. Face -1 where the input faces another way.
+    """
+    i, s = wp.tid()
+    f = first_face + i
+    barycentric = barycentric_in[s]
+    a = points_in[corner_vertex_in[3 * f]]
+    b = points_in[corner_vertex_in[3 * f + 1]]
+    c = points_in[corner_vertex_in[3 * f + 2]]
+    x = barycentric[0] * a + barycentric[1] * b + barycentric[2] * c
+    # Three walks for the middle of a large face, from which no corner is near.
+    start = wp.int32(-1)
+    best = wp.float32(wp.inf)
+    for k in range(3):
+        vertex = walk_to_vertex(source, 0, start_in[3 * f + k], x)
+        distance = wp.length_sq(source.points[0, vertex] - x)
+        if distance < best:
+            best = distance
+            start = vertex
+    hit = closest_hit(source, 0, wp.vec3i(start, -1, -1), -1, x)
+    face_out[f, s] = -1
+    if hit.face < 0:
+        return
+    n = wp.normalize(wp.cross(b - a, c - a))
+    if wp.dot(n, wp.normalize(face_cross(source, 0, hit.face))) > SAME_SIDE:
+        face_out[f, s] = hit.face
+        weight_out[f, s] = hit.barycentric
+
+
+@wp.kernel
+def sum_misfits(
+    # in
+    first_face: wp.int32,
+    partner_in: wp.array2d[wp.int32],
+    partner_weight_in: wp.array2d[wp.vec3],
+    barycentric_in: wp.array[wp.vec3],
+    corner_element_in: wp.array[wp.int32],
+    values_in: wp.array2d[wp.float64],
+    corner_start_in: wp.array[wp.int32],
+    start_in: wp.array2d[wp.float64],
+    # out
+    misfit_out: wp.array2d[wp.float64],
+):
+    """Per face and channel, for each corner the mean over the samples of its weight times what the start misses.
+
+    The start are values (R, C), one for each output corner by ``corner_start_in`` (3N',); the input has values (E, C)
+    by ``corner_element_in`` (3N,). A sample without a partner misses nothing.
+    """
+    i, channel = wp.tid()
+    f = first_face + i
+    total = wp.vec3d()
+    a = start_in[corner_start_in[3 * f], channel]
+    b = start_in[corner_start_in[3 * f + 1], channel]
+    c = start_in[corner_start_in[3 * f + 2], channel]
+    for s in range(barycentric_in.shape[0]):
+        g = partner_in[f, s]
+        if g >= 0:
+            wanted = blended(
+                partner_weight_in[f, s],
+                values_in[corner_element_in[3 * g], channel],
+                values_in[corner_element_in[3 * g + 1], channel],
+                values_in[corner_element_in[3 * g + 2], channel],
+            )
+            misfit = wanted - blended(barycentric_in[s], a, b, c)
+            for k in range(3):
+                total[k] += wp.float64(barycentric_in[s][k]) * misfit
+    for k in range(3):
+        misfit_out[3 * f + k, channel] = total[k] / wp.float64(barycentric_in.shape[0])
+
+
+@wp.struct
+class Unknowns:
+    """R values to solve for, which the corners of the output's faces share."""
+
+    corner: wp.array[wp.int32]  # (3N',) the unknown at each corner
+    adjacency_start: wp.array[wp.int32]  # (R+1,)
+    adjacent_corner: wp.array[wp.int32]  # (3N',)
+    area: wp.array[wp.float64]  # (N',)
+    free: wp.array[wp.int32]  # (R,) 0: the value stays what it is at the start
+    own: wp.float64  # mean of a corner's squared weight over the samples
+    other: wp.float64  # mean of the product of two corners' weights
+
+
+@wp.kernel
+def start_solution(
+    # in
+    first: wp.int32,
+    unknowns: Unknowns,
+    misfit_in: wp.array2d[wp.float64],
+    step: wp.float64,
+    # out
+    residual_out: wp.array2d[wp.float64],
+    change_out: wp.array2d[wp.float64],
+    direction_out: wp.array2d[wp.float64],
+):
+    """No change yet: the residual is the right side, and the first direction so many times that over the diagonal."""
+    i, channel = wp.tid()
+    u = first + i
+    right = wp.float64(0.0)
+    diagonal = wp.float64(0.0)
+    for j in range(unknowns.adjacency_start[u], unknowns.adjacency_start[u + 1]):
+        h = unknowns.adjacent_corner[j]
+        right += unknowns.area[h / 3] * misfit_in[h, channel]
+        diagonal += unknowns.area[h / 3] * unknowns.own
+    residual_out[u, channel] = right
+    change_out[u, channel] = wp.float64(0.0)
+    direction_out[u, channel] = wp.float64(0.0)
+    if unknowns.free[u] == 1 and diagonal > wp.float64(0.0):
+        direction_out[u, channel] = step * right / diagonal
+
+
+@wp.kernel
+def improve_solution(
+    # in
+    first: wp.int32,
+    unknowns: Unknowns,
+    direction_in: wp.array2d[wp.float64],
+    turn: wp.float64,
+    step: wp.float64,
+    # in and out
+    residual: wp.array2d[wp.float64],
+    change: wp.array2d[wp.float64],
+    # out
+    direction_out: wp.array2d[wp.float64],
+):
+    """One step of the Chebyshev iteration: along the direction, then the next one, ``turn`` times the last of which."""
+    i, channel = wp.tid()
+    u = first + i
+    here = direction_in[u, channel]
+    image = wp.float64(0.0)
+    diagonal = wp.float64(0.0)
+    for j in range(unknowns.adjacency_start[u], unknowns.adjacency_start[u + 1]):
+        h = unknowns.adjacent_corner[j]
+        f = h / 3
+        around = wp.float64(0.0)
+        for k in range(3):
+            around += direction_in[unknowns.corner[3 * f + k], channel]
+        image += unknowns.area[f] * ((unknowns.own - unknowns.other) * here + unknowns.other * around)
+        diagonal += unknowns.area[f] * unknowns.own
+    direction_out[u, channel] = wp.float64(0.0)
+    if unknowns.free[u] == 1 and diagonal > wp.float64(0.0):
+        change[u, channel] = change[u, channel] + here
+        left = residual[u, channel] - image
+        residual[u, channel] = left
+        direction_out[u, channel] = turn * here + step * left / diagonal

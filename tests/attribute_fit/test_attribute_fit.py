@@ -1,0 +1,217 @@
+"""Values fitted to those of the input's surface: what is reproduced, what stays, and that it is a minimum."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.support import meshes
+from tests.support.attribute_fit import fitting
+from warpqem.attribute_fit import solve
+from warpqem.attribute_fit.partners import SAMPLES, find_partners
+from warpqem.attribute_fit.values import fit_normals, fit_smooth_values, own_normals, split_normals, unit
+from warpqem.measure.appearance import compare_appearance
+from warpqem.measure.surface_values import CornerValues, SurfaceValues
+from warpqem.runtime import cpu_threads
+from warpqem.usd.write.smooth_normals import vertex_normals
+
+FINITE = st.floats(-100, 100, width=32)
+
+
+def terrain(size=12):
+    """A hilly grid."""
+    points, faces = meshes.grid(size, size)
+    points = points.astype(np.float32)
+    points[:, 2] = 0.03 * np.sin(12 * points[:, 0]) * np.cos(15 * points[:, 1])
+    return points, faces
+
+
+@pytest.fixture(scope="module")
+def bumps():
+    return fitting(*meshes.bumpy_sphere(4), ratio=0.05)
+
+
+@pytest.fixture(scope="module")
+def hills():
+    return fitting(*terrain())
+
+
+def at_corners(fit, values):
+    """(3N, C) from values at the input's vertices (V, C)."""
+    return values[fit.faces].reshape(-1, values.shape[1]).astype(np.float64)
+
+
+def fitted(fit, values):
+    corners = at_corners(fit, values)
+    return fit_smooth_values(fit.layout, corners, fit.start(corners.reshape(-1, 3, values.shape[1])))
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.lists(FINITE, min_size=3, max_size=3))
+def test_constant_values_are_reproduced_to_the_bit(hills, constant):
+    values = np.tile(np.array(constant), (len(hills.points), 1))
+    assert (fitted(hills, values) == np.array(constant)).all()
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.lists(FINITE, min_size=8, max_size=8))
+def test_linear_values_of_a_plane_are_reproduced(numbers):
+    points, faces = meshes.grid(9, 9)
+    fit = fitting(points, faces, ratio=0.3)
+    slope, offset = np.array(numbers[:6]).reshape(3, 2), np.array(numbers[6:])
+    values = points.astype(np.float64) @ slope + offset
+    expected = np.zeros_like(fit.start(at_corners(fit, values).reshape(-1, 3, 2)))
+    corner = fit.layout.corner_row
+    expected[corner] = (fit.result.points[0].astype(np.float64) @ slope + offset)[fit.result.faces]
+    used = np.unique(corner)
+    np.testing.assert_allclose(fitted(fit, values)[used], expected[used], atol=1e-3)
+
+
+def oracle(fit, corner_values, start):
+    """The change by dense least squares over all samples that have a partner, those without one missing nothing."""
+    partners, row = fit.layout.partners, fit.layout.corner_row
+    face, weight = partners.face.numpy(), partners.weight.numpy()
+    rows, wanted = [], []
+    for f in range(len(row)):
+        for s, barycentric in enumerate(SAMPLES.astype(np.float32).astype(np.float64)):
+            line = np.zeros(len(start))
+            np.add.at(line, row[f], barycentric)
+            misfit = np.zeros(start.shape[1])
+            if face[f, s] >= 0:
+                misfit = weight[f, s].astype(np.float64) @ corner_values[face[f, s]] - line @ start
+            rows.append(np.sqrt(partners.area[f]) * line)
+            wanted.append(np.sqrt(partners.area[f]) * misfit)
+    change, *_ = np.linalg.lstsq(np.array(rows), np.array(wanted), rcond=None)
+    return start + change
+
+
+def test_values_are_the_least_squares_over_the_samples(hills):
+    rng = np.random.default_rng(1)
+    values = rng.normal(size=(len(hills.points), 2))
+    corners = at_corners(hills, values)
+    start = hills.start(corners.reshape(-1, 3, 2))
+    misfit = solve.misfits(hills.layout.partners, hills.layout.corner_element, corners, hills.layout.corner_row, start)
+    free = np.ones(len(start), dtype=bool)
+    found = start + solve.fit_values(hills.layout.partners, misfit, hills.layout.corner_row, free)
+    np.testing.assert_allclose(found, oracle(hills, corners.reshape(-1, 3, 2), start), atol=1e-5)
+
+
+def test_own_fit_of_a_face_is_that_of_its_samples_alone():
+    rng = np.random.default_rng(2)
+    values = rng.normal(size=(len(SAMPLES), 3))
+    misfit = np.einsum("sk,sc->kc", SAMPLES, values)[None] / len(SAMPLES)
+    expected, *_ = np.linalg.lstsq(SAMPLES, values, rcond=None)
+    np.testing.assert_allclose(solve.corner_fits(misfit)[0], expected, atol=1e-9)
+
+
+def test_held_values_stay_and_the_others_are_fitted_around_them(hills):
+    values = hills.points[:, :1].astype(np.float64) ** 2
+    corners = at_corners(hills, values)
+    start = hills.start(corners.reshape(-1, 3, 1))
+    free = np.arange(len(start)) % 3 > 0
+    found = fit_smooth_values(hills.layout, corners, start, free)
+    assert (found[~free] == start[~free]).all()
+    assert (found[free] != start[free]).any()
+
+
+def test_values_stay_in_the_range_of_the_input(hills):
+    values = (hills.points[:, :1] > 0.5).astype(np.float64)
+    found = fitted(hills, values)
+    assert (found >= 0).all()
+    assert (found <= 1).all()
+
+
+def angle(fit, corners, rows):
+    """Mean angle between the normals of output and input at nearest points."""
+    values = [SurfaceValues(normals=CornerValues.of("normals", c)) for c in (corners, rows[fit.layout.corner_row])]
+    placed = fit.result.points[0]
+    compared = compare_appearance(
+        fit.points, fit.faces, values[0], placed, fit.result.faces, values[1], samples=1000, device="cpu"
+    )
+    return compared.normals.mean
+
+
+def test_normals_are_nearer_to_the_input_than_transferred_ones(bumps):
+    corners = vertex_normals(bumps.points, bumps.faces)[bumps.faces].astype(np.float64)
+    start = unit(bumps.start(corners))
+    found = fit_normals(bumps.layout, corners.reshape(-1, 3), start)
+    np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1.0, atol=1e-12)
+    assert angle(bumps, corners, found) < 0.8 * angle(bumps, corners, start)
+
+
+def test_normals_of_one_direction_are_not_split(bumps):
+    up = np.tile([0.0, 0.0, 1.0], (bumps.faces.size, 1))
+    start = bumps.start(up.reshape(-1, 3, 3))
+    layout, row = split_normals(bumps.result.faces, bumps.layout, [own_normals(bumps.layout, up, start)])
+    assert layout is bumps.layout
+    assert len(row) == len(start)
+
+
+def roof():
+    """A grid bent by a right angle in its middle, and the edges there."""
+    points, faces = meshes.grid(8, 8)
+    points = points.astype(np.float32)
+    points[:, 2] = -np.abs(points[:, 0] - 0.5)
+    ridge = np.flatnonzero(points[:, 0] == 0.5)
+    return points, faces, np.stack([ridge[:-1], ridge[1:]], axis=1)
+
+
+def slope_normals(points, faces):
+    """One normal on each side, at the corners."""
+    left = points[faces].mean(axis=1)[:, 0] < 0.5
+    side = np.where(left[:, None], [-1.0, 0.0, 1.0], [1.0, 0.0, 1.0]) / np.sqrt(2.0)
+    return np.repeat(side, 3, axis=0)
+
+
+def test_hard_edges_stay_hard():
+    points, faces, ridge = roof()
+    fit = fitting(points, faces, seams=ridge, ratio=0.4)
+    corners = slope_normals(points, faces)
+    found = fit_normals(fit.layout, corners, unit(fit.start(corners.reshape(-1, 3, 3))))
+    shown = found[fit.layout.corner_row]
+    left = fit.result.points[0][fit.result.faces].mean(axis=1)[:, 0] < 0.5
+    expected = np.where(left[:, None], [-1.0, 0.0, 1.0], [1.0, 0.0, 1.0]) / np.sqrt(2.0)
+    np.testing.assert_allclose(shown, np.broadcast_to(expected[:, None], shown.shape), atol=1e-6)
+
+
+def test_normals_are_split_where_no_seam_says_so_but_the_input_bends():
+    points, faces, _ = roof()
+    fit = fitting(points, faces, ratio=0.4)
+    corners = slope_normals(points, faces)
+    start = unit(fit.start(corners.reshape(-1, 3, 3)))
+    layout, row = split_normals(fit.result.faces, fit.layout, [own_normals(fit.layout, corners, start)])
+    assert len(row) > len(np.unique(fit.layout.corner_row))
+    found = fit_normals(layout, corners, start[row])
+    np.testing.assert_allclose(np.abs(found[:, 0]), np.sqrt(0.5), atol=0.05)
+
+
+def test_partners_do_not_cross_a_seam():
+    points, faces, ridge = roof()
+    fit = fitting(points, faces, seams=ridge, ratio=0.2)
+    partner = fit.layout.partners.face.numpy()
+    left = points[faces].mean(axis=1)[:, 0] < 0.5
+    own = fit.result.points[0][fit.result.faces].mean(axis=1)[:, 0] < 0.5
+    assert (partner >= 0).all()
+    assert (left[partner] == own[:, None]).all()
+
+
+def test_samples_have_no_partner_where_the_input_faces_away():
+    points, faces = terrain()
+    fit = fitting(points, faces, ratio=0.3)
+    turned = fit.result.points[0] * np.float32([1, 1, -1]) @ np.diag([1, -1, 1]).astype(np.float32)
+    turned[:, 1] += points[:, 1].max()
+    partners = find_partners(
+        points, faces, fit.result, fit.transfer, np.zeros((0, 2), dtype=np.int64), turned, device="cpu"
+    )
+    assert (partners.face.numpy() == -1).all()
+
+
+@pytest.mark.parametrize("threads", [2, 3])
+def test_bits_do_not_depend_on_the_number_of_threads(threads, monkeypatch):
+    points, faces = terrain(16)
+    values = np.random.default_rng(4).normal(size=(len(points), 3))
+    results = []
+    for count in (1, threads):
+        monkeypatch.setattr(cpu_threads, "_core_count", lambda count=count: count)
+        results.append(fitted(fitting(points, faces), values))
+    assert (results[0] == results[1]).all()

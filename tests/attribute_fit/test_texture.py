@@ -1,0 +1,86 @@
+"""Texture coordinates fitted to those of the input: no triangle is turned over, seams stay on their lines."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.support import meshes
+from tests.support.attribute_fit import fitting
+from warpqem.attribute_fit.texture import face_signs, fit_texture, reference_signs
+
+
+@pytest.fixture(scope="module")
+def plane():
+    points, faces = meshes.grid(12, 12)
+    return fitting(points.astype(np.float32), faces, ratio=0.3)
+
+
+@pytest.fixture(scope="module")
+def two_islands():
+    """A plane with a seam at x = 0.5."""
+    points, faces = meshes.grid(12, 12)
+    ridge = np.flatnonzero(points[:, 0] == 0.5)
+    return fitting(points.astype(np.float32), faces, np.stack([ridge[:-1], ridge[1:]], axis=1), ratio=0.3)
+
+
+def at_corners(fit):
+    return fit.points[fit.faces][:, :, :2].astype(np.float64)
+
+
+def fitted(fit, corners, start):
+    values = corners.reshape(-1, 2)
+    signs = reference_signs(fit.layout, values)
+    return signs, fit_texture(fit.result.faces, fit.layout, values, start, signs)
+
+
+def own_places(fit):
+    """(R, 2), where each value stands in the plane."""
+    places = np.zeros((int(fit.layout.corner_row.max()) + 1, 2))
+    places[fit.layout.corner_row] = fit.result.points[0][fit.result.faces][:, :, :2]
+    return places
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 2**31), st.floats(0, 0.6))
+def test_no_triangle_is_turned_over_wherever_values_start(plane, seed, size):
+    corners = at_corners(plane)
+    start = plane.start(corners)
+    start = start + np.random.default_rng(seed).normal(scale=size / 12, size=start.shape)
+    signs, found = fitted(plane, corners, start)
+    assert (signs == signs[0]).all()
+    before = (face_signs(start[plane.layout.corner_row]) != signs).sum()
+    after = (face_signs(found[plane.layout.corner_row]) != signs).sum()
+    assert after <= before
+    assert after == 0 or size > 0.3
+
+
+def test_values_of_a_plane_are_where_its_points_are(plane):
+    corners = at_corners(plane)
+    _, found = fitted(plane, corners, plane.start(corners))
+    used = np.unique(plane.layout.corner_row)
+    np.testing.assert_allclose(found[used], own_places(plane)[used], atol=1e-5)
+
+
+def test_values_on_a_seam_stay_on_its_line_and_islands_apart(two_islands):
+    left = two_islands.points[two_islands.faces].mean(axis=1)[:, 0] < 0.5
+    # Bent within the islands, so that there is something to fit.
+    corners = at_corners(two_islands)
+    corners = corners + 0.05 * np.sin(7 * corners[:, :, ::-1]) * np.sin(np.pi * 2 * corners[:, :, :1])
+    corners[~left, :, 0] += 5.0
+    start = two_islands.start(corners)
+    _, found = fitted(two_islands, corners, start)
+    row = two_islands.layout.corner_row
+    at_seam = np.unique(row[np.isclose(two_islands.result.points[0][two_islands.result.faces][:, :, 0], 0.5)])
+    assert len(at_seam) > 4
+    np.testing.assert_allclose(found[at_seam, 0], start[at_seam, 0], atol=1e-6)
+    own_left = two_islands.result.points[0][two_islands.result.faces].mean(axis=1)[:, 0] < 0.5
+    assert (found[row[own_left], 0] < 2).all()
+    assert (found[row[~own_left], 0] > 2).all()
+
+
+@pytest.mark.parametrize(
+    ("corners", "sign"), [([[0, 0], [1, 0], [0, 1]], 1), ([[0, 0], [0, 1], [1, 0]], -1), ([[0, 0], [1, 1], [2, 2]], 0)]
+)
+def test_sign_of_a_triangle(corners, sign):
+    assert face_signs(np.array([corners], dtype=np.float64)) == [sign]

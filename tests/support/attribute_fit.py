@@ -1,0 +1,37 @@
+"""A mesh simplified and made ready for the attribute fit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+import warpqem
+from warpqem.attribute_fit.partners import find_partners
+from warpqem.attribute_fit.values import ValueLayout
+from warpqem.pipeline.surface_transfer import SurfaceTransfer, surface_transfer
+
+
+@dataclass(frozen=True)
+class Fitting:
+    """What tests fit: the input's faces on their points, the result, and where values stand."""
+
+    points: np.ndarray
+    faces: np.ndarray
+    result: warpqem.SimplifiedMesh
+    transfer: SurfaceTransfer
+    layout: ValueLayout
+
+    def start(self, corner_values: np.ndarray) -> np.ndarray:
+        """Transferred values (R, C) of those at the corners of the input (N, 3, C)."""
+        return self.transfer.wedges_from_corners(corner_values)
+
+
+def fitting(points, faces, seams=None, ratio: float = 0.3, device: str = "cpu") -> Fitting:
+    """Simplify a mesh, and find partners of samples for values at its corners that do not cross seams (S, 2)."""
+    ends = np.zeros((0, 2), dtype=np.int64) if seams is None else np.asarray(seams, dtype=np.int64)
+    result = warpqem.simplify(points, faces, ratio=ratio, seams=ends, measure=False, device=device)
+    transfer = surface_transfer(points, faces, result, seams=ends, device=device)
+    partners = find_partners(points, faces, result, transfer, ends, result.points[0], device=device)
+    elements = np.arange(faces.size, dtype=np.int32).reshape(-1, 3)
+    return Fitting(points, faces, result, transfer, ValueLayout(partners, elements, transfer.corner_wedge))

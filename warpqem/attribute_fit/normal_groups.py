@@ -1,0 +1,56 @@
+"""Which corners of the output share a normal: those at one vertex whose own fits are nearly the same."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import numpy.typing as npt
+
+from warpqem.mesh.components import lowest_members
+from warpqem.mesh.edges import edge_key
+from warpqem.mesh.mesh_input import is_proper
+
+__all__ = ["split_corners"]
+
+Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int32]
+
+# Cosine of 40 degrees: normals further apart than that are an edge, as on a bevel that became one.
+SPLIT_COSINE = float(np.cos(np.radians(40.0)))
+
+
+def split_corners(faces: Ints, corner_row: Ints, fits: Iterable[Floats]) -> tuple[Ints, Ints]:
+    """Split corners that share a value where the fits of the faces beside an edge are far apart.
+
+    Args:
+        faces: (N', 3) int32, the output.
+        corner_row: (N', 3) int32, corners with the same number share a value so far; those with others never do.
+        fits: (N', 3, 3) unit vectors at the corners, each face's own; several for several poses, and all have to agree.
+
+    Returns:
+        (N', 3) int32, numbers from 0 to G, and (G,) the row that each of them was a part of.
+    """
+    tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    key = edge_key(tail, head, int(faces.max()) + 1)
+    order = np.argsort(key, kind="stable")
+    order = order[np.repeat(is_proper(faces), 3)[order]]
+    pair = np.flatnonzero(key[order[1:]] == key[order[:-1]])
+    first, second = order[pair], order[pair + 1]
+    # The corner after each one in its face, at the other end of the edge.
+    after = np.arange(faces.size).reshape(-1, 3)[:, [1, 2, 0]].ravel()
+    same = tail[first] == tail[second]
+    links = np.concatenate(
+        [
+            np.stack([first, np.where(same, second, after[second])], axis=1),
+            np.stack([after[first], np.where(same, after[second], second)], axis=1),
+        ]
+    )
+    row = corner_row.ravel()
+    links = links[row[links[:, 0]] == row[links[:, 1]]]
+    near = np.ones(len(links), dtype=bool)
+    for fit in fits:
+        flat = fit.reshape(-1, 3)
+        near &= (flat[links[:, 0]] * flat[links[:, 1]]).sum(axis=1) >= SPLIT_COSINE
+    _, kept, group = np.unique(lowest_members(faces.size, links[near]), return_index=True, return_inverse=True)
+    return group.reshape(faces.shape).astype(np.int32), row[kept]

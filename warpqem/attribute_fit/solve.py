@@ -1,0 +1,122 @@
+"""Least squares: values at the corners of the output that fit the input's at the samples.
+
+The normal equations are those of piecewise linear functions on triangles. Scaled by their diagonal their eigenvalues
+lie between those of one element matrix scaled by its own (Wathen 1987, "Realistic eigenvalue bounds for the Galerkin
+mass matrix"), 1/2 and 2 or near to it, on any mesh. So the Chebyshev iteration needs no dot products, and the same
+number of steps everywhere: nothing depends on threads.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import warp as wp
+
+from warpqem.attribute_fit.partners import SAMPLES, Partners
+from warpqem.decimation.adjacency import build_adjacency
+from warpqem.kernels import attribute_fit as kernels
+from warpqem.runtime.device import device_turn
+from warpqem.runtime.part_launches import FIRST_ITEM, launch_in_parts
+
+__all__ = ["corner_fits", "fit_values", "misfits"]
+
+Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int32]
+
+# Means over the samples of the squared weight of a corner, and of the product of those of two.
+OWN = float((SAMPLES[:, 0] ** 2).mean())
+OTHER = float((SAMPLES[:, 0] * SAMPLES[:, 1]).mean())
+# Eigenvalues of an element matrix scaled by its diagonal.
+LOW, HIGH = (OWN - OTHER) / OWN, (OWN + 2 * OTHER) / OWN
+# Each step divides the error by three: this many leave a millionth of it.
+STEPS = 13
+
+
+def misfits(
+    partners: Partners, corner_element: Ints, values: Floats, corner_start: Ints, start: Floats
+) -> npt.NDArray[np.float64]:
+    """What start values miss, (N', 3, C): for each corner the mean over the samples of its weight times the misfit.
+
+    Args:
+        partners: of the samples.
+        corner_element: (N, 3) int32, which of the values each corner of the input has.
+        values: (E, C) float64, of the input.
+        corner_start: (N', 3) int32, which start value each corner of the output has.
+        start: (R, C) float64.
+    """
+    face_count, channels = len(corner_start), values.shape[1]
+    with device_turn(partners.device):
+        misfit = wp.zeros((3 * face_count, channels), dtype=wp.float64, device=partners.device)
+        launch_in_parts(
+            kernels.sum_misfits,
+            (face_count, channels),
+            [
+                FIRST_ITEM,
+                partners.face,
+                partners.weight,
+                wp.array(SAMPLES, dtype=wp.vec3, device=partners.device),
+                wp.array(corner_element.ravel(), dtype=wp.int32, device=partners.device),
+                wp.array(values, dtype=wp.float64, device=partners.device),
+                wp.array(corner_start.ravel(), dtype=wp.int32, device=partners.device),
+                wp.array(start, dtype=wp.float64, device=partners.device),
+            ],
+            [misfit],
+            device=partners.device,
+        )
+        found: Floats = misfit.numpy().reshape(face_count, 3, channels)
+    return found
+
+
+def corner_fits(misfit: Floats) -> Floats:
+    """The change (N', 3, C) at the corners of each face that fits its own samples best, from what the start misses."""
+    # The inverse of the element matrix.
+    mean = misfit.sum(axis=1, keepdims=True)
+    return (misfit - OTHER / (OWN + 2 * OTHER) * mean) / (OWN - OTHER)
+
+
+def fit_values(partners: Partners, misfit: Floats, corner_row: Ints, free: npt.NDArray[np.bool_]) -> Floats:
+    """The change (R, C) of the values at the corners that fits all samples best.
+
+    Args:
+        partners: of the samples.
+        misfit: (N', 3, C), see :func:`misfits`.
+        corner_row: (N', 3) int32, which of the R values each corner of the output has.
+        free: (R,) bool, values that may change.
+    """
+    device, channels, row_count = partners.device, misfit.shape[2], len(free)
+    with device_turn(device):
+        unknowns = kernels.Unknowns()
+        unknowns.corner = wp.array(corner_row.ravel(), dtype=wp.int32, device=device)
+        adjacency = build_adjacency(unknowns.corner, row_count)
+        unknowns.adjacency_start, unknowns.adjacent_corner = adjacency.start, adjacency.corner
+        unknowns.area = wp.array(partners.area, dtype=wp.float64, device=device)
+        unknowns.free = wp.array(free.astype(np.int32), dtype=wp.int32, device=device)
+        unknowns.own, unknowns.other = OWN, OTHER
+        residual, change, direction, following = (
+            wp.empty((row_count, channels), dtype=wp.float64, device=device) for _ in range(4)
+        )
+        # Saad 2003, "Iterative methods for sparse linear systems", algorithm 12.1.
+        middle, half = (HIGH + LOW) / 2, (HIGH - LOW) / 2
+        ratio = half / middle
+        shape = (row_count, channels)
+        right = wp.array(misfit.reshape(-1, channels), dtype=wp.float64, device=device)
+        launch_in_parts(
+            kernels.start_solution,
+            shape,
+            [FIRST_ITEM, unknowns, right, 1.0 / middle],
+            [residual, change, direction],
+            device=device,
+        )
+        for _ in range(STEPS):
+            following_ratio = 1.0 / (2.0 * middle / half - ratio)
+            turn, step = following_ratio * ratio, 2.0 * following_ratio / half
+            launch_in_parts(
+                kernels.improve_solution,
+                shape,
+                [FIRST_ITEM, unknowns, direction, turn, step],
+                [residual, change, following],
+                device=device,
+            )
+            direction, following, ratio = following, direction, following_ratio
+        found: Floats = change.numpy()
+    return found

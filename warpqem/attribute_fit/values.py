@@ -1,0 +1,98 @@
+"""Values at the corners of the output that fit the input's: normals, and whatever is smooth between corners."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from warpqem.attribute_fit.normal_groups import split_corners
+from warpqem.attribute_fit.partners import Partners
+from warpqem.attribute_fit.solve import corner_fits, fit_values, misfits
+
+__all__ = ["ValueLayout", "fit_normals", "fit_smooth_values", "own_normals", "split_normals", "unit"]
+
+Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int32]
+
+# Shorter vectors than this have no direction.
+SHORTEST = 1e-12
+
+
+@dataclass(frozen=True)
+class ValueLayout:
+    """Where the values of one attribute stand on both meshes.
+
+    Attributes:
+        partners: of the samples.
+        corner_element: (N, 3) int32, which value each corner of the input has.
+        corner_row: (N', 3) int32, which of R values each corner of the output has.
+    """
+
+    partners: Partners
+    corner_element: Ints
+    corner_row: Ints
+
+
+def fit_smooth_values(
+    layout: ValueLayout, values: Floats, start: Floats, free: npt.NDArray[np.bool_] | None = None
+) -> Floats:
+    """Values (R, C) for the output that fit those of the input best, within the range of these in each channel.
+
+    Args:
+        layout: where they stand.
+        values: (E, C) float64, of the input.
+        start: (R, C) float64, values so far, which stay where nothing is known of the input.
+        free: (R,) bool, values that may change; None for all.
+    """
+    free = np.ones(len(start), dtype=bool) if free is None else free
+    misfit = misfits(layout.partners, layout.corner_element, values, layout.corner_row, start)
+    fitted = start + fit_values(layout.partners, misfit, layout.corner_row, free)
+    fitted = np.clip(fitted, values.min(axis=0), values.max(axis=0))
+    return np.where(free[:, None], fitted, start)
+
+
+def own_normals(layout: ValueLayout, values: Floats, start: Floats) -> Floats:
+    """Unit normals (N', 3, 3) at the corners of each face that fit its own samples best; arguments of `fit_normals`."""
+    misfit = misfits(layout.partners, layout.corner_element, unit(values), layout.corner_row, start)
+    return unit(start[layout.corner_row] + corner_fits(misfit))
+
+
+def split_normals(faces: Ints, layout: ValueLayout, own: Iterable[Floats]) -> tuple[ValueLayout, Ints]:
+    """Let corners have normals of their own where one normal cannot stand for the input's on all faces at a vertex.
+
+    Args:
+        faces: (N', 3) int32, the output.
+        layout: where normals stand so far.
+        own: what :func:`own_normals` gives; in several poses, which have to agree.
+
+    Returns:
+        Where they stand then, and (R',) the row so far of each; the layout itself where nothing is split.
+    """
+    group, row = split_corners(faces, layout.corner_row, own)
+    if len(row) == len(np.unique(layout.corner_row)):
+        return layout, np.arange(int(layout.corner_row.max(initial=-1)) + 1, dtype=np.int32)
+    return replace(layout, corner_row=group), row
+
+
+def fit_normals(layout: ValueLayout, values: Floats, start: Floats) -> Floats:
+    """Unit normals (R, 3) for the output that fit those of the input best.
+
+    Args:
+        layout: where they stand.
+        values: (E, 3) float64, of the input, of any length.
+        start: (R, 3) float64, unit vectors, which stay where nothing is known of the input.
+    """
+    misfit = misfits(layout.partners, layout.corner_element, unit(values), layout.corner_row, start)
+    fitted = start + fit_values(layout.partners, misfit, layout.corner_row, np.ones(len(start), dtype=bool))
+    length = np.linalg.norm(fitted, axis=1, keepdims=True)
+    return np.where(length > SHORTEST, fitted / np.maximum(length, SHORTEST), start)
+
+
+def unit(vectors: npt.NDArray[np.floating]) -> Floats:
+    """Vectors (..., 3) of length one in double precision; those without a length stay."""
+    given = vectors.astype(np.float64)
+    length = np.linalg.norm(given, axis=-1, keepdims=True)
+    return np.divide(given, length, out=np.zeros_like(given), where=length > 0)

@@ -1,0 +1,117 @@
+"""Fit values of primvars and normals to the input's surface, once they have been transferred to the new mesh."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+from pxr import Usd, UsdGeom
+
+from warpqem.attribute_fit.texture import fit_texture, reference_signs
+from warpqem.attribute_fit.values import fit_normals, fit_smooth_values, own_normals, split_normals, unit
+from warpqem.usd.read.texture_coordinates import is_uv
+from warpqem.usd.read.value_arrays import Samples, is_continuous, is_normal, is_quaternion
+from warpqem.usd.write.attribute_transfer import AttributeTransfer
+
+__all__ = ["fit_normal_offsets", "fit_transferred", "kind_of_values", "spread"]
+
+Kind = Literal["normals", "texture", "smooth"]
+CornerRows = npt.NDArray[np.int32]
+
+# Samples over time that decide where normals are split: far more than it takes to see an edge.
+MAX_SPLIT_SAMPLES = 8
+POINT_INTERPOLATIONS = (UsdGeom.Tokens.vertex, UsdGeom.Tokens.varying)
+
+
+def kind_of_values(primvar: UsdGeom.Primvar) -> Kind | None:
+    """How a primvar is fitted; None for values between which nothing lies, and for those of faces."""
+    value = primvar.GetAttr().Get(Usd.TimeCode.EarliestTime())
+    if str(primvar.GetInterpolation()) not in (*POINT_INTERPOLATIONS, UsdGeom.Tokens.faceVarying):
+        return None
+    if not is_continuous(value) or is_quaternion(value):
+        return None
+    if is_normal(primvar.GetTypeName()) or str(primvar.GetPrimvarName()) == "normals":
+        return "normals"
+    return "texture" if is_uv(primvar) else "smooth"
+
+
+def fit_transferred(
+    transfer: AttributeTransfer,
+    name: str,
+    kind: Kind,
+    interpolation: str,
+    samples: Samples,
+    transferred: Samples,
+    corner_row: CornerRows | None,
+) -> tuple[Samples, CornerRows | None]:
+    """Fit transferred values.
+
+    Args:
+        transfer: Where they come from.
+        name: The attribute.
+        kind: What they are.
+        interpolation: Of the input.
+        samples: Those of the input.
+        transferred: What became of them at points, or at rows that ``corner_row`` names.
+        corner_row: int32, shape (N', 3); None for values at points.
+
+    Returns:
+        The fitted ones, and the row of each corner; normals at points may have become values at corners.
+    """
+    first = next(iter(transferred.values()))
+    if first[:1].size not in ((3,) if kind == "normals" else (2,) if kind == "texture" else range(1, 17)):
+        return transferred, corner_row
+    layout = transfer.layout(name, interpolation in POINT_INTERPOLATIONS, corner_row)
+
+    def start(code: Usd.TimeCode) -> npt.NDArray[np.float64]:
+        return _flat(transferred[code])
+
+    if kind != "normals":
+
+        def fitted(code: Usd.TimeCode) -> npt.NDArray[Any]:
+            like, values = transferred[code], _flat(samples[code])
+            if not np.isfinite(values).all():
+                # Painted weights may be infinite, and nothing lies between those and others.
+                return like
+            if kind == "texture":
+                found = fit_texture(transfer.faces, layout, values, start(code), reference_signs(layout, values))
+            else:
+                found = fit_smooth_values(layout, values, start(code))
+            return found.reshape(like.shape).astype(like.dtype)
+
+        return Samples(list(transferred), fitted), corner_row
+    chosen = spread(list(transferred), MAX_SPLIT_SAMPLES)
+    own = (own_normals(layout, _flat(samples[code]), unit(start(code))) for code in chosen)
+    split, row = split_normals(transfer.faces, layout, own)
+
+    def fitted_normals(code: Usd.TimeCode) -> npt.NDArray[Any]:
+        return fit_normals(split, _flat(samples[code]), unit(start(code)[row])).astype(transferred[code].dtype)
+
+    return Samples(list(transferred), fitted_normals), corner_row if split is layout else split.corner_row
+
+
+def fit_normal_offsets(
+    transfer: AttributeTransfer, offsets: npt.NDArray[np.float32], start: npt.NDArray[np.float64]
+) -> npt.NDArray[np.float64]:
+    """Fit what a blend shape adds to normals.
+
+    Args:
+        transfer: Where it comes from.
+        offsets: float32, shape (P, 3), at the points of the input.
+        start: float64, shape (V', 3), transferred; points without any get none.
+    """
+    layout = transfer.layout("normalOffsets", True, None)
+    return fit_smooth_values(layout, _flat(offsets), start, (start != 0).any(axis=1))
+
+
+def spread(items: Sequence[Any], most: int) -> list[Any]:
+    """At most so many of the items, evenly spread, with the first and the last one."""
+    if len(items) <= most:
+        return list(items)
+    return [items[index] for index in np.linspace(0, len(items) - 1, most).round().astype(int)]
+
+
+def _flat(values: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
+    return values.reshape(len(values), -1).astype(np.float64)
