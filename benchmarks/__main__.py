@@ -14,7 +14,7 @@ from benchmarks.report import write_report
 from benchmarks.settings import Settings
 
 # Each is a module of that name with a function `run`; loaded when it is asked for, as each needs something else.
-COMMANDS = ("peers", "scaling", "static", "kernels", "startup", "stream", "articulated", "device")
+COMMANDS = ("peers", "scaling", "static", "kernels", "startup", "stream", "articulated", "joints", "device")
 TURNS, QUICK_TURNS = 5, 2
 
 
@@ -29,15 +29,16 @@ def parse(arguments: Sequence[str] | None = None) -> tuple[str, Settings]:
         help="peers (default): an animation through warpqem and its peers; scaling: faces and frames; static: one "
         "large frame; kernels: time and floor of each kernel; startup: the command line on a small file; "
         "stream: memory on long clips and a large mesh; articulated: the order of collapses of a skinned mesh by the "
-        "error of its skin; device: verify and measure a GPU in six minutes, with NumPy and Warp alone",
+        "error of its skin; joints: errors by the number of joints and influences; "
+        "device: verify and measure a GPU in six minutes, with NumPy and Warp alone",
     )
     parser.add_argument("--out", type=Path, default=Path("benchmark_results"), help="folder for the reports")
     parser.add_argument("--quick", action="store_true", help="small meshes, few turns: whether it works, not how fast")
     parser.add_argument("--device", help="Warp device; by default the GPU if there is one")
     parser.add_argument("--turns", type=int, help=f"runs of each contender; {TURNS} by default, {QUICK_TURNS} if quick")
     parser.add_argument("--ratio", type=float, default=0.1, help="part of the faces to keep")
-    parser.add_argument("--usd", type=Path, help="peers, articulated: this file instead of a quadruped")
-    parser.add_argument("--prim", help="peers, articulated: the mesh in that file; by default the largest")
+    parser.add_argument("--usd", type=Path, help="peers, articulated, joints: this file instead of a quadruped")
+    parser.add_argument("--prim", help="peers, articulated, joints: the mesh in that file; by default the largest")
     parser.add_argument(
         "--data",
         type=Path,

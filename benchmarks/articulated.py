@@ -54,11 +54,21 @@ COLUMNS = (
 
 @dataclass(frozen=True)
 class SkinnedClip:
-    """A skin whose rest shape has unit diagonal, faces (N, 3), and transforms (F, J, 3, 4)."""
+    """A skin whose rest shape has unit diagonal, and its motion.
+
+    Attributes:
+        skin: the skin of V vertices.
+        faces: (N, 3).
+        transforms: (F, J, 3, 4).
+        parents: (J,), the joint above each.
+        offsets: (F, V, 3), what blend shapes add to the rest shape; None without any.
+    """
 
     skin: LinearSkin
     faces: np.ndarray
     transforms: np.ndarray
+    parents: np.ndarray
+    offsets: np.ndarray | None
 
     def poses(self, transforms: np.ndarray) -> np.ndarray:
         """(P, V, 3) float32."""
@@ -76,11 +86,11 @@ class SkinnedClip:
         return np.concatenate([rest, first[choice.choose()]]), second[spread]
 
 
-def read_clip(path: Path, prim: str | None = None) -> SkinnedClip:
-    """Read a mesh with a linear skin and no blend shapes, the one with the most faces if none is named.
+def read_clip(path: Path, prim: str | None = None, shapes: bool = False) -> SkinnedClip:
+    """Read a mesh with a linear skin, the one with the most faces if none is named.
 
     Raises:
-        ValueError: it has another skin, or blend shapes.
+        ValueError: it has another skin, or blend shapes, unless they are asked for.
     """
     from pxr import Usd
 
@@ -89,7 +99,7 @@ def read_clip(path: Path, prim: str | None = None) -> SkinnedClip:
     from warpqem.usd.read.open_stage import find_meshes, open_stage
     from warpqem.usd.read.read_mesh import MeshSource
     from warpqem.usd.read.skeleton_poses import StagePoses
-    from warpqem.usd.read.skin_poses import joint_transforms
+    from warpqem.usd.read.skin_poses import joint_parents, joint_transforms, shape_offsets
 
     stage = open_stage(path)
     poses = StagePoses(stage)
@@ -102,7 +112,7 @@ def read_clip(path: Path, prim: str | None = None) -> SkinnedClip:
     times = job.source.frame_times(None)
     codes = [Usd.TimeCode.Default()] if times is None else [Usd.TimeCode(time) for time in times]
     given = SkinPoses(job, job.source, times)
-    if given.poser.blend_shape_query is not None:
+    if given.poser.blend_shape_query is not None and not shapes:
         raise ValueError(f"{path}: {job.mesh.path} has blend shapes, which this benchmark does not know")
     transforms = given.fit.moved(joint_transforms(given.poser, codes))
     faces = job.faces[is_proper(job.faces)]
@@ -113,7 +123,11 @@ def read_clip(path: Path, prim: str | None = None) -> SkinnedClip:
     transforms[..., 3] /= diagonal
     weights = skin.weights[used] / skin.weights[used].sum(axis=1, keepdims=True)
     own = LinearSkin(rest[used] / diagonal, skin.joints[used], weights)
-    return SkinnedClip(own, index.reshape(-1, 3).astype(np.int32), transforms)
+    offsets = shape_offsets(given.poser, job.skin.rest_points, codes)
+    if offsets is not None:
+        offsets = offsets[:, given.vertex_point[used]] * (given.fit.scale / diagonal)
+    index = index.reshape(-1, 3).astype(np.int32)
+    return SkinnedClip(own, index, transforms, joint_parents(given.poser), offsets)
 
 
 def run(settings: Settings) -> Report:

@@ -12,6 +12,7 @@ from pxr import Usd
 from tests.support.rich_stage import rich_stage
 from tests.support.usd_composition import clip_stage
 from tests.support.usd_findings import nvidia_findings, usd_findings
+from tests.support.usd_rig import shaped_rig
 from tests.support.usd_stages import cloth_stage, instanced_stage, skinned_stage
 from tests.support.usd_validators import new_findings
 from warpqem.usd import FrameRange, SimplifyOptions, simplify_stage
@@ -52,3 +53,11 @@ def test_validators_find_nothing_new_on_scenes(name, form, find, tmp_path):
     options = SimplifyOptions(key_frames=2, frames=FrameRange(start, start + 2), device="cpu", **FORMS[form])
     simplify_stage(source, tmp_path / "out.usdc", options)
     assert new_findings(source, tmp_path / "out.usdc", find) == {}
+
+
+@pytest.mark.parametrize("find", [usd_findings, nvidia_findings])
+def test_validators_find_nothing_new_with_fewer_joints_and_shapes(find, tmp_path):
+    shaped_rig(tmp_path / "in.usda")
+    fewer = {"lods": (0.4, 0.2), "joints": (4, 3), "shapes": (3, 2), "reduce_skeleton": True}
+    simplify_stage(tmp_path / "in.usda", tmp_path / "out.usda", SimplifyOptions(device="cpu", **fewer))
+    assert new_findings(tmp_path / "in.usda", tmp_path / "out.usda", find) == {}

@@ -148,6 +148,8 @@ def _print_problems(report: StageReport) -> None:
             print_message(
                 "warning", f"{level}{prim.path}: dropped, does not fit the new mesh: {', '.join(prim.dropped)}"
             )
+        for line in _gone(prim):
+            print_message("note", f"{level}{prim.path}: {line}")
         if prim.symmetry not in (None, "kept"):
             print_message("warning", f"{level}{prim.path}: not kept symmetric: {prim.symmetry}")
         if prim.status == "simplified" and prim.stopped == "no legal collapse":
@@ -163,6 +165,21 @@ def _print_problems(report: StageReport) -> None:
     _print_small(report)
     if report.output is None:
         print_message("error", f"nothing written: no mesh of {report.input} could be simplified")
+
+
+def _gone(prim: PrimReport) -> list[str]:
+    """What went of joints and blend shapes, by name."""
+    lines = []
+    if prim.joints is not None and prim.joints.removed:
+        added = f"{prim.joints.added_error:.3g} % of the diagonal to the RMS distance over the poses"
+        lines.append(f"without the joints {', '.join(prim.joints.removed)}, which adds {added} (in quadrature)")
+    if prim.shapes is not None and prim.shapes.removed:
+        lines.append(
+            f"without the blend shapes {', '.join(prim.shapes.removed)}; {len(prim.shapes.merged)} of them go on in "
+            f"others. RMS distance by this: {prim.shapes.used_error:.3g} % of the diagonal over the animation, "
+            f"{prim.shapes.random_error:.3g} % over random weights"
+        )
+    return lines
 
 
 def _print_small(report: StageReport) -> None:
@@ -181,7 +198,8 @@ def _table(report: StageReport) -> PlainTable:
     table.add_column("mesh", overflow="fold")
     measured = any(prim.measured for prim in report.prims)
     errors = ("RMS %", "Hausdorff %", "flips") if measured else ("estimate %",)
-    for name in ("frames", "faces before", "faces after", *errors):
+    rig = _rig_columns(report.prims)
+    for name in ("frames", "faces before", "faces after", *rig, *errors):
         table.add_column(name, justify="right")
     if measured:
         table.add_column("verdict")
@@ -189,9 +207,9 @@ def _table(report: StageReport) -> PlainTable:
     table.add_column("seconds", justify="right")
     for level in levels:
         prims = [prim for prim in worst_first if _level(prim) == level]
-        rows = [_row(prim, measured) for prim in prims]
+        rows = [_row(prim, measured, rig) for prim in prims]
         if len(prims) > 1:
-            rows.append(_total(prims, measured))
+            rows.append(_total(prims, measured, rig))
         for index, row in enumerate(rows):
             # The total stands apart from its meshes, and each level from the next.
             end_section = index == len(rows) - 1 or (len(prims) > 1 and index == len(prims) - 1)
@@ -214,20 +232,36 @@ def _distance(measured: dict[str, Any]) -> str:
     return f"a point is up to {percent:.4g} % of the diagonal ({length:.4g} units) off"
 
 
-def _total(prims: list[PrimReport], measured: bool) -> list[str]:
+def _rig_columns(prims: list[PrimReport]) -> tuple[str, ...]:
+    """What is said of joints and blend shapes, where some were to go."""
+    joints = ("joints", "influences") if any(prim.joints for prim in prims) else ()
+    return (*joints, "shapes") if any(prim.shapes for prim in prims) else joints
+
+
+def _rig(prim: PrimReport) -> dict[str, str]:
+    said = {}
+    if prim.joints is not None:
+        said["joints"] = f"{prim.joints.after} of {prim.joints.before}"
+        said["influences"] = str(prim.joints.influences)
+    if prim.shapes is not None:
+        said["shapes"] = f"{prim.shapes.after} of {prim.shapes.before}"
+    return said
+
+
+def _total(prims: list[PrimReport], measured: bool, rig: tuple[str, ...]) -> list[str]:
     failed = sum(prim.status == "failed" for prim in prims)
     return [
         f"{len(prims)} meshes",
         "",
         str(sum(prim.faces_before for prim in prims)),
         str(sum(prim.faces_after for prim in prims)),
-        *([""] * (4 if measured else 1)),
+        *([""] * (len(rig) + (4 if measured else 1))),
         f"{failed} failed" if failed else "",
         f"{sum(prim.seconds for prim in prims):.1f}",
     ]
 
 
-def _row(prim: PrimReport, measured: bool) -> list[str]:
+def _row(prim: PrimReport, measured: bool, rig: tuple[str, ...]) -> list[str]:
     if measured:
         found = prim.measured
         errors = [""] * 4 if found is None else [*map(error_text, (found["rms"], found["hausdorff"], found["flips"]))]
@@ -236,4 +270,5 @@ def _row(prim: PrimReport, measured: bool) -> list[str]:
         errors = ["" if prim.estimate is None else error_text(prim.estimate)]
     stopped = prim.stopped if prim.status == "simplified" else prim.status
     counts = [str(count) if prim.frames else "" for count in (prim.frames, prim.faces_before, prim.faces_after)]
-    return [prim.path, *counts, *errors, stopped or "", f"{prim.seconds:.1f}"]
+    rigged = [_rig(prim).get(name, "") for name in rig]
+    return [prim.path, *counts, *rigged, *errors, stopped or "", f"{prim.seconds:.1f}"]

@@ -132,6 +132,9 @@ class SkinFit:
         offsets: (P, C, 3) offsets of blend shapes in the caller's units, or None.
         unit: what takes the caller's units to that mesh.
         device: Warp device.
+
+    Attributes:
+        device: Warp device.
     """
 
     def __init__(
@@ -144,13 +147,13 @@ class SkinFit:
         unit: float,
         device: str,
     ) -> None:
-        self._rows, self._rest, self._placed, self._device = rows, rest, placed, device
+        self._rows, self._rest, self._placed, self.device = rows, rest, placed, device
         self._offsets = None if offsets is None else offsets * unit
         self._rotation = self._array(transforms[..., :3], wp.mat33d)
         self._translation = self._array(transforms[..., 3] * unit, wp.vec3d)
 
     def _array(self, values: np.ndarray, dtype: Any) -> wp.array:
-        return wp.array(np.ascontiguousarray(values), dtype=dtype, device=self._device)
+        return wp.array(np.ascontiguousarray(values), dtype=dtype, device=self.device)
 
     def solve(
         self, planes: ClusterPlanes, points: np.ndarray, influences: int, to_planes: bool
@@ -167,7 +170,7 @@ class SkinFit:
             rest positions (C, 3), weights of the candidates (M,), E before and after (C,), all float64, and the area of
             all planes over all poses.
         """
-        position = wp.array(np.ascontiguousarray(points), dtype=wp.vec3, device=self._device)
+        position = wp.array(np.ascontiguousarray(points), dtype=wp.vec3, device=self.device)
         parts, size = [], 0.0
         for first in range(0, len(self._rest), VERTICES_AT_ONCE):
             batch = slice(first, min(first + VERTICES_AT_ONCE, len(self._rest)))
@@ -180,37 +183,62 @@ class SkinFit:
     def _solve_batch(
         self, batch: slice, stiffness: wp.array, goal: wp.array, influences: int
     ) -> tuple[np.ndarray, ...]:
-        device, count = self._device, batch.stop - batch.start
         start = self._rows.start[batch.start : batch.stop + 1]
         row = slice(int(start[0]), int(start[-1]))
+        rows = CandidateRows(start - start[0], self._rows.joint[row], self._rows.weight[row])
+        offsets = None if self._offsets is None else self._offsets[:, batch]
+        return self.solve_rows(rows, self._rest[batch], offsets, stiffness, goal, influences)
+
+    def solve_rows(
+        self,
+        rows: CandidateRows,
+        rest: np.ndarray,
+        offsets: np.ndarray | None,
+        stiffness: wp.array,
+        goal: wp.array,
+        influences: int,
+    ) -> tuple[np.ndarray, ...]:
+        """Solve for R rows, each a vertex with candidate joints; a vertex may be in several rows.
+
+        Args:
+            rows: candidate joints of each row.
+            rest: (R, 3) float64, rest positions to start from.
+            offsets: (P, R, 3) offsets of blend shapes, or None.
+            stiffness: (R, P) mat33d.
+            goal: (P, R) vec3d.
+            influences: joints that move a vertex at most.
+
+        Returns:
+            rest positions (R, 3), weights of the candidates (M,), E before and after (R,), all float64.
+        """
+        device, count = self.device, len(rest)
         problem = kernels.SkinProblem()
-        problem.candidate_start = self._array(start - start[0], wp.int32)
-        problem.candidate = self._array(self._rows.joint[row], wp.int32)
-        problem.start_weight = self._array(self._rows.weight[row], wp.float64)
-        problem.start_rest = self._array(self._rest[batch], wp.vec3d)
+        problem.candidate_start = self._array(rows.start, wp.int32)
+        problem.candidate = self._array(rows.joint, wp.int32)
+        problem.start_weight = self._array(rows.weight, wp.float64)
+        problem.start_rest = self._array(rest, wp.vec3d)
         problem.rotation, problem.translation = self._rotation, self._translation
-        offsets = np.zeros((0, 0, 3)) if self._offsets is None else self._offsets[:, batch]
-        problem.offset = self._array(offsets, wp.vec3d)
+        problem.offset = self._array(np.zeros((0, 0, 3)) if offsets is None else offsets, wp.vec3d)
         problem.stiffness, problem.goal = stiffness, goal
         problem.position_regularisation = POSITION_REGULARISATION
         problem.regularisation_of_weight = WEIGHT_REGULARISATION
         problem.rounds, problem.max_influences = ROUNDS, influences
-        scratch = self._scratch(np.diff(start).astype(np.int64))
-        rest = wp.empty(count, dtype=wp.vec3d, device=device)
-        weight = wp.empty(row.stop - row.start, dtype=wp.float64, device=device)
+        scratch = self._scratch(np.diff(rows.start).astype(np.int64))
+        solved = wp.empty(count, dtype=wp.vec3d, device=device)
+        weight = wp.empty(len(rows.joint), dtype=wp.float64, device=device)
         before, after = (wp.empty(count, dtype=wp.float64, device=device) for _ in range(2))
-        outputs = [rest, weight, before, after]
+        outputs = [solved, weight, before, after]
         launch_in_parts(kernels.fit_vertices, count, [problem, scratch, FIRST_ITEM], outputs, device=device)
-        return rest.numpy(), weight.numpy(), before.numpy(), after.numpy()
+        return solved.numpy(), weight.numpy(), before.numpy(), after.numpy()
 
     def _scratch(self, size: np.ndarray) -> kernels.SkinScratch:
         end = np.cumsum(size * size)
         scratch = kernels.SkinScratch()
         scratch.matrix_start = self._array(end - size * size, wp.int32)
         for name in ("gram", "factor"):
-            setattr(scratch, name, wp.empty(int(end[-1]), dtype=wp.float64, device=self._device))
+            setattr(scratch, name, wp.empty(int(end[-1]), dtype=wp.float64, device=self.device))
         for name in ("first", "second", "regularisation"):
-            setattr(scratch, name, wp.empty(int(size.sum()), dtype=wp.float64, device=self._device))
+            setattr(scratch, name, wp.empty(int(size.sum()), dtype=wp.float64, device=self.device))
         for name in ("slot", "state"):
-            setattr(scratch, name, wp.empty(int(size.sum()), dtype=wp.int32, device=self._device))
+            setattr(scratch, name, wp.empty(int(size.sum()), dtype=wp.int32, device=self.device))
         return scratch

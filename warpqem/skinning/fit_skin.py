@@ -100,6 +100,86 @@ def fit_skin(
         MeshShapeError: shapes do not go together, or the poses are not what skin and transforms give.
         OptionError: ``influences`` is below 1.
     """
+    prepared = prepare_fit(
+        points, faces, result, skin, transforms, start, influences, offsets, start_offsets, seams, to_planes, device
+    )
+    fitted, before, after = prepared.solve()
+    return prepared.rounded(fitted, before, after)
+
+
+@dataclass(frozen=True)
+class PreparedFit:
+    """A simplified mesh whose skin is ready to be fitted, on a mesh of unit diagonal.
+
+    Attributes:
+        skin: the input's skin, of the vertices that were simplified.
+        start: the skin of the output vertices to start from.
+        fixed: (C,) bool, output vertices that keep the skin of an input vertex.
+        member: (C,) int64, which one; -1 for the others.
+        rows: candidate joints of the others.
+        transforms: (P, J, 3, 4) float64, with translations in the caller's units.
+        start_offsets: (P, C, 3) offsets of blend shapes in the caller's units, or None.
+        fit: the solves.
+        planes: those of the clusters.
+        poses: (P, V, 3) float32, the input in its poses.
+        placed: (P, C, 3), where placement put the vertices.
+        influences: joints that move an output vertex at most.
+        diagonal: that of the rest shape's bounding box, in the caller's units.
+        to_planes: aim at the least of the quadrics.
+    """
+
+    skin: LinearSkin
+    start: LinearSkin
+    fixed: np.ndarray
+    member: np.ndarray
+    rows: CandidateRows
+    transforms: np.ndarray
+    start_offsets: np.ndarray | None
+    fit: SkinFit
+    planes: ClusterPlanes
+    poses: np.ndarray
+    placed: np.ndarray
+    influences: int
+    diagonal: float
+    to_planes: bool
+
+    def solve(self) -> tuple[LinearSkin, float, float]:
+        """The fitted skin in double precision, and ``before`` and ``after`` of :class:`FittedSkin`."""
+        rest, weight, before, after, size = self.fit.solve(self.planes, self.poses, self.influences, self.to_planes)
+        fixed, start, skin, most = self.fixed, self.start, self.skin, self.influences
+        row = np.repeat(np.arange(len(fixed)), np.diff(self.rows.start))
+        joints, weights = largest_influences(row, self.rows.joint, weight, len(fixed), most)
+        rest *= self.diagonal
+        # What E measures may only go down: a vertex whose limit on influences cost more than the fit gave stays.
+        kept = (after > before) & ~fixed
+        for rows_kept, source, index in ((kept, start, np.flatnonzero(kept)), (fixed, skin, self.member[fixed])):
+            rest[rows_kept] = source.rest[index]
+            joints[rows_kept], weights[rows_kept] = _cut(source, index, most)
+        after = np.where(kept, before, after)
+        part = [100.0 * float(np.sqrt(misses.sum() / max(size, 1e-300))) for misses in (before, after)]
+        return LinearSkin(rest, joints, weights), part[0], part[1]
+
+    def rounded(self, skin: LinearSkin, before: float, after: float) -> FittedSkin:
+        """A skin in single precision with its figures."""
+        weights = normalised_weights(skin.weights)
+        return FittedSkin(LinearSkin(skin.rest.astype(np.float32), skin.joints, weights), before, after)
+
+
+def prepare_fit(
+    points: Any,
+    faces: Any,
+    result: Any,
+    skin: Any,
+    transforms: Any,
+    start: Any,
+    influences: Any,
+    offsets: Any,
+    start_offsets: Any,
+    seams: Any,
+    to_planes: Any,
+    device: str | None,
+) -> PreparedFit:
+    """Check the arguments of :func:`fit_skin`, which see, and prepare the solves."""
     device = resolve_device(device)
     given = _checked(points, faces, result, skin, transforms, start, influences, offsets, start_offsets)
     to_planes = flag(to_planes, "to_planes")
@@ -121,22 +201,22 @@ def fit_skin(
     rows = _candidates(skin, start, result.vertex_map, fixed)
     # On a mesh of unit diagonal, which the thresholds are made for.
     unit = 1.0 / given.diagonal
-    fit = SkinFit(given.transforms, rows, start.rest * unit, result.points * unit, start_offsets, unit, device)
-    planes = ClusterPlanes(corner, result.vertex_map, len(fixed), seams, device)
-    rest, weight, before, after, size = fit.solve(planes, poses * np.float32(unit), most, to_planes)
-    row = np.repeat(np.arange(len(fixed)), np.diff(rows.start))
-    joints, weights = largest_influences(row, rows.joint, weight, len(fixed), most)
-    rest *= given.diagonal
-    # What E measures may only go down: a vertex whose limit on influences cost more than the fit gave stays.
-    kept = (after > before) & ~fixed
-    for rows_kept, source, index in ((kept, start, np.flatnonzero(kept)), (fixed, skin, member[fixed])):
-        rest[rows_kept] = source.rest[index]
-        joints[rows_kept], weights[rows_kept] = _cut(source, index, most)
-    after = np.where(kept, before, after)
-    return FittedSkin(
-        LinearSkin(rest.astype(np.float32), joints, normalised_weights(weights)),
-        100.0 * float(np.sqrt(before.sum() / max(size, 1e-300))),
-        100.0 * float(np.sqrt(after.sum() / max(size, 1e-300))),
+    placed = result.points * unit
+    return PreparedFit(
+        skin=skin,
+        start=start,
+        fixed=fixed,
+        member=member,
+        rows=rows,
+        transforms=given.transforms,
+        start_offsets=start_offsets,
+        fit=SkinFit(given.transforms, rows, start.rest * unit, placed, start_offsets, unit, device),
+        planes=ClusterPlanes(corner, result.vertex_map, len(fixed), seams, device),
+        poses=poses * np.float32(unit),
+        placed=placed,
+        influences=most,
+        diagonal=given.diagonal,
+        to_planes=to_planes,
     )
 
 

@@ -22,6 +22,7 @@ from warpqem.usd.commands.blend_shape_weights import morph_scale
 from warpqem.usd.commands.context import Context, Progress, SharedOrder
 from warpqem.usd.commands.face_points import FacePoints, face_protection
 from warpqem.usd.commands.mesh_job import MeshJob
+from warpqem.usd.commands.rig_options import single
 from warpqem.usd.commands.skin_bound import interpolated, largest_diagonal, simplify_skinned, skin_holds
 from warpqem.usd.commands.skin_fit import FittedMesh, SkinFitter, SkinPoses, simplify_by_pullback, why_not_fitted
 from warpqem.usd.commands.weights import painted_options
@@ -140,9 +141,28 @@ class CoreCalls:
             reason = why_not_fitted(job.skin, job.examples or job.source)
         if reason is None:
             report.skin = "fitted"
-            return SkinFitter(self._skin_poses(job))
+            return self._joint_fitter(job, report)
         report.skin = f"interpolated: {reason}"
+        if self._options.reduces_joints:
+            report.notes.append(f"{job.mesh.path}: all joints stay, as {reason}")
         return None
+
+    def _joint_fitter(self, job: MeshJob, report: PrimReport) -> SkinFitter:
+        """What fits a skin, with fewer joints if that is asked for."""
+        poses, options = self._skin_poses(job), self._options
+        if not options.reduces_joints:
+            return SkinFitter(poses)
+        limit = options.joint_error
+        if np.ptp(poses.transforms()[1:], axis=0).max(initial=0.0) == 0:
+            lost = "joints go from the leaves" if options.joints is not None else "all joints stay"
+            report.notes.append(
+                f"{job.mesh.path}: nothing animates it, so that the rest pose alone is known and {lost}; "
+                "poses (--poses FILE) would say which joints matter"
+            )
+            if options.joints is None:
+                return SkinFitter(poses)
+            limit = None
+        return SkinFitter(poses, single(options.joints), limit)
 
     def face(self, job: MeshJob) -> warpqem.face.FaceProtection | None:
         """How the feature points of a mesh are kept, found once for each mesh; None for other cost models."""

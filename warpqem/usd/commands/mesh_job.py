@@ -16,6 +16,7 @@ from warpqem.frames.stream import ArrayFrames, FrameSource, JoinedFrames, KeptFr
 from warpqem.pipeline.memory_plan import parse_bytes
 from warpqem.pipeline.result import SimplifiedMesh
 from warpqem.repair.mended_mesh import MeshRepair, face_repair
+from warpqem.usd.commands.rig_options import single
 from warpqem.usd.commands.simplify_options import SimplifyOptions
 from warpqem.usd.read.blend_shapes import choose_targets
 from warpqem.usd.read.mesh_seams import MeshSeams, find_seams
@@ -122,7 +123,7 @@ class MeshJob:
         options = options or SimplifyOptions(ratio=1.0)
         skin, reason = None, None
         if not options.bake and len(source.topology.triangles):
-            skin, reason = read_skin(source, shape_users or Counter(), options.influences)
+            skin, reason = read_skin(source, shape_users or Counter(), single(options.influences))
         mesh = source.layout(source.frame_times(options.frames, baked=skin is None))
         if not len(mesh.faces):
             frames = PoseFrames(source, mesh.times, mesh.used_points)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any, TypeVar
 
 from pxr import Usd
@@ -19,6 +20,7 @@ from warpqem.usd.commands.core_calls import CoreCalls
 from warpqem.usd.commands.face_points import FacePoints
 from warpqem.usd.commands.mesh_job import MeshJob
 from warpqem.usd.commands.mesh_result import MeshResult
+from warpqem.usd.commands.rig_options import single
 from warpqem.usd.commands.stage_budget import simplify_to_budget
 from warpqem.usd.commands.varying import simplify_runs
 from warpqem.usd.commands.weights import check_weight_primvar
@@ -28,6 +30,7 @@ from warpqem.usd.read.inheritors import heirs_first
 from warpqem.usd.read.odd_values import find_odd_values
 from warpqem.usd.read.read_mesh import MeshSource
 from warpqem.usd.read.skeleton_poses import StagePoses
+from warpqem.usd.write.skeleton_output import reduce_skeletons
 from warpqem.usd.write.stage_report import PrimReport, StageReport, name_prim
 from warpqem.usd.write.write import OverLayer
 
@@ -77,8 +80,11 @@ class Run:
         self.progress(1.0, "done")
 
     def finish(self) -> None:
-        """Give the edits of meshes below instances to all instances of them; to be called once, after all meshes."""
-        self.notes = self.layer.share_instances(self.selection, self.by_root)
+        """Edit skeletons, and give edits of meshes below instances to all instances; once, after all meshes."""
+        lines = reduce_skeletons(self.layer.stage) if self.options.reduce_skeleton else []
+        shared = self.layer.share_instances(self.selection, self.by_root)
+        # In a flat file instances refer to their prototypes as those are.
+        self.notes = lines if self.options.flatten else [*lines, *shared]
 
     @property
     def kept_whole(self) -> str:
@@ -87,8 +93,7 @@ class Run:
 
     def report(self) -> StageReport:
         """What happened to each mesh."""
-        # In a flat file instances refer to their prototypes as those are.
-        return StageReport("", None, list(self.reports.values()), notes=[] if self.options.flatten else self.notes)
+        return StageReport("", None, list(self.reports.values()), notes=self.notes)
 
     def select(self) -> list[Usd.Prim]:
         """The meshes to be simplified, each with a report."""
@@ -166,6 +171,9 @@ class Run:
                 )
             if shared is not None:
                 shared.job = job
+        elif job.skin is not None:
+            # Levels may have limits of their own.
+            job = replace(job, skin=replace(job.skin, influence_limit=single(self.options.influences)))
         report = self.reports[job.mesh.path]
         report.frames = job.pose_count
         report.faces_before = report.faces_after = len(job.mesh.faces)
@@ -255,7 +263,10 @@ class Run:
             if job.is_simplified_by(result):
                 self.step = "writing the simplified mesh"
                 limit = self.core.distance_limit(job)
-                done = MeshResult(job, result, samples, fitted, limit, self.core.face(job))
+                others = self.poses.shapes_of_others(prim)
+                done = MeshResult(job, result, samples, fitted, limit, self.core.face(job), others)
+                if fitted is not None:
+                    report.joints = fitted.joints
                 done.write(self.layer, report, self.options)
                 report.dropped += job.seams.released(job.faces, result.face_map)
                 return

@@ -20,6 +20,7 @@ from warpqem.usd.checks.usd_errors import usd_errors_named
 from warpqem.usd.commands.context import Announce, Context, Progress, SharedOrder
 from warpqem.usd.commands.lods import FileLevels, LevelLayer, LevelReport, VariantLevels
 from warpqem.usd.commands.output_names import output_files
+from warpqem.usd.commands.rig_options import level_options
 from warpqem.usd.commands.run import Run
 from warpqem.usd.commands.run_info import run_info
 from warpqem.usd.commands.simplify_options import SimplifyOptions
@@ -175,9 +176,10 @@ def _simplify_levels(context: Context, written: Sequence[OutputFile]) -> tuple[S
         levels = FileLevels(options.flatten, written)
     else:
         levels = (UsdLodLevels if options.usd_lod else VariantLevels)(context.stage, context.selection)
-    one = replace(options, lods=(), usd_lod=False, lod_files=False, ratio=1.0)
+    alone: dict[str, Any] = {"lods": (), "usd_lod": False, "lod_files": False}
     by_root = not options.lod_files
-    runs = [Run(replace(context, options=replace(one, ratio=ratio)), by_root) for ratio in options.lods]
+    each = [replace(level_options(options, level), **alone, ratio=ratio) for level, ratio in enumerate(options.lods)]
+    runs = [Run(replace(context, options=one), by_root) for one in each]
     selections = [run.select() for run in runs]
     for prim_index, prim in enumerate(selections[0]):
         shared = SharedOrder(options.lods[-1])

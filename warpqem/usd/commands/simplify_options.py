@@ -8,12 +8,11 @@ from dataclasses import dataclass
 from numbers import Real
 from typing import TYPE_CHECKING, Any, Literal
 
-from warpqem.arguments.limits import COUNT, WEIGHTS, Limits
+from warpqem.arguments.limits import WEIGHTS, Limits
 from warpqem.arguments.option_fields import check_options, option
 from warpqem.costs.models import cost_model
 from warpqem.costs.screen_error import ScreenView
 from warpqem.errors import OptionError
-from warpqem.options import MethodOptions
 from warpqem.usd.commands.option_checks import (
     FRAMES_HELP,
     AttributeWeights,
@@ -28,6 +27,7 @@ from warpqem.usd.commands.option_checks import (
     read_ratios,
     read_weights,
 )
+from warpqem.usd.commands.rig_options import RigOptions
 from warpqem.usd.read.lengths import parse_length
 from warpqem.usd.read.time_codes import FrameRange
 
@@ -50,7 +50,7 @@ ANGLE = Limits(0.0, 180.0)
 
 
 @dataclass(frozen=True)
-class SimplifyOptions(MethodOptions):
+class SimplifyOptions(RigOptions):
     """How to simplify the meshes of a stage: to a count (`ratio`, `faces`), within limits, or to levels (`lods`).
 
     One or more of `ratio`, `faces`, `max_error`, `max_distance` and `screen` are given, or `lods`; of `ratio` and
@@ -100,7 +100,6 @@ class SimplifyOptions(MethodOptions):
         frames: Time codes to read; None for all authored ones.
         poses: USD file with example poses, see `warpqem.usd.read.example_poses`: they decide how a mesh with a skin is
             simplified instead of its own animation, and how one without is beside it. None for none.
-        influences: Joints that move a new point of a skinned mesh at most; None for as many as in the input.
         skin_fit: Fit rest points and joint influences of skinned meshes together to their poses, see
             `warpqem.skinning.fit_skin`; otherwise influences are interpolated.
         pose_independent: Simplify meshes with a linear skin in their rest shape, by rest-pose quadrics of the
@@ -243,9 +242,6 @@ class SimplifyOptions(MethodOptions):
         "simplified, instead of the animation in IN.",
         "FILE",
     )
-    influences: int | None = option(
-        None, "Joints that move a point of a skinned mesh at most; by default as many as in IN.", "JOINTS", COUNT
-    )
     skin_fit: bool = option(
         True,
         "Fit rest points and joint influences of skinned meshes together to their poses (Landreneau & Schaefer 2009); "
@@ -318,6 +314,11 @@ class SimplifyOptions(MethodOptions):
         _ = self.motion
         self._check_pose_independent()
         self._check_levels()
+        self.check_rig(len(self.lods))
+        if self.reduces_joints and (self.pose_independent or self.bake or not self.skin_fit):
+            raise OptionError("joints and joint_error exclude bake, pose_independent and an interpolated skin")
+        if self.reduces_shapes and self.bake:
+            raise OptionError("shapes and shape_error exclude bake")
 
     def _check_goals(self) -> None:
         given = [name for name in GOALS if getattr(self, name) not in (None, ())]

@@ -16,14 +16,16 @@ from warpqem.pipeline.key_frames import KeyFrameChoice
 from warpqem.pipeline.result import SimplifiedMesh
 from warpqem.skinning.fit_skin import fit_skin
 from warpqem.skinning.linear_skin import LinearSkin
+from warpqem.skinning.reduce_joints import ReducedJoints, reduce_joints
 from warpqem.skinning.rest_pose_quadrics import simplify_pulled_back
 from warpqem.usd.commands.mesh_job import MeshJob, RestFit
 from warpqem.usd.read.mesh_skin import Influences, Skin
 from warpqem.usd.read.read_mesh import MeshSource
 from warpqem.usd.read.skeleton_poses import MeshPoser
-from warpqem.usd.read.skin_poses import is_linear, joint_transforms, shape_offsets
+from warpqem.usd.read.skin_poses import is_linear, joint_names, joint_parents, joint_transforms, shape_offsets
 from warpqem.usd.write.attribute_transfer import AttributeTransfer
 from warpqem.usd.write.skin_output import blend_influences
+from warpqem.usd.write.stage_report import JointsReport
 
 __all__ = ["FittedMesh", "SkinFitter", "SkinPoses", "simplify_by_pullback", "why_not_fitted"]
 
@@ -39,11 +41,26 @@ class FittedMesh:
 
     Attributes:
         rest_points: float32, shape (V', 3), in the space of the authored points.
-        influences: of these points.
+        influences: of these points, by the joints of the input.
+        used: the joints that are left, int32, ascending, and their names; None where the order stays.
+        joints: what became of the joints; None where all may stay.
     """
 
     rest_points: npt.NDArray[np.float32]
     influences: Influences
+    used: tuple[npt.NDArray[np.int32], tuple[str, ...]] | None = None
+    joints: JointsReport | None = None
+
+    def written(self, skin: Skin) -> Skin:
+        """The skin of the mesh with these influences, which count through the joints that are left."""
+        if self.used is None:
+            return replace(skin, fitted=self.influences)
+        used, names = self.used
+        place = np.zeros(int(used.max(initial=0)) + 1, dtype=np.int32)
+        place[used] = np.arange(len(used))
+        moved = self.influences.weights > 0
+        joints = np.where(moved, place[np.where(moved, self.influences.joints, 0)], 0).astype(np.int32)
+        return replace(skin, fitted=Influences(joints, self.influences.weights), joint_order=names)
 
 
 def why_not_fitted(skin: Skin, poses: MeshSource) -> str | None:
@@ -142,9 +159,17 @@ class SkinFitter:
     As a `warpqem.FrameSink` it keeps the simplified points of these poses.
     """
 
-    def __init__(self, poses: SkinPoses) -> None:
-        """Fit to these poses of a mesh."""
+    def __init__(self, poses: SkinPoses, joints: int | None = None, joint_error: float | None = None) -> None:
+        """Fit to these poses of a mesh.
+
+        Args:
+            poses: The poses.
+            joints: Joints that move the mesh at most; None for all.
+            joint_error: What fewer joints may add, see `warpqem.skinning.reduce_joints`; None for no limit.
+        """
         self.poses, self._frames = poses, poses.frames
+        goal: dict[str, float | None] = {"joints": joints, "max_error": joint_error}
+        self._goal: dict[str, Any] = {name: value for name, value in goal.items() if value is not None}
         self._points = np.zeros((0, 0, 3), dtype=np.float32)
 
     def begin(self, frame_count: int, vertex_count: int, faces: npt.NDArray[np.int32]) -> None:
@@ -176,21 +201,42 @@ class SkinFitter:
         start = blend_influences(poses.influences, rows, job.skin.influence_limit)
         offsets = poses.offsets()
         points = poses.points()
-        fitted = fit_skin(
-            points,
-            job.faces,
-            replace(result, points=self._points),
-            poses.skin(points[0]),
-            poses.transforms(),
-            start=LinearSkin(self._points[0], start.joints, start.weights),
-            influences=job.skin.influence_limit,
-            offsets=None if offsets is None else offsets[:, poses.vertex_point],
-            start_offsets=None if offsets is None else np.stack([rows.blend(offset) for offset in offsets]),
-            seams=job.seams.hold(),
-            to_planes=not refitted,
-            device=device,
-        )
+        options: dict[str, Any] = {
+            "points": points,
+            "faces": job.faces,
+            "result": replace(result, points=self._points),
+            "skin": poses.skin(points[0]),
+            "transforms": poses.transforms(),
+            "start": LinearSkin(self._points[0], start.joints, start.weights),
+            "influences": job.skin.influence_limit,
+            "offsets": None if offsets is None else offsets[:, poses.vertex_point],
+            "start_offsets": None if offsets is None else np.stack([rows.blend(offset) for offset in offsets]),
+            "seams": job.seams.hold(),
+            "to_planes": not refitted,
+            "device": device,
+        }
+        if self._goal:
+            goal = {**self._goal, "parents": joint_parents(poses.poser)}
+            return self._reduced(reduce_joints(**options, **goal))
+        fitted = fit_skin(**options)
         return FittedMesh(poses.fit.undo(fitted.skin.rest), Influences(fitted.skin.joints, fitted.skin.weights))
+
+    def _reduced(self, done: ReducedJoints) -> FittedMesh:
+        """The skin with fewer joints, in an order of its own."""
+        names = joint_names(self.poses.poser)
+        skin = done.skin
+        report = JointsReport(
+            before=int(done.joint_counts[0]),
+            after=len(done.used),
+            removed=[names[joint] for joint in done.removed],
+            heirs=[None if joint < 0 else names[joint] for joint in done.heirs],
+            added_error=done.added_error,
+            counts=done.joint_counts.tolist(),
+            errors=done.errors.tolist(),
+            influences=skin.joints.shape[1],
+        )
+        used = (done.used, tuple(names[joint] for joint in done.used))
+        return FittedMesh(self.poses.fit.undo(skin.rest), Influences(skin.joints, skin.weights), used, report)
 
 
 def _choose_poses(job: MeshJob) -> npt.NDArray[np.int64]:

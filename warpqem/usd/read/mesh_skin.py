@@ -39,6 +39,9 @@ class Skin:
         shapes: Its blend shapes.
         influence_limit: Joints that move a new point at most; None for as many as move an old one.
         fitted: Influences of the new points; None to blend them from the old ones'.
+        joint_order: Names of the joints that `fitted` counts through; None for those of the input.
+        shape_order: Names of `shapes`, where some of the input's went; None where all stay.
+        removed_shapes: The BlendShape prims of those that went.
     """
 
     rest_points: npt.NDArray[np.float32]
@@ -46,6 +49,9 @@ class Skin:
     shapes: list[ShapeData]
     influence_limit: int | None = None
     fitted: Influences | None = None
+    joint_order: tuple[str, ...] | None = None
+    shape_order: tuple[str, ...] | None = None
+    removed_shapes: tuple[Sdf.Path, ...] = ()
 
     @property
     def diagonal(self) -> float:

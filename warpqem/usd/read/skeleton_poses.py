@@ -41,6 +41,17 @@ class StagePoses:
             for skinning_query in binding.GetSkinningTargets():
                 self._bindings[skinning_query.GetPrim().GetPath()] = (skeleton_query, skinning_query)
 
+    def shapes_of_others(self, prim: Usd.Prim) -> set[str]:
+        """Names of the blend shapes that other meshes take from the animation of a mesh."""
+        own = self._bindings.get(prim.GetPath())
+        query = None if own is None else own[0].GetAnimQuery()
+        names: set[str] = set()
+        for path, (skeleton_query, skinning_query) in self._bindings.items():
+            other = skeleton_query.GetAnimQuery()
+            if path != prim.GetPath() and query and other and other.GetPrim() == query.GetPrim():
+                names |= set(skinning_query.GetBlendShapeOrder() or [])
+        return names
+
     def poser(self, prim: Usd.Prim) -> MeshPoser | None:
         """What deforms `prim`, or None if no skeleton or blend shape is bound to it."""
         binding = self._bindings.get(prim.GetPath())

@@ -11,7 +11,7 @@ from pxr import Usd, UsdGeom, UsdSkel, Vt
 from warpqem.errors import StageError
 from warpqem.usd.read.skeleton_poses import MeshPoser
 
-__all__ = ["is_linear", "joint_transforms", "shape_offsets"]
+__all__ = ["is_linear", "joint_names", "joint_parents", "joint_transforms", "shape_offsets"]
 
 
 def is_linear(poser: MeshPoser) -> bool:
@@ -57,6 +57,30 @@ def _joint_index(poser: MeshPoser) -> npt.NDArray[np.int64]:
         return np.arange(len(names))
     position = {name: index for index, name in enumerate(names)}
     return np.array([position.get(name, -1) for name in order], dtype=np.int64)
+
+
+def joint_names(poser: MeshPoser) -> list[str]:
+    """The joints of a mesh in the order that its influences use."""
+    order = poser.skinning_query.GetJointOrder()
+    return list(poser.skeleton_query.GetJointOrder() if order is None else order)
+
+
+def joint_parents(poser: MeshPoser) -> npt.NDArray[np.int64]:
+    """The nearest joint above each joint of a mesh, in the order that its influences use, -1 for none; (J,).
+
+    Joints between the two that the mesh does not name are passed over; so are joints that the skeleton lacks.
+    """
+    names = list(poser.skeleton_query.GetJointOrder())
+    topology = poser.skeleton_query.GetTopology()
+    own = {name: index for index, name in enumerate(joint_names(poser))}
+    place = {name: index for index, name in enumerate(names)}
+    parents = np.full(len(own), -1, dtype=np.int64)
+    for name, index in own.items():
+        above = topology.GetParent(place[name]) if name in place else -1
+        while above >= 0 and names[above] not in own:
+            above = topology.GetParent(above)
+        parents[index] = own[names[above]] if above >= 0 else -1
+    return parents
 
 
 def shape_offsets(

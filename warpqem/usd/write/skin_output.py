@@ -17,8 +17,8 @@ __all__ = ["blend_influences", "write_skin"]
 def write_skin(stage: Usd.Stage, prim: Usd.Prim, skin: Skin, transfer: AttributeTransfer) -> None:
     """Give the new points of a mesh their joint influences and blend shapes.
 
-    Skeleton, animation, geomBindTransform, joint order and targets are those of the input, and so are joints that move
-    the whole mesh as one.
+    Skeleton, animation, geomBindTransform and targets are those of the input, and so are joints that move the whole
+    mesh as one. The joint order is the input's, or the mesh gets one of its own with the joints that it still uses.
 
     Args:
         stage: Stage whose edit target takes the edits.
@@ -29,9 +29,17 @@ def write_skin(stage: Usd.Stage, prim: Usd.Prim, skin: Skin, transfer: Attribute
     rows = transfer.vertices()
     if skin.fitted is not None:
         _write_influences(prim, dict.fromkeys(skin.influences, skin.fitted))
+        if skin.joint_order is not None:
+            UsdSkel.BindingAPI(prim).CreateJointsAttr(Vt.TokenArray(skin.joint_order))
     elif skin.influences:
         blended = {code: blend_influences(item, rows, skin.influence_limit) for code, item in skin.influences.items()}
         _write_influences(prim, blended)
+    if skin.shape_order is not None:
+        binding = UsdSkel.BindingAPI(prim)
+        binding.CreateBlendShapesAttr(Vt.TokenArray(skin.shape_order))
+        binding.CreateBlendShapeTargetsRel().SetTargets([shape.path for shape in skin.shapes])
+        for path in skin.removed_shapes:
+            stage.OverridePrim(path).SetActive(False)
     for shape in skin.shapes:
         write_shape(stage, shape, rows, skin.diagonal, transfer)
 

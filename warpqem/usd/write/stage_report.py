@@ -7,7 +7,7 @@ from typing import Any
 
 from warpqem.measure.verdict import rank
 
-__all__ = ["PrimReport", "RunReport", "StageReport", "name_prim"]
+__all__ = ["JointsReport", "PrimReport", "RunReport", "ShapesReport", "StageReport", "name_prim"]
 
 
 def name_prim(path: str, error: Exception) -> str:
@@ -42,6 +42,59 @@ class RunReport:
 
 
 @dataclass
+class JointsReport:
+    """Joints that went from a skinned mesh.
+
+    Attributes:
+        before: Joints that moved it before any went.
+        after: Joints that move it.
+        removed: Names of the others, in the order they went.
+        heirs: The joint that got most of the weight of each; None where its points had found better ones before.
+        added_error: RMS distance over the poses that this adds, in quadrature, in % of the rest shape's diagonal.
+        counts: Joints at each step.
+        errors: RMS distance over the poses at each of these counts, beyond that of the free placement, in %.
+        influences: Joints that move a point at most.
+    """
+
+    before: int
+    after: int
+    removed: list[str]
+    heirs: list[str | None]
+    added_error: float
+    counts: list[int]
+    errors: list[float]
+    influences: int
+
+
+@dataclass
+class ShapesReport:
+    """Blend shapes that went from a mesh.
+
+    Attributes:
+        before: Blend shapes of the input.
+        after: Those that stay.
+        removed: Names of the others, in the order they went.
+        merged: Of these, by name, how much of their weight which shapes took over.
+        used_error: RMS distance that this makes over the weights of the animation, in % of the rest shape's diagonal; 0
+            without any.
+        random_error: The same over random weights.
+        counts: Blend shapes at each step.
+        used_errors: `used_error` at each of these counts.
+        random_errors: `random_error` at each of them.
+    """
+
+    before: int
+    after: int
+    removed: list[str]
+    merged: dict[str, dict[str, float]]
+    used_error: float
+    random_error: float
+    counts: list[int]
+    used_errors: list[float]
+    random_errors: list[float]
+
+
+@dataclass
 class PrimReport:
     """The outcome for one mesh.
 
@@ -63,6 +116,8 @@ class PrimReport:
         dropped: What did not fit the new mesh and was taken off it.
         message: Why it failed, or why it was kept.
         skin: "fitted" or "interpolated: " and why, for a mesh that joints go on moving point by point; None for others.
+        joints: Where joints were to go, what came of it, see `JointsReport`.
+        shapes: Where blend shapes were to go, what came of it, see `ShapesReport`.
         symmetry: Where symmetry was asked for, "kept" or why the mesh is not symmetric.
         plan: The blocks of frames it was done in, and the memory for it, see `warpqem.MemoryPlan`.
         problems: Values that it was done with, but that cannot be meant, such as a normal that is no number.
@@ -86,6 +141,8 @@ class PrimReport:
     dropped: list[str] = field(default_factory=list)
     message: str | None = None
     skin: str | None = None
+    joints: JointsReport | None = None
+    shapes: ShapesReport | None = None
     symmetry: str | None = None
     plan: dict[str, Any] | None = None
     problems: list[str] = field(default_factory=list)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import weakref
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -73,6 +73,7 @@ class OverLayer:
         # By the path of the mesh: what was taken off it, and its blend shapes that were written.
         self._dropped: dict[str, list[Dropped]] = {}
         self._shapes: dict[str, list[Sdf.Path]] = {}
+        self._on_discard: dict[str, list[Callable[[], None]]] = {}
 
     def _start(self) -> Usd.Stage:
         copy_stage_metadata(self._source, self._layer)
@@ -101,6 +102,12 @@ class OverLayer:
             if spec:
                 del self._layer.GetPrimAtPath(edited.GetParentPath()).nameChildren[spec.name]
         self._dropped.pop(path, None)
+        for action in self._on_discard.pop(path, []):
+            action()
+
+    def on_discard(self, path: str, action: Callable[[], None]) -> None:
+        """Do something when the edits of a mesh are taken back: take back those of what it shares with others."""
+        self._on_discard.setdefault(path, []).append(action)
 
     def point_samples(self, path: str, times: list[float] | None, with_normals: bool = True) -> PointSamples:
         """A sink for the points of the simplified mesh that `replace_mesh` is going to be called for.
@@ -177,7 +184,7 @@ class OverLayer:
         if skin is None:
             drop_skin(prim, dropped)
         else:
-            self._shapes[str(prim.GetPath())] = [shape.path for shape in skin.shapes]
+            self._shapes[str(prim.GetPath())] = [*(shape.path for shape in skin.shapes), *skin.removed_shapes]
             write_skin(self.stage, prim, skin, transfer)
         if transfer.normals == "none":
             for name in NORMAL_ATTRIBUTES:
