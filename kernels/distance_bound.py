@@ -9,18 +9,19 @@ not cut them, in half.
 
 import warp as wp
 
-from warpqem.kernels.closest_point import closest_barycentric
 from warpqem.kernels.near_faces import (
+    ANYWHERE,
     HINTS,
     Faces,
+    NearFace,
     Surface,
     corner_point,
     covers,
     face_around,
     face_towards,
     nearest_face,
-    squared_distance,
-    with_first,
+    nearest_on_face,
+    with_face,
 )
 from warpqem.kernels.piece_cuts import Corners, Cut, cut_in_half, cut_over_edge
 
@@ -38,8 +39,9 @@ SEARCH = wp.constant(wp.int32(2))
 # Pieces of a triangle that are looked at, and that may wait, before it is given up as undecided.
 MAX_PIECES = wp.constant(wp.int32(4096))
 MAX_WAITING = wp.constant(wp.int32(40))
-Waiting = wp.types.matrix(shape=(int(MAX_WAITING), 9), dtype=wp.float64)
-Parts = wp.types.matrix(shape=(3, 9), dtype=wp.float64)
+Places = wp.types.matrix(shape=(3, 2), dtype=wp.float64)  # weights of the owner's second and third corner
+Waiting = wp.types.matrix(shape=(int(MAX_WAITING), 6), dtype=wp.float64)
+WaitingFaces = wp.types.vector(length=int(MAX_WAITING), dtype=wp.int32)
 
 
 @wp.struct
@@ -69,25 +71,47 @@ class Look:
     covered: wp.bool
     is_cut: wp.bool
     cut: Cut
-    hints: Faces
+    near: wp.int32  # the face that covers it, or over which it is cut
 
 
 @wp.func
-def face_to_try(
-    other: Surface, hints: Faces, attempt: wp.int32, centre: wp.vec3d, limit: wp.float64, effort: wp.int32
-) -> wp.int32:
-    """The face to try, -1 for none: first those that were near before, then where a walk from the last of them ends,
-    then the nearest one."""
-    if attempt < HINTS:
-        return hints[attempt]
-    if attempt > HINTS:
-        return nearest_face(other, centre, limit)
-    if hints[0] >= 0:
-        near = face_towards(other, hints[0], centre)
-        if effort == AROUND and squared_distance(other, near, centre) > limit * limit:
-            near = face_around(other, near, centre)
-        return near
-    return -1
+def face_searched(other: Surface, centre: wp.vec3d, limit: wp.float64) -> NearFace:
+    """The face nearest to a point, -1 where none is within the limit."""
+    near = NearFace()
+    near.face = nearest_face(other, centre, limit)
+    near.squared = ANYWHERE
+    if near.face >= 0:
+        found = nearest_on_face(other, near.face, centre)
+        near.squared = found.squared
+    return near
+
+
+@wp.func
+def face_near(
+    other: Surface, start: wp.int32, hints: Faces, centre: wp.vec3d, limit: wp.float64, effort: wp.int32
+) -> NearFace:
+    """A face within the limit of a point, -1 for none: where a walk from ``start`` ends, or what is looked at then."""
+    squared = limit * limit
+    near = NearFace()
+    near.face = wp.int32(-1)
+    near.squared = ANYWHERE
+    if start >= 0:
+        near = face_towards(other, start, centre)
+    if near.squared > squared:
+        # The faces that covered pieces before may lie across a fold.
+        for k in range(HINTS):
+            if hints[k] >= 0:
+                found = nearest_on_face(other, hints[k], centre)
+                if found.squared < near.squared:
+                    near.face = hints[k]
+                    near.squared = found.squared
+    if near.squared > squared and near.face >= 0 and effort == AROUND:
+        near = face_around(other, near, centre)
+    if near.squared > squared and effort == SEARCH:
+        near = face_searched(other, centre, limit)
+    if near.squared > squared:
+        near.face = wp.int32(-1)
+    return near
 
 
 @wp.func
@@ -100,71 +124,76 @@ def is_inside(corners: Corners, centre: wp.vec3d, squared: wp.float64, limit: wp
 
 
 @wp.func
-def look_at_piece(corners: Corners, other: Surface, limit: wp.float64, hints: Faces, effort: wp.int32) -> Look:
-    """Whether one face covers a piece, or else how to cut it."""
+def look_over(
+    corners: Corners,
+    centre: wp.vec3d,
+    other: Surface,
+    near: NearFace,
+    tried: wp.int32,
+    hints: Faces,
+    limit: wp.float64,
+) -> Look:
+    """Whether a face near to the middle of a piece covers it, or one of the ``hints``, or else how it is cut there.
+
+    ``tried`` does not cover it.
+    """
     look = Look()
-    look.covered = wp.bool(False)
+    look.near = near.face
     look.is_cut = wp.bool(False)
-    look.hints = hints
-    centre = (corners[0] + corners[1] + corners[2]) / wp.float64(3.0)
-    attempt = wp.int32(0)
-    last = HINTS + wp.where(effort == SEARCH, 1, 0)
-    while attempt <= last and not look.covered and not look.is_cut:
-        near = face_to_try(other, look.hints, attempt, centre, limit, effort)
-        if near >= 0:
-            look.covered = covers(other, near, corners[0], corners[1], corners[2], limit)
+    look.covered = is_inside(corners, centre, near.squared, limit)
+    if not look.covered and near.face != tried:
+        look.covered = covers(other, near.face, corners[0], corners[1], corners[2], limit)
+    for k in range(HINTS):
+        if not look.covered and hints[k] >= 0 and hints[k] != tried and hints[k] != near.face:
+            look.covered = covers(other, hints[k], corners[0], corners[1], corners[2], limit)
             if look.covered:
-                look.hints = with_first(look.hints, near, wp.min(attempt, HINTS - 1))
-            elif attempt >= HINTS:
-                squared = squared_distance(other, near, centre)
-                if squared <= limit * limit:
-                    look.covered = is_inside(corners, centre, squared, limit)
-                    if not look.covered:
-                        look.cut = cut_over_edge(other, near, corners)
-                        look.is_cut = look.cut.in_three
-                        if not look.is_cut and attempt == last:
-                            look.cut = cut_in_half(corners)
-                            look.is_cut = True
-                    look.hints = with_first(look.hints, near, HINTS - 1)
-        attempt += 1
+                look.near = hints[k]
+    if not look.covered:
+        look.cut = cut_over_edge(other, near.face, corners)
+        look.is_cut = look.cut.in_three
     return look
 
 
 @wp.func
-def cut_parts(corners: Corners, cut: Cut) -> Parts:
-    """The parts of a piece, three or two, by the coordinates of their corners."""
-    p = corners[cut.corner]
-    q = corners[(cut.corner + 1) % 3]
-    r = corners[(cut.corner + 2) % 3]
-    one = p + (q - p) * cut.after
-    two = p + (r - p) * cut.before
-    parts = Parts()
-    for k in range(3):
-        parts[0, k] = p[k]
-        parts[0, 3 + k] = one[k]
-        parts[0, 6 + k] = two[k]
-        parts[1, k] = one[k]
-        parts[1, 3 + k] = q[k]
-        parts[1, 6 + k] = r[k]
-        parts[2, k] = one[k]
-        parts[2, 3 + k] = r[k]
-        parts[2, 6 + k] = two[k]
-    return parts
+def look_at_piece(
+    corners: Corners, start: wp.int32, other: Surface, limit: wp.float64, hints: Faces, effort: wp.int32
+) -> Look:
+    """Whether one face covers a piece, first ``start``, or else how to cut it."""
+    look = Look()
+    look.covered = wp.bool(False)
+    look.is_cut = wp.bool(False)
+    look.near = start
+    if start >= 0:
+        look.covered = covers(other, start, corners[0], corners[1], corners[2], limit)
+    if not look.covered:
+        centre = (corners[0] + corners[1] + corners[2]) / wp.float64(3.0)
+        near = face_near(other, start, hints, centre, limit, effort)
+        if near.face >= 0:
+            look = look_over(corners, centre, other, near, start, hints, limit)
+            if effort == SEARCH and not look.covered and not look.is_cut:
+                # A walk may have ended before the nearest one.
+                nearest = face_searched(other, centre, limit)
+                if nearest.face >= 0 and nearest.face != near.face:
+                    look = look_over(corners, centre, other, nearest, start, hints, limit)
+            if not look.covered and not look.is_cut:
+                look.cut = cut_in_half(corners)
+                look.is_cut = wp.bool(True)
+    return look
 
 
 @wp.func
-def write_corner(pieces: Pieces, index: wp.int32, k: wp.int32, own: Surface, other: Surface, p: wp.vec3d):
-    """Write the weights of a corner of a piece."""
-    owner = pieces.owner[index]
-    face = pieces.face[index]
-    here = closest_barycentric(p, corner_point(own, owner, 0), corner_point(own, owner, 1), corner_point(own, owner, 2))
-    there = closest_barycentric(
-        p, corner_point(other, face, 0), corner_point(other, face, 1), corner_point(other, face, 2)
-    )
-    pieces.weight[index, k, 0] = wp.float32(here[1])
-    pieces.weight[index, k, 1] = wp.float32(here[2])
-    pieces.weight[index, k, 2] = wp.float32(there[1])
-    pieces.weight[index, k, 3] = wp.float32(there[2])
+def part_of(places: Places, cut: Cut, index: wp.int32) -> Places:
+    """One of the parts of a piece that is cut, two or three of them; the first one has the corner of the cut."""
+    p = places[cut.corner]
+    q = places[(cut.corner + 1) % 3]
+    r = places[(cut.corner + 2) % 3]
+    one = p + cut.after * (q - p)
+    two = p + cut.before * (r - p)
+    if index == 0:
+        return Places(p[0], p[1], one[0], one[1], two[0], two[1])
+    if index == 1:
+        return Places(one[0], one[1], q[0], q[1], r[0], r[1])
+    return Places(one[0], one[1], r[0], r[1], two[0], two[1])
 
 
 @wp.func
@@ -174,7 +203,7 @@ def write_piece(
     parent: wp.int32,
     owner: wp.int32,
     face: wp.int32,
-    own: Surface,
+    places: Places,
     other: Surface,
     corners: Corners,
 ) -> wp.bool:
@@ -190,13 +219,17 @@ def write_piece(
     pieces.owner[index] = owner
     pieces.face[index] = face
     for k in range(3):
-        write_corner(pieces, index, k, own, other, corners[k])
+        there = nearest_on_face(other, face, corners[k])
+        pieces.weight[index, k, 0] = wp.float32(places[k, 0])
+        pieces.weight[index, k, 1] = wp.float32(places[k, 1])
+        pieces.weight[index, k, 2] = wp.float32(there.weights[1])
+        pieces.weight[index, k, 3] = wp.float32(there.weights[2])
     return True
 
 
 @wp.func
 def bound_piece(
-    whole: Corners,
+    whole: Places,
     own: Surface,
     other: Surface,
     limit: wp.float64,
@@ -214,33 +247,53 @@ def bound_piece(
     outcome = Outcome()
     outcome.verdict = WITHIN
     outcome.hints = hints_in
+    a = corner_point(own, owner, 0)
+    ab = corner_point(own, owner, 1) - a
+    ac = corner_point(own, owner, 2) - a
     waiting = Waiting()
-    for k in range(9):
-        waiting[0, k] = whole[k / 3, k % 3]
+    start = WaitingFaces()
+    for k in range(6):
+        waiting[0, k] = whole[k // 2, k % 2]
+    start[0] = hints_in[0]
     count = wp.int32(1)
+    if effort == SEARCH:
+        # What no walk leads to is mostly too far, and then mostly at a corner.
+        for k in range(3):
+            near = face_near(other, hints_in[0], hints_in, a + whole[k, 0] * ab + whole[k, 1] * ac, limit, effort)
+            if near.face < 0:
+                outcome.verdict = BEYOND
+                count = 0
     looked_at = wp.int32(0)
     while count > 0:
         count -= 1
         looked_at += 1
+        places = Places()
         corners = Corners()
-        for k in range(9):
-            corners[k / 3, k % 3] = waiting[count, k]
-        look = look_at_piece(corners, other, limit, outcome.hints, effort)
-        outcome.hints = look.hints
+        for k in range(3):
+            places[k, 0] = waiting[count, 2 * k]
+            places[k, 1] = waiting[count, 2 * k + 1]
+            corners[k] = a + places[k, 0] * ab + places[k, 1] * ac
+        look = look_at_piece(corners, start[count], other, limit, outcome.hints, effort)
         if look.covered:
-            if not write_piece(pieces_out, used, parent, owner, look.hints[0], own, other, corners):
+            outcome.hints = with_face(outcome.hints, look.near)
+            if not write_piece(pieces_out, used, parent, owner, look.near, places, other, corners):
                 outcome.verdict = NO_ROOM
         elif not look.is_cut:
             outcome.verdict = wp.where(effort == SEARCH, BEYOND, UNDECIDED)
         elif looked_at == MAX_PIECES or count + 3 > MAX_WAITING:
             outcome.verdict = UNDECIDED
         else:
-            parts = cut_parts(corners, look.cut)
-            part_count = wp.where(look.cut.in_three, 3, 2)
-            for part in range(part_count):
-                for k in range(9):
-                    waiting[count + part, k] = parts[part, k]
-            count += part_count
+            beyond = look.near
+            if look.cut.in_three:
+                across = other.across[3 * look.near + look.cut.edge]
+                if across >= 0:
+                    beyond = across
+            for part in range(wp.where(look.cut.in_three, 3, 2)):
+                piece = part_of(places, look.cut, part)
+                for k in range(6):
+                    waiting[count + part, k] = piece[k // 2, k % 2]
+                start[count + part] = wp.where((part == 0) == look.cut.is_beyond, beyond, look.near)
+            count += wp.where(look.cut.in_three, 3, 2)
         if outcome.verdict == BEYOND or outcome.verdict == UNDECIDED:
             count = 0
     return outcome
@@ -269,13 +322,14 @@ def bound_triangles(
     """
     i = first + wp.tid()
     face = chosen[i]
-    corners = Corners()
     hints = Faces()
-    for k in range(3):
-        corners[k] = corner_point(own, face, k)
     for k in range(HINTS):
         hints[k] = hint[face, k]
-    outcome = bound_piece(corners, own, other, limit, hints, effort, i, face, used, pieces_out)
+    zero = wp.float64(0.0)
+    one = wp.float64(1.0)
+    outcome = bound_piece(
+        Places(zero, zero, one, zero, zero, one), own, other, limit, hints, effort, i, face, used, pieces_out
+    )
     for k in range(HINTS):
         hint[face, k] = outcome.hints[k]
     verdict_out[i] = outcome.verdict
@@ -309,15 +363,13 @@ def bound_pieces(
     own.points = own_points[frame[i]]
     other.points = other_points[frame[i]]
     owner = pieces.owner[i]
-    a = corner_point(own, owner, 0)
-    ab = corner_point(own, owner, 1) - a
-    ac = corner_point(own, owner, 2) - a
-    corners = Corners()
+    places = Places()
     for k in range(3):
-        corners[k] = a + wp.float64(pieces.weight[i, k, 0]) * ab + wp.float64(pieces.weight[i, k, 1]) * ac
+        places[k, 0] = wp.float64(pieces.weight[i, k, 0])
+        places[k, 1] = wp.float64(pieces.weight[i, k, 1])
     hints = Faces()
     for k in range(HINTS):
         hints[k] = -1
     hints[0] = pieces.face[i]
-    outcome = bound_piece(corners, own, other, limit, hints, effort, i, owner, used, pieces_out)
+    outcome = bound_piece(places, own, other, limit, hints, effort, i, owner, used, pieces_out)
     verdict_out[i] = outcome.verdict

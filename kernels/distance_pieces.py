@@ -30,14 +30,11 @@ def lane_from_segment(p: Any, d: Any):
 
 
 @wp.func
-def lane_distance_squared(p: Any, e: Any, f: Any):
-    """Squared distances (width,) of points p (3, width) from triangles of the origin, e and f: no less than they are.
+def lane_foot_squared(p: Any, e: Any, f: Any):
+    """Squared distances (width,) of points p (3, width) from their feet on the planes of triangles of the origin, e, f.
 
-    The nearest of the three edges and, where it lies inside, of the foot on the plane.
+    Feet beyond the triangle are moved into it: no less than the distance.
     """
-    found = lane_from_segment(p, e)
-    second = lane_from_segment(p, f)
-    third = lane_from_segment(p - e, f - e)
     ee = lane_dot(e, e)
     ef = lane_dot(e, f)
     ff = lane_dot(f, f)
@@ -46,13 +43,24 @@ def lane_distance_squared(p: Any, e: Any, f: Any):
     area = wp.cw_mul(ee, ff) - wp.cw_mul(ef, ef)
     v = wp.cw_mul(ff, pe) - wp.cw_mul(ef, pf)
     w = wp.cw_mul(ee, pf) - wp.cw_mul(ef, pe)
-    for lane in range(len(found)):
+    for lane in range(len(v)):
         inverse = 1.0 / wp.max(area[lane], MIN_SQUARED)
-        # Weights anywhere within the face give a point of it, whatever rounding makes of them.
         v[lane] = wp.clamp(v[lane] * inverse, 0.0, 1.0)
         w[lane] = wp.clamp(w[lane] * inverse, 0.0, 1.0 - v[lane])
     offset = p - lane_scale(v, e) - lane_scale(w, f)
-    inside = lane_dot(offset, offset)
+    return lane_dot(offset, offset)
+
+
+@wp.func
+def lane_distance_squared(p: Any, e: Any, f: Any):
+    """Squared distances (width,) of points p (3, width) from triangles of the origin, e and f: no less than they are.
+
+    The nearest of the three edges and, where it lies inside, of the foot on the plane.
+    """
+    found = lane_from_segment(p, e)
+    second = lane_from_segment(p, f)
+    third = lane_from_segment(p - e, f - e)
+    inside = lane_foot_squared(p, e, f)
     for lane in range(len(found)):
         found[lane] = wp.min(wp.min(found[lane], second[lane]), wp.min(third[lane], inside[lane]))
     return found
@@ -104,7 +112,9 @@ def check_pieces(
         still = 0.0 * a[0]
         for k in range(3):
             offset = ad + pieces.weight[piece, k, 0] * ab + pieces.weight[piece, k, 1] * ac
-            length = lane_distance_squared(offset, de, df)
+            length = lane_foot_squared(offset, de, df)
+            if not (wp.max(length) <= squared):
+                length = lane_distance_squared(offset, de, df)
             for lane in range(len(far)):
                 still[lane] = wp.where(length[lane] <= squared, still[lane], 1.0)
         for lane in range(len(far)):

@@ -113,45 +113,81 @@ def nearer_face(other: Surface, best: wp.int32, best_squared: wp.float64, p: wp.
     return nearest
 
 
+@wp.struct
+class Nearest:
+    """The point of a face nearest to another point."""
+
+    weights: wp.vec3d  # of the corners of the face
+    squared: wp.float64  # the squared distance
+
+
 @wp.func
-def face_towards(surface: Surface, start: wp.int32, p: wp.vec3d) -> wp.int32:
+def nearest_on_face(surface: Surface, face: wp.int32, p: wp.vec3d) -> Nearest:
+    """The point of a face nearest to another point: the foot on its plane, where that lies inside."""
+    found = Nearest()
+    a = corner_point(surface, face, 0)
+    ab = corner_point(surface, face, 1) - a
+    ac = corner_point(surface, face, 2) - a
+    ap = p - a
+    normal = wp.cross(ab, ac)
+    normal_squared = wp.length_sq(normal)
+    v = wp.dot(wp.cross(ap, ac), normal)
+    w = wp.dot(wp.cross(ab, ap), normal)
+    if v > wp.float64(0.0) and w > wp.float64(0.0) and v + w < normal_squared:
+        v /= normal_squared
+        w /= normal_squared
+        found.weights = wp.vec3d(wp.float64(1.0) - v - w, v, w)
+    else:
+        found.weights = closest_barycentric(p, a, a + ab, a + ac)
+    offset = ap - found.weights[1] * ab - found.weights[2] * ac
+    found.squared = wp.length_sq(offset)
+    return found
+
+
+@wp.struct
+class NearFace:
+    """A face near to a point."""
+
+    face: wp.int32  # -1 for none
+    squared: wp.float64  # the squared distance
+
+
+@wp.func
+def face_towards(surface: Surface, start: wp.int32, p: wp.vec3d) -> NearFace:
     """A face that no neighbour across an edge is nearer than to a point, from ``start`` on, or one on the way there."""
     face = start
-    weights = closest_barycentric(
-        p, corner_point(surface, face, 0), corner_point(surface, face, 1), corner_point(surface, face, 2)
-    )
-    squared = squared_distance(surface, face, p)
+    here = nearest_on_face(surface, face, p)
     steps = wp.int32(0)
     while steps < MAX_STEPS:
         steps += 1
         nearer = wp.int32(-1)
+        there = here
         for k in range(3):
             # The closest point lies on this edge.
-            if nearer < 0 and weights[(k + 2) % 3] <= wp.float64(0.0):
+            if nearer < 0 and here.weights[(k + 2) % 3] <= wp.float64(0.0):
                 next_face = surface.across[3 * face + k]
                 if next_face >= 0:
-                    found = squared_distance(surface, next_face, p)
-                    if found < squared:
+                    there = nearest_on_face(surface, next_face, p)
+                    if there.squared < here.squared:
                         nearer = next_face
-                        squared = found
         if nearer < 0:
             steps = MAX_STEPS
         else:
             face = nearer
-            weights = closest_barycentric(
-                p, corner_point(surface, face, 0), corner_point(surface, face, 1), corner_point(surface, face, 2)
-            )
-    return face
+            here = there
+    found = NearFace()
+    found.face = face
+    found.squared = here.squared
+    return found
 
 
 @wp.func
-def face_around(surface: Surface, start: wp.int32, p: wp.vec3d) -> wp.int32:
+def face_around(surface: Surface, start: NearFace, p: wp.vec3d) -> NearFace:
     """The face nearest to a point of those around a face, breadth first across edges."""
     around = FacesAround()
-    around[0] = start
+    around[0] = start.face
     count = wp.int32(1)
     nearest = start
-    squared = squared_distance(surface, start, p)
     i = wp.int32(0)
     while i < count:
         for k in range(3):
@@ -163,10 +199,10 @@ def face_around(surface: Surface, start: wp.int32, p: wp.vec3d) -> wp.int32:
             if is_new:
                 around[count] = face
                 count += 1
-                found = squared_distance(surface, face, p)
-                if found < squared:
-                    squared = found
-                    nearest = face
+                found = nearest_on_face(surface, face, p)
+                if found.squared < nearest.squared:
+                    nearest.face = face
+                    nearest.squared = found.squared
         i += 1
     return nearest
 
@@ -181,3 +217,13 @@ def with_first(hints: Faces, face: wp.int32, place: wp.int32) -> Faces:
             moved[i] = hints[i - 1]
     moved[0] = face
     return moved
+
+
+@wp.func
+def with_face(hints: Faces, face: wp.int32) -> Faces:
+    """The hints with a face in front, which may be one of them."""
+    place = HINTS - 1
+    for k in range(HINTS):
+        if hints[k] == face:
+            place = k
+    return with_first(hints, face, place)

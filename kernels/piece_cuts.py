@@ -20,6 +20,8 @@ class Cut:
     after: wp.float64  # how far along the edge to the next corner
     before: wp.float64  # how far along the edge to the previous corner
     in_three: wp.bool  # else in half, through the corner before
+    edge: wp.int32  # of the face, where the cut is over one
+    is_beyond: wp.bool  # whether the corner is beyond that edge, and the rest before it, or the other way round
 
 
 @wp.func
@@ -48,6 +50,8 @@ def cut_over_edge(other: Surface, face: wp.int32, corners: Corners) -> Cut:
                 ):
                     cut.corner = k
             own = side[cut.corner]
+            cut.edge = edge
+            cut.is_beyond = own > wp.float64(0.0)
             cut.after = own / (own - side[(cut.corner + 1) % 3])
             cut.before = own / (own - side[(cut.corner + 2) % 3])
     return cut

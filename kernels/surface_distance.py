@@ -92,6 +92,9 @@ def sample_distances(
     other: Surface,
     sample_face: wp.array[wp.int32],
     sample_place: wp.array[wp.vec2d],
+    own_count: wp.int32,
+    other_count: wp.int32,
+    hint: wp.array[wp.int32],
     first_sample: wp.int32,
     # out
     distance_out: wp.array[wp.float64],
@@ -102,7 +105,8 @@ def sample_distances(
 
     ``sample_place`` (S,) are the barycentric coordinates of the second and third corner. Of a surface with two sides on
     the same points, the one that faces the sample's way counts. A distance is -1 where the search finds no face, as all
-    of them are slivers.
+    of them are slivers. ``hint`` (N,) are faces of one cell of ``other`` that may be near to each face of ``own``, -1
+    for none: they bound the search, and decide nothing.
     """
     i = first_sample + wp.tid()
     face = sample_face[i]
@@ -111,9 +115,16 @@ def sample_distances(
     b = corner_point(own, face, 1)
     c = corner_point(own, face, 2)
     p = a + place[0] * (b - a) + place[1] * (c - a)
-    found = wp.mesh_query_point_no_sign(
-        other.mesh, wp.vec3(wp.float32(p[0]), wp.float32(p[1]), wp.float32(p[2])), SEARCH_RADIUS
-    )
+    radius = SEARCH_RADIUS
+    known = hint[face % own_count]
+    if known >= 0:
+        known += (face / own_count) * other_count
+        radius = wp.float32(wp.sqrt(squared_distance(other, known, p)) + SEARCH_MARGIN)
+    centre = wp.vec3(wp.float32(p[0]), wp.float32(p[1]), wp.float32(p[2]))
+    found = wp.mesh_query_point_no_sign(other.mesh, centre, radius)
+    if not found.result:
+        # The search passes over slivers, of which the one that is known may be one.
+        found = wp.mesh_query_point_no_sign(other.mesh, centre, SEARCH_RADIUS)
     near_out[i] = wp.int32(-1)
     distance_out[i] = wp.float64(-1.0)
     angle_out[i] = wp.float64(0.0)

@@ -12,7 +12,19 @@ import warp as wp
 
 from warpqem.kernels import distance_bound as kernels
 from warpqem.measure.bound_side import BoundSide
-from warpqem.measure.piece_proof import MORE_ROOM, NO_ROOM, SEARCH, WALK, WITHIN, PieceArrays, PieceProof, run_writing
+from warpqem.measure.piece_proof import (
+    AROUND,
+    FEW_LOOKS,
+    MORE_ROOM,
+    NO_ROOM,
+    SEARCH,
+    WALK,
+    WITHIN,
+    PieceArrays,
+    PieceProof,
+    count_bits,
+    run_writing,
+)
 from warpqem.measure.unit_frames import UnitBlock, UnitFrames
 from warpqem.runtime.launches import launch
 
@@ -171,18 +183,6 @@ class DistanceBound:
             side.active[:], side.failed[:], side.undecided[:] = True, False, True
         self._unseen = True
 
-    def look_at_some(self, step: int) -> int:
-        """Look at every so manieth face of both meshes only, until :meth:`look_again`.
-
-        Returns:
-            How many faces these are.
-        """
-        for side in self._sides:
-            side.active[:] = np.arange(len(side.faces)) % step == 0
-            side.failed[:], side.undecided[:] = False, True
-        self._unseen = True
-        return sum(int(side.active.sum()) for side in self._sides)
-
     @property
     def _sides(self) -> tuple[BoundSide, BoundSide]:
         return self.reference, self.test
@@ -195,7 +195,7 @@ class DistanceBound:
         own, chosen = self._sides[index], self._sides[index].unrecorded
         parts = [own.pieces]
         # Most are near a face that a neighbour leads to; the hierarchy is for the others.
-        for effort in (WALK, SEARCH):
+        for effort in (WALK, AROUND, SEARCH):
             if len(chosen):
                 verdict, found = self._verdicts(index, blocks, frame, chosen, effort)
                 own.recorded[chosen[verdict == WITHIN]] = True
@@ -219,8 +219,9 @@ class DistanceBound:
         proof = PieceProof(own, other, blocks[index], blocks[1 - index], self._limit, self._device)
         rows, left = proof.apart_somewhere(pieces)
         pieces, found, searched = pieces.chosen(rows), None, 0
+        first = FIRST_SEARCHED if count_bits(left) > FEW_LOOKS else 0
         while left.any() and self._new(before) <= most:
-            if searched == FIRST_SEARCHED:
+            if searched == first:
                 rows, left = proof.unproved(pieces, left)
                 pieces = pieces.chosen(rows)
                 if not len(rows):

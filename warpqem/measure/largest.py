@@ -39,6 +39,7 @@ class _Direction:
         self._most = 0
         # The least that was known in a frame of the block before.
         self.enough = 0.0
+        self.near_face = wp.full(own.face_count, -1, dtype=wp.int32, device=device)
 
     def search_all(self, floor: Doubles, *, cut: bool) -> Found:
         """Search all patches in the first cell."""
@@ -64,6 +65,11 @@ class _Direction:
     def show(self, points: tuple[wp.array, wp.array]) -> None:
         """Go to a block of frames, packed."""
         self._points = points
+        # The first patch of each face stays its first one.
+        face, row = np.unique(self._patches.face[: self._count], return_index=True)
+        near = np.full(self.own.face_count, -1, dtype=np.int32)
+        near[face] = self._patches.hint[row, 0]
+        self.near_face = wp.array(near, dtype=wp.int32, device=self._device)
         # (F, P): 0 where a patch was searched.
         self._bound = self._bounded(self._patches.rows(slice(self._count)))
 
@@ -139,11 +145,15 @@ class LargestDistance:
         test: the other one.
         frame_count: frames to come.
         device: Warp device.
+        overall: whether only the largest of all frames is asked for: then a frame is searched for what is beyond that
+            of the frames before.
     """
 
-    def __init__(self, reference: Cells, test: Cells, frame_count: int, device: str) -> None:
+    def __init__(self, reference: Cells, test: Cells, frame_count: int, device: str, *, overall: bool = False) -> None:
         self._ways = (_Direction(reference, test, device), _Direction(test, reference, device))
-        self._frame_count, self._device = frame_count, device
+        self._frame_count, self._device, self._overall = frame_count, device, overall
+        # The largest so far.
+        self._largest = 0.0
         self._block: tuple[Doubles, Doubles] | None = None
         self._is_cut = False
         self._least = np.inf
@@ -152,7 +162,7 @@ class LargestDistance:
         """Take a block of frames, (F, U, 3) and (F, W, 3) of unit diagonal about the origin."""
         self._block = (reference, test)
         for way in self._ways:
-            way.enough = 0.0 if np.isinf(self._least) else self._least
+            way.enough = self._largest if self._overall else 0.0 if np.isinf(self._least) else self._least
         self._least = np.inf
         if self._is_cut:
             self._show()
@@ -166,8 +176,11 @@ class LargestDistance:
     def find(self, frames: slice, sampled: Doubles) -> Doubles:
         """The largest distance in frames of the block that the cells show, (n,); some are known from samples (n,).
 
-        It is no smaller than that of any point, and at most a thousandth larger than that of one.
+        It is no smaller than that of any point, and at most a thousandth larger than that of one. Where only the
+        largest of all frames is asked for, that of a frame is no smaller than in the frames before.
         """
+        if self._overall:
+            sampled = np.full_like(sampled, max(self._largest, float(sampled.max())))
         found, bound = sampled.copy(), sampled.copy()
         if self._frame_count == 1:
             for way in self._ways:
@@ -177,12 +190,21 @@ class LargestDistance:
         if not self._is_cut:
             for way in self._ways:
                 found[0] = way.cut_first(float(found[0]))
+                if self._overall:
+                    found[:] = found.max()
             self._is_cut = True
             self._show()
         for way in self._ways:
             self._search(way, frames, found, bound)
+            if self._overall:
+                found[:] = found.max()
+        self._largest = max(self._largest, float(found.max()))
         self._least = min(self._least, float(found.min()))
         return np.maximum(found, bound)
+
+    def near_faces(self, side: int) -> wp.array:
+        """(N,) int32, a face of the other mesh near to each face of one, 0 the reference, mostly; -1 for none."""
+        return self._ways[side].near_face
 
     def leading_corners(self, side: int, frames: slice) -> tuple[npt.NDArray[Any], Doubles]:
         """Points of a mesh (0 the reference, 1 the test mesh) that may be among the furthest in frames of the block.

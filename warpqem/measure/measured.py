@@ -84,7 +84,7 @@ def joined_errors(parts: Sequence[Measured]) -> Measured:
 def measured_errors(comparison: SurfaceComparison) -> Measured:
     """The errors over all frames of a comparison that is done."""
     frames, diagonal = comparison.per_frame(), comparison.diagonals()
-    hausdorff = float(frames.hausdorff.max())
+    hausdorff = comparison.largest()
     return Measured(
         rms=float(frames.rms.mean()),
         rms_forward=float(frames.rms_forward.mean()),
@@ -120,6 +120,7 @@ def measure_frames(
     seed: int = 0,
     device: str,
     progress: Callable[[int, int], None] | None = None,
+    overall: bool = False,
 ) -> SurfaceComparison:
     """Measure a mesh against its reference, reading a group of frames at a time.
 
@@ -133,12 +134,13 @@ def measure_frames(
         seed: seed of the samples.
         device: Warp device.
         progress: called with the number of frames done, and of all.
+        overall: see :class:`SurfaceComparison`.
 
     Raises:
         DegenerateMeshError: no extent or no area in a frame.
     """
     samples = sample_count(len(frames)) if samples is None else samples
-    comparison = SurfaceComparison(reference_faces, test_faces, len(frames), samples, seed, device)
+    comparison = SurfaceComparison(reference_faces, test_faces, len(frames), samples, seed, device, overall=overall)
     for first in range(0, len(frames), comparison.group):
         some = frames[first : first + comparison.group]
         if some[-1] - some[0] == len(some) - 1:
@@ -174,7 +176,7 @@ class MeasuringSink:
         self._frame_count, self._done, self._waiting = frame_count, 0, None
         with device_turn(self._device):
             self._comparison = SurfaceComparison(
-                self._faces, faces, frame_count, sample_count(frame_count), 0, self._device
+                self._faces, faces, frame_count, sample_count(frame_count), 0, self._device, overall=True
             )
 
     def write(self, frames: slice, points: npt.NDArray[np.float32]) -> None:

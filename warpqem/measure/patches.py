@@ -134,6 +134,7 @@ def vertex_distances(own: Cells, other: Cells, device: str) -> tuple[Doubles, In
     distance, angle = (wp.empty(len(corner), dtype=wp.float64, device=device) for _ in range(2))
     face = wp.array(corner // 3, dtype=wp.int32, device=device)
     inputs = [own.surface, other.surface, face, wp.array(place, dtype=wp.vec2d, device=device)]
+    inputs += [own.face_count, other.face_count, wp.full(own.face_count, -1, dtype=wp.int32, device=device)]
     near = wp.empty(len(corner), dtype=wp.int32, device=device)
     launch_in_parts(
         surface_distance.sample_distances,

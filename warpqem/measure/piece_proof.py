@@ -27,7 +27,19 @@ from warpqem.runtime.part_launches import PerPart, launch_in_parts, rows_of
 if TYPE_CHECKING:
     from warpqem.measure.bound_side import BoundSide
 
-__all__ = ["MORE_ROOM", "NO_ROOM", "SEARCH", "WALK", "WITHIN", "PieceArrays", "PieceProof", "run_writing"]
+__all__ = [
+    "AROUND",
+    "FEW_LOOKS",
+    "MORE_ROOM",
+    "NO_ROOM",
+    "SEARCH",
+    "WALK",
+    "WITHIN",
+    "PieceArrays",
+    "PieceProof",
+    "count_bits",
+    "run_writing",
+]
 
 WITHIN, NO_ROOM = int(kernels.WITHIN), int(kernels.NO_ROOM)
 WALK, AROUND, SEARCH = int(kernels.WALK), int(kernels.AROUND), int(kernels.SEARCH)
@@ -45,8 +57,15 @@ SINGLE_MARGIN = 1.0e-6
 # parts in some twenty.
 ROUNDS = 6
 LEFT_FRAMES = 3
+# So few looks at one piece in one frame each take as long as it takes to start a launch, or to search a frame.
+FEW_LOOKS = 1024
 # Bits set in each number of one byte: frames of a block.
-_BIT_COUNT = ((np.arange(256)[:, None] >> np.arange(8)) & 1).sum(axis=1)
+_BIT_COUNT = ((np.arange(256)[:, None] >> np.arange(8)) & 1).sum(axis=1, dtype=np.int64)
+
+
+def count_bits(frames: npt.NDArray[np.int32]) -> int:
+    """How many bits are set, pairs of a piece and a frame."""
+    return int(_BIT_COUNT[np.ascontiguousarray(frames).view(np.uint8)].sum())
 
 
 @dataclass(frozen=True)
@@ -152,24 +171,34 @@ class PieceProof:
         """
         unproved = np.zeros_like(left)
         at = np.arange(len(pieces))
-        for _ in range(ROUNDS):
-            if _BIT_COUNT[left].sum() <= LEFT_FRAMES * len(at):
-                break
+        # What no walk leads to, in any frame, is mostly too far: that is looked at in one frame before the others.
+        lost: list[tuple[npt.NDArray[np.int64], npt.NDArray[np.int32]]] = []
+        for effort in (*[WALK] * ROUNDS, AROUND):
+            if effort == AROUND and lost:
+                at, left = (np.concatenate(parts) for parts in zip((at, left), *lost, strict=True))
+                lost = []
+            elif effort == AROUND or count_bits(left) <= max(LEFT_FRAMES * len(at), FEW_LOOKS):
+                continue
+            before = left
             frame, left = self._take_middle(left)
-            verdict, parts = self._cut_anew(pieces.chosen(at), frame)
+            verdict, parts = self._cut_anew(pieces.chosen(at), frame, effort=effort)
             missed = verdict != WITHIN
-            self._set_bits(unproved, at[missed], frame[missed])
-            left = self._left_of_parts(left, parts, ~missed)
+            if effort == WALK:
+                lost.append((at[missed], before[missed]))
+            elif count_bits(before[missed]) > FEW_LOOKS:
+                unproved[at[missed]] = before[missed]
+            else:
+                lost = [(at[missed], before[missed])]
+            at, left = at[~missed], self._left_of_parts(left, parts, ~missed)[~missed]
             keep = left.any(axis=1)
             at, left = at[keep], left[keep]
+        at, left = (np.concatenate(parts) for parts in zip((at, left), *lost, strict=True))
         row, frame = self._frames_of(left)
-        self._set_bits(unproved, at[row], frame)
-        row, frame = self._frames_of(unproved)
+        row = at[row]
         if len(row):
             verdict, parts = self._cut_anew(pieces.chosen(row), frame, effort=AROUND)
             self._rely_on(parts)
             missed = verdict != WITHIN
-            unproved[:] = 0
             self._set_bits(unproved, row[missed], frame[missed])
         rows = np.flatnonzero(unproved.any(axis=1))
         return rows, unproved[rows]

@@ -10,8 +10,9 @@ import numpy.typing as npt
 import warp as wp
 
 from warpqem.frames.blocks import block_width, pack_frames
+from warpqem.kernels.lanes import POINTS
 
-__all__ = ["UnitBlock", "UnitFrames"]
+__all__ = ["ChangingBlock", "UnitBlock", "UnitFrames"]
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,11 @@ class UnitBlock:
     def __len__(self) -> int:
         return len(self._points)
 
+    @property
+    def vertex_count(self) -> int:
+        """Vertices V."""
+        return self._points.shape[1]
+
     @functools.cached_property
     def double(self) -> wp.array:
         """(n, V) double precision."""
@@ -70,3 +76,29 @@ class UnitBlock:
         """(V, B) blocks of frames, single precision."""
         width = block_width(len(self), self._device)
         return pack_frames(self._frames.single(self._points), self._device, width=width)
+
+
+class ChangingBlock(UnitBlock):
+    """The same of a mesh whose vertices are put in place some at a time.
+
+    Args:
+        shape: frames n and vertices V.
+        frames: what brings them to unit size.
+        device: Warp device.
+    """
+
+    def __init__(self, shape: tuple[int, int], frames: UnitFrames, device: str) -> None:
+        # Vertices that are not there yet lie in the middle.
+        super().__init__(np.broadcast_to(frames.middle[:, None], (*shape, 3)), frames, device)
+        width = block_width(len(self), device)
+        self.double = wp.zeros(shape, dtype=wp.vec3d, device=device)
+        self.lanes = wp.zeros((shape[1], -(-shape[0] // width)), dtype=POINTS[width], device=device)
+
+    def put(self, vertex: npt.NDArray[np.integer], points: npt.NDArray[np.float32]) -> None:
+        """Put some vertices (m,) where they are, (n, m, 3), in the caller's coordinates."""
+        width = block_width(len(self), self._device)
+        single = pack_frames(self._frames.single(points), self._device, width=width)
+        double = wp.array(self._frames.double(points), dtype=wp.vec3d, device=self._device, copy=False)
+        index = wp.array(vertex, dtype=wp.int32, device=self._device)
+        wp.copy(wp.indexedarray(self.lanes, [index]), single)
+        wp.copy(wp.indexedarray(self.double, [None, index]), double)

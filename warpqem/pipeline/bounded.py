@@ -2,32 +2,33 @@
 
 Edges are collapsed once. A level is a cut through the forest of these collapses
 (:mod:`warpqem.decimation.forest_cut`): first those whose errors, means over frames, are well within the limit. It is
-placed and bounded (:class:`warpqem.measure.bound.DistanceBound`); where a face is not proved to be within the limit,
-the last collapse of the largest error there is left out, and the next cut is bounded where it differs. So a spot holds
-back itself alone.
+placed; where a vertex of the input is too far from the faces around the one that it went to, the last collapse of the
+largest error there is left out, and the next cut is looked at where it differs. Cuts in which hardly a vertex is too
+far are bounded (:class:`warpqem.measure.bound.DistanceBound`), which takes longer and proves it; where a face is not
+proved to be within the limit, the same is done. So a spot holds back itself alone.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from warpqem.decimation.collapse_nodes import NodeRecorder
-from warpqem.decimation.decimate import DecimatedMesh
-from warpqem.decimation.forest_cut import CollapseForest, Cut
+from warpqem.decimation.forest_cut import CollapseForest
 from warpqem.decimation.replay import OrderedLevels
 from warpqem.errors import OptionError
 from warpqem.frames.stream import ArraySink, FrameSink, NoFrames, SharedFrames
 from warpqem.measure.bound import DistanceBound, Excess
-from warpqem.measure.unit_frames import UnitBlock, UnitFrames
+from warpqem.measure.far_points import FacesAround, far_points
+from warpqem.measure.unit_frames import ChangingBlock
 from warpqem.mesh.mesh_input import AnimatedMesh
 from warpqem.pipeline.bound_sink import LimitFrames
+from warpqem.pipeline.cut_levels import Choice, CutLevel, LevelFrames
 from warpqem.pipeline.memory_plan import KEPT_BYTES, stage_frames
 from warpqem.pipeline.prepare import ORDER_END, Prepared, Progress
 from warpqem.pipeline.result import SimplifiedMesh, finish, in_input_terms, reached, written_faces
-from warpqem.place.clusters import ClusterPlacer
 from warpqem.repair.mended_mesh import faces_for
 from warpqem.runtime.device import device_turn
 
@@ -37,10 +38,9 @@ __all__ = ["simplify_within"]
 # level is where the limit is this many times the error; where few faces are too far, the next is tried. The further the
 # first level goes, the fewer faces the search ends with, as each spot goes back as far as it needs, and the longer that
 # takes.
-DISTANCE_PER_ERROR = (3.0, 2.0, 1.5)
+DISTANCE_PER_ERROR = (2.0, 1.5)
 # So few, as a part of the faces looked at: of so many one, in so many frames, far apart in pose.
 FEW = 0.005
-SAMPLED_FACES = 8
 SAMPLED_FRAMES = 8
 # Errors below may be those of single precision, which on flat parts are all there is: they hold nothing back.
 NO_ERROR = 1.0e-4
@@ -53,69 +53,6 @@ VERY_FEW = 0.002
 MAX_GENERATIONS = 2
 
 
-@dataclass(frozen=True)
-class _Choice:
-    """What decides a level.
-
-    Attributes:
-        cut: its collapses.
-        loose: (V,) bool, input vertices whose clusters are placed by their quadrics, with the least weight of the
-            anchor.
-    """
-
-    cut: Cut
-    loose: np.ndarray
-
-
-class _Level:
-    """One level: what decides it, and the mesh.
-
-    Attributes:
-        choice: what decides it.
-        ordered: its topology.
-        kept: (C,) int32, the input vertices that its clusters go by, ascending.
-        faces: (N', 3) int32 over these.
-        last: (V,) int, the last collapse of each cluster, see :func:`warpqem.decimation.forest_cut.last_collapses`.
-    """
-
-    def __init__(self, choice: _Choice, ordered: DecimatedMesh, last: np.ndarray) -> None:
-        self.choice, self.ordered, self.last = choice, ordered, last
-        self.kept, faces = np.unique(ordered.faces, return_inverse=True)
-        self.faces = faces.reshape(-1, 3).astype(np.int32)
-
-    def unmoved(self, before: _Level) -> np.ndarray:
-        """(V,) bool, kept vertices whose clusters and placement are those of another level."""
-        unmoved: np.ndarray = (self.last == before.last) & (self.choice.loose == before.choice.loose)
-        there = np.zeros(len(unmoved), dtype=bool)
-        there[before.kept] = True
-        return unmoved & there
-
-
-class _Block:
-    """Frames of the input, and of the levels one after another; of each only what moved is placed."""
-
-    def __init__(self, work: Prepared, about: np.ndarray, own: np.ndarray, units: UnitFrames) -> None:
-        self._work, self._about, self._units = work, about, units
-        self.reference = UnitBlock(own, units, work.device)
-        self._points = np.empty(about.shape, dtype=np.float32)
-
-    def __len__(self) -> int:
-        return len(self._points)
-
-    def place(self, placer: ClusterPlacer, kept: np.ndarray) -> None:
-        """Place the clusters that go by some vertices."""
-        self._points[:, kept] = placer.original_points(self._work.mesh, placer.place(self._work.mesh, self._about))
-
-    def points(self, level: _Level) -> np.ndarray:
-        """The level, (n, C, 3)."""
-        points: np.ndarray = self._points[:, level.kept]
-        return points
-
-    def test(self, level: _Level) -> UnitBlock:
-        """The level at unit size."""
-        return UnitBlock(self.points(level), self._units, self._work.device)
-
-
 class _BoundFrames:
     """Bounds the frames of a level as they come, keeps where they are too far, and passes them on.
 
@@ -124,10 +61,16 @@ class _BoundFrames:
     """
 
     def __init__(
-        self, sink: FrameSink, frames: LimitFrames, bound: DistanceBound, device: str, proved: np.ndarray | None
+        self,
+        sink: FrameSink,
+        frames: LimitFrames,
+        bound: DistanceBound,
+        device: str,
+        kept: np.ndarray,
+        proved: np.ndarray | None,
     ) -> None:
         self._sink, self._frames, self._bound, self._device = sink, frames, bound, device
-        self._proved, self.differs = proved, False
+        self._kept, self._proved, self.differs = kept, proved, False
         self.excess: list[Excess] = []
 
     def begin(self, frame_count: int, vertex_count: int, faces: np.ndarray) -> None:
@@ -142,7 +85,9 @@ class _BoundFrames:
             return
         with device_turn(self._device):
             units, reference = self._frames.block(frames)
-            found = self._bound.excess_of_blocks(frames.start, reference, UnitBlock(points, units, self._device))
+            test = ChangingBlock((len(points), reference.vertex_count), units, self._device)
+            test.put(self._kept, points)
+            found = self._bound.excess_of_blocks(frames.start, reference, test)
         if found is not None:
             self.excess.append(found)
 
@@ -162,22 +107,25 @@ class _Search:
         limit = work.goal.limit
         self._limit = limit.relative(work.mesh.diagonal)
         self._frames = LimitFrames(work.mesh, limit, work.mesh.diagonal, work.device)
+        self._around = FacesAround(work.mesh.faces, len(work.mesh.used))
         self._bound: DistanceBound | None = None
-        self._level: _Level | None = None
+        self._level: CutLevel | None = None
 
-    def run(self, keep: bool, progress: Progress | None) -> tuple[_Choice, SimplifiedMesh]:
+    def run(self, keep: bool, progress: Progress | None) -> tuple[Choice, SimplifiedMesh]:
         """The level that holds, and its result; with its points where they are to be kept."""
         left, mesh = 1.0 - ORDER_END, self._work.mesh
         loose = np.zeros(len(mesh.used), dtype=bool)
         starts = [max(self._limit / part, NO_ERROR) for part in DISTANCE_PER_ERROR]
-        choice = self._first_choice([_Choice(self._forest.within(error), loose) for error in starts])
+        choice = self._first_choice([Choice(self._forest.within(error), loose) for error in starts])
         whole = not self._refit and 12 * mesh.frame_count * mesh.vertex_count <= KEPT_BYTES
         count = stage_frames(mesh.vertex_count)
-        if not whole or 2 * count < mesh.frame_count:
-            choice = self._within(choice, self._some_frames(count), int(VERY_FEW * len(mesh.faces)))
+        if not whole:
+            block = self._some_frames(count)
+            choice = self._within(self._nearer(choice, block), block, int(VERY_FEW * len(mesh.faces)))
         proved: np.ndarray | None = None
         if whole:
             block = self._block(slice(0, mesh.frame_count))
+            choice = self._nearer(choice, block)
             choice = self._within(choice, block, 0)
             assert self._level is not None
             proved = block.points(self._level)
@@ -187,7 +135,9 @@ class _Search:
             level = self._level_of(choice)
             array = ArraySink()
             bound = self._bound_of(level)
-            sink = _BoundFrames(array if keep else NoFrames(), self._frames, bound, self._work.device, proved)
+            sink = _BoundFrames(
+                array if keep else NoFrames(), self._frames, bound, self._work.device, level.kept, proved
+            )
             result = self._finish(level, sink)
             if progress:
                 # The number of levels is unknown: each takes half of what is left.
@@ -202,61 +152,87 @@ class _Search:
             for excess in sink.excess:
                 choice = self._finer(level, choice, excess, 1)
 
-    def place(self, choice: _Choice, sink: FrameSink, mesh: AnimatedMesh, progress: Progress | None) -> SimplifiedMesh:
+    def place(self, choice: Choice, sink: FrameSink, mesh: AnimatedMesh, progress: Progress | None) -> SimplifiedMesh:
         """The result of a level, in the terms of the mesh as it is given."""
         return self._finish(self._level_of(choice), sink, mesh, progress)
 
     def _finish(
-        self, level: _Level, sink: FrameSink, mesh: AnimatedMesh | None = None, progress: Progress | None = None
+        self, level: CutLevel, sink: FrameSink, mesh: AnimatedMesh | None = None, progress: Progress | None = None
     ) -> SimplifiedMesh:
         work = self._work_of(level)
         work = work if mesh is None else replace(work, mesh=mesh)
         return finish(work, level.ordered, self._refit, sink=sink, progress=progress)
 
-    def _work_of(self, level: _Level) -> Prepared:
+    def _work_of(self, level: CutLevel) -> Prepared:
         settings = replace(self._work.place_settings, loose=level.choice.loose)
         return replace(self._work, place_settings=settings)
 
-    def _some_frames(self, count: int) -> _Block:
+    def _some_frames(self, count: int) -> LevelFrames:
         """Some frames, far apart in pose."""
         mesh, keys = self._work.mesh, self._work.key_frames
         chosen = keys if count <= len(keys) else np.arange(mesh.frame_count)
         chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, count).astype(int))]
         own = np.concatenate([mesh.source.read(slice(frame, frame + 1)) for frame in chosen.tolist()])
-        return _Block(self._work, mesh.chosen_points(chosen), own, self._frames.units(own, chosen))
+        return LevelFrames(self._work, mesh.chosen_points(chosen), own, self._frames.units(own, chosen))
 
-    def _block(self, frames: slice) -> _Block:
+    def _block(self, frames: slice) -> LevelFrames:
         own = self._work.mesh.source.read(frames)
         units = self._frames.units(own, np.arange(frames.start, frames.stop))
-        return _Block(self._work, self._work.mesh.points(frames), own, units)
+        return LevelFrames(self._work, self._work.mesh.points(frames), own, units)
 
-    def _first_choice(self, choices: Sequence[_Choice]) -> _Choice:
-        """The first one in which more than few faces are too far, or the last one, as some of the faces show."""
+    def _first_choice(self, choices: Sequence[Choice]) -> Choice:
+        """The first one in which more than few vertices are too far in some frames, or the last one."""
         block = self._some_frames(min(SAMPLED_FRAMES, self._work.mesh.frame_count))
-        before: _Level | None = None
+        before: CutLevel | None = None
         for choice in choices[:-1]:
             level = self._level_of(choice)
-            bound = self._bound_of(level)
-            self._place(level, before, block)
-            looked_at = bound.look_at_some(SAMPLED_FACES)
-            excess = bound.excess_of_blocks(0, block.reference, block.test(level))
-            if excess is not None and excess.face_count > FEW * looked_at:
+            far, looked_at = self._far_vertices(level, before, block)
+            if len(far) > FEW * looked_at:
                 return choice
             before = level
         return choices[-1]
 
-    def _within(self, choice: _Choice, block: _Block, enough: int) -> _Choice:
+    def _nearer(self, choice: Choice, block: LevelFrames) -> Choice:
+        """A choice in which hardly a vertex of the input is too far, in some frames."""
+        before: CutLevel | None = None
+        while True:
+            level = self._level_of(choice)
+            far, _ = self._far_vertices(level, before, block)
+            if not len(far):
+                return choice
+            choice = self._finer_at(level, choice, far)
+            before = level
+
+    def _far_vertices(self, level: CutLevel, before: CutLevel | None, block: LevelFrames) -> tuple[np.ndarray, int]:
+        """Place a level where it is not as the one before, and look at the vertices of the input there.
+
+        Returns:
+            Those that are too far from the faces around the vertex that they went to, and how many were looked at.
+        """
+        root = level.ordered.root
+        moved = np.zeros(len(root), dtype=bool)
+        moved[block.place(level, before)] = True
+        faces = level.ordered.faces
+        around = np.zeros(len(root), dtype=bool)
+        around[faces[moved[faces].any(axis=1)]] = True
+        # A vertex on its own stays where it is.
+        vertex = np.flatnonzero(around[root] & (level.last[root] >= 0))
+        near = FacesAround(faces, len(root))
+        far = far_points(block.reference, block.test, near, vertex, root[vertex], self._limit, self._work.device)
+        return vertex[far], len(vertex)
+
+    def _within(self, choice: Choice, block: LevelFrames, enough: int) -> Choice:
         """The level that holds in some frames, before it is refitted, but for so many faces."""
         small = 0
         # Levels before may have been placed in other frames.
-        before: _Level | None = None
+        before: CutLevel | None = None
         if self._bound is not None:
             self._bound.look_again()
         while True:
             level = self._level_of(choice)
             bound = self._bound_of(level)
-            self._place(level, before, block)
-            excess = bound.excess_of_blocks(0, block.reference, block.test(level))
+            block.place(level, before)
+            excess = bound.excess_of_blocks(0, block.reference, block.test)
             if excess is None:
                 return choice
             if excess.face_count <= VERY_FEW * len(self._work.mesh.faces):
@@ -266,36 +242,12 @@ class _Search:
                 return choice
             before = level
 
-    def _place(self, level: _Level, before: _Level | None, block: _Block) -> None:
-        """Place a level in some frames, in which another one was placed before."""
-        moved = level.kept if before is None else level.kept[~level.unmoved(before)[level.kept]]
-        if len(moved):
-            block.place(self._placer_of(level, moved), moved)
-
-    def _placer_of(self, level: _Level, kept: np.ndarray) -> ClusterPlacer:
-        """What places the clusters that go by some vertices."""
-        work = self._work_of(level)
-        index = np.full(len(work.mesh.used), -1, dtype=np.int32)
-        index[kept] = np.arange(len(kept), dtype=np.int32)
-        cluster = index[level.ordered.root]
-        return ClusterPlacer(
-            work.mesh.faces,
-            level.ordered,
-            kept,
-            cluster,
-            work.quadric_scale,
-            work.pinned,
-            work.place_settings,
-            work.device,
-            work.quadric_sums,
-        )
-
-    def _level_of(self, choice: _Choice) -> _Level:
+    def _level_of(self, choice: Choice) -> CutLevel:
         if self._level is not None and choice is self._level.choice:
             return self._level
-        return _Level(choice, self._known.at_cut(choice.cut), self._forest.last_collapses(choice.cut))
+        return CutLevel(choice, self._known.at_cut(choice.cut), self._forest.last_collapses(choice.cut))
 
-    def _bound_of(self, level: _Level) -> DistanceBound:
+    def _bound_of(self, level: CutLevel) -> DistanceBound:
         """What bounds a level, with what is known from the one before."""
         work, ordered = self._work, level.ordered
         if self._bound is not None and self._level is level:
@@ -306,7 +258,7 @@ class _Search:
         near = near[ordered.root[work.mesh.faces[:, 0]]]
         near[ordered.face_map] = np.arange(len(ordered.faces))
         if self._bound is None or self._level is None:
-            bound = DistanceBound(work.mesh.faces, level.faces, self._limit, work.device, near, ordered.face_map)
+            bound = DistanceBound(work.mesh.faces, ordered.faces, self._limit, work.device, near, ordered.face_map)
         else:
             before = self._level.ordered
             index = np.full(len(work.mesh.faces), -1, dtype=np.int64)
@@ -315,40 +267,74 @@ class _Search:
             there = np.flatnonzero(old >= 0)
             old[there[(before.faces[old[there]] != ordered.faces[there]).any(axis=1)]] = -1
             same = (old >= 0) & level.unmoved(self._level)[ordered.faces].all(axis=1) & (not self._refit)
-            bound = self._bound.succeeded_by(level.faces, old, same, ordered.face_map, near)
+            bound = self._bound.succeeded_by(ordered.faces, old, same, ordered.face_map, near)
         self._bound, self._level = bound, level
         return bound
 
-    def _finer(self, level: _Level, choice: _Choice, excess: Excess, generations: int) -> _Choice:
+    def _finer_at(self, level: CutLevel, choice: Choice, vertices: np.ndarray) -> Choice:
+        """A choice that is to come nearer around vertices of the input that have gone to others, by a collapse each."""
+        root = level.ordered.root
+        face, row = self._around.of(vertices)
+        corners = root[self._work.mesh.faces[face]]
+        # Of the faces at each vertex that with the largest error.
+        error = np.append(self._forest.log.error, -1.0)[level.last[corners]].max(axis=1)
+        order = np.lexsort((error, row))
+        chosen = order[np.append(row[order][1:] != row[order][:-1], True)]
+        finer = self._without(level, choice, corners[chosen], np.empty(0, dtype=np.int64), 1)
+        assert finer is not None, "a vertex that has gone to another one went by a collapse"
+        return finer
+
+    def _finer(self, level: CutLevel, choice: Choice, excess: Excess, generations: int) -> Choice:
         """A choice that is to come nearer around what is too far, by so many generations of collapses.
 
         Raises:
             OptionError: there is none.
         """
-        ordered, forest = level.ordered, self._forest
+        ordered = level.ordered
         faces = self._work.mesh.faces[excess.reference_faces]
         vertex_drop = ordered.drops.vertex_drop[faces[:, 0]]
         lost, faces = vertex_drop[vertex_drop >= 0], faces[vertex_drop < 0]
         corners = np.concatenate([ordered.root[faces], ordered.faces[excess.test_faces]])
+        dropped = np.flatnonzero(level.choice.cut.dropped)[np.unique(lost)]
+        finer = self._without(level, choice, corners, dropped, generations)
+        if finer is None:
+            raise OptionError(
+                f"{self._work.goal.limit}: single precision does not place the input itself so well "
+                f"(frame {excess.frame})"
+            )
+        return finer
+
+    def _without(
+        self, level: CutLevel, choice: Choice, corners: np.ndarray, dropped: np.ndarray, generations: int
+    ) -> Choice | None:
+        """A choice without the last collapse of the largest error at each of some faces, and some prunings.
+
+        Args:
+            level: a level.
+            choice: what decides it, or the next one.
+            corners: (n, 3) int, vertices of the level, of which one is to go back.
+            dropped: prunings (indices) to leave out.
+            generations: so many generations of collapses are left out.
+
+        Returns:
+            None where there is no such collapse.
+        """
+        forest = self._forest
         last = level.last[corners]
         # The number at the end is of vertices without a collapse; there may be no collapse at all.
         error = np.append(forest.log.error, -1.0)[last]
         largest = error.argmax(axis=1)[:, None]
         collapses = np.take_along_axis(last, largest, axis=1)[:, 0]
         if (collapses < 0).any():
-            raise OptionError(
-                f"{self._work.goal.limit}: single precision does not place the input itself so well "
-                f"(frame {excess.frame})"
-            )
+            return None
         # Clusters of several vertices follow the material.
         merged = (last >= 0) & ~choice.loose[corners]
         small = np.take_along_axis(error, largest, axis=1)[:, 0] <= max(self._limit / LOOSE_BELOW, NO_ERROR)
         loosen = merged.any(axis=1) & small
         loose = choice.loose.copy()
         loose[corners[loosen]] = True
-        dropped = np.flatnonzero(level.choice.cut.dropped)[np.unique(lost)]
         left_out = forest.with_parts(np.unique(collapses[~loosen]), generations - 1)
-        return _Choice(forest.without(choice.cut, left_out, dropped), loose)
+        return Choice(forest.without(choice.cut, left_out, dropped), loose)
 
 
 def simplify_within(

@@ -42,7 +42,9 @@ class ResultMeasure:
         with device_turn(self.device) as device:
             frames = range(len(result.points))
             test = ArrayFrames(result.points)
-            return measured_errors(measure_frames(self.source, self.faces, test, result.faces, frames, device=device))
+            return measured_errors(
+                measure_frames(self.source, self.faces, test, result.faces, frames, device=device, overall=True)
+            )
 
 
 def measured_on_the_way(work: Prepared, sink: FrameSink) -> tuple[Prepared, MeasuringSink]:

@@ -17,7 +17,7 @@ from warpqem.kernels.lanes import width_of
 from warpqem.mesh.mesh_input import AnimatedMesh
 from warpqem.runtime.part_launches import FIRST_ITEM, launch_in_parts
 
-__all__ = ["BlockPlacer", "ClusterData", "PlacedFrames"]
+__all__ = ["BlockPlacer", "ClusterData", "PlacedFrames", "pack_block"]
 
 
 @dataclass(frozen=True)
@@ -61,6 +61,12 @@ class ClusterData:
     def vertex_count(self) -> int:
         """Clusters C."""
         return len(self.rows["solved"])
+
+
+def pack_block(mesh: AnimatedMesh, points: np.ndarray, device: str) -> wp.array:
+    """Some frames of the mesh, given about its origin: (n, V, 3) float32, as placing takes them."""
+    width = block_width(mesh.frame_count, device)
+    return pack_frames(points, device, centre=mesh.centre, scale=1 / mesh.diagonal, width=width)
 
 
 class BlockPlacer:
@@ -113,10 +119,13 @@ class BlockPlacer:
         self._data.rows["stiffness"] = stiffness
         self._clusters.stiffness = wp.array(stiffness, dtype=wp.float32, device=self._device)
 
-    def place(self, mesh: AnimatedMesh, points: np.ndarray) -> PlacedFrames:
-        """Place some frames of the mesh, given about its origin: (n, V, 3) float32."""
+    def place(self, mesh: AnimatedMesh, points: np.ndarray, packed: wp.array | None = None) -> PlacedFrames:
+        """Place some frames of the mesh, given about its origin: (n, V, 3) float32.
+
+        ``packed`` is what :func:`pack_block` makes of them, where that is there already.
+        """
         device, width, vertex_count = self._device, block_width(mesh.frame_count, self._device), self._data.vertex_count
-        packed = pack_frames(points, device, centre=mesh.centre, scale=1 / mesh.diagonal, width=width)
+        packed = pack_block(mesh, points, device) if packed is None else packed
         block_count = packed.shape[1]
         out = wp.empty((vertex_count, block_count), dtype=packed.dtype, device=device)
         normal = wp.empty_like(out)

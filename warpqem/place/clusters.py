@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import warp as wp
 
 from warpqem.decimation.decimate import DecimatedMesh
 from warpqem.decimation.initial_quadrics import CONSTRAINT_WEIGHT
@@ -183,9 +184,9 @@ class ClusterPlacer:
             "border_weight": border_weight,
         }
 
-    def place(self, mesh: AnimatedMesh, points: np.ndarray) -> PlacedFrames:
-        """Place some frames of the mesh, given about its origin: (n, V, 3) float32."""
-        return self._blocks.place(mesh, points)
+    def place(self, mesh: AnimatedMesh, points: np.ndarray, packed: wp.array | None = None) -> PlacedFrames:
+        """Place some frames of the mesh, given about its origin: (n, V, 3) float32; see :class:`BlockPlacer`."""
+        return self._blocks.place(mesh, points, packed)
 
     def original_points(self, mesh: AnimatedMesh, placed: PlacedFrames) -> np.ndarray:
         """The placed points in the caller's coordinates, (n, C, 3) float32."""

@@ -61,7 +61,9 @@ def _measure(
 ) -> Measured:
     with device_turn(device) as used:
         frames = np.flatnonzero(counted_frames(reference)).tolist()
-        return measured_errors(measure_frames(reference, reference_faces, test, test_faces, frames, device=used))
+        return measured_errors(
+            measure_frames(reference, reference_faces, test, test_faces, frames, device=used, overall=True)
+        )
 
 
 class _NoPoses(StagePoses):

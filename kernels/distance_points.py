@@ -1,0 +1,65 @@
+"""Points of a moving mesh against some faces of another one, in many frames side by side: how far they are at most.
+
+Faces that are not among those given may be nearer, so that a distance found is no less than the real one. See
+:mod:`warpqem.kernels.lanes` for the layout.
+"""
+
+from typing import Any
+
+import warp as wp
+
+from warpqem.kernels.distance_pieces import lane_distance_squared, lane_foot_squared
+from warpqem.kernels.lanes import POINTS_ARRAY, lane_kernel
+
+wp.set_module_options({"enable_backward": False})  # no gradients are taken
+
+
+@lane_kernel(own=POINTS_ARRAY, other=POINTS_ARRAY)
+def distances_of_points(
+    # in
+    own: Any,
+    other: Any,
+    other_vertex: wp.array[wp.int32],
+    point: wp.array[wp.int32],
+    row: wp.array[wp.int32],
+    face_start: wp.array[wp.int32],
+    face: wp.array[wp.int32],
+    squared: wp.float32,
+    # out
+    furthest_out: wp.array2d[wp.float32],
+):
+    """The largest squared distance of each point (n,) from its faces, in the frames of each block: (n, B).
+
+    The faces are those of row ``row`` (n,) of the lists ``face_start`` (R+1,), ``face``. Once a point is within
+    ``squared`` in all frames of the block, no further faces are looked at.
+    """
+    i, block = wp.tid()
+    p = own[point[i], block]
+    near = 0.0 * p[0]
+    for lane in range(len(near)):
+        near[lane] = wp.float32(1.0e30)
+    furthest = wp.float32(1.0e30)
+    j = face_start[row[i]]
+    last = face_start[row[i] + 1]
+    while j < last and furthest > squared:
+        corner = 3 * face[j]
+        a = other[other_vertex[corner], block]
+        ab = other[other_vertex[corner + 1], block] - a
+        ac = other[other_vertex[corner + 2], block] - a
+        found = lane_foot_squared(p - a, ab, ac)
+        for lane in range(len(near)):
+            near[lane] = wp.min(near[lane], found[lane])
+        furthest = wp.max(near)
+        if furthest > squared:
+            found = lane_distance_squared(p - a, ab, ac)
+            for lane in range(len(near)):
+                near[lane] = wp.min(near[lane], found[lane])
+            furthest = wp.max(near)
+        j += 1
+    furthest_out[i, block] = furthest
+
+
+# Loops over corners and faces stay loops: unrolled, they take several times as long to compile and run no faster.
+for _kernel in distances_of_points.values():
+    wp.set_module_options({"max_unroll": 1}, _kernel.module)
+del _kernel

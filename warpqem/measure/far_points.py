@@ -1,0 +1,114 @@
+"""Vertices of a mesh that are far from another one in some frame, as faces around show: found fast, and not proved."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import warp as wp
+
+from warpqem.kernels.distance_points import distances_of_points
+from warpqem.kernels.lanes import width_of
+from warpqem.measure.piece_proof import SINGLE_MARGIN
+from warpqem.measure.unit_frames import UnitBlock
+from warpqem.runtime.part_launches import launch_in_parts, rows_of
+
+__all__ = ["FacesAround", "far_points"]
+
+# Points that are worth a thread: some hundred nanoseconds each and block of frames.
+MIN_POINTS = 1024
+
+
+class FacesAround:
+    """The faces at each vertex of a mesh, as compressed rows.
+
+    Args:
+        faces: (N, 3) int.
+        vertex_count: vertices V.
+    """
+
+    def __init__(self, faces: npt.NDArray[np.integer], vertex_count: int) -> None:
+        self.corner_vertex = np.ascontiguousarray(faces, dtype=np.int32).ravel()
+        self.start = np.zeros(vertex_count + 1, dtype=np.int32)
+        np.cumsum(np.bincount(self.corner_vertex, minlength=vertex_count), out=self.start[1:])
+        self.face = (np.argsort(self.corner_vertex, kind="stable") // 3).astype(np.int32)
+
+    def of(self, vertex: npt.NDArray[np.integer]) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int64]]:
+        """The faces at some vertices, and of which of them (n,) each is, one after another."""
+        first, count = self.start[vertex], np.diff(self.start)[vertex]
+        row = np.repeat(np.arange(len(vertex)), count)
+        place = np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count) + first[row]
+        return self.face[place], row
+
+    def second_ring(self, vertex: npt.NDArray[np.integer]) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
+        """The faces at the faces at some vertices, as compressed rows."""
+        face, row = self.of(vertex)
+        around = np.unique(np.stack([np.repeat(row, 3), self.corner_vertex.reshape(-1, 3)[face].ravel()]), axis=1)
+        face, of_around = self.of(around[1])
+        pair = np.unique(np.stack([around[0][of_around], face]), axis=1)
+        start = np.searchsorted(pair[0], np.arange(len(vertex) + 1)).astype(np.int32)
+        return start, pair[1].astype(np.int32)
+
+
+def far_points(
+    own: UnitBlock,
+    other: UnitBlock,
+    around: FacesAround,
+    point: npt.NDArray[np.integer],
+    vertex: npt.NDArray[np.integer],
+    limit: float,
+    device: str,
+) -> npt.NDArray[np.int64]:
+    """Points of ``own`` that in some frame are beyond the limit of the faces of ``other`` around one of its vertices.
+
+    Args:
+        own: frames of one mesh.
+        other: the same frames of the other one.
+        around: its faces.
+        point: (n,) int, vertices of ``own``.
+        vertex: (n,) int, a vertex of ``other`` near each.
+        limit: distance.
+        device: Warp device.
+
+    Returns:
+        Indices into ``point`` (m,).
+    """
+    limit += SINGLE_MARGIN
+    furthest = _furthest(own, other, around, point, vertex, (around.start, around.face), limit, device)
+    far = np.flatnonzero(furthest > limit)
+    if len(far):
+        # The nearest face may be one further on.
+        lists = around.second_ring(vertex[far])
+        furthest = _furthest(own, other, around, point[far], np.arange(len(far)), lists, limit, device)
+        far = far[furthest > limit]
+    return far
+
+
+def _furthest(
+    own: UnitBlock,
+    other: UnitBlock,
+    around: FacesAround,
+    point: npt.NDArray[np.integer],
+    row: npt.NDArray[np.integer],
+    lists: tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]],
+    limit: float,
+    device: str,
+) -> npt.NDArray[np.float32]:
+    """The largest distances (n,) of points from the faces of rows of some lists."""
+    if not len(point):
+        return np.empty(0, dtype=np.float32)
+    furthest = wp.empty((len(point), own.lanes.shape[1]), dtype=wp.float32, device=device)
+    corner_vertex, start, face = (
+        wp.array(values, dtype=wp.int32, device=device, copy=False) for values in (around.corner_vertex, *lists)
+    )
+    point_device, row_device = (wp.array(a.astype(np.int32), dtype=wp.int32, device=device) for a in (point, row))
+    inputs = [own.lanes, other.lanes, corner_vertex, rows_of(point_device), rows_of(row_device), start, face]
+    launch_in_parts(
+        distances_of_points[width_of(own.lanes)],
+        furthest.shape,
+        [*inputs, limit**2],
+        [rows_of(furthest)],
+        device=device,
+        min_items=MIN_POINTS,
+    )
+    found: npt.NDArray[np.float32] = np.sqrt(furthest.numpy().max(axis=1, initial=0.0))
+    return found

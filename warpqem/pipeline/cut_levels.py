@@ -1,0 +1,113 @@
+"""Levels of a search within a distance: what decides each, its mesh, and where its vertices lie in some frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from warpqem.decimation.decimate import DecimatedMesh
+from warpqem.decimation.forest_cut import Cut
+from warpqem.measure.unit_frames import ChangingBlock, UnitBlock, UnitFrames
+from warpqem.pipeline.prepare import Prepared
+from warpqem.place.block_placer import pack_block
+from warpqem.place.clusters import ClusterPlacer
+
+__all__ = ["Choice", "CutLevel", "LevelFrames", "placer_of"]
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What decides a level.
+
+    Attributes:
+        cut: its collapses.
+        loose: (V,) bool, input vertices whose clusters are placed by their quadrics, with the least weight of the
+            anchor.
+    """
+
+    cut: Cut
+    loose: np.ndarray
+
+
+class CutLevel:
+    """One level: what decides it, and the mesh. Its vertices have the numbers of the input vertices they go by.
+
+    Attributes:
+        choice: what decides it.
+        ordered: its topology.
+        kept: (C,) int32, the input vertices that its clusters go by, ascending.
+        last: (V,) int, the last collapse of each cluster, see :func:`warpqem.decimation.forest_cut.last_collapses`.
+    """
+
+    def __init__(self, choice: Choice, ordered: DecimatedMesh, last: np.ndarray) -> None:
+        self.choice, self.ordered, self.last = choice, ordered, last
+        self.is_kept = np.zeros(len(ordered.root), dtype=bool)
+        self.is_kept[ordered.faces] = True
+        self.kept = np.flatnonzero(self.is_kept).astype(np.int32)
+
+    def unmoved(self, before: CutLevel) -> np.ndarray:
+        """(V,) bool, kept vertices whose clusters and placement are those of another level."""
+        unmoved: np.ndarray = (self.last == before.last) & (self.choice.loose == before.choice.loose)
+        return unmoved & before.is_kept
+
+
+class LevelFrames:
+    """Frames of the input, and of the levels one after another; of each only what moved is placed.
+
+    Args:
+        work: the mesh.
+        about: (n, V, 3) float32, its frames about its origin.
+        own: the same in the caller's coordinates.
+        units: what brings them to unit size.
+
+    Attributes:
+        reference: the input at unit size.
+        test: the level that was placed last.
+    """
+
+    def __init__(self, work: Prepared, about: np.ndarray, own: np.ndarray, units: UnitFrames) -> None:
+        self._work, self._about, self._packed = work, about, pack_block(work.mesh, about, work.device)
+        self.reference = UnitBlock(own, units, work.device)
+        self.test = ChangingBlock(about.shape[:2], units, work.device)
+        self._points = np.empty(about.shape, dtype=np.float32)
+
+    def __len__(self) -> int:
+        return len(self._points)
+
+    def place(self, level: CutLevel, before: CutLevel | None) -> np.ndarray:
+        """Place a level where it is not as the one before, None for none.
+
+        Returns:
+            (M,) int32, the vertices that it placed.
+        """
+        mesh = self._work.mesh
+        moved = level.kept if before is None else level.kept[~level.unmoved(before)[level.kept]]
+        if len(moved):
+            placer = placer_of(self._work, level, moved)
+            points = placer.original_points(mesh, placer.place(mesh, self._about, self._packed))
+            self._points[:, moved] = points
+            self.test.put(moved, points)
+        return moved
+
+    def points(self, level: CutLevel) -> np.ndarray:
+        """The level, (n, C, 3), in the caller's coordinates."""
+        points: np.ndarray = self._points[:, level.kept]
+        return points
+
+
+def placer_of(work: Prepared, level: CutLevel, kept: np.ndarray) -> ClusterPlacer:
+    """What places the clusters of a level that go by some vertices (M,)."""
+    ordered, faces = level.ordered, work.mesh.faces
+    index = np.full(len(work.mesh.used), -1, dtype=np.int32)
+    index[kept] = np.arange(len(kept), dtype=np.int32)
+    cluster = index[ordered.root]
+    if work.quadric_sums is None:
+        # Only faces around count.
+        near = (cluster[faces] >= 0).any(axis=1)
+        faces = faces[near]
+        ordered = replace(ordered, constrained=ordered.constrained.reshape(-1, 3)[near].ravel())
+    settings = replace(work.place_settings, loose=level.choice.loose)
+    return ClusterPlacer(
+        faces, ordered, kept, cluster, work.quadric_scale, work.pinned, settings, work.device, work.quadric_sums
+    )
