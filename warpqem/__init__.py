@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from warpqem.pipeline.levels import LevelOrder as LevelOrder
     from warpqem.pipeline.levels import order_levels as order_levels
     from warpqem.pipeline.levels import simplify_levels as simplify_levels
+    from warpqem.pipeline.many import simplify_many as simplify_many
     from warpqem.pipeline.memory_plan import MemoryPlan as MemoryPlan
     from warpqem.pipeline.mirror import find_mirror as find_mirror
     from warpqem.pipeline.result import SimplifiedMesh as SimplifiedMesh
@@ -67,6 +68,7 @@ _HOMES = {
     "plan": "warpqem.pipeline.simplify",
     "simplify": "warpqem.pipeline.simplify",
     "simplify_levels": "warpqem.pipeline.levels",
+    "simplify_many": "warpqem.pipeline.many",
     "simplify_symmetric": "warpqem.pipeline.symmetry",
 }
 

@@ -9,6 +9,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BatchError",
+    "CancelledError",
     "DegenerateMeshError",
     "DeviceError",
     "FaceIndexError",
@@ -75,6 +76,10 @@ class UnreachableTargetError(WarpqemError, RuntimeError):
     def __init__(self, message: str, result: SimplifiedMesh | None = None) -> None:
         super().__init__(message)
         self.result = result
+
+
+class CancelledError(WarpqemError, RuntimeError):
+    """A call was ended by its ``cancel`` from another thread; nothing of its result is left."""
 
 
 class BatchError(WarpqemError, RuntimeError):

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypedDict
 from warpqem.arguments.array_types import ArrayInput
 from warpqem.arguments.limits import ABOVE_0, COUNT, SHARE, Limits
 from warpqem.arguments.option_fields import check_options, option
-from warpqem.costs.models import cost_model_names
+from warpqem.costs.models import Metric, cost_model, cost_model_names
 from warpqem.errors import OptionError
 
 if TYPE_CHECKING:
@@ -76,8 +76,9 @@ class MethodOptions:
             mesh's bounding box. Nothing is proved or searched for, as it is with ``max_error``. None for no limit.
         quality: "best" orders by quadrics of the present faces and fits the whole surface at the end, see
             ``memoryless`` and ``refit``: a better shape in two to three times the time of "fast", which does neither.
-        metric: cost model: "dsd" (default), "qem", "dod", "aqem", "face", or one of another package; see
-            :mod:`warpqem.costs.models`.
+        metric: cost model: "dsd" (default), "qem", "dod", "aqem", "face", or the name of one of another package; a
+            :class:`warpqem.costs.CostModelSpec`; or a function of key frames (K, V, 3) and faces (N, 3) that gives
+            factors (V,) on the cost at each vertex. See :mod:`warpqem.costs.models`.
         coherence: 0 (every frame its own best fit) to 1 (vertices stay on the material).
         refit: fit the surface as a whole to the input after placing its vertices, see
             :mod:`warpqem.refit.fit_surface`: a better shape for about the time of the rest. No effect with "endpoint".
@@ -104,6 +105,7 @@ class MethodOptions:
         "pose, with about the fewest faces; of a skinned mesh as its skin has it, if that is linear.",
         "PCT",
         ABOVE_0,
+        brief="Largest distance from the input, in % of its diagonal, proved for every point and pose",
         basic=True,
     )
     max_size_error: float | None = option(
@@ -116,9 +118,10 @@ class MethodOptions:
         "fast",
         "best takes two to three times as long as fast for a better shape: it orders by the present faces and fits the "
         "surface at the end, see --memoryless and --refit.",
+        brief="best takes two to three times as long for a better shape",
         basic=True,
     )
-    metric: str = option(
+    metric: Metric = option(
         "dsd",
         "Cost model: dsd sums the error over frames (Mohr & Gleicher 2003), qem takes the first pose only (Garland & "
         "Heckbert 1997), dod adds stretching edges (Huang, Chen & Chuang), aqem keeps joints (Yang et al. 2019), face "
@@ -221,9 +224,7 @@ class MeshOptions(MethodOptions):
         if self.ratio is not None and self.target_faces is not None:
             raise OptionError(f"ratio {self.ratio} and target_faces {self.target_faces} exclude each other")
         if not isinstance(self.metric, str):
-            from warpqem.arguments.number_input import shown
-
-            raise OptionError(f"metric must be the name of a cost model, got {shown(self.metric)}")
+            cost_model(self.metric)
         return replace(self, **check_options(self), attributes=_checked_fields(self.attributes))
 
     def goal(self, face_count: int) -> Goal:
@@ -241,7 +242,7 @@ class MethodKeywords(TypedDict, total=False):
     """Keyword arguments that say how :func:`warpqem.simplify` works: :class:`MeshOptions` without the goals."""
 
     quality: Literal["fast", "best"]
-    metric: str
+    metric: Metric
     coherence: float
     refit: bool | None
     memoryless: bool | None

@@ -138,7 +138,7 @@ FUNCTIONS = {
 JOB = warpqem.BatchJob("in.usda", "out.usda", SimplifyOptions(ratio=0.5))
 # Other arguments, each with what is refused and what the message says.
 OTHERS: list[tuple[Any, Any, str]] = [
-    (calls("metric", simplify, ratio=0.5), ["dsd"], r"metric must be the name of a cost model, got \['dsd'\] \(list\)"),
+    (calls("metric", simplify, ratio=0.5), ["dsd"], r"metric must be the name .*, got \['dsd'\] \(list\)"),
     (calls("metric", simplify, ratio=0.5), None, "metric must be the name"),
     (calls("placement", simplify, ratio=0.5), np.array(["optimal"]), "placement must be 'optimal' or 'endpoint'"),
     (calls("attributes", simplify, ratio=0.5), warpqem.costs.AttributeField(np.ones(42)), "attributes must be a list"),
@@ -216,7 +216,7 @@ def test_what_is_neither_true_nor_false_is_refused(name):
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_what_cannot_be_called_is_refused(name):
     for value in NO_FUNCTIONS:
-        with pytest.raises(OptionError, match="must be a function or None, got"):
+        with pytest.raises(OptionError, match=r"must be a function(, True for a bar,)? or None, got"):
             FUNCTIONS[name](value)
 
 

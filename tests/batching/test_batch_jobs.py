@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import json
 import os
+import threading
 from pathlib import Path
 
 import pytest
 from pxr import Usd
 
 from tests.support.usd_stages import cloth_stage
+from warpqem.batching.engine import Finished, Progressed, Started
 from warpqem.batching.fingerprint import is_current, take_fingerprint
 from warpqem.batching.job_result import DONE, FAILED, BatchResult
 from warpqem.batching.jobs import BatchJob, check_jobs, find_files, output_path
 from warpqem.batching.journal import Journal
 from warpqem.batching.manifest import read_lines, read_manifest
 from warpqem.batching.run_batch import batch
-from warpqem.errors import BatchError, OptionError
+from warpqem.errors import BatchError, CancelledError, OptionError
 from warpqem.usd import SimplifyOptions
 
 HALF = SimplifyOptions(ratio=0.5)
@@ -298,3 +300,33 @@ def test_resume_needs_a_journal(layered):
 def test_unknown_engine_is_refused(layered):
     with pytest.raises(OptionError, match="engine 'cloud'"):
         next(batch([layered], "cloud"))
+
+
+class SlowEngine:
+    """One that does a job with each look at it; `ended` says that its iterator was closed."""
+
+    ended = False
+
+    def run(self, jobs):
+        try:
+            for job in jobs:
+                yield Started(job)
+                yield Progressed(job, 0.5, "")
+                yield Finished(job, BatchResult(job.input, job.output, "done"))
+        finally:
+            self.ended = True
+
+
+def test_a_batch_is_cancelled_at_the_next_update_and_its_engine_closed(tmp_path):
+    cloth_stage(tmp_path / "in.usda")
+    options = SimplifyOptions(ratio=0.5)
+    jobs = [BatchJob(str(tmp_path / "in.usda"), str(tmp_path / f"o{n}.usda"), options) for n in range(3)]
+    token, engine = threading.Event(), SlowEngine()
+    results = batch(jobs, engine, cancel=token)
+    assert next(results).output == jobs[0].output
+    token.set()
+    with pytest.raises(CancelledError, match="the batch was cancelled"):
+        next(results)
+    assert engine.ended
+    with pytest.raises(CancelledError, match="before it began"):
+        batch(jobs, SlowEngine(), cancel=token)

@@ -16,8 +16,9 @@ import pytest
 import warpqem
 from tests.support import meshes
 from tests.support.usd_stages import cloth_stage
-from warpqem.costs.models import COST_MODELS, cost_model, cost_model_names
+from warpqem.costs.models import COST_MODELS, CostModelSpec, cost_model, cost_model_names
 from warpqem.errors import OptionError
+from warpqem.usd import SimplifyOptions, simplify_stage
 
 GUIDE = Path(__file__).resolve().parents[2] / "CONTRIBUTING.md"
 
@@ -128,3 +129,46 @@ def test_weights_that_are_none_are_refused(site, weights, message):
     points, faces = meshes.grid(4, 4)
     with pytest.raises(OptionError, match=message):
         warpqem.simplify(points, faces, ratio=0.5, metric="speed", device="cpu")
+
+
+def by_motion(points, faces):
+    way = np.linalg.norm(np.diff(points, axis=0), axis=2).sum(axis=0)
+    return 1.0 + 19.0 * way / max(float(way.max()), 1e-30)
+
+
+@pytest.mark.parametrize("as_spec", [False, True])
+def test_a_function_or_a_spec_is_a_cost_model(site, as_spec):
+    points, faces = half_still()
+    metric = CostModelSpec("by_motion", vertex_weight=by_motion) if as_spec else by_motion
+    given, named = (warpqem.simplify(points, faces, ratio=0.3, device="cpu", metric=m) for m in (metric, "speed"))
+    assert np.array_equal(given.points, named.points)
+    assert not np.array_equal(given.points, warpqem.simplify(points, faces, ratio=0.3, device="cpu").points)
+
+
+def test_any_call_may_have_a_function_as_metric():
+    points, faces = half_still()
+    first = warpqem.simplify_levels(points, faces, ratios=[0.3], device="cpu", metric=by_motion)[0]
+    assert np.array_equal(first.faces, warpqem.simplify(points, faces, ratio=0.3, device="cpu", metric=by_motion).faces)
+    assert warpqem.plan(points, faces, ratio=0.3, device="cpu", metric=by_motion).key_frames == 2
+
+
+def test_a_stage_takes_a_function_and_its_report_the_name(tmp_path):
+    cloth_stage(tmp_path / "in.usda").Save()
+    options = SimplifyOptions(ratio=0.3, metric=by_motion, device="cpu")
+    report = simplify_stage(tmp_path / "in.usda", tmp_path / "out.usda", options)
+    assert report.run["options"]["metric"] == "by_motion"
+    assert json.loads(json.dumps(report.to_dict()))["run"]["options"]["metric"] == "by_motion"
+
+
+def test_wrong_weights_of_a_function_are_named_by_it():
+    def by_nothing(points, faces):
+        return -np.ones(points.shape[1])
+
+    with pytest.raises(OptionError, match="metric 'by_nothing': vertex_weight gave"):
+        warpqem.simplify(*half_still(), ratio=0.3, device="cpu", metric=by_nothing)
+
+
+def test_a_batch_refuses_a_function_which_its_processes_do_not_know(tmp_path):
+    job = warpqem.BatchJob("in.usda", "out.usda", SimplifyOptions(ratio=0.5, metric=by_motion))
+    with pytest.raises(OptionError, match=r"jobs\[0\].options.metric must be a name"):
+        warpqem.batch([job])

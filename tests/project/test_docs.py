@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 import re
 import subprocess
 import sys
@@ -11,11 +12,12 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
+from docs.notebook import NOTEBOOK, run_cells
 from tests.support.docs import ROOT, run_line
 from warpqem.cli.main import app
 
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
-GUIDES = ["pipeline.md", "batch.md", "python.md", "cookbook.md", "appearance.md"]
+GUIDES = ["pipeline.md", "batch.md", "python.md", "cookbook.md", "appearance.md", "blender.md"]
 
 
 def name_of(page: Path) -> str:
@@ -38,6 +40,29 @@ def test_everything_in_a_guide_runs_in_its_order(desk, guide, capsys):
                 run_line(line)
         elif language == "python":
             exec(compile(text, guide, "exec"), names)
+
+
+def test_the_notebook_runs_in_its_order(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    notebook = json.loads(NOTEBOOK.read_text("utf-8"))
+    cells = [cell for cell in run_cells(notebook)["cells"] if cell["cell_type"] == "code"]
+    kept = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    assert len(cells) > 5
+    # As it is kept: the same kinds of outputs, and the same text; pictures may differ between machines.
+    for cell, before in zip(cells, kept, strict=True):
+        assert [sorted(out.get("data", ["text"])) for out in cell["outputs"]] == [
+            sorted(out.get("data", ["text"])) for out in before["outputs"]
+        ]
+    assert (tmp_path / "flag.usdc").exists()
+
+
+def test_the_notebook_is_one_that_jupyter_reads():
+    notebook = json.loads(NOTEBOOK.read_text("utf-8"))
+    assert notebook["nbformat"] == 4
+    for cell in notebook["cells"]:
+        assert {"cell_type", "metadata", "source"} <= cell.keys()
+        assert cell["cell_type"] == "markdown" or {"outputs", "execution_count"} <= cell.keys()
+    assert NOTEBOOK.stat().st_size < 500_000
 
 
 def test_no_page_has_a_command_that_no_test_runs():

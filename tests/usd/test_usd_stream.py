@@ -107,7 +107,7 @@ def test_the_command_line_prints_the_plan_and_reports_it(tmp_path):
     cloth_stage(tmp_path / "in.usda", times=TIMES)
     result = run(
         "simplify", tmp_path / "in.usda", "-o", tmp_path / "out.usda", "--ratio", 0.3, "--memory", "1G",
-        "--device", "cpu", "--json", tmp_path / "report.json",
+        "--device", "cpu", "--json", tmp_path / "report.json", "-v",
     )  # fmt: skip
     assert result.exit_code == 0
     assert "plan: /Root/Cloth: 81 vertices, 128 faces, 21 frames in 1 block of 21, 16 key frames" in result.stderr

@@ -29,6 +29,7 @@ class Option:
         help: what it does, in full sentences.
         unit: what a value counts, as the command line shows it, such as "PCT"; None for flags and names.
         limits: the numbers that it takes; None for what is no number.
+        brief: what ``--help`` says of it; None for the first clause of ``help``, which ``--help-all`` has in full.
         name: on the command line and in manifests, with underscores; None for that of the field. Options that may be
             given several times are named in the singular there.
         basic: ``--help`` shows it; the others are experts', for ``--help-all``.
@@ -40,6 +41,7 @@ class Option:
     help: str
     unit: str | None = None
     limits: Limits | None = None
+    brief: str | None = None
     name: str | None = None
     basic: bool = False
     choices: Callable[[], tuple[str, ...]] | None = None

@@ -145,6 +145,11 @@ def read_jobs(jobs: Any) -> list[BatchJob]:
                 raise OptionError(f"jobs[{index}].{name} must be a path, got {shown(getattr(job, name))}")
         if not isinstance(job.options, SimplifyOptions):
             raise OptionError(f"jobs[{index}].options must be SimplifyOptions, got {shown(job.options)}")
+        if not isinstance(job.options.metric, str):
+            raise OptionError(
+                f"jobs[{index}].options.metric must be a name, which every process knows, got "
+                f"{shown(job.options.metric)}; a package offers its cost model as an entry point"
+            )
     return found
 
 

@@ -9,13 +9,14 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from warpqem.arguments.number_input import check_function, flag, shown
+from warpqem.arguments.progress import CancelToken, listener
 from warpqem.batching.engine import Engine, Finished, Update
 from warpqem.batching.job_result import SKIPPED, BatchResult
 from warpqem.batching.jobs import BatchJob, read_jobs
 from warpqem.batching.journal import Journal
 from warpqem.batching.local_engine import LocalEngine
 from warpqem.batching.output_check import check_batch_outputs
-from warpqem.errors import OptionError
+from warpqem.errors import CancelledError, OptionError
 from warpqem.files.outputs import OutputFile, named_outputs
 from warpqem.files.temporary import note_folder, remove_leftovers
 
@@ -32,6 +33,7 @@ def batch(
     resume: bool = False,
     on_update: Callable[[Update], None] | None = None,
     other_outputs: Iterable[OutputFile] = (),
+    cancel: CancelToken | None = None,
 ) -> Generator[BatchResult, None, None]:
     """Simplify many assets. One that fails, whatever way it does, costs the others nothing.
 
@@ -47,6 +49,7 @@ def batch(
             changed since.
         on_update: Called with every update of the engine.
         other_outputs: What else the caller is going to write; see `warpqem.usd.simplify_stage`.
+        cancel: Ends the batch from another thread, such as a `threading.Event`, at the next update of the engine.
 
     Yields:
         A result for each job, as they are done.
@@ -56,6 +59,7 @@ def batch(
             resume from.
         BatchError: the journal is in use or cannot be written, or no worker can be started.
         UsdLibraryError: USD is missing, broken or too old on this machine, for the local engine.
+        CancelledError: `cancel` was set. Outputs that are done stay, and a journal knows them.
     """
     jobs = read_jobs(jobs)
     if journal is not None and not isinstance(journal, (str, os.PathLike)):
@@ -66,7 +70,23 @@ def batch(
         raise OptionError("resume needs a journal")
     outputs = [*other_outputs, *named_outputs({"journal": journal})]
     unread = check_batch_outputs(jobs, outputs)
-    return _results(jobs, unread, _engine(engine), journal, resume, on_update or (lambda update: None))
+    listen = _updates_listener(on_update, cancel)
+    return _results(jobs, unread, _engine(engine), journal, resume, listen)
+
+
+def _updates_listener(
+    on_update: Callable[[Update], None] | None, cancel: CancelToken | None
+) -> Callable[[Update], None]:
+    """What every update is given to: the caller's function, after a look at the token."""
+    listener(None, cancel)
+
+    def listen(update: Update) -> None:
+        if cancel is not None and cancel.is_set():
+            raise CancelledError("the batch was cancelled")
+        if on_update is not None:
+            on_update(update)
+
+    return listen
 
 
 def _engine(engine: Engine | str) -> Engine:
@@ -110,6 +130,7 @@ def _results(
         updates = engine.run(todo)
         stack.callback(updates.close)  # type: ignore[attr-defined]  # engines are generators
         for update in updates:
+            # What is done is kept, whatever the caller makes of it.
             if isinstance(update, Finished) and notes is not None:
                 notes.add(update.result)
             on_update(update)

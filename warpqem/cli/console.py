@@ -13,12 +13,14 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 import typer.core
+from rich.box import SIMPLE_HEAD
 from rich.console import Console, RenderableType
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.style import StyleType
 from rich.table import Table
 from rich.text import Text
 
+from warpqem.cli import messages
 from warpqem.cli.messages import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_USAGE, print_message, printed_messages
 from warpqem.errors import OptionError, StageError, WarpqemError
 from warpqem.printable import printable, printable_lines
@@ -32,6 +34,7 @@ __all__ = [
     "EXIT_FAILED",
     "EXIT_INTERRUPTED",
     "EXIT_USAGE",
+    "WIDEST",
     "OneLineErrors",
     "PlainTable",
     "QuietProgress",
@@ -77,6 +80,9 @@ class OneLineErrors(typer.core.TyperGroup):
         **extra: Any,
     ) -> Any:
         """Run a command and turn its errors into exit codes."""
+        messages.quiet = False
+        if not (sys.argv[1:] if args is None else args):
+            args = ["--help"]
         if not standalone_mode:
             return super().main(args, prog_name, complete_var, False, windows_expand_args, **extra)
         try:
@@ -208,7 +214,8 @@ class PlainTable(Table):
     """A table whose title and cells are shown as they are: no markup, and nothing that drives a terminal."""
 
     def __init__(self, title: str) -> None:
-        super().__init__(title=Text(printable(title)))
+        # Without lines between columns figures have room at 80 characters.
+        super().__init__(title=Text(printable(title)), box=SIMPLE_HEAD, padding=(0, 0))
         self._notes: list[str] = []
 
     def add_row(
@@ -233,7 +240,9 @@ def print_table(table: PlainTable, to_stderr: bool = False) -> None:
     """Print a table, by default on stdout; where that is not a terminal, as wide as it needs to be."""
     console = Console(stderr=to_stderr)
     if not console.is_terminal:
-        console.width = console.measure(table, options=console.options.update(max_width=WIDEST)).maximum
+        widest = console.measure(table, options=console.options.update(max_width=WIDEST)).maximum
+        # Rich measures tables without padding a character short.
+        console.width = widest + len(table.columns)
     console.print(table)
 
 

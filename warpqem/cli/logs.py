@@ -13,9 +13,11 @@ import typer
 from warpqem.errors import StageError
 from warpqem.printable import printable, printable_lines
 
-__all__ = ["LogJson", "Verbose", "start_logging"]
+__all__ = ["LogJson", "Quiet", "Verbose", "start_logging"]
 
 LEVELS = (logging.WARNING, logging.INFO, logging.DEBUG)
+
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", hidden=True, help="Print errors alone.")]
 
 Verbose = Annotated[
     int,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import re
 from collections.abc import Callable, Collection
 from enum import Enum
 from typing import Annotated, Any
@@ -17,17 +18,23 @@ __all__ = ["HelpAll", "parameter_of", "takes_options"]
 KIND = inspect.Parameter.POSITIONAL_OR_KEYWORD
 
 
+# What options do in full, by the name of each: --help has the first clause.
+_full_help: dict[str, str] = {}
+
+
 def _print_all(context: typer.Context, wanted: bool) -> None:
     if wanted:
         for parameter in context.command.params:
             parameter.hidden = False  # type: ignore[attr-defined]  # an option of click
+            if parameter.name in _full_help:
+                parameter.help = _full_help[parameter.name]  # type: ignore[attr-defined]  # likewise
         typer.echo(context.get_help())
         raise typer.Exit
 
 
 HelpAll = Annotated[
     bool,
-    typer.Option("--help-all", is_eager=True, callback=_print_all, help="Show the options of experts too and exit."),
+    typer.Option("--help-all", is_eager=True, callback=_print_all, help="Show all options and exit."),
 ]
 
 
@@ -82,7 +89,9 @@ def parameter_of(entry: OptionField, basic: bool) -> inspect.Parameter:
     flag = entry.kind is bool
     # A flag that is off need not be switched off.
     names = [f"--{name}/--no-{name}" if flag and (entry.optional or entry.default) else f"--{name}"]
-    about = typer.Option(*names, metavar=None if flag else said.unit, help=_help(entry), hidden=not basic)
+    _full_help[entry.name] = _help(entry)
+    text = _first_clause(entry) if basic and said.basic else _full_help[entry.name]
+    about = typer.Option(*names, metavar=None if flag else said.unit, help=text, hidden=not basic)
     default = None if not entry.has_default or said.repeated else entry.default
     annotation = _value_type(entry)
     if default is None or default == ():
@@ -105,6 +114,13 @@ def _value_type(entry: OptionField) -> Any:
 
 def _plain(value: Any) -> Any:
     return value.value if isinstance(value, Enum) else value
+
+
+def _first_clause(entry: OptionField) -> str:
+    """The beginning of a help up to its first semicolon or period, and the range of a number."""
+    clause = entry.option.brief or re.split(r"[;.](?= |$)", entry.option.help, maxsplit=1)[0]
+    limits = entry.option.limits
+    return f"{clause}." if limits is None else f"{clause} ({limits})."
 
 
 def _help(entry: OptionField) -> str:

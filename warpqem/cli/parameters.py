@@ -45,7 +45,7 @@ MeshInput = Annotated[
     str,
     typer.Argument(
         metavar="IN",
-        help="USD file to read (.usd, .usda, .usdc, .usdz), or mesh files, one for each frame, such as 'horse-*.ply'.",
+        help="USD file to read, an animated GLB, or mesh files, one for each frame, such as 'horse-*.ply'.",
     ),
 ]
 
@@ -55,8 +55,7 @@ MeshOutput = Annotated[
         "--output",
         "-o",
         metavar="OUT",
-        help="USD file to write (.usd, .usda, .usdc, .usdz), or with mesh files as IN such files, for example "
-        "out/horse_####.ply (.ply, .obj, .stl, .off, .glb); replaced if it exists, never IN.",
+        help="File to write: .usd, .usda, .usdc or .usdz, a .glb, or mesh files such as out/horse_####.ply.",
     ),
 ]
 
@@ -82,7 +81,7 @@ ReportPage = Annotated[
     typer.Option(
         "--report",
         metavar="FILE",
-        help="Write a page (.html) that shows both in motion, their distance and all figures; it opens offline.",
+        help="Write a page (.html) that shows both in motion, offline.",
     ),
 ]
 

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import sys
+from collections import Counter
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from warpqem.cli import messages
 from warpqem.cli.console import (
     EXIT_FAILED,
+    WIDEST,
     PlainTable,
     error_text,
     load_usd,
@@ -17,8 +21,11 @@ from warpqem.cli.console import (
     quiet_libraries,
     write_json,
 )
+from warpqem.cli.logs import Quiet, Verbose, start_logging
+from warpqem.cli.message_groups import file_size, grouped_messages, path_width, shortened_path, with_separators
 from warpqem.cli.option_parameters import takes_options
 from warpqem.cli.parameters import JsonReport, MeshInput, MeshOutput, ReportPage
+from warpqem.printable import printable
 from warpqem.usd.commands.simplify_options import SimplifyOptions
 
 if TYPE_CHECKING:
@@ -29,14 +36,17 @@ __all__ = ["EXAMPLES", "run_simplify", "simplify"]
 
 # Under its help; tests run them.
 EXAMPLES = (
-    "warpqem simplify quadruped_gallop.usdc -o out.usdc --ratio 0.1 --report out.html",
+    "warpqem simplify quadruped_gallop.usdc -o out.usdc --ratio 0.1 --report a.html",
     "warpqem simplify cape_wind.usdc -o cape.usda --max-error 0.2 --lock-borders",
-    "warpqem simplify cape_wind.usdc -o far.usda --screen-error 1 --distance 10",
     "warpqem simplify cape_wind.usdc -o levels.usda --lods 0.5,0.2,0.05",
 )
 
 # Outputs that a title names.
 MAX_NAMED = 4
+# Of more meshes the table shows the worst alone; with --verbose all.
+MANY_MESHES, WORST_MESHES = 8, 5
+# Characters of a path below the table.
+NOTE_WIDTH = 40
 
 
 @takes_options(SimplifyOptions)
@@ -53,21 +63,17 @@ def simplify(
     ] = None,
     report: ReportPage = None,
     json: JsonReport = None,
+    quiet: Quiet = False,
+    verbose: Verbose = 0,
 ) -> None:
     """Simplify every mesh over all its frames.
 
     Give a count (--ratio or --faces), limits (--max-error, --max-distance, --screen-error), or both; or --lods.
 
-    OUT is a small layer over IN that holds the new meshes; keep the two files together, or use --flatten, or name OUT
-    as a package (.usdz), which holds all that it needs. Primvars, normals, subsets, skins and blend shapes come along.
-    What does not fit the new meshes is removed, with a warning.
-
-    IN may be mesh files, too, one for each frame, such as 'horse-*.ply' in quotes (OBJ, PLY, STL, OFF, GLB, ...): the
-    frames of one mesh. OUT is then a file of its own, or mesh files again, such as out/horse_####.ply.
-
-    Exit codes: 0 all done; 1 an error, or some mesh failed; 2 wrong usage; 130 interrupted.
+    OUT is a small layer over IN that holds the new meshes; keep the two files together, use --flatten, or a package.
+    What does not fit the new meshes is removed, with a warning. Mesh files are the frames of one mesh.
     """
-    run_simplify(input_file, output, options, report, json, fps)
+    run_simplify(input_file, output, options, report, json, fps, quiet=quiet, verbose=verbose)
 
 
 def run_simplify(
@@ -77,12 +83,18 @@ def run_simplify(
     page: str | None,
     json: str | None,
     fps: float | None = None,
+    *,
+    quiet: bool = False,
+    verbose: int = 0,
 ) -> None:
     """Simplify, and say what came of it."""
+    messages.quiet = quiet
+    start_logging(verbose, None)
     quiet_libraries()
     load_usd()
     from warpqem.errors import OptionError
     from warpqem.files.outputs import named_outputs
+    from warpqem.gltf.simplify import is_animated_gltf, simplify_gltf
     from warpqem.mesh_files.file_names import is_mesh_name
     from warpqem.pipeline.memory_plan import parse_bytes
     from warpqem.report.page import check_page_path
@@ -103,8 +115,16 @@ def run_simplify(
             if page is not None and report.output is not None:
                 write_simplify_report(page, report, asked, progress)
 
-        shared: dict[str, Any] = {"progress": progress, "announce": _print_plan, "other_outputs": others}
-        if is_mesh_name(input_file):
+        shared: dict[str, Any] = {
+            "progress": progress,
+            "announce": _print_plan if verbose else None,
+            "other_outputs": others,
+        }
+        if is_animated_gltf(input_file):
+            if fps is not None:
+                raise OptionError("--fps is for mesh files; an animated glTF file has times of its own")
+            report = simplify_gltf(input_file, output, asked, before_end=write_page, **shared)
+        elif is_mesh_name(input_file):
             rate = DEFAULT_FPS if fps is None else fps
             report = simplify_mesh_files(input_file, output, asked, fps=rate, before_end=write_page, **shared)
         else:
@@ -112,16 +132,33 @@ def run_simplify(
                 raise OptionError("--fps is for mesh files; a USD file has a rate of its own")
             report = simplify_stage(input_file, output, asked, **shared)
             write_page(report)
-    _print_problems(report)
-    print_table(_table(report), to_stderr=json == "-")
+    with grouped_messages([prim.path for prim in report.worst_first], each=verbose > 0):
+        _print_problems(report)
+    if not quiet:
+        is_many = len({prim.path for prim in report.prims}) > MANY_MESHES and not verbose
+        print_table(_table(report, WORST_MESHES if is_many else None, path_width(json == "-")), to_stderr=json == "-")
     if json is not None:
         write_json(json, report.to_dict())
+    if not quiet:
+        _print_written(report, page, json)
     if report.failed:
         raise typer.Exit(EXIT_FAILED)
 
 
 def _print_plan(name: str, plan: MemoryPlan) -> None:
     print_message("plan", f"{name}: {plan}")
+
+
+def _print_written(report: StageReport, page: str | None, json: str | None) -> None:
+    """The last line: what was written, and how large it is."""
+    files = report.outputs if len(report.outputs) <= MAX_NAMED else [report.outputs[0], report.outputs[-1]]
+    named = [f"{path}, {file_size(path)}" for path in files if file_size(path)]
+    if len(report.outputs) > MAX_NAMED:
+        named.insert(1, f"{len(report.outputs) - 2} more")
+    others = {"report": page if report.output else None, "JSON": json if json != "-" else None}
+    named += [f"{what} {path}" for what, path in others.items() if path is not None]
+    if named:
+        print(f"wrote {printable('; '.join(named))}", file=sys.stderr)
 
 
 def _level(prim: PrimReport) -> str:
@@ -190,7 +227,8 @@ def _print_small(report: StageReport) -> None:
         print_message("note", f"{stopped[0]}{more}: keeps more faces, as the error would pass --max-size-error")
 
 
-def _table(report: StageReport) -> PlainTable:
+def _table(report: StageReport, most: int | None = None, width: int = WIDEST) -> PlainTable:
+    """The meshes, of many the ``most`` worst ones; their paths have so many characters."""
     table = PlainTable(f"{report.input} -> {_named(report.outputs) or 'nothing written'}")
     levels, worst_first = list(dict.fromkeys(map(_level, report.prims))), report.worst_first
     if any(levels):
@@ -203,21 +241,32 @@ def _table(report: StageReport) -> PlainTable:
         table.add_column(name, justify="right")
     if measured:
         table.add_column("verdict")
-    table.add_column("stopped")
-    table.add_column("seconds", justify="right")
+    table.add_column("stopped", overflow="ellipsis")
+    table.add_column("s", justify="right")
     for level in levels:
         prims = [prim for prim in worst_first if _level(prim) == level]
-        rows = [_row(prim, measured, rig) for prim in prims]
+        rows = [_row(prim, measured, rig) for prim in prims[:most]]
         if len(prims) > 1:
             rows.append(_total(prims, measured, rig))
         for index, row in enumerate(rows):
             # The total stands apart from its meshes, and each level from the next.
-            end_section = index == len(rows) - 1 or (len(prims) > 1 and index == len(prims) - 1)
-            table.add_row(*([level] if level else []), *row, end_section=end_section)
-    for prim in worst_first:
+            end_section = index == len(rows) - 1 or (len(prims) > 1 and index == len(rows) - 2)
+            shown = [shortened_path(row[0], width), *map(with_separators, row[1:])]
+            table.add_row(*([level] if level else []), *shown, end_section=end_section)
+    for prim in worst_first if most is None else ():
         if prim.measured is not None and prim.measured["reason"]:
             level = f"{_level(prim)}: " if _level(prim) else ""
-            table.add_note(f"{prim.measured['verdict']}: {level}{prim.path}: {prim.measured['reason']}")
+            path = shortened_path(prim.path, max(width, NOTE_WIDTH))
+            table.add_note(f"{prim.measured['verdict']}: {level}{path}: {prim.measured['reason']}")
+    if most is not None:
+        found = Counter(prim.measured["verdict"] for prim in worst_first if prim.measured is not None)
+        table.add_note(f"the worst {most}{' of each level' if any(levels) else ''}; all with -v")
+        table.add_note(", ".join(f"{count} {verdict}" for verdict, count in found.items()))
+    for column in table.columns:
+        # Heads wrap, and a row is a line.
+        name, cells = str(column.header), [len(str(cell)) for cell in column._cells]
+        column.no_wrap = name in ("mesh", "stopped")
+        column.min_width = max([*map(len, name.split()), *(cells if name != "stopped" else ())])
     return table
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from warpqem.arguments.array_input import FLOAT32_MAX, first_beyond, real_array
+from warpqem.arguments.array_record import ArrayRecord
 from warpqem.arguments.array_types import ArrayInput
 from warpqem.arguments.limits import WEIGHTS
 from warpqem.arguments.number_input import real_number
@@ -22,8 +23,8 @@ __all__ = ["AttributeField", "channel_count", "checked_fields", "field_weight", 
 MAX_SPAN = 1e15
 
 
-@dataclass(frozen=True)
-class AttributeField:
+@dataclass(frozen=True, eq=False, repr=False)
+class AttributeField(ArrayRecord):
     """Values on the surface whose error the collapse order is to keep low.
 
     Attributes:

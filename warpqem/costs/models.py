@@ -14,10 +14,9 @@ model, its object a :class:`CostModelSpec`. A name from the table stays what it 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from importlib.metadata import EntryPoint, entry_points
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from warpqem.errors import OptionError
 
@@ -26,7 +25,7 @@ if TYPE_CHECKING:
 
     from warpqem.arguments.array_types import ArrayInput
 
-__all__ = ["COST_MODELS", "ENTRY_POINTS", "CostModelSpec", "cost_model", "cost_model_names"]
+__all__ = ["COST_MODELS", "ENTRY_POINTS", "CostModelSpec", "Metric", "VertexWeight", "cost_model", "cost_model_names"]
 
 # Entry points of this group are cost models.
 ENTRY_POINTS = "warpqem.cost_models"
@@ -34,6 +33,14 @@ ENTRY_POINTS = "warpqem.cost_models"
 # takes the largest twentieth of UV errors to 0.74 times what they were, for 3 % of the shape's RMS; 0.03 to 0.82 times
 # for 2 %, 0.3 to 0.62 times for 14 %.
 FACE_UV_WEIGHT = 0.1
+
+
+class VertexWeight(Protocol):
+    """A function that weighs the vertices of a mesh, see ``CostModelSpec.vertex_weight``."""
+
+    def __call__(self, points: np.ndarray, faces: np.ndarray, /) -> ArrayInput:
+        """Factors (V,) on the cost at each vertex, from key frames (K, V, 3) and faces (N, 3)."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -59,11 +66,14 @@ class CostModelSpec:
     single_frame: bool = False
     deformation_weight: float = 0.0
     uses_motion_features: bool = False
-    vertex_weight: Callable[[np.ndarray, np.ndarray], ArrayInput] | None = None
+    vertex_weight: VertexWeight | None = None
     keeps_face: bool = False
     uv_weight: float = 0.0
     source: str = ""
 
+
+# A cost model by its name, as a spec, or as the vertex weights of one.
+Metric = str | CostModelSpec | VertexWeight
 
 COST_MODELS = {
     spec.name: spec
@@ -87,12 +97,21 @@ def cost_model_names() -> tuple[str, ...]:
     return (*COST_MODELS, *sorted(_plug_ins()))
 
 
-def cost_model(name: str) -> CostModelSpec:
-    """The cost model of that name.
+def cost_model(metric: Metric) -> CostModelSpec:
+    """The cost model of that name; a spec is one itself, and a function the ``vertex_weight`` of one with its name.
 
     Raises:
         OptionError: there is none, or that of another package cannot be loaded or is no :class:`CostModelSpec`.
     """
+    if isinstance(metric, CostModelSpec):
+        return metric
+    if callable(metric):
+        return CostModelSpec(str(getattr(metric, "__name__", type(metric).__name__)), vertex_weight=metric)
+    name = metric
+    if not isinstance(name, str):
+        from warpqem.arguments.number_input import shown
+
+        raise OptionError(f"metric must be the name of a cost model, a CostModelSpec or a function, got {shown(name)}")
     if name in COST_MODELS:
         return COST_MODELS[name]
     found = _plug_ins()

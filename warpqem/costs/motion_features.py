@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from warpqem.arguments.array_record import ArrayRecord
 from warpqem.arguments.array_types import ArrayInput, MeshPoints
 from warpqem.costs.weights import check_factors
 from warpqem.errors import OptionError
@@ -33,8 +34,8 @@ FLOOR_DEGREES = 1.0
 FEATURE_WEIGHTS = ("size", "root", "log", "bend")
 
 
-@dataclass(frozen=True)
-class MotionFeatures:
+@dataclass(frozen=True, eq=False, repr=False)
+class MotionFeatures(ArrayRecord):
     """Motion features of an animated mesh.
 
     Attributes:

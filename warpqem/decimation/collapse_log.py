@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 import warp as wp
 
+from warpqem.arguments.array_record import ArrayRecord
 from warpqem.kernels.mesh_state import CollapseLog
 
 __all__ = ["CollapseRecord", "new_log", "read_log"]
@@ -16,8 +17,8 @@ __all__ = ["CollapseRecord", "new_log", "read_log"]
 RECENT = 1.0 / 16.0
 
 
-@dataclass(frozen=True)
-class CollapseRecord:
+@dataclass(frozen=True, eq=False, repr=False)
+class CollapseRecord(ArrayRecord):
     """Edge collapses in the order of application (C of them): by round, then by cost.
 
     Collapses of one round are independent, so the mesh after any prefix is valid. A higher face count gives a prefix of

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from warpqem.arguments.array_input import finite_array, first_outside
+from warpqem.arguments.array_record import ArrayRecord
 from warpqem.arguments.array_types import ArrayInput, MeshPoints
 from warpqem.arguments.number_input import shown
 from warpqem.errors import OptionError
@@ -29,8 +30,8 @@ MAX_FRAMES = 64
 FACE_PER_LOWER = 1.5
 
 
-@dataclass(frozen=True)
-class FacialFeatures:
+@dataclass(frozen=True, eq=False, repr=False)
+class FacialFeatures(ArrayRecord):
     """Named vertices of a face.
 
     Attributes:

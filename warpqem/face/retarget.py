@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from warpqem.arguments.array_input import first_outside, real_array
+from warpqem.arguments.array_record import ArrayRecord
 from warpqem.arguments.array_types import ArrayInput, Points
 from warpqem.arguments.number_input import shown
 from warpqem.errors import FeaturePointError, MeshShapeError, OptionError
@@ -33,8 +34,8 @@ FADE_FROM, FADE_TO = 0.35, 0.9
 TOUCH = 0.05
 
 
-@dataclass(frozen=True)
-class FaceMesh:
+@dataclass(frozen=True, eq=False, repr=False)
+class FaceMesh(ArrayRecord):
     """A face at rest.
 
     Attributes:
@@ -48,8 +49,8 @@ class FaceMesh:
     features: FacialFeatures | None = None
 
 
-@dataclass(frozen=True)
-class RetargetedMotion:
+@dataclass(frozen=True, eq=False, repr=False)
+class RetargetedMotion(ArrayRecord):
     """The target in motion.
 
     Attributes:

@@ -7,11 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from warpqem.arguments.array_record import ArrayRecord
+
 __all__ = ["FrameErrors"]
 
 
-@dataclass(frozen=True)
-class FrameErrors:
+@dataclass(frozen=True, eq=False, repr=False)
+class FrameErrors(ArrayRecord):
     """Errors per evaluated frame, arrays of shape (K,); distances in % of the reference's diagonal in that frame.
 
     Where the nearest point lies on an edge, its faces are equally near and any of them may count as the nearest: normal

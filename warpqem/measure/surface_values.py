@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from warpqem.arguments.array_input import finite_array
+from warpqem.arguments.array_record import ArrayRecord
 from warpqem.errors import MeshShapeError
 
 __all__ = ["CornerValues", "SurfaceValues", "shared_names", "shared_normals"]
@@ -16,8 +17,8 @@ __all__ = ["CornerValues", "SurfaceValues", "shared_names", "shared_normals"]
 Floats = npt.NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class CornerValues:
+@dataclass(frozen=True, eq=False, repr=False)
+class CornerValues(ArrayRecord):
     """Values at the corners of the triangles of a mesh.
 
     Attributes:

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from warpqem.arguments.array_input import FLOAT32_MAX
+from warpqem.arguments.array_record import ArrayRecord
 from warpqem.errors import MeshFileError
 from warpqem.mesh_files.file_names import find_mesh_files, frame_numbers
 from warpqem.mesh_files.reading import FileMesh, has_shared_points, read_mesh_file
@@ -24,8 +25,8 @@ Progress = Callable[[float, str], None]
 Visit = Callable[[int, npt.NDArray[np.float64]], None]
 
 
-@dataclass(frozen=True)
-class MeshSequence:
+@dataclass(frozen=True, eq=False, repr=False)
+class MeshSequence(ArrayRecord):
     """Mesh files as the frames of one mesh: a :class:`warpqem.FrameSource` with faces.
 
     :func:`warpqem.simplify` takes it without ``faces``. Every block of frames is read from the files anew, so that a

@@ -15,6 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from warpqem.arguments.progress import Progress
 from warpqem.decimation.collapse_nodes import NodeRecorder
 from warpqem.decimation.forest_cut import CollapseForest
 from warpqem.decimation.replay import OrderedLevels
@@ -27,7 +28,7 @@ from warpqem.mesh.mesh_input import AnimatedMesh
 from warpqem.pipeline.bound_sink import LimitFrames
 from warpqem.pipeline.cut_levels import Choice, CutLevel, LevelFrames
 from warpqem.pipeline.memory_plan import KEPT_BYTES, stage_frames
-from warpqem.pipeline.prepare import ORDER_END, Prepared, Progress
+from warpqem.pipeline.prepare import ORDER_END, Prepared
 from warpqem.pipeline.result import SimplifiedMesh, finish, in_input_terms, reached, written_faces
 from warpqem.repair.mended_mesh import faces_for
 from warpqem.runtime.device import device_turn

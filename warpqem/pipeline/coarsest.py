@@ -6,8 +6,9 @@ import math
 from collections.abc import Callable
 
 from warpqem.arguments.distance_limit import DistanceLimit
+from warpqem.arguments.progress import Progress
 from warpqem.errors import OptionError
-from warpqem.pipeline.prepare import ORDER_END, Progress
+from warpqem.pipeline.prepare import ORDER_END
 from warpqem.pipeline.result import SimplifiedMesh
 
 __all__ = ["find_coarsest"]

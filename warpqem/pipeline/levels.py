@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpqem.arguments.array_types import ArrayInput, MeshPoints
-from warpqem.arguments.number_input import check_function, flag, shown, whole_number
+from warpqem.arguments.number_input import flag, shown, whole_number
+from warpqem.arguments.progress import CancelToken, Progress, ProgressInput, listener, with_progress_bar
 from warpqem.decimation.collapse_log import CollapseRecord
 from warpqem.decimation.collapse_nodes import NodeRecorder
 from warpqem.decimation.replay import OrderedLevels
@@ -21,10 +22,11 @@ from warpqem.mesh.mesh_input import read_mesh
 from warpqem.options import LevelKeywords, check_ratio, read_keywords, target_count
 from warpqem.pipeline.measure_result import ResultMeasure
 from warpqem.pipeline.memory_plan import admit_faces
-from warpqem.pipeline.prepare import ORDER_END, Prepared, Progress, prepare
+from warpqem.pipeline.prepare import ORDER_END, Prepared, prepare
 from warpqem.pipeline.result import SimplifiedMesh, finish, reached
 from warpqem.repair.mended_mesh import faces_for
 from warpqem.runtime.device import device_turn, on_device, resolve_device
+from warpqem.runtime.thread_limit import limit_threads, thread_scope, worthwhile_threads
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -44,6 +46,10 @@ class LevelOrder:
         self._ordered = work.order(progress, recorder)
         self._levels = OrderedLevels(work.mesh.faces, self._ordered, recorder)
         self._least, self._work = work.goal.target_faces, work.without_input()
+
+    def __repr__(self) -> str:
+        frames = self._work.mesh.frame_count
+        return f"LevelOrder({self._least} to {self.face_count} faces, {frames} frame{'s' * (frames != 1)})"
 
     @property
     def face_count(self) -> int:
@@ -71,31 +77,36 @@ class LevelOrder:
         """What it keeps in memory for its levels, without the frames."""
         return self._levels.held_bytes
 
+    @with_progress_bar
     def level(
         self,
         target_faces: int,
         *,
         sink: FrameSink | None = None,
-        progress: Progress | None = None,
+        progress: ProgressInput = None,
+        cancel: CancelToken | None = None,
     ) -> SimplifiedMesh:
         """What :func:`warpqem.simplify` gives for so many faces, to the bit.
 
         Args:
             target_faces: at least as many as were asked for at first, where decimation ended.
             sink: takes the frames of the result, block by block, in place of an array; the result is not measured then.
-            progress: called with the part done, 0 to 1, and the stage "place".
+            progress: called with the part done, 0 to 1, and the stage "place"; True for a bar.
+            cancel: as for :func:`warpqem.simplify`.
 
         Raises:
             OptionError: fewer faces than decimation went down to, or an argument of the wrong type.
             UnreachableTargetError: no legal collapse leads to it; its ``result`` is what there is.
+            CancelledError: ``cancel`` was set.
         """
         expected = f"a whole number of at least {self._least}, which edges were collapsed down to"
         target_faces = whole_number(target_faces, "target_faces", least=self._least, expected=expected)
         check_sink(sink)
-        check_function(progress, "progress")
-        with device_turn(self._work.device):
+        listen = listener(progress, cancel)
+        with thread_scope(), device_turn(self._work.device):
+            limit_threads(worthwhile_threads(len(self._work.mesh.faces), self._work.mesh.frame_count))
             ordered = self._levels.at(self._levels.steps_to(self._base_faces(target_faces)))
-            result = finish(self._work, ordered, self._refit, sink=sink, progress=progress)
+            result = finish(self._work, ordered, self._refit, sink=sink, progress=listen)
         if sink is None:
             result = replace(result, measuring=ResultMeasure.of(self._work.mesh, self._work.device))
         return reached(result, target_faces)
@@ -108,6 +119,7 @@ class LevelOrder:
         return faces_for(self._ordered, mesh, target_faces)
 
 
+@with_progress_bar
 @on_device
 def order_levels(
     points: MeshPoints,
@@ -115,7 +127,8 @@ def order_levels(
     *,
     target_faces: int,
     keep_frames: bool = True,
-    progress: Progress | None = None,
+    progress: ProgressInput = None,
+    cancel: CancelToken | None = None,
     **options: Unpack[LevelKeywords],
 ) -> LevelOrder:
     """Collapse the edges of an animated mesh down to its coarsest level.
@@ -125,7 +138,8 @@ def order_levels(
         faces: likewise.
         target_faces: faces of the coarsest level.
         keep_frames: plan memory for the frames of one level; not where all levels are to have a sink.
-        progress: called with the part done, 0 to 1, and the stage, "read" or "order".
+        progress: called with the part done, 0 to 1, and the stage, "read" or "order"; True for a bar.
+        cancel: as for :func:`warpqem.simplify`.
         options: other keyword arguments of :func:`warpqem.simplify`, but for its goals and ``sink``.
 
     Raises:
@@ -137,17 +151,20 @@ def order_levels(
         raise OptionError(f"{', '.join(sorted(refused))}: not with levels")
     asked = read_keywords(options, target_faces=target_faces)
     keep_frames = flag(keep_frames, "keep_frames")
-    work = prepare(points, faces, asked, keep_frames=keep_frames, keep_nodes=True, progress=progress)
-    return LevelOrder(work, asked.refits, progress)
+    listen = listener(progress, cancel)
+    work = prepare(points, faces, asked, keep_frames=keep_frames, keep_nodes=True, progress=listen)
+    return LevelOrder(work, asked.refits, listen)
 
 
+@with_progress_bar
 @on_device
 def simplify_levels(
     points: MeshPoints,
     faces: ArrayInput | None = None,
     *,
     ratios: Sequence[float],
-    progress: Progress | None = None,
+    progress: ProgressInput = None,
+    cancel: CancelToken | None = None,
     **options: Unpack[LevelKeywords],
 ) -> list[SimplifiedMesh]:
     """Simplify an animated mesh to several levels that nest: edges are collapsed once, each level is placed on its own.
@@ -159,7 +176,8 @@ def simplify_levels(
         points: as for :func:`simplify`.
         faces: likewise.
         ratios: part of the faces that each level keeps, in (0, 1].
-        progress: called with the part done, 0 to 1, and the stage, "read", "order" or "place".
+        progress: called with the part done, 0 to 1, and the stage, "read", "order" or "place"; True for a bar.
+        cancel: as for :func:`simplify`.
         options: other keyword arguments of :func:`simplify`, but for its goals and ``sink``.
 
     Raises:
@@ -169,13 +187,14 @@ def simplify_levels(
     parts = _checked_ratios(ratios)
     if "target_faces" in options:
         raise OptionError("target_faces: not with ratios")
+    listen = listener(progress, cancel)
     device = resolve_device(options.get("device"))
     mesh = read_mesh(points, faces, partial(admit_faces, limit=options.get("memory"), device=device))
     targets = [target_count(ratio, len(mesh.faces)) for ratio in parts]
-    order = order_levels(mesh, target_faces=min(targets), progress=progress, **options)
+    order = order_levels(mesh, target_faces=min(targets), progress=listen, **options)
     results = []
     for index, target in enumerate(targets):
-        part = None if progress is None else _part_of(progress, index, len(parts))
+        part = None if listen is None else _part_of(listen, index, len(parts))
         try:
             results.append(order.level(target, progress=part))
         except UnreachableTargetError as error:

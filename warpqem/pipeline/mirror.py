@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from warpqem.arguments.array_input import finite_array
+from warpqem.arguments.array_record import ArrayRecord
 from warpqem.arguments.array_types import ArrayInput
 from warpqem.arguments.number_input import real_number, shown
 from warpqem.errors import MeshShapeError, OptionError
@@ -25,8 +26,8 @@ GENERIC = np.array([0.5345224838248488, 0.2672612419124244, 0.8017837257372732])
 AXES = ("x", "y", "z")
 
 
-@dataclass(frozen=True)
-class MirrorPlane:
+@dataclass(frozen=True, eq=False, repr=False)
+class MirrorPlane(ArrayRecord):
     """The plane ``normal.p = offset``.
 
     Attributes:
@@ -44,8 +45,8 @@ class MirrorPlane:
         return reflected
 
 
-@dataclass(frozen=True)
-class Mirror:
+@dataclass(frozen=True, eq=False, repr=False)
+class Mirror(ArrayRecord):
     """How a mesh maps to itself.
 
     Attributes:

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from warpqem.arguments.number_input import check_function, shown
+from warpqem.arguments.number_input import shown
+from warpqem.arguments.progress import Progress
 from warpqem.costs.attributes import channel_count, weighted_corner_values
 from warpqem.costs.models import CostModelSpec, cost_model
 from warpqem.costs.motion_features import MotionWatch, MotionWeighting
@@ -32,10 +33,10 @@ from warpqem.place.place import Placer
 from warpqem.place.stiffness import MIN_STIFFNESS
 from warpqem.repair.mended_mesh import faces_for, repaired_mesh, repaired_options
 from warpqem.runtime.device import resolve_device
+from warpqem.runtime.thread_limit import limit_threads, worthwhile_threads
 
-__all__ = ["ORDER_END", "Prepared", "Progress", "QuadricSource", "plan_work", "prepare"]
+__all__ = ["ORDER_END", "Prepared", "QuadricSource", "plan_work", "prepare"]
 
-Progress = Callable[[float, str], None]
 # Makes matrices (V, 3, 3) about the vertices of a mesh of one frame, on the mesh of unit diagonal, from the mesh and
 # the scale (V,) of the quadric at each vertex.
 QuadricSource = Callable[[AnimatedMesh, np.ndarray], np.ndarray]
@@ -138,10 +139,11 @@ def prepare(
     that the faces do not show, and ``quadrics`` what is used in place of the quadrics of the faces.
     """
     options = options.checked()
-    check_function(progress, "progress")
     spec = cost_model(options.metric)
     device = resolve_device(options.device)
     read = read_mesh(points, faces, partial(admit_faces, limit=options.memory, device=device))
+    # For all that is done with it in this call, by whatever number of threads: the bits are the same.
+    limit_threads(worthwhile_threads(len(read.faces), read.frame_count))
     given = repaired_mesh(read, device)
     options = repaired_options(options, read, given)
     goal = options.goal(len(given.faces))
@@ -153,9 +155,9 @@ def prepare(
         pinned |= border_vertices(given)
     scale = read_quadric_scale(options.quadric_scale, given)
     if options.face is not None and not spec.keeps_face:
-        raise OptionError(f"face= needs metric 'face', not {options.metric!r}")
+        raise OptionError(f"face= needs metric 'face', not {spec.name!r}")
     if options.motion is not None and not spec.uses_motion_features:
-        raise OptionError(f"motion= needs a metric that keeps motion features, such as 'aqem', not {options.metric!r}")
+        raise OptionError(f"motion= needs a metric that keeps motion features, such as 'aqem', not {spec.name!r}")
     sums = None
     if spec.keeps_face:
         sums, kept = _protected_face(given, options)

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warpqem.arguments.array_record import ArrayRecord
+from warpqem.arguments.progress import Progress
 from warpqem.decimation.collapse_log import CollapseRecord
 from warpqem.decimation.decimate import DecimatedMesh
 from warpqem.errors import UnreachableTargetError
@@ -17,7 +19,7 @@ from warpqem.frames.stream import ArraySink, FrameSink
 from warpqem.mesh.mesh_input import MeshInput
 from warpqem.pipeline.memory_plan import MemoryPlan
 from warpqem.pipeline.place_frames import Placing, place_frames, place_refitted
-from warpqem.pipeline.prepare import ORDER_END, Prepared, Progress
+from warpqem.pipeline.prepare import ORDER_END, Prepared
 from warpqem.place.place import Placer
 from warpqem.repair.mended_mesh import MeshRepair
 
@@ -37,8 +39,8 @@ __all__ = [
 ]
 
 
-@dataclass(frozen=True)
-class SimplifiedMesh:
+@dataclass(frozen=True, eq=False, repr=False)
+class SimplifiedMesh(ArrayRecord):
     """What :func:`simplify` returns.
 
     Attributes:
@@ -79,6 +81,19 @@ class SimplifiedMesh:
     repair: MeshRepair | None = None
     copy_map: np.ndarray | None = None
     measuring: Callable[[SimplifiedMesh], Measured] | None = field(default=None, repr=False, compare=False)
+
+    def __repr__(self) -> str:
+        frames, vertices = self.points.shape[:2]
+        return (
+            f"SimplifiedMesh({len(self.faces)} faces, {vertices} vertices, {frames} frame{'s' * (frames != 1)}, "
+            f"stopped={self.stopped!r}, estimate={self.error:.3g} %)"
+        )
+
+    def _repr_png_(self) -> bytes:
+        """The picture that a notebook shows: three frames over time, or the mesh from three sides."""
+        from warpqem.picture.preview import preview
+
+        return preview(self.points, self.faces)
 
     @property
     def estimate(self) -> float:

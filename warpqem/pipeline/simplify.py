@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from warpqem.arguments.array_types import ArrayInput, MeshPoints
 from warpqem.arguments.number_input import flag
+from warpqem.arguments.progress import CancelToken, ProgressInput, listener, with_progress_bar
 from warpqem.costs.models import cost_model
 from warpqem.frames.checked_frames import check_sink
 from warpqem.frames.stream import FrameSink
@@ -17,7 +18,7 @@ from warpqem.options import SimplifyKeywords, read_keywords
 from warpqem.pipeline.bounded import simplify_within
 from warpqem.pipeline.measure_result import ResultMeasure, measured_on_the_way, with_errors
 from warpqem.pipeline.memory_plan import MemoryPlan, admit_faces
-from warpqem.pipeline.prepare import Progress, plan_work, prepare
+from warpqem.pipeline.prepare import plan_work, prepare
 from warpqem.pipeline.result import SimplifiedMesh, reached, with_frames, without_frames
 from warpqem.repair.mended_mesh import repaired_mesh, repaired_options
 from warpqem.runtime.device import on_device, resolve_device
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 __all__ = ["plan", "simplify"]
 
 
+@with_progress_bar
 @on_device
 def simplify(
     points: MeshPoints,
@@ -37,7 +39,8 @@ def simplify(
     *,
     sink: FrameSink | None = None,
     measure: bool = True,
-    progress: Progress | None = None,
+    progress: ProgressInput = None,
+    cancel: CancelToken | None = None,
     **options: Unpack[SimplifyKeywords],
 ) -> SimplifiedMesh:
     """Simplify an animated mesh to one topology that fits all its frames.
@@ -59,7 +62,8 @@ def simplify(
         measure: give the result its ``measured`` errors: where it is an array, they are computed when they are first
             asked for, and the result holds on to the input; where there is a sink, on the way to it, for which the
             frames are read once more. It decides no bit of the result.
-        progress: called with the part done, 0 to 1, and the stage, "read", "order" or "place".
+        progress: called with the part done, 0 to 1, and the stage, "read", "order" or "place"; True for a bar.
+        cancel: ends the call from another thread, such as a ``threading.Event``, where ``progress`` would be called.
         options: how far and how to simplify: the fields of :class:`warpqem.options.MeshOptions`, explained there. At
             least one of ``ratio``, ``target_faces`` and ``max_error`` is needed; with a count, whichever comes first
             stops.
@@ -71,10 +75,12 @@ def simplify(
         FeaturePointError: metric "face", and the mesh is none.
         DeviceError: there is no such device.
         MemoryLimitError: it cannot be done in that memory; raised before the work starts.
+        CancelledError: ``cancel`` was set.
         UnreachableTargetError: no legal collapse leads to the face count asked for; its ``result`` is what there is.
     """
     asked = read_keywords(options)
     check_sink(sink)
+    listen = listener(progress, cancel)
     bounded = asked.bounded
     measure = flag(measure, "measure")
     work = prepare(
@@ -84,7 +90,7 @@ def simplify(
         keep_frames=sink is None,
         keep_nodes=bounded,
         measured=measure and sink is not None,
-        progress=progress,
+        progress=listen,
     )
     measuring: Callable[[SimplifiedMesh], Measured] | None = None
     if measure:
@@ -94,15 +100,15 @@ def simplify(
             work, sink = measured_on_the_way(work, sink)
             measuring = sink.measured
     if bounded:
-        within = partial(simplify_within, work, asked.refits, sink=sink, progress=progress)
+        within = partial(simplify_within, work, asked.refits, sink=sink, progress=listen)
         return with_errors(within, measuring)
-    ordered = work.order(progress)
+    ordered = work.order(listen)
     placer = work.placer(ordered, refit=asked.refits)
     result = without_frames(work, placer, ordered)
     # Placing needs the memory of decimation.
     work = work.without_input()
     del ordered
-    result = with_frames(result, work, placer, asked.refits, sink=sink, progress=progress)
+    result = with_frames(result, work, placer, asked.refits, sink=sink, progress=listen)
     return reached(replace(result, measuring=measuring), work.goal.target_faces)
 
 
@@ -123,7 +129,7 @@ def plan(
         sink: likewise.
         levels: plan for the coarsest level of :func:`order_levels`.
         measure: as for :func:`simplify`.
-        options: the other options of :func:`simplify`, but for ``progress``.
+        options: the other options of :func:`simplify`, but for ``progress`` and ``cancel``.
 
     Raises:
         MemoryLimitError: it cannot be done in that memory.

@@ -15,7 +15,7 @@ import numpy as np
 
 from warpqem.arguments.array_input import is_empty
 from warpqem.arguments.array_types import ArrayInput, Points
-from warpqem.arguments.number_input import check_function
+from warpqem.arguments.progress import CancelToken, Progress, ProgressInput, listener, with_progress_bar
 from warpqem.costs.attributes import checked_fields
 from warpqem.costs.models import cost_model
 from warpqem.costs.weights import border_vertices, lock_mask, read_quadric_scale, read_weights
@@ -32,7 +32,7 @@ from warpqem.pipeline.bound_sink import BoundSink, ExceededError
 from warpqem.pipeline.coarsest import find_coarsest
 from warpqem.pipeline.measure_result import ResultMeasure, with_errors
 from warpqem.pipeline.mirror import Mirror, MirrorPlane, find_mirror
-from warpqem.pipeline.prepare import Progress, prepare
+from warpqem.pipeline.prepare import prepare
 from warpqem.pipeline.result import SimplifiedMesh, finish, in_input_terms, reached, written_faces
 from warpqem.repair.mended_mesh import repaired_mesh, repaired_options
 from warpqem.runtime.device import on_device, resolve_device
@@ -44,6 +44,7 @@ if TYPE_CHECKING:
 __all__ = ["simplify_symmetric"]
 
 
+@with_progress_bar
 @on_device
 def simplify_symmetric(
     points: Points,
@@ -51,7 +52,8 @@ def simplify_symmetric(
     symmetry: str | MirrorPlane | Mirror = "auto",
     *,
     sink: FrameSink | None = None,
-    progress: Progress | None = None,
+    progress: ProgressInput = None,
+    cancel: CancelToken | None = None,
     **options: Unpack[SimplifyKeywords],
 ) -> SimplifiedMesh:
     """Simplify a mirror-symmetric mesh so that the result has the same mirror plane.
@@ -63,6 +65,7 @@ def simplify_symmetric(
         symmetry: see :func:`warpqem.find_mirror`, or what that returned.
         sink: as for :func:`warpqem.simplify`.
         progress: likewise.
+        cancel: likewise.
         options: the other options of :func:`warpqem.simplify`. Of weights, scales and locks that differ between two
             mirror images the larger counts for both, and seams of either are seams of both.
 
@@ -74,7 +77,7 @@ def simplify_symmetric(
         OptionError: the mesh is not symmetric; else as for :func:`warpqem.simplify`.
     """
     check_sink(sink)
-    check_function(progress, "progress")
+    listen = listener(progress, cancel)
     asked = read_keywords(options)
     read = read_mesh(points, faces)
     given = repaired_mesh(read, resolve_device(asked.device))
@@ -87,8 +90,8 @@ def simplify_symmetric(
     if sink is None:
         measuring = ResultMeasure(ArrayFrames(frames), given.given_faces, resolve_device(asked.device))
     if not asked.bounded:
-        return with_errors(lambda: _simplify_half(_Half(given, frames, mirror, asked), sink, progress), measuring)
-    return with_errors(lambda: _simplify_within(given, frames, mirror, asked, sink, progress), measuring)
+        return with_errors(lambda: _simplify_half(_Half(given, frames, mirror, asked), sink, listen), measuring)
+    return with_errors(lambda: _simplify_within(given, frames, mirror, asked, sink, listen), measuring)
 
 
 def _simplify_within(

@@ -8,12 +8,13 @@ import numpy as np
 
 from warpqem.arguments.array_types import ArrayInput, MeshPoints
 from warpqem.arguments.number_input import whole_number
+from warpqem.arguments.progress import CancelToken, Progress, ProgressInput, listener, with_progress_bar
 from warpqem.decimation.collapse_nodes import NodeRecorder
 from warpqem.decimation.replay import OrderedLevels
 from warpqem.errors import OptionError
 from warpqem.frames.stream import read_ahead
 from warpqem.options import MethodKeywords, read_keywords
-from warpqem.pipeline.prepare import ORDER_END, Prepared, Progress, prepare
+from warpqem.pipeline.prepare import ORDER_END, Prepared, prepare
 from warpqem.pipeline.result import written_faces
 from warpqem.place.clusters import ClusterPlacer
 from warpqem.progressive.progressive_mesh import ProgressiveMesh
@@ -27,13 +28,15 @@ if TYPE_CHECKING:
 __all__ = ["build_progressive"]
 
 
+@with_progress_bar
 @on_device
 def build_progressive(
     points: MeshPoints,
     faces: ArrayInput | None = None,
     *,
     base_faces: int | None = None,
-    progress: Progress | None = None,
+    progress: ProgressInput = None,
+    cancel: CancelToken | None = None,
     **options: Unpack[MethodKeywords],
 ) -> ProgressiveMesh:
     """Every level of an animated mesh from one run (progressive deforming meshes, Huang et al. 2006).
@@ -47,7 +50,8 @@ def build_progressive(
         points: as for :func:`warpqem.simplify`.
         faces: likewise.
         base_faces: where to stop; None for as few faces as legal collapses lead to.
-        progress: called with the part done, 0 to 1, and the stage, "read", "order" or "place".
+        progress: called with the part done, 0 to 1, and the stage, "read", "order" or "place"; True for a bar.
+        cancel: as for :func:`warpqem.simplify`.
         options: keyword arguments of :func:`warpqem.simplify`, but for its goals, ``refit``, ``memoryless``,
             ``keep_components``, ``sink`` and ``share``.
 
@@ -62,14 +66,15 @@ def build_progressive(
     # A mesh of one face is the least there is.
     target = 1 if base_faces is None else whole_number(base_faces, "base_faces")
     asked = read_keywords(options, target_faces=target, keep_components=True)
-    work = prepare(points, faces, asked, keep_nodes=True, progress=progress)
+    listen = listener(progress, cancel)
+    work = prepare(points, faces, asked, keep_nodes=True, progress=listen)
     recorder = NodeRecorder()
-    ordered = work.order(progress, recorder)
+    ordered = work.order(listen, recorder)
     levels = OrderedLevels(work.mesh.faces, ordered, recorder)
     mesh = work.mesh
     written, face_index = written_faces(mesh, mesh.faces, np.arange(len(mesh.faces)))
     topology = SplitTopology.from_log(written, face_index, mesh.vertex_count, levels.log)
-    return ProgressiveMesh(topology, _place_all(work, levels, topology, progress))
+    return ProgressiveMesh(topology, _place_all(work, levels, topology, listen))
 
 
 def _place_all(work: Prepared, levels: OrderedLevels, topology: SplitTopology, progress: Progress | None) -> np.ndarray:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from warpqem.arguments.array_record import ArrayRecord
 from warpqem.arguments.number_input import real_number, whole_number
 from warpqem.errors import OptionError
 from warpqem.options import check_ratio, target_count
@@ -14,8 +15,8 @@ from warpqem.progressive.vertex_splits import SplitTopology
 __all__ = ["MeshLevel", "ProgressiveMesh"]
 
 
-@dataclass(frozen=True)
-class MeshLevel:
+@dataclass(frozen=True, eq=False, repr=False)
+class MeshLevel(ArrayRecord):
     """One level of a :class:`ProgressiveMesh`: what :func:`warpqem.simplify` gives for as many faces, to the bit.
 
     Attributes:
@@ -33,6 +34,19 @@ class MeshLevel:
     vertex: np.ndarray
     error: float
     split_count: int
+
+    def __repr__(self) -> str:
+        frames, vertices = self.points.shape[:2]
+        return (
+            f"MeshLevel({len(self.faces)} faces, {vertices} vertices, {frames} frame{'s' * (frames != 1)}, "
+            f"{self.split_count} splits, error={self.error:.3g} %)"
+        )
+
+    def _repr_png_(self) -> bytes:
+        """The picture that a notebook shows, see :func:`warpqem.picture.preview.preview`."""
+        from warpqem.picture.preview import preview
+
+        return preview(self.points, self.faces)
 
 
 @dataclass(frozen=True)
@@ -61,6 +75,21 @@ class ProgressiveMesh:
         self.topology, self.points = topology, points
         self.source: str | None = None
         self._face_counts = topology.face_counts()
+
+    def __repr__(self) -> str:
+        loaded = "" if self.is_complete else f", {self.loaded_face_count} loaded"
+        frames = f"{self.frame_count} frame{'s' * (self.frame_count != 1)}"
+        origin = "" if self.source is None else f", source={self.source!r}"
+        return f"ProgressiveMesh({self.base_face_count} to {self.face_count} faces{loaded}, {frames}{origin})"
+
+    def _repr_png_(self) -> bytes:
+        """The picture that a notebook shows: the base mesh, the finest level and one between them, first frame."""
+        from warpqem.picture.preview import side_by_side
+
+        counts = sorted({0, self.split_count // 2, self.split_count})
+        levels = [self.level(count) for count in counts]
+        counted = [(level, len(level.faces)) for level in levels]
+        return side_by_side([(level.points[0], level.faces, f"{n} face{'s' * (n != 1)}") for level, n in counted])
 
     @property
     def split_count(self) -> int:
@@ -133,12 +162,30 @@ class ProgressiveMesh:
         """
         return 100.0 * float(self.topology.error[self._checked_count(split_count)])
 
-    def level(self, split_count: int) -> MeshLevel:
-        """The mesh after so many splits of the base mesh, in time that grows with its size alone.
+    def level(
+        self,
+        split_count: int | None = None,
+        *,
+        faces: int | None = None,
+        ratio: float | None = None,
+        max_error: float | None = None,
+    ) -> MeshLevel:
+        """One level, in time that grows with its size alone; exactly one argument says which.
+
+        Args:
+            split_count: splits of the base mesh.
+            faces: faces; the level has as many, or one fewer.
+            ratio: part of the input's faces, in (0, 1].
+            max_error: the coarsest level with an ``error`` of at most so many % of the bounding-box diagonal.
 
         Raises:
-            OptionError: there are not so many splits.
+            OptionError: there is no such level, or not exactly one argument.
         """
+        given = [value for value in (split_count, faces, ratio, max_error) if value is not None]
+        if len(given) != 1:
+            raise OptionError(f"exactly one of split_count, faces, ratio and max_error is needed, got {len(given)}")
+        if split_count is None:
+            split_count = self.splits_for(ratio=ratio, target_faces=faces, max_error=max_error)
         split_count = self._checked_count(split_count)
         rows = self._rows(split_count)
         face_count = int(self._face_counts[split_count])

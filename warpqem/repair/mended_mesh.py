@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpqem.arguments.array_input import is_empty
+from warpqem.arguments.array_record import ArrayRecord
 from warpqem.costs.attributes import checked_fields
 from warpqem.costs.weights import lock_mask, read_quadric_scale, read_weights
 from warpqem.frames.stream import FrameSource, held_bytes
@@ -16,6 +17,7 @@ from warpqem.mesh.edges import edge_key
 from warpqem.mesh.mesh_input import MeshInput, is_proper
 from warpqem.mesh.seams import read_seams, seam_ends
 from warpqem.repair.mended_topology import TopologyFindings, repair_topology
+from warpqem.runtime.device import resolve_device
 
 if TYPE_CHECKING:
     from warpqem.decimation.decimate import DecimatedMesh
@@ -24,8 +26,8 @@ if TYPE_CHECKING:
 __all__ = ["MeshRepair", "face_repair", "faces_for", "repaired_mesh", "repaired_options"]
 
 
-@dataclass(frozen=True)
-class MeshRepair:
+@dataclass(frozen=True, eq=False, repr=False)
+class MeshRepair(ArrayRecord):
     """How the V' vertices and M faces of a mesh with a mended topology come from the caller's V and N.
 
     Attributes:
@@ -148,7 +150,7 @@ def face_repair(faces: np.ndarray, vertex_count: int, device: str = "cpu") -> Me
     proper = np.flatnonzero(is_proper(faces)).astype(np.int32)
     if not len(proper):
         return None
-    return _repair(np.ascontiguousarray(faces[proper]), proper, len(faces), vertex_count, device)
+    return _repair(np.ascontiguousarray(faces[proper]), proper, len(faces), vertex_count, resolve_device(device))
 
 
 def _repair(

@@ -7,13 +7,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from warpqem.arguments.array_record import ArrayRecord
 from warpqem.arguments.json_types import Json
 
 __all__ = ["Level", "Report", "Table"]
 
 
-@dataclass(frozen=True)
-class Level:
+@dataclass(frozen=True, eq=False, repr=False)
+class Level(ArrayRecord):
     """A simplified mesh.
 
     Attributes:
@@ -44,8 +45,8 @@ class Table:
     rows: Sequence[Sequence[str | int | float | None]]
 
 
-@dataclass(frozen=True)
-class Report:
+@dataclass(frozen=True, eq=False, repr=False)
+class Report(ArrayRecord):
     """What a page shows.
 
     Attributes:

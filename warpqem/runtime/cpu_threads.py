@@ -14,6 +14,7 @@ from functools import partial
 
 from warpqem.errors import OptionError
 from warpqem.runtime.device import device_traits
+from warpqem.runtime.thread_limit import thread_limit
 
 __all__ = ["launch_parts", "run_parts", "split_range", "thread_count"]
 
@@ -41,8 +42,11 @@ if hasattr(os, "register_at_fork"):
 
 
 def thread_count(device: str) -> int:
-    """Threads that long launches on the device are split over: 1 on a GPU."""
-    return _core_count() if device_traits(device).splits_launches else 1
+    """Threads that long launches on the device are split over: 1 on a GPU, no more than the call at work is worth."""
+    if not device_traits(device).splits_launches:
+        return 1
+    limit = thread_limit()
+    return _core_count() if limit is None else min(_core_count(), limit)
 
 
 def split_range(count: int, parts: int) -> list[slice]:

@@ -14,6 +14,8 @@ import warp as wp
 
 from warpqem.errors import DeviceError
 from warpqem.kernels.lanes import WIDE
+from warpqem.runtime.thread_limit import thread_scope
+from warpqem.runtime.warp_messages import quiet_start
 
 __all__ = ["DeviceTraits", "device_traits", "device_turn", "on_device", "resolve_device", "turns_released"]
 
@@ -69,12 +71,17 @@ _TRAITS = {"cpu": CPU, "cuda": GPU}
 
 
 _starting = threading.Lock()
+_started = False
 
 
 def _start_warp() -> None:
     """Start Warp in one thread: threads that came to it at once would each start it."""
+    global _started
     with _starting:
-        wp.init()
+        if not _started:
+            with quiet_start():
+                wp.init()
+            _started = True
 
 
 def device_traits(device: str) -> DeviceTraits:
@@ -208,7 +215,8 @@ def on_device(function: Callable[P, R]) -> Callable[P, R]:
     @functools.wraps(function)
     def run(*args: P.args, **kwargs: P.kwargs) -> R:
         device = kwargs.get("device")
-        with device_turn(device if isinstance(device, str) else None if device is None else str(device)):
+        name = device if isinstance(device, str) else None if device is None else str(device)
+        with thread_scope(), device_turn(name):
             return function(*args, **kwargs)
 
     return run

@@ -13,6 +13,7 @@ from typing import Any
 import warp as wp
 
 from warpqem.runtime.device import device_traits
+from warpqem.runtime.warp_messages import quiet_loading
 
 __all__ = ["Recorder", "launch", "load_kernel"]
 
@@ -42,7 +43,7 @@ def load_kernel(kernel: wp.Kernel, device: wp.DeviceLike) -> None:
         return
     with _loading:
         if key not in _loaded:
-            with _machine_code():
+            with quiet_loading(), _machine_code():
                 if device_traits(str(device)).compiles_together:
                     _compile_all(kernel.module, wp.get_device(device).arch)
                 wp.load_module(kernel.module, device, max_workers=0)
@@ -107,7 +108,8 @@ class Recorder:
     def __init__(self, device: str) -> None:
         self._device = device
         self._operations: list[Callable[[], object]] = []
-        self._arrays: list[wp.array] = []
+        # Arrays, and structs of them.
+        self._held: list[Any] = []
 
     def launch(self, kernel: wp.Kernel, dim: int, inputs: Sequence[Any], outputs: Sequence[Any] = ()) -> None:
         """Launch a kernel. Structs must not be changed afterwards: devices differ in whether a launch sees it."""
@@ -140,7 +142,7 @@ class Recorder:
     def branch(self, condition: wp.array, taken: Recorder) -> None:
         """Run what another recorder has recorded where ``condition`` (1,) int32 is not zero at that time."""
         body = partial(_run_all, tuple(taken._operations))
-        self._add(partial(wp.capture_if, condition, body), condition, *taken._arrays)
+        self._add(partial(wp.capture_if, condition, body), condition, *taken._held)
 
     def finish(self) -> Callable[[], None]:
         """What runs the operations; on a device that captures, as one graph."""
@@ -151,7 +153,7 @@ class Recorder:
 
         Nothing may be allocated in between; :meth:`scan` does so. A device that captures needs ``graph_loops``.
         """
-        self._arrays.append(running)
+        self._held.append(running)
         return self._finish(partial(wp.capture_while, running, partial(_run_all, tuple(self._operations))))
 
     def _finish(self, run: Callable[[], None]) -> Callable[[], None]:
@@ -159,11 +161,12 @@ class Recorder:
             return run
         with _no_collection(), wp.ScopedCapture(device=self._device) as capture:
             run()
-        return partial(_run_graph, capture.graph, _unique(self._arrays))
+        arrays = [array for argument in self._held for array in _arrays_of(argument)]
+        return partial(_run_graph, capture.graph, _unique(arrays))
 
     def _add(self, operation: Callable[[], object], *arguments: Any) -> None:
         self._operations.append(operation)
-        self._arrays += [array for argument in arguments for array in _arrays_of(argument)]
+        self._held += arguments
 
 
 @contextlib.contextmanager

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from warpqem.arguments.array_input import is_empty
+from warpqem.arguments.array_record import ArrayRecord
 from warpqem.arguments.array_types import ArrayInput, Points
 from warpqem.arguments.number_input import flag, shown, whole_number
 from warpqem.errors import MeshShapeError, OptionError
@@ -43,8 +44,8 @@ MAX_CANDIDATES = 16
 POSE_TOLERANCE = 1e-2
 
 
-@dataclass(frozen=True)
-class FittedSkin:
+@dataclass(frozen=True, eq=False, repr=False)
+class FittedSkin(ArrayRecord):
     """What :func:`fit_skin` returns.
 
     Attributes:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from warpqem.arguments.array_input import finite_array, index_array, real_array
+from warpqem.arguments.array_record import ArrayRecord
 from warpqem.errors import MeshShapeError
 from warpqem.frames.stream import ArrayFrames
 from warpqem.mesh.blending import blend
@@ -26,8 +27,8 @@ __all__ = [
 ]
 
 
-@dataclass(frozen=True)
-class LinearSkin:
+@dataclass(frozen=True, eq=False, repr=False)
+class LinearSkin(ArrayRecord):
     """The skin of V points, each moved by up to K joints.
 
     Attributes:

@@ -16,12 +16,13 @@ import numpy as np
 
 from warpqem.arguments.array_input import as_numpy, is_empty
 from warpqem.arguments.number_input import shown
+from warpqem.arguments.progress import Progress
 from warpqem.decimation.initial_quadrics import CONSTRAINT_WEIGHT
 from warpqem.errors import MeshShapeError, OptionError
 from warpqem.mesh.edges import edge_table
 from warpqem.mesh.mesh_input import AnimatedMesh, is_proper, read_faces
 from warpqem.options import SimplifyKeywords, read_keywords
-from warpqem.pipeline.prepare import Progress, prepare
+from warpqem.pipeline.prepare import prepare
 from warpqem.pipeline.result import SimplifiedMesh, reached, without_frames
 from warpqem.runtime.device import on_device
 from warpqem.skinning.linear_skin import LinearSkin, read_poses, read_transforms

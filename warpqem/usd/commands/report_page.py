@@ -320,8 +320,8 @@ def _option_table(options: SimplifyOptions) -> Table:
         if field.name in ALWAYS or value != field.default:
             rows.append((field.name.replace("_", " "), _as_text(value)))
     rows = [row for row in rows if row[0] not in ("device", "metric")]
-    source = cost_model(options.metric).source
-    rows.append(("metric", f"{options.metric} ({source})" if source else options.metric))
+    model = cost_model(options.metric)
+    rows.append(("metric", f"{model.name} ({model.source})" if model.source else model.name))
     rows += [("device", resolve_device(options.device)), ("warpqem", warpqem.__version__)]
     return Table("Options", ("", ""), rows)
 

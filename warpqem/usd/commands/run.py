@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 from pxr import Usd
 
 import warpqem
-from warpqem.errors import DeviceError, OptionError, StageError, VaryingTopologyError, WarpqemError
+from warpqem.errors import CancelledError, DeviceError, OptionError, StageError, VaryingTopologyError, WarpqemError
 from warpqem.options import target_count
 from warpqem.usd.checks.usd_errors import usd_errors_named
 from warpqem.usd.commands.attributes import check_names
@@ -138,8 +138,8 @@ class Run:
                 raise
             self._failed(report, name_prim(report.path, error), error)
         except WarpqemError as error:
-            # A wrong option or device is no fault of this mesh.
-            if isinstance(error, (OptionError, DeviceError)):
+            # A wrong option or device, and the caller's wish to end, are no fault of this mesh.
+            if isinstance(error, (OptionError, DeviceError, CancelledError)):
                 raise
             self._failed(report, name_prim(report.path, error), error)
         except Exception as error:

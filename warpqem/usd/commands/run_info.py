@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import platform
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ import warp as wp
 from pxr import Usd
 
 import warpqem
+from warpqem.costs.models import cost_model
 from warpqem.runtime.device import resolve_device
 from warpqem.runtime.process_memory import peak_memory
 from warpqem.usd.commands.simplify_options import SimplifyOptions
@@ -23,7 +24,10 @@ __all__ = ["run_info"]
 def run_info(options: SimplifyOptions, seconds: float) -> dict[str, Any]:
     """Versions, machine, device, options, wall-clock seconds and peak memory in bytes, ready for JSON."""
     device = wp.get_device(resolve_device(options.device))
-    given = asdict(options)
+    # A cost model may hold a function, which has no copy and no text.
+    given = {entry.name: getattr(options, entry.name) for entry in fields(options)}
+    given["metric"] = cost_model(options.metric).name
+    given["screen"] = None if options.screen is None else asdict(options.screen)
     given |= {name: None if given[name] is None else os.fspath(given[name]) for name in ("poses", "face_points")}
     # JSON has no infinity: it stands as the text that the option is given with.
     given |= {name: str(value) for name, value in given.items() if isinstance(value, float) and math.isinf(value)}

@@ -13,11 +13,12 @@ from typing import Any
 
 from pxr import Sdf, Usd
 
+from warpqem.arguments.progress import CancelToken, ProgressInput, listener, with_progress_bar
 from warpqem.errors import OptionError, StageError
 from warpqem.files.outputs import InputFile, OutputFile
 from warpqem.usd.checks.input_files import check_stage_outputs
 from warpqem.usd.checks.usd_errors import usd_errors_named
-from warpqem.usd.commands.context import Announce, Context, Progress, SharedOrder
+from warpqem.usd.commands.context import Announce, Context, SharedOrder
 from warpqem.usd.commands.lods import FileLevels, LevelLayer, LevelReport, VariantLevels
 from warpqem.usd.commands.output_names import output_files
 from warpqem.usd.commands.rig_options import level_options
@@ -38,13 +39,15 @@ Save = Callable[[Any], list[str]]
 _log = logging.getLogger(__name__)
 
 
+@with_progress_bar
 def simplify_stage(
     input_path: str | os.PathLike[str] | Usd.Stage,
     output_path: str | os.PathLike[str] | Sdf.Layer,
     options: SimplifyOptions,
-    progress: Progress | None = None,
+    progress: ProgressInput = None,
     announce: Announce | None = None,
     other_outputs: Sequence[OutputFile] = (),
+    cancel: CancelToken | None = None,
 ) -> StageReport:
     """Simplify every mesh of a USD file over all its frames and write the result.
 
@@ -63,10 +66,12 @@ def simplify_stage(
             what it holds and is not saved: one of the stage's own layers, where they show at once, or another one, that
             is to be a sublayer above them. Nothing else of an open stage changes, such as its edit target.
         options: What to do.
-        progress: Called with the fraction done and what is being done.
+        progress: Called with the fraction done and what is being done; True for a bar.
         announce: Called with the name of each mesh and the memory plan for it, before the work on it.
         other_outputs: What else the caller is going to write. Neither the output nor one of these may be a file that is
             read, such as a layer or a texture of the input, or the same file as another of them.
+        cancel: Ends the call from another thread, such as a `threading.Event`, where `progress` would be called; then
+            nothing is written.
 
     Returns:
         A report on every mesh, level after level where `options.lods` is given. Nothing is written if all meshes fail.
@@ -78,7 +83,9 @@ def simplify_stage(
         OptionError: an option or an output path is wrong, or the root prims of the input cannot hold levels. A file
             cannot be a layer over a stage in memory, so that `options.flatten` is needed there.
         DeviceError: there is no such device.
+        CancelledError: `cancel` was set.
     """
+    listen = listener(progress, cancel)
     output = _checked_output(input_path, output_path, options)
     written: list[OutputFile] = []
     if not isinstance(output_path, Sdf.Layer):
@@ -104,7 +111,7 @@ def simplify_stage(
             selection,
             options,
             output.parent if isinstance(output, Path) else None,
-            progress or (lambda fraction, text: None),
+            listen or (lambda fraction, text: None),
             announce or (lambda name, plan: None),
             cleanup,
         )

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from warpqem.arguments.limits import WEIGHTS, Limits
 from warpqem.arguments.option_fields import check_options, option
+from warpqem.costs.models import Metric as Metric  # read in the signature, as a type of a field that is inherited
 from warpqem.costs.models import cost_model
 from warpqem.costs.screen_error import ScreenView
 from warpqem.errors import OptionError
@@ -124,6 +125,7 @@ class SimplifyOptions(RigOptions):
         "Triangles of all meshes together, such as 5000, or a share of them, such as 25%; each mesh gets its part by "
         "the error that its faces save. For stages of many meshes.",
         "COUNT",
+        brief="Triangles of all meshes together, such as 5000 or 25%",
         basic=True,
         parse=parse_faces,
     )
@@ -147,6 +149,7 @@ class SimplifyOptions(RigOptions):
         "Levels of detail, such as 0.5,0.25,0.1: OUT offers IN as LOD0 and one level for each ratio as LOD1, LOD2, ... "
         "in the variant set LOD of its default prim.",
         "SHARES",
+        brief="Levels of detail as variants, such as 0.5,0.2,0.1",
         basic=True,
         parse=read_ratios,
     )
@@ -275,7 +278,10 @@ class SimplifyOptions(RigOptions):
         repeated=True,
     )
     bake: bool = option(
-        False, "Write skinned and blend-shaped meshes as point samples, without their skin.", basic=True
+        False,
+        "Write skinned and blend-shaped meshes as point samples, without their skin.",
+        brief="Write skinned meshes as point samples",
+        basic=True,
     )
     varying_topology: VaryingTopology = option(
         "runs",
@@ -362,7 +368,7 @@ class SimplifyOptions(RigOptions):
         given = [name for name in ("face_points", "face_weight", "face_ring") if getattr(self, name) is not None]
         given += [] if self.face_keep else ["face_keep"]
         if given and not cost_model(self.metric).keeps_face:
-            raise OptionError(f"{given[0]}: needs metric 'face', not {self.metric!r}")
+            raise OptionError(f"{given[0]}: needs metric 'face', not {cost_model(self.metric).name!r}")
 
     def face_protection(self, features: FacialFeatures | None = None) -> FaceProtection:
         """How these feature points are kept."""

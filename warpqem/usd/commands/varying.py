@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from pxr import Usd, UsdGeom
 
-from warpqem.errors import DeviceError, OptionError, StageError, WarpqemError
+from warpqem.errors import CancelledError, DeviceError, OptionError, StageError, WarpqemError
 from warpqem.measure import Measured
 from warpqem.measure.measured import joined_errors
 from warpqem.usd.commands.compare_runs import ERRORS
@@ -86,7 +86,7 @@ def _simplify_run(
         alone = run_alone(parent, shown, run, cleanup, quiet=run.start > float("-inf"))
         try:
             alone.simplify_constant(shown, progress, target)
-        except (OptionError, DeviceError):
+        except (OptionError, DeviceError, CancelledError):
             raise
         except WarpqemError as error:
             raise StageError(f"{path}, {run}: {str(error).removeprefix(f'{path}: ')}") from error

@@ -1,0 +1,163 @@
+"""What `warpqem simplify` prints: few lines for many meshes, figures that can be read, a last line that says where."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pxr import UsdGeom
+
+from tests.support.cli import run
+from tests.support.usd_stages import cloth_stage, define_cloth
+from warpqem.cli import messages
+from warpqem.cli.message_groups import file_size, group_messages, grouped_messages, shortened_path, with_separators
+
+PATHS = ("/Root/Worst", "/Root/B", "/Root/C")
+
+
+def test_equal_messages_of_many_meshes_are_one_line():
+    held = [("warning", f"{path}: subdivision dropped") for path in PATHS]
+    assert group_messages(held, PATHS) == [("warning", "3 meshes: subdivision dropped")]
+
+
+def test_of_messages_that_differ_in_numbers_that_of_the_worst_mesh_is_shown():
+    off = dict(zip(PATHS, (11.3, 7, 2.5), strict=True))
+    held = [("warning", f"{path}: a point is {off[path]} % off") for path in PATHS[::-1]]
+    assert group_messages(held, PATHS) == [("warning", "3 meshes, such as /Root/Worst: a point is 11.3 % off")]
+
+
+def test_other_messages_errors_and_levels_stand_for_themselves():
+    held = [
+        ("note", "kept: 3 clips"),
+        ("error", "/Root/B: no points"),
+        ("error", "/Root/C: no points"),
+        ("warning", "/Root/B: cut"),
+        ("warning", "LOD1: /Root/B: off by 3"),
+        ("warning", "LOD1: /Root/C: off by 4"),
+        ("warning", "LOD2: /Root/C: off by 5"),
+    ]
+    assert group_messages(held, PATHS) == [
+        *held[:4],
+        ("warning", "LOD1: 2 meshes, such as /Root/B: off by 3"),
+        held[6],
+    ]
+
+
+@given(
+    st.lists(
+        st.tuples(
+            st.sampled_from(["warning", "note", "error"]),
+            st.sampled_from([*PATHS, ""]),
+            st.sampled_from(["abc", "1", "2", ":", "x"]),
+        ),
+        max_size=12,
+    )
+)
+def test_no_message_is_lost(parts):
+    held = [(kind, f"{path}: {said}" if path else said) for kind, path, said in parts]
+    lines = group_messages(held, PATHS)
+    # Each kind of message of each mesh is in a line of its own or counted in one.
+    assert {kind for kind, _ in lines} == {kind for kind, _ in held}
+    for kind, path, said in parts:
+        shown = [text for found, text in lines if found == kind]
+        assert any(re.sub(r"\d", "#", said) in re.sub(r"\d", "#", text) for text in shown)
+        if kind == "error" and path:
+            assert f"{path}: {said}" in shown
+    assert len(lines) <= len(held)
+
+
+def test_messages_come_also_where_an_error_ends_the_work(capsys):
+    with contextlib.suppress(RuntimeError), grouped_messages(PATHS):
+        messages.print_message("warning", "/Root/B: cut")
+        raise RuntimeError
+    assert capsys.readouterr().err == "warning: /Root/B: cut\n"
+
+
+@given(st.lists(st.text("abcdef_", min_size=1, max_size=9), min_size=1, max_size=9), st.integers(8, 40))
+def test_a_shortened_path_keeps_its_end(names, width):
+    path = "/" + "/".join(names)
+    short = shortened_path(path, width)
+    assert len(short) <= max(width, 4)
+    assert short == path or (short.startswith("...") and path.endswith(short[3:]))
+
+
+def test_numbers_have_separators_and_sizes_a_unit(tmp_path):
+    assert [with_separators(cell) for cell in ("1234567", "0.1234", "", "12", "target")] == [
+        "1,234,567",
+        "0.1234",
+        "",
+        "12",
+        "target",
+    ]
+    for size, text in ((0, "0 bytes"), (999, "999 bytes"), (1500, "1.5 KB"), (18_000, "18 KB"), (2_340_000, "2.3 MB")):
+        (tmp_path / "file").write_bytes(bytes(size))
+        assert file_size(str(tmp_path / "file")) == text
+    assert file_size(str(tmp_path / "none")) == ""
+
+
+@pytest.fixture(scope="module")
+def many(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("many")
+    stage = cloth_stage(folder / "in.usda")
+    for index in range(11):
+        mesh = define_cloth(stage, f"/Root/Cloth{index}", size=5, times=[1.0, 2.0])
+        UsdGeom.Mesh(mesh).CreateCreaseIndicesAttr([0, 1])
+        UsdGeom.Mesh(mesh).CreateCreaseLengthsAttr([2])
+        UsdGeom.Mesh(mesh).CreateCreaseSharpnessesAttr([3.0])
+    stage.Save()
+    return folder
+
+
+def simplified(folder, *more):
+    done = run("simplify", folder / "in.usda", "-o", folder / "out.usda", "--ratio", "0.5", "--device", "cpu", *more)
+    assert done.exit_code == 0, done.output
+    return done
+
+
+def test_many_meshes_take_few_lines(many):
+    done = simplified(many)
+    assert len(done.output.splitlines()) <= 25
+    assert "plan:" not in done.stderr
+    assert re.search(r"11 meshes(, such as [/\w]+)?: dropped, does not fit the new mesh: .*crease", done.stderr)
+    assert "the worst 5; all with -v" in done.stdout
+    assert done.stderr.splitlines()[-1] == f"wrote {many / 'out.usda'}, {file_size(str(many / 'out.usda'))}"
+
+
+def test_verbose_says_all(many):
+    done = simplified(many, "-v")
+    assert done.stderr.count("plan: ") == 12
+    assert done.stderr.count("dropped, does not fit") >= 11
+    for index in range(11):
+        assert f"/Root/Cloth{index} " in done.stdout
+
+
+def test_quiet_prints_errors_alone(many, tmp_path):
+    assert simplified(many, "-q").output == ""
+    done = run("simplify", tmp_path / "none.usda", "-o", tmp_path / "out.usda", "--ratio", "0.5", "-q")
+    assert done.exit_code == 1
+    assert done.output.startswith("error: ")
+
+
+def test_the_last_line_names_report_and_json(many):
+    done = simplified(many, "--report", many / "page.html", "--json", many / "report.json")
+    last = done.stderr.splitlines()[-1]
+    assert last.endswith(f"; report {many / 'page.html'}; JSON {many / 'report.json'}")
+
+
+def test_the_program_alone_shows_its_help():
+    done = run()
+    assert done.exit_code == 0
+    assert "simplify" in done.stdout
+    assert "error" not in done.stderr
+
+
+def test_help_is_short_and_help_all_whole(monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    short, whole = run("simplify", "--help").stdout, run("simplify", "--help-all").stdout
+    assert len(short.splitlines()) <= 60
+    assert len(re.findall(r"^│ [* ] +--[a-z]", short, re.MULTILINE)) <= 14
+    assert "--memoryless" not in short
+    assert "it orders by the present faces" in " ".join(re.sub(r"[│╭╰─╮╯]", " ", whole).split())

@@ -1,0 +1,264 @@
+"""``warpqem.simplify_many``: many meshes in one call, several at once."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any, Literal, cast, overload
+
+from warpqem.arguments.array_types import ArrayInput, MeshPoints
+from warpqem.arguments.number_input import flag, shown
+from warpqem.arguments.progress import CancelToken, Progress, ProgressInput, listener, share_of, with_progress_bar
+from warpqem.errors import CancelledError, MemoryLimitError, OptionError, WarpqemError
+from warpqem.options import SimplifyKeywords, read_keywords
+from warpqem.pipeline.memory_plan import available_memory, parse_bytes
+from warpqem.pipeline.result import SimplifiedMesh
+from warpqem.pipeline.simplify import simplify
+from warpqem.runtime.cpu_threads import thread_count
+from warpqem.runtime.device import device_traits, resolve_device
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+__all__ = ["ManyMeshes", "simplify_many"]
+
+# Meshes at once. Half of the work on a small one holds the interpreter's lock, so that more threads would wait; large
+# ones are split over all cores each.
+MAX_AT_ONCE = 4
+# Seconds between two looks at how far the meshes are.
+LOOK = 0.1
+
+OneMesh = MeshPoints | tuple[MeshPoints, ArrayInput] | tuple[MeshPoints, ArrayInput, SimplifyKeywords]
+ManyMeshes = Iterable[OneMesh]
+
+
+@overload
+def simplify_many(
+    meshes: ManyMeshes,
+    *,
+    return_errors: Literal[False] = False,
+    progress: ProgressInput = None,
+    cancel: CancelToken | None = None,
+    **options: Unpack[SimplifyKeywords],
+) -> list[SimplifiedMesh]: ...
+
+
+@overload
+def simplify_many(
+    meshes: ManyMeshes,
+    *,
+    return_errors: bool,
+    progress: ProgressInput = None,
+    cancel: CancelToken | None = None,
+    **options: Unpack[SimplifyKeywords],
+) -> list[SimplifiedMesh | WarpqemError]: ...
+
+
+@with_progress_bar
+def simplify_many(
+    meshes: ManyMeshes,
+    *,
+    return_errors: bool = False,
+    progress: ProgressInput = None,
+    cancel: CancelToken | None = None,
+    **options: Unpack[SimplifyKeywords],
+) -> list[SimplifiedMesh] | list[SimplifiedMesh | WarpqemError]:
+    """Simplify many meshes, each as :func:`simplify` alone does, to the bit.
+
+    On a CPU several are worked on at once, a GPU takes one after the other. Files of many meshes are a matter of
+    ``warpqem.usd.simplify_stage``, and many files one of :func:`warpqem.batch`, which gives each a process.
+
+    Args:
+        meshes: each ``(points, faces)``, or ``(points, faces, options)`` with options of its own that go before those
+            given for all; or what :func:`simplify` takes without faces.
+        return_errors: give the error of a mesh in the place of its result, and go on; else the first one in order is
+            raised, and those behind it are not done.
+        progress: called in this thread with the part done, 0 to 1, and how many meshes are; True for a bar.
+        cancel: ends the call from another thread, such as a ``threading.Event``.
+        options: as for :func:`simplify`; ``memory`` is for all that are at work at once.
+
+    Returns:
+        A result for each mesh, in order.
+
+    Raises:
+        OptionError: an argument or an option for all is wrong; names of meshes in messages are ``meshes[17]``.
+        WarpqemError: the errors of :func:`simplify` for a mesh, which the message names, unless ``return_errors``.
+        CancelledError: ``cancel`` was set.
+    """
+    given = [_read_mesh(index, mesh, options) for index, mesh in enumerate(_listed(meshes))]
+    keep_errors = flag(return_errors, "return_errors")
+    listen = listener(progress, cancel)
+    if not given:
+        return []
+    # One device for all: they take turns on it.
+    devices = {resolve_device(keywords.get("device")) for _, _, keywords in given}
+    workers = max(thread_count(device) if device_traits(device).splits_launches else 1 for device in devices)
+    workers = min(workers, len(given), MAX_AT_ONCE)
+    at_work = _Work(given, workers, _memory_share(options, next(iter(devices)), workers), keep_errors, cancel)
+    return at_work.run(listen)
+
+
+def _listed(meshes: Any) -> list[Any]:
+    if isinstance(meshes, (str, bytes, dict)) or not isinstance(meshes, Iterable):
+        raise OptionError(f"meshes must be a list of (points, faces), got {shown(meshes)}")
+    return list(meshes)
+
+
+def _read_mesh(index: int, mesh: Any, common: SimplifyKeywords) -> tuple[Any, Any, SimplifyKeywords]:
+    """Points, faces and options of a mesh."""
+    points, faces, own = mesh, None, cast("SimplifyKeywords", {})
+    if isinstance(mesh, tuple) and len(mesh) in (2, 3):
+        points, faces = mesh[:2]
+        own = mesh[2] if len(mesh) == 3 else own
+    if not isinstance(own, dict):
+        raise OptionError(f"meshes[{index}]: options must be a dictionary, got {shown(own)}")
+    # A goal of its own takes the place of that for all.
+    goals = ("ratio", "target_faces", "max_error", "max_distance")
+    kept = {name: value for name, value in common.items() if name not in goals or not own.keys() & set(goals)}
+    keywords = cast("SimplifyKeywords", {**kept, **own})
+    with _named(index):
+        read_keywords(keywords)
+    return points, faces, keywords
+
+
+def _memory_share(options: SimplifyKeywords, device: str, workers: int) -> int | None:
+    """Bytes for each of the meshes at work at once; None where nobody knows how much there is."""
+    asked = options.get("memory")
+    limit = available_memory(device) if asked is None else parse_bytes(asked)
+    return None if limit is None or workers == 1 else max(1, limit // (2 * workers if asked is None else workers))
+
+
+@contextmanager
+def _named(index: int) -> Iterator[None]:
+    """Put the place of a mesh before the messages of its errors."""
+    try:
+        yield
+    except (WarpqemError, TypeError) as error:
+        if not isinstance(error, CancelledError):
+            error.args = (f"meshes[{index}]: {error}", *error.args[1:])
+        raise
+
+
+@dataclass(frozen=True)
+class _Token:
+    """Ends the work on one mesh: the caller cancels all, or one before it has failed."""
+
+    work: _Work
+    index: int
+
+    def is_set(self) -> bool:
+        return self.work.is_over(self.index)
+
+
+class _Work:
+    """Meshes at work, in several threads.
+
+    Args:
+        meshes: points, faces and options of each.
+        workers: threads.
+        memory: bytes for each of the meshes at work at once; None for what it would take alone.
+        keep_errors: errors are results.
+        cancel: ends all.
+    """
+
+    def __init__(
+        self,
+        meshes: Sequence[tuple[Any, Any, SimplifyKeywords]],
+        workers: int,
+        memory: int | None,
+        keep_errors: bool,
+        cancel: CancelToken | None,
+    ) -> None:
+        self._meshes, self._workers, self._memory = meshes, workers, memory
+        self._keep_errors, self._cancel = keep_errors, cancel
+        # The first mesh in order that has failed; those behind it need not be done.
+        self._failed = len(meshes)
+        self._lock = threading.Lock()
+        self._done = [0.0] * len(meshes)
+
+    def is_over(self, index: int) -> bool:
+        """Whether nobody waits for a mesh any more."""
+        return index > self._failed or (self._cancel is not None and self._cancel.is_set())
+
+    def run(self, progress: Progress | None) -> list[Any]:
+        """All results in order."""
+        results = self._one_by_one(progress) if self._workers == 1 else self._at_once(progress)
+        for result in results[: self._failed + 1]:
+            if isinstance(result, CancelledError) or (isinstance(result, WarpqemError) and not self._keep_errors):
+                raise result
+        if progress is not None:
+            progress(1.0, self._text(len(results)))
+        return results
+
+    def _one_by_one(self, progress: Progress | None) -> list[Any]:
+        results: list[Any] = []
+        for index in range(len(self._meshes)):
+            whole = None if progress is None else share_of(progress, index / len(self._meshes), 1 / len(self._meshes))
+            # A GPU needs the host for each pass where somebody listens.
+            token = None if self._cancel is None else _Token(self, index)
+            show = None if whole is None else partial(self._show, whole, index)
+            results.append(self._simplify(index, None, show, token))
+            if self.is_over(index + 1):
+                break
+        return results
+
+    def _show(self, whole: Progress, index: int, fraction: float, _: str) -> None:
+        whole(fraction, self._text(index))
+
+    def _at_once(self, progress: Progress | None) -> list[Any]:
+        with ThreadPoolExecutor(self._workers, thread_name_prefix="warpqem-mesh") as pool:
+            futures = [
+                pool.submit(self._simplify, index, self._memory, partial(self._note, index), _Token(self, index))
+                for index in range(len(self._meshes))
+            ]
+            try:
+                self._watch(futures, progress)
+            except BaseException:
+                # What the caller's function raises, Ctrl-C, or the token.
+                self._failed = -1
+                raise
+        results = [future.result() for future in futures]
+        for index, result in enumerate(results[: self._failed]):
+            # Alone it may take all memory.
+            if isinstance(result, MemoryLimitError):
+                results[index] = self._simplify(index, None, None, None)
+        return results
+
+    def _note(self, index: int, fraction: float, _: str) -> None:
+        self._done[index] = fraction
+
+    def _watch(self, futures: Sequence[Future[Any]], progress: Progress | None) -> None:
+        left: set[Future[Any]] = set(futures)
+        while left:
+            _, left = wait(left, None if progress is None else LOOK, FIRST_COMPLETED)
+            if progress is not None:
+                progress(sum(self._done) / len(futures), self._text(len(futures) - len(left)))
+
+    def _text(self, done: int) -> str:
+        return f"{done} of {len(self._meshes)} meshes"
+
+    def _simplify(
+        self, index: int, memory: int | None, progress: Progress | None, cancel: CancelToken | None
+    ) -> SimplifiedMesh | WarpqemError:
+        """The result of a mesh, or its error."""
+        points, faces, keywords = self._meshes[index]
+        if memory is not None:
+            keywords = cast("SimplifyKeywords", {**keywords, "memory": memory})
+        try:
+            with _named(index):
+                return simplify(points, faces, progress=progress, cancel=cancel, **keywords)
+        except Exception as error:
+            # For want of memory it has its turn again, alone.
+            again = memory is not None and isinstance(error, MemoryLimitError)
+            if not (again or (self._keep_errors and isinstance(error, WarpqemError))):
+                with self._lock:
+                    self._failed = min(self._failed, index)
+            if not isinstance(error, WarpqemError):
+                raise
+            return error
+        finally:
+            self._done[index] = 1.0
