@@ -347,6 +347,8 @@ def _share(a: Arguments, threads: int) -> float:
         return 1.0 / int(a["work"].part_count)
     if "first_cluster" in a:
         return threads / a["points_out" if "points_out" in a else "area_out"].size
+    if "first_output" in a:
+        return threads / a["squared"].size
     if "first_vertex" in a:
         return threads / a["vertex_flags"].size
     if "turns" in a:

@@ -205,11 +205,19 @@ def _move_deformation(a: Arguments) -> Demand:
     return Demand(2 * share * (size_of(a["face_area_in"]) + size_of(a["steps_in"])) + size_of(a["live_rank_in"]))
 
 
+def _measure_vertex_distances(a: Arguments) -> Demand:
+    # One frame of both surfaces, and a walk from each vertex to the faces around where it ends.
+    vertices = a["squared"].size
+    frame = a["source"].points.shape[1] + a["target"].points.shape[1]
+    return Demand(frame * POINT + a["source"].corner_vertex.size * INT + vertices * 3 * INT, vertices * VALENCE * 60)
+
+
 OPTION_MODELS: dict[str, Callable[[Arguments], Demand]] = {
     **{kernel: partial(_streamed, kernel) for kernel in _STREAMED},
     "match_input_samples": lambda a: _match(a, "source", "target"),
     "match_output_samples": lambda a: _match(a, "source", "target"),
     "match_border_samples": _match_border_samples,
+    "measure_vertex_distances": _measure_vertex_distances,
     "assemble_elements": _assemble_elements,
     "renew_quadrics": _renew_quadrics,
     "update_neighbourhood_costs": _update_neighbourhood_costs,

@@ -238,7 +238,7 @@ def match_output_samples(
 @wp.kernel
 def measure_vertex_distances(
     # in
-    first_vertex: wp.int32,
+    first_output: wp.int32,
     t: wp.int32,
     far: wp.float32,
     source: Surface,
@@ -252,7 +252,7 @@ def measure_vertex_distances(
 
     A vertex that sticks out is further away than any sample of its faces.
     """
-    v = first_vertex + wp.tid()
+    v = first_output + wp.tid()
     x = target.points[t, v]
     hit = closest_hit(source, t, wp.vec3i(start_in[v], -1, -1), -1, x)
     if hit.face >= 0:

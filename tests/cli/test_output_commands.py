@@ -36,7 +36,7 @@ NO_OUTPUTS = {
     "--address", "--asset-root", "--attribute-weight", "--device", "--face-points", "--frames", "--lods",
     "--memory", "--points", "--poses", "--prim", "--reference", "--size", "--source-points",
     "--source-prim", "--symmetry", "--target-points", "--target-prim", "--weight-primvar", "--faces", "--max-distance",
-    "--variant",
+    "--variant", "--influences", "--joints", "--shapes",
 }  # fmt: skip
 # Arguments of each command beside its output, which comes last.
 COMMANDS = {

@@ -203,6 +203,11 @@ def test_the_limit_of_threads_ends_with_its_call():
     assert thread_limit() is None
 
 
+def test_there_is_no_limit_of_threads_outside_of_a_call():
+    limit_threads(1)
+    assert thread_limit() is None
+
+
 def test_a_limit_of_threads_has_no_part_in_the_bits(monkeypatch):
     points, faces = meshes.swaying_sphere(3, 8)
     results = []

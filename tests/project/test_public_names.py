@@ -21,7 +21,8 @@ import importlib, inspect, pkgutil, sys
 import warpqem
 packages = [importlib.import_module(name) for name in sys.argv[1:]]
 for found in pkgutil.walk_packages(warpqem.__path__, "warpqem."):
-    if not found.name.endswith("__main__"):
+    # The one is a command, the other runs inside Blender alone.
+    if not found.name.endswith(("__main__", ".blender_script")):
         importlib.import_module(found.name)
 for package in packages:
     for name in package.__all__:

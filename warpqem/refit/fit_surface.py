@@ -95,7 +95,8 @@ def fit_corrections(
 
     Pinned vertices, corners of seams and those that stand for one input vertex stay where they are; those on seams move
     hardly but across the surface, and borders are fitted to borders. A face that does not face away from the input in
-    some frame does not after the refit.
+    some frame does not after the refit. No component comes further from the input than it was, at samples of both
+    surfaces and at vertices in the key frames.
 
     Args:
         mesh: the input.

@@ -24,18 +24,21 @@ def thread_limit() -> int | None:
 
 
 def limit_threads(most: int | None) -> None:
-    """Set the limit of the call at work, until the :func:`thread_scope` around it ends."""
-    _limits.most = most
+    """Set the limit of the call at work, until the :func:`thread_scope` around it ends; outside of one nothing."""
+    if getattr(_limits, "depth", 0) > 0:
+        _limits.most = most
 
 
 @contextlib.contextmanager
 def thread_scope() -> Iterator[None]:
     """A call, whose limit ends with it."""
     before = thread_limit()
+    _limits.depth = getattr(_limits, "depth", 0) + 1
     try:
         yield
     finally:
-        limit_threads(before)
+        _limits.depth -= 1
+        _limits.most = before
 
 
 def worthwhile_threads(face_count: int, frame_count: int) -> int:

@@ -14,6 +14,7 @@ import numpy as np
 import warp as wp
 
 from warpqem.arguments.array_input import first_outside, index_array
+from warpqem.arguments.array_record import ArrayRecord
 from warpqem.arguments.array_types import ArrayInput, Points
 from warpqem.arguments.number_input import real_number, whole_number
 from warpqem.errors import MeshShapeError, OptionError
@@ -41,8 +42,8 @@ MAX_EXCHANGED = 3
 MIN_EXCHANGE = 0.999
 
 
-@dataclass(frozen=True)
-class ReducedJoints:
+@dataclass(frozen=True, eq=False, repr=False)
+class ReducedJoints(ArrayRecord):
     """What :func:`reduce_joints` returns.
 
     Attributes:

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from warpqem.arguments.array_input import finite_array, first_outside, index_array
+from warpqem.arguments.array_record import ArrayRecord
 from warpqem.arguments.array_types import ArrayInput
 from warpqem.arguments.number_input import real_number, whole_number
 from warpqem.errors import MeshShapeError, OptionError
@@ -41,8 +42,8 @@ INBETWEEN_SHARE = 0.01
 TURNS = 2
 
 
-@dataclass(frozen=True)
-class ReducedShapes:
+@dataclass(frozen=True, eq=False, repr=False)
+class ReducedShapes(ArrayRecord):
     """What :func:`reduce_shapes` returns.
 
     Attributes:
