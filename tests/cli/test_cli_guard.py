@@ -17,7 +17,10 @@ pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="only where proc
 PROGRAM = """
 import os, signal, sys, time
 from warpqem.cli.crash_guard import guarded
+from warpqem.cli.signals import hold_signals
 from warpqem.runtime.load_timeout import load_timeout
+# As the command line does, so that no signal comes before there is a handler for it.
+hold_signals()
 {setup}
 def work():
 {work}
@@ -118,7 +121,7 @@ def test_signal_that_only_the_work_gets_ends_the_command_alike(number):
 
 @pytest.mark.parametrize("number", SIGNALS)
 def test_signal_that_comes_before_there_is_any_work_is_not_lost(number):
-    setup = f"from warpqem.cli.signals import hold_signals\nhold_signals()\nos.kill(os.getpid(), {int(number)})"
+    setup = f"os.kill(os.getpid(), {int(number)})"
     assert run("time.sleep(60)", setup) == (128 + number, said(number))
 
 

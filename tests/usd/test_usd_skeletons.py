@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pxr import Gf, Usd, UsdSkel
+from pxr import Gf, Sdf, Usd, UsdSkel, Vt
 
 from tests.support.usd_rig import ANIMATION, NAMES, SKELETON, TUBE, baked, rig
 from warpqem.usd import SimplifyOptions, simplify_stage
@@ -105,3 +105,62 @@ def test_flat_file_has_the_small_skeleton_too(tmp_path, flatten):
     rig(tmp_path / "in.usda")
     reduced, _ = simplified(tmp_path, joints=3, reduce_skeleton=True, flatten=flatten)
     assert [len(names) for names in joints(reduced)] == [3, 3]
+
+
+def copied(stage: Usd.Stage, path: str) -> Sdf.Path:
+    """A second tube at a path of the root layer."""
+    Sdf.CopySpec(stage.GetRootLayer(), TUBE, stage.GetRootLayer(), path)
+    return Sdf.Path(path)
+
+
+def test_joints_that_a_mesh_in_a_variant_that_is_not_selected_uses_stay(tmp_path):
+    stage = rig(tmp_path / "in.usda")
+    parent = stage.GetPrimAtPath(TUBE).GetParent()
+    looks = parent.GetVariantSets().AddVariantSet("look")
+    for name in ("plain", "rich"):
+        looks.AddVariant(name)
+    copied(stage, f"{parent.GetPath()}{{look=rich}}other")
+    looks.SetVariantSelection("plain")
+    stage.Save()
+    reduced, notes = simplified(tmp_path, joints=2, reduce_skeleton=True)
+    assert [len(names) for names in joints(reduced)] == [len(NAMES)] * 2
+    hidden = f"{parent.GetPath()}{{look=rich}}other"
+    assert notes == [f"{SKELETON}: all joints stay, as a variant that is not selected has a skin: {hidden}"]
+
+
+def test_joints_that_a_mesh_of_an_instance_uses_stay(tmp_path):
+    stage = rig(tmp_path / "in.usda")
+    stage.CreateClassPrim("/Copies")
+    # It has the skeleton of the instance, as a target beyond the reference would not count.
+    stage.GetPrimAtPath(copied(stage, "/Copies/other")).RemoveProperty("skel:skeleton")
+    instance = stage.DefinePrim(f"{stage.GetPrimAtPath(TUBE).GetParent().GetPath()}/instance", "Xform")
+    instance.GetReferences().AddInternalReference("/Copies")
+    instance.SetInstanceable(True)
+    UsdSkel.BindingAPI.Apply(instance).CreateSkeletonRel().SetTargets([SKELETON])
+    stage.Save()
+    reduced, notes = simplified(tmp_path, joints=2, reduce_skeleton=True, prims=(TUBE,))
+    assert [len(names) for names in joints(reduced)] == [len(NAMES)] * 2
+    assert notes == [f"{SKELETON}: all joints stay, as {instance.GetPath()}/other is below an instance"]
+
+
+def test_joints_of_a_skeleton_without_rest_transforms_go_with_its_animation(tmp_path):
+    stage = rig(tmp_path / "in.usda")
+    stage.GetPrimAtPath(SKELETON).GetAttribute("restTransforms").Clear()
+    stage.Save()
+    reduced, _ = simplified(tmp_path, joints=2, reduce_skeleton=True)
+    whole, _ = simplified(tmp_path, joints=2)
+    assert [len(names) for names in joints(reduced)] == [2, 2]
+    np.testing.assert_allclose(baked(reduced)[0], baked(whole)[0], atol=1e-5)
+
+
+def test_joints_stay_where_one_has_a_scale_of_zero(tmp_path):
+    stage = rig(tmp_path / "in.usda")
+    scales = stage.GetPrimAtPath(ANIMATION).GetAttribute("scales")
+    for time in scales.GetTimeSamples() or [Usd.TimeCode.Default()]:
+        values = np.array(scales.Get(time), dtype=np.float16)
+        values[-1] = 0.0
+        scales.Set(Vt.Vec3hArray.FromNumpy(values), time)
+    stage.Save()
+    reduced, notes = simplified(tmp_path, joints=2, reduce_skeleton=True)
+    assert [len(names) for names in joints(reduced)] == [len(NAMES)] * 2
+    assert any("has a scale of zero at some time" in note for note in notes)

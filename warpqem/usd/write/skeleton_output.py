@@ -7,6 +7,7 @@ is no translation, rotation and scale, as with a turn between uneven scales, the
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +17,11 @@ __all__ = ["reduce_skeletons"]
 
 # Parts of a transform may differ so much when it is made of translation, rotation and scale again: scales are halves.
 TOLERANCE = 1e-3
+
+# Determinant of the axes of a transform, below which it has no scale along one of them and cannot be taken apart.
+MIN_VOLUME = 1e-12
+# Properties of a prim that is skinned.
+SKIN_PROPERTIES = ("primvars:skel:jointIndices", "skel:joints", "skel:skeleton")
 
 Matrices = npt.NDArray[np.float64]
 
@@ -53,21 +59,26 @@ def reduce_skeletons(stage: Usd.Stage) -> list[str]:
     # The queries of the cache have the values from before, which is what they are asked for.
     cache = UsdSkel.Cache()
     bound: dict[Sdf.Path, _Bound] = {}
-    for prim in stage.Traverse():
+    # Meshes of instances are moved, too.
+    everywhere = Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate)
+    for prim in stage.Traverse(everywhere):
         if prim.IsA(UsdSkel.Root):
             root = UsdSkel.Root(prim)
-            cache.Populate(root, Usd.PrimDefaultPredicate)
-            for binding in cache.ComputeSkelBindings(root, Usd.PrimDefaultPredicate):
+            cache.Populate(root, everywhere)
+            for binding in cache.ComputeSkelBindings(root, everywhere):
                 query = cache.GetSkelQuery(binding.GetSkeleton())
                 if query and binding.GetSkinningTargets():
                     found = bound.setdefault(query.GetPrim().GetPath(), _Bound(query, []))
                     found.targets.extend(binding.GetSkinningTargets())
     animations = [_animation(each) for each in bound.values()]
+    hidden = _hidden_skin(stage) if bound else None
     lines = []
     for _, each in sorted(bound.items()):
         animation = _animation(each)
         shared = animation is not None and animations.count(animation) > 1
         line = _why_not(each, animation, shared)
+        if line is None and hidden is not None:
+            line = f"a variant that is not selected has a skin: {hidden}"
         lines.append(_reduce(each, animation) if line is None else f"{each.prim.GetPath()}: all joints stay, as {line}")
     return [line for line in lines if line]
 
@@ -91,6 +102,27 @@ def _why_not(bound: _Bound, animation: Usd.Prim | None, shared: bool) -> str | N
     return None
 
 
+def _hidden_skin(stage: Usd.Stage) -> Sdf.Path | None:
+    """A skinned prim, by its place in its layer, in a variant that is not selected: it may count by the same joints."""
+    shown = {
+        (spec.layer, spec.path)
+        for prim in stage.Traverse(Usd.TraverseInstanceProxies(Usd.PrimAllPrimsPredicate))
+        for spec in prim.GetPrimStack()
+    }
+    found: list[Sdf.Path] = []
+
+    def look(layer: Sdf.Layer, path: Sdf.Path) -> None:
+        if not path.IsPropertyPath() or path.name not in SKIN_PROPERTIES or not path.ContainsPrimVariantSelection():
+            return
+        places = {path.GetPrimPath(), path.GetPrimOrPrimVariantSelectionPath()}
+        if not any((layer, place) in shown for place in places):
+            found.append(path.GetPrimPath())
+
+    for layer in stage.GetUsedLayers():
+        layer.Traverse(Sdf.Path.absoluteRootPath, partial(look, layer))
+    return min(found, default=None)
+
+
 def _reduce(bound: _Bound, animation: Usd.Prim | None) -> str | None:
     names = bound.names
     needed = {name for target in bound.targets for name in _used(target, names)}
@@ -100,9 +132,13 @@ def _reduce(bound: _Bound, animation: Usd.Prim | None) -> str | None:
     query = bound.query.GetAnimQuery()
     times = list(query.GetJointTransformTimeSamples()) if query else []
     codes = [Usd.TimeCode(time) for time in times] or [Usd.TimeCode.EarliestTime()]
-    local = [np.array(bound.query.ComputeJointLocalTransforms(code)) for code in codes]
-    rest = bound.query.ComputeJointLocalTransforms(Usd.TimeCode.EarliestTime(), True)
-    rests = None if rest is None else np.array(rest)
+    local = [_local_transforms(bound.query, code) for code in codes]
+    if any(len(each) != len(names) for each in local):
+        return f"{bound.prim.GetPath()}: all joints stay, as rest transforms or animation do not place each of them"
+    if any((np.abs(np.linalg.det(each[:, :3, :3])) < MIN_VOLUME).any() for each in local):
+        return f"{bound.prim.GetPath()}: all joints stay, as one of them has a scale of zero at some time"
+    rest = _local_transforms(bound.query, Usd.TimeCode.EarliestTime(), at_rest=True)
+    rests = rest if len(rest) == len(names) else None
     parents = np.array([bound.query.GetTopology().GetParent(joint) for joint in range(len(names))])
     while True:
         composed = [_compose(each, stays, parents) for each in local]
@@ -123,6 +159,12 @@ def _reduce(bound: _Bound, animation: Usd.Prim | None) -> str | None:
     return f"{bound.prim.GetPath()}: {len(kept)} of {len(names)} joints stay"
 
 
+def _local_transforms(query: UsdSkel.SkeletonQuery, code: Usd.TimeCode, *, at_rest: bool = False) -> Matrices:
+    """(J, 4, 4) in the space of the joint above; (0, 4, 4) where the skeleton does not give them."""
+    transforms = query.ComputeJointLocalTransforms(code, at_rest)
+    return np.empty((0, 4, 4)) if not transforms else np.array(transforms)
+
+
 def _used(target: UsdSkel.SkinningQuery, names: list[str]) -> set[str]:
     """Names of the joints that move a prim at any time."""
     order = _order(target, names)
@@ -132,6 +174,9 @@ def _used(target: UsdSkel.SkinningQuery, names: list[str]) -> set[str]:
         return used
     for code in _codes(joints, weights):
         index, weight = (np.array(primvar.ComputeFlattened(code)) for primvar in (joints, weights))
+        if index.shape != weight.shape or index.dtype.kind != "i":
+            # Influences that no reader understands: what they mean is not known, so that all joints stay.
+            return set(names)
         used |= {order[joint] for joint in np.unique(index[weight > 0]) if 0 <= joint < len(order)}
     return used
 
