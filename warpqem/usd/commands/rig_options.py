@@ -53,7 +53,8 @@ class RigOptions(MethodOptions):
         joints: Joints that move a skinned mesh at most, chosen by the error over its poses, see
             `warpqem.skinning.reduce_joints`; None for as many as in the input; a tuple as `influences`.
         joint_error: Joints go as long as this adds so many % of the bounding-box diagonal to the RMS distance over the
-            poses at most; None for no such limit. With `joints` too, it limits these.
+            poses; None for no such limit. With `joints` too, it limits these. It is an estimate by distances from
+            planes, which have no end: too low, up to half, where much motion goes.
         reduce_skeleton: Take joints that move nothing any more off skeletons and their animations, too.
         shapes: Blend shapes of a mesh at most, see `warpqem.skinning.reduce_shapes`; None for as many as in the input;
             a tuple as `influences`.
@@ -78,7 +79,8 @@ class RigOptions(MethodOptions):
     joint_error: float | None = option(
         None,
         "Joints of a skinned mesh go as long as that adds so many % of the bounding-box diagonal to its RMS distance "
-        "over the poses at most.",
+        "over the poses, by an estimate from planes that is too low where much motion goes; the table has what is "
+        "measured.",
         "PCT",
         PERCENT,
     )
