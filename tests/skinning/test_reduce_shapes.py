@@ -100,6 +100,17 @@ def test_weights_beyond_one_stay_as_they_are_used():
     np.testing.assert_allclose(done.weights, [[1.2, 0.5]])
 
 
+def test_negative_weights_stay_where_nothing_is_merged_and_count_in_what_is():
+    used = np.array([[-0.5, 0.2, -0.4, -0.3], [-0.1, 0.1, -0.9, 0.2]])
+    done = reduce_shapes(REST, FACES, np.stack([X, Y, X, Z]), used, shapes=3, heirs=[0])
+    assert done.removed.tolist() == [2]
+    # The used weights of the first shape go down to -0.5.
+    np.testing.assert_allclose(done.weights, [[-0.5, 0.2, -0.3], [-0.5, 0.1, 0.2]], atol=1e-6)
+    assert done.used_errors[-1] > 0.1
+    others = done.corrected(np.array([0.5, -2.0, -0.1, 3.0]))
+    np.testing.assert_allclose(others, [0.4, -2.0, 3.0], atol=1e-6)
+
+
 def test_inbetween_that_is_on_the_straight_way_goes_and_another_stays():
     curved = {0.5: 0.5 * X + 0.5 * Z}
     straight = {0.25: 0.25 * Y}

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pxr import Usd, UsdSkel
+from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
 
 from tests.support.cli import run
-from tests.support.usd_rig import ANIMATION, FRAMES, TUBE, rms, shaped_rig
+from tests.support.usd_rig import ANIMATION, FRAMES, SHAPES, SKELETON, TUBE, rms, shaped_rig
 from warpqem.errors import OptionError
-from warpqem.usd import SimplifyOptions, simplify_stage
+from warpqem.usd import FrameRange, SimplifyOptions, simplify_stage
 from warpqem.usd.write.stage_report import PrimReport, StageReport
 
 
@@ -58,11 +58,71 @@ def test_animation_goes_on_with_corrected_weights(tmp_path):
     assert rms(source, stage) == pytest.approx(report.measured["rms"], rel=0.15)
 
 
+@pytest.mark.parametrize("value", [Sdf.ValueBlock(), [], [0.1, 0.2, 0.3], [0.1]], ids=["block", "empty", "3", "1"])
+def test_weights_that_are_missing_at_a_sample_are_zero(tmp_path, value):
+    source = shaped_rig(tmp_path / "in.usda")
+    UsdSkel.Animation(source.GetPrimAtPath(ANIMATION)).GetBlendShapeWeightsAttr().Set(value, 2)
+    source.Save()
+    stage, report = simplified(tmp_path, shapes=2)
+    part = report.shapes.merged["both"]["left"]
+    attribute = UsdSkel.Animation(stage.GetPrimAtPath(ANIMATION)).GetBlendShapeWeightsAttr()
+    given = [] if isinstance(value, Sdf.ValueBlock) else value
+    both = given[2] if len(given) > 2 else 0.0
+    expected = [given[0] + part * both] if given else []
+    np.testing.assert_allclose(list(attribute.Get(2) or [])[:1], expected, atol=1e-6)
+    assert attribute.Get(3)[0] > 0
+
+
+def test_weight_that_is_no_number_is_named(tmp_path):
+    source = shaped_rig(tmp_path / "in.usda")
+    values = [0.1, float("nan"), 0.2, 0.3]
+    UsdSkel.Animation(source.GetPrimAtPath(ANIMATION)).GetBlendShapeWeightsAttr().Set(values, 9)
+    source.Save()
+    chosen = SimplifyOptions(ratio=0.2, device="cpu", shapes=2, frames=FrameRange(1, 4))
+    [mesh] = simplify_stage(tmp_path / "in.usda", tmp_path / "out.usda", chosen).prims
+    assert mesh.status == "failed"
+    assert f"{ANIMATION}.blendShapeWeights: nan at time 9.0 is not a finite number" in mesh.message
+
+
+def test_animation_without_weights_or_names_of_shapes_moves_none(tmp_path):
+    source = shaped_rig(tmp_path / "in.usda")
+    animation = UsdSkel.Animation(source.GetPrimAtPath(ANIMATION))
+    animation.GetBlendShapesAttr().Set([])
+    source.Save()
+    _, report = simplified(tmp_path, shapes=2)
+    assert report.shapes.used_error == 0
+    animation.GetBlendShapesAttr().Set(SHAPES)
+    animation.GetPrim().RemoveProperty("blendShapeWeights")
+    source.Save()
+    stage, report = simplified(tmp_path, shapes=2)
+    assert report.shapes.used_error == 0
+    assert not UsdSkel.Animation(stage.GetPrimAtPath(ANIMATION)).GetBlendShapeWeightsAttr().HasAuthoredValue()
+
+
 def test_limit_on_the_error_takes_what_nothing_shows(tmp_path):
     shaped_rig(tmp_path / "in.usda")
     _, report = simplified(tmp_path, shape_error=1e-4)
     assert report.shapes.removed == ["nothing"]
     assert report.shapes.random_error <= 1e-4
+
+
+@pytest.mark.parametrize("inbetween", [False, True])
+def test_shape_that_moves_only_normals_stays(tmp_path, inbetween):
+    source = shaped_rig(tmp_path / "in.usda")
+    shape = UsdSkel.BlendShape(source.GetPrimAtPath(f"{TUBE}/nothing"))
+    offsets = shape.GetOffsetsAttr().Get()
+    turned = Vt.Vec3fArray([(0.3, 0, 0)] * len(offsets))
+    if inbetween:
+        half = shape.CreateInbetween("half")
+        half.SetWeight(0.5)
+        half.SetOffsets(offsets)
+        half.CreateNormalOffsetsAttr(turned)
+    else:
+        shape.CreateNormalOffsetsAttr(turned)
+    source.Save()
+    _, report = simplified(tmp_path, shapes=2)
+    assert "nothing" not in report.shapes.removed
+    assert f"{TUBE}: these blend shapes move only normals, and stay: nothing" in report.notes
 
 
 def test_weights_that_another_mesh_uses_stay(tmp_path):
@@ -71,6 +131,68 @@ def test_weights_that_another_mesh_uses_stay(tmp_path):
     stage = Usd.Stage.Open(str(tmp_path / "out.usda"))
     np.testing.assert_array_equal(weights(stage), weights(source))
     assert all(prim.shapes.merged == {} for prim in report.prims)
+
+
+def check_weights_stay(folder: Path, source: Usd.Stage) -> None:
+    report = reported(folder, shapes=2, prims=(TUBE,))
+    stage = Usd.Stage.Open(str(folder / "out.usda"))
+    np.testing.assert_array_equal(weights(stage), weights(source))
+    [mesh] = report.prims
+    assert (mesh.shapes.after, mesh.shapes.merged) == (2, {})
+    named = f"{TUBE}: the weights of left, right, both, nothing in {ANIMATION} stay"
+    assert any(note.startswith(named) for note in mesh.notes)
+
+
+def test_weights_that_a_mesh_of_an_instance_uses_stay(tmp_path):
+    source = shaped_rig(tmp_path / "in.usda", meshes=2)
+    layer = source.GetRootLayer()
+    UsdGeom.Xform.Define(source, "/Library")
+    Sdf.CopySpec(layer, f"{TUBE}1", layer, "/Library/Mesh")
+    targets = [f"/Library/Mesh/{token}" for token in SHAPES]
+    UsdSkel.BindingAPI(source.GetPrimAtPath("/Library/Mesh")).GetBlendShapeTargetsRel().SetTargets(targets)
+    UsdSkel.BindingAPI(source.GetPrimAtPath("/Library/Mesh")).GetSkeletonRel().ClearTargets(True)
+    source.RemovePrim(f"{TUBE}1")
+    instance = UsdGeom.Xform.Define(source, "/Char/Instance").GetPrim()
+    UsdSkel.BindingAPI.Apply(instance).CreateSkeletonRel().SetTargets([SKELETON])
+    instance.GetReferences().AddInternalReference("/Library")
+    instance.SetInstanceable(True)
+    source.Save()
+    check_weights_stay(tmp_path, source)
+
+
+@pytest.mark.parametrize("in_file", [False, True])
+def test_weights_that_a_mesh_of_an_unselected_variant_uses_stay(tmp_path, in_file):
+    source = shaped_rig(tmp_path / "in.usda", meshes=2)
+    layer = source.GetRootLayer()
+    variants = source.GetPrimAtPath("/Char").GetVariantSets().AddVariantSet("look")
+    for name in ("plain", "rich"):
+        variants.AddVariant(name)
+    if in_file:
+        part = Sdf.Layer.CreateNew(str(tmp_path / "part.usda"))
+        Sdf.CopySpec(layer, f"{TUBE}1", part, "/Mesh")
+        part.Save()
+        variants.SetVariantSelection("rich")
+        with variants.GetVariantEditContext():
+            source.DefinePrim("/Char/More").GetReferences().AddReference("./part.usda", "/Mesh")
+    else:
+        Sdf.CopySpec(layer, f"{TUBE}1", layer, "/Char{look=rich}Tube1")
+    source.RemovePrim(f"{TUBE}1")
+    variants.SetVariantSelection("plain")
+    source.Save()
+    check_weights_stay(tmp_path, source)
+
+
+def test_mesh_in_a_selected_variant_is_no_other(tmp_path):
+    source = shaped_rig(tmp_path / "in.usda")
+    layer = source.GetRootLayer()
+    variants = source.GetPrimAtPath("/Char").GetVariantSets().AddVariantSet("look")
+    variants.AddVariant("plain")
+    Sdf.CopySpec(layer, TUBE, layer, "/Char{look=plain}Tube")
+    source.RemovePrim(TUBE)
+    variants.SetVariantSelection("plain")
+    source.Save()
+    report = reported(tmp_path, shapes=2)
+    assert list(report.prims[0].shapes.merged) == ["both"]
 
 
 def test_each_level_has_its_own_number_of_shapes_and_weights(tmp_path):

@@ -2,10 +2,11 @@
 
 What weights ``w`` do is ``sum_s w_s D_s``. A shape that goes is replaced by a sum of few others,
 ``D_s = sum_r M_sr D_r`` with ``M >= 0``, and the weights of those that stay become ``w_r + sum_s w_s M_sr``, within
-[0, 1]. The mean square of what is left over weights that are used and over random ones, ``tr(W (1 - M) Q (1 - M)^T)``
-with ``W = mean w w^T`` and the Gram matrix ``Q`` of the shapes, is quadratic in ``M``. Shapes go one by one, each time
-the one that leaves least (greedy backward elimination); rows of ``M`` are found by orthogonal matching pursuit without
-negative terms. ``Q`` measures across the surface of the simplified mesh, and a little along it.
+[0, 1] or what the used weights reach. The mean square of what is left over weights that are used and over random ones,
+``tr(W (1 - M) Q (1 - M)^T)`` with ``W = mean w w^T`` and the Gram matrix ``Q`` of the shapes, is quadratic in ``M``.
+Shapes go one by one, each time the one that leaves least (greedy backward elimination); rows of ``M`` are found by
+orthogonal matching pursuit without negative terms. ``Q`` measures across the surface of the simplified mesh, and a
+little along it.
 
 An inbetween is what it adds to the straight way to its shape, with the hat function of its weight; it is a row of its
 own that nothing can replace.
@@ -26,7 +27,7 @@ from warpqem.arguments.number_input import real_number, whole_number
 from warpqem.errors import MeshShapeError, OptionError
 from warpqem.mesh.mesh_input import read_faces
 
-__all__ = ["ReducedShapes", "reduce_shapes"]
+__all__ = ["ReducedShapes", "reduce_shapes", "weight_range"]
 
 # Shapes that may take over a part of the weight of one that goes.
 MAX_HEIRS = 3
@@ -67,9 +68,21 @@ class ReducedShapes(ArrayRecord):
     used_errors: np.ndarray
     random_errors: np.ndarray
 
-    def corrected(self, weights: np.ndarray, upper: np.ndarray | None = None) -> np.ndarray:
-        """Weights (..., N) of the shapes that stay for weights (..., S) of all; at most 1, or ``upper`` (N,)."""
-        return np.asarray(np.clip(weights @ self.parts, 0.0, 1.0 if upper is None else upper))
+    def corrected(
+        self, weights: np.ndarray, upper: np.ndarray | None = None, lower: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Weights of the shapes that stay; one that takes nothing over keeps its weight.
+
+        Args:
+            weights: (..., S), weights of all shapes.
+            upper: (N,), what others add to a shape goes up to this; None for 1.
+            lower: (N,), or down to this; None for 0.
+
+        Returns:
+            (..., N).
+        """
+        own = weights[..., self.kept]
+        return _clipped(weights @ self.parts, own, 0.0 if lower is None else lower, 1.0 if upper is None else upper)
 
 
 def reduce_shapes(
@@ -165,7 +178,7 @@ class _ShapeProblem:
         random = np.random.default_rng(0).uniform(size=(RANDOM_SAMPLES, self.count))
         self._samples = [self._with_hats(each) for each in (self._used, random) if each is not None and len(each)]
         self._moment = np.mean([each.T @ each / len(each) for each in self._samples], axis=0)
-        self._upper = np.ones(self.count) if self._used is None else np.maximum(1.0, self._used.max(axis=0, initial=0))
+        self._lower, self._upper = weight_range(self._used, self.count)
         self._takes = np.zeros(len(rows), dtype=bool)
         self._takes[: self.count] = True
         if heirs is not None:
@@ -259,7 +272,8 @@ class _ShapeProblem:
 
     def _rms(self, samples: np.ndarray, parts: np.ndarray, rows: np.ndarray) -> float:
         new = samples @ parts
-        new[:, : self.count] = np.clip(new[:, : self.count], 0.0, np.maximum(self._upper, samples[:, : self.count]))
+        own = samples[:, : self.count]
+        new[:, : self.count] = _clipped(new[:, : self.count], own, self._lower, self._upper)
         new[:, rows] = 0.0
         away = samples - new
         return float(np.sqrt(max(np.einsum("fs,st,ft->", away, self._gram, away) / len(samples), 0.0)))
@@ -277,7 +291,7 @@ class _ShapeProblem:
         ]
         weights = None
         if self._used is not None:
-            weights = np.clip(self._used @ parts, 0.0, self._upper[kept])
+            weights = _clipped(self._used @ parts, self._used[:, kept], self._lower[kept], self._upper[kept])
         return ReducedShapes(
             kept.astype(np.int32),
             np.array(removed, dtype=np.int32),
@@ -288,6 +302,18 @@ class _ShapeProblem:
             100.0 * errors[:, 0],
             100.0 * errors[:, 1],
         )
+
+
+def weight_range(used: np.ndarray | None, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest weight (S,) of each of so many shapes: 0 and 1, or what used weights (F, S) reach."""
+    if used is None:
+        return np.zeros(count), np.ones(count)
+    return np.minimum(0.0, used.min(axis=0, initial=0.0)), np.maximum(1.0, used.max(axis=0, initial=0.0))
+
+
+def _clipped(new: np.ndarray, own: np.ndarray, lower: np.ndarray | float, upper: np.ndarray | float) -> np.ndarray:
+    """New weights within a range, which goes as far as the shape's own weight."""
+    return np.asarray(np.clip(new, np.minimum(lower, own), np.maximum(upper, own)))
 
 
 def _read_inbetweens(inbetweens: Any, offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

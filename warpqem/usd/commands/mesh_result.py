@@ -71,6 +71,7 @@ class MeshResult:
             reduced = self._fewer_shapes(skin, rest[0], transfer, options)
             if reduced is not None:
                 skin, report.shapes = reduced.skin, reduced.report
+                report.notes += reduced.notes
         dropped = layer.replace_mesh(job.mesh.path, self.samples, job.written_times, mesh.faces, transfer, skin)
         if reduced is not None:
             undo = reduced.correct_animation(layer.stage, job.source)

@@ -263,7 +263,7 @@ class Run:
             if job.is_simplified_by(result):
                 self.step = "writing the simplified mesh"
                 limit = self.core.distance_limit(job)
-                others = self.poses.shapes_of_others(prim)
+                others = self.poses.shapes_of_others(prim) if self.options.reduces_shapes else set()
                 done = MeshResult(job, result, samples, fitted, limit, self.core.face(job), others)
                 if fitted is not None:
                     report.joints = fitted.joints

@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from pxr import Usd, UsdSkel, Vt
+from pxr import Sdf, Usd, UsdSkel, Vt
 
-from warpqem.skinning.reduce_shapes import ReducedShapes, reduce_shapes
+from warpqem.errors import StageError
+from warpqem.skinning.reduce_shapes import ReducedShapes, reduce_shapes, weight_range
 from warpqem.usd.commands.mesh_job import MeshJob
 from warpqem.usd.commands.rig_options import RigOptions, single
 from warpqem.usd.read.mesh_skin import Skin
@@ -21,6 +22,10 @@ __all__ = ["ShapeReduction", "reduce_mesh_shapes"]
 
 # Attributes of a BlendShape prim are told apart by their namespace.
 INBETWEEN = "inbetweens:"
+# Normal offsets belong to unit normals; smaller ones turn nothing.
+LEAST_NORMAL_OFFSET = 1e-4
+# Points that move by less than this share of the diagonal stand still.
+LEAST_OFFSET = 1e-4
 
 
 @dataclass(frozen=True)
@@ -32,14 +37,18 @@ class ShapeReduction:
         report: which went.
         done: how weight goes from shape to shape.
         tokens: names of all shapes before.
-        upper: largest weights of those that stay.
+        lower: smallest weights of those that stay.
+        upper: largest weights of them.
+        notes: what is worth knowing about how they were chosen.
     """
 
     skin: Skin
     report: ShapesReport
     done: ReducedShapes
     tokens: list[str]
+    lower: npt.NDArray[np.float64]
     upper: npt.NDArray[np.float64]
+    notes: list[str]
 
     def correct_animation(self, stage: Usd.Stage, source: MeshSource) -> Callable[[], None] | None:
         """Author the weights that shapes take over from others, at the times of the animation.
@@ -67,10 +76,16 @@ class ShapeReduction:
         default = attribute.Get(Usd.TimeCode.Default())
         if default is not None:
             codes.append(Usd.TimeCode.Default())
-        authored = [(code, np.array(attribute.Get(code), dtype=np.float32)) for code in codes]
-        for code, values in authored:
-            own = np.array([values[column] if column >= 0 else 0.0 for column in columns], dtype=np.float64)
-            new, changed = self.done.corrected(own, self.upper), values.copy()
+        authored = [(code, attribute.Get(code)) for code in codes]
+        for code, given in authored:
+            values = np.array(given or [], dtype=np.float32)
+            if not len(values):
+                # No shape is active. It is written all the same: these samples hide all of a weaker layer.
+                attribute.Set(Sdf.ValueBlock() if given is None else given, code)
+                continue
+            changed = _padded(values, len(names)).astype(np.float32)
+            own = np.array([changed[column] if column >= 0 else 0.0 for column in columns], dtype=np.float64)
+            new = self.done.corrected(own, self.upper, self.lower)
             for column, heir in enumerate(self.done.kept):
                 if self.tokens[heir] in changes and columns[heir] >= 0:
                     changed[columns[heir]] = new[column]
@@ -78,7 +93,7 @@ class ShapeReduction:
 
         def undo() -> None:
             for code, values in authored:
-                attribute.Set(Vt.FloatArray.FromNumpy(values), code)
+                attribute.Set(Sdf.ValueBlock() if values is None else values, code)
 
         return undo
 
@@ -120,8 +135,19 @@ def reduce_mesh_shapes(
         named = set(UsdSkel.Animation(animation).GetBlendShapesAttr().Get() or [])
     # What is animated stays so where it cannot be corrected; without an animation nothing has to be.
     heirs = [index for index, token in enumerate(tokens) if token in named and token not in others]
-    if animation is None:
+    if not _is_animated(job.source):
         heirs = list(range(len(tokens)))
+    notes = []
+    shared = [token for token in tokens if token in named and token in others]
+    if animation is not None and shared:
+        notes.append(
+            f"{job.mesh.path}: the weights of {', '.join(shared)} in {animation.GetPath()} stay as they are, as other "
+            f"meshes use them, of this variant or another"
+        )
+    shading = _normals_only(skin, rest, offsets, inbetweens)
+    if len(shading):
+        named_shapes = ", ".join(tokens[index] for index in shading)
+        notes.append(f"{job.mesh.path}: these blend shapes move only normals, and stay: {named_shapes}")
     done = reduce_shapes(
         rest,
         faces,
@@ -130,14 +156,33 @@ def reduce_mesh_shapes(
         shapes=single(options.shapes),
         max_error=options.shape_error,
         inbetweens=inbetweens,
+        keep=shading,
         heirs=np.array(heirs, dtype=np.int64),
     )
     kept = [skin.shapes[index] for index in done.kept]
     gone = tuple(skin.shapes[index].path for index in sorted(done.removed))
     order = tuple(tokens[index] for index in done.kept)
-    upper = np.ones(len(kept)) if weights is None else np.maximum(1.0, weights.max(axis=0, initial=0)[done.kept])
+    lower, upper = weight_range(weights, len(tokens))
     reduced = replace(skin, shapes=kept, shape_order=order, removed_shapes=gone)
-    return ShapeReduction(reduced, _report(done, tokens), done, tokens, upper)
+    return ShapeReduction(reduced, _report(done, tokens), done, tokens, lower[done.kept], upper[done.kept], notes)
+
+
+def _normals_only(
+    skin: Skin,
+    rest: npt.NDArray[np.float32],
+    offsets: npt.NDArray[np.float64],
+    inbetweens: list[dict[float, npt.NDArray[np.float64]]],
+) -> npt.NDArray[np.int64]:
+    """The shapes that turn normals and leave the points of the simplified mesh where they are."""
+    limit = LEAST_OFFSET * float(np.linalg.norm(np.ptp(rest.astype(np.float64), axis=0)))
+    found = []
+    for index, shape in enumerate(skin.shapes):
+        turns = [array for name, array in shape.arrays.items() if name.endswith("normalOffsets")]
+        moves = [offsets[index], *inbetweens[index].values()]
+        turned = max((np.abs(array).max(initial=0) for array in turns), default=0)
+        if turned > LEAST_NORMAL_OFFSET and max(np.abs(array).max(initial=0) for array in moves) <= limit:
+            found.append(index)
+    return np.array(found, dtype=np.int64)
 
 
 def _report(done: ReducedShapes, tokens: list[str]) -> ShapesReport:
@@ -168,6 +213,10 @@ def _animation(source: MeshSource) -> Usd.Prim | None:
     return prim
 
 
+def _is_animated(source: MeshSource) -> bool:
+    return source.poser is not None and bool(source.poser.skeleton_query.GetAnimQuery())
+
+
 def _weights(source: MeshSource, tokens: list[str]) -> npt.NDArray[np.float64] | None:
     """Weights that the animation of a mesh uses, (F, S); None without any."""
     if source.poser is None or source.poser.blend_shape_query is None:
@@ -176,12 +225,21 @@ def _weights(source: MeshSource, tokens: list[str]) -> npt.NDArray[np.float64] |
     times = query.GetBlendShapeWeightTimeSamples() or [Usd.TimeCode.EarliestTime()]
     names = list(query.GetBlendShapeOrder())
     columns = np.array([names.index(token) if token in names else len(names) for token in tokens], dtype=np.int64)
-    rows = [query.ComputeBlendShapeWeights(time) for time in times]
-    if any(row is None for row in rows):
-        return None
-    values = np.array([np.array(row, dtype=np.float64) for row in rows]).reshape(len(rows), len(names))
-    padded = np.concatenate([values, np.zeros((len(rows), 1))], axis=1)
-    return np.asarray(padded[:, columns])
+    rows = [np.array(query.ComputeBlendShapeWeights(time) or [], dtype=np.float64) for time in times]
+    for time, row in zip(times, rows, strict=True):
+        wrong = row[~np.isfinite(row)]
+        if len(wrong):
+            where = f"{query.GetPrim().GetPath()}.blendShapeWeights"
+            raise StageError(f"{where}: {wrong[0]} at time {time} is not a finite number")
+    # A last column of zeros is for shapes that the animation does not name.
+    return np.stack([np.append(_padded(row, len(names)), 0.0)[columns] for row in rows])
+
+
+def _padded(values: npt.NDArray[np.floating], count: int) -> npt.NDArray[np.float64]:
+    """So many weights, as UsdSkel takes them: 0 for those that are missing, and none of those beyond."""
+    found = np.zeros(count)
+    found[: len(values)] = values[:count]
+    return found
 
 
 def _inbetweens(shape: UsdSkel.BlendShape) -> dict[str, float]:

@@ -7,6 +7,7 @@ with the geomBindTransform, then from the skeleton's space to the mesh's (UsdSke
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +15,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
 
 from warpqem.errors import StageError
 from warpqem.usd.read.descendants import like
+from warpqem.usd.read.hidden_shapes import shapes_in_proxies, shapes_in_variants
 
 __all__ = ["MeshPoser", "StagePoses"]
 
@@ -23,6 +25,7 @@ class StagePoses:
 
     def __init__(self, stage: Usd.Stage) -> None:
         """Resolve the bindings below every SkelRoot of `stage`."""
+        self._stage = stage
         self._cache = UsdSkel.Cache()
         self._bindings: dict[Sdf.Path, tuple[UsdSkel.SkeletonQuery, UsdSkel.SkinningQuery]] = {}
         # Those below a class count as well: the meshes there are edited in place of the instances of it.
@@ -42,7 +45,10 @@ class StagePoses:
                 self._bindings[skinning_query.GetPrim().GetPath()] = (skeleton_query, skinning_query)
 
     def shapes_of_others(self, prim: Usd.Prim) -> set[str]:
-        """Names of the blend shapes that other meshes take from the animation of a mesh."""
+        """Names of the blend shapes that other meshes take from the animation of a mesh.
+
+        Meshes of instances count, and so do those of unselected variants, whatever animation they take them from.
+        """
         own = self._bindings.get(prim.GetPath())
         query = None if own is None else own[0].GetAnimQuery()
         names: set[str] = set()
@@ -50,7 +56,17 @@ class StagePoses:
             other = skeleton_query.GetAnimQuery()
             if path != prim.GetPath() and query and other and other.GetPrim() == query.GetPrim():
                 names |= set(skinning_query.GetBlendShapeOrder() or [])
+        if query:
+            names |= self._proxy_shapes.get(query.GetPrim().GetPath(), set()) | self._variant_shapes
         return names
+
+    @cached_property
+    def _proxy_shapes(self) -> dict[Sdf.Path, set[str]]:
+        return shapes_in_proxies(self._stage)
+
+    @cached_property
+    def _variant_shapes(self) -> set[str]:
+        return shapes_in_variants(self._stage)
 
     def poser(self, prim: Usd.Prim) -> MeshPoser | None:
         """What deforms `prim`, or None if no skeleton or blend shape is bound to it."""
