@@ -14,7 +14,9 @@ __all__ = ["check_output_layer", "merge_edits"]
 
 # Fields that hold other specs, and values, which are brought over as a whole.
 SPECS = frozenset({"primChildren", "properties", "variantSetChildren", "variantChildren", "targetChildren"})
-NOT_COPIED = SPECS | {"connectionChildren", "default", "timeSamples"}
+# Lists of paths are read as values and written as lists only.
+PATH_LISTS = {"targetPaths": "targetPathList", "connectionPaths": "connectionPathList"}
+NOT_COPIED = SPECS | {"connectionChildren", "default", "timeSamples", *PATH_LISTS}
 
 Time = Callable[[float], float]
 
@@ -47,7 +49,8 @@ def merge_edits(edits: Sdf.Layer, layer: Sdf.Layer, stage: Usd.Stage) -> None:
         stage: The input.
 
     Raises:
-        StageError: a stronger layer of the stage would hide an edit; nothing is written then.
+        StageError: a stronger layer of the stage would hide an edit, or USD cannot make one; the layer stays as it is
+            then.
     """
     paths: list[Sdf.Path] = []
     edits.Traverse(Sdf.Path.absoluteRootPath, paths.append)
@@ -61,9 +64,15 @@ def merge_edits(edits: Sdf.Layer, layer: Sdf.Layer, stage: Usd.Stage) -> None:
             layer.timeCodesPerSecond = stage.GetTimeCodesPerSecond()
         rate = layer.timeCodesPerSecond / stage.GetTimeCodesPerSecond()
         to_layer = rate.__mul__
-    with usd_errors_named(layer.identifier), Sdf.ChangeBlock():
-        for path in paths:
-            _merge(edits, layer, path, to_layer)
+    before = Sdf.Layer.CreateAnonymous()
+    before.TransferContent(layer)
+    try:
+        with usd_errors_named(layer.identifier), Sdf.ChangeBlock():
+            for path in paths:
+                _merge(edits, layer, path, to_layer)
+    except BaseException:
+        layer.TransferContent(before)
+        raise
 
 
 def _check_stronger(paths: list[Sdf.Path], edits: Sdf.Layer, layer: Sdf.Layer, stage: Usd.Stage) -> None:
@@ -95,8 +104,23 @@ def _merge(edits: Sdf.Layer, layer: Sdf.Layer, path: Sdf.Path, to_layer: Time) -
     for key in sorted(source.ListInfoKeys()):
         if key not in skipped:
             target.SetInfo(key, _combined(source.GetInfo(key), target.GetInfo(key) if target.HasInfo(key) else None))
+    for key, name in PATH_LISTS.items():
+        if source.HasInfo(key):
+            _copy_list(getattr(source, name), getattr(target, name))
     if isinstance(source, Sdf.AttributeSpec):
         _merge_values(edits, layer, path, to_layer)
+
+
+def _copy_list(source: Any, target: Any) -> None:
+    """Bring the edits of a list of paths over: as a whole where it says all, else those it makes, over those there."""
+    if source.isExplicit:
+        target.ClearEditsAndMakeExplicit()
+        target.explicitItems = list(source.explicitItems)
+        return
+    for name in ("prependedItems", "appendedItems", "deletedItems", "orderedItems"):
+        if items := list(getattr(source, name)):
+            others = [item for item in getattr(target, name) if item not in items]
+            setattr(target, name, others + items if name == "appendedItems" else items + others)
 
 
 def _create(layer: Sdf.Layer, source: Sdf.Spec) -> Sdf.Spec:
