@@ -23,9 +23,9 @@ __all__ = ["ShapeReduction", "reduce_mesh_shapes"]
 # Attributes of a BlendShape prim are told apart by their namespace.
 INBETWEEN = "inbetweens:"
 # Normal offsets belong to unit normals; smaller ones turn nothing.
-LEAST_NORMAL_OFFSET = 1e-4
+MIN_NORMAL_OFFSET = 1e-4
 # Points that move by less than this share of the diagonal stand still.
-LEAST_OFFSET = 1e-4
+MIN_OFFSET = 1e-4
 
 
 @dataclass(frozen=True)
@@ -174,13 +174,13 @@ def _normals_only(
     inbetweens: list[dict[float, npt.NDArray[np.float64]]],
 ) -> npt.NDArray[np.int64]:
     """The shapes that turn normals and leave the points of the simplified mesh where they are."""
-    limit = LEAST_OFFSET * float(np.linalg.norm(np.ptp(rest.astype(np.float64), axis=0)))
+    limit = MIN_OFFSET * float(np.linalg.norm(np.ptp(rest.astype(np.float64), axis=0)))
     found = []
     for index, shape in enumerate(skin.shapes):
         turns = [array for name, array in shape.arrays.items() if name.endswith("normalOffsets")]
         moves = [offsets[index], *inbetweens[index].values()]
         turned = max((np.abs(array).max(initial=0) for array in turns), default=0)
-        if turned > LEAST_NORMAL_OFFSET and max(np.abs(array).max(initial=0) for array in moves) <= limit:
+        if turned > MIN_NORMAL_OFFSET and max(np.abs(array).max(initial=0) for array in moves) <= limit:
             found.append(index)
     return np.array(found, dtype=np.int64)
 
