@@ -23,7 +23,7 @@ from warpqem.kernels.near_faces import (
     nearest_on_face,
     with_face,
 )
-from warpqem.kernels.piece_cuts import Corners, Cut, cut_in_half, cut_over_edge
+from warpqem.kernels.piece_cuts import Corners, Cut, Places, cut_in_half, cut_over_edge, cut_part
 
 # No gradients are taken. Loops stay loops: unrolled, one inside another, they take ten times as long to compile.
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
@@ -39,7 +39,6 @@ SEARCH = wp.constant(wp.int32(2))
 # Pieces of a triangle that are looked at, and that may wait, before it is given up as undecided.
 MAX_PIECES = wp.constant(wp.int32(4096))
 MAX_WAITING = wp.constant(wp.int32(40))
-Places = wp.types.matrix(shape=(3, 2), dtype=wp.float64)  # weights of the owner's second and third corner
 Waiting = wp.types.matrix(shape=(int(MAX_WAITING), 6), dtype=wp.float64)
 WaitingFaces = wp.types.vector(length=int(MAX_WAITING), dtype=wp.int32)
 
@@ -182,21 +181,6 @@ def look_at_piece(
 
 
 @wp.func
-def part_of(places: Places, cut: Cut, index: wp.int32) -> Places:
-    """One of the parts of a piece that is cut, two or three of them; the first one has the corner of the cut."""
-    p = places[cut.corner]
-    q = places[(cut.corner + 1) % 3]
-    r = places[(cut.corner + 2) % 3]
-    one = p + cut.after * (q - p)
-    two = p + cut.before * (r - p)
-    if index == 0:
-        return Places(p[0], p[1], one[0], one[1], two[0], two[1])
-    if index == 1:
-        return Places(one[0], one[1], q[0], q[1], r[0], r[1])
-    return Places(one[0], one[1], r[0], r[1], two[0], two[1])
-
-
-@wp.func
 def write_piece(
     pieces: Pieces,
     used: wp.array[wp.int32],
@@ -289,7 +273,7 @@ def bound_piece(
                 if across >= 0:
                     beyond = across
             for part in range(wp.where(look.cut.in_three, 3, 2)):
-                piece = part_of(places, look.cut, part)
+                piece = cut_part(places, look.cut, part)
                 for k in range(6):
                     waiting[count + part, k] = piece[k // 2, k % 2]
                 start[count + part] = wp.where((part == 0) == look.cut.is_beyond, beyond, look.near)

@@ -20,7 +20,7 @@ from warpqem.kernels.near_faces import (
     squared_distance,
     with_first,
 )
-from warpqem.kernels.piece_cuts import Corners, Cut, cut_in_half, cut_over_edge
+from warpqem.kernels.piece_cuts import Corners, Cut, Places, cut_in_half, cut_over_edge, cut_part
 
 # No gradients are taken. Loops stay loops: unrolled, they take several times as long to compile and run no faster.
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
@@ -32,7 +32,6 @@ ROUNDING = wp.constant(wp.float64(5.0e-15))
 # Pieces of a patch that are looked at, and that may wait, before it is given up with what bounds it.
 MAX_PIECES = wp.constant(wp.int32(4096))
 MAX_WAITING = wp.constant(wp.int32(40))
-Places = wp.types.matrix(shape=(3, 2), dtype=wp.float64)  # of three corners, as MeshPatches.place
 Waiting = wp.types.matrix(shape=(int(MAX_WAITING), 6), dtype=wp.float64)
 # Patches that a thread takes one after the other: the next one mostly lies beside the one before, over the same face.
 RUN = wp.constant(wp.int32(16))
@@ -154,21 +153,6 @@ def look_at_piece(other: Surface, hints: Faces, first: wp.int32, corners: Corner
                 if at_corner >= 0:
                     look.low = wp.max(look.low, wp.sqrt(squared_distance(other, at_corner, corners[k])))
     return look
-
-
-@wp.func
-def cut_part(places: Places, cut: Cut, index: wp.int32) -> Places:
-    """One of the parts of a piece that is cut, two or three of them."""
-    p = places[cut.corner]
-    q = places[(cut.corner + 1) % 3]
-    r = places[(cut.corner + 2) % 3]
-    one = p + cut.after * (q - p)
-    two = p + cut.before * (r - p)
-    if index == 0:
-        return Places(p[0], p[1], one[0], one[1], two[0], two[1])
-    if index == 1:
-        return Places(one[0], one[1], q[0], q[1], r[0], r[1])
-    return Places(one[0], one[1], r[0], r[1], two[0], two[1])
 
 
 @wp.func

@@ -10,6 +10,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 # Corners as near to a plane as that, in areas, lie on it.
 ON_PLANE = wp.constant(wp.float64(1.0e-13))
 Corners = wp.types.matrix(shape=(3, 3), dtype=wp.float64)  # of a piece, a row each
+Places = wp.types.matrix(shape=(3, 2), dtype=wp.float64)  # of them: weights of the owner's second and third corner
 
 
 @wp.struct
@@ -71,3 +72,18 @@ def cut_in_half(corners: Corners) -> Cut:
     cut.after = wp.float64(0.5)
     cut.before = wp.float64(1.0)
     return cut
+
+
+@wp.func
+def cut_part(places: Places, cut: Cut, index: wp.int32) -> Places:
+    """One of the parts of a piece that is cut, two or three of them; the first one has the corner of the cut."""
+    p = places[cut.corner]
+    q = places[(cut.corner + 1) % 3]
+    r = places[(cut.corner + 2) % 3]
+    one = p + cut.after * (q - p)
+    two = p + cut.before * (r - p)
+    if index == 0:
+        return Places(p[0], p[1], one[0], one[1], two[0], two[1])
+    if index == 1:
+        return Places(one[0], one[1], q[0], q[1], r[0], r[1])
+    return Places(one[0], one[1], r[0], r[1], two[0], two[1])

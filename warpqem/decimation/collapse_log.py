@@ -12,7 +12,7 @@ from warpqem.kernels.mesh_state import CollapseLog
 
 __all__ = ["CollapseRecord", "new_log", "read_log"]
 
-# Share of the collapses so far whose errors tell how far the mesh is from the input. Over 68 cells the root mean square
+# Share of the collapses so far whose errors say how far the mesh is from the input. Over 68 cells the root mean square
 # of the last sixteenth is 0.2 to 1.6, mostly 0.7 to 1.3, of what the quadrics of all clusters have in the end.
 RECENT = 1.0 / 16.0
 
