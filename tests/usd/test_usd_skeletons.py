@@ -164,3 +164,22 @@ def test_joints_stay_where_one_has_a_scale_of_zero(tmp_path):
     reduced, notes = simplified(tmp_path, joints=2, reduce_skeleton=True)
     assert [len(names) for names in joints(reduced)] == [len(NAMES)] * 2
     assert any("has a scale of zero at some time" in note for note in notes)
+
+
+def test_joints_that_a_file_of_another_variant_uses_stay(tmp_path):
+    stage = rig(tmp_path / "in.usda")
+    other = rig(tmp_path / "other.usda")
+    other.SetDefaultPrim(other.GetPrimAtPath(TUBE))
+    other.Save()
+    parent = stage.GetPrimAtPath(TUBE).GetParent()
+    looks = parent.GetVariantSets().AddVariantSet("look")
+    for name in ("plain", "rich"):
+        looks.AddVariant(name)
+    looks.SetVariantSelection("rich")
+    with looks.GetVariantEditContext():
+        stage.DefinePrim(f"{parent.GetPath()}/other").GetReferences().AddReference("other.usda")
+    looks.SetVariantSelection("plain")
+    stage.Save()
+    reduced, notes = simplified(tmp_path, joints=2, reduce_skeleton=True)
+    assert [len(names) for names in joints(reduced)] == [len(NAMES)] * 2
+    assert notes == [f"{SKELETON}: all joints stay, as a variant that is not selected has a skin: {TUBE}"]

@@ -15,7 +15,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
 
 from warpqem.errors import StageError
 from warpqem.usd.read.descendants import like
-from warpqem.usd.read.hidden_shapes import shapes_in_proxies, shapes_in_variants
+from warpqem.usd.read.hidden_users import shapes_in_proxies, shapes_in_variants
 
 __all__ = ["MeshPoser", "StagePoses"]
 

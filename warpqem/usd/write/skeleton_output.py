@@ -7,11 +7,12 @@ is no translation, rotation and scale, as with a turn between uneven scales, the
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
+
+from warpqem.usd.read.hidden_users import hidden_properties
 
 __all__ = ["reduce_skeletons"]
 
@@ -21,7 +22,7 @@ TOLERANCE = 1e-3
 # Determinant of the axes of a transform, below which it has no scale along one of them and cannot be taken apart.
 MIN_VOLUME = 1e-12
 # Properties of a prim that is skinned.
-SKIN_PROPERTIES = ("primvars:skel:jointIndices", "skel:joints", "skel:skeleton")
+SKIN_PROPERTIES = frozenset({"primvars:skel:jointIndices", "skel:joints", "skel:skeleton"})
 
 Matrices = npt.NDArray[np.float64]
 
@@ -102,25 +103,9 @@ def _why_not(bound: _Bound, animation: Usd.Prim | None, shared: bool) -> str | N
     return None
 
 
-def _hidden_skin(stage: Usd.Stage) -> Sdf.Path | None:
+def _hidden_skin(stage: Usd.Stage) -> str | None:
     """A skinned prim, by its place in its layer, in a variant that is not selected: it may count by the same joints."""
-    shown = {
-        (spec.layer, spec.path)
-        for prim in stage.Traverse(Usd.TraverseInstanceProxies(Usd.PrimAllPrimsPredicate))
-        for spec in prim.GetPrimStack()
-    }
-    found: list[Sdf.Path] = []
-
-    def look(layer: Sdf.Layer, path: Sdf.Path) -> None:
-        if not path.IsPropertyPath() or path.name not in SKIN_PROPERTIES or not path.ContainsPrimVariantSelection():
-            return
-        places = {path.GetPrimPath(), path.GetPrimOrPrimVariantSelectionPath()}
-        if not any((layer, place) in shown for place in places):
-            found.append(path.GetPrimPath())
-
-    for layer in stage.GetUsedLayers():
-        layer.Traverse(Sdf.Path.absoluteRootPath, partial(look, layer))
-    return min(found, default=None)
+    return min((str(path.GetPrimPath()) for _, path in hidden_properties(stage, SKIN_PROPERTIES)), default=None)
 
 
 def _reduce(bound: _Bound, animation: Usd.Prim | None) -> str | None:

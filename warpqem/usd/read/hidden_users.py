@@ -1,4 +1,4 @@
-"""Blend shapes that meshes use where no mesh is edited: in instances and in variants that are not selected."""
+"""Who uses skeletons and blend shapes where no mesh is edited: in instances and in variants that are not selected."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pxr import Sdf, Usd, UsdSkel
 
 from warpqem.usd.checks.named_assets import layers_of
 
-__all__ = ["shapes_in_proxies", "shapes_in_variants"]
+__all__ = ["hidden_properties", "shapes_in_proxies", "shapes_in_variants"]
 
 SHAPES = "skel:blendShapes"
 
@@ -31,22 +31,29 @@ def shapes_in_proxies(stage: Usd.Stage) -> dict[Sdf.Path, set[str]]:
 def shapes_in_variants(stage: Usd.Stage) -> set[str]:
     """Names of the blend shapes of meshes in unselected variants, and in files that only these name.
 
-    Which animation moves them cannot be told while the variant is not selected.
+    Which animation moves them is not known while the variant is not selected.
     """
+    found = hidden_properties(stage, frozenset({SHAPES}))
+    return {name for layer, path in found for name in layer.GetAttributeAtPath(path).default or []}
+
+
+def hidden_properties(stage: Usd.Stage, names: frozenset[str]) -> list[tuple[Sdf.Layer, Sdf.Path]]:
+    """Properties of some names in unselected variants, and in files that only these name; by layer and place there."""
     shown = {
         (spec.layer.identifier, spec.path)
         for prim in Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies(Usd.PrimAllPrimsPredicate))
-        if prim.HasAttribute(SHAPES)
-        for spec in prim.GetAttribute(SHAPES).GetPropertyStack()
+        for name in names
+        if prim.HasProperty(name)
+        for spec in prim.GetProperty(name).GetPropertyStack()
     }
     used = {layer.identifier for layer in stage.GetUsedLayers()}
-    names: set[str] = set()
-    for layer in _reachable(stage):
-        for path in _attributes(layer):
-            hidden = layer.identifier not in used or path.ContainsPrimVariantSelection()
-            if hidden and (layer.identifier, path) not in shown:
-                names |= set(layer.GetAttributeAtPath(path).default or [])
-    return names
+    return [
+        (layer, path)
+        for layer in _reachable(stage)
+        for path in _properties(layer, names)
+        if (layer.identifier not in used or path.ContainsPrimVariantSelection())
+        and (layer.identifier, path) not in shown
+    ]
 
 
 def _reachable(stage: Usd.Stage) -> list[Sdf.Layer]:
@@ -64,7 +71,7 @@ def _reachable(stage: Usd.Stage) -> list[Sdf.Layer]:
     return list(found.values())
 
 
-def _attributes(layer: Sdf.Layer) -> list[Sdf.Path]:
+def _properties(layer: Sdf.Layer, names: frozenset[str]) -> list[Sdf.Path]:
     found: list[Sdf.Path] = []
-    layer.Traverse(Sdf.Path.absoluteRootPath, lambda path: found.append(path) if path.name == SHAPES else None)
+    layer.Traverse(Sdf.Path.absoluteRootPath, lambda path: found.append(path) if path.name in names else None)
     return [path for path in found if path.IsPropertyPath()]
