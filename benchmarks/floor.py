@@ -24,8 +24,9 @@ from benchmarks.floor_options import OPTION_MODELS, frame_items
 
 __all__ = ["COUNTED", "Demand", "count_demand", "floor_seconds"]
 
-# The anchor 67, the merged quadric 70, its minimiser 56, the sums of the target 9.
-TARGET_FLOPS = 202
+# The anchor, the merged quadric 70, its minimiser 56, the sums of the target 9.
+ANCHOR_FLOPS = 67
+TARGET_FLOPS = ANCHOR_FLOPS + 135
 # Per face and frame: two edges and two normals 39, their dot product and test 8.
 FLIP_FLOPS = 47
 # Two shifts and a sum of quadrics, error and trace.
@@ -73,6 +74,40 @@ def _check_collapses(a: Arguments) -> Demand:
     )
 
 
+def _measure_anchors(a: Arguments) -> Demand:
+    selected, keys = _length(a["selected"]), _keys(a)
+    return Demand(selected * (keys * (2 * ROW + POINT) + 3 * INT), selected * keys * ANCHOR_FLOPS)
+
+
+def _sum_anchor_terms(a: Arguments) -> Demand:
+    selected, blocks = _length(a["selected"]), a["term_in"].shape[1]
+    return Demand(selected * (blocks * POINT + 6 * INT), selected * blocks * 3)
+
+
+def _place_blocks(a: Arguments) -> Demand:
+    selected, keys = _length(a["selected"]), _keys(a)
+    return Demand(selected * (keys * (2 * ROW + POINT) + 6 * INT), selected * keys * (TARGET_FLOPS - ANCHOR_FLOPS))
+
+
+def _settle_collapses(a: Arguments) -> Demand:
+    # Corners of both ends and what is noted there; a member or two.
+    return Demand(_length(a["selected"]) * (2 * VALENCE * 4 + 8) * INT)
+
+
+def _merge_blocks(a: Arguments) -> Demand:
+    collapses, keys = _collapses(a), _keys(a)
+    return Demand(collapses * (keys * (3 * ROW + 2 * POINT) + 4 * INT), collapses * keys * MERGE_FLOPS)
+
+
+def _commit_merged(a: Arguments) -> Demand:
+    collapses, blocks = _collapses(a), a["term_in"].shape[1]
+    return Demand(collapses * (blocks * POINT + 8 * INT + 2 * VALENCE * 6 * INT), collapses * blocks * 2)
+
+
+def _collapses(a: Arguments) -> int:
+    return int(np.count_nonzero(a["faces_removed_in"].numpy()[: _length(a["selected"])]))
+
+
 def _open_log(a: Arguments) -> Demand:
     return Demand(_size(a["legal_count"]) * 4 + _size(a["log_slot"]) * 2)
 
@@ -83,7 +118,7 @@ def _remove_dead_corners(a: Arguments) -> Demand:
 
 
 def _commit_collapses(a: Arguments) -> Demand:
-    collapses, keys = int(np.count_nonzero(a["faces_removed_in"].numpy()[: _length(a["selected"])])), _keys(a)
+    collapses, keys = _collapses(a), _keys(a)
     # Two rows and the target read, one row written; the log; the mask and corners of both ends.
     return Demand(
         collapses * (keys * (3 * ROW + POINT) + 8 * INT + 2 * VALENCE * 6 * INT), collapses * keys * MERGE_FLOPS
@@ -270,6 +305,12 @@ _MODELS: dict[str, Callable[[Arguments], Demand]] = {
         _resume_neighbourhoods,
         _place_collapses,
         _check_collapses,
+        _measure_anchors,
+        _sum_anchor_terms,
+        _place_blocks,
+        _settle_collapses,
+        _merge_blocks,
+        _commit_merged,
         _open_log,
         _remove_dead_corners,
         _commit_collapses,
@@ -309,7 +350,7 @@ _MODELS: dict[str, Callable[[Arguments], Demand]] = {
     )
 }
 
-_MODELS |= OPTION_MODELS
+_MODELS |= OPTION_MODELS | {"check_slots": _check_collapses}
 # One thread with some numbers of the loop of passes.
 _BOOKKEEPING = (
     "begin_pass",
