@@ -89,7 +89,7 @@ def build_mesh(
     state.edge_cost = wp.zeros(faces.size, dtype=wp.float32, device=device)
     state.seam = wp.zeros(faces.size, dtype=wp.int32, device=device)
     state.wedges = build_wedges(faces, position, None, len(points))
-    state.members = build_members(faces, position)
+    state.members = build_members(state.corner_vertex, adjacency, position)
     trajectories = np.ascontiguousarray(points.transpose(1, 0, 2), dtype=np.float32) if with_trajectory else None
     state.trajectory, state.deformation = build_deformation(trajectories, len(faces), device, chunk_frames)
     if with_trajectory:

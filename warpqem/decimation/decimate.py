@@ -272,7 +272,7 @@ def _on_device(
     state.edge_cost = wp.empty(len(corner_vertex), dtype=wp.float32, device=device)
     state.trajectory, state.deformation = build_deformation(mesh.trajectories, len(mesh.faces), device)
     state.wedges = build_wedges(mesh.faces, mesh.key_position, mesh.attributes, mesh.key_count)
-    state.members = build_members(mesh.faces, mesh.key_position)
+    state.members = build_members(corner_vertex, adjacency, mesh.key_position)
     return state, frames, adjacency, constrained
 
 

@@ -1,0 +1,28 @@
+"""The least that kernels before the first pass must do: what each vertex stands for, and the like."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from benchmarks.demand import INT, POINT, VALENCE, Arguments, Demand, size_of
+
+__all__ = ["PREPARATION_MODELS"]
+
+# Two edges, their cross product and its length 20, lengths of three edges 15, largest ones and sums 6.
+AREA_FLOPS = 41
+
+
+def _begin_members(a: Arguments) -> Demand:
+    # A point read and written, two links.
+    return Demand(a["members"].area.size * (2 * POINT + 2 * INT))
+
+
+def _measure_members(a: Arguments) -> Demand:
+    vertices, corners = a["members"].area.size, a["corner_vertex_in"]
+    # Corners and the lists of them; point, list, area and reach of each vertex.
+    return Demand(2 * size_of(corners) + vertices * (POINT + 4 * INT), vertices * VALENCE * AREA_FLOPS)
+
+
+PREPARATION_MODELS: dict[str, Callable[[Arguments], Demand]] = {
+    model.__name__.removeprefix("_"): model for model in (_begin_members, _measure_members)
+}
