@@ -23,6 +23,23 @@ def _measure_members(a: Arguments) -> Demand:
     return Demand(2 * size_of(corners) + vertices * (POINT + 4 * INT), vertices * VALENCE * AREA_FLOPS)
 
 
+def _begin_trees(a: Arguments) -> Demand:
+    return Demand(size_of(a["parent_out"]))
+
+
+def _join_faces(a: Arguments) -> Demand:
+    return Demand(size_of(a["corner_vertex_in"]) + 2 * size_of(a["parent"]))
+
+
+def _close_trees(a: Arguments) -> Demand:
+    return Demand(2 * size_of(a["parent"]) + size_of(a["is_root_out"]))
+
+
+def _number_components(a: Arguments) -> Demand:
+    return Demand(size_of(a["root_in"]) + size_of(a["roots_before_in"]) + size_of(a["component_out"]))
+
+
 PREPARATION_MODELS: dict[str, Callable[[Arguments], Demand]] = {
-    model.__name__.removeprefix("_"): model for model in (_begin_members, _measure_members)
+    model.__name__.removeprefix("_"): model
+    for model in (_begin_members, _measure_members, _begin_trees, _join_faces, _close_trees, _number_components)
 }

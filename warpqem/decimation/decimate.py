@@ -217,16 +217,10 @@ def _collapse(
     state = steps.state
     lowest_limit = min(settings.error_limit, settings.size_limit)
     orderer = _new_ordering(steps)
-    components = (
-        None
-        if settings.keep_components
-        else Components(
-            state, steps.frames.position, int(steps.model.key_count), settings.error_limit**2, lowest_limit**2
-        )
-    )
-    if components is not None and components.count == 1:
-        # One always stays.
-        components = None
+    components = None
+    if not settings.keep_components:
+        limits = settings.error_limit**2, lowest_limit**2
+        components = Components.find(state, steps.frames.position, int(steps.model.key_count), *limits)
     if recorder is not None:
         recorder.begin(settings.memoryless)
     stopped = orderer.run(settings.target_faces, progress, recorder, components)
