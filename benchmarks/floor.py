@@ -383,6 +383,12 @@ def count_demand(kernel: str, arguments: Arguments, threads: int) -> Demand | No
     return Demand(share * whole.bytes, share * whole.flops)
 
 
+def _vertex_count(a: Arguments) -> int:
+    if "members" in a:
+        return int(a["members"].area.size)
+    return int(a["vertex_flags" if "vertex_flags" in a else "vertex_flags_in"].size)
+
+
 def _share(a: Arguments, threads: int) -> float:
     """The part of the whole that a launch does, where CPU threads have a launch each."""
     if "work" in a:
@@ -392,7 +398,7 @@ def _share(a: Arguments, threads: int) -> float:
     if "first_output" in a:
         return threads / a["squared"].size
     if "first_vertex" in a:
-        return threads / (a["members"].area if "members" in a else a["vertex_flags"]).size
+        return threads / _vertex_count(a)
     if "turns" in a:
         return min(1.0, threads / frame_items(a))
     return 1.0

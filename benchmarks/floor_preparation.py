@@ -46,6 +46,11 @@ def _streamed(kernel: str, a: Arguments) -> Demand:
     return Demand(sum(times * size_of(a[name]) for name, times in _STREAMED[kernel]))
 
 
+def _find_unclean_vertices(a: Arguments) -> Demand:
+    # Flags, and where lists begin and end; few vertices have two faces.
+    return Demand(3 * size_of(a["vertex_flags_in"]))
+
+
 def _find_bounds(a: Arguments) -> Demand:
     return Demand(a["position_in"].shape[0] * POINT)
 
@@ -58,6 +63,7 @@ PREPARATION_MODELS: dict[str, Callable[[Arguments], Demand]] = {
     **{kernel: partial(_streamed, kernel) for kernel in _STREAMED},
     "begin_members": _begin_members,
     "measure_members": _measure_members,
+    "find_unclean_vertices": _find_unclean_vertices,
     "find_bounds": _find_bounds,
     "key_vertices": _key_vertices,
 }
