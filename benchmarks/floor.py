@@ -21,6 +21,7 @@ from benchmarks.demand import length_of as _length
 from benchmarks.demand import moved_of as _moved
 from benchmarks.demand import size_of as _size
 from benchmarks.floor_options import OPTION_MODELS, frame_items
+from benchmarks.floor_preparation import PREPARATION_MODELS
 
 __all__ = ["COUNTED", "Demand", "count_demand", "floor_seconds"]
 
@@ -350,7 +351,7 @@ _MODELS: dict[str, Callable[[Arguments], Demand]] = {
     )
 }
 
-_MODELS |= OPTION_MODELS | {"check_slots": _check_collapses}
+_MODELS |= OPTION_MODELS | PREPARATION_MODELS | {"check_slots": _check_collapses}
 # One thread with some numbers of the loop of passes.
 _BOOKKEEPING = (
     "begin_pass",
@@ -382,6 +383,12 @@ def count_demand(kernel: str, arguments: Arguments, threads: int) -> Demand | No
     return Demand(share * whole.bytes, share * whole.flops)
 
 
+def _vertex_count(a: Arguments) -> int:
+    if "members" in a:
+        return int(a["members"].area.size)
+    return int(a["vertex_flags" if "vertex_flags" in a else "vertex_flags_in"].size)
+
+
 def _share(a: Arguments, threads: int) -> float:
     """The part of the whole that a launch does, where CPU threads have a launch each."""
     if "work" in a:
@@ -391,7 +398,7 @@ def _share(a: Arguments, threads: int) -> float:
     if "first_output" in a:
         return threads / a["squared"].size
     if "first_vertex" in a:
-        return threads / a["vertex_flags"].size
+        return threads / _vertex_count(a)
     if "turns" in a:
         return min(1.0, threads / frame_items(a))
     return 1.0
