@@ -169,11 +169,26 @@ def _move_live_faces(a: Arguments) -> Demand:
 
 
 def _pack_frames(a: Arguments) -> Demand:
-    return Demand(_size(a["points_in"]) + _size(a["blocks_out"]), 6 * a["points_in"].size)
+    # Of the frames given, those that are packed.
+    share = min(1.0, _frames(a["blocks_out"]) / len(a["points_in"]))
+    return Demand(share * _size(a["points_in"]) + _size(a["blocks_out"]), 6 * share * a["points_in"].size)
 
 
 def _unpack_frames(a: Arguments) -> Demand:
     return Demand(_size(a["blocks_in"]) + _size(a["points_out"]))
+
+
+def _measure_bounds(a: Arguments) -> Demand:
+    return Demand(_size(a["points_in"]) + _size(a["used_in"]), 6 * a["points_in"].size)
+
+
+def _restore_points(a: Arguments) -> Demand:
+    return Demand(_size(a["blocks_in"]) + _size(a["points_out"]), 6 * a["points_out"].size)
+
+
+def _copy_vertices(a: Arguments) -> Demand:
+    copies = a["vertex_in"].size
+    return Demand(copies * (2 * INT + 2 * POINT * len(a["points_in"])), 3 * copies * len(a["points_in"]))
 
 
 def _gather_rows(a: Arguments) -> Demand:
@@ -293,6 +308,9 @@ _MODELS: dict[str, Callable[[Arguments], Demand]] = {
         _move_live_faces,
         _pack_frames,
         _unpack_frames,
+        _measure_bounds,
+        _restore_points,
+        _copy_vertices,
         _gather_rows,
         _weigh_face_normals,
         _gather_vertex_quadrics,

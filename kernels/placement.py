@@ -165,6 +165,47 @@ def measure_stiffness(
     area_out[c] = area
 
 
+@lane_kernel(blocks_in=POINTS_ARRAY)
+def restore_points(
+    # in
+    blocks_in: Any,
+    scale: wp.float32,
+    offset: wp.vec3d,
+    # out
+    points_out: wp.array2d[wp.vec3],
+):
+    """Points (F, C) in the caller's coordinates, of blocks (C, B) in diagonals: ``p scale + offset``, rounded once."""
+    c, b = wp.tid()
+    block = blocks_in[c, b]
+    width = len(block[0])
+    for k in range(width):
+        t = b * width + k
+        if t < points_out.shape[0]:
+            p = wp.vec3()
+            for axis in range(3):
+                p[axis] = wp.float32(wp.float64(block[axis, k] * scale) + offset[axis])
+            points_out[t, c] = p
+
+
+@wp.kernel
+def copy_vertices(
+    # in
+    points_in: wp.array2d[wp.vec3],
+    vertex_in: wp.array[wp.int32],
+    offset: wp.vec3d,
+    column_in: wp.array[wp.int32],
+    # out
+    points_out: wp.array2d[wp.vec3],
+):
+    """Single vertices (M,) of points (F, V), plus ``offset`` and rounded once, into columns (M,) of other points."""
+    t, i = wp.tid()
+    p = points_in[t, vertex_in[i]]
+    q = wp.vec3()
+    for axis in range(3):
+        q[axis] = wp.float32(wp.float64(p[axis]) + offset[axis])
+    points_out[t, column_in[i]] = q
+
+
 @lane_kernel(points_in=POINTS_ARRAY, normal_in=POINTS_ARRAY)
 def count_flips(
     # in

@@ -9,7 +9,14 @@ from tests.support import meshes
 from tests.support.mesh_state import blocks, packed
 from warpqem.decimation.initial_quadrics import constraint_lists
 from warpqem.kernels.lanes import width_of
-from warpqem.kernels.placement import Clusters, count_flips, measure_stiffness, place_vertices
+from warpqem.kernels.placement import (
+    Clusters,
+    copy_vertices,
+    count_flips,
+    measure_stiffness,
+    place_vertices,
+    restore_points,
+)
 from warpqem.place.cluster_rows import gather_faces, sum_repeated
 
 EPSILON = 0.3
@@ -202,3 +209,31 @@ def test_no_item_makes_empty_rows():
     start, item, weight = sum_repeated(np.array([-1, -1]), np.array([0, 1]), np.ones(2), 3)
     assert start.tolist() == [0, 0, 0, 0]
     assert len(item) == len(weight) == 0
+
+
+@pytest.mark.parametrize("frame_count", [1, 3, 8, 13])
+def test_points_are_restored_with_a_single_rounding_of_the_sum(frame_count, device):
+    rng = np.random.default_rng(5)
+    unit = rng.normal(size=(frame_count, 40, 3)).astype(np.float32)
+    diagonal, offset = 173.2000001, rng.normal(size=3) * 1e4
+    position = packed(unit, device)
+    out = wp.empty((frame_count, 40), dtype=wp.vec3, device=device)
+    inputs = [position, diagonal, wp.vec3d(*offset)]
+    wp.launch(restore_points[width_of(position)], dim=position.shape, inputs=inputs, outputs=[out], device=device)
+    np.testing.assert_array_equal(out.numpy(), ((unit * np.float32(diagonal)) + offset).astype(np.float32))
+
+
+@pytest.mark.parametrize("offset", [[0.1, 1e9, -3.0], [-0.0, -0.0, -0.0]])
+def test_copies_go_to_their_columns_and_leave_the_others(offset, device):
+    rng = np.random.default_rng(6)
+    points = rng.normal(size=(4, 30, 3)).astype(np.float32)
+    points[0, 3] = [-0.0, 0.0, 1e-40]
+    vertex, column = np.array([3, 17, 8]), np.array([5, 0, 9])
+    before = rng.normal(size=(4, 10, 3)).astype(np.float32)
+    expected = before.copy()
+    expected[:, column] = points[:, vertex] + np.array(offset)
+    out = wp.array(before, dtype=wp.vec3, device=device)
+    lists = [wp.array(values, dtype=wp.int32, device=device) for values in (vertex, column)]
+    inputs = [wp.array(points, dtype=wp.vec3, device=device), lists[0], wp.vec3d(*offset), lists[1]]
+    wp.launch(copy_vertices, dim=(4, 3), inputs=inputs, outputs=[out], device=device)
+    np.testing.assert_array_equal(out.numpy().view(np.int32), expected.view(np.int32))

@@ -12,7 +12,7 @@ from warpqem.decimation.initial_quadrics import CONSTRAINT_WEIGHT
 from warpqem.decimation.quadric_sums import QuadricSums
 from warpqem.mesh.mesh_input import AnimatedMesh
 from warpqem.place.anchors import Anchors, fit_anchors, nearest_anchors
-from warpqem.place.block_placer import BlockPlacer, ClusterData, PlacedFrames
+from warpqem.place.block_placer import BlockPlacer, ClusterData, PlacedBlocks
 from warpqem.place.cluster_rows import gather_faces, match_keys, sum_repeated
 from warpqem.place.stiffness import (
     MIN_REGULARISATION,
@@ -69,6 +69,7 @@ class ClusterPlacer:
         on_seam: (C,) bool, vertices that stand for one on a seam.
         nearest: (C,) int32, an input vertex of each cluster near to its anchor.
         copied_count: vertices M that are copies of an input vertex.
+        copied: (M,) int32 on the device, these vertices.
         clusters: what placing a block of frames takes.
         device: Warp device.
     """
@@ -110,7 +111,6 @@ class ClusterPlacer:
         self.nearest = anchors.vertex[_heaviest(anchors)]
         # An anchor that is one input vertex, not solved for, is copied, so that it keeps its bits.
         single = np.flatnonzero((solved == 0) & (np.maximum.reduceat(anchors.weight, anchors.start[:-1]) == 1.0))
-        self._copied = single
         self.copied_count = len(single)
         self.clusters = ClusterData(
             corner_vertex=faces.ravel(),
@@ -120,8 +120,10 @@ class ClusterPlacer:
                 "stiffness": stiffness,
             },
             copied_from=self.nearest[single],
+            copied=single,
         )
         self._blocks = BlockPlacer(self.clusters, device)
+        self.copied = self._blocks.copied
         if not settings.endpoint:
             choices = softer_choices(stiffness)
             error, area = self._blocks.measure_stiffness(ordered.key_position, choices)
@@ -184,15 +186,9 @@ class ClusterPlacer:
             "border_weight": border_weight,
         }
 
-    def place(self, mesh: AnimatedMesh, points: np.ndarray, packed: wp.array | None = None) -> PlacedFrames:
-        """Place some frames of the mesh, given about its origin: (n, V, 3) float32; see :class:`BlockPlacer`."""
+    def place(self, mesh: AnimatedMesh, points: wp.array, packed: wp.array | None = None) -> PlacedBlocks:
+        """Place some frames of the mesh, given about its origin: (n, V) points; see :class:`BlockPlacer`."""
         return self._blocks.place(mesh, points, packed)
-
-    def original_points(self, mesh: AnimatedMesh, placed: PlacedFrames) -> np.ndarray:
-        """The placed points in the caller's coordinates, (n, C, 3) float32."""
-        points = mesh.original_points(placed.points)
-        points[:, self._copied] = placed.copied + mesh.origin
-        return points
 
 
 def _on_seam(faces: np.ndarray, constrained: np.ndarray, cluster: np.ndarray, cluster_count: int) -> np.ndarray:

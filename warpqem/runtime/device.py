@@ -34,6 +34,7 @@ class DeviceTraits:
         splits_launches: a launch runs on one core, so a long one is split over the cores of the machine.
         captures: recorded launches are captured as a graph. Nothing else may use the device meanwhile.
         compiles_together: the first launch that finds no compiled code compiles all kernels, several at once.
+        own_memory: arrays of the host are copied to the device, which takes longer than most of what is done there.
         graph_loops: a graph may hold loops and branches; on a device without captures, what stands for one.
     """
 
@@ -43,6 +44,7 @@ class DeviceTraits:
     splits_launches: bool
     captures: bool
     compiles_together: bool
+    own_memory: bool
     graph_loops: bool
 
 
@@ -54,6 +56,7 @@ CPU = DeviceTraits(
     splits_launches=True,
     captures=False,
     compiles_together=False,
+    own_memory=False,
     graph_loops=True,
 )
 # 65536 threads are enough to fill any GPU of today.
@@ -64,6 +67,7 @@ GPU = DeviceTraits(
     splits_launches=False,
     captures=True,
     compiles_together=True,
+    own_memory=True,
     graph_loops=True,
 )
 
