@@ -139,29 +139,51 @@ def measure_stiffness(
     stiffness_in: wp.array2d[wp.float32],
     first_cluster: wp.int32,
     # out
-    error_out: wp.array2d[wp.float32],
-    area_out: wp.array[wp.float32],
+    error_out: wp.array3d[wp.float32],
+    area_out: wp.array2d[wp.float32],
 ):
-    """What clusters would have of area times squared distance from their planes over all frames, by stiffness.
+    """What clusters would have of area times squared distance from their planes in blocks of frames, by stiffness.
 
-    ``stiffness_in`` and ``error_out`` (C, S) are of S = ``STEPS`` choices; ``area_out`` (C,) is what the planes weigh.
-    All is zero at clusters that are not solved for.
+    ``stiffness_in`` (C, S) and ``error_out`` (C, B, S) are of S = ``STEPS`` choices; ``area_out`` (C, B) is what the
+    planes weigh. All is zero at clusters that are not solved for.
     """
-    c = first_cluster + wp.tid()
+    i, t = wp.tid()
+    c = first_cluster + i
     error = Steps()
     area = wp.float32(0.0)
     if clusters.solved[c] == 1:
-        for t in range(points_in.shape[1]):
-            anchor = anchor_position(points_in, clusters, c, t)
-            q, _normal = add_own_planes(points_in, clusters, c, t, anchor)
-            q = add_other_planes(q, points_in, corner_vertex_in, clusters, c, t, anchor)
-            area += lane_sum(trace(q))
-            for step in range(STEPS):
-                x = tangential_minimiser(q, stiffness_in[c, step])
-                value = q[9] + lane_dot(x, 2.0 * linear_part(q) + apply_matrix(q, x))
-                error[step] += lane_sum(lane_max(value, 0.0))
+        anchor = anchor_position(points_in, clusters, c, t)
+        q, _normal = add_own_planes(points_in, clusters, c, t, anchor)
+        q = add_other_planes(q, points_in, corner_vertex_in, clusters, c, t, anchor)
+        area = lane_sum(trace(q))
+        for step in range(STEPS):
+            x = tangential_minimiser(q, stiffness_in[c, step])
+            value = q[9] + lane_dot(x, 2.0 * linear_part(q) + apply_matrix(q, x))
+            error[step] = lane_sum(lane_max(value, 0.0))
     for step in range(STEPS):
-        error_out[c, step] = error[step]
+        error_out[c, t, step] = error[step]
+    area_out[c, t] = area
+
+
+@wp.kernel
+def sum_stiffness(
+    # in
+    error_in: wp.array3d[wp.float32],
+    area_in: wp.array2d[wp.float32],
+    # out
+    error_out: wp.array2d[wp.float32],
+    area_out: wp.array[wp.float32],
+):
+    """The sums over all frames, (C, S) and (C,), of what :func:`measure_stiffness` finds in blocks of them."""
+    c = wp.tid()
+    for step in range(error_in.shape[2]):
+        error = wp.float32(0.0)
+        for t in range(error_in.shape[1]):
+            error += error_in[c, t, step]
+        error_out[c, step] = error
+    area = wp.float32(0.0)
+    for t in range(area_in.shape[1]):
+        area += area_in[c, t]
     area_out[c] = area
 
 

@@ -7,6 +7,7 @@ so how they are cut into blocks makes no difference to a single bit.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -109,17 +110,17 @@ class PlacedBlocks:
 
 @dataclass(frozen=True)
 class ClusterData:
-    """What placing takes, in arrays on the host.
+    """What placing takes.
 
     Attributes:
-        corner_vertex: (3N,) int32, the input's faces.
-        rows: the arrays of :class:`warpqem.kernels.placement.Clusters` by their names.
+        corner_vertex: (3N,) int32 on the device, the input's faces.
+        rows: the arrays of :class:`warpqem.kernels.placement.Clusters` by their names, on the device or the host.
         copied_from: (M,) int32, the input vertices that are copied.
         copied: (M,) int, the clusters that are copies of them.
     """
 
-    corner_vertex: np.ndarray
-    rows: dict[str, np.ndarray]
+    corner_vertex: wp.array
+    rows: dict[str, Any]
     copied_from: np.ndarray
     copied: np.ndarray
 
@@ -149,11 +150,12 @@ class BlockPlacer:
 
     def __init__(self, data: ClusterData, device: str) -> None:
         self._data, self._device = data, device
-        self._corner_vertex = wp.array(data.corner_vertex, dtype=wp.int32, device=device, copy=False)
+        self._corner_vertex = data.corner_vertex
         self._clusters = kernels.Clusters()
         for name, values in data.rows.items():
-            dtype = kernels.Clusters.vars[name].type.dtype
-            setattr(self._clusters, name, wp.array(values, dtype=dtype, device=device, copy=False))
+            if isinstance(values, np.ndarray):
+                values = wp.array(values, dtype=kernels.Clusters.vars[name].type.dtype, device=device, copy=False)
+            setattr(self._clusters, name, values)
         copies = (data.copied_from, data.copied)
         self.copied_from, self.copied = (wp.array(values, dtype=wp.int32, device=device) for values in copies)
 
@@ -168,22 +170,21 @@ class BlockPlacer:
             error: (C, STEPS) float32, sums over the key frames, in diagonals^4.
             area: (C,) float32, sum of what the planes weigh, in diagonals squared.
         """
-        count, device = self._data.vertex_count, self._device
-        error = wp.empty(stiffness.shape, dtype=wp.float32, device=device)
-        area = wp.empty(count, dtype=wp.float32, device=device)
+        (count, steps), block_count, device = stiffness.shape, key_position.shape[1], self._device
+        errors = wp.empty((count, block_count, steps), dtype=wp.float32, device=device)
+        areas = wp.empty((count, block_count), dtype=wp.float32, device=device)
+        choices = wp.array(stiffness, dtype=wp.float32, device=device, copy=False)
         launch_in_parts(
             kernels.measure_stiffness[width_of(key_position)],
-            count,
-            inputs=[
-                key_position,
-                self._corner_vertex,
-                self._clusters,
-                wp.array(stiffness, dtype=wp.float32, device=device),
-                FIRST_ITEM,
-            ],
-            outputs=[error, area],
+            (count, block_count),
+            inputs=[key_position, self._corner_vertex, self._clusters, choices, FIRST_ITEM],
+            outputs=[errors, areas],
             device=device,
         )
+        error = wp.empty((count, steps), dtype=wp.float32, device=device)
+        area = wp.empty(count, dtype=wp.float32, device=device)
+        inputs, outputs = [rows_of(errors), rows_of(areas)], [rows_of(error), rows_of(area)]
+        launch_in_parts(kernels.sum_stiffness, count, inputs, outputs, device=device)
         return error.numpy(), area.numpy()
 
     def set_stiffness(self, stiffness: np.ndarray) -> None:

@@ -46,11 +46,13 @@ class Placer(ClusterPlacer):
         sums: QuadricSums | None = None,
     ) -> None:
         # Output vertices keep the order of the input vertices they go by.
-        kept, out_faces = np.unique(ordered.faces, return_inverse=True)
+        is_kept = np.zeros(len(ordered.root), dtype=bool)
+        is_kept[ordered.faces] = True
+        kept = np.flatnonzero(is_kept)
         index = np.full(len(ordered.root), -1, dtype=np.int32)
         index[kept] = np.arange(len(kept), dtype=np.int32)
         self.vertex_map = index[ordered.root]
-        self.faces = out_faces.reshape(-1, 3).astype(np.int32)
+        self.faces = index[ordered.faces]
         super().__init__(faces, ordered, kept, self.vertex_map, quadric_scale, pinned, settings, device, sums)
         self._out_corner_vertex = wp.array(self.faces.ravel(), dtype=wp.int32, device=device)
 

@@ -29,6 +29,7 @@ class DeviceTraits:
 
     Attributes:
         block_width: frames that one thread works on side by side, see :mod:`warpqem.kernels.lanes`.
+        warp_threads: threads that run in step.
         launch_threads: threads of a launch over a work list, each of which takes every so many of its items.
         in_order: the threads of a launch run one after the other, in the order of their index.
         splits_launches: a launch runs on one core, so a long one is split over the cores of the machine.
@@ -39,6 +40,7 @@ class DeviceTraits:
     """
 
     block_width: int
+    warp_threads: int
     launch_threads: int
     in_order: bool
     splits_launches: bool
@@ -51,6 +53,7 @@ class DeviceTraits:
 # On a CPU, Warp's captures are one for the whole process, and a recorded launch takes 3 microseconds without one.
 CPU = DeviceTraits(
     block_width=WIDE,
+    warp_threads=1,
     launch_threads=1,
     in_order=True,
     splits_launches=True,
@@ -62,6 +65,7 @@ CPU = DeviceTraits(
 # 65536 threads are enough to fill any GPU of today.
 GPU = DeviceTraits(
     block_width=1,
+    warp_threads=32,
     launch_threads=65536,
     in_order=False,
     splits_launches=False,
