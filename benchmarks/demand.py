@@ -21,6 +21,8 @@ ROW = POINT + QUADRIC
 COST_FLOPS = 220
 # A face plane in a vertex quadric: cross product 15, length 7, plane and products 30, ten sums.
 PLANE_FLOPS = 62
+# The minimum of a quadric held to its anchor.
+SOLVE_FLOPS = 60
 
 Arguments = Mapping[str, Any]
 

@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 
 from benchmarks.cards import H200, Card
-from benchmarks.demand import COST_FLOPS, INT, PLANE_FLOPS, POINT, ROW, VALENCE, Arguments, Demand
+from benchmarks.demand import COST_FLOPS, INT, PLANE_FLOPS, POINT, ROW, SOLVE_FLOPS, VALENCE, Arguments, Demand
 from benchmarks.demand import frames_of as _frames
 from benchmarks.demand import half_edges_of as _half_edges
 from benchmarks.demand import keys_of as _keys
@@ -21,6 +21,7 @@ from benchmarks.demand import length_of as _length
 from benchmarks.demand import moved_of as _moved
 from benchmarks.demand import size_of as _size
 from benchmarks.floor_options import OPTION_MODELS, frame_items
+from benchmarks.floor_place import PLACE_MODELS
 from benchmarks.floor_preparation import PREPARATION_MODELS
 
 __all__ = ["COUNTED", "Demand", "count_demand", "floor_seconds"]
@@ -32,7 +33,6 @@ TARGET_FLOPS = ANCHOR_FLOPS + 135
 FLIP_FLOPS = 47
 # Two shifts and a sum of quadrics, error and trace.
 MERGE_FLOPS = 95
-SOLVE_FLOPS = 60
 
 
 def floor_seconds(demand: Demand, card: Card = H200) -> float:
@@ -205,7 +205,9 @@ def _move_live_faces(a: Arguments) -> Demand:
 
 
 def _pack_frames(a: Arguments) -> Demand:
-    return Demand(_size(a["points_in"]) + _size(a["blocks_out"]), 6 * a["points_in"].size)
+    # Of the frames given, those that are packed.
+    share = min(1.0, _frames(a["blocks_out"]) / len(a["points_in"]))
+    return Demand(share * _size(a["points_in"]) + _size(a["blocks_out"]), 6 * share * a["points_in"].size)
 
 
 def _unpack_frames(a: Arguments) -> Demand:
@@ -238,16 +240,6 @@ def _measure_cluster_distances(a: Arguments) -> Demand:
     return Demand(_size(positions) + kept * frames * POINT + 2 * vertices * INT, vertices * frames * 9)
 
 
-def _fit_anchor_weights(a: Arguments) -> Demand:
-    keys = _frames(a["key_position_in"])
-    size = np.diff(a["member_start_in"].numpy()).astype(np.float64)
-    members, entries = size.sum(), (size * (size + 1) / 2).sum()
-    # The Gram matrices count as never leaving the chip.
-    gram = keys * (members * 35 + entries * 7)
-    solve = (size**3 / 3 + 2 * size**2).sum()
-    return Demand(members * (keys * POINT + 2 * INT) + len(size) * (keys * ROW + 3 * INT), gram + solve)
-
-
 def _choose_nearest(a: Arguments) -> Demand:
     # Every vertex and its distance; the chosen ones.
     members = int(a["start_in"].numpy()[-1] - a["start_in"].numpy()[0])
@@ -257,7 +249,7 @@ def _choose_nearest(a: Arguments) -> Demand:
 
 def _key_members(a: Arguments) -> Demand:
     # Cluster and distance read, a key of eight bytes and the vertex written.
-    return Demand(a["cluster_in"].size * (3 * INT + 8))
+    return Demand(a["distance_in"].size * (3 * INT + 8))
 
 
 def _take_nearest(a: Arguments) -> Demand:
@@ -281,15 +273,6 @@ def _place_vertices(a: Arguments) -> Demand:
     once = faces * 4 * INT + members * 2 * INT + clusters.border.size * 2 * INT + outputs * 4 * INT
     flops = faces * PLANE_FLOPS + members * 6 + outputs * SOLVE_FLOPS
     return Demand(once + _size(a["points_in"]) + _size(a["points_out"]) + _size(a["normal_out"]), frames * flops)
-
-
-def _measure_stiffness(a: Arguments) -> Demand:
-    frames, clusters, outputs = _frames(a["points_in"]), a["clusters"], a["area_out"].size
-    faces, members = clusters.face.size, clusters.member.size
-    once = faces * 4 * INT + members * 2 * INT + clusters.border.size * 2 * INT + outputs * 18 * INT
-    # Seven stiffnesses are tried at each place.
-    flops = faces * PLANE_FLOPS + members * 6 + outputs * 7 * (SOLVE_FLOPS + 30)
-    return Demand(once + _size(a["points_in"]), frames * flops)
 
 
 def _count_flips(a: Arguments) -> Demand:
@@ -339,19 +322,17 @@ _MODELS: dict[str, Callable[[Arguments], Demand]] = {
         _weigh_face_normals,
         _gather_vertex_quadrics,
         _measure_cluster_distances,
-        _fit_anchor_weights,
         _choose_nearest,
         _key_members,
         _take_nearest,
         _count_faces,
         _list_faces,
         _place_vertices,
-        _measure_stiffness,
         _count_flips,
     )
 }
 
-_MODELS |= OPTION_MODELS | PREPARATION_MODELS | {"check_slots": _check_collapses}
+_MODELS |= OPTION_MODELS | PREPARATION_MODELS | PLACE_MODELS | {"check_slots": _check_collapses}
 # One thread with some numbers of the loop of passes.
 _BOOKKEEPING = (
     "begin_pass",

@@ -32,8 +32,43 @@ OVERHANG = wp.constant(wp.float32(0.25))
 MIN_DIAGONAL = wp.constant(wp.float32(1.0e-20))
 
 
+@lane_kernel(key_position_in=POINTS_ARRAY, ordered_position_in=POINTS_ARRAY, quadric_in=QUADRIC_ARRAY)
+def fill_gram_matrices(
+    # in
+    cluster_vertex_in: wp.array[wp.int32],
+    member_start_in: wp.array[wp.int32],
+    member_in: wp.array[wp.int32],
+    matrix_start_in: wp.array[wp.int32],
+    key_position_in: Any,
+    ordered_position_in: Any,
+    quadric_in: Any,
+    lanes: wp.int32,
+    # in and out
+    matrix: wp.array[wp.float32],
+):
+    """Add the quadric form of each pair of members to the packed Gram matrix of their cluster, over all key frames.
+
+    Each of ``lanes`` threads of a cluster takes every so manieth row.
+    """
+    cluster, lane = wp.tid()
+    u = cluster_vertex_in[cluster]
+    first = member_start_in[cluster]
+    for i in range(lane, member_start_in[cluster + 1] - first, lanes):
+        o = matrix_start_in[cluster] + packed(i, 0)
+        for t in range(key_position_in.shape[1]):
+            q = quadric_in[u, t]
+            b = linear_part(q)
+            origin = ordered_position_in[u, t]
+            p = key_position_in[member_in[first + i], t] - origin
+            y = apply_matrix(q, p) + b
+            s = lane_sum(lane_dot(b, p) + q[9])
+            for j in range(i + 1):
+                r = key_position_in[member_in[first + j], t] - origin
+                matrix[o + j] = matrix[o + j] + lane_sum(lane_dot(y, r)) + s
+
+
 @wp.func
-def add_gram(
+def extent_of_members(
     key_position: Any,
     ordered_position: Any,
     quadric: Any,
@@ -41,27 +76,15 @@ def add_gram(
     member: wp.array[wp.int32],
     first: wp.int32,
     n: wp.int32,
-    matrix: wp.array[wp.float32],
-    o: wp.int32,
 ) -> wp.float32:
-    """Add the quadric form of each pair of members to the packed matrix at ``o``; returns area times squared distance.
-
-    The quadrics are those of the cluster of ``u`` in all key frames.
-    """
+    """Area times squared distance of the members from where ordering put the cluster's vertex, over all key frames."""
     size = wp.float32(0.0)
     for t in range(key_position.shape[1]):
-        q = quadric[u, t]
-        area = trace(q)
-        b = linear_part(q)
+        area = trace(quadric[u, t])
         origin = ordered_position[u, t]
         for i in range(n):
             p = key_position[member[first + i], t] - origin
-            y = apply_matrix(q, p) + b
-            s = lane_sum(lane_dot(b, p) + q[9])
             size += wp.dot(area, lane_dot(p, p))
-            for j in range(i + 1):
-                r = key_position[member[first + j], t] - origin
-                matrix[o + packed(i, j)] = matrix[o + packed(i, j)] + lane_sum(lane_dot(y, r)) + s
     return size
 
 
@@ -128,51 +151,8 @@ def factorise(g: wp.array[wp.float32], o: wp.int32, n: wp.int32):
                 g[o + packed(i, j)] = s / g[o + packed(j, j)]
 
 
-@wp.func
-def share_within_reach(
-    member: wp.array[wp.int32],
-    key_position: Any,
-    weight: wp.array[wp.float32],
-    first: wp.int32,
-    n: wp.int32,
-) -> wp.float32:
-    """The part of the way from the members' mean to their weighted sum that goes hardly further than the members do.
-
-    Negative weights take an anchor outside its cluster, where a convex surface wants it: a little way beyond the
-    members that lie furthest in that direction, and no further than any of them. Planes that hardly meet, as those of a
-    ridge or of a thin part that bends, would take it away along them, as a spike. One factor for all frames keeps it on
-    the material.
-    """
-    reach = wp.float32(0.0)
-    moved = wp.float32(0.0)
-    for t in range(key_position.shape[1]):
-        total = key_position.dtype()
-        for i in range(n):
-            total += key_position[member[first + i], t]
-        mean = total / wp.float32(n)
-        offset = key_position.dtype()
-        for i in range(n):
-            offset += weight[first + i] * (key_position[member[first + i], t] - mean)
-        inverse = lane_inverse_length(offset)
-        along = lane_max(lane_dot(offset, offset), 0.0)
-        farthest = along - along
-        extent = along - along
-        for i in range(n):
-            p = key_position[member[first + i], t] - mean
-            farthest = wp.max(farthest, lane_dot(p, p))
-            extent = wp.max(extent, wp.cw_mul(lane_dot(p, offset), inverse))
-        for k in range(len(extent)):
-            radius = wp.sqrt(farthest[k])
-            limit = wp.min(extent[k] + OVERHANG * radius, radius)
-            reach += limit * limit
-        moved += lane_sum(along)
-    if moved <= reach:
-        return 1.0
-    return wp.sqrt(reach / moved)
-
-
 @lane_kernel(key_position_in=POINTS_ARRAY, ordered_position_in=POINTS_ARRAY, quadric_in=QUADRIC_ARRAY)
-def fit_anchor_weights(
+def solve_for_weights(
     # in
     cluster_vertex_in: wp.array[wp.int32],
     member_start_in: wp.array[wp.int32],
@@ -187,13 +167,19 @@ def fit_anchor_weights(
     # out
     weight_out: wp.array[wp.float32],
 ):
-    """Weights of the members of each cluster (``matrix`` is zeroed scratch for the packed Gram matrices)."""
-    cluster = wp.tid()
+    """Weights of the members of each cluster, of its Gram matrix, which becomes its Cholesky factor.
+
+    The first thread of a cluster does it. The others leave at once: threads in step would wait for each other's
+    matrices, which lie apart.
+    """
+    cluster, lane = wp.tid()
+    if lane > 0:
+        return
     u = cluster_vertex_in[cluster]
     first = member_start_in[cluster]
     n = member_start_in[cluster + 1] - first
     o = matrix_start_in[cluster]
-    size = add_gram(key_position_in, ordered_position_in, quadric_in, u, member_in, first, n, matrix, o)
+    size = extent_of_members(key_position_in, ordered_position_in, quadric_in, u, member_in, first, n)
     total = wp.float32(0.0)
     for i in range(n):
         total += matrix[o + packed(i, i)]
@@ -203,13 +189,128 @@ def fit_anchor_weights(
         matrix[o + packed(i, i)] = matrix[o + packed(i, i)] + shift
     factorise(matrix, o, n)
     solve_for_sum_one(matrix, o, n, weight_out, first)
-    share = share_within_reach(member_in, key_position_in, weight_out, first, n)
+
+
+@lane_kernel(key_position_in=POINTS_ARRAY)
+def measure_reach(
+    # in
+    member_start_in: wp.array[wp.int32],
+    member_in: wp.array[wp.int32],
+    key_position_in: Any,
+    weight_in: wp.array[wp.float32],
+    # out
+    reach_out: wp.array2d[wp.float32],
+    moved_out: wp.array2d[wp.float32],
+):
+    """How far the members of each cluster let its anchor go in each key frame (C, F), and how far it goes (C, B).
+
+    Squared, from the members' mean. Negative weights take an anchor outside its cluster, where a convex surface wants
+    it: a little way beyond the members that lie furthest in that direction, and no further than any of them. Planes
+    that hardly meet, as those of a ridge or of a thin part that bends, would take it away along them, as a spike.
+    """
+    cluster, t = wp.tid()
+    first = member_start_in[cluster]
+    n = member_start_in[cluster + 1] - first
+    total = key_position_in.dtype()
+    for i in range(n):
+        total += key_position_in[member_in[first + i], t]
+    mean = total / wp.float32(n)
+    offset = key_position_in.dtype()
+    for i in range(n):
+        offset += weight_in[first + i] * (key_position_in[member_in[first + i], t] - mean)
+    inverse = lane_inverse_length(offset)
+    along = lane_max(lane_dot(offset, offset), 0.0)
+    farthest = along - along
+    extent = along - along
+    for i in range(n):
+        p = key_position_in[member_in[first + i], t] - mean
+        farthest = wp.max(farthest, lane_dot(p, p))
+        extent = wp.max(extent, wp.cw_mul(lane_dot(p, offset), inverse))
+    width = len(extent)
+    for k in range(width):
+        radius = wp.sqrt(farthest[k])
+        limit = wp.min(extent[k] + OVERHANG * radius, radius)
+        reach_out[cluster, t * width + k] = limit * limit
+    moved_out[cluster, t] = lane_sum(along)
+
+
+@wp.kernel
+def keep_within_reach(
+    # in
+    member_start_in: wp.array[wp.int32],
+    reach_in: wp.array2d[wp.float32],
+    moved_in: wp.array2d[wp.float32],
+    # in and out
+    weight: wp.array[wp.float32],
+):
+    """Mix the weights of each cluster with equal ones, so that its anchor goes hardly further than its members do.
+
+    One share for all frames keeps it on the material.
+    """
+    cluster = wp.tid()
+    first = member_start_in[cluster]
+    n = member_start_in[cluster + 1] - first
+    reach = wp.float32(0.0)
+    for t in range(reach_in.shape[1]):
+        reach += reach_in[cluster, t]
+    moved = wp.float32(0.0)
+    for t in range(moved_in.shape[1]):
+        moved += moved_in[cluster, t]
+    share = wp.float32(1.0)
+    if not moved <= reach:
+        share = wp.sqrt(reach / moved)
     finite = wp.isfinite(share)
     for i in range(n):
-        weight_out[first + i] = share * weight_out[first + i] + (1.0 - share) / wp.float32(n)
-        finite = finite and wp.isfinite(weight_out[first + i])
+        weight[first + i] = share * weight[first + i] + (1.0 - share) / wp.float32(n)
+        finite = finite and wp.isfinite(weight[first + i])
     # Of points nearly in one place the matrix is what rounding left of the quadric's constant, which may be negative:
     # its inverse overflows. Any weights give the same place.
     if not finite:
         for i in range(n):
-            weight_out[first + i] = 1.0 / wp.float32(n)
+            weight[first + i] = 1.0 / wp.float32(n)
+
+
+@wp.kernel
+def count_entries(
+    # in
+    member_start_in: wp.array[wp.int32],
+    # out
+    count_out: wp.array[wp.int32],
+):
+    """Entries of the Gram matrix of each cluster, see :func:`packed`."""
+    cluster = wp.tid()
+    count_out[cluster] = packed(member_start_in[cluster + 1] - member_start_in[cluster], 0)
+
+
+@wp.kernel
+def finish_anchors(
+    # in
+    start_in: wp.array[wp.int32],
+    kept_in: wp.array[wp.int32],
+    pinned_in: wp.array[wp.int32],
+    # in and out
+    vertex: wp.array[wp.int32],
+    weight: wp.array[wp.float32],
+    # out
+    heaviest_out: wp.array[wp.int32],
+    largest_out: wp.array[wp.float32],
+):
+    """Anchor each pinned cluster to its own vertex alone; then find the member of each with the largest weight.
+
+    The vertex takes the place of the nearest member, as it may not be among them. Of members that weigh the same the
+    first counts.
+    """
+    cluster = wp.tid()
+    first = start_in[cluster]
+    last = start_in[cluster + 1]
+    if pinned_in[cluster] != 0:
+        vertex[first] = kept_in[cluster]
+        weight[first] = 1.0
+        for j in range(first + 1, last):
+            weight[j] = 0.0
+    heaviest = first
+    for j in range(first + 1, last):
+        if weight[j] > weight[heaviest]:
+            heaviest = j
+    heaviest_out[cluster] = vertex[heaviest]
+    largest_out[cluster] = weight[heaviest]

@@ -1,8 +1,61 @@
-"""Compressed rows of clusters: the nearest of their vertices, and their faces, each once."""
+"""Compressed rows of clusters: their vertices, the nearest of these, and their faces, each once."""
 
 import warp as wp
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
+
+
+@wp.kernel
+def count_members(
+    # in
+    cluster_in: wp.array[wp.int32],
+    rank_in: wp.array[wp.int32],
+    # in and out
+    size: wp.array[wp.int32],
+    highest_rank: wp.array[wp.int32],
+):
+    """Add up the vertices of each cluster, and find the highest of their ranks, 0 or more; -1 is no cluster."""
+    v = wp.tid()
+    cluster = cluster_in[v]
+    if cluster >= 0:
+        wp.atomic_add(size, cluster, 1)
+        if rank_in[v] > 0:
+            wp.atomic_max(highest_rank, cluster, rank_in[v])
+
+
+@wp.kernel
+def mark_highest(
+    # in
+    cluster_in: wp.array[wp.int32],
+    rank_in: wp.array[wp.int32],
+    highest_rank_in: wp.array[wp.int32],
+    # in and out
+    count: wp.array[wp.int32],
+    # out
+    cluster_out: wp.array[wp.int32],
+):
+    """The cluster of each vertex that has the highest rank in it, -1 of others, and add up how many have."""
+    v = wp.tid()
+    cluster = cluster_in[v]
+    if cluster >= 0:
+        if rank_in[v] == highest_rank_in[cluster]:
+            wp.atomic_add(count, cluster, 1)
+        else:
+            cluster = wp.int32(-1)
+    cluster_out[v] = cluster
+
+
+@wp.kernel
+def limit_counts(
+    # in
+    count_in: wp.array[wp.int32],
+    most: wp.int32,
+    # out
+    count_out: wp.array[wp.int32],
+):
+    """The counts, or ``most`` where they are larger."""
+    i = wp.tid()
+    count_out[i] = wp.min(count_in[i], most)
 
 
 @wp.kernel
@@ -73,6 +126,37 @@ def take_nearest(
         place = chosen_start_in[cluster] + i - start_in[cluster]
         if place < chosen_start_in[cluster + 1]:
             chosen_out[place] = vertex_in[i]
+
+
+@wp.kernel
+def label_corners(
+    # in
+    corner_vertex_in: wp.array[wp.int32],
+    cluster_in: wp.array[wp.int32],
+    weight_in: wp.array[wp.float32],
+    # out
+    cluster_out: wp.array[wp.int32],
+    weight_out: wp.array[wp.float32],
+):
+    """Cluster and weight of each corner: those of its vertex."""
+    h = wp.tid()
+    v = corner_vertex_in[h]
+    cluster_out[h] = cluster_in[v]
+    weight_out[h] = weight_in[v]
+
+
+@wp.kernel
+def gather_corners(
+    # in
+    face_in: wp.array[wp.int32],
+    corner_vertex_in: wp.array[wp.int32],
+    # out
+    corners_out: wp.array[wp.vec3i],
+):
+    """The corners of each of some faces."""
+    i = wp.tid()
+    h = 3 * face_in[i]
+    corners_out[i] = wp.vec3i(corner_vertex_in[h], corner_vertex_in[h + 1], corner_vertex_in[h + 2])
 
 
 @wp.kernel

@@ -114,19 +114,25 @@ def lane_max(x: Any, least: wp.float32):
 def pack_frames(
     # in
     points_in: wp.array2d[wp.vec3],
+    row_in: wp.array[wp.int32],
     origin: wp.vec3,
     scale: wp.float32,
     # out
     blocks_out: Any,
 ):
-    """Blocks (V, B) of ``(p - origin) scale`` of points (F, V)."""
+    """Blocks (V, B) of ``(p - origin) scale`` of points (F, V): of the frames ``row_in``, or all where it is empty."""
     v, b = wp.tid()
     block = blocks_out.dtype()
     width = len(block[0])
+    chosen = row_in.shape[0] > 0
+    frame_count = wp.where(chosen, row_in.shape[0], points_in.shape[0])
     for k in range(width):
         t = b * width + k
-        if t < points_in.shape[0]:
-            p = (points_in[t, v] - origin) * scale
+        if t < frame_count:
+            row = t
+            if chosen:
+                row = row_in[t]
+            p = (points_in[row, v] - origin) * scale
             block[0, k] = p[0]
             block[1, k] = p[1]
             block[2, k] = p[2]

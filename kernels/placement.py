@@ -139,30 +139,93 @@ def measure_stiffness(
     stiffness_in: wp.array2d[wp.float32],
     first_cluster: wp.int32,
     # out
-    error_out: wp.array2d[wp.float32],
-    area_out: wp.array[wp.float32],
+    error_out: wp.array3d[wp.float32],
+    area_out: wp.array2d[wp.float32],
 ):
-    """What clusters would have of area times squared distance from their planes over all frames, by stiffness.
+    """What clusters would have of area times squared distance from their planes in blocks of frames, by stiffness.
 
-    ``stiffness_in`` and ``error_out`` (C, S) are of S = ``STEPS`` choices; ``area_out`` (C,) is what the planes weigh.
-    All is zero at clusters that are not solved for.
+    ``stiffness_in`` (C, S) and ``error_out`` (C, B, S) are of S = ``STEPS`` choices; ``area_out`` (C, B) is what the
+    planes weigh. All is zero at clusters that are not solved for.
     """
-    c = first_cluster + wp.tid()
+    i, t = wp.tid()
+    c = first_cluster + i
     error = Steps()
     area = wp.float32(0.0)
     if clusters.solved[c] == 1:
-        for t in range(points_in.shape[1]):
-            anchor = anchor_position(points_in, clusters, c, t)
-            q, _normal = add_own_planes(points_in, clusters, c, t, anchor)
-            q = add_other_planes(q, points_in, corner_vertex_in, clusters, c, t, anchor)
-            area += lane_sum(trace(q))
-            for step in range(STEPS):
-                x = tangential_minimiser(q, stiffness_in[c, step])
-                value = q[9] + lane_dot(x, 2.0 * linear_part(q) + apply_matrix(q, x))
-                error[step] += lane_sum(lane_max(value, 0.0))
+        anchor = anchor_position(points_in, clusters, c, t)
+        q, _normal = add_own_planes(points_in, clusters, c, t, anchor)
+        q = add_other_planes(q, points_in, corner_vertex_in, clusters, c, t, anchor)
+        area = lane_sum(trace(q))
+        for step in range(STEPS):
+            x = tangential_minimiser(q, stiffness_in[c, step])
+            value = q[9] + lane_dot(x, 2.0 * linear_part(q) + apply_matrix(q, x))
+            error[step] = lane_sum(lane_max(value, 0.0))
     for step in range(STEPS):
-        error_out[c, step] = error[step]
+        error_out[c, t, step] = error[step]
+    area_out[c, t] = area
+
+
+@wp.kernel
+def sum_stiffness(
+    # in
+    error_in: wp.array3d[wp.float32],
+    area_in: wp.array2d[wp.float32],
+    # out
+    error_out: wp.array2d[wp.float32],
+    area_out: wp.array[wp.float32],
+):
+    """The sums over all frames, (C, S) and (C,), of what :func:`measure_stiffness` finds in blocks of them."""
+    c = wp.tid()
+    for step in range(error_in.shape[2]):
+        error = wp.float32(0.0)
+        for t in range(error_in.shape[1]):
+            error += error_in[c, t, step]
+        error_out[c, step] = error
+    area = wp.float32(0.0)
+    for t in range(area_in.shape[1]):
+        area += area_in[c, t]
     area_out[c] = area
+
+
+@lane_kernel(blocks_in=POINTS_ARRAY)
+def restore_points(
+    # in
+    blocks_in: Any,
+    scale: wp.float32,
+    offset: wp.vec3d,
+    # out
+    points_out: wp.array2d[wp.vec3],
+):
+    """Points (F, C) in the caller's coordinates, of blocks (C, B) in diagonals: ``p scale + offset``, rounded once."""
+    c, b = wp.tid()
+    block = blocks_in[c, b]
+    width = len(block[0])
+    for k in range(width):
+        t = b * width + k
+        if t < points_out.shape[0]:
+            p = wp.vec3()
+            for axis in range(3):
+                p[axis] = wp.float32(wp.float64(block[axis, k] * scale) + offset[axis])
+            points_out[t, c] = p
+
+
+@wp.kernel
+def copy_vertices(
+    # in
+    points_in: wp.array2d[wp.vec3],
+    vertex_in: wp.array[wp.int32],
+    offset: wp.vec3d,
+    column_in: wp.array[wp.int32],
+    # out
+    points_out: wp.array2d[wp.vec3],
+):
+    """Single vertices (M,) of points (F, V), plus ``offset`` and rounded once, into columns (M,) of other points."""
+    t, i = wp.tid()
+    p = points_in[t, vertex_in[i]]
+    q = wp.vec3()
+    for axis in range(3):
+        q[axis] = wp.float32(wp.float64(p[axis]) + offset[axis])
+    points_out[t, column_in[i]] = q
 
 
 @lane_kernel(points_in=POINTS_ARRAY, normal_in=POINTS_ARRAY)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import warp as wp
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -14,6 +15,7 @@ from tests.support import meshes
 from tests.support.mesh_state import build_mesh
 from warpqem.decimation.quadric_sums import QuadricSums, add_quadric_sums
 from warpqem.face import FaceProtection, FacialFeatures, face_sums
+from warpqem.frames.device_frames import to_device
 from warpqem.options import MeshOptions
 from warpqem.pipeline.prepare import prepare
 from warpqem.place.cluster_rows import match_keys
@@ -84,8 +86,10 @@ def test_vertices_are_placed_by_the_same_sums(name, device):
     work = replace(work, quadric_sums=sums, order_input=replace(work.order_input, sums=sums))
     placer = work.placer(work.order())
     frames = work.mesh.points(slice(0, len(points)))
-    placed = placer.place(work.mesh, frames).points
-    rows, unit = placer.clusters.rows, work.mesh.to_unit(frames).astype(np.float64)
+    placed = placer.place(work.mesh, to_device(frames, device)).fetch().points
+    given = placer.clusters.rows
+    rows = {name: values.numpy() if isinstance(values, wp.array) else values for name, values in given.items()}
+    unit = work.mesh.to_unit(frames).astype(np.float64)
     solved = np.flatnonzero(rows["solved"])
     assert len(solved) > 3
     for frame, x in enumerate(unit):
@@ -114,7 +118,8 @@ def test_normals_are_those_of_the_faces_of_a_cluster_alone(device):
         placer = work.placer(work.order())
         vertex = int(placer.vertex_map[0])
         if np.count_nonzero(placer.vertex_map == vertex) == 1:
-            normals.append(placer.place(work.mesh, work.mesh.points(slice(0, 1))).normals[0, vertex])
+            frame = to_device(work.mesh.points(slice(0, 1)), device)
+            normals.append(placer.place(work.mesh, frame).fetch().normals[0, vertex])
     assert len(normals) == 2
     np.testing.assert_allclose(*normals, rtol=1e-4, atol=1e-6)
 

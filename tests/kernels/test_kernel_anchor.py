@@ -9,9 +9,18 @@ import warp as wp
 from tests.oracles import quadrics as oracle
 from tests.support import meshes
 from tests.support.mesh_state import build_mesh, packed, packed_quadrics
-from warpqem.kernels.anchor import fit_anchor_weights, measure_cluster_distances
+from warpqem.kernels.anchor import count_entries, fill_gram_matrices, measure_cluster_distances
+from warpqem.kernels.cluster_rows import mark_highest
 from warpqem.kernels.lanes import width_of
-from warpqem.place.anchors import _find_by_sort, _find_in_order, fit_anchors, nearest_anchors
+from warpqem.place.anchors import (
+    Anchors,
+    Clusters,
+    _find_by_sort,
+    _find_in_order,
+    fit_anchors,
+    fit_weights,
+    nearest_anchors,
+)
 
 POINTS, FACES = meshes.swaying_sphere(1, 3)
 # A vertex with its ring, three times.
@@ -60,27 +69,48 @@ def fitted(members_of, regularisation, device, points=POINTS):
     key_position = packed(points, device)
     matrix = wp.zeros(int(matrix_start[-1]), dtype=wp.float32, device=device)
     weight = wp.zeros(int(start[-1]), dtype=wp.float32, device=device)
-    wp.launch(
-        fit_anchor_weights[width_of(key_position)],
-        dim=len(members_of),
-        inputs=[
-            heads,
-            first,
-            member,
-            first_entry,
-            key_position,
-            packed(ordered.transpose(1, 0, 2), device),
-            packed_quadrics(quadric, key_position),
-            wp.full(len(members_of), regularisation, dtype=wp.float32, device=device),
-        ],
-        outputs=[matrix, weight],
-        device=device,
+    mesh = SimpleNamespace(
+        key_position=key_position,
+        position=packed(ordered.transpose(1, 0, 2), device),
+        quadric=packed_quadrics(quadric, key_position),
     )
+    stiffness = wp.full(len(members_of), regularisation, dtype=wp.float32, device=device)
+    fit_weights(mesh, heads, Anchors(first, member, weight), first_entry, stiffness, matrix)
     return np.split(weight.numpy(), start[1:-1]), grams
 
 
 def regularised(matrix, regularisation):
     return matrix + regularisation * np.trace(matrix) / len(matrix) * np.eye(len(matrix))
+
+
+@pytest.mark.parametrize("lanes", [1, 3, 32])
+def test_gram_matrices_are_the_sums_over_frames_by_any_number_of_threads(lanes, device):
+    key_position = packed(POINTS, device)
+    ordered = np.zeros((POINTS.shape[1], len(POINTS), 3), dtype=np.float32)
+    quadric = np.zeros((POINTS.shape[1], len(POINTS), 10), dtype=np.float32)
+    size = np.array([len(members) for members in CLUSTERS])
+    start, entries = (np.concatenate([[0], np.cumsum(n)]) for n in (size, size * (size + 1) // 2))
+    expected = []
+    for members in CLUSTERS:
+        ordered[members[0]] = POINTS[:, members].mean(axis=1)
+        quadrics = cluster_quadrics(POINTS, members, ordered[members[0]])
+        quadric[members[0]] = [oracle.pack(q) for q in quadrics]
+        matrix = gram(POINTS, members, ordered[members[0]], quadrics)
+        expected.append(matrix[np.tril_indices(len(members))])
+    lists = [
+        wp.array(values, dtype=wp.int32, device=device)
+        for values in ([members[0] for members in CLUSTERS], start, np.concatenate(CLUSTERS), entries)
+    ]
+    found = wp.zeros(int(entries[-1]), dtype=wp.float32, device=device)
+    frames = [key_position, packed(ordered.transpose(1, 0, 2), device), packed_quadrics(quadric, key_position)]
+    wp.launch(
+        fill_gram_matrices[width_of(key_position)],
+        dim=(len(CLUSTERS), lanes),
+        inputs=[*lists, *frames, lanes],
+        outputs=[found],
+        device=device,
+    )
+    np.testing.assert_allclose(found.numpy(), np.concatenate(expected), atol=1e-5)
 
 
 @pytest.mark.parametrize("regularisation", [0.01, 0.1, 1.0])
@@ -144,18 +174,30 @@ def ordered_mesh(device, root, line_rank=None) -> SimpleNamespace:
     )
 
 
+def fetched(anchors: Anchors) -> SimpleNamespace:
+    """The same on the host."""
+    return SimpleNamespace(**{name: getattr(anchors, name).numpy() for name in ("start", "vertex", "weight")})
+
+
+def fitted_anchors(mesh, kept, cluster, regularisation) -> SimpleNamespace:
+    clusters = Clusters.of(cluster.astype(np.int32), mesh.line_rank, len(kept), mesh.position.device)
+    return fetched(fit_anchors(mesh, kept, clusters, regularisation))
+
+
 def test_nearest_anchor_is_the_member_nearest_to_the_ordered_place(device):
     root = np.arange(POINTS.shape[1], dtype=np.int32)
     root[10:20] = 4
     kept, cluster = np.unique(root, return_inverse=True)
-    anchors = nearest_anchors(ordered_mesh(device, root), cluster.astype(np.int32), len(kept))
+    mesh = ordered_mesh(device, root)
+    clusters = Clusters.of(cluster.astype(np.int32), mesh.line_rank, len(kept), device)
+    anchors = fetched(nearest_anchors(mesh, clusters))
     np.testing.assert_array_equal(anchors.vertex, kept)
     np.testing.assert_array_equal(anchors.weight, 1)
 
 
 def test_large_cluster_keeps_its_thirty_two_nearest_members(device):
     root = np.zeros(POINTS.shape[1], dtype=np.int32)
-    anchors = fit_anchors(ordered_mesh(device, root), np.array([0]), root, np.array([0.1]))
+    anchors = fitted_anchors(ordered_mesh(device, root), np.array([0]), root, np.array([0.1]))
     distance = ((POINTS.astype(np.float64) - POINTS[:, :1]) ** 2).sum(axis=(0, 2))
     assert set(anchors.vertex) == set(np.argsort(distance, kind="stable")[:32])
     assert anchors.weight.sum() == pytest.approx(1, abs=1e-5)
@@ -164,7 +206,7 @@ def test_large_cluster_keeps_its_thirty_two_nearest_members(device):
 def test_vertices_without_a_cluster_are_in_no_anchor(device):
     root = np.arange(POINTS.shape[1], dtype=np.int32)
     cluster = np.where(root == 6, -1, root - (root > 6)).astype(np.int32)
-    anchors = fit_anchors(ordered_mesh(device, root), np.delete(root, 6), cluster, np.full(len(root) - 1, 0.1))
+    anchors = fitted_anchors(ordered_mesh(device, root), np.delete(root, 6), cluster, np.full(len(root) - 1, 0.1))
     np.testing.assert_array_equal(anchors.vertex, np.delete(root, 6))
 
 
@@ -176,7 +218,7 @@ def test_vertices_on_a_line_or_corners_of_it_alone_anchor_their_cluster(corners,
     line_rank[[12, 15]] = 1
     line_rank[corners] = 2
     kept, cluster = np.unique(root, return_inverse=True)
-    anchors = fit_anchors(
+    anchors = fitted_anchors(
         ordered_mesh(device, root, line_rank), kept, cluster.astype(np.int32), np.full(len(kept), 0.1)
     )
     at = int(np.searchsorted(kept, 4))
@@ -202,7 +244,7 @@ def test_anchor_stays_within_its_cluster_where_planes_hardly_meet(device):
         quadric=packed_quadrics(quadrics, position),
         line_rank=np.zeros(12, dtype=np.int32),
     )
-    anchors = fit_anchors(mesh, np.array([0]), np.zeros(12, dtype=np.int32), np.array([0.005]))
+    anchors = fitted_anchors(mesh, np.array([0]), np.zeros(12, dtype=np.int32), np.array([0.005]))
     offset = points[0] - points[0].mean(axis=0)
     place = anchors.weight.astype(np.float64) @ offset[anchors.vertex]
     assert anchors.weight.sum() == pytest.approx(1, abs=1e-4)
@@ -224,13 +266,21 @@ def test_anchor_stays_near_the_end_of_a_ridge_that_its_planes_share(device):
         quadric=packed_quadrics(quadrics, position),
         line_rank=np.zeros(4, dtype=np.int32),
     )
-    anchors = fit_anchors(mesh, np.array([0]), np.zeros(4, dtype=np.int32), np.array([1e-4]))
+    anchors = fitted_anchors(mesh, np.array([0]), np.zeros(4, dtype=np.int32), np.array([1e-4]))
     place = anchors.weight.astype(np.float64) @ points[0][anchors.vertex]
     # A quarter of the radius, 3.75 about the mean at 1.25, beyond the member at -1.
     assert place[0] == pytest.approx(-1 - 0.25 * 3.75, abs=0.01)
 
 
-@pytest.mark.parametrize("find", [_find_in_order, _find_by_sort])
+def in_order(eligible, distance, starts, found) -> None:
+    _find_in_order(eligible, distance, starts[1], found)
+
+
+def by_sort(eligible, distance, starts, found) -> None:
+    _find_by_sort(eligible, distance, *starts, found)
+
+
+@pytest.mark.parametrize("find", [in_order, by_sort])
 @pytest.mark.parametrize("most", [1, 3, 32])
 def test_nearest_vertices_come_first_and_equal_ones_in_their_order(most, find, device):
     rng = np.random.default_rng(11)
@@ -240,7 +290,11 @@ def test_nearest_vertices_come_first_and_equal_ones_in_their_order(most, find, d
     first = np.concatenate([[0], np.cumsum(np.bincount(cluster[cluster >= 0], minlength=6))]).astype(np.int32)
     size = np.minimum(np.diff(first), most)
     start = np.concatenate([[0], np.cumsum(size)]).astype(np.int32)
-    chosen = find(cluster, wp.array(distance, device=device), first, start).numpy()
+    eligible = wp.array(np.append(cluster, -1), dtype=wp.int32, device=device)
+    starts = [wp.array(values, dtype=wp.int32, device=device) for values in (first, start)]
+    found = wp.empty(int(start[-1]), dtype=wp.int32, device=device)
+    find(eligible, wp.array(distance, device=device), starts, found)
+    chosen = found.numpy()
     for c in range(6):
         members = np.flatnonzero(cluster == c)
         expected = members[np.argsort(distance[members], kind="stable")][:most]
@@ -256,20 +310,64 @@ def test_nearly_coincident_cluster_gets_equal_weights(device):
     row = wp.zeros(1, dtype=wp.int32, device=device)
     ordered = packed(points, device)
     weight = wp.zeros(6, dtype=wp.float32, device=device)
-    wp.launch(
-        fit_anchor_weights[width_of(ordered)],
-        dim=1,
-        inputs=[
-            row,
-            wp.array([0, 6], dtype=wp.int32, device=device),
-            wp.array(members, dtype=wp.int32, device=device),
-            row,
-            ordered,
-            ordered,
-            packed_quadrics(quadric, ordered),
-            wp.full(1, 0.02, dtype=wp.float32, device=device),
-        ],
-        outputs=[wp.zeros(21, dtype=wp.float32, device=device), weight],
-        device=device,
+    mesh = SimpleNamespace(key_position=ordered, position=ordered, quadric=packed_quadrics(quadric, ordered))
+    start, member, first_entry = (
+        wp.array(values, dtype=wp.int32, device=device) for values in ([0, 6], members, [0, 21])
     )
+    stiffness, matrix = wp.full(1, 0.02, dtype=wp.float32, device=device), wp.zeros(21, dtype=wp.float32, device=device)
+    fit_weights(mesh, row, Anchors(start, member, weight), first_entry, stiffness, matrix)
     np.testing.assert_allclose(weight.numpy(), 1 / 6, rtol=1e-6)
+
+
+def cluster_case(seed) -> tuple[np.ndarray, np.ndarray]:
+    """Clusters of 90 vertices, -1 for none, one of seven without a vertex; and their ranks."""
+    rng = np.random.default_rng(seed)
+    cluster = rng.integers(-1, 7, size=90)
+    cluster[cluster == 3] = 5
+    return cluster, rng.choice(3, size=90, p=[0.8, 0.15, 0.05])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_vertices_of_clusters_are_counted_and_those_of_the_highest_rank_marked(seed, device):
+    cluster, rank = cluster_case(seed)
+    clusters = Clusters.of(cluster.astype(np.int32), rank.astype(np.int32), 7, device)
+    highest = np.zeros(7, dtype=int)
+    np.maximum.at(highest, cluster[cluster >= 0], rank[cluster >= 0])
+    np.testing.assert_array_equal(clusters.size.numpy(), np.bincount(cluster[cluster >= 0], minlength=7))
+    np.testing.assert_array_equal(clusters.highest_rank.numpy(), highest)
+    count = wp.zeros(7, dtype=wp.int32, device=device)
+    found = wp.empty(90, dtype=wp.int32, device=device)
+    inputs = [clusters.cluster, clusters.rank, clusters.highest_rank]
+    wp.launch(mark_highest, dim=90, inputs=inputs, outputs=[count, found], device=device)
+    expected = np.where((cluster >= 0) & (rank == highest[cluster]), cluster, -1)
+    np.testing.assert_array_equal(found.numpy(), expected)
+    np.testing.assert_array_equal(count.numpy(), np.bincount(expected[expected >= 0], minlength=7))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_pinned_anchors_are_their_own_vertex_and_the_first_heaviest_member_is_found(seed, device):
+    rng = np.random.default_rng(seed)
+    size = rng.integers(1, 6, size=40)
+    start = np.concatenate([[0], np.cumsum(size)])
+    vertex, weight = rng.permutation(start[-1]), rng.choice([-0.5, 0.25, 0.5, 1.0], size=start[-1])
+    kept, pinned = 1000 + np.arange(40), rng.random(40) < 0.3
+    arrays = [wp.array(values, dtype=wp.int32, device=device) for values in (start, vertex)]
+    anchors = Anchors(*arrays, wp.array(weight, dtype=wp.float32, device=device))
+    heaviest, largest = anchors.finish(kept, pinned)
+    owner = np.repeat(np.arange(40), size)
+    weight[pinned[owner]] = 0.0
+    weight[start[:-1][pinned]], vertex[start[:-1][pinned]] = 1.0, kept[pinned]
+    found = fetched(anchors)
+    np.testing.assert_array_equal(found.vertex, vertex)
+    np.testing.assert_array_equal(found.weight, weight)
+    np.testing.assert_array_equal(largest, np.maximum.reduceat(weight, start[:-1]))
+    first = [start[c] + np.argmax(weight[start[c] : start[c + 1]]) for c in range(40)]
+    np.testing.assert_array_equal(heaviest, vertex[first])
+
+
+def test_gram_matrices_have_an_entry_for_each_pair_of_members(device):
+    start = np.array([0, 1, 1, 4, 36])
+    count = wp.empty(4, dtype=wp.int32, device=device)
+    starts = wp.array(start, dtype=wp.int32, device=device)
+    wp.launch(count_entries, dim=4, inputs=[starts], outputs=[count], device=device)
+    assert count.numpy().tolist() == [n * (n + 1) // 2 for n in np.diff(start)]

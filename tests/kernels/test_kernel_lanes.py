@@ -35,10 +35,16 @@ def random_points(frame_count, vertex_count=5, seed=0):
     return np.random.default_rng(seed).normal(size=(frame_count, vertex_count, 3)).astype(np.float32)
 
 
+def unpacked(packed_points, frame_count) -> np.ndarray:
+    points = wp.empty((frame_count, len(packed_points)), dtype=wp.vec3, device=packed_points.device)
+    unpack_frames(packed_points, points)
+    return points.numpy()
+
+
 @pytest.mark.parametrize("frame_count", [1, 2, 8, 13])
 def test_unpacked_frames_are_those_packed(frame_count, device):
     points = random_points(frame_count)
-    np.testing.assert_array_equal(unpack_frames(pack_frames(points, device), frame_count), points)
+    np.testing.assert_array_equal(unpacked(pack_frames(points, device), frame_count), points)
 
 
 def test_frames_that_fill_up_the_last_block_are_zero(device):
@@ -49,9 +55,18 @@ def test_frames_that_fill_up_the_last_block_are_zero(device):
     assert not filled[:, 13:].any()
 
 
+@pytest.mark.parametrize("frames", [[0, 2, 9], [12], list(range(11))])
+def test_chosen_frames_are_packed_without_the_others(frames, device):
+    points = random_points(13)
+    source = wp.array(points, dtype=wp.vec3, device=device)
+    found = pack_frames(source, device, frames=np.array(frames))
+    assert found.shape[1] == -(-len(frames) // block_width(len(frames), device))
+    np.testing.assert_array_equal(unpacked(found, len(frames)), points[frames])
+
+
 def test_packing_moves_and_scales(device):
     points = random_points(3)
-    moved = unpack_frames(pack_frames(points, device, centre=(1, 2, 3), scale=0.5), 3)
+    moved = unpacked(pack_frames(points, device, centre=(1, 2, 3), scale=0.5), 3)
     np.testing.assert_allclose(moved, (points - [1, 2, 3]) * 0.5, rtol=1e-6)
 
 

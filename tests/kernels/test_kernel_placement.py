@@ -7,8 +7,16 @@ import warp as wp
 from tests.oracles import quadrics as oracle
 from tests.support import meshes
 from tests.support.mesh_state import blocks, packed
+from warpqem.kernels.cluster_rows import gather_corners, label_corners
 from warpqem.kernels.lanes import width_of
-from warpqem.kernels.placement import Clusters, count_flips, measure_stiffness, place_vertices
+from warpqem.kernels.placement import (
+    Clusters,
+    copy_vertices,
+    count_flips,
+    place_vertices,
+    restore_points,
+)
+from warpqem.place.block_placer import BlockPlacer, ClusterData
 from warpqem.place.cluster_rows import gather_faces, sum_repeated
 
 EPSILON = 0.3
@@ -115,12 +123,13 @@ def measured(points, faces, clusters, device) -> tuple[np.ndarray, float]:
     """(errors with each of ``CHOICES``, area) of the one cluster."""
     position = packed(points, device)
     clusters.stiffness = wp.full(1, EPSILON, dtype=wp.float32, device=device)
-    choices = wp.array(CHOICES[None], dtype=wp.float32, device=device)
-    out = [wp.empty((1, len(CHOICES)), dtype=wp.float32, device=device), wp.empty(1, dtype=wp.float32, device=device)]
-    corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device)
-    inputs = [position, corner_vertex, clusters, choices, 0]
-    wp.launch(measure_stiffness[width_of(position)], dim=1, inputs=inputs, outputs=out, device=device)
-    return out[0].numpy()[0], float(out[1].numpy()[0])
+    data = ClusterData(wp.array(faces.ravel(), dtype=wp.int32, device=device), rows_of(clusters), *2 * [np.empty(0)])
+    error, area = BlockPlacer(data, device).measure_stiffness(position, CHOICES[None])
+    return error[0], float(area[0])
+
+
+def rows_of(clusters) -> dict[str, wp.array]:
+    return {name: getattr(clusters, name) for name in Clusters.vars}
 
 
 @pytest.mark.parametrize("name", MESHES)
@@ -185,7 +194,8 @@ def test_faces_of_clusters_are_the_repeated_items_of_their_corners(device):
     rng = np.random.default_rng(3)
     cluster = rng.integers(-1, 4, size=faces.max() + 1).astype(np.int32)[faces].ravel()
     weight = rng.uniform(1, 2, faces.size).astype(np.float32)
-    found = gather_faces(cluster, weight, 5, device)
+    corner_cluster, corner_weight = wp.array(cluster, device=device), wp.array(weight, device=device)
+    found = [array.numpy() for array in gather_faces(corner_cluster, corner_weight, 5)]
     expected = sum_repeated(cluster, np.arange(faces.size) // 3, weight, 5)
     for a, b in zip(found, expected, strict=True):
         np.testing.assert_array_equal(a, b)
@@ -195,3 +205,52 @@ def test_no_item_makes_empty_rows():
     start, item, weight = sum_repeated(np.array([-1, -1]), np.array([0, 1]), np.ones(2), 3)
     assert start.tolist() == [0, 0, 0, 0]
     assert len(item) == len(weight) == 0
+
+
+@pytest.mark.parametrize("frame_count", [1, 3, 8, 13])
+def test_points_are_restored_with_a_single_rounding_of_the_sum(frame_count, device):
+    rng = np.random.default_rng(5)
+    unit = rng.normal(size=(frame_count, 40, 3)).astype(np.float32)
+    diagonal, offset = 173.2000001, rng.normal(size=3) * 1e4
+    position = packed(unit, device)
+    out = wp.empty((frame_count, 40), dtype=wp.vec3, device=device)
+    inputs = [position, diagonal, wp.vec3d(*offset)]
+    wp.launch(restore_points[width_of(position)], dim=position.shape, inputs=inputs, outputs=[out], device=device)
+    np.testing.assert_array_equal(out.numpy(), ((unit * np.float32(diagonal)) + offset).astype(np.float32))
+
+
+@pytest.mark.parametrize("offset", [[0.1, 1e9, -3.0], [-0.0, -0.0, -0.0]])
+def test_copies_go_to_their_columns_and_leave_the_others(offset, device):
+    rng = np.random.default_rng(6)
+    points = rng.normal(size=(4, 30, 3)).astype(np.float32)
+    points[0, 3] = [-0.0, 0.0, 1e-40]
+    vertex, column = np.array([3, 17, 8]), np.array([5, 0, 9])
+    before = rng.normal(size=(4, 10, 3)).astype(np.float32)
+    expected = before.copy()
+    expected[:, column] = points[:, vertex] + np.array(offset)
+    out = wp.array(before, dtype=wp.vec3, device=device)
+    lists = [wp.array(values, dtype=wp.int32, device=device) for values in (vertex, column)]
+    inputs = [wp.array(points, dtype=wp.vec3, device=device), lists[0], wp.vec3d(*offset), lists[1]]
+    wp.launch(copy_vertices, dim=(4, 3), inputs=inputs, outputs=[out], device=device)
+    np.testing.assert_array_equal(out.numpy().view(np.int32), expected.view(np.int32))
+
+
+def test_corners_have_the_cluster_and_weight_of_their_vertex(device):
+    faces = MESHES["open"][1]
+    rng = np.random.default_rng(7)
+    cluster = rng.integers(-1, 4, size=faces.max() + 1).astype(np.int32)
+    weight = rng.uniform(1, 2, size=len(cluster)).astype(np.float32)
+    inputs = [wp.array(values, device=device) for values in (faces.ravel(), cluster, weight)]
+    outputs = [wp.empty(faces.size, dtype=dtype, device=device) for dtype in (wp.int32, wp.float32)]
+    wp.launch(label_corners, dim=faces.size, inputs=inputs, outputs=outputs, device=device)
+    for found, values in zip(outputs, (cluster, weight), strict=True):
+        np.testing.assert_array_equal(found.numpy(), values[faces.ravel()])
+
+
+def test_corners_of_listed_faces_are_gathered(device):
+    faces = MESHES["open"][1]
+    listed = np.array([4, 0, 4, len(faces) - 1], dtype=np.int32)
+    inputs = [wp.array(listed, device=device), wp.array(faces.ravel(), device=device)]
+    out = wp.empty(4, dtype=wp.vec3i, device=device)
+    wp.launch(gather_corners, dim=4, inputs=inputs, outputs=[out], device=device)
+    np.testing.assert_array_equal(out.numpy(), faces[listed])

@@ -125,7 +125,7 @@ def motion_features(
     device = resolve_device(device)
     mesh = read_mesh(points, faces)
     watch = MotionWatch(mesh, device, weighting)
-    measure_mesh(mesh, [watch])
+    measure_mesh(mesh, device, [watch])
     return watch.features()
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 import warp as wp
 
 from warpqem.decimation.recorded_launches import LaunchGroup, part_work, record_shared, run_once
@@ -15,7 +14,7 @@ from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import Recorder
 from warpqem.runtime.part_launches import FIRST_ITEM, launch_in_parts
 
-__all__ = ["Adjacency", "build_adjacency", "classify_vertices", "group_items"]
+__all__ = ["Adjacency", "build_adjacency", "classify_vertices"]
 
 
 class Adjacency:
@@ -108,14 +107,6 @@ def build_adjacency(
     adjacency = Adjacency(corner_vertex, face_count, vertex_count, spare)
     run_once(adjacency.launch_groups(thread_count(device)), device)
     return adjacency
-
-
-def group_items(group: np.ndarray, group_count: int, device: str) -> Adjacency:
-    """The items of each group, as corners of a vertex; ``group`` (M,) int32 is the group of each item, -1 for none."""
-    # Corners come in threes.
-    corner_group = np.full(-(-len(group) // 3) * 3, -1, dtype=np.int32)
-    corner_group[: len(group)] = group
-    return build_adjacency(wp.array(corner_group, device=device), group_count)
 
 
 def classify_vertices(corner_vertex: wp.array, adjacency: Adjacency, vertex_flags: wp.array) -> wp.array:

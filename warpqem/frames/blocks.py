@@ -7,7 +7,6 @@ import warp as wp
 
 from warpqem.kernels import lanes as kernels
 from warpqem.runtime.device import device_traits
-from warpqem.runtime.launches import launch
 from warpqem.runtime.part_launches import columns_of, launch_in_parts, rows_of
 
 __all__ = ["block_width", "chunk_frames", "chunk_steps", "frame_blocks", "pack_frames", "unpack_frames"]
@@ -51,9 +50,10 @@ def chunk_steps(step_count: int, item_count: int, device: str) -> int:
 
 
 def pack_frames(
-    points: np.ndarray,
+    points: np.ndarray | wp.array,
     device: str,
     *,
+    frames: np.ndarray | None = None,
     centre: np.ndarray | tuple[float, float, float] = (0, 0, 0),
     scale: float = 1,
     width: int | None = None,
@@ -61,29 +61,32 @@ def pack_frames(
     """Blocks (V, B) of ``(points - centre) scale``; the frames that fill up the last block are zero.
 
     Args:
-        points: (F, V, 3) float32, C-contiguous.
+        points: (F, V, 3) float32, C-contiguous, or (F, V) points on the device.
         device: Warp device.
+        frames: (K,) int, the frames to pack; None for all.
         centre: taken off every point.
         scale: multiplies what is left.
         width: frames in a block; None for what suits so many frames.
     """
-    frame_count, vertex_count = points.shape[:2]
+    source = wp.array(points, dtype=wp.vec3, device=device, copy=False) if isinstance(points, np.ndarray) else points
+    vertex_count = source.shape[1]
+    # An empty list stands for all frames.
+    rows = wp.array(() if frames is None else frames, dtype=wp.int32, device=device)
+    frame_count = len(source) if frames is None else len(rows)
     width = block_width(frame_count, device) if width is None else width
-    source = wp.array(points, dtype=wp.vec3, device=device, copy=False)
     blocks = wp.empty((vertex_count, -(-frame_count // width)), dtype=kernels.POINTS[width], device=device)
     launch_in_parts(
         kernels.pack_frames[width],
         blocks.shape,
-        inputs=[columns_of(source), wp.vec3(*map(float, centre)), float(scale)],
+        inputs=[columns_of(source), rows, wp.vec3(*map(float, centre)), float(scale)],
         outputs=[rows_of(blocks)],
         device=device,
     )
     return blocks
 
 
-def unpack_frames(blocks: wp.array, frame_count: int) -> np.ndarray:
-    """(F, V, 3) float32 of blocks (V, B) of points."""
-    points = wp.empty((frame_count, len(blocks)), dtype=wp.vec3, device=blocks.device)
+def unpack_frames(blocks: wp.array, points: wp.array) -> None:
+    """Bring blocks (V, B) of points into ``points`` (F, V) on the same device."""
     unpack = kernels.unpack_frames[kernels.width_of(blocks)]
-    launch(unpack, dim=blocks.shape, inputs=[blocks], outputs=[points], device=blocks.device)
-    return points.numpy()
+    inputs, outputs = [rows_of(blocks)], [columns_of(points)]
+    launch_in_parts(unpack, blocks.shape, inputs, outputs, device=blocks.device)

@@ -23,7 +23,7 @@ from warpqem.measure.checked_meshes import CheckedMesh, chosen_frames
 from warpqem.measure.closest_points import ClosestPointSearch
 from warpqem.mesh.components import lowest_members
 from warpqem.mesh.mesh_input import is_proper
-from warpqem.place.cluster_rows import gather_faces
+from warpqem.place.cluster_rows import list_faces_at
 from warpqem.runtime.launches import launch
 
 __all__ = ["Binding", "bind", "bind_by_record", "bind_by_shape", "check_vertex_map"]
@@ -201,9 +201,7 @@ class _ListedSearch:
         slot[test.used] = np.arange(len(test.used))
         # The vertex map's -1 finds the last slot, which is none.
         corner = np.where(is_proper(faces)[:, None], slot[vertex_map[faces]], -1).ravel()
-        self._start, self._face, _ = gather_faces(
-            corner.astype(np.int32), np.ones(len(corner), dtype=np.float32), len(vertices), surface.device
-        )
+        self._start, self._face = list_faces_at(corner, len(vertices), surface.device)
 
     def nearest(self, key: int) -> tuple[Ints, Floats]:
         everyone = np.arange(len(self._vertices))

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
+import warp as wp
 
 from warpqem.arguments.array_input import FLOAT32_MAX, INDEX_LIMIT, first_beyond, first_outside, index_array, real_array
 from warpqem.errors import DegenerateMeshError, FaceIndexError, MeshShapeError, OptionError
 from warpqem.frames.blocks import frame_blocks
 from warpqem.frames.checked_frames import BrokenPoints, check_source, frame_bounds
+from warpqem.frames.device_frames import BoundsMeter, HeldFrames, device_blocks
 from warpqem.frames.stream import ArrayFrames, FrameSource, counted_frames, read_ahead
 
 if TYPE_CHECKING:
@@ -77,11 +79,13 @@ class AnimatedMesh(MeshInput):
         origin: (3,) float64, taken off before the points are rounded to float32.
         centre: (3,) float32, middle of the bounding box of all frames, about ``origin``.
         diagonal: largest bounding-box diagonal of a frame, in the caller's units.
+        held: the frames on the device; None where they are brought there as they are needed.
     """
 
     origin: np.ndarray
     centre: np.ndarray
     diagonal: float
+    held: HeldFrames | None = field(default=None, kw_only=True, repr=False)
 
     def points(self, frames: slice) -> np.ndarray:
         """Consecutive frames in the caller's coordinates minus ``origin``: (n, V, 3) float32, C-contiguous."""
@@ -93,6 +97,10 @@ class AnimatedMesh(MeshInput):
         for index, frame in enumerate(frames.tolist()):
             chosen[index] = self.points(slice(frame, frame + 1))[0]
         return chosen
+
+    def device_blocks(self, blocks: Sequence[slice], device: str) -> Iterator[tuple[slice, wp.array]]:
+        """Every block of frames, about ``origin``, as points (n, V) on the device."""
+        return device_blocks(self.held, self.points, blocks, device)
 
     def to_unit(self, points: np.ndarray) -> np.ndarray:
         """Points about ``origin`` on a mesh of unit diagonal about ``centre``, float32."""
@@ -158,39 +166,46 @@ def read_mesh(points: Any, faces: Any = None, admit: Callable[[int], None] | Non
 
 def measure_mesh(
     mesh: MeshInput,
+    device: str,
     observers: Sequence[FrameObserver] = (),
+    *,
     block_frames: int | None = None,
+    hold: bool = False,
     progress: Callable[[int], None] | None = None,
 ) -> AnimatedMesh:
     """Read all frames once: check them, find the mesh's size, and let observers see them.
 
     Args:
         mesh: the mesh.
+        device: Warp device.
         observers: see every block after it was checked.
         block_frames: frames read at a time; None for as many as keep a device busy.
+        hold: keep the frames on the device.
         progress: called with the number of frames seen.
 
     Raises:
         NonFinitePointError: NaN or infinite coordinate.
         DegenerateMeshError: no extent.
     """
-    lows, highs, everywhere = [], [], bool(mesh.used.all())
+    lows, highs = [], []
     origin = np.zeros(3)
     broken: BrokenPoints | None = None
+    meter = BoundsMeter(mesh.used, device)
+    held = HeldFrames.empty(mesh.frame_count, mesh.vertex_count, device) if hold else None
     for frames, raw in read_ahead(mesh.source.read, frame_blocks(mesh.frame_count, mesh.vertex_count, block_frames)):
-        low, high = frame_bounds(raw)
-        if not max(np.abs(low).max(), np.abs(high).max()) <= FLOAT32_MAX:
+        finite = raw.dtype == np.float32 or _fits_single(raw)
+        if finite:
+            if frames.start == 0 and raw.dtype != np.float32:
+                # float64 coordinates far from the origin keep their precision when the offset goes first.
+                origin = raw[0, mesh.used].mean(axis=0)
+            points = _about(raw, origin)
+            # A vertex without a face has no say in the mesh's size.
+            low, high, finite = meter.measure(points, held, frames)
+        if not finite:
             broken = BrokenPoints.add(broken, raw, frames.start)
         if broken is not None:
             # All frames are looked through, for the message to say how many points there are.
             continue
-        if frames.start == 0 and raw.dtype != np.float32:
-            # float64 coordinates far from the origin keep their precision when the offset goes first.
-            origin = raw[0, mesh.used].mean(axis=0)
-        points = _about(raw, origin)
-        if raw.dtype != np.float32 or not everywhere:
-            # A vertex without a face has no say in the mesh's size.
-            low, high = frame_bounds(points if everywhere else points[:, mesh.used])
         lows.append(low)
         highs.append(high)
         for observer in observers:
@@ -200,11 +215,7 @@ def measure_mesh(
     if broken is not None:
         raise broken.error()
     low, high = np.concatenate(lows), np.concatenate(highs)
-    diagonal = float(np.linalg.norm(high.astype(np.float64) - low, axis=1)[counted_frames(mesh.source)].max())
-    if not 0.0 < diagonal < np.inf:
-        raise DegenerateMeshError(f"the mesh has no extent: its bounding-box diagonal is {diagonal:g} in every frame")
-    if not 1.0 / FLOAT32_MAX < diagonal < FLOAT32_MAX:
-        raise DegenerateMeshError(f"the bounding-box diagonal, {diagonal:g}, cannot be scaled to 1 in single precision")
+    diagonal = _diagonal(low[counted_frames(mesh.source)], high[counted_frames(mesh.source)])
     centre = ((low.min(axis=0).astype(np.float64) + high.max(axis=0)) / 2).astype(np.float32)
     return AnimatedMesh(
         mesh.source,
@@ -216,7 +227,28 @@ def measure_mesh(
         centre,
         diagonal,
         repair=mesh.repair,
+        held=held,
     )
+
+
+def _fits_single(points: np.ndarray) -> bool:
+    """Whether all of them are finite, in single precision too."""
+    low, high = frame_bounds(points)
+    return bool(max(np.abs(low).max(), np.abs(high).max()) <= FLOAT32_MAX)
+
+
+def _diagonal(low: np.ndarray, high: np.ndarray) -> float:
+    """The largest diagonal of the bounding boxes (F, 3) of some frames.
+
+    Raises:
+        DegenerateMeshError: it is no size to divide by.
+    """
+    diagonal = float(np.linalg.norm(high.astype(np.float64) - low, axis=1).max())
+    if not 0.0 < diagonal < np.inf:
+        raise DegenerateMeshError(f"the mesh has no extent: its bounding-box diagonal is {diagonal:g} in every frame")
+    if not 1.0 / FLOAT32_MAX < diagonal < FLOAT32_MAX:
+        raise DegenerateMeshError(f"the bounding-box diagonal, {diagonal:g}, cannot be scaled to 1 in single precision")
+    return diagonal
 
 
 def _about(points: np.ndarray, origin: np.ndarray) -> np.ndarray:

@@ -8,6 +8,7 @@ import numpy as np
 
 from warpqem.decimation.decimate import DecimatedMesh
 from warpqem.decimation.forest_cut import Cut
+from warpqem.frames.device_frames import to_device
 from warpqem.measure.unit_frames import ChangingBlock, UnitBlock, UnitFrames
 from warpqem.pipeline.prepare import Prepared
 from warpqem.place.block_placer import pack_block
@@ -67,7 +68,8 @@ class LevelFrames:
     """
 
     def __init__(self, work: Prepared, about: np.ndarray, own: np.ndarray, units: UnitFrames) -> None:
-        self._work, self._about, self._packed = work, about, pack_block(work.mesh, about, work.device)
+        self._work, self._about = work, to_device(about, work.device)
+        self._packed = pack_block(work.mesh, self._about, work.device)
         self.reference = UnitBlock(own, units, work.device)
         self.test = ChangingBlock(about.shape[:2], units, work.device)
         self._points = np.empty(about.shape, dtype=np.float32)
@@ -85,7 +87,7 @@ class LevelFrames:
         moved = level.kept if before is None else level.kept[~level.unmoved(before)[level.kept]]
         if len(moved):
             placer = placer_of(self._work, level, moved)
-            points = placer.original_points(mesh, placer.place(mesh, self._about, self._packed))
+            points = placer.place(mesh, self._about, self._packed).original_points(mesh)
             self._points[:, moved] = points
             self.test.put(moved, points)
         return moved

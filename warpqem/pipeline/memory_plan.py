@@ -21,6 +21,7 @@ from warpqem.errors import MemoryLimitError, OptionError
 from warpqem.frames.blocks import BLOCK_BYTES, block_width, chunk_frames
 from warpqem.kernels.lanes import WIDE
 from warpqem.pipeline.key_frames import pose_bytes
+from warpqem.runtime.device import device_traits
 
 __all__ = [
     "KEPT_BYTES",
@@ -56,6 +57,8 @@ class MemoryPlan:
         order_bytes: what decimation takes on top.
         place_bytes: what placing takes on top, with the blocks that are being read and written meanwhile.
         scratch_bytes: size of the temporary file; 0 where there is none.
+        device_frame_bytes: frames that stay on the device from reading to placing, a part of what is held; 0 where each
+            block is brought there when it is needed.
     """
 
     frame_count: int
@@ -69,6 +72,7 @@ class MemoryPlan:
     order_bytes: int
     place_bytes: int
     scratch_bytes: int
+    device_frame_bytes: int = 0
 
     @property
     def peak_bytes(self) -> int:
@@ -220,6 +224,10 @@ def plan_memory(needs: MemoryNeeds, limit: int | str | None, device: str) -> Mem
             held += stored
         else:
             scratch = stored
+    on_device = _device_frames(needs, device)
+    if limit is not None and held + on_device + max(order, fixed + per_frame * max(block, WIDE)) > limit:
+        on_device = 0
+    held += on_device
     return MemoryPlan(
         frame_count=needs.frame_count,
         vertex_count=needs.vertex_count,
@@ -232,6 +240,7 @@ def plan_memory(needs: MemoryNeeds, limit: int | str | None, device: str) -> Mem
         order_bytes=order,
         place_bytes=fixed + per_frame * max(block, WIDE),
         scratch_bytes=scratch,
+        device_frame_bytes=on_device,
     )
 
 
@@ -264,6 +273,11 @@ def _held(needs: MemoryNeeds) -> int:
 
 def _result(needs: MemoryNeeds) -> int:
     return 12 * needs.frame_count * needs.output_vertices if needs.keep_frames else 0
+
+
+def _device_frames(needs: MemoryNeeds, device: str) -> int:
+    """All frames, on a device that has a copy of them anyway."""
+    return 12 * needs.frame_count * needs.vertex_count if device_traits(device).own_memory else 0
 
 
 def _padded(frame_count: int, device: str) -> int:

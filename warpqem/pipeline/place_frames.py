@@ -9,7 +9,7 @@ import numpy as np
 
 from warpqem.frames.stream import FrameSink, FrameWriter, read_ahead
 from warpqem.mesh.mesh_input import AnimatedMesh
-from warpqem.place.block_placer import PlacedFrames
+from warpqem.place.block_placer import PlacedBlocks
 from warpqem.place.frame_store import FrameStore
 from warpqem.place.place import Placer
 from warpqem.refit.fit_surface import fit_corrections
@@ -52,9 +52,9 @@ class Placing:
     faces: np.ndarray
     progress: Progress = None
 
-    def placed(self) -> Iterator[tuple[slice, PlacedFrames]]:
+    def placed(self) -> Iterator[tuple[slice, PlacedBlocks]]:
         """All frames, block by block."""
-        for frames, points in read_ahead(self.mesh.points, self.blocks):
+        for frames, points in self.mesh.device_blocks(self.blocks, self.placer.device):
             yield frames, self.placer.place(self.mesh, points)
             if self.progress:
                 self.progress(frames.stop)
@@ -68,10 +68,10 @@ class _Finish:
         self.finished = FinishedFrames(np.empty(work.mesh.frame_count, dtype=np.int32))
         work.sink.begin(work.mesh.frame_count, work.placer.vertex_count, work.faces)
 
-    def take(self, frames: slice, placed: PlacedFrames, write: FrameWriter[np.ndarray]) -> None:
+    def take(self, frames: slice, placed: PlacedBlocks, write: FrameWriter[np.ndarray]) -> None:
         """Finish consecutive frames."""
-        self.finished.flips[frames] = self._placer.count_flips(self._mesh, placed)
-        points = self._placer.original_points(self._mesh, placed)
+        self.finished.flips[frames] = self._placer.count_flips(placed)
+        points = placed.original_points(self._mesh)
         if frames.start == 0:
             self.finished.first = points[:1].copy()
         write(frames, points)
@@ -103,12 +103,12 @@ def place_refitted(
     try:
         with FrameWriter(store.write, len(work.blocks)) as keep:
             for frames, placed in work.placed():
-                keep(frames, placed)
+                keep(frames, placed.fetch())
         correct = fit_corrections(work.mesh, placer, store, key_frames, error, recent_error, work.blocks, placer.device)
         finish = _Finish(work)
         with FrameWriter(work.sink.write, len(work.blocks)) as write:
-            for frames, placed in read_ahead(store.read, work.blocks):
-                finish.take(frames, correct(placed), write)
+            for frames, kept in read_ahead(store.read, work.blocks):
+                finish.take(frames, placer.to_blocks(work.mesh, correct(kept)), write)
     finally:
         store.close()
     return finish.finished

@@ -9,6 +9,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+import warp as wp
 
 from warpqem.arguments.number_input import shown
 from warpqem.arguments.progress import Progress
@@ -261,7 +262,14 @@ def _look_through(
     choice = KeyFrameChoice(given, planned.key_frames)
     motion = MotionWatch(given, device, weighting) if spec.uses_motion_features else None
     observers: list[FrameObserver] = [choice] if motion is None else [choice, motion]
-    mesh = measure_mesh(given, observers, planned.block_frames, _read_progress(progress, given.frame_count))
+    mesh = measure_mesh(
+        given,
+        device,
+        observers,
+        block_frames=planned.block_frames,
+        hold=planned.device_frame_bytes > 0,
+        progress=_read_progress(progress, given.frame_count),
+    )
     keys = choice.choose()
     if motion is not None:
         factors = motion.features().weight * factors
@@ -287,7 +295,7 @@ def _order_input(
     flags = flags | np.where(seam.on_seam, int(SEAM), 0) | np.where(seam.corner, int(CORNER), 0)
     return DecimationInput(
         faces=mesh.faces,
-        key_position=pack_frames(mesh.chosen_points(keys), device, centre=mesh.centre, scale=1 / mesh.diagonal),
+        key_position=_packed_keys(mesh, keys, device),
         key_count=len(keys),
         vertex_flags=flags.astype(np.int32),
         quadric_scale=scale,
@@ -298,6 +306,14 @@ def _order_input(
         matrices=None if quadrics is None else quadrics(mesh, scale),
         sums=sums,
     )
+
+
+def _packed_keys(mesh: AnimatedMesh, keys: np.ndarray, device: str) -> wp.array:
+    """(V, B) blocks of points: some frames (K,), in diagonals."""
+    scale = 1 / mesh.diagonal
+    if mesh.held is None:
+        return pack_frames(mesh.chosen_points(keys), device, centre=mesh.centre, scale=scale)
+    return pack_frames(mesh.held.points, device, frames=keys, centre=mesh.centre, scale=scale)
 
 
 def _trajectories(mesh: AnimatedMesh) -> np.ndarray:

@@ -21,7 +21,7 @@ from warpqem.mesh.components import lowest_members
 from warpqem.mesh.edges import edge_key
 from warpqem.mesh.mesh_input import finite_points, is_proper, read_faces, read_points
 from warpqem.mesh.seams import seam_ends
-from warpqem.place.cluster_rows import gather_faces, group_rows
+from warpqem.place.cluster_rows import group_rows, list_faces_at
 from warpqem.runtime.device import on_device, resolve_device
 from warpqem.runtime.launches import launch
 
@@ -103,7 +103,7 @@ def surface_transfer(
     two_sided = result.repair is not None and bool(result.repair.is_double.any())
     vertex_count = result.points.shape[1]
     corner_cluster = np.where(usable[:, None], cluster, -1).ravel()
-    start, face, _ = gather_faces(corner_cluster, np.ones(faces.size, dtype=np.float32), vertex_count, device)
+    start, face = list_faces_at(corner_cluster, vertex_count, device)
     owner = np.repeat(np.arange(vertex_count), np.diff(start))
     # Entry: one input face at one output vertex; (owner, face) ascends over the entries.
     entry_key = owner * len(faces) + face

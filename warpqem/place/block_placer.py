@@ -7,17 +7,19 @@ so how they are cut into blocks makes no difference to a single bit.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import warp as wp
 
 from warpqem.frames.blocks import block_width, pack_frames, unpack_frames
+from warpqem.frames.device_frames import to_device
 from warpqem.kernels import placement as kernels
 from warpqem.kernels.lanes import width_of
 from warpqem.mesh.mesh_input import AnimatedMesh
-from warpqem.runtime.part_launches import FIRST_ITEM, launch_in_parts
+from warpqem.runtime.part_launches import FIRST_ITEM, columns_of, launch_in_parts, rows_of
 
-__all__ = ["BlockPlacer", "ClusterData", "PlacedFrames", "pack_block"]
+__all__ = ["BlockPlacer", "ClusterData", "PlacedBlocks", "PlacedFrames", "pack_block"]
 
 
 @dataclass(frozen=True)
@@ -32,6 +34,13 @@ class PlacedFrames:
     normals: np.ndarray
     copied: np.ndarray
 
+    def to_blocks(self, width: int, copied: wp.array) -> PlacedBlocks:
+        """All of it on the device, in blocks of so many frames; ``copied`` (M,) are the vertices that are copies."""
+        device = copied.device
+        points, normals = (pack_frames(values, device, width=width) for values in (self.points, self.normals))
+        copied_from = wp.array(np.arange(len(copied)), dtype=wp.int32, device=device)
+        return PlacedBlocks(points, normals, to_device(self.copied, device), copied_from, copied)
+
     def to_rows(self) -> np.ndarray:
         """All of it as one array (n, 2C + M, 3)."""
         return np.concatenate([self.points, self.normals, self.copied], axis=1)
@@ -44,18 +53,76 @@ class PlacedFrames:
 
 
 @dataclass(frozen=True)
-class ClusterData:
-    """What placing takes, in arrays on the host.
+class PlacedBlocks:
+    """The same on the device.
 
     Attributes:
-        corner_vertex: (3N,) int32, the input's faces.
-        rows: the arrays of :class:`warpqem.kernels.placement.Clusters` by their names.
-        copied_from: (M,) int32, the input vertices that are copied.
+        points: (C, B) blocks of points, in diagonals.
+        normals: (C, B) blocks of normals.
+        source: (n, V) points of the input, about its origin.
+        copied_from: (M,) int32, the vertices of ``source`` that are copied.
+        copied: (M,) int32, the output vertices that are copies of them.
     """
 
-    corner_vertex: np.ndarray
-    rows: dict[str, np.ndarray]
+    points: wp.array
+    normals: wp.array
+    source: wp.array
+    copied_from: wp.array
+    copied: wp.array
+
+    def original_points(self, mesh: AnimatedMesh) -> np.ndarray:
+        """The points in the caller's coordinates, (n, C, 3) float32, on the host."""
+        device, (frame_count, vertex_count) = self.points.device, (len(self.source), len(self.points))
+        out = wp.empty((frame_count, vertex_count), dtype=wp.vec3, device=device)
+        offset = wp.vec3d(*map(float, mesh.centre + mesh.origin))
+        launch_in_parts(
+            kernels.restore_points[width_of(self.points)],
+            self.points.shape,
+            inputs=[rows_of(self.points), float(mesh.diagonal), offset],
+            outputs=[columns_of(out)],
+            device=device,
+        )
+        self._copy(wp.vec3d(*map(float, mesh.origin)), self.copied, out)
+        return out.numpy()
+
+    def fetch(self) -> PlacedFrames:
+        """All of it on the host, with one copy."""
+        frame_count, vertex_count, device = len(self.source), len(self.points), self.points.device
+        rows = wp.empty((frame_count, 2 * vertex_count + len(self.copied)), dtype=wp.vec3, device=device)
+        unpack_frames(self.points, rows[:, :vertex_count])
+        unpack_frames(self.normals, rows[:, vertex_count : 2 * vertex_count])
+        columns = wp.array(2 * vertex_count + np.arange(len(self.copied)), dtype=wp.int32, device=device)
+        # Adding a negative zero changes no bit.
+        self._copy(wp.vec3d(-0.0, -0.0, -0.0), columns, rows)
+        return PlacedFrames.from_rows(rows.numpy(), vertex_count)
+
+    def _copy(self, offset: wp.vec3d, columns: wp.array, out: wp.array) -> None:
+        """The copied vertices plus ``offset`` into some columns (M,) of points (n, ...)."""
+        if len(self.copied):
+            launch_in_parts(
+                kernels.copy_vertices,
+                (len(self.source), len(self.copied)),
+                inputs=[rows_of(self.source), self.copied_from, offset, columns],
+                outputs=[rows_of(out)],
+                device=out.device,
+            )
+
+
+@dataclass(frozen=True)
+class ClusterData:
+    """What placing takes.
+
+    Attributes:
+        corner_vertex: (3N,) int32 on the device, the input's faces.
+        rows: the arrays of :class:`warpqem.kernels.placement.Clusters` by their names, on the device or the host.
+        copied_from: (M,) int32, the input vertices that are copied.
+        copied: (M,) int, the clusters that are copies of them.
+    """
+
+    corner_vertex: wp.array
+    rows: dict[str, Any]
     copied_from: np.ndarray
+    copied: np.ndarray
 
     @property
     def vertex_count(self) -> int:
@@ -63,8 +130,8 @@ class ClusterData:
         return len(self.rows["solved"])
 
 
-def pack_block(mesh: AnimatedMesh, points: np.ndarray, device: str) -> wp.array:
-    """Some frames of the mesh, given about its origin: (n, V, 3) float32, as placing takes them."""
+def pack_block(mesh: AnimatedMesh, points: wp.array, device: str) -> wp.array:
+    """Some frames of the mesh, given about its origin: (n, V) points on the device, as placing takes them."""
     width = block_width(mesh.frame_count, device)
     return pack_frames(points, device, centre=mesh.centre, scale=1 / mesh.diagonal, width=width)
 
@@ -75,15 +142,22 @@ class BlockPlacer:
     Args:
         data: the clusters.
         device: Warp device.
+
+    Attributes:
+        copied_from: (M,) int32, the input vertices that are copied.
+        copied: (M,) int32, the clusters that are copies of them.
     """
 
     def __init__(self, data: ClusterData, device: str) -> None:
         self._data, self._device = data, device
-        self._corner_vertex = wp.array(data.corner_vertex, dtype=wp.int32, device=device, copy=False)
+        self._corner_vertex = data.corner_vertex
         self._clusters = kernels.Clusters()
         for name, values in data.rows.items():
-            dtype = kernels.Clusters.vars[name].type.dtype
-            setattr(self._clusters, name, wp.array(values, dtype=dtype, device=device, copy=False))
+            if isinstance(values, np.ndarray):
+                values = wp.array(values, dtype=kernels.Clusters.vars[name].type.dtype, device=device, copy=False)
+            setattr(self._clusters, name, values)
+        copies = (data.copied_from, data.copied)
+        self.copied_from, self.copied = (wp.array(values, dtype=wp.int32, device=device) for values in copies)
 
     def measure_stiffness(self, key_position: wp.array, stiffness: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What clusters would have of area times squared distance from their planes, by stiffness; nothing is changed.
@@ -96,22 +170,21 @@ class BlockPlacer:
             error: (C, STEPS) float32, sums over the key frames, in diagonals^4.
             area: (C,) float32, sum of what the planes weigh, in diagonals squared.
         """
-        count, device = self._data.vertex_count, self._device
-        error = wp.empty(stiffness.shape, dtype=wp.float32, device=device)
-        area = wp.empty(count, dtype=wp.float32, device=device)
+        (count, steps), block_count, device = stiffness.shape, key_position.shape[1], self._device
+        errors = wp.empty((count, block_count, steps), dtype=wp.float32, device=device)
+        areas = wp.empty((count, block_count), dtype=wp.float32, device=device)
+        choices = wp.array(stiffness, dtype=wp.float32, device=device, copy=False)
         launch_in_parts(
             kernels.measure_stiffness[width_of(key_position)],
-            count,
-            inputs=[
-                key_position,
-                self._corner_vertex,
-                self._clusters,
-                wp.array(stiffness, dtype=wp.float32, device=device),
-                FIRST_ITEM,
-            ],
-            outputs=[error, area],
+            (count, block_count),
+            inputs=[key_position, self._corner_vertex, self._clusters, choices, FIRST_ITEM],
+            outputs=[errors, areas],
             device=device,
         )
+        error = wp.empty((count, steps), dtype=wp.float32, device=device)
+        area = wp.empty(count, dtype=wp.float32, device=device)
+        inputs, outputs = [rows_of(errors), rows_of(areas)], [rows_of(error), rows_of(area)]
+        launch_in_parts(kernels.sum_stiffness, count, inputs, outputs, device=device)
         return error.numpy(), area.numpy()
 
     def set_stiffness(self, stiffness: np.ndarray) -> None:
@@ -119,8 +192,8 @@ class BlockPlacer:
         self._data.rows["stiffness"] = stiffness
         self._clusters.stiffness = wp.array(stiffness, dtype=wp.float32, device=self._device)
 
-    def place(self, mesh: AnimatedMesh, points: np.ndarray, packed: wp.array | None = None) -> PlacedFrames:
-        """Place some frames of the mesh, given about its origin: (n, V, 3) float32.
+    def place(self, mesh: AnimatedMesh, points: wp.array, packed: wp.array | None = None) -> PlacedBlocks:
+        """Place some frames of the mesh, given about its origin: (n, V) points on the device.
 
         ``packed`` is what :func:`pack_block` makes of them, where that is there already.
         """
@@ -136,6 +209,4 @@ class BlockPlacer:
             outputs=[out, normal],
             device=device,
         )
-        return PlacedFrames(
-            unpack_frames(out, len(points)), unpack_frames(normal, len(points)), points[:, self._data.copied_from]
-        )
+        return PlacedBlocks(out, normal, points, self.copied_from, self.copied)

@@ -9,7 +9,15 @@ from warpqem.decimation.adjacency import build_adjacency
 from warpqem.kernels import cluster_rows as kernels
 from warpqem.runtime.part_launches import launch_in_parts, rows_of, starts_of
 
-__all__ = ["gather_faces", "group_rows", "match_keys", "sum_repeated"]
+__all__ = [
+    "gather_faces",
+    "group_rows",
+    "last_start",
+    "list_faces_at",
+    "match_keys",
+    "starts_of_counts",
+    "sum_repeated",
+]
 
 
 def group_rows(row: np.ndarray, row_count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -55,28 +63,47 @@ def match_keys(wanted: np.ndarray, key: np.ndarray) -> tuple[np.ndarray, np.ndar
     return entry, order[first[entry] + within]
 
 
+def starts_of_counts(count: wp.array) -> wp.array:
+    """Where the items of each of C groups begin and the last end, (C+1,) int32, of their counts (C+1,), the last 0."""
+    start = wp.empty_like(count)
+    wp.utils.array_scan(count, start, inclusive=False)
+    return start
+
+
+def last_start(start: wp.array) -> int:
+    """How many items there are in all, of where those of each group begin."""
+    return int(start[len(start) - 1 :].numpy()[0])
+
+
 def gather_faces(
-    corner_cluster: np.ndarray, corner_weight: np.ndarray, cluster_count: int, device: str
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    corner_cluster: wp.array, corner_weight: wp.array, cluster_count: int
+) -> tuple[wp.array, wp.array, wp.array]:
     """The faces that have a corner in each cluster, each once: :func:`sum_repeated` for meshes of any size.
 
     Args:
-        corner_cluster: (3N,) int32, the cluster of each corner; -1 for a corner to leave out.
+        corner_cluster: (3N,) int32 on the device, the cluster of each corner; -1 for a corner to leave out.
         corner_weight: (3N,) float32.
         cluster_count: clusters C.
-        device: Warp device.
 
     Returns:
         ``start`` (C+1,) int32, ``face`` int32 ascending within a cluster, ``weight`` float32, the sum over its corners.
     """
-    adjacency = build_adjacency(wp.array(corner_cluster, dtype=wp.int32, device=device), cluster_count)
-    count = wp.empty(cluster_count, dtype=wp.int32, device=device)
+    device = corner_cluster.device
+    adjacency = build_adjacency(corner_cluster, cluster_count)
+    count = wp.zeros(cluster_count + 1, dtype=wp.int32, device=device)
     lists = [starts_of(adjacency.start), adjacency.corner]
     launch_in_parts(kernels.count_faces, cluster_count, lists, [rows_of(count)], device=device)
-    start = np.concatenate([[0], np.cumsum(count.numpy())]).astype(np.int32)
-    weight_in, start_in = (wp.array(a, device=device) for a in (corner_weight, start))
-    face = wp.empty(int(start[-1]), dtype=wp.int32, device=device)
+    start = starts_of_counts(count)
+    face = wp.empty(last_start(start), dtype=wp.int32, device=device)
     weight = wp.empty(len(face), dtype=wp.float32, device=device)
-    inputs = [*lists, weight_in, starts_of(start_in)]
+    inputs = [*lists, corner_weight, starts_of(start)]
     launch_in_parts(kernels.list_faces, cluster_count, inputs, [face, weight], device=device)
-    return start, face.numpy(), weight.numpy()
+    return start, face, weight
+
+
+def list_faces_at(corner_cluster: np.ndarray, cluster_count: int, device: str) -> tuple[np.ndarray, np.ndarray]:
+    """The faces that have a corner (3N,) int in each cluster, see :func:`gather_faces`: ``start`` and ``face``."""
+    cluster = wp.array(corner_cluster, dtype=wp.int32, device=device)
+    weight = wp.zeros(len(cluster), dtype=wp.float32, device=device)
+    start, face, _ = gather_faces(cluster, weight, cluster_count)
+    return start.numpy(), face.numpy()

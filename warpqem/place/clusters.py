@@ -10,9 +10,10 @@ import warp as wp
 from warpqem.decimation.decimate import DecimatedMesh
 from warpqem.decimation.initial_quadrics import CONSTRAINT_WEIGHT
 from warpqem.decimation.quadric_sums import QuadricSums
+from warpqem.kernels import cluster_rows as kernels
 from warpqem.mesh.mesh_input import AnimatedMesh
-from warpqem.place.anchors import Anchors, fit_anchors, nearest_anchors
-from warpqem.place.block_placer import BlockPlacer, ClusterData, PlacedFrames
+from warpqem.place.anchors import Clusters, fit_anchors, nearest_anchors
+from warpqem.place.block_placer import BlockPlacer, ClusterData, PlacedBlocks
 from warpqem.place.cluster_rows import gather_faces, match_keys, sum_repeated
 from warpqem.place.stiffness import (
     MIN_REGULARISATION,
@@ -22,6 +23,7 @@ from warpqem.place.stiffness import (
     softer_choices,
     stiffness_by_size,
 )
+from warpqem.runtime.part_launches import launch_in_parts, rows_of
 
 __all__ = ["ClusterPlacer", "PlaceSettings"]
 
@@ -69,6 +71,7 @@ class ClusterPlacer:
         on_seam: (C,) bool, vertices that stand for one on a seam.
         nearest: (C,) int32, an input vertex of each cluster near to its anchor.
         copied_count: vertices M that are copies of an input vertex.
+        copied: (M,) int32 on the device, these vertices.
         clusters: what placing a block of frames takes.
         device: Warp device.
     """
@@ -86,136 +89,128 @@ class ClusterPlacer:
         sums: QuadricSums | None = None,
     ) -> None:
         self._settings, self.device = settings, device
-        self._cluster = cluster
         self.vertex_count = len(kept)
-        pinned = pinned | ordered.non_manifold
-        size = np.bincount(cluster[cluster >= 0], minlength=len(kept))
+        pinned = (pinned | ordered.non_manifold)[kept]
+        clusters = Clusters.of(cluster, ordered.line_rank, len(kept), device)
+        size = clusters.size.numpy()
         stiffness, regularisation = stiffness_by_size(size, settings.epsilon, settings.regularisation)
         if settings.loose is not None:
             loose = np.unique(cluster[settings.loose & (cluster >= 0)])
             stiffness[loose], regularisation[loose] = MIN_STIFFNESS, MIN_REGULARISATION
         if settings.endpoint:
-            anchors = nearest_anchors(ordered, cluster, len(kept))
+            anchors = nearest_anchors(ordered, clusters)
             solved = np.zeros(len(kept), dtype=np.int32)
+            self.nearest, largest = anchors.finish(kept, np.zeros(len(kept), dtype=bool))
         else:
-            anchors = fit_anchors(ordered, kept, cluster, regularisation)
-            anchors = _pin(anchors, kept, pinned)
+            anchors = fit_anchors(ordered, kept, clusters, regularisation)
             # A vertex alone in its cluster lies on all its planes: it is its own optimum.
-            solved = ((size > 1) & ~pinned[kept]).astype(np.int32)
+            solved = ((size > 1) & ~pinned).astype(np.int32)
+            self.nearest, largest = anchors.finish(kept, pinned)
         # Corners of seams keep the place that their own planes and seams give them.
-        at_corner = np.zeros(len(kept), dtype=bool)
-        at_corner[cluster[(ordered.line_rank == 2) & (cluster >= 0)]] = True
-        self.free = (solved == 1) & ~at_corner
-        self.on_seam = _on_seam(faces, ordered.constrained, cluster, len(kept))
-        self.nearest = anchors.vertex[_heaviest(anchors)]
+        self.free = (solved == 1) & (clusters.highest_rank.numpy() != 2)
+        half_edge = np.flatnonzero(ordered.constrained)
+        kind = ordered.constrained[half_edge]
+        self.on_seam = _on_seam(faces, half_edge[kind >= 2], cluster, len(kept))
         # An anchor that is one input vertex, not solved for, is copied, so that it keeps its bits.
-        single = np.flatnonzero((solved == 0) & (np.maximum.reduceat(anchors.weight, anchors.start[:-1]) == 1.0))
-        self._copied = single
+        single = np.flatnonzero((solved == 0) & (largest == 1.0))
         self.copied_count = len(single)
+        corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device, copy=False)
+        weight = np.where(kind == 1, CONSTRAINT_WEIGHT[1], CONSTRAINT_WEIGHT[2])
         self.clusters = ClusterData(
-            corner_vertex=faces.ravel(),
+            corner_vertex=corner_vertex,
             rows={
-                **self._gather_clusters(faces, ordered.constrained, quadric_scale, anchors, sums),
+                "member_start": anchors.start,
+                "member": anchors.vertex,
+                "member_weight": anchors.weight,
+                **_own_faces(corner_vertex, clusters.cluster, quadric_scale, len(kept)),
+                **_other_planes(faces, half_edge, weight, cluster, len(kept), quadric_scale, sums),
                 "solved": solved,
                 "stiffness": stiffness,
             },
             copied_from=self.nearest[single],
+            copied=single,
         )
         self._blocks = BlockPlacer(self.clusters, device)
+        self.copied = self._blocks.copied
         if not settings.endpoint:
             choices = softer_choices(stiffness)
             error, area = self._blocks.measure_stiffness(ordered.key_position, choices)
             chosen = choose_softness(error, area, recent_errors(ordered.log, kept), evened=settings.evened)
             self._blocks.set_stiffness(choices[np.arange(len(kept)), chosen])
 
-    def _gather_clusters(
-        self,
-        faces: np.ndarray,
-        constrained: np.ndarray,
-        quadric_scale: np.ndarray,
-        anchors: Anchors,
-        sums: QuadricSums | None,
-    ) -> dict[str, np.ndarray]:
-        """Faces, border and seam edges of each cluster, each once, weighted by its corners there.
-
-        Those at other vertices that ``sums`` names are apart, or have a larger weight.
-        """
-        corner_vertex = faces.ravel()
-        face_start, face, face_weight = gather_faces(
-            self._cluster[corner_vertex], quadric_scale[corner_vertex], self.vertex_count, self.device
-        )
-        half_edge = np.flatnonzero(constrained)
-        weight = np.where(constrained[half_edge] == 1, CONSTRAINT_WEIGHT[1], CONSTRAINT_WEIGHT[2])
-        ends = np.concatenate([half_edge, half_edge - half_edge % 3 + (half_edge + 1) % 3])
-        end_vertex = corner_vertex[ends]
-        # Cluster, half-edge and weight.
-        border = (
-            self._cluster[end_vertex],
-            np.concatenate([half_edge, half_edge]),
-            np.concatenate([weight, weight]) * quadric_scale[end_vertex],
-        )
-        other: tuple[np.ndarray, np.ndarray, np.ndarray] = (
-            np.empty(0, dtype=np.int32),
-            np.empty(0, dtype=np.int64),
-            np.empty(0),
-        )
-        if sums is not None:
-            owner = self._cluster[sums.entry_row]
-            entry, corner = match_keys(sums.vertex, corner_vertex)
-            other = (owner[entry], corner // 3, sums.weight[entry] * quadric_scale[corner_vertex[corner]])
-            entry, end = match_keys(sums.vertex, end_vertex)
-            joined = (owner[entry], border[1][end], sums.weight[entry] * border[2][end])
-            rows, items, weights = (np.concatenate(pair) for pair in zip(border, joined, strict=True))
-            border = (rows, items, weights)
-        other_start, other_face, other_weight = sum_repeated(*other, self.vertex_count)
-        border_start, border_half_edge, border_weight = sum_repeated(*border, self.vertex_count)
-        return {
-            "member_start": anchors.start,
-            "member": anchors.vertex,
-            "member_weight": anchors.weight,
-            "face_start": face_start,
-            "face": faces[face],
-            "face_weight": face_weight,
-            "other_start": other_start,
-            "other": faces[other_face],
-            "other_weight": other_weight,
-            "border_start": border_start,
-            "border": border_half_edge,
-            "border_weight": border_weight,
-        }
-
-    def place(self, mesh: AnimatedMesh, points: np.ndarray, packed: wp.array | None = None) -> PlacedFrames:
-        """Place some frames of the mesh, given about its origin: (n, V, 3) float32; see :class:`BlockPlacer`."""
+    def place(self, mesh: AnimatedMesh, points: wp.array, packed: wp.array | None = None) -> PlacedBlocks:
+        """Place some frames of the mesh, given about its origin: (n, V) points; see :class:`BlockPlacer`."""
         return self._blocks.place(mesh, points, packed)
 
-    def original_points(self, mesh: AnimatedMesh, placed: PlacedFrames) -> np.ndarray:
-        """The placed points in the caller's coordinates, (n, C, 3) float32."""
-        points = mesh.original_points(placed.points)
-        points[:, self._copied] = placed.copied + mesh.origin
-        return points
 
-
-def _on_seam(faces: np.ndarray, constrained: np.ndarray, cluster: np.ndarray, cluster_count: int) -> np.ndarray:
-    """(C,) bool, clusters that hold a vertex of a seam. Seam edges are marked in both their faces."""
-    owner = cluster[faces.ravel()[np.flatnonzero(constrained >= 2)]]
+def _on_seam(faces: np.ndarray, seams: np.ndarray, cluster: np.ndarray, cluster_count: int) -> np.ndarray:
+    """(C,) bool, clusters that hold a vertex of a seam, of the half-edges of seams, which both their faces have."""
+    owner = cluster[faces.ravel()[seams]]
     on_seam = np.zeros(cluster_count, dtype=bool)
     on_seam[owner[owner >= 0]] = True
     return on_seam
 
 
-def _heaviest(anchors: Anchors) -> np.ndarray:
-    """Index into ``anchors.vertex`` of the member with the largest weight, per anchor (C,)."""
-    cluster = np.repeat(np.arange(len(anchors.start) - 1), np.diff(anchors.start))
-    largest = np.flatnonzero(anchors.weight == np.maximum.reduceat(anchors.weight, anchors.start[:-1])[cluster])
-    return largest[np.unique(cluster[largest], return_index=True)[1]]
+def _own_faces(
+    corner_vertex: wp.array, cluster: wp.array, quadric_scale: np.ndarray, cluster_count: int
+) -> dict[str, wp.array]:
+    """Faces of each cluster, each once, weighted by its corners there; what the rows of them are."""
+    device, corner_count = corner_vertex.device, len(corner_vertex)
+    corner_cluster = wp.empty(corner_count, dtype=wp.int32, device=device)
+    corner_weight = wp.empty(corner_count, dtype=wp.float32, device=device)
+    scale = wp.array(quadric_scale, dtype=wp.float32, device=device, copy=False)
+    inputs, outputs = [rows_of(corner_vertex), cluster, scale], [rows_of(corner_cluster), rows_of(corner_weight)]
+    launch_in_parts(kernels.label_corners, corner_count, inputs, outputs, device=device)
+    start, face, weight = gather_faces(corner_cluster, corner_weight, cluster_count)
+    corners = wp.empty(len(face), dtype=wp.vec3i, device=device)
+    if len(face):
+        inputs = [rows_of(face), corner_vertex]
+        launch_in_parts(kernels.gather_corners, len(face), inputs, [rows_of(corners)], device=device)
+    return {"face_start": start, "face": corners, "face_weight": weight}
 
 
-def _pin(anchors: Anchors, kept: np.ndarray, pinned: np.ndarray) -> Anchors:
-    """Anchor each pinned vertex to itself alone, also where it is not among the nearest members of its cluster."""
-    vertex, weight = anchors.vertex.copy(), anchors.weight.copy()
-    cluster = np.repeat(np.arange(len(kept)), np.diff(anchors.start))
-    weight[pinned[kept][cluster]] = 0.0
-    first = anchors.start[:-1][pinned[kept]]
-    vertex[first] = kept[pinned[kept]]
-    weight[first] = 1.0
-    return Anchors(anchors.start, vertex, weight)
+def _other_planes(
+    faces: np.ndarray,
+    half_edge: np.ndarray,
+    weight: np.ndarray,
+    cluster: np.ndarray,
+    cluster_count: int,
+    quadric_scale: np.ndarray,
+    sums: QuadricSums | None,
+) -> dict[str, np.ndarray]:
+    """Border and seam half-edges of each cluster, each once, weighted by its ends there; what the rows of them are.
+
+    Faces and half-edges at other vertices that ``sums`` names are rows of their own, or have a larger weight.
+    """
+    corner_vertex = faces.ravel()
+    ends = np.concatenate([half_edge, half_edge - half_edge % 3 + (half_edge + 1) % 3])
+    end_vertex = corner_vertex[ends]
+    # Cluster, half-edge and weight.
+    border = (
+        cluster[end_vertex],
+        np.concatenate([half_edge, half_edge]),
+        np.concatenate([weight, weight]) * quadric_scale[end_vertex],
+    )
+    other: tuple[np.ndarray, np.ndarray, np.ndarray] = (
+        np.empty(0, dtype=np.int32),
+        np.empty(0, dtype=np.int64),
+        np.empty(0),
+    )
+    if sums is not None:
+        owner = cluster[sums.entry_row]
+        entry, corner = match_keys(sums.vertex, corner_vertex)
+        other = (owner[entry], corner // 3, sums.weight[entry] * quadric_scale[corner_vertex[corner]])
+        entry, end = match_keys(sums.vertex, end_vertex)
+        joined = (owner[entry], border[1][end], sums.weight[entry] * border[2][end])
+        rows, items, weights = (np.concatenate(pair) for pair in zip(border, joined, strict=True))
+        border = (rows, items, weights)
+    other_start, other_face, other_weight = sum_repeated(*other, cluster_count)
+    border_start, border_half_edge, border_weight = sum_repeated(*border, cluster_count)
+    return {
+        "other_start": other_start,
+        "other": faces[other_face],
+        "other_weight": other_weight,
+        "border_start": border_start,
+        "border": border_half_edge,
+        "border_weight": border_weight,
+    }

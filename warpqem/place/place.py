@@ -7,10 +7,11 @@ import warp as wp
 
 from warpqem.decimation.decimate import DecimatedMesh
 from warpqem.decimation.quadric_sums import QuadricSums
-from warpqem.frames.blocks import block_width, pack_frames
+from warpqem.frames.blocks import block_width
 from warpqem.kernels import placement as kernels
+from warpqem.kernels.lanes import width_of
 from warpqem.mesh.mesh_input import AnimatedMesh
-from warpqem.place.block_placer import PlacedFrames
+from warpqem.place.block_placer import PlacedBlocks, PlacedFrames
 from warpqem.place.clusters import ClusterPlacer, PlaceSettings
 from warpqem.runtime.launches import launch
 
@@ -45,24 +46,29 @@ class Placer(ClusterPlacer):
         sums: QuadricSums | None = None,
     ) -> None:
         # Output vertices keep the order of the input vertices they go by.
-        kept, out_faces = np.unique(ordered.faces, return_inverse=True)
+        is_kept = np.zeros(len(ordered.root), dtype=bool)
+        is_kept[ordered.faces] = True
+        kept = np.flatnonzero(is_kept)
         index = np.full(len(ordered.root), -1, dtype=np.int32)
         index[kept] = np.arange(len(kept), dtype=np.int32)
         self.vertex_map = index[ordered.root]
-        self.faces = out_faces.reshape(-1, 3).astype(np.int32)
+        self.faces = index[ordered.faces]
         super().__init__(faces, ordered, kept, self.vertex_map, quadric_scale, pinned, settings, device, sums)
         self._out_corner_vertex = wp.array(self.faces.ravel(), dtype=wp.int32, device=device)
 
-    def count_flips(self, mesh: AnimatedMesh, placed: PlacedFrames) -> np.ndarray:
+    def count_flips(self, placed: PlacedBlocks) -> np.ndarray:
         """Faces of each frame that face away from the input, (n,) int32."""
-        width = block_width(mesh.frame_count, self.device)
-        points, normals = (pack_frames(a, self.device, width=width) for a in (placed.points, placed.normals))
-        count = wp.zeros(points.shape[1] * width, dtype=wp.int32, device=self.device)
+        block_count, width = placed.points.shape[1], width_of(placed.points)
+        count = wp.zeros(block_count * width, dtype=wp.int32, device=self.device)
         launch(
             kernels.count_flips[width],
-            dim=(len(self.faces), points.shape[1]),
-            inputs=[points, normals, self._out_corner_vertex],
+            dim=(len(self.faces), block_count),
+            inputs=[placed.points, placed.normals, self._out_corner_vertex],
             outputs=[count],
             device=self.device,
         )
-        return count[: len(placed.points)].numpy()
+        return count[: len(placed.source)].numpy()
+
+    def to_blocks(self, mesh: AnimatedMesh, placed: PlacedFrames) -> PlacedBlocks:
+        """Frames that were kept on the host, on the device again."""
+        return placed.to_blocks(block_width(mesh.frame_count, self.device), self.copied)

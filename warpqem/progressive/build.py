@@ -12,6 +12,7 @@ from warpqem.arguments.progress import CancelToken, Progress, ProgressInput, lis
 from warpqem.decimation.collapse_nodes import NodeRecorder
 from warpqem.decimation.replay import OrderedLevels
 from warpqem.errors import OptionError
+from warpqem.frames.device_frames import to_device
 from warpqem.frames.stream import read_ahead
 from warpqem.options import MethodKeywords, read_keywords
 from warpqem.pipeline.prepare import ORDER_END, Prepared, prepare
@@ -103,8 +104,9 @@ def _place_all(work: Prepared, levels: OrderedLevels, topology: SplitTopology, p
     ]
     for frames, points in read_ahead(mesh.points, work.blocks):
         placed[frames, single] = points[:, topology.row_vertex[single]] + mesh.origin
+        on_device = to_device(points, work.device)
         for row, placer in placers:
-            placed[frames, row] = placer.original_points(mesh, placer.place(mesh, points))
+            placed[frames, row] = placer.place(mesh, on_device).original_points(mesh)
         if progress:
             progress(ORDER_END + (1.0 - ORDER_END) * frames.stop / mesh.frame_count, "place")
     return placed

@@ -29,41 +29,49 @@ class DeviceTraits:
 
     Attributes:
         block_width: frames that one thread works on side by side, see :mod:`warpqem.kernels.lanes`.
+        warp_threads: threads that run in step.
         launch_threads: threads of a launch over a work list, each of which takes every so many of its items.
         in_order: the threads of a launch run one after the other, in the order of their index.
         splits_launches: a launch runs on one core, so a long one is split over the cores of the machine.
         captures: recorded launches are captured as a graph. Nothing else may use the device meanwhile.
         compiles_together: the first launch that finds no compiled code compiles all kernels, several at once.
+        own_memory: arrays of the host are copied to the device, which takes longer than most of what is done there.
         graph_loops: a graph may hold loops and branches; on a device without captures, what stands for one.
     """
 
     block_width: int
+    warp_threads: int
     launch_threads: int
     in_order: bool
     splits_launches: bool
     captures: bool
     compiles_together: bool
+    own_memory: bool
     graph_loops: bool
 
 
 # On a CPU, Warp's captures are one for the whole process, and a recorded launch takes 3 microseconds without one.
 CPU = DeviceTraits(
     block_width=WIDE,
+    warp_threads=1,
     launch_threads=1,
     in_order=True,
     splits_launches=True,
     captures=False,
     compiles_together=False,
+    own_memory=False,
     graph_loops=True,
 )
 # 65536 threads are enough to fill any GPU of today.
 GPU = DeviceTraits(
     block_width=1,
+    warp_threads=32,
     launch_threads=65536,
     in_order=False,
     splits_launches=False,
     captures=True,
     compiles_together=True,
+    own_memory=True,
     graph_loops=True,
 )
 
