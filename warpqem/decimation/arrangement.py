@@ -83,12 +83,13 @@ class Arrangement:
 
     def restore_log(self, log: CollapseRecord) -> CollapseRecord:
         """The collapses in terms of input vertices."""
-        # What has no vertex has -1, which takes the last entry.
+        # An opposite vertex that is not there is -1, which wraps around to the last entry.
         vertex = np.append(self.host_vertex, np.int32(-1))
+        kept, removed, opposites = (np.take(vertex, v, mode="wrap") for v in (log.kept, log.removed, log.opposites))
         return CollapseRecord(
-            vertex[log.kept],
-            vertex[log.removed],
-            vertex[log.opposites],
+            kept,
+            removed,
+            opposites,
             log.faces_removed,
             log.cost,
             log.error,
