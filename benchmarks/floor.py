@@ -22,11 +22,13 @@ from benchmarks.demand import moved_of as _moved
 from benchmarks.demand import size_of as _size
 from benchmarks.floor_options import OPTION_MODELS, frame_items
 from benchmarks.floor_place import PLACE_MODELS
+from benchmarks.floor_preparation import PREPARATION_MODELS
 
 __all__ = ["COUNTED", "Demand", "count_demand", "floor_seconds"]
 
-# The anchor 67, the merged quadric 70, its minimiser 56, the sums of the target 9.
-TARGET_FLOPS = 202
+# The anchor, the merged quadric 70, its minimiser 56, the sums of the target 9.
+ANCHOR_FLOPS = 67
+TARGET_FLOPS = ANCHOR_FLOPS + 135
 # Per face and frame: two edges and two normals 39, their dot product and test 8.
 FLIP_FLOPS = 47
 # Two shifts and a sum of quadrics, error and trace.
@@ -73,6 +75,40 @@ def _check_collapses(a: Arguments) -> Demand:
     )
 
 
+def _measure_anchors(a: Arguments) -> Demand:
+    selected, keys = _length(a["selected"]), _keys(a)
+    return Demand(selected * (keys * (2 * ROW + POINT) + 3 * INT), selected * keys * ANCHOR_FLOPS)
+
+
+def _sum_anchor_terms(a: Arguments) -> Demand:
+    selected, blocks = _length(a["selected"]), a["term_in"].shape[1]
+    return Demand(selected * (blocks * POINT + 6 * INT), selected * blocks * 3)
+
+
+def _place_blocks(a: Arguments) -> Demand:
+    selected, keys = _length(a["selected"]), _keys(a)
+    return Demand(selected * (keys * (2 * ROW + POINT) + 6 * INT), selected * keys * (TARGET_FLOPS - ANCHOR_FLOPS))
+
+
+def _settle_collapses(a: Arguments) -> Demand:
+    # Corners of both ends and what is noted there; a member or two.
+    return Demand(_length(a["selected"]) * (2 * VALENCE * 4 + 8) * INT)
+
+
+def _merge_blocks(a: Arguments) -> Demand:
+    collapses, keys = _collapses(a), _keys(a)
+    return Demand(collapses * (keys * (3 * ROW + 2 * POINT) + 4 * INT), collapses * keys * MERGE_FLOPS)
+
+
+def _commit_merged(a: Arguments) -> Demand:
+    collapses, blocks = _collapses(a), a["term_in"].shape[1]
+    return Demand(collapses * (blocks * POINT + 8 * INT + 2 * VALENCE * 6 * INT), collapses * blocks * 2)
+
+
+def _collapses(a: Arguments) -> int:
+    return int(np.count_nonzero(a["faces_removed_in"].numpy()[: _length(a["selected"])]))
+
+
 def _open_log(a: Arguments) -> Demand:
     return Demand(_size(a["legal_count"]) * 4 + _size(a["log_slot"]) * 2)
 
@@ -83,7 +119,7 @@ def _remove_dead_corners(a: Arguments) -> Demand:
 
 
 def _commit_collapses(a: Arguments) -> Demand:
-    collapses, keys = int(np.count_nonzero(a["faces_removed_in"].numpy()[: _length(a["selected"])])), _keys(a)
+    collapses, keys = _collapses(a), _keys(a)
     # Two rows and the target read, one row written; the log; the mask and corners of both ends.
     return Demand(
         collapses * (keys * (3 * ROW + POINT) + 8 * INT + 2 * VALENCE * 6 * INT), collapses * keys * MERGE_FLOPS
@@ -253,6 +289,12 @@ _MODELS: dict[str, Callable[[Arguments], Demand]] = {
         _resume_neighbourhoods,
         _place_collapses,
         _check_collapses,
+        _measure_anchors,
+        _sum_anchor_terms,
+        _place_blocks,
+        _settle_collapses,
+        _merge_blocks,
+        _commit_merged,
         _open_log,
         _remove_dead_corners,
         _commit_collapses,
@@ -290,7 +332,7 @@ _MODELS: dict[str, Callable[[Arguments], Demand]] = {
     )
 }
 
-_MODELS |= OPTION_MODELS | PLACE_MODELS
+_MODELS |= OPTION_MODELS | PREPARATION_MODELS | PLACE_MODELS | {"check_slots": _check_collapses}
 # One thread with some numbers of the loop of passes.
 _BOOKKEEPING = (
     "begin_pass",
@@ -322,6 +364,12 @@ def count_demand(kernel: str, arguments: Arguments, threads: int) -> Demand | No
     return Demand(share * whole.bytes, share * whole.flops)
 
 
+def _vertex_count(a: Arguments) -> int:
+    if "members" in a:
+        return int(a["members"].area.size)
+    return int(a["vertex_flags" if "vertex_flags" in a else "vertex_flags_in"].size)
+
+
 def _share(a: Arguments, threads: int) -> float:
     """The part of the whole that a launch does, where CPU threads have a launch each."""
     if "work" in a:
@@ -331,7 +379,7 @@ def _share(a: Arguments, threads: int) -> float:
     if "first_output" in a:
         return threads / a["squared"].size
     if "first_vertex" in a:
-        return threads / a["vertex_flags"].size
+        return threads / _vertex_count(a)
     if "turns" in a:
         return min(1.0, threads / frame_items(a))
     return 1.0

@@ -7,7 +7,7 @@ after part on one thread.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
@@ -19,7 +19,7 @@ import warp as wp
 
 from benchmarks.floor import Demand, count_demand
 from warpqem.decimation.recorded_launches import LaunchGroup, RecordedLaunches
-from warpqem.runtime.launches import Recorder
+from warpqem.runtime.launches import DirectRecorder, Recorder
 
 __all__ = ["LaunchProfile", "profile_launches"]
 
@@ -70,21 +70,6 @@ class LaunchProfile:
         entry.events = (before, after)
 
 
-class _AtOnce(Recorder):
-    """Does what it is to record, each operation as it comes."""
-
-    def __init__(self, device: str) -> None:
-        super().__init__(device)
-        self._launch_device = device
-
-    def launch(self, kernel: wp.Kernel, dim: int, inputs: Sequence[Any], outputs: Sequence[Any] = ()) -> None:
-        """Launch a kernel now."""
-        wp.launch(kernel, dim, inputs, outputs, device=self._launch_device)
-
-    def _add(self, operation: Callable[[], object], *arguments: Any) -> None:
-        operation()
-
-
 def _thread_count(dim: int | Sequence[int]) -> int:
     return dim if isinstance(dim, int) else prod(dim)
 
@@ -111,7 +96,7 @@ def profile_launches() -> Iterator[LaunchProfile]:
     def run_groups(self: Any) -> None:
         for group in self.groups:
             for part in range(group.part_count):
-                group.record(_AtOnce(self.device), part)
+                group.record(DirectRecorder(self.device), part)
 
     def record(self: Any, kernel: wp.Kernel, dim: int, inputs: Sequence, outputs: Sequence = ()) -> None:
         self._add(partial(launch, kernel, dim, list(inputs), list(outputs), device=self._device), *inputs, *outputs)

@@ -11,7 +11,7 @@ from warpqem.kernels.member_distance import join_members
 from warpqem.kernels.mesh_state import KEY_FRAMES, AnyKeyFrames, CollapseLog, MeshState, degree
 from warpqem.kernels.prefetch import prefetch_adjacency, prefetch_collapses
 from warpqem.kernels.quadric import NO_PLANE, shift_origin, trace
-from warpqem.kernels.quadric_sums import merge_sums
+from warpqem.kernels.quadric_sums import merge_sum, merge_sum_rows
 from warpqem.kernels.topology import (
     BORDER,
     CORNER,
@@ -29,27 +29,40 @@ wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
 
 @wp.func
+def merge_frame(state: MeshState, frames: AnyKeyFrames, u: wp.int32, v: wp.int32, x: Any, t: wp.int32):
+    """Move ``u`` to ``x`` in block ``t``, with the quadrics of both; area times squared error there, and area."""
+    if state.sum_row.shape[0] > 0:
+        merge_sum(state, frames, u, v, x, t)
+    p = frames.position[u, t]
+    q = shift_origin(merged_quadric(frames, u, v, t, 0.0), x - p)
+    frames.quadric[u, t] = q
+    frames.position[u, t] = x
+    return lane_sum(lane_max(q[9], 0.0)), lane_sum(trace(q))
+
+
+@wp.func
 def merge_vertex(
     state: MeshState, frames: AnyKeyFrames, u: wp.int32, v: wp.int32, target: Any, slot: wp.int32
 ) -> wp.float32:
     """Move ``u`` to the target in every frame, with the quadrics of both; the mean squared error is returned."""
     total = wp.float32(0.0)
     area = wp.float32(0.0)
-    if state.sum_row.shape[0] > 0:
-        merge_sums(state, frames, u, v, target, slot)
     for t in range(frames.position.shape[1]):
-        x = target[slot, t]
-        p = frames.position[u, t]
-        q = shift_origin(merged_quadric(frames, u, v, t, 0.0), x - p)
-        total += lane_sum(lane_max(q[9], 0.0))
-        area += lane_sum(trace(q))
-        frames.quadric[u, t] = q
-        frames.position[u, t] = x
+        added_total, added_area = merge_frame(state, frames, u, v, target[slot, t], t)
+        total += added_total
+        area += added_area
+    return total / wp.max(area, NO_PLANE)
+
+
+@wp.func
+def merge_values(state: MeshState, u: wp.int32, v: wp.int32):
+    """What ``u`` has of both ends that is no frame's: flags, weights, rows and members."""
+    if state.sum_row.shape[0] > 0:
+        merge_sum_rows(state, u, v)
     state.vertex_flags[u] = state.vertex_flags[u] | state.vertex_flags[v]
     state.cost_weight[u] = 0.5 * (state.cost_weight[u] + state.cost_weight[v])
     state.quadric_scale[u] = 0.5 * (state.quadric_scale[u] + state.quadric_scale[v])
     join_members(state, u, v)
-    return total / wp.max(area, NO_PLANE)
 
 
 @wp.func
@@ -238,6 +251,59 @@ def merge_corners(state: MeshState, u: wp.int32, v: wp.int32):
             state.corner_vertex[h] = u
 
 
+@wp.func
+def ends_of(state: MeshState, h: wp.int32):
+    """The vertex that the collapse of half-edge ``h`` keeps, the lower or the pinned one, and the one it removes."""
+    a = state.corner_vertex[h]
+    b = half_edge_target(state.corner_vertex, h)
+    v = removed_end(state.vertex_flags, a, b)
+    return wp.where(v == a, b, a), v
+
+
+@wp.func
+def commit_collapse(
+    state: MeshState,
+    h: wp.int32,
+    anchor: wp.float32,
+    lead: Any,
+    pass_number: wp.int32,
+    part: wp.int32,
+    mask: wp.array[wp.int32],
+    log: CollapseLog,
+    log_slot: wp.array[wp.int32],
+    pool_slot: wp.array[wp.int32],
+) -> wp.int32:
+    """Apply and log the collapse of half-edge ``h``, but for the frames and the error; its slot in the log.
+
+    ``anchor`` is that of its edge, ``lead`` the block of frames that its vertex goes to with the first.
+    """
+    a = state.corner_vertex[h]
+    opposite = find_half_edge(state.corner_vertex, state.adjacency, half_edge_target(state.corner_vertex, h), a)
+    u, v = ends_of(state, h)
+    slot = wp.atomic_add(log_slot, part, 1)
+    log_collapse(state, log, slot, u, v, h, opposite)
+    mask_ring(state, mask, pass_number, u)
+    mask_ring(state, mask, pass_number, v)
+    if state.trajectory.shape[0] > 0:
+        # Every frame of it moves after the pass, see :func:`move_trajectories`.
+        for chunk in range(state.deformation.anchor.shape[1]):
+            state.deformation.anchor[u, chunk] = wp.where(u == a, anchor, 1.0 - anchor)
+    if state.wedges.channel_count > 0:
+        merge_wedges(state, u, v, first_frame(lead))
+    merge_values(state, u, v)
+    join_seams(state, u, v, h)
+    if opposite >= 0:
+        join_seams(state, u, v, opposite)
+    merge_corners(state, u, v)
+    classify_seams(state, u, v)
+    adjacency_size = degree(state, u) + degree(state, v)
+    entry = wp.atomic_add(pool_slot, part, adjacency_size)
+    # A pool without room for it is known by its count: then the adjacency is built anew after the pass.
+    if entry + adjacency_size <= state.adjacency.corner.shape[0]:
+        merge_adjacency(state, u, v, entry)
+    return slot
+
+
 @lane_kernel(frames=KEY_FRAMES, target_in=POINTS_ARRAY)
 def commit_collapses(
     # in and out
@@ -258,10 +324,10 @@ def commit_collapses(
     log_slot: wp.array[wp.int32],
     pool_slot: wp.array[wp.int32],
 ):
-    """Apply and log the legal collapses, those that remove faces. The lower vertex is kept, or the pinned one.
+    """Apply and log the legal collapses, those that remove faces.
 
-    Its adjacency is put together at once: no other collapse of the pass reads it. That of the opposite vertices stays
-    as it is until the pass is over.
+    The adjacency of the vertex kept is put together at once: no other collapse of the pass reads it. That of the
+    opposite vertices stays as it is until the pass is over.
     """
     first_slot = count_before(selected, work.part)
     for w in range(wp.tid(), selected.count[work.part], work.thread_count):
@@ -269,33 +335,14 @@ def commit_collapses(
         prefetch_collapses(state, frames, selected, work, w)
         if faces_removed_in[i] > 0:
             h = selected.half_edge[work.part * selected.capacity + w]
-            a = state.corner_vertex[h]
-            b = half_edge_target(state.corner_vertex, h)
-            opposite = find_half_edge(state.corner_vertex, state.adjacency, b, a)
-            v = removed_end(state.vertex_flags, a, b)
-            u = wp.where(v == a, b, a)
-            slot = wp.atomic_add(log_slot, work.part, 1)
-            log_collapse(state, log, slot, u, v, h, opposite)
+            u, v = ends_of(state, h)
+            error = merge_vertex(state, frames, u, v, target_in, i)
+            lead = target_in[i, 0]
+            slot = commit_collapse(
+                state, h, anchor_in[i], lead, pass_number_in[0], work.part, mask, log, log_slot, pool_slot
+            )
             log.faces_removed[slot] = faces_removed_in[i]
-            mask_ring(state, mask, pass_number_in[0], u)
-            mask_ring(state, mask, pass_number_in[0], v)
-            if state.trajectory.shape[0] > 0:
-                # Every frame of it moves after the pass, see :func:`move_trajectories`.
-                for chunk in range(state.deformation.anchor.shape[1]):
-                    state.deformation.anchor[u, chunk] = wp.where(u == a, anchor_in[i], 1.0 - anchor_in[i])
-            if state.wedges.channel_count > 0:
-                merge_wedges(state, u, v, first_frame(target_in[i, 0]))
-            log.error[slot] = wp.max(error_in[i], merge_vertex(state, frames, u, v, target_in, i))
-            join_seams(state, u, v, h)
-            if opposite >= 0:
-                join_seams(state, u, v, opposite)
-            merge_corners(state, u, v)
-            classify_seams(state, u, v)
-            adjacency_size = degree(state, u) + degree(state, v)
-            entry = wp.atomic_add(pool_slot, work.part, adjacency_size)
-            # A pool without room for it is known by its count: then the adjacency is built anew after the pass.
-            if entry + adjacency_size <= state.adjacency.corner.shape[0]:
-                merge_adjacency(state, u, v, entry)
+            log.error[slot] = wp.max(error_in[i], error)
 
 
 @wp.kernel

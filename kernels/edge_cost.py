@@ -44,8 +44,8 @@ MIDDLE_REGULARISATION = wp.constant(wp.float32(1.0e-5))
 # On flat ground every edge costs nothing. This part of area x length^2 makes short edges go first, far below the cost
 # of any visible bend, so that triangles stay compact.
 LENGTH_COST = wp.constant(wp.float32(1.0e-8))
-# Threads for the edges around a vertex: most have six faces, so that each computes the cost of one or two edges.
-RING_SLOTS = wp.constant(wp.int32(8))
+# Threads for the edges around a vertex: most have six faces, and each of their twelve half-edges there a thread.
+RING_SLOTS = wp.constant(wp.int32(16))
 # A collapse that changes how seams run counts as an error of this part of the edge's length, squared: costly enough
 # that seams stay as long as the shape has something to spare, and that the smallest go first.
 SEAM_COST = wp.constant(wp.float32(0.01))
@@ -67,28 +67,41 @@ def merged_quadric(frames: AnyKeyFrames, u: wp.int32, v: wp.int32, t: wp.int32, 
 
 
 @wp.func
-def edge_anchor(state: MeshState, frames: AnyKeyFrames, model: CostModel, u: wp.int32, v: wp.int32) -> wp.float32:
-    """``lambda`` of the material anchor ``(1 - lambda) p_u + lambda p_v``: minimises the quadrics' sum over all frames.
-
-    Where one end may only collapse into the other, the other is the anchor.
-    """
+def forced_anchor(state: MeshState, u: wp.int32, v: wp.int32) -> wp.float32:
+    """The anchor where one end may only collapse into the other: 0 at ``u``, 1 at ``v``. Else -1."""
     u_goes = may_collapse_into(state.vertex_flags[u], state.vertex_flags[v])
     v_goes = may_collapse_into(state.vertex_flags[v], state.vertex_flags[u])
     if u_goes != v_goes:
         return wp.where(u_goes, wp.float32(1.0), wp.float32(0.0))
-    slope = wp.float32(0.0)
-    stiffness = wp.float32(0.0)
-    regularisation = wp.float32(0.0)
-    for t in range(frames.position.shape[1]):
-        # d.b and d^T A d of the merged quadric, without building it: this loop is half the time of an edge's cost.
-        d = frames.position[v, t] - frames.position[u, t]
-        qu = frames.quadric[u, t]
-        qv = frames.quadric[v, t]
-        bend_u = lane_dot(d, apply_matrix(qu, d))
-        bend_v = lane_dot(d, apply_matrix(qv, d))
-        slope += lane_sum(lane_dot(d, linear_part(qu) + linear_part(qv)) - bend_v)
-        stiffness += lane_sum(bend_u + bend_v)
-        regularisation += wp.dot(trace(qu) + trace(qv), lane_dot(d, d))
+    return wp.float32(-1.0)
+
+
+@wp.func
+def anchor_terms(frames: AnyKeyFrames, u: wp.int32, v: wp.int32, t: wp.int32):
+    """What the anchor of an edge sums over the blocks of frames: slope, stiffness and regularisation."""
+    # d.b and d^T A d of the merged quadric, without building it: this is half the time of an edge's cost.
+    d = frames.position[v, t] - frames.position[u, t]
+    qu = frames.quadric[u, t]
+    qv = frames.quadric[v, t]
+    bend_u = lane_dot(d, apply_matrix(qu, d))
+    bend_v = lane_dot(d, apply_matrix(qv, d))
+    slope = lane_sum(lane_dot(d, linear_part(qu) + linear_part(qv)) - bend_v)
+    return slope, lane_sum(bend_u + bend_v), wp.dot(trace(qu) + trace(qv), lane_dot(d, d))
+
+
+@wp.func
+def anchor_of_terms(
+    state: MeshState,
+    model: CostModel,
+    u: wp.int32,
+    v: wp.int32,
+    slope_sum: wp.float32,
+    stiffness_sum: wp.float32,
+    regularisation_sum: wp.float32,
+) -> wp.float32:
+    """The anchor of an edge that may collapse both ways, given its terms summed over all frames."""
+    slope = wp.float32(slope_sum)
+    stiffness = wp.float32(stiffness_sum)
     if state.wedges.channel_count > 0:
         bend = attribute_parabola(state, u, v)
         slope += bend[0]
@@ -96,10 +109,30 @@ def edge_anchor(state: MeshState, frames: AnyKeyFrames, model: CostModel, u: wp.
     if model.endpoint == 1:
         # Q(1) - Q(0) = 2 b.d + d^T A d
         return wp.where(2.0 * slope + stiffness < 0.0, wp.float32(1.0), wp.float32(0.0))
-    regularisation *= MIDDLE_REGULARISATION
+    regularisation = MIDDLE_REGULARISATION * regularisation_sum
     if stiffness + regularisation <= NO_PLANE:
         return 0.5
     return wp.clamp((0.5 * regularisation - slope) / (stiffness + regularisation), 0.0, 1.0)
+
+
+@wp.func
+def edge_anchor(state: MeshState, frames: AnyKeyFrames, model: CostModel, u: wp.int32, v: wp.int32) -> wp.float32:
+    """``lambda`` of the material anchor ``(1 - lambda) p_u + lambda p_v``: minimises the quadrics' sum over all frames.
+
+    Where one end may only collapse into the other, the other is the anchor.
+    """
+    forced = forced_anchor(state, u, v)
+    if forced >= 0.0:
+        return forced
+    slope = wp.float32(0.0)
+    stiffness = wp.float32(0.0)
+    regularisation = wp.float32(0.0)
+    for t in range(frames.position.shape[1]):
+        added_slope, added_stiffness, added_regularisation = anchor_terms(frames, u, v, t)
+        slope += added_slope
+        stiffness += added_stiffness
+        regularisation += added_regularisation
+    return anchor_of_terms(state, model, u, v, slope, stiffness, regularisation)
 
 
 @wp.func

@@ -115,8 +115,8 @@ def spans_mirror(state: MeshState, u: wp.int32, v: wp.int32, left: wp.int32, rig
 
 
 @wp.func
-def is_manifold_collapse(state: MeshState, h: wp.int32) -> wp.bool:
-    """Link condition, pinch, opposite vertex, mirror and last face rules for half-edge ``h``."""
+def keeps_manifold_ends(state: MeshState, h: wp.int32) -> wp.bool:
+    """Pinch, opposite vertex, mirror and last face rules for half-edge ``h``."""
     u = state.corner_vertex[h]
     v = half_edge_target(state.corner_vertex, h)
     left = state.corner_vertex[previous_corner(h)]
@@ -133,19 +133,48 @@ def is_manifold_collapse(state: MeshState, h: wp.int32) -> wp.bool:
     if ((state.vertex_flags[u] ^ state.vertex_flags[v]) & MIRROR) != 0 and spans_mirror(state, u, v, left, right):
         return False
     removed = wp.where(opposite >= 0, 2, 1)
-    if degree(state, u) + degree(state, v) <= 2 * removed:
-        return False
-    # Those that enter need no look around an inner vertex.
+    return degree(state, u) + degree(state, v) > 2 * removed
+
+
+@wp.func
+def opposite_vertices(state: MeshState, h: wp.int32):
+    """The vertices opposite the edge of half-edge ``h``; the second is -1 at a border."""
+    u = state.corner_vertex[h]
+    opposite = find_half_edge(state.corner_vertex, state.adjacency, half_edge_target(state.corner_vertex, h), u)
+    right = wp.int32(-1)
+    if opposite >= 0:
+        right = state.corner_vertex[previous_corner(opposite)]
+    return state.corner_vertex[previous_corner(h)], right
+
+
+@wp.func
+def joins_rings(
+    state: MeshState, u: wp.int32, g: wp.int32, left: wp.int32, right: wp.int32, open_fan: wp.bool
+) -> wp.bool:
+    """Whether a neighbour of ``v`` at its corner ``g`` is one of ``u`` too, but not opposite the edge ``u v``.
+
+    Those that enter need no look around an inner vertex.
+    """
+    w = half_edge_target(state.corner_vertex, g)
+    if w != u and w != left and w != right and is_ring_vertex(state, u, w):
+        return True
+    if open_fan:
+        w = state.corner_vertex[previous_corner(g)]
+        if w != u and w != left and w != right and is_ring_vertex(state, u, w):
+            return True
+    return False
+
+
+@wp.func
+def meets_link_condition(state: MeshState, h: wp.int32) -> wp.bool:
+    """Link condition for half-edge ``h``."""
+    u = state.corner_vertex[h]
+    v = half_edge_target(state.corner_vertex, h)
+    left, right = opposite_vertices(state, h)
     open_fan = (state.vertex_flags[v] & OPEN) != 0
     for i in range(state.adjacency.start[v], state.adjacency.end[v]):
-        g = state.adjacency.corner[i]
-        w = half_edge_target(state.corner_vertex, g)
-        if w != u and w != left and w != right and is_ring_vertex(state, u, w):
+        if joins_rings(state, u, state.adjacency.corner[i], left, right, open_fan):
             return False
-        if open_fan:
-            w = state.corner_vertex[previous_corner(g)]
-            if w != u and w != left and w != right and is_ring_vertex(state, u, w):
-                return False
     return True
 
 
@@ -229,6 +258,55 @@ def place_collapses(
             target_out[i, t] = merged_position(state, frames, model, u, v, t, anchor)
 
 
+@wp.func
+def gap_error(gap: wp.vec2) -> wp.float32:
+    """Mean squared distance of the input vertices that a collapse merges, see :func:`member_gap`."""
+    return gap[0] / wp.max(gap[1], NO_PLANE)
+
+
+@wp.func
+def settle_collapse(
+    state: MeshState,
+    frames: AnyKeyFrames,
+    model: CostModel,
+    h: wp.int32,
+    legal: wp.bool,
+    gap: wp.vec2,
+    back: wp.float32,
+) -> wp.int32:
+    """The faces that the collapse of half-edge ``h`` removes, if it goes ahead; else 0, and its cost says why.
+
+    Args:
+        state: its edge's cost is changed where it does not go ahead.
+        frames: the key frames.
+        model: the cost model.
+        h: the half-edge.
+        legal: whether it keeps all rules.
+        gap: what :func:`member_gap` measures for a legal one.
+        back: what :func:`face_gap` measures for a legal one whose gap is no larger than the limit of the error.
+    """
+    u = state.corner_vertex[h]
+    v = half_edge_target(state.corner_vertex, h)
+    cost = state.edge_cost[h]
+    if legal and breaks_seams(state, h):
+        fresh = compute_edge_cost(state, frames, model, h)
+        cost = fresh.cost
+    if legal:
+        if gap_error(gap) > model.error_limit:
+            cost = INFINITE_COST
+        else:
+            cost = wp.max(cost, GAP_COST * model.key_count * mean_weight(state, u, v) * gap[0])
+            cost = wp.max(cost, model.key_count * mean_weight(state, u, v) * (FACE_GAP_COST * back))
+    if cost > COST_SLACK * state.edge_cost[h]:
+        state.edge_cost[h] = cost
+        return 0
+    if legal:
+        opposite = find_half_edge(state.corner_vertex, state.adjacency, v, u)
+        return wp.where(opposite >= 0, 2, 1)
+    state.edge_cost[h] = -state.edge_cost[h]
+    return 0
+
+
 @lane_kernel(frames=KEY_FRAMES, target_in=POINTS_ARRAY)
 def check_collapses(
     # in and out
@@ -260,7 +338,7 @@ def check_collapses(
         h = selected.half_edge[work.part * selected.capacity + k]
         u = state.corner_vertex[h]
         v = half_edge_target(state.corner_vertex, h)
-        legal = is_manifold_collapse(state, h)
+        legal = keeps_manifold_ends(state, h) and meets_link_condition(state, h)
         for side in range(2):
             a = wp.where(side == 0, u, v)
             b = wp.where(side == 0, v, u)
@@ -270,28 +348,16 @@ def check_collapses(
                 if half_edge_target(state.corner_vertex, g) != b and state.corner_vertex[previous_corner(g)] != b:
                     legal = not turns_over(state, frames, g, target_in, i, flip_tolerance)
                 j += 1
-        cost = state.edge_cost[h]
-        if legal and breaks_seams(state, h):
-            fresh = compute_edge_cost(state, frames, model, h)
-            cost = fresh.cost
+        gap = wp.vec2(0.0, 0.0)
+        back = wp.float32(0.0)
         if legal:
-            gap = member_gap(state, frames, u, v, lead_point(target_in[i, 0]))
-            error_out[i] = gap[0] / wp.max(gap[1], NO_PLANE)
-            if error_out[i] > model.error_limit:
-                cost = INFINITE_COST
-            else:
-                cost = wp.max(cost, GAP_COST * model.key_count * mean_weight(state, u, v) * gap[0])
-                back = FACE_GAP_COST * face_gap(state, frames, u, v, lead_point(target_in[i, 0]))
-                cost = wp.max(cost, model.key_count * mean_weight(state, u, v) * back)
-        if cost > COST_SLACK * state.edge_cost[h]:
-            faces_removed_out[i] = 0
-            state.edge_cost[h] = cost
-        elif legal:
-            opposite = find_half_edge(state.corner_vertex, state.adjacency, v, u)
-            faces_removed_out[i] = wp.where(opposite >= 0, 2, 1)
-            if legal_count.shape[0] > 0:
-                wp.atomic_add(legal_count, work.part, 1)
-                wp.atomic_add(space, work.part, degree(state, u) + degree(state, v))
-        else:
-            faces_removed_out[i] = 0
-            state.edge_cost[h] = -state.edge_cost[h]
+            apex = lead_point(target_in[i, 0])
+            gap = member_gap(state, frames, u, v, apex)
+            error_out[i] = gap_error(gap)
+            if gap_error(gap) <= model.error_limit:
+                back = face_gap(state, frames, u, v, apex)
+        faces_removed = settle_collapse(state, frames, model, h, legal, gap, back)
+        faces_removed_out[i] = faces_removed
+        if faces_removed > 0 and legal_count.shape[0] > 0:
+            wp.atomic_add(legal_count, work.part, 1)
+            wp.atomic_add(space, work.part, degree(state, u) + degree(state, v))

@@ -69,6 +69,22 @@ def nearest_member(state: MeshState, vertex: wp.int32, p: wp.vec3, best: wp.floa
 
 
 @wp.func
+def gap_of_face(
+    state: MeshState, frames: AnyKeyFrames, u: wp.int32, v: wp.int32, x: wp.int32, y: wp.int32, apex: wp.vec3
+) -> wp.float32:
+    """Area times squared distance of the middle of the face ``apex x y`` from the members of its corners."""
+    q = lead_point(frames.position[x, 0])
+    r = lead_point(frames.position[y, 0])
+    area = 0.5 * wp.length(wp.cross(q - apex, r - apex))
+    middle = (apex + q + r) / 3.0
+    squared = nearest_member(state, u, middle, wp.float32(wp.inf))
+    squared = nearest_member(state, v, middle, squared)
+    squared = nearest_member(state, x, middle, squared)
+    squared = nearest_member(state, y, middle, squared)
+    return area * wp.max(squared, 0.0)
+
+
+@wp.func
 def face_gap(state: MeshState, frames: AnyKeyFrames, u: wp.int32, v: wp.int32, apex: wp.vec3) -> wp.float32:
     """Sum over the faces around ``u`` and ``v``, once both are at ``apex``, of area times squared distance of the
     middle from the members of the corners, as far as it is beyond what these reach.
@@ -82,15 +98,7 @@ def face_gap(state: MeshState, frames: AnyKeyFrames, u: wp.int32, v: wp.int32, a
             x = half_edge_target(state.corner_vertex, h)
             y = state.corner_vertex[previous_corner(h)]
             if x != b and y != b:
-                q = lead_point(frames.position[x, 0])
-                r = lead_point(frames.position[y, 0])
-                area = 0.5 * wp.length(wp.cross(q - apex, r - apex))
-                middle = (apex + q + r) / 3.0
-                squared = nearest_member(state, u, middle, wp.float32(wp.inf))
-                squared = nearest_member(state, v, middle, squared)
-                squared = nearest_member(state, x, middle, squared)
-                squared = nearest_member(state, y, middle, squared)
-                gap += area * wp.max(squared, 0.0)
+                gap += gap_of_face(state, frames, u, v, x, y, apex)
     return gap
 
 

@@ -47,19 +47,25 @@ def add_sums(
 
 
 @wp.func
-def merge_sums(state: MeshState, frames: AnyKeyFrames, u: wp.int32, v: wp.int32, target: Any, slot: wp.int32):
-    """Add up the sums kept for ``u`` and ``v``, about where ``u`` goes; ``frames.position`` is where both still are."""
+def merge_sum(state: MeshState, frames: AnyKeyFrames, u: wp.int32, v: wp.int32, x: Any, t: wp.int32):
+    """Add up the sums kept for ``u`` and ``v`` in block ``t``, about ``x``, where ``u`` goes.
+
+    ``frames.position`` is where both still are, and ``state.sum_row`` that of both.
+    """
     own = state.sum_row[u]
     other = state.sum_row[v]
     if own < 0 and other < 0:
         return
-    row = wp.where(own >= 0, own, other)
-    for t in range(frames.position.shape[1]):
-        x = target[slot, t]
-        q = zero_quadric(x)
-        if own >= 0:
-            q += shift_origin(frames.kept_sum[own, t], x - frames.position[u, t])
-        if other >= 0:
-            q += shift_origin(frames.kept_sum[other, t], x - frames.position[v, t])
-        frames.kept_sum[row, t] = q
-    state.sum_row[u] = row
+    q = zero_quadric(x)
+    if own >= 0:
+        q += shift_origin(frames.kept_sum[own, t], x - frames.position[u, t])
+    if other >= 0:
+        q += shift_origin(frames.kept_sum[other, t], x - frames.position[v, t])
+    frames.kept_sum[wp.where(own >= 0, own, other), t] = q
+
+
+@wp.func
+def merge_sum_rows(state: MeshState, u: wp.int32, v: wp.int32):
+    """The row of what ``u`` and ``v`` become, once its sums are merged."""
+    if state.sum_row[u] < 0:
+        state.sum_row[u] = state.sum_row[v]

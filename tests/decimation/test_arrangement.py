@@ -6,9 +6,9 @@ import warp as wp
 
 import warpqem
 from tests.support import meshes
-from tests.support.mesh_state import blocks, packed
+from tests.support.mesh_state import blocks, corners_of, packed
 from warpqem.decimation import decimate as stage
-from warpqem.decimation.arrangement import arrange
+from warpqem.decimation.arrangement import Arrangement, arrange
 from warpqem.kernels.arrangement import gather_rows
 from warpqem.kernels.lanes import width_of
 
@@ -23,35 +23,88 @@ def shuffled(points, faces):
     return points[:, order], rng.permutation(place[faces])
 
 
-def test_vertices_and_faces_are_permuted():
+def arranged(points, faces, device) -> Arrangement:
+    """A mesh arranged by one pose (V, 3)."""
+    return arrange(corners_of(faces, device), packed(points[None], device))
+
+
+def expected_arrangement(points, faces) -> tuple[np.ndarray, np.ndarray]:
+    """The vertex and the face at each place, by Morton codes bit by bit."""
+    low = points.min(axis=0)
+    extent = float((points.max(axis=0) - low).max())
+    cell = ((points - low) * np.float32(1023 / extent)).astype(np.int64)
+    code = sum((cell[:, axis] >> bit & 1) << (3 * bit + axis) for bit in range(10) for axis in range(3))
+    vertex = np.argsort(code, kind="stable")
+    return vertex, np.argsort(np.argsort(vertex)[faces].min(axis=1), kind="stable")
+
+
+@pytest.mark.parametrize("height", [1.0, 0.0])
+def test_vertices_and_faces_lie_along_the_curve(height, device):
     points, faces = shuffled(POINTS, FACES)
-    arrangement = arrange(faces, points[0])
-    np.testing.assert_array_equal(np.sort(arrangement.vertex), np.arange(points.shape[1]))
-    np.testing.assert_array_equal(arrangement.vertex[arrangement.place], np.arange(points.shape[1]))
-    np.testing.assert_array_equal(arrangement.vertex[arrangement.rearrange_faces(faces)], faces[arrangement.face])
+    pose = points[0] * np.array([1, height, 1], dtype=np.float32)
+    arrangement = arranged(pose, faces, device)
+    vertex, face = expected_arrangement(pose, faces)
+    np.testing.assert_array_equal(arrangement.host_vertex, vertex)
+    np.testing.assert_array_equal(arrangement.host_place, np.argsort(vertex))
+    np.testing.assert_array_equal(arrangement.host_face, face)
 
 
-def test_values_of_corners_come_back():
-    arrangement = arrange(FACES, POINTS[0])
-    values = np.random.default_rng(6).permutation(FACES.size)
-    np.testing.assert_array_equal(arrangement.restore_corners(arrangement.rearrange_corners(values)), values)
-
-
-def test_neighbours_come_close_together():
+def test_first_of_many_frames_counts(device):
     points, faces = shuffled(POINTS, FACES)
-    arranged = arrange(faces, points[0]).rearrange_faces(faces)
-    assert np.abs(np.diff(arranged, axis=1)).mean() < 0.3 * np.abs(np.diff(faces, axis=1)).mean()
+    arrangement = arrange(corners_of(faces, device), packed(points, device))
+    np.testing.assert_array_equal(arrangement.host_vertex, arranged(points[0], faces, device).host_vertex)
 
 
-def test_arrangement_does_not_depend_on_the_order_of_vertices():
+def test_vertices_and_faces_are_permuted(device):
     points, faces = shuffled(POINTS, FACES)
-    one, other = arrange(FACES, POINTS[0]), arrange(faces, points[0])
-    np.testing.assert_array_equal(POINTS[0][one.vertex], points[0][other.vertex])
+    arrangement = arranged(points[0], faces, device)
+    corner_vertex = arrangement.rearrange_faces(corners_of(faces, device)).numpy()
+    vertex, face = arrangement.host_vertex, arrangement.host_face
+    np.testing.assert_array_equal(np.sort(vertex), np.arange(points.shape[1]))
+    np.testing.assert_array_equal(vertex[arrangement.host_place], np.arange(points.shape[1]))
+    np.testing.assert_array_equal(vertex[corner_vertex.reshape(-1, 3)], faces[face])
 
 
-def test_mesh_without_extent_keeps_its_order():
-    arrangement = arrange(FACES, np.ones_like(POINTS[0]))
-    np.testing.assert_array_equal(arrangement.vertex, np.arange(POINTS.shape[1]))
+@pytest.mark.parametrize("dtype", [np.int32, np.float32])
+def test_values_are_rearranged(dtype, device):
+    points, faces = shuffled(POINTS, FACES)
+    arrangement, rng = arranged(points[0], faces, device), np.random.default_rng(6)
+    of_vertices, of_corners = (rng.permutation(n).astype(dtype) for n in (points.shape[1], faces.size))
+    np.testing.assert_array_equal(
+        arrangement.rearrange_vertices(wp.array(of_vertices, device=device)).numpy(),
+        of_vertices[arrangement.host_vertex],
+    )
+    np.testing.assert_array_equal(
+        arrangement.rearrange_corners(wp.array(of_corners, device=device)).numpy(),
+        of_corners.reshape(-1, 3)[arrangement.host_face].ravel(),
+    )
+
+
+def test_half_edges_come_back(device):
+    points, faces = shuffled(POINTS, FACES)
+    arrangement = arranged(points[0], faces, device)
+    corner_vertex = arrangement.rearrange_faces(corners_of(faces, device)).numpy()
+    half_edge = np.random.default_rng(6).integers(faces.size, size=50).astype(np.int32)
+    restored = arrangement.restore_half_edges(half_edge)
+    np.testing.assert_array_equal(faces.ravel()[restored], arrangement.host_vertex[corner_vertex[half_edge]])
+    np.testing.assert_array_equal(restored % 3, half_edge % 3)
+
+
+def test_neighbours_come_close_together(device):
+    points, faces = shuffled(POINTS, FACES)
+    near = arranged(points[0], faces, device).rearrange_faces(corners_of(faces, device)).numpy().reshape(-1, 3)
+    assert np.abs(np.diff(near, axis=1)).mean() < 0.3 * np.abs(np.diff(faces, axis=1)).mean()
+
+
+def test_arrangement_does_not_depend_on_the_order_of_vertices(device):
+    points, faces = shuffled(POINTS, FACES)
+    one, other = arranged(POINTS[0], FACES, device), arranged(points[0], faces, device)
+    np.testing.assert_array_equal(POINTS[0][one.host_vertex], points[0][other.host_vertex])
+
+
+def test_mesh_without_extent_keeps_its_order(device):
+    arrangement = arranged(np.ones_like(POINTS[0]), FACES, device)
+    np.testing.assert_array_equal(arrangement.host_vertex, np.arange(POINTS.shape[1]))
 
 
 @pytest.fixture
@@ -73,7 +126,9 @@ def test_result_is_that_of_the_rearranged_mesh_under_the_input_names(metric, dev
     points, faces = shuffled(POINTS, FACES)
     # Colours in the order, a locked vertex and a weight each: everything that comes by vertex or by corner.
     uv = points[0][faces][..., :2] * 3
-    a = arrange(faces, (points[0] - (points.min((0, 1)) + points.max((0, 1))) / 2).astype(np.float32))
+    centred = (points[0] - (points.min((0, 1)) + points.max((0, 1))) / 2).astype(np.float32)
+    arrangement = arranged(centred, faces, device)
+    vertex, face = arrangement.host_vertex, arrangement.host_face
     rng = np.random.default_rng(7)
     weights = rng.uniform(0.5, 2, points.shape[1])
     locked = np.zeros(points.shape[1], dtype=bool)
@@ -81,23 +136,23 @@ def test_result_is_that_of_the_rearranged_mesh_under_the_input_names(metric, dev
     field = warpqem.costs.AttributeField
     options = {"ratio": 0.3, "metric": metric, "device": device}
     plain = warpqem.simplify(
-        np.ascontiguousarray(points[:, a.vertex]),
-        a.rearrange_faces(faces),
-        vertex_weights=weights[a.vertex],
-        locked=locked[a.vertex],
-        attributes=[field(uv[a.face], 0.1)],
+        np.ascontiguousarray(points[:, vertex]),
+        arrangement.rearrange_faces(corners_of(faces, device)).numpy().reshape(-1, 3),
+        vertex_weights=weights[vertex],
+        locked=locked[vertex],
+        attributes=[field(uv[face], 0.1)],
         **options,
     )
     monkeypatch.setattr(stage, "ARRANGED_FACES", 0)
     inside = warpqem.simplify(
         points, faces, vertex_weights=weights, locked=locked, attributes=[field(uv, 0.1)], **options
     )
-    np.testing.assert_array_equal(inside.log.kept, a.vertex[plain.log.kept])
-    np.testing.assert_array_equal(inside.log.removed, a.vertex[plain.log.removed])
+    np.testing.assert_array_equal(inside.log.kept, vertex[plain.log.kept])
+    np.testing.assert_array_equal(inside.log.removed, vertex[plain.log.removed])
     np.testing.assert_array_equal(
-        inside.log.opposites, np.where(plain.log.opposites < 0, -1, a.vertex[plain.log.opposites])
+        inside.log.opposites, np.where(plain.log.opposites < 0, -1, vertex[plain.log.opposites])
     )
-    np.testing.assert_array_equal(np.sort(inside.face_map), np.sort(a.face[plain.face_map]))
+    np.testing.assert_array_equal(np.sort(inside.face_map), np.sort(face[plain.face_map]))
 
 
 def test_anchors_and_places_do_not_know_of_the_arrangement(device, every_mesh_arranged):

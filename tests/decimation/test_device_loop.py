@@ -185,4 +185,4 @@ def test_ordering_waits_for_the_device_once(monkeypatch):
     (counts,) = traffic
     assert counts.readbacks == 1
     assert counts.values_read == 4
-    assert counts.graph_launches == 2
+    assert counts.graph_launches == 1

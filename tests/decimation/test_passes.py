@@ -18,7 +18,7 @@ def orderer(device):
     points, faces = meshes.icosphere(5)
     mesh = build_mesh(points, faces, device)
     orderer = Orderer(PassSteps(mesh.state, mesh.frames, mesh.adjacency, cost_model(), device))
-    orderer.steps.compute_all_costs().run()
+    orderer.steps.compute_all_costs()
     return orderer
 
 
@@ -78,7 +78,7 @@ def test_adjacency_is_that_of_the_faces_after_every_pass(
     mesh = build_mesh(points, faces, device, spare=spare)
     vertex_count = points.shape[1]
     orderer = Orderer(PassSteps(mesh.state, mesh.frames, mesh.adjacency, cost_model(key_count=3), device))
-    orderer.steps.compute_all_costs().run()
+    orderer.steps.compute_all_costs()
     for _ in range(12):
         orderer._run_pass(200, CANDIDATE_FRACTION)
         fresh = build_adjacency(mesh.state.corner_vertex, vertex_count, mesh.state.face_count)

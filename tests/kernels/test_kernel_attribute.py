@@ -7,7 +7,15 @@ import warp as wp
 from tests.oracles.attributes import AttributeClusters
 from tests.oracles.topology import collapsed
 from tests.support import meshes
-from tests.support.mesh_state import build_mesh, collapse_log, edge_list, half_edge_between, one_part, packed
+from tests.support.mesh_state import (
+    build_mesh,
+    collapse_log,
+    corners_of,
+    edge_list,
+    half_edge_between,
+    one_part,
+    packed,
+)
 from warpqem.decimation.adjacency import build_adjacency
 from warpqem.decimation.attribute_quadrics import build_wedges
 from warpqem.kernels.attribute import attribute_error, move_corner_wedges
@@ -71,7 +79,7 @@ class Mesh:
         self.device, self.faces = device, faces.copy()
         mesh = build_mesh(points, faces, device)
         self.state, self.frames = mesh.state, mesh.frames
-        self.state.wedges = build_wedges(faces, mesh.frames.position, values, 1)
+        self.state.wedges = build_wedges(corners_of(faces, device), mesh.frames.position, values, 1)
         self.clusters = AttributeClusters(points, faces, values)
 
     def edges(self):
@@ -184,14 +192,14 @@ def test_charts_are_not_compared(device):
 def test_error_counts_once_for_every_key_frame(device):
     points, faces, values = smooth_case()
     position = packed(points[None], device)
-    one, four = (build_wedges(faces, position, values, k).quadric.numpy() for k in (1, 4))
+    one, four = (build_wedges(corners_of(faces, device), position, values, k).quadric.numpy() for k in (1, 4))
     np.testing.assert_allclose(four, 4 * one, rtol=1e-4, atol=1e-5 * one.max())
 
 
 def test_face_without_area_adds_nothing(device):
     points, faces, values = smooth_case()
     points[faces[3, 0]] = points[faces[3, 1]]
-    wedges = build_wedges(faces, packed(points[None], device), values, 1)
+    wedges = build_wedges(corners_of(faces, device), packed(points[None], device), values, 1)
     assert np.isfinite(wedges.quadric.numpy()).all()
     assert np.isfinite(wedges.gradient.numpy()).all()
 

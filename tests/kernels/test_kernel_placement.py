@@ -7,7 +7,6 @@ import warp as wp
 from tests.oracles import quadrics as oracle
 from tests.support import meshes
 from tests.support.mesh_state import blocks, packed
-from warpqem.decimation.initial_quadrics import constraint_lists
 from warpqem.kernels.cluster_rows import gather_corners, label_corners
 from warpqem.kernels.lanes import width_of
 from warpqem.kernels.placement import (
@@ -188,12 +187,6 @@ def test_repeated_items_of_a_row_are_summed():
     assert start.tolist() == [0, 1, 1, 3, 3]
     assert item.tolist() == [1, 3, 5]
     assert weight.tolist() == [7, 4, 4]
-
-
-def test_constraint_lists_of_a_closed_mesh_are_empty():
-    vertex, start, half_edge = constraint_lists(meshes.octahedron()[1].ravel(), np.zeros(24, dtype=int))
-    assert len(vertex) == len(half_edge) == 0
-    assert start.tolist() == [0]
 
 
 def test_faces_of_clusters_are_the_repeated_items_of_their_corners(device):

@@ -8,7 +8,8 @@ from tests.oracles import quadrics as oracle
 from tests.support import meshes
 from tests.support.mesh_state import blocks, build_mesh, packed
 from warpqem.decimation.adjacency import build_adjacency, classify_vertices
-from warpqem.decimation.initial_quadrics import constraint_lists, initial_quadrics
+from warpqem.decimation.constrained_edges import find_constrained_edges
+from warpqem.decimation.initial_quadrics import initial_quadrics
 from warpqem.kernels.lanes import width_of
 from warpqem.kernels.plane_quadrics import weigh_face_normals
 
@@ -49,26 +50,14 @@ def test_quadric_scale_multiplies_the_vertex_quadric(device):
     points, faces = MESHES["open"]
     corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device)
     adjacency = build_adjacency(corner_vertex, points.shape[1])
-    border = classify_vertices(
-        corner_vertex, adjacency, wp.zeros(points.shape[1], dtype=wp.int32, device=device)
-    ).numpy()
+    border = classify_vertices(corner_vertex, adjacency, wp.zeros(points.shape[1], dtype=wp.int32, device=device))
+    edges = find_constrained_edges(corner_vertex, border, wp.zeros_like(border))
     position = packed(points, device)
     scales = [np.ones(points.shape[1]), np.full(points.shape[1], 4.0)]
     once, fourfold = (
         initial_quadrics(
-            corner_vertex, adjacency, border, position, wp.array(s, dtype=wp.float32, device=device)
+            corner_vertex, adjacency, edges, position, wp.array(s, dtype=wp.float32, device=device)
         ).numpy()
         for s in scales
     )
     np.testing.assert_array_equal(fourfold, 4 * once)
-
-
-def test_constraint_lists_name_each_border_edge_at_both_ends():
-    faces = meshes.grid(2, 1)[1]
-    directed = {(f[k], f[(k + 1) % 3]) for f in faces.tolist() for k in range(3)}
-    tail, head = faces.ravel().tolist(), np.roll(faces, -1, axis=1).ravel().tolist()
-    border = np.array([(b, a) not in directed for a, b in zip(tail, head, strict=True)], dtype=int)
-    vertex, start, half_edge = constraint_lists(faces.ravel(), border)
-    rows = {int(v): half_edge[a:b].tolist() for v, a, b in zip(vertex, start[:-1], start[1:], strict=True)}
-    expected = {v: [h for h in np.flatnonzero(border) if v in (tail[h], head[h])] for v in range(6)}
-    assert rows == expected

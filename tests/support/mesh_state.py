@@ -6,6 +6,7 @@ import warp as wp
 from warpqem.decimation.adjacency import Adjacency, build_adjacency, classify_vertices
 from warpqem.decimation.attribute_quadrics import build_wedges
 from warpqem.decimation.cluster_vertices import build_members
+from warpqem.decimation.constrained_edges import find_constrained_edges
 from warpqem.decimation.deformation import build_deformation
 from warpqem.decimation.initial_quadrics import initial_quadrics
 from warpqem.frames.blocks import pack_frames
@@ -26,6 +27,11 @@ def blocks(values, frame_count) -> np.ndarray:
     """(V, F, C) of blocks (V, B) on the device, C components."""
     array = values.numpy()
     return array.transpose(0, 1, 3, 2).reshape(len(array), -1, array.shape[2])[:, :frame_count]
+
+
+def corners_of(faces, device) -> wp.array:
+    """The vertices of all corners (3N,) of faces (N, 3)."""
+    return wp.array(np.asarray(faces).ravel(), dtype=wp.int32, device=device)
 
 
 class DeviceMesh:
@@ -82,14 +88,15 @@ def build_mesh(
     frames = KEY_FRAMES[width_of(position)]()
     frames.position = position
     ones = wp.ones(vertex_count, dtype=wp.float32, device=device)
-    frames.quadric = initial_quadrics(state.corner_vertex, adjacency, border.numpy(), position, ones)
+    state.seam = wp.zeros(faces.size, dtype=wp.int32, device=device)
+    edges = find_constrained_edges(state.corner_vertex, border, state.seam)
+    frames.quadric = initial_quadrics(state.corner_vertex, adjacency, edges, position, ones)
     weight = np.ones(vertex_count) if cost_weight is None else np.asarray(cost_weight)
     state.cost_weight = wp.array(weight, dtype=wp.float32, device=device)
     state.quadric_scale = wp.full(vertex_count, 1.0, dtype=wp.float32, device=device)
     state.edge_cost = wp.zeros(faces.size, dtype=wp.float32, device=device)
-    state.seam = wp.zeros(faces.size, dtype=wp.int32, device=device)
-    state.wedges = build_wedges(faces, position, None, len(points))
-    state.members = build_members(faces, position)
+    state.wedges = build_wedges(state.corner_vertex, position, None, len(points))
+    state.members = build_members(state.corner_vertex, adjacency, position)
     trajectories = np.ascontiguousarray(points.transpose(1, 0, 2), dtype=np.float32) if with_trajectory else None
     state.trajectory, state.deformation = build_deformation(trajectories, len(faces), device, chunk_frames)
     if with_trajectory:

@@ -6,7 +6,7 @@ from typing import Any
 
 import warp as wp
 
-from warpqem.decimation.recorded_launches import LaunchGroup, RecordedLaunches, part_work, record_shared
+from warpqem.decimation.recorded_launches import LaunchGroup, part_work, record_shared, run_once
 from warpqem.kernels import topology as kernels
 from warpqem.kernels.topology import VertexAdjacency
 from warpqem.runtime.cpu_threads import thread_count
@@ -105,7 +105,7 @@ def build_adjacency(
     if face_count is None:
         face_count = wp.array([len(corner_vertex) // 3], dtype=wp.int32, device=device)
     adjacency = Adjacency(corner_vertex, face_count, vertex_count, spare)
-    RecordedLaunches(adjacency.launch_groups(thread_count(device)), device).run()
+    run_once(adjacency.launch_groups(thread_count(device)), device)
     return adjacency
 
 

@@ -14,13 +14,13 @@ __all__ = ["build_wedges", "face_gradients"]
 SLIVER = 1e-3
 
 
-def build_wedges(faces: np.ndarray, key_position: wp.array, values: np.ndarray | None, key_count: int) -> Wedges:
+def build_wedges(corner_vertex: wp.array, key_position: wp.array, values: np.ndarray | None, key_count: int) -> Wedges:
     """Wedges for :mod:`warpqem.kernels.attribute`.
 
     The collapse order weighs the attribute error as if it were the same in each of the K key frames.
 
     Args:
-        faces: (N, 3) int32.
+        corner_vertex: (3N,) int32.
         key_position: (V, B) blocks of points, in diagonals; the first key frame is the reference.
         values: (N, 3, C) float, the attributes at the corners, times their weights; None for none.
         key_count: key frames K.
@@ -30,7 +30,7 @@ def build_wedges(faces: np.ndarray, key_position: wp.array, values: np.ndarray |
         wedges.channel_count = 0
         wedges.corner_wedge = wp.empty(0, dtype=wp.int32, device=device)
         return wedges
-    vertex_count = len(key_position)
+    vertex_count, faces = len(key_position), corner_vertex.numpy().reshape(-1, 3)
     points = key_position[:, :1].numpy()[:, 0, :, 0].astype(np.float64)
     # Differences count, not values: float32 is finest about the middle.
     corner_value = (values - values.mean(axis=(0, 1))).reshape(faces.size, -1) * np.sqrt(key_count)

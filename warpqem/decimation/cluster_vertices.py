@@ -2,34 +2,32 @@
 
 from __future__ import annotations
 
-import numpy as np
 import warp as wp
 
+from warpqem.decimation.adjacency import Adjacency
+from warpqem.kernels import initial_members as kernels
+from warpqem.kernels.lanes import width_of
 from warpqem.kernels.mesh_state import Members
+from warpqem.runtime.launches import launch
+from warpqem.runtime.part_launches import FIRST_ITEM, launch_in_parts
 
 __all__ = ["build_members"]
 
 
-def build_members(faces: np.ndarray, key_position: wp.array) -> Members:
+def build_members(corner_vertex: wp.array, adjacency: Adjacency, key_position: wp.array) -> Members:
     """Lists of one member each, with its place and area in the first key frame.
 
     Args:
-        faces: (N, 3) int32.
+        corner_vertex: (3N,) int32.
+        adjacency: corners of all vertices.
         key_position: (V, B) blocks of points, in diagonals.
     """
     device, vertex_count = key_position.device, len(key_position)
-    points = np.ascontiguousarray(key_position[:, :1].numpy()[:, 0, :, 0])
-    corner = points[faces]
-    area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1) / 6
     members = Members()
-    members.position = wp.array(points, dtype=wp.vec3, device=device)
-    share = np.bincount(faces.ravel(), np.repeat(area, 3), vertex_count)
-    members.area = wp.array(share.astype(np.float32), dtype=wp.float32, device=device)
-    # No point of a triangle is further from its nearest corner than its longest edge times 3^-0.5, but of obtuse ones.
-    edge_squared = ((corner - np.roll(corner, -1, axis=1)) ** 2).sum(axis=2).max(axis=1) / 3
-    reach = np.zeros(vertex_count, dtype=np.float32)
-    np.maximum.at(reach, faces.ravel(), np.repeat(edge_squared, 3))
-    members.reach_squared = wp.array(reach, dtype=wp.float32, device=device)
-    members.following = wp.full(vertex_count, -1, dtype=wp.int32, device=device)
-    members.last = wp.array(np.arange(vertex_count, dtype=np.int32), dtype=wp.int32, device=device)
+    members.position = wp.empty(vertex_count, dtype=wp.vec3, device=device)
+    members.area, members.reach_squared = (wp.empty(vertex_count, dtype=wp.float32, device=device) for _ in range(2))
+    members.following, members.last = (wp.empty(vertex_count, dtype=wp.int32, device=device) for _ in range(2))
+    launch(kernels.begin_members[width_of(key_position)], vertex_count, [key_position], [members], device=device)
+    inputs = [corner_vertex, adjacency.lists, FIRST_ITEM]
+    launch_in_parts(kernels.measure_members, vertex_count, inputs, [members], device=device)
     return members

@@ -15,24 +15,24 @@ from warpqem.decimation.attribute_quadrics import build_wedges
 from warpqem.decimation.cluster_vertices import build_members
 from warpqem.decimation.collapse_log import CollapseRecord, read_log
 from warpqem.decimation.collapse_nodes import NodeRecorder
+from warpqem.decimation.constrained_edges import ConstrainedEdges, find_constrained_edges
 from warpqem.decimation.deformation import build_deformation
 from warpqem.decimation.device_loop import DeviceOrderer
+from warpqem.decimation.faces_left import faces_left
 from warpqem.decimation.initial_quadrics import given_quadrics, initial_quadrics
 from warpqem.decimation.ordering import Ordering
 from warpqem.decimation.pass_steps import PassSteps
 from warpqem.decimation.passes import Orderer
 from warpqem.decimation.pruning import Components, DropRecord
 from warpqem.decimation.quadric_sums import QuadricSums, add_quadric_sums
-from warpqem.kernels import arrangement as arrangement_kernels
 from warpqem.kernels import attribute as attribute_kernels
 from warpqem.kernels.lanes import width_of
 from warpqem.kernels.mesh_state import KEY_FRAMES, AnyKeyFrames, CostModel, MeshState
 from warpqem.kernels.topology import CORNER, NON_MANIFOLD
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import launch
-from warpqem.runtime.part_launches import launch_in_parts, rows_of
 
-__all__ = ["DecimatedMesh", "DecimationInput", "OrderSettings", "faces_left", "order_collapses"]
+__all__ = ["DecimatedMesh", "DecimationInput", "OrderSettings", "order_collapses"]
 
 
 @dataclass(frozen=True)
@@ -129,81 +129,43 @@ def order_collapses(
 
     ``progress`` is called with the live face count after each pass; ``recorder`` keeps every vertex on the way.
     """
-    vertex_count, arrangement = len(mesh.vertex_flags), None
-    if len(mesh.faces) >= ARRANGED_FACES:
-        arrangement = arrange(mesh.faces, mesh.key_position[:, :1].numpy()[:, 0, :, 0])
-        moving = _rearranged(mesh, arrangement)
-    else:
-        moving = replace(mesh, key_position=wp.clone(mesh.key_position))
-    state, frames, adjacency, constrained = _on_device(moving, settings.memoryless, device)
+    vertex_count = len(mesh.vertex_flags)
+    corner_vertex = wp.array(mesh.faces.ravel(), dtype=wp.int32, device=device)
+    arrangement = arrange(corner_vertex, mesh.key_position) if len(mesh.faces) >= ARRANGED_FACES else None
+    state, frames, adjacency, edges = _on_device(mesh, corner_vertex, arrangement, settings.memoryless, device)
     non_manifold = (state.vertex_flags.numpy() & int(NON_MANIFOLD)) != 0
-    steps = PassSteps(state, frames, adjacency, _cost_model(moving, settings), device, settings.memoryless)
+    steps = PassSteps(state, frames, adjacency, _cost_model(mesh, settings), device, settings.memoryless)
     stopped, log, drops = _collapse(steps, settings, progress, recorder)
     if mesh.attributes is not None:
         add_attributes = attribute_kernels.add_attribute_quadrics[width_of(frames.quadric)]
         launch(add_attributes, len(frames.quadric), [state.wedges.quadric], [frames.quadric], device=device)
     # What follows needs their memory.
-    del moving, state, adjacency, steps
+    del state, adjacency, steps
     row = np.arange(vertex_count, dtype=np.int32)
     if arrangement is not None:
-        row, log, drops = arrangement.place, arrangement.restore_log(log), drops.for_vertices(arrangement.vertex)
-        constrained = arrangement.restore_corners(constrained)
+        row, log, drops = (
+            arrangement.host_place,
+            arrangement.restore_log(log),
+            drops.for_vertices(arrangement.host_vertex),
+        )
+        edges = edges.renumbered(arrangement.restore_half_edges(edges.half_edge), arrangement.host_vertex)
     root = log.roots(vertex_count)
-    faces = root[mesh.faces]
-    face_map = faces_left(mesh.faces, faces, drops)
+    faces, face_map = faces_left(corner_vertex, root, drops)
     return DecimatedMesh(
-        faces=faces[face_map],
+        faces=faces,
         face_map=face_map,
         root=root,
         key_position=mesh.key_position,
         row=row,
         position=frames.position,
         quadric=frames.quadric,
-        constrained=constrained,
-        line_rank=np.where(
-            mesh.vertex_flags & int(CORNER), 2, _ends(mesh.faces, constrained, vertex_count).astype(np.int32)
-        ),
+        constrained=edges.marks(mesh.faces.size),
+        line_rank=_line_rank(mesh.vertex_flags, edges),
         non_manifold=non_manifold[row],
-        face_order=None if arrangement is None else arrangement.face,
+        face_order=None if arrangement is None else arrangement.host_face,
         stopped=stopped,
         log=log,
         drops=drops,
-    )
-
-
-def faces_left(input_faces: np.ndarray, faces: np.ndarray, drops: DropRecord) -> np.ndarray:
-    """(N',) int32, the input's faces that collapses and drops left; ``faces`` (N, 3) are the roots of their corners.
-
-    A collapse takes the faces that hold both its ends: the faces left are those whose corners stayed apart.
-    """
-    apart = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
-    if len(drops):
-        apart &= drops.vertex_drop[input_faces[:, 0]] < 0
-    return np.flatnonzero(apart).astype(np.int32)
-
-
-def _rearranged(mesh: DecimationInput, arrangement: Arrangement) -> DecimationInput:
-    device, vertex = mesh.key_position.device, arrangement.vertex
-    position = wp.empty_like(mesh.key_position)
-    launch_in_parts(
-        arrangement_kernels.gather_rows[width_of(position)],
-        position.shape,
-        inputs=[mesh.key_position, rows_of(wp.array(vertex, device=device))],
-        outputs=[rows_of(position)],
-        device=device,
-    )
-    return replace(
-        mesh,
-        faces=arrangement.rearrange_faces(mesh.faces),
-        key_position=position,
-        vertex_flags=mesh.vertex_flags[vertex],
-        quadric_scale=mesh.quadric_scale[vertex],
-        cost_weight=mesh.cost_weight[vertex],
-        seam=arrangement.rearrange_corners(mesh.seam),
-        trajectories=None if mesh.trajectories is None else mesh.trajectories[vertex],
-        attributes=None if mesh.attributes is None else mesh.attributes[arrangement.face],
-        matrices=None if mesh.matrices is None else mesh.matrices[vertex],
-        sums=None if mesh.sums is None else mesh.sums.renumbered(arrangement.place),
     )
 
 
@@ -217,16 +179,10 @@ def _collapse(
     state = steps.state
     lowest_limit = min(settings.error_limit, settings.size_limit)
     orderer = _new_ordering(steps)
-    components = (
-        None
-        if settings.keep_components
-        else Components(
-            state, steps.frames.position, int(steps.model.key_count), settings.error_limit**2, lowest_limit**2
-        )
-    )
-    if components is not None and components.count == 1:
-        # One always stays.
-        components = None
+    components = None
+    if not settings.keep_components:
+        limits = settings.error_limit**2, lowest_limit**2
+        components = Components.find(state, steps.frames.position, int(steps.model.key_count), *limits)
     if recorder is not None:
         recorder.begin(settings.memoryless)
     stopped = orderer.run(settings.target_faces, progress, recorder, components)
@@ -238,42 +194,69 @@ def _collapse(
 
 
 def _on_device(
-    mesh: DecimationInput, memoryless: bool, device: str
-) -> tuple[MeshState, AnyKeyFrames, Adjacency, np.ndarray]:
-    """The mesh as kernels see it; ``frames.position`` is ``mesh.key_position`` itself.
-
-    Returns:
-        state, key frames, adjacency, and (3N,) int32, 1 at border half-edges and 2 at those of seams.
-    """
-    vertex_count = len(mesh.vertex_flags)
-    corner_vertex = wp.array(mesh.faces.ravel(), dtype=wp.int32, device=device)
-    state = MeshState()
-    state.face_count = wp.array([len(mesh.faces)], dtype=wp.int32, device=device)
-    adjacency = build_adjacency(corner_vertex, vertex_count, state.face_count, spare=len(corner_vertex))
-    state.corner_vertex = corner_vertex
-    state.adjacency = adjacency.lists
-    state.vertex_flags = wp.array(mesh.vertex_flags, dtype=wp.int32, device=device)
-    constrained = classify_vertices(corner_vertex, adjacency, state.vertex_flags).numpy() | 2 * mesh.seam
-    state.seam = wp.array(mesh.seam, dtype=wp.int32, device=device)
-    frames = KEY_FRAMES[width_of(mesh.key_position)]()
-    frames.position = mesh.key_position
-    state.quadric_scale = wp.array(mesh.quadric_scale, dtype=wp.float32, device=device)
-    if mesh.matrices is None:
-        frames.quadric = initial_quadrics(corner_vertex, adjacency, constrained, mesh.key_position, state.quadric_scale)
+    mesh: DecimationInput, input_corners: wp.array, arrangement: Arrangement | None, memoryless: bool, device: str
+) -> tuple[MeshState, AnyKeyFrames, Adjacency, ConstrainedEdges]:
+    """The mesh as kernels see it, rearranged or a copy: state, key frames, adjacency, edges of borders and seams."""
+    state, frames = MeshState(), KEY_FRAMES[width_of(mesh.key_position)]()
+    if arrangement is None:
+        corner_vertex, frames.position = wp.clone(input_corners), wp.clone(mesh.key_position)
     else:
-        frames.quadric = given_quadrics(mesh.matrices, device)
-    if mesh.sums is not None:
-        added = add_quadric_sums(mesh.sums, mesh.key_position, frames.quadric)
-        if memoryless:
-            rows = np.full(vertex_count, -1, dtype=np.int32)
-            rows[mesh.sums.row] = np.arange(len(mesh.sums.row))
-            state.sum_row, frames.kept_sum = wp.array(rows, device=device), added
-    state.cost_weight = wp.array(mesh.cost_weight, dtype=wp.float32, device=device)
+        corner_vertex = arrangement.rearrange_faces(input_corners)
+        frames.position = arrangement.rearrange_rows(mesh.key_position)
+
+    def of_vertices(values: np.ndarray, dtype: type) -> wp.array:
+        uploaded = wp.array(values, dtype=dtype, device=device)
+        return uploaded if arrangement is None else arrangement.rearrange_vertices(uploaded)
+
+    state.face_count = wp.array([len(mesh.faces)], dtype=wp.int32, device=device)
+    adjacency = build_adjacency(corner_vertex, len(mesh.vertex_flags), state.face_count, spare=len(corner_vertex))
+    state.corner_vertex, state.adjacency = corner_vertex, adjacency.lists
+    state.vertex_flags = of_vertices(mesh.vertex_flags, wp.int32)
+    state.quadric_scale = of_vertices(mesh.quadric_scale, wp.float32)
+    state.cost_weight = of_vertices(mesh.cost_weight, wp.float32)
+    state.seam = _seam_marks(mesh.seam, arrangement, device)
+    border = classify_vertices(corner_vertex, adjacency, state.vertex_flags)
+    edges = find_constrained_edges(corner_vertex, border, state.seam)
+    options = mesh if arrangement is None else _rearranged_options(mesh, arrangement)
+    if options.matrices is None:
+        frames.quadric = initial_quadrics(corner_vertex, adjacency, edges, frames.position, state.quadric_scale)
+    else:
+        frames.quadric = given_quadrics(options.matrices, device)
+    if options.sums is not None:
+        _add_sums(options.sums, state, frames, memoryless)
     state.edge_cost = wp.empty(len(corner_vertex), dtype=wp.float32, device=device)
-    state.trajectory, state.deformation = build_deformation(mesh.trajectories, len(mesh.faces), device)
-    state.wedges = build_wedges(mesh.faces, mesh.key_position, mesh.attributes, mesh.key_count)
-    state.members = build_members(mesh.faces, mesh.key_position)
-    return state, frames, adjacency, constrained
+    state.trajectory, state.deformation = build_deformation(options.trajectories, len(mesh.faces), device)
+    state.wedges = build_wedges(corner_vertex, frames.position, options.attributes, mesh.key_count)
+    state.members = build_members(corner_vertex, adjacency, frames.position)
+    return state, frames, adjacency, edges
+
+
+def _seam_marks(seam: np.ndarray, arrangement: Arrangement | None, device: str) -> wp.array:
+    """(3N,) int32, 1 at both half-edges of a seam edge."""
+    if not seam.any():
+        return wp.zeros(len(seam), dtype=wp.int32, device=device)
+    marks = wp.array(seam, dtype=wp.int32, device=device)
+    return marks if arrangement is None else arrangement.rearrange_corners(marks)
+
+
+def _rearranged_options(mesh: DecimationInput, arrangement: Arrangement) -> DecimationInput:
+    """What single options ask for, rearranged; the rest as it is."""
+    return replace(
+        mesh,
+        trajectories=None if mesh.trajectories is None else mesh.trajectories[arrangement.host_vertex],
+        attributes=None if mesh.attributes is None else mesh.attributes[arrangement.host_face],
+        matrices=None if mesh.matrices is None else mesh.matrices[arrangement.host_vertex],
+        sums=None if mesh.sums is None else mesh.sums.renumbered(arrangement.host_place),
+    )
+
+
+def _add_sums(sums: QuadricSums, state: MeshState, frames: AnyKeyFrames, memoryless: bool) -> None:
+    """Add quadrics of other vertices, and keep them where quadrics are made anew."""
+    added = add_quadric_sums(sums, frames.position, frames.quadric)
+    if memoryless:
+        rows = np.full(len(frames.position), -1, dtype=np.int32)
+        rows[sums.row] = np.arange(len(sums.row))
+        state.sum_row, frames.kept_sum = wp.array(rows, device=frames.position.device), added
 
 
 def _cost_model(mesh: DecimationInput, settings: OrderSettings) -> CostModel:
@@ -293,10 +276,9 @@ def _new_ordering(steps: PassSteps) -> Ordering:
     return DeviceOrderer(steps) if device_traits(steps.device).captures else Orderer(steps)
 
 
-def _ends(faces: np.ndarray, half_edge_flags: np.ndarray, vertex_count: int) -> np.ndarray:
-    """(V,) bool, vertices at an end of a flagged half-edge."""
-    flagged = half_edge_flags.reshape(-1, 3) != 0
-    ends = np.zeros(vertex_count, dtype=bool)
-    ends[faces[flagged]] = True
-    ends[np.roll(faces, -1, axis=1)[flagged]] = True
-    return ends
+def _line_rank(vertex_flags: np.ndarray, edges: ConstrainedEdges) -> np.ndarray:
+    """(V,) int32: 2 at corners of seams, 1 at other ends of edges of borders and seams, 0 elsewhere."""
+    rank = np.zeros(len(vertex_flags), dtype=np.int32)
+    rank[edges.ends] = 1
+    rank[(vertex_flags & int(CORNER)) != 0] = 2
+    return rank

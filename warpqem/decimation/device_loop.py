@@ -17,7 +17,8 @@ from warpqem.decimation.collapse_nodes import NodeRecorder
 from warpqem.decimation.ordering import Ordering
 from warpqem.decimation.pass_steps import HISTOGRAM_BINS, ROUNDS, PassSteps
 from warpqem.decimation.pruning import Components
-from warpqem.decimation.recorded_launches import LaunchGroup, RecordedLaunches, new_edge_list, part_work, record_shared
+from warpqem.decimation.recorded_launches import LaunchGroup, new_edge_list, part_work, record_shared, run_once
+from warpqem.decimation.shared_steps import SharedSteps
 from warpqem.kernels import pass_control as kernels
 from warpqem.kernels.pass_control import COMPONENTS, FULL_POOL, RUNNING, STUCK, PassControl
 from warpqem.kernels.work import EdgeList
@@ -78,19 +79,18 @@ class DeviceOrderer(Ordering):
         components: Components | None = None,
     ) -> str:
         """See :class:`Ordering`."""
-        self.steps.compute_all_costs().run()
+        self.steps.compute_all_costs()
         if self.live_faces <= target_faces:
             return "target"
         self._report.assign(np.array([1, int(RUNNING), self.live_faces, 0], dtype=np.int32))
         self._control.target_faces.fill_(target_faces)
-        building = RecordedLaunches(self._building_adjacency(), self.device)
         in_turns = progress is not None or recorder is not None
         loop = DeviceLoop(self._record_pass(components), self._report, self.device, in_turns)
         while True:
             report = self._go_on(loop, progress, recorder)
             self.live_faces, self._collapse_count = report.live_faces, report.collapse_count
             if report.status == FULL_POOL:
-                building.run()
+                run_once(self._building_adjacency(), self.device)
             elif report.status == COMPONENTS:
                 assert components is not None
                 self._look_at(components, target_faces, progress)
@@ -148,7 +148,7 @@ class DeviceOrderer(Ordering):
         lists = [new_edge_list(storage, 1) for storage in steps.lists]
         selected = lists.pop()
         histogram = wp.zeros((1, HISTOGRAM_BINS), dtype=wp.int32, device=self.device)
-        kept, uncounted = steps.integers(len(steps.faces_removed)), steps.integers(0)
+        kept, shared = steps.integers(len(steps.faces_removed)), SharedSteps(steps)
 
         def begin(recorder: Recorder, _: int) -> None:
             recorder.launch(kernels.begin_pass, 1, [self.log], [control, lists[0]])
@@ -169,9 +169,11 @@ class DeviceOrderer(Ordering):
 
             groups += [
                 LaunchGroup(begin_round),
-                *steps.choosing(now, selected, uncounted, uncounted, 1),
+                *steps.selecting(now, selected, 1),
+                *shared.checking(selected),
                 LaunchGroup(trim),
-                *steps.committing(now, left, selected, kept, self.log.count, self.state.adjacency.used, 1),
+                *shared.committing(selected, kept),
+                *steps.shrinking(now, left, 1),
             ]
         return [*groups, *steps.updating_adjacency(1), *steps.renewing(1)]
 

@@ -6,12 +6,13 @@ import numpy as np
 import warp as wp
 
 from warpqem.decimation.adjacency import Adjacency
+from warpqem.decimation.constrained_edges import ConstrainedEdges
 from warpqem.kernels import plane_quadrics as kernels
 from warpqem.kernels.lanes import POINTS, QUADRIC, width_of
 from warpqem.runtime.launches import launch
 from warpqem.runtime.part_launches import corners_of, launch_in_parts, rows_of, starts_of
 
-__all__ = ["CONSTRAINT_WEIGHT", "constraint_lists", "given_quadrics", "initial_quadrics"]
+__all__ = ["CONSTRAINT_WEIGHT", "given_quadrics", "initial_quadrics"]
 
 # A border edge of length l counts as a square of area l^2 standing on it: as much as the faces beside it. A seam edge
 # counts a tenth: values that slide a little across the surface leave the shape as it is. On characters of a few hundred
@@ -19,36 +20,15 @@ __all__ = ["CONSTRAINT_WEIGHT", "constraint_lists", "given_quadrics", "initial_q
 CONSTRAINT_WEIGHT = {1: 1.0, 2: 0.1}
 
 
-def constraint_lists(corner_vertex: np.ndarray, constrained: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Border and seam half-edges by vertex, each at both its ends.
-
-    Args:
-        corner_vertex: (3N,) int32.
-        constrained: (3N,) int, non-zero at border and seam half-edges.
-
-    Returns:
-        ``vertex`` (B,), ``start`` (B+1,) and ``half_edge``: those of ``vertex[i]`` are
-        ``half_edge[start[i]:start[i + 1]]``, ascending; all int32.
-    """
-    half_edge = np.flatnonzero(constrained)
-    following = half_edge - half_edge % 3 + (half_edge + 1) % 3
-    ends = np.concatenate([corner_vertex[half_edge], corner_vertex[following]])
-    order = np.lexsort((np.concatenate([half_edge, half_edge]), ends))
-    vertex, first = np.unique(ends[order], return_index=True)
-    start = np.append(first, len(ends))
-    entries = np.concatenate([half_edge, half_edge])[order]
-    return vertex.astype(np.int32), start.astype(np.int32), entries.astype(np.int32)
-
-
 def initial_quadrics(
-    corner_vertex: wp.array, adjacency: Adjacency, constrained: np.ndarray, position: wp.array, quadric_scale: wp.array
+    corner_vertex: wp.array, adjacency: Adjacency, edges: ConstrainedEdges, position: wp.array, quadric_scale: wp.array
 ) -> wp.array:
     """Area-weighted plane quadrics and border and seam planes about each vertex, times ``quadric_scale`` (V,).
 
     Args:
         corner_vertex: (3N,) int32.
         adjacency: corners of all vertices.
-        constrained: (3N,) int32, 1 at border and 2 at seam half-edges.
+        edges: half-edges of borders and seams.
         position: (V, B) blocks of points, in diagonals.
         quadric_scale: (V,) float32, multiplies a vertex's own quadric.
 
@@ -75,9 +55,8 @@ def initial_quadrics(
         outputs=[rows_of(quadric)],
         device=device,
     )
-    corners = corner_vertex.numpy()
     for kind, weight in CONSTRAINT_WEIGHT.items():
-        vertex, start, half_edge = constraint_lists(corners, constrained == kind)
+        vertex, start, half_edge = edges.of_kind(kind).lists()
         if not len(vertex):
             continue
         launch(

@@ -14,7 +14,7 @@ import warp as wp
 from warpqem.decimation.adjacency import build_adjacency
 from warpqem.decimation.decimate import DecimatedMesh
 from warpqem.decimation.initial_quadrics import CONSTRAINT_WEIGHT
-from warpqem.decimation.recorded_launches import LaunchGroup, RecordedLaunches, part_work, record_shared
+from warpqem.decimation.recorded_launches import LaunchGroup, part_work, record_shared, run_once
 from warpqem.kernels import memoryless_quadric as kernels
 from warpqem.kernels.lanes import width_of
 from warpqem.kernels.mesh_state import KEY_FRAMES, MeshState
@@ -84,7 +84,7 @@ class MemorylessQuadrics:
             kernel = kernels.renew_quadrics[width_of(position)]
             record_shared(recorder, kernel, [state, frames, weights, chosen, one], work)
 
-        RecordedLaunches([LaunchGroup(renew, part_count)], str(device)).run()
+        run_once([LaunchGroup(renew, part_count)], str(device))
 
 
 def _images(seams: np.ndarray, corner_vertex: np.ndarray, vertex_count: int) -> np.ndarray:

@@ -76,7 +76,7 @@ class Ordering(ABC):
         """Whether a collapse is legal once the error limit is lifted; computes all costs anew."""
         self.model.error_limit = np.inf
         self.steps.forget_launches()
-        self.steps.compute_all_costs().run()
+        self.steps.compute_all_costs()
         launches = self.steps.launches(1)
         # Every edge is a candidate.
         self.steps.sample_step.fill_(1)

@@ -11,7 +11,14 @@ import warp as wp
 from warpqem.decimation.adjacency import Adjacency
 from warpqem.decimation.collapse_log import new_log
 from warpqem.decimation.initial_quadrics import CONSTRAINT_WEIGHT
-from warpqem.decimation.recorded_launches import LaunchGroup, RecordedLaunches, new_edge_list, part_work, record_shared
+from warpqem.decimation.recorded_launches import (
+    LaunchGroup,
+    RecordedLaunches,
+    new_edge_list,
+    part_work,
+    record_shared,
+    run_once,
+)
 from warpqem.kernels import collapse as collapse_kernels
 from warpqem.kernels import deformation as deformation_kernels
 from warpqem.kernels import edge_cost as cost_kernels
@@ -64,6 +71,10 @@ class PassSteps:
         sample_step: (1,) int32, the cost threshold is read off every so many half-edges.
         cost_threshold: (1,) float32, the cost that candidates stay below.
         faces_removed: int32, the faces that each selected collapse removes; 0 for an illegal one.
+        target: (S, B) blocks of points, where each selected collapse puts its vertex.
+        anchor, error: (S,) float32, the anchor along its edge, and the mean squared error of what it merges.
+        mask: (V,) int32, the last pass that masked each vertex.
+        flip_tolerance: key frames in which a face may turn over.
         lists: room (3N,) int32 for the two lists of candidates that rounds take turns with, and for the selected ones.
 
     Args:
@@ -83,27 +94,27 @@ class PassSteps:
         self._width, self._memoryless = width_of(frames.position), memoryless
         face_count = len(state.corner_vertex) // 3
         vertex_count = len(state.vertex_flags)
-        self._flip_tolerance = int(FLIP_FRACTION * model.key_count)
+        self.flip_tolerance = int(FLIP_FRACTION * model.key_count)
         self.threads = thread_count(device)
         self.log, self.log_rows = new_log(vertex_count, device)
         self.pass_number, self.pass_begin, self.wanted, self.sample_step = (self.integers(1) for _ in range(4))
         self.cost_threshold = wp.zeros(1, dtype=wp.float32, device=device)
         self._reservation = wp.full(vertex_count, set_kernels.UNRESERVED, dtype=wp.int64, device=device)
-        self._mask, self._updated = self.integers(vertex_count), self.integers(vertex_count)
+        self.mask, self._updated = self.integers(vertex_count), self.integers(vertex_count)
         # Selected edges share no vertex, so there are V / 2 at most; an edge stands at one of its two half-edges.
         max_selected = vertex_count // 2 + 1
         self.lists = [wp.empty(3 * face_count, dtype=wp.int32, device=device) for _ in range(3)]
         self.faces_removed = self.integers(max_selected)
         shape = (max_selected, frames.position.shape[1])
-        self._target = wp.empty(shape, dtype=frames.position.dtype, device=device)
-        self._anchor, self._error = (wp.empty(max_selected, dtype=wp.float32, device=device) for _ in range(2))
+        self.target = wp.empty(shape, dtype=frames.position.dtype, device=device)
+        self.anchor, self.error = (wp.empty(max_selected, dtype=wp.float32, device=device) for _ in range(2))
         self._launches: dict[int, PassLaunches] = {}
 
     def integers(self, count: int) -> wp.array:
         """(count,) int32 zeros."""
         return wp.zeros(count, dtype=wp.int32, device=self.device)
 
-    def compute_all_costs(self) -> RecordedLaunches:
+    def compute_all_costs(self) -> None:
         """Compute all costs by the model as it is now."""
 
         def compute_costs(recorder: Recorder, part: int) -> None:
@@ -113,7 +124,7 @@ class PassSteps:
             )
 
         measured = self._measuring(deformation_kernels.measure_all_deformation, [self.state])
-        return self._recorded([*measured, LaunchGroup(compute_costs, self.threads)])
+        run_once([*measured, LaunchGroup(compute_costs, self.threads)], self.device)
 
     def _measuring(self, kernel: wp.Kernel, inputs: list[Any]) -> list[LaunchGroup]:
         """Measure anew what the deformation term sums over all frames; nothing where there is none."""
@@ -131,12 +142,19 @@ class PassSteps:
             legal, space, slot, pool_slot = (self.integers(part_count) for _ in range(4))
             choose, commit = [], []
             for now, left in ((candidates[0], candidates[1]), (candidates[1], candidates[0])):
-                choose.append([self._emptying(selected), *self.choosing(now, selected, legal, space, part_count)])
+                choose.append(
+                    [
+                        self._emptying(selected),
+                        *self.selecting(now, selected, part_count),
+                        *self.checking(selected, legal, space, part_count),
+                    ]
+                )
                 commit.append(
                     [
                         self._opening(legal, space, slot, pool_slot),
                         self._emptying(left),
-                        *self.committing(now, left, selected, self.faces_removed, slot, pool_slot, part_count),
+                        *self.committing(selected, self.faces_removed, slot, pool_slot, part_count),
+                        *self.shrinking(now, left, part_count),
                     ]
                 )
             histogram = wp.zeros((part_count, HISTOGRAM_BINS), dtype=wp.int32, device=self.device)
@@ -195,15 +213,9 @@ class PassSteps:
 
         return [LaunchGroup(count, part_count), LaunchGroup(find_cost_threshold), LaunchGroup(collect, part_count)]
 
-    def choosing(
-        self, candidates: EdgeList, selected: EdgeList, legal: wp.array, space: wp.array, part_count: int
-    ) -> list[LaunchGroup]:
-        """Reserve vertices, then select, place and check collapses, into the empty list ``selected``.
-
-        ``legal`` and ``space`` count the legal ones of each part, and the pool entries of their adjacency; empty
-        where nobody asks.
-        """
-        state, frames = self.state, self.frames
+    def selecting(self, candidates: EdgeList, selected: EdgeList, part_count: int) -> list[LaunchGroup]:
+        """Select collapses that share no vertex of their one-rings, into the empty list ``selected``."""
+        state = self.state
 
         def reservation(recorder: Recorder, part: int) -> None:
             work = part_work(part, part_count, self.device)
@@ -215,22 +227,30 @@ class PassSteps:
                 recorder, set_kernels.select_collapses, [state, candidates, self._reservation], work, [selected]
             )
 
-        def check(recorder: Recorder, part: int) -> None:
+        def clear(recorder: Recorder, part: int) -> None:
             work = part_work(part, part_count, self.device)
             record_shared(recorder, set_kernels.clear_reservations, [state, candidates], work, [self._reservation])
-            targets = [self._target, self._anchor]
-            record_shared(
-                recorder,
-                legality_kernels.place_collapses[self._width],
-                [state, frames, self.model, selected],
-                work,
-                targets,
-            )
-            checked = [state, frames, self.model, selected, self._target, self._flip_tolerance]
-            outputs = [self.faces_removed, self._error, legal, space]
+
+        return [LaunchGroup(record, part_count) for record in (reservation, select, clear)]
+
+    def checking(self, selected: EdgeList, legal: wp.array, space: wp.array, part_count: int) -> list[LaunchGroup]:
+        """Place and check the selected collapses.
+
+        ``legal`` and ``space`` count the legal ones of each part, and the pool entries of their adjacency; empty
+        where nobody asks.
+        """
+        state, frames = self.state, self.frames
+
+        def check(recorder: Recorder, part: int) -> None:
+            work = part_work(part, part_count, self.device)
+            placed = [state, frames, self.model, selected]
+            targets = [self.target, self.anchor]
+            record_shared(recorder, legality_kernels.place_collapses[self._width], placed, work, targets)
+            checked = [*placed, self.target, self.flip_tolerance]
+            outputs = [self.faces_removed, self.error, legal, space]
             record_shared(recorder, legality_kernels.check_collapses[self._width], checked, work, outputs)
 
-        return [LaunchGroup(reservation, part_count), LaunchGroup(select, part_count), LaunchGroup(check, part_count)]
+        return [LaunchGroup(check, part_count)]
 
     def _opening(self, legal: wp.array, space: wp.array, slot: wp.array, pool_slot: wp.array) -> LaunchGroup:
         """Reserve room for what was counted, from the first slot of each part on."""
@@ -238,16 +258,9 @@ class PassSteps:
         return LaunchGroup(lambda recorder, _: recorder.launch(collapse_kernels.open_log, 1, [], outputs))
 
     def committing(
-        self,
-        candidates: EdgeList,
-        candidates_left: EdgeList,
-        selected: EdgeList,
-        faces_removed: wp.array,
-        slot: wp.array,
-        pool_slot: wp.array,
-        part_count: int,
+        self, selected: EdgeList, faces_removed: wp.array, slot: wp.array, pool_slot: wp.array, part_count: int
     ) -> list[LaunchGroup]:
-        """Apply the collapses that remove faces, and keep the candidates that they leave free, in an empty list.
+        """Apply the collapses that remove faces.
 
         ``slot`` and ``pool_slot`` count up from the first free places of each part, in the log and the adjacency pool.
         """
@@ -255,22 +268,22 @@ class PassSteps:
 
         def commit(recorder: Recorder, part: int) -> None:
             work = part_work(part, part_count, self.device)
-            checked = [faces_removed, self._target, self._anchor, self._error]
+            checked = [faces_removed, self.target, self.anchor, self.error]
             inputs = [state, frames, selected, *checked, self.pass_number]
-            record_shared(
-                recorder,
-                collapse_kernels.commit_collapses[self._width],
-                inputs,
-                work,
-                [self._mask, self.log, slot, pool_slot],
-            )
+            outputs = [self.mask, self.log, slot, pool_slot]
+            record_shared(recorder, collapse_kernels.commit_collapses[self._width], inputs, work, outputs)
+
+        return [LaunchGroup(commit, part_count)]
+
+    def shrinking(self, candidates: EdgeList, candidates_left: EdgeList, part_count: int) -> list[LaunchGroup]:
+        """Keep the candidates that a round leaves free, in an empty list."""
 
         def shrink(recorder: Recorder, part: int) -> None:
             work = part_work(part, part_count, self.device)
-            inputs = [state, self._mask, self.pass_number, self.cost_threshold, candidates]
+            inputs = [self.state, self.mask, self.pass_number, self.cost_threshold, candidates]
             record_shared(recorder, set_kernels.shrink_candidates, inputs, work, [candidates_left])
 
-        return [LaunchGroup(commit, part_count), LaunchGroup(shrink, part_count)]
+        return [LaunchGroup(shrink, part_count)]
 
     def updating_adjacency(self, part_count: int) -> list[LaunchGroup]:
         """Bring the adjacency of opposite vertices up to date; that of moved vertices is since the commit."""
@@ -293,7 +306,7 @@ class PassSteps:
 
         def resume(recorder: Recorder, part: int) -> None:
             work = part_work(part, part_count, self.device)
-            record_shared(recorder, cost_kernels.resume_neighbourhoods, [state, self._mask, self.pass_number], work)
+            record_shared(recorder, cost_kernels.resume_neighbourhoods, [state, self.mask, self.pass_number], work)
 
         moved = [state, self.log, self.pass_begin]
         measured = self._measuring(deformation_kernels.move_trajectories, moved)
@@ -306,7 +319,7 @@ class PassSteps:
         """Make the quadrics around what moved anew, and the costs of all edges there."""
         weights = memoryless_kernels.LineWeights()
         weights.border, weights.seam = CONSTRAINT_WEIGHT[1], CONSTRAINT_WEIGHT[2]
-        around = [self._mask, self.pass_number]
+        around = [self.mask, self.pass_number]
 
         def renew(recorder: Recorder, part: int) -> None:
             work = part_work(part, self.threads, self.device)

@@ -18,12 +18,12 @@ import warp as wp
 
 from warpqem.decimation.collapse_nodes import read_rows
 from warpqem.decimation.component_distances import MAX_FRAMES, ComponentDistances
+from warpqem.decimation.component_forest import ComponentForest
 from warpqem.kernels import collapse as kernels
 from warpqem.kernels.lanes import width_of
 from warpqem.kernels.mesh_state import MeshState
 from warpqem.kernels.pass_control import MAX_REMNANT_FACES
 from warpqem.kernels.topology import LOCKED
-from warpqem.mesh.components import lowest_members
 from warpqem.runtime.launches import launch
 
 __all__ = ["ComponentDrop", "Components", "DropRecord"]
@@ -113,41 +113,46 @@ class Components:
     """The components of a mesh, which collapses neither join nor part.
 
     Args:
+        forest: its components.
         state: the mesh, with nothing collapsed yet.
         key_position: (V, B) blocks of points of the key frames, as the input has them.
         key_count: key frames.
         error_limit: squared error, in diagonals squared, beyond which none is pruned.
         last_limit: the same where no edge is left to collapse.
-
-    Attributes:
-        count: components with a face.
     """
 
     def __init__(
-        self, state: MeshState, key_position: wp.array, key_count: int, error_limit: float, last_limit: float
+        self,
+        forest: ComponentForest,
+        state: MeshState,
+        key_position: wp.array,
+        key_count: int,
+        error_limit: float,
+        last_limit: float,
     ) -> None:
         self._state, self._key_count = state, key_count
         self._error_limit, self._last_limit = error_limit, last_limit
-        self._faces = faces = state.corner_vertex.numpy().reshape(-1, 3).copy()
-        vertex_count = len(state.vertex_flags)
-        lowest = lowest_members(vertex_count, np.concatenate([faces[:, :2], faces[:, 1:]]))
-        # Numbered from 0; a vertex without a face is none, but that does no harm.
-        _, component = np.unique(lowest, return_inverse=True)
-        self._component: np.ndarray = component.ravel()
-        with_faces = np.zeros(int(self._component.max(initial=0)) + 1, dtype=bool)
-        with_faces[self._component[faces[:, 0]]] = True
-        self.count = int(with_faces.sum())
+        self._component: np.ndarray = forest.number().numpy()
         # A locked vertex stays.
-        self._free = np.ones(len(with_faces), dtype=bool)
+        self._free = np.ones(int(self._component.max(initial=0)) + 1, dtype=bool)
         self._free[self._component[(state.vertex_flags.numpy() & int(LOCKED)) != 0]] = False
-        self._points = _chosen_frames(key_position, key_count) if self.count > 1 else np.empty((0, 0, 3), np.float32)
+        # As the input has them: both are changed by collapses.
+        self._corner_vertex, self._points = wp.clone(state.corner_vertex), _chosen_frames(key_position, key_count)
+
+    @classmethod
+    def find(
+        cls, state: MeshState, key_position: wp.array, key_count: int, error_limit: float, last_limit: float
+    ) -> Components | None:
+        """The components of a mesh, with the arguments of the class; None where there is one, as one always stays."""
+        forest = ComponentForest(state.corner_vertex, state.adjacency)
+        return None if forest.count <= 1 else cls(forest, state, key_position, key_count, error_limit, last_limit)
 
     @cached_property
     def _distances(self) -> ComponentDistances:
         """Found when a component is small for the first time: many meshes never come to that."""
-        scale = self._state.quadric_scale.numpy()
+        scale, faces = self._state.quadric_scale.numpy(), self._corner_vertex.numpy().reshape(-1, 3)
         device = str(self._state.corner_vertex.device)
-        return ComponentDistances(self._points, self._faces, self._component, scale, device)
+        return ComponentDistances(self._points, faces, self._component, scale, device)
 
     @property
     def vertex_component(self) -> np.ndarray:
@@ -244,5 +249,6 @@ def _chosen_frames(key_position: wp.array, key_count: int) -> np.ndarray:
     """(K', V, 3) float32, some of the key frames, evenly spread."""
     chosen = np.unique(np.linspace(0, key_count - 1, min(key_count, MAX_FRAMES)).round().astype(np.int64))
     width = width_of(key_position)
-    blocks = key_position.numpy()
-    return np.stack([blocks[:, k // width, :, k % width] for k in chosen.tolist()])
+    # One block at a time: all of them are the most memory that there is in ordering.
+    blocks = ((key_position[:, k // width : k // width + 1].numpy(), k % width) for k in chosen.tolist())
+    return np.stack([block[:, 0, :, lane] for block, lane in blocks])

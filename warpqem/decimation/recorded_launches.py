@@ -12,9 +12,9 @@ import warp as wp
 from warpqem.kernels.work import EdgeList, Work
 from warpqem.runtime.cpu_threads import run_parts
 from warpqem.runtime.device import device_traits
-from warpqem.runtime.launches import Recorder
+from warpqem.runtime.launches import DirectRecorder, Recorder
 
-__all__ = ["LaunchGroup", "RecordedLaunches", "new_edge_list", "part_work", "record_shared"]
+__all__ = ["LaunchGroup", "RecordedLaunches", "new_edge_list", "part_work", "record_shared", "run_once"]
 
 
 @dataclass(frozen=True)
@@ -54,6 +54,17 @@ class RecordedLaunches:
         """Run all; on a CPU, done when this returns."""
         for parts in self._runs:
             run_parts(parts)
+
+
+def run_once(groups: Sequence[LaunchGroup], device: str) -> None:
+    """Run groups of launches one after another, of which a device that captures makes no graph."""
+    if not device_traits(device).captures:
+        RecordedLaunches(groups, device).run()
+        return
+    recorder = DirectRecorder(device)
+    for group in groups:
+        for part in range(group.part_count):
+            group.record(recorder, part)
 
 
 def part_work(part: int, part_count: int, device: str) -> Work:

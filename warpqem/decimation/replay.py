@@ -9,7 +9,8 @@ import numpy as np
 import warp as wp
 
 from warpqem.decimation.collapse_nodes import NodeRecorder, PassNodes, read_rows
-from warpqem.decimation.decimate import DecimatedMesh, faces_left
+from warpqem.decimation.decimate import DecimatedMesh
+from warpqem.decimation.faces_left import faces_left
 from warpqem.decimation.forest_cut import Cut, last_collapses
 from warpqem.decimation.memoryless_quadrics import MemorylessQuadrics
 
@@ -43,7 +44,8 @@ class OrderedLevels:
     """
 
     def __init__(self, input_faces: np.ndarray, ordered: DecimatedMesh, recorder: NodeRecorder) -> None:
-        self._input_faces, self._ordered, self._passes = input_faces, ordered, recorder.passes
+        self._face_count, self._ordered, self._passes = len(input_faces), ordered, recorder.passes
+        self._corner_vertex = wp.array(input_faces.ravel(), dtype=wp.int32, device=ordered.position.device)
         self.log = ordered.log
         self._position, self._quadric = wp.clone(ordered.position), wp.clone(ordered.quadric)
         self._present = MemorylessQuadrics(input_faces, ordered) if recorder.present else None
@@ -67,7 +69,7 @@ class OrderedLevels:
     def steps_to(self, target_faces: int) -> int:
         """The least number of collapses and drops that leaves so many faces or fewer; all of them where none does."""
         counts = np.concatenate([self.log.faces_removed, self._ordered.drops.face_count])[self._event]
-        left = len(self._input_faces) - np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])
+        left = self._face_count - np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])
         return min(int(np.searchsorted(-left, -target_faces)), len(self._event))
 
     def at(self, step_count: int) -> DecimatedMesh:
@@ -80,8 +82,7 @@ class OrderedLevels:
         drops = self._ordered.drops.head(step_count - collapse_count)
         log = self.log.head(collapse_count)
         root = log.roots(len(self._ordered.root))
-        faces = root[self._input_faces]
-        face_map = faces_left(self._input_faces, faces, drops)
+        faces, face_map = faces_left(self._corner_vertex, root, drops)
         shown = []
         for index, nodes in enumerate(self._passes):
             first = int(self._pass_start[index])
@@ -96,7 +97,7 @@ class OrderedLevels:
         at_end = step_count == len(self._event)
         return replace(
             self._ordered,
-            faces=faces[face_map],
+            faces=faces,
             face_map=face_map,
             root=root,
             position=self._position,
@@ -121,11 +122,10 @@ class OrderedLevels:
         drops = self._ordered.drops
         drops = drops.chosen(cut.dropped, cut.kept) if len(drops) else drops
         root = log.roots(len(self._ordered.root))
-        faces = root[self._input_faces]
-        face_map = faces_left(self._input_faces, faces, drops)
+        faces, face_map = faces_left(self._corner_vertex, root, drops)
         return replace(
             self._ordered,
-            faces=faces[face_map],
+            faces=faces,
             face_map=face_map,
             root=root,
             position=self._position,
@@ -151,8 +151,7 @@ class OrderedLevels:
             all_nodes = np.ones(len(kept), dtype=bool)
             self._show(nodes, all_nodes)
             if self._present is not None:
-                faces = root[self._input_faces]
-                face_map = faces_left(self._input_faces, faces, self._ordered.drops.head(0))
+                _, face_map = faces_left(self._corner_vertex, root, self._ordered.drops.head(0))
                 self._show_present([(nodes, all_nodes)], root, face_map)
             inside = np.where(cluster >= 0, root, -1).astype(np.int32)
             log = self.log.head(part.stop)

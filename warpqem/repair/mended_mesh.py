@@ -232,17 +232,20 @@ def faces_for(ordered: DecimatedMesh, mesh: MeshInput, target: int) -> int:
         target: faces asked for.
     """
     # Whoever has ordered a mesh has loaded it; those who only look at a topology need not.
-    from warpqem.decimation.decimate import faces_left
+    import warp as wp
+
+    from warpqem.decimation.faces_left import faces_left
 
     assert mesh.repair is not None
     log, drops = ordered.log, ordered.drops
     collapses = np.arange(len(log))
+    corner_vertex = wp.array(mesh.faces.ravel(), dtype=wp.int32, device=ordered.position.device)
     event = np.argsort(np.concatenate([2 * collapses + 1, 2 * drops.collapse_count]), kind="stable")
 
     def left(count: int) -> np.ndarray:
         collapsed = int((event[:count] < len(log)).sum())
-        faces = log.head(collapsed).roots(len(ordered.root))[mesh.faces]
-        return faces_left(mesh.faces, faces, drops.head(count - collapsed))
+        root = log.head(collapsed).roots(len(ordered.root))
+        return faces_left(corner_vertex, root, drops.head(count - collapsed))[1]
 
     low, high = 0, len(event)
     while low < high:

@@ -1,0 +1,69 @@
+"""The least that kernels before the first pass and after the last must do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+from benchmarks.demand import INT, POINT, VALENCE, Arguments, Demand, size_of
+
+__all__ = ["PREPARATION_MODELS"]
+
+# Two edges, their cross product and its length 20, lengths of three edges 15, largest ones and sums 6.
+AREA_FLOPS = 41
+
+
+def _begin_members(a: Arguments) -> Demand:
+    # A point read and written, two links.
+    return Demand(a["members"].area.size * (2 * POINT + 2 * INT))
+
+
+def _measure_members(a: Arguments) -> Demand:
+    vertices, corners = a["members"].area.size, a["corner_vertex_in"]
+    # Corners and the lists of them; point, list, area and reach of each vertex.
+    return Demand(2 * size_of(corners) + vertices * (POINT + 4 * INT), vertices * VALENCE * AREA_FLOPS)
+
+
+# Arrays that a kernel reads or writes, and how many times.
+_STREAMED: dict[str, tuple[tuple[str, float], ...]] = {
+    "begin_trees": (("parent_out", 1),),
+    "join_faces": (("corner_vertex_in", 1), ("parent", 2)),
+    "close_trees": (("parent", 2), ("is_root_out", 1)),
+    "number_components": (("root_in", 1), ("roots_before_in", 1), ("component_out", 1)),
+    "invert_order": (("item_in", 1), ("place_out", 1)),
+    "key_faces": (("corner_vertex_in", 1), ("place_in", 1), ("corner_vertex_in", 2 / 3)),
+    "rearrange_corners": (("corner_vertex_out", 2 + 1 / 3), ("place_in", 1)),
+    "gather_integers": (("values_out", 2), ("item_in", 1)),
+    "gather_numbers": (("values_out", 2), ("item_in", 1)),
+    "mark_constrained": (("border_in", 1), ("seam_in", 1), ("constrained_out", 1), ("is_constrained_out", 1)),
+    "list_constrained": (("constrained_in", 1), ("edge_out", 2)),
+    "mark_faces_left": (("corner_vertex_in", 1), ("root_in", 1), ("vertex_drop_in", 1), ("is_left_out", 1)),
+    "list_faces_left": (("before_in", 1), ("face_out", 2)),
+}
+
+
+def _streamed(kernel: str, a: Arguments) -> Demand:
+    return Demand(sum(times * size_of(a[name]) for name, times in _STREAMED[kernel]))
+
+
+def _find_unclean_vertices(a: Arguments) -> Demand:
+    # Flags, and where lists begin and end; few vertices have two faces.
+    return Demand(3 * size_of(a["vertex_flags_in"]))
+
+
+def _find_bounds(a: Arguments) -> Demand:
+    return Demand(a["position_in"].shape[0] * POINT)
+
+
+def _key_vertices(a: Arguments) -> Demand:
+    return Demand(a["position_in"].shape[0] * (POINT + 2 * INT))
+
+
+PREPARATION_MODELS: dict[str, Callable[[Arguments], Demand]] = {
+    **{kernel: partial(_streamed, kernel) for kernel in _STREAMED},
+    "begin_members": _begin_members,
+    "measure_members": _measure_members,
+    "find_unclean_vertices": _find_unclean_vertices,
+    "find_bounds": _find_bounds,
+    "key_vertices": _key_vertices,
+}

@@ -1,0 +1,48 @@
+"""The faces that collapses left, as a list."""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})  # no gradients are taken
+
+
+@wp.kernel
+def mark_faces_left(
+    # in
+    corner_vertex_in: wp.array[wp.int32],
+    root_in: wp.array[wp.int32],
+    vertex_drop_in: wp.array[wp.int32],
+    # out
+    is_left_out: wp.array[wp.int32],
+):
+    """Faces whose corners stayed apart and that no pruned component (V,) took; it may be empty: none was pruned."""
+    f = wp.tid()
+    corner = corner_vertex_in[3 * f]
+    a = root_in[corner]
+    b = root_in[corner_vertex_in[3 * f + 1]]
+    c = root_in[corner_vertex_in[3 * f + 2]]
+    left = wp.int32(0)
+    if a != b and b != c and c != a:
+        left = 1
+        if vertex_drop_in.shape[0] > 0 and vertex_drop_in[corner] >= 0:
+            left = 0
+    is_left_out[f] = left
+
+
+@wp.kernel
+def list_faces_left(
+    # in
+    corner_vertex_in: wp.array[wp.int32],
+    root_in: wp.array[wp.int32],
+    before_in: wp.array[wp.int32],
+    # out
+    face_out: wp.array[wp.vec4i],
+):
+    """Each face that is left, and the roots of its corners; ``before_in`` counts those up to each face, itself too."""
+    f = wp.tid()
+    before = wp.int32(0)
+    if f > 0:
+        before = before_in[f - 1]
+    if before_in[f] > before:
+        a = root_in[corner_vertex_in[3 * f]]
+        b = root_in[corner_vertex_in[3 * f + 1]]
+        face_out[before] = wp.vec4i(f, a, b, root_in[corner_vertex_in[3 * f + 2]])

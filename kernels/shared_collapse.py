@@ -1,0 +1,307 @@
+"""Placing, checking and committing the collapses of a round with many threads for each, as a GPU wants it.
+
+One thread that walks a collapse's frames, faces and members waits for memory all the time: of a gallop's ordering on an
+H100 four fifths went into that. Here each thread has a frame, a face or a few members of a collapse. What they find is
+laid down where no other thread writes (selected collapses share no vertex, and no face of their one-rings), and one
+thread adds it up in the order of the kernels with a thread a collapse: the results are theirs, to the bit.
+"""
+
+from typing import Any
+
+import warp as wp
+
+from warpqem.kernels.collapse import commit_collapse, ends_of, merge_frame
+from warpqem.kernels.edge_cost import anchor_of_terms, anchor_terms, forced_anchor, merged_position
+from warpqem.kernels.lanes import POINTS_ARRAY, lane_kernel
+from warpqem.kernels.legality import (
+    gap_error,
+    joins_rings,
+    keeps_manifold_ends,
+    opposite_vertices,
+    settle_collapse,
+    turns_over,
+)
+from warpqem.kernels.member_distance import gap_of_face, lead_point, ring_distance_squared
+from warpqem.kernels.mesh_state import KEY_FRAMES, AnyKeyFrames, CollapseLog, CostModel, MeshState, degree
+from warpqem.kernels.quadric import NO_PLANE
+from warpqem.kernels.topology import OPEN, half_edge_target, previous_corner
+from warpqem.kernels.work import EdgeList, Work
+
+# Threads that share the faces and members of a collapse: most have twelve faces around their ends.
+COLLAPSE_SLOTS = wp.constant(wp.int32(16))
+
+
+@wp.struct
+class CheckNotes:
+    """What the threads of a collapse have found (V vertices, N faces)."""
+
+    refused: wp.array[wp.int32]  # a collapse each: the last round that refused the one at this place in the list
+    member_gap: wp.array[wp.float32]  # (V,) area times squared distance of a member from the faces left
+    face_gap: wp.array[wp.float32]  # (3N,) area times squared distance, at the corner that moves, of a face left
+
+
+@lane_kernel(frames=KEY_FRAMES, target_out=POINTS_ARRAY)
+def measure_anchors(
+    # in
+    frames: AnyKeyFrames,
+    state: MeshState,
+    selected: EdgeList,
+    work: Work,
+    # out
+    target_out: Any,
+):
+    """The terms of the anchor of each selected edge in each block, in the first column of the rows of its target."""
+    block_count = frames.position.shape[1]
+    for item in range(wp.tid(), block_count * selected.count[0], work.thread_count):
+        i = item // block_count
+        t = item % block_count
+        u = state.corner_vertex[selected.half_edge[i]]
+        v = half_edge_target(state.corner_vertex, selected.half_edge[i])
+        slope, stiffness, regularisation = anchor_terms(frames, u, v, t)
+        terms = target_out.dtype()
+        terms[0, 0] = slope
+        terms[1, 0] = stiffness
+        terms[2, 0] = regularisation
+        target_out[i, t] = terms
+
+
+@lane_kernel(term_in=POINTS_ARRAY)
+def sum_anchor_terms(
+    # in
+    state: MeshState,
+    model: CostModel,
+    selected: EdgeList,
+    term_in: Any,
+    work: Work,
+    # out
+    anchor_out: wp.array[wp.float32],
+):
+    """The anchor along each selected edge, of the terms of :func:`measure_anchors`."""
+    for i in range(wp.tid(), selected.count[0], work.thread_count):
+        u = state.corner_vertex[selected.half_edge[i]]
+        v = half_edge_target(state.corner_vertex, selected.half_edge[i])
+        anchor = forced_anchor(state, u, v)
+        if anchor < 0.0:
+            slope = wp.float32(0.0)
+            stiffness = wp.float32(0.0)
+            regularisation = wp.float32(0.0)
+            for t in range(term_in.shape[1]):
+                terms = term_in[i, t]
+                slope += terms[0, 0]
+                stiffness += terms[1, 0]
+                regularisation += terms[2, 0]
+            anchor = anchor_of_terms(state, model, u, v, slope, stiffness, regularisation)
+        anchor_out[i] = anchor
+
+
+@lane_kernel(frames=KEY_FRAMES, target_out=POINTS_ARRAY)
+def place_blocks(
+    # in
+    frames: AnyKeyFrames,
+    state: MeshState,
+    model: CostModel,
+    selected: EdgeList,
+    anchor_in: wp.array[wp.float32],
+    work: Work,
+    # out
+    target_out: Any,
+):
+    """The merged vertex of each selected collapse in each block of key frames."""
+    block_count = frames.position.shape[1]
+    for item in range(wp.tid(), block_count * selected.count[0], work.thread_count):
+        i = item // block_count
+        t = item % block_count
+        u = state.corner_vertex[selected.half_edge[i]]
+        v = half_edge_target(state.corner_vertex, selected.half_edge[i])
+        target_out[i, t] = merged_position(state, frames, model, u, v, t, anchor_in[i])
+
+
+@wp.func
+def check_faces(
+    state: MeshState,
+    frames: AnyKeyFrames,
+    h: wp.int32,
+    target: Any,
+    i: wp.int32,
+    flip_tolerance: wp.int32,
+    slot: wp.int32,
+    notes: CheckNotes,
+) -> wp.bool:
+    """Whether one of a slot's faces around the ends of half-edge ``h`` breaks a rule; the gap of each that stays."""
+    u = state.corner_vertex[h]
+    v = half_edge_target(state.corner_vertex, h)
+    left, right = opposite_vertices(state, h)
+    open_fan = (state.vertex_flags[v] & OPEN) != 0
+    apex = lead_point(target[i, 0])
+    own = degree(state, u)
+    breaks = wp.bool(False)
+    for j in range(slot, own + degree(state, v), COLLAPSE_SLOTS):
+        at_u = j < own
+        b = wp.where(at_u, v, u)
+        g = state.adjacency.corner[wp.where(at_u, state.adjacency.start[u] + j, state.adjacency.start[v] + j - own)]
+        x = half_edge_target(state.corner_vertex, g)
+        y = state.corner_vertex[previous_corner(g)]
+        if not at_u and joins_rings(state, u, g, left, right, open_fan):
+            breaks = True
+        if x != b and y != b:
+            if turns_over(state, frames, g, target, i, flip_tolerance):
+                breaks = True
+            notes.face_gap[g] = gap_of_face(state, frames, u, v, x, y, apex)
+    return breaks
+
+
+@lane_kernel(frames=KEY_FRAMES, target_in=POINTS_ARRAY)
+def check_slots(
+    # in
+    frames: AnyKeyFrames,
+    state: MeshState,
+    selected: EdgeList,
+    target_in: Any,
+    flip_tolerance: wp.int32,
+    round_count_in: wp.array[wp.int32],
+    work: Work,
+    # out
+    notes: CheckNotes,
+):
+    """What the rules and distances of each selected collapse come to at its faces and members, a slot of them a thread.
+
+    Threads that find a collapse illegal write the same.
+    """
+    for item in range(wp.tid(), COLLAPSE_SLOTS * selected.count[0], work.thread_count):
+        i = item // COLLAPSE_SLOTS
+        slot = item % COLLAPSE_SLOTS
+        h = selected.half_edge[i]
+        if check_faces(state, frames, h, target_in, i, flip_tolerance, slot, notes):
+            notes.refused[i] = round_count_in[0]
+        u = state.corner_vertex[h]
+        v = half_edge_target(state.corner_vertex, h)
+        apex = lead_point(target_in[i, 0])
+        k = wp.int32(0)
+        for side in range(2):
+            m = wp.where(side == 0, u, v)
+            while m >= 0:
+                if k % COLLAPSE_SLOTS == slot:
+                    distance_squared = ring_distance_squared(state, frames, u, v, apex, state.members.position[m])
+                    notes.member_gap[m] = state.members.area[m] * distance_squared
+                k += 1
+                m = state.members.following[m]
+
+
+@wp.func
+def noted_member_gap(state: MeshState, notes: CheckNotes, u: wp.int32, v: wp.int32) -> wp.vec2:
+    """What :func:`member_gap` measures, of the notes."""
+    gap = wp.float32(0.0)
+    area = wp.float32(0.0)
+    for side in range(2):
+        m = wp.where(side == 0, u, v)
+        while m >= 0:
+            gap += notes.member_gap[m]
+            area += state.members.area[m]
+            m = state.members.following[m]
+    return wp.vec2(gap, area)
+
+
+@wp.func
+def noted_face_gap(state: MeshState, notes: CheckNotes, u: wp.int32, v: wp.int32) -> wp.float32:
+    """What :func:`face_gap` measures, of the notes."""
+    gap = wp.float32(0.0)
+    for side in range(2):
+        a = wp.where(side == 0, u, v)
+        b = wp.where(side == 0, v, u)
+        for i in range(state.adjacency.start[a], state.adjacency.end[a]):
+            g = state.adjacency.corner[i]
+            if half_edge_target(state.corner_vertex, g) != b and state.corner_vertex[previous_corner(g)] != b:
+                gap += notes.face_gap[g]
+    return gap
+
+
+@lane_kernel(frames=KEY_FRAMES)
+def settle_collapses(
+    # in and out
+    state: MeshState,
+    # in
+    frames: AnyKeyFrames,
+    model: CostModel,
+    selected: EdgeList,
+    notes: CheckNotes,
+    round_count_in: wp.array[wp.int32],
+    work: Work,
+    # out
+    faces_removed_out: wp.array[wp.int32],
+    error_out: wp.array[wp.float32],
+):
+    """What :func:`check_collapses` gives, of the notes of :func:`check_slots`."""
+    for i in range(wp.tid(), selected.count[0], work.thread_count):
+        h = selected.half_edge[i]
+        legal = notes.refused[i] != round_count_in[0] and keeps_manifold_ends(state, h)
+        gap = wp.vec2(0.0, 0.0)
+        back = wp.float32(0.0)
+        if legal:
+            u = state.corner_vertex[h]
+            v = half_edge_target(state.corner_vertex, h)
+            gap = noted_member_gap(state, notes, u, v)
+            error_out[i] = gap_error(gap)
+            back = noted_face_gap(state, notes, u, v)
+        faces_removed_out[i] = settle_collapse(state, frames, model, h, legal, gap, back)
+
+
+@lane_kernel(frames=KEY_FRAMES, target=POINTS_ARRAY)
+def merge_blocks(
+    # in
+    state: MeshState,
+    selected: EdgeList,
+    faces_removed_in: wp.array[wp.int32],
+    work: Work,
+    # in and out
+    frames: AnyKeyFrames,
+    target: Any,
+):
+    """Move the vertices of the legal collapses in each block; what the error sums comes to lie where the target was."""
+    block_count = frames.position.shape[1]
+    for item in range(wp.tid(), block_count * selected.count[0], work.thread_count):
+        i = item // block_count
+        t = item % block_count
+        if faces_removed_in[i] > 0:
+            u, v = ends_of(state, selected.half_edge[i])
+            error, area = merge_frame(state, frames, u, v, target[i, t], t)
+            terms = target.dtype()
+            terms[0, 0] = error
+            terms[1, 0] = area
+            target[i, t] = terms
+
+
+@lane_kernel(frames=KEY_FRAMES, term_in=POINTS_ARRAY)
+def commit_merged(
+    # in and out
+    state: MeshState,
+    # in
+    frames: AnyKeyFrames,
+    selected: EdgeList,
+    faces_removed_in: wp.array[wp.int32],
+    term_in: Any,
+    anchor_in: wp.array[wp.float32],
+    error_in: wp.array[wp.float32],
+    pass_number_in: wp.array[wp.int32],
+    work: Work,
+    # out
+    mask: wp.array[wp.int32],
+    # in and out
+    log: CollapseLog,
+    log_slot: wp.array[wp.int32],
+    pool_slot: wp.array[wp.int32],
+):
+    """Apply and log the legal collapses, whose vertices have moved: the rest of :func:`commit_collapses`."""
+    for i in range(wp.tid(), selected.count[0], work.thread_count):
+        if faces_removed_in[i] > 0:
+            h = selected.half_edge[i]
+            u, _v = ends_of(state, h)
+            error = wp.float32(0.0)
+            area = wp.float32(0.0)
+            for t in range(term_in.shape[1]):
+                terms = term_in[i, t]
+                error += terms[0, 0]
+                area += terms[1, 0]
+            lead = frames.position[u, 0]
+            slot = commit_collapse(state, h, anchor_in[i], lead, pass_number_in[0], 0, mask, log, log_slot, pool_slot)
+            log.faces_removed[slot] = faces_removed_in[i]
+            log.error[slot] = wp.max(error_in[i], error / wp.max(area, NO_PLANE))

@@ -1,0 +1,63 @@
+"""What each vertex stands for at first, against NumPy."""
+
+import numpy as np
+import pytest
+import warp as wp
+
+from tests.support import meshes
+from tests.support.mesh_state import packed
+from warpqem.decimation.adjacency import build_adjacency
+from warpqem.decimation.cluster_vertices import build_members
+
+MESHES = {
+    "closed": meshes.swaying_sphere(2, 3),
+    "open": meshes.bending_bar(6, 4, 3),
+    "pages": (meshes.book()[0][None], meshes.book()[1]),
+    "poles": (meshes.fan(30)[0][None], meshes.fan(30)[1]),
+}
+
+
+def members_of(points, faces, device):
+    corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device)
+    return build_members(corner_vertex, build_adjacency(corner_vertex, points.shape[1]), packed(points, device))
+
+
+def expected_members(points, faces):
+    """Area (V,), summed in double precision face after face, and squared reach (V,)."""
+    corner = points[faces]
+    area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1) / 6
+    share = np.bincount(faces.ravel(), np.repeat(area, 3), len(points))
+    edge_squared = ((corner - np.roll(corner, -1, axis=1)) ** 2).sum(axis=2).max(axis=1) / 3
+    reach = np.zeros(len(points), dtype=np.float32)
+    np.maximum.at(reach, faces.ravel(), np.repeat(edge_squared, 3))
+    return share.astype(np.float32), reach
+
+
+@pytest.mark.parametrize("name", MESHES)
+def test_areas_and_reaches_match_numpy(name, device):
+    points, faces = MESHES[name]
+    members = members_of(points, faces, device)
+    area, reach = expected_members(points[0], faces)
+    np.testing.assert_allclose(members.area.numpy(), area, rtol=1e-6)
+    np.testing.assert_allclose(members.reach_squared.numpy(), reach, rtol=1e-6)
+
+
+def test_areas_of_all_vertices_are_that_of_the_mesh(device):
+    points, faces = MESHES["open"]
+    corner = points[0][faces].astype(np.float64)
+    area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1).sum() / 2
+    assert members_of(points, faces, device).area.numpy().sum(dtype=np.float64) == pytest.approx(area, rel=1e-6)
+
+
+def test_each_vertex_stands_for_itself_where_it_is_in_the_first_frame(device):
+    points, faces = MESHES["closed"]
+    members = members_of(points, faces, device)
+    np.testing.assert_array_equal(members.position.numpy(), points[0])
+    np.testing.assert_array_equal(members.last.numpy(), np.arange(points.shape[1]))
+    np.testing.assert_array_equal(members.following.numpy(), -1)
+
+
+def test_vertex_without_a_face_has_no_area(device):
+    points = np.concatenate([meshes.octahedron()[0], np.ones((1, 3), dtype=np.float32)])
+    members = members_of(points[None], meshes.octahedron()[1], device)
+    assert members.area.numpy()[-1] == members.reach_squared.numpy()[-1] == 0

@@ -1,0 +1,76 @@
+"""Half-edges of borders and seams, found on the device and listed on the host: most meshes have few."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from warpqem.kernels import constrained_edges as kernels
+from warpqem.runtime.launches import launch
+
+__all__ = ["ConstrainedEdges", "find_constrained_edges"]
+
+
+@dataclass(frozen=True)
+class ConstrainedEdges:
+    """Half-edges of borders and seams.
+
+    Attributes:
+        half_edge: (E,) int32, ascending.
+        kind: (E,) int32, 1 at borders and 2 at seams.
+        ends: (E, 2) int32, the vertices that each runs from and to.
+    """
+
+    half_edge: np.ndarray
+    kind: np.ndarray
+    ends: np.ndarray
+
+    def of_kind(self, kind: int) -> ConstrainedEdges:
+        """Those of one kind."""
+        chosen = self.kind == kind
+        return ConstrainedEdges(self.half_edge[chosen], self.kind[chosen], self.ends[chosen])
+
+    def renumbered(self, half_edge: np.ndarray, vertex: np.ndarray) -> ConstrainedEdges:
+        """The same in a mesh with other numbers: ``half_edge`` (E,) of these and ``vertex`` (V,), in no order."""
+        return ConstrainedEdges(half_edge, self.kind, vertex[self.ends])
+
+    def marks(self, count: int) -> np.ndarray:
+        """(count,) int32, what each half-edge is: 0 for most."""
+        marks = np.zeros(count, dtype=np.int32)
+        marks[self.half_edge] = self.kind
+        return marks
+
+    def lists(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The half-edges by vertex, each at both its ends.
+
+        Returns:
+            ``vertex`` (B,), ``start`` (B+1,) and ``half_edge``: those of ``vertex[i]`` are
+            ``half_edge[start[i]:start[i + 1]]``, ascending; all int32.
+        """
+        ends, half_edge = self.ends.T.ravel(), np.concatenate([self.half_edge, self.half_edge])
+        order = np.lexsort((half_edge, ends))
+        vertex, first = np.unique(ends[order], return_index=True)
+        start = np.append(first, len(ends))
+        return vertex.astype(np.int32), start.astype(np.int32), half_edge[order].astype(np.int32)
+
+
+def find_constrained_edges(corner_vertex: wp.array, border: wp.array, seam: wp.array) -> ConstrainedEdges:
+    """List the half-edges that are marked.
+
+    Args:
+        corner_vertex: (3N,) int32.
+        border: (3N,) int32, 1 at half-edges without an opposite one.
+        seam: (3N,) int32, 1 at both half-edges of a seam edge.
+    """
+    device, count = corner_vertex.device, len(corner_vertex)
+    constrained, before = wp.empty_like(border), wp.empty_like(border)
+    launch(kernels.mark_constrained, count, [border, seam], [constrained, before], device=device)
+    wp.utils.array_scan(before, before, inclusive=True)
+    listed = int(before[count - 1 :].numpy()[0]) if count else 0
+    edges = wp.empty(listed, dtype=wp.vec4i, device=device)
+    if listed:
+        launch(kernels.list_constrained, count, [corner_vertex, constrained, before], [edges], device=device)
+    rows = np.array(edges.numpy())
+    return ConstrainedEdges(rows[:, 0], rows[:, 1], rows[:, 2:])
