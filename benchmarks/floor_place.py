@@ -15,6 +15,10 @@ def _measure_bounds(a: Arguments) -> Demand:
     return Demand(size_of(a["points_in"]) + size_of(a["used_in"]), 6 * a["points_in"].size)
 
 
+def _mark_used_vertices(a: Arguments) -> Demand:
+    return Demand(size_of(a["corner_vertex_in"]) + size_of(a["used"]))
+
+
 def _key_collapses(a: Arguments) -> Demand:
     return Demand(len(a["slot_out"]) / 2 * (3 * INT + 8))
 
@@ -111,6 +115,7 @@ PLACE_MODELS: dict[str, Callable[[Arguments], Demand]] = {
     model.__name__.removeprefix("_"): model
     for model in (
         _measure_bounds,
+        _mark_used_vertices,
         _key_collapses,
         _key_rounds,
         _gather_log,
