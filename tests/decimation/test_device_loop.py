@@ -71,8 +71,12 @@ def assert_same(one, other):
     assert one.stopped == other.stopped
     for name in ("points", "faces", "vertex_map", "face_map"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
-    for name in ("kept", "removed", "opposites", "cost", "error", "faces_removed", "round_index"):
+    for name in ("kept", "removed", "opposites", "faces_removed", "round_index"):
         np.testing.assert_array_equal(getattr(one.log, name), getattr(other.log, name))
+    # The compiler of a GPU rounds the same sums otherwise in another kernel.
+    rounding = 1e-5 if wp.is_cuda_available() else 0.0
+    for name in ("cost", "error"):
+        np.testing.assert_allclose(getattr(one.log, name), getattr(other.log, name), rtol=rounding, atol=0.0)
 
 
 @pytest.mark.parametrize("mesh", [CLOSED, OPEN], ids=["closed", "open"])
