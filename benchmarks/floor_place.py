@@ -15,6 +15,22 @@ def _measure_bounds(a: Arguments) -> Demand:
     return Demand(size_of(a["points_in"]) + size_of(a["used_in"]), 6 * a["points_in"].size)
 
 
+def _mark_used_vertices(a: Arguments) -> Demand:
+    return Demand(size_of(a["corner_vertex_in"]) + size_of(a["used"]))
+
+
+def _key_collapses(a: Arguments) -> Demand:
+    return Demand(len(a["slot_out"]) / 2 * (3 * INT + 8))
+
+
+def _key_rounds(a: Arguments) -> Demand:
+    return Demand(len(a["key_out"]) / 2 * 3 * INT)
+
+
+def _gather_log(a: Arguments) -> Demand:
+    return Demand(2 * size_of(a["values_out"]) + size_of(a["slot_in"]), len(a["slot_in"]))
+
+
 def _restore_points(a: Arguments) -> Demand:
     return Demand(size_of(a["blocks_in"]) + size_of(a["points_out"]), 6 * a["points_out"].size)
 
@@ -99,6 +115,10 @@ PLACE_MODELS: dict[str, Callable[[Arguments], Demand]] = {
     model.__name__.removeprefix("_"): model
     for model in (
         _measure_bounds,
+        _mark_used_vertices,
+        _key_collapses,
+        _key_rounds,
+        _gather_log,
         _restore_points,
         _copy_vertices,
         _count_members,

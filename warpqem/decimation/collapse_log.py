@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, fields
 
 import numpy as np
 import warp as wp
 
 from warpqem.arguments.array_record import ArrayRecord
+from warpqem.kernels import collapse_order as kernels
 from warpqem.kernels.mesh_state import CollapseLog
+from warpqem.runtime.device import device_traits
+from warpqem.runtime.launches import launch
 
 __all__ = ["CollapseRecord", "new_log", "read_log"]
 
@@ -58,13 +62,13 @@ class CollapseRecord(ArrayRecord):
 
     def roots(self, vertex_count: int) -> np.ndarray:
         """(V,) int32, the vertex that each vertex has collapsed into after all collapses."""
-        parent = np.arange(vertex_count, dtype=np.int32)
-        parent[self.removed] = self.kept
-        while True:
-            grandparent = parent[parent]
-            if np.array_equal(grandparent, parent):
-                return parent
-            parent = grandparent
+        root = np.arange(vertex_count, dtype=np.int32)
+        # From the last round to the first: what a vertex went into has its own root by then, as collapses of one round
+        # are independent.
+        ends = [0, *(np.flatnonzero(np.diff(self.round_index)) + 1).tolist(), len(self)]
+        for first, last in reversed(list(itertools.pairwise(ends))):
+            root[self.removed[first:last]] = root[self.kept[first:last]]
+        return root
 
 
 # The arrays of a log in rows of four bytes each, so that one copy brings all of it to the host.
@@ -85,28 +89,60 @@ def new_log(capacity: int, device: str) -> tuple[CollapseLog, wp.array]:
 
 def read_log(rows: wp.array, count: int) -> CollapseRecord:
     """Fetch ``count`` collapses; those of a round, which threads log in any order, are put in order of their cost."""
-    values = rows[:, :count].numpy()
-    integers = dict(zip(_INTEGERS, values, strict=False))
+    device = rows.device
+    if not count:
+        values = np.empty((len(rows), 0), dtype=np.int32)
+    else:
+        slot = _order_on_host(rows, count) if device_traits(str(device)).in_order else _order_by_sorts(rows, count)
+        ordered = wp.empty(len(rows) * count, dtype=wp.int32, device=device)
+        launch(kernels.gather_log, count, [rows, slot], [ordered], device=device)
+        values = ordered.numpy().reshape(len(rows), count)
+    by_name = dict(zip(_INTEGERS, values, strict=False))
     cost, error = (row.view(np.float32) for row in values[len(_INTEGERS) :])
-    order = _sorted_rounds(integers["round_index"], cost, integers["removed"], rows.shape[1])
     return CollapseRecord(
-        kept=integers["kept"][order],
-        removed=integers["removed"][order],
-        opposites=np.stack([integers["left_opposite"], integers["right_opposite"]], axis=1)[order],
-        faces_removed=integers["faces_removed"][order],
-        cost=cost[order],
-        error=np.sqrt(error)[order],
-        round_index=integers["round_index"][order],
-        recent_error=_recent_error(np.sqrt(error)[order]),
+        kept=by_name["kept"],
+        removed=by_name["removed"],
+        opposites=values[2:4].reshape(-1, 2),
+        faces_removed=by_name["faces_removed"],
+        cost=cost,
+        error=error,
+        round_index=by_name["round_index"],
+        recent_error=_recent_error(error),
     )
+
+
+def _order_on_host(rows: wp.array, count: int) -> wp.array:
+    """The order by round, cost and removed vertex, (C,) int32: a sort of plain numbers for each round."""
+    values = rows.numpy()[:, :count]
+    removed, cost = values[_INTEGERS.index("removed")], values[len(_INTEGERS)].view(np.float32)
+    order = _sorted_rounds(values[_INTEGERS.index("round_index")], cost, removed, rows.shape[1])
+    return wp.array(order, dtype=wp.int32, device=rows.device)
+
+
+def _order_by_sorts(rows: wp.array, count: int) -> wp.array:
+    """The same by two sorts on the device, the second of which keeps the order of what is equal."""
+    device, removed, rounds = rows.device, rows[_INTEGERS.index("removed")], rows[_INTEGERS.index("round_index")]
+    # A sort works between the two halves.
+    keys, round_keys, slots = (
+        wp.empty(2 * count, dtype=dtype, device=device) for dtype in (wp.int64, wp.int32, wp.int32)
+    )
+    cost = rows[len(_INTEGERS)].view(wp.float32)
+    launch(kernels.key_collapses, count, [cost, removed], [keys, slots], device=device)
+    # The sign bit is never set.
+    wp.utils.radix_sort_pairs(keys, slots, count, 0, 63)
+    launch(kernels.key_rounds, count, [slots, rounds], [round_keys], device=device)
+    wp.utils.radix_sort_pairs(round_keys, slots, count, 0, 31)
+    return slots[:count]
 
 
 def _recent_error(error: np.ndarray) -> np.ndarray:
     """(C,) float32, root mean square over the last ``RECENT`` of the collapses up to each, at least itself."""
-    total = np.concatenate([[0.0], np.cumsum(error.astype(np.float64) ** 2)])
+    total = np.zeros(len(error) + 1)
+    np.cumsum(np.square(error, dtype=np.float64), out=total[1:])
     count = np.arange(1, len(error) + 1)
-    first = count - np.maximum((RECENT * count).astype(np.int64), 1)
-    mean: np.ndarray = np.sqrt(np.maximum(total[count] - total[first], 0.0) / (count - first))
+    taken = np.maximum((RECENT * count).astype(np.int64), 1)
+    difference = total[1:] - total[count - taken]
+    mean: np.ndarray = np.sqrt(np.maximum(difference, 0.0, out=difference) / taken)
     return mean.astype(np.float32)
 
 

@@ -16,6 +16,8 @@ from warpqem.frames.blocks import frame_blocks
 from warpqem.frames.checked_frames import BrokenPoints, check_source, frame_bounds
 from warpqem.frames.device_frames import BoundsMeter, HeldFrames, device_blocks
 from warpqem.frames.stream import ArrayFrames, FrameSource, counted_frames, read_ahead
+from warpqem.kernels.face_check import mark_used_vertices
+from warpqem.runtime.launches import launch
 
 if TYPE_CHECKING:
     from warpqem.repair.mended_mesh import MeshRepair
@@ -130,12 +132,15 @@ def _is_trimesh(value: Any) -> bool:
     return trimesh is not None and isinstance(value, trimesh.Trimesh)
 
 
-def read_mesh(points: Any, faces: Any = None, admit: Callable[[int], None] | None = None) -> MeshInput:
+def read_mesh(
+    points: Any, faces: Any = None, admit: Callable[[int], None] | None = None, device: str | None = None
+) -> MeshInput:
     """Check the shape of points (F, V, 3) or (V, 3), or a :class:`FrameSource`, and faces (N, 3).
 
     A ``trimesh.Trimesh`` as the only argument serves for both, and so does a source with ``faces``, such as a
     :class:`warpqem.MeshSequence`, and a mesh that has been read. ``admit`` is
-    called with the number of faces before anything is made of them; it may raise.
+    called with the number of faces before anything is made of them; it may raise. Faces are looked through on the
+    ``device``; None for the host.
 
     Raises:
         MeshShapeError: wrong shape or dtype.
@@ -158,10 +163,25 @@ def read_mesh(points: Any, faces: Any = None, admit: Callable[[int], None] | Non
     given = index_array(faces, "faces", ("N", 3))
     if admit is not None:
         admit(len(given))
+    used = None if device is None else _used_vertices(given, source.vertex_count, device)
+    if used is not None:
+        # A copy: the caller's array may change.
+        return MeshInput(source, given.copy(), np.arange(len(given), dtype=np.int32), len(given), used)
     kept, face_index = _proper_faces(read_faces(given, "faces", source.vertex_count))
-    used = np.zeros(source.vertex_count, dtype=bool)
-    used[kept] = True
+    # Counting takes half the time of marking.
+    used = np.bincount(kept.ravel(), minlength=source.vertex_count) > 0
     return MeshInput(source, kept, face_index, len(given), used)
+
+
+def _used_vertices(faces: np.ndarray, vertex_count: int, device: str) -> np.ndarray | None:
+    """(V,) bool, vertices with a face; None for faces (N, 3) of which some are unfit, or which are no plain int32."""
+    if faces.dtype != np.int32 or not faces.flags.c_contiguous or not len(faces):
+        return None
+    used = wp.zeros(vertex_count, dtype=wp.bool, device=device)
+    is_unfit = wp.zeros(1, dtype=wp.int32, device=device)
+    corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device, copy=False)
+    launch(mark_used_vertices, len(faces), [corner_vertex], [used, is_unfit], device=device)
+    return None if is_unfit.numpy()[0] else np.array(used.numpy())
 
 
 def measure_mesh(
@@ -322,6 +342,8 @@ def is_proper(faces: np.ndarray) -> np.ndarray:
 def _proper_faces(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Faces with three different vertices, and the index of each."""
     proper = is_proper(faces)
+    if proper.all():
+        return faces.copy(), np.arange(len(faces), dtype=np.int32)
     if not proper.any():
         raise DegenerateMeshError(f"none of the {len(faces)} faces has three different vertices")
     return np.ascontiguousarray(faces[proper]), np.flatnonzero(proper).astype(np.int32)

@@ -42,9 +42,10 @@ class KeyFrameChoice:
     def observe(self, frames: slice, points: np.ndarray) -> None:
         """Keep what distinguishes these frames (n, V, 3) from others."""
         if not self._all:
-            # Laid out alike for any number of frames, so that sums round alike.
-            pose = np.take(points, self._vertex, axis=1)
-            self._poses[frames] = pose - pose.mean(axis=1, keepdims=True)
+            # Laid out alike for any number of frames, so that sums round alike: a vertex of all frames after another.
+            pose = np.ascontiguousarray(np.take(points, self._vertex, axis=1).transpose(1, 0, 2))
+            pose -= pose.mean(axis=0)
+            self._poses[frames] = pose.transpose(1, 0, 2)
 
     def choose(self) -> np.ndarray:
         """The key frames, (K,) int, ascending; fewer than asked for where poses repeat."""

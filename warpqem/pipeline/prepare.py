@@ -142,7 +142,7 @@ def prepare(
     options = options.checked()
     spec = cost_model(options.metric)
     device = resolve_device(options.device)
-    read = read_mesh(points, faces, partial(admit_faces, limit=options.memory, device=device))
+    read = read_mesh(points, faces, partial(admit_faces, limit=options.memory, device=device), device)
     # For all that is done with it in this call, by whatever number of threads: the bits are the same.
     limit_threads(worthwhile_threads(len(read.faces), read.frame_count))
     given = repaired_mesh(read, device)

@@ -1,0 +1,75 @@
+"""The collapse log, from the rows that threads left in any order within a round."""
+
+import numpy as np
+import pytest
+import warp as wp
+from hypothesis import given
+from hypothesis import strategies as st
+
+from warpqem.decimation.collapse_log import RECENT, CollapseRecord, _order_by_sorts, _order_on_host, read_log
+
+VERTEX_COUNT = 300
+
+
+def log_rows(seed, count, capacity=VERTEX_COUNT) -> np.ndarray:
+    """(8, capacity) int32 rows of ``count`` collapses of independent vertices in rounds, with garbage behind them."""
+    rng = np.random.default_rng(seed)
+    rows = rng.integers(-(2**31), 2**31 - 1, size=(8, capacity)).astype(np.int32)
+    vertex = rng.permutation(capacity)
+    round_index = np.sort(rng.integers(1, 12, size=count))
+    # A vertex goes into one that stays for longer than its round.
+    after = np.searchsorted(round_index, round_index, side="right")
+    kept = vertex[rng.integers(after, capacity)] if count else np.empty(0)
+    opposites = rng.integers(0, capacity, size=count), rng.integers(-1, capacity, size=count)
+    rows[:6, :count] = [kept, vertex[:count], *opposites, rng.integers(1, 3, size=count), round_index]
+    # Many costs are equal.
+    rows[6, :count] = rng.choice(np.float32([0.0, 1e-30, 0.5, 2.0]), size=count).view(np.int32)
+    rows[7, :count] = rng.random(count).astype(np.float32).view(np.int32)
+    return rows
+
+
+def order_of(rows, count) -> np.ndarray:
+    values = rows[:, :count]
+    return np.lexsort((values[1], values[6].view(np.float32), values[5]))
+
+
+@pytest.mark.parametrize("order", [_order_on_host, _order_by_sorts])
+@pytest.mark.parametrize("count", [1, 2, 150, VERTEX_COUNT - 1])
+def test_collapses_come_by_round_then_cost_then_removed_vertex(order, count, device):
+    rows = log_rows(count, count)
+    found = order(wp.array(rows, device=device), count).numpy()
+    np.testing.assert_array_equal(found, order_of(rows, count))
+
+
+@pytest.mark.parametrize("count", [1, 16, 17, 250])
+def test_a_log_is_its_rows_in_order(count, device):
+    rows = log_rows(7, count)
+    log, expected = read_log(wp.array(rows, device=device), count), rows[:, order_of(rows, count)]
+    for name, row in zip(("kept", "removed", "faces_removed", "round_index"), expected[[0, 1, 4, 5]], strict=True):
+        np.testing.assert_array_equal(getattr(log, name), row)
+    np.testing.assert_array_equal(log.opposites, expected[2:4].T)
+    np.testing.assert_array_equal(log.cost, expected[6].view(np.float32))
+    np.testing.assert_array_equal(log.error, np.sqrt(expected[7].view(np.float32)))
+    squared = log.error.astype(np.float64) ** 2
+    means = [squared[i - max(int(RECENT * i), 1) : i].mean() for i in range(1, count + 1)]
+    np.testing.assert_allclose(log.recent_error, np.sqrt(means), rtol=1e-6)
+
+
+def test_a_log_without_collapses_is_empty(device):
+    log = read_log(wp.array(log_rows(0, 0), device=device), 0)
+    assert len(log) == len(log.recent_error) == 0
+    assert log.opposites.shape == (0, 2)
+    np.testing.assert_array_equal(log.roots(5), np.arange(5))
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(0, VERTEX_COUNT - 1), st.floats(0, 1))
+def test_roots_are_where_following_the_collapses_ends(seed, count, share):
+    rows = log_rows(seed, count)[:, :count]
+    none = np.zeros(count, dtype=np.float32)
+    log = CollapseRecord(rows[0], rows[1], rows[2:4].T, rows[4], none, none, rows[5], none)
+    log = log.chosen(np.random.default_rng(seed).random(count) < share)
+    into = dict(zip(log.removed.tolist(), log.kept.tolist(), strict=True))
+    for vertex, root in enumerate(log.roots(VERTEX_COUNT).tolist()):
+        while vertex in into:
+            vertex = into[vertex]
+        assert root == vertex
