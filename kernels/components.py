@@ -9,6 +9,7 @@ High-Performance Connected Components Implementation for GPUs", HPDC 2018.)
 import warp as wp
 
 from warpqem.kernels.topology import VertexAdjacency
+from warpqem.kernels.work import Work
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
@@ -95,3 +96,24 @@ def number_components(
     """The component of each vertex: how many roots there are before its own."""
     v = wp.tid()
     component_out[v] = roots_before_in[root_in[v]]
+
+
+@wp.kernel
+def list_component_faces(
+    # in
+    corner_vertex_in: wp.array[wp.int32],
+    face_count_in: wp.array[wp.int32],
+    component_in: wp.array[wp.int32],
+    is_chosen_in: wp.array[wp.int32],
+    work: Work,
+    # in and out
+    listed: wp.array[wp.int32],
+    # out
+    face_out: wp.array[wp.vec3i],
+):
+    """List the live faces of the components (C,) that are chosen, in no order; ``listed`` counts them from zero."""
+    for f in range(wp.tid(), face_count_in[0], work.thread_count):
+        v = corner_vertex_in[3 * f]
+        if v >= 0 and is_chosen_in[component_in[v]] != 0:
+            i = wp.atomic_add(listed, 0, 1)
+            face_out[i] = wp.vec3i(v, corner_vertex_in[3 * f + 1], corner_vertex_in[3 * f + 2])

@@ -7,9 +7,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.support import meshes
-from tests.support.mesh_state import corners_of
+from tests.support.mesh_state import corners_of, one_part
 from warpqem.decimation.adjacency import build_adjacency
 from warpqem.decimation.component_forest import ComponentForest
+from warpqem.kernels.components import list_component_faces
 from warpqem.mesh.components import lowest_members
 
 FACES = st.lists(st.lists(st.integers(0, 19), min_size=3, max_size=3, unique=True), min_size=1, max_size=12)
@@ -51,3 +52,20 @@ def test_vertices_without_a_face_are_no_component_that_counts(unused, device):
     forest, count = forest_of(faces + unused, len(points) + unused, device)
     assert count == 2
     assert forest.number().numpy()[-1] == 1 + unused
+
+
+def test_live_faces_of_chosen_components_are_listed(device):
+    _, faces = meshes.joined(meshes.tetrahedron(), meshes.octahedron(), meshes.tetrahedron())
+    forest, _ = forest_of(faces, int(faces.max()) + 1, device)
+    component, chosen = forest.number(), np.array([1, 0, 1], dtype=np.int32)
+    live = faces.copy()
+    live[1] = live[-1] = -1
+    listed, out = wp.zeros(1, dtype=wp.int32, device=device), wp.zeros(8, dtype=wp.vec3i, device=device)
+    # The last face of the arrays is not one of the mesh's.
+    counts = wp.array([len(faces) - 1], dtype=wp.int32, device=device)
+    work = one_part(device)
+    work.thread_count = 5
+    inputs = [corners_of(live, device), counts, component, wp.array(chosen, device=device), work]
+    wp.launch(list_component_faces, dim=5, inputs=inputs, outputs=[listed, out], device=device)
+    expected = sorted(face for face in live[:-1].tolist() if face[0] >= 0 and chosen[component.numpy()[face[0]]])
+    assert sorted(out.numpy()[: listed.numpy()[0]].tolist()) == expected

@@ -36,7 +36,9 @@ class ComponentDistances:
     def __init__(
         self, points: np.ndarray, faces: np.ndarray, component: np.ndarray, weight: np.ndarray, device: str
     ) -> None:
-        used = np.unique(faces)
+        is_used = np.zeros(len(component), dtype=bool)
+        is_used[faces] = True
+        used = np.flatnonzero(is_used)
         order = used[np.argsort(component[used], kind="stable")]
         count = np.bincount(component[order], minlength=int(component.max(initial=0)) + 1)
         self._first = np.concatenate([[0], np.cumsum(np.minimum(count, MAX_SAMPLES))])

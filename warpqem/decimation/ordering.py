@@ -61,7 +61,7 @@ class Ordering(ABC):
             The faces that went with them.
         """
         excess = self.live_faces - target_faces
-        drops = components.drop(cost_threshold, excess, self.collapse_count(), self.face_slots)
+        drops = components.drop(cost_threshold, excess, self.collapse_count())
         self.drops += drops
         dropped = sum(drop.face_count for drop in drops)
         self.live_faces -= dropped

@@ -19,10 +19,12 @@ import warp as wp
 from warpqem.decimation.collapse_nodes import read_rows
 from warpqem.decimation.component_distances import MAX_FRAMES, ComponentDistances
 from warpqem.decimation.component_forest import ComponentForest
+from warpqem.decimation.recorded_launches import part_work
 from warpqem.kernels import collapse as kernels
+from warpqem.kernels.components import list_component_faces
 from warpqem.kernels.lanes import width_of
 from warpqem.kernels.mesh_state import MeshState
-from warpqem.kernels.pass_control import MAX_REMNANT_FACES
+from warpqem.kernels.pass_control import MAX_REMNANT_FACES, count_component_faces
 from warpqem.kernels.topology import LOCKED
 from warpqem.runtime.launches import launch
 
@@ -134,7 +136,8 @@ class Components:
     ) -> None:
         self._state, self._key_count = state, key_count
         self._error_limit, self._last_limit = error_limit, last_limit
-        self._component: np.ndarray = forest.number().numpy()
+        self._component_of = forest.number()
+        self._component: np.ndarray = self._component_of.numpy()
         # A locked vertex stays.
         self._free = np.ones(int(self._component.max(initial=0)) + 1, dtype=bool)
         self._free[self._component[(state.vertex_flags.numpy() & int(LOCKED)) != 0]] = False
@@ -158,7 +161,7 @@ class Components:
         """(C,) bool, components without a locked vertex."""
         return self._free
 
-    def drop(self, cost_threshold: float, excess: int, collapse_count: int, slot_count: int) -> list[ComponentDrop]:
+    def drop(self, cost_threshold: float, excess: int, collapse_count: int) -> list[ComponentDrop]:
         """Prune components that cost no more than ``cost_threshold``, the cheapest first, while faces are in excess.
 
         One component always stays. What a component costs is found again when its turn comes: those that went before
@@ -168,17 +171,14 @@ class Components:
             cost_threshold: infinite where there is nothing else to do.
             excess: faces beyond those asked for.
             collapse_count: collapses so far.
-            slot_count: faces in the arrays, dead ones included.
         """
-        live = self._state.corner_vertex[: 3 * slot_count].numpy().reshape(-1, 3)
-        live = live[live[:, 0] >= 0]
-        sizes = np.bincount(self._component[live[:, 0]], minlength=len(self._free))
+        sizes = self._live_sizes()
         small = np.flatnonzero((sizes > 0) & (sizes <= MAX_FACES) & self._free)
         if not len(small):
             return []
         stays, drops = sizes > 0, []
         left = int(np.count_nonzero(stays))
-        remnants = self._remnants(live, small, sizes)
+        remnants = self._remnants(small, sizes)
         waiting = [(*self._loss(remnant, stays), i) for i, remnant in enumerate(remnants)]
         heapify(waiting)
         while waiting and excess > 0 and left > 1:
@@ -218,10 +218,28 @@ class Components:
             np.array([drop.error for drop in drops], dtype=np.float32),
         )
 
-    def _remnants(self, live: np.ndarray, small: np.ndarray, sizes: np.ndarray) -> list[_Remnant]:
-        component = self._component[live[:, 0]]
-        inside = np.isin(component, small)
-        corners = np.stack([np.repeat(component[inside], 3), live[inside].ravel()], axis=1)
+    def _live_sizes(self) -> np.ndarray:
+        """(C,) int32, live faces of each component."""
+        device = self._state.corner_vertex.device
+        sizes, work = wp.zeros(len(self._free), dtype=wp.int32, device=device), part_work(0, 1, str(device))
+        inputs = [self._state, self._component_of, work]
+        launch(count_component_faces, work.thread_count, inputs, [sizes], device=device)
+        return np.array(sizes.numpy())
+
+    def _live_faces(self, small: np.ndarray, count: int) -> np.ndarray:
+        """(count, 3) int32, the live faces of some components, in no order."""
+        device = self._state.corner_vertex.device
+        chosen = np.zeros(len(self._free), dtype=np.int32)
+        chosen[small] = 1
+        listed, faces = (wp.zeros(n, dtype=t, device=device) for n, t in ((1, wp.int32), (count, wp.vec3i)))
+        work, of_component = part_work(0, 1, str(device)), wp.array(chosen, device=device)
+        inputs = [self._state.corner_vertex, self._state.face_count, self._component_of, of_component, work]
+        launch(list_component_faces, work.thread_count, inputs, [listed, faces], device=device)
+        return np.array(faces.numpy())
+
+    def _remnants(self, small: np.ndarray, sizes: np.ndarray) -> list[_Remnant]:
+        faces = self._live_faces(small, int(sizes[small].sum()))
+        corners = np.stack([np.repeat(self._component[faces[:, 0]], 3), faces.ravel()], axis=1)
         pairs = np.unique(corners, axis=0)
         start = np.searchsorted(pairs[:, 0], small)
         vertex = pairs[:, 1].astype(np.int32)
