@@ -10,7 +10,17 @@ import warp as wp
 
 from warpqem.kernels.lanes import width_of
 
-__all__ = ["Arguments", "Demand", "frames_of", "half_edges_of", "keys_of", "length_of", "moved_of", "size_of"]
+__all__ = [
+    "Arguments",
+    "Demand",
+    "frames_of",
+    "half_edges_of",
+    "keys_of",
+    "length_of",
+    "moved_of",
+    "size_of",
+    "vertices_of",
+]
 
 INT, POINT, QUADRIC = 4, 12, 40
 # Edges, faces and neighbours at a vertex of a closed triangle mesh, on average; half-edges that leave or enter it.
@@ -66,3 +76,10 @@ def half_edges_of(a: Arguments) -> int:
 def moved_of(a: Arguments) -> int:
     """Vertices that the last pass moved."""
     return max(0, length_of(a["log"]) - int(a["pass_begin"].numpy()[0]))
+
+
+def vertices_of(a: Arguments) -> int:
+    """Vertices of the mesh, all parts of it, in a launch over them."""
+    if "members" in a:
+        return int(a["members"].area.size)
+    return int(a["vertex_flags" if "vertex_flags" in a else "vertex_flags_in"].size)

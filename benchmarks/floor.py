@@ -20,6 +20,7 @@ from benchmarks.demand import keys_of as _keys
 from benchmarks.demand import length_of as _length
 from benchmarks.demand import moved_of as _moved
 from benchmarks.demand import size_of as _size
+from benchmarks.demand import vertices_of as _vertices
 from benchmarks.floor_options import OPTION_MODELS, frame_items
 from benchmarks.floor_place import PLACE_MODELS
 from benchmarks.floor_preparation import PREPARATION_MODELS
@@ -364,12 +365,6 @@ def count_demand(kernel: str, arguments: Arguments, threads: int) -> Demand | No
     return Demand(share * whole.bytes, share * whole.flops)
 
 
-def _vertex_count(a: Arguments) -> int:
-    if "members" in a:
-        return int(a["members"].area.size)
-    return int(a["vertex_flags" if "vertex_flags" in a else "vertex_flags_in"].size)
-
-
 def _share(a: Arguments, threads: int) -> float:
     """The part of the whole that a launch does, where CPU threads have a launch each."""
     if "work" in a:
@@ -379,7 +374,7 @@ def _share(a: Arguments, threads: int) -> float:
     if "first_output" in a:
         return threads / a["squared"].size
     if "first_vertex" in a:
-        return threads / _vertex_count(a)
+        return threads / _vertices(a)
     if "turns" in a:
         return min(1.0, threads / frame_items(a))
     return 1.0

@@ -30,6 +30,7 @@ _STREAMED: dict[str, tuple[tuple[str, float], ...]] = {
     "join_faces": (("corner_vertex_in", 1), ("parent", 2)),
     "close_trees": (("parent", 2), ("is_root_out", 1)),
     "number_components": (("root_in", 1), ("roots_before_in", 1), ("component_out", 1)),
+    "count_non_manifold": (("vertex_flags_in", 1),),
     "invert_order": (("item_in", 1), ("place_out", 1)),
     "key_faces": (("corner_vertex_in", 1), ("place_in", 1), ("corner_vertex_in", 2 / 3)),
     "rearrange_corners": (("corner_vertex_out", 2 + 1 / 3), ("place_in", 1)),
@@ -38,7 +39,7 @@ _STREAMED: dict[str, tuple[tuple[str, float], ...]] = {
     "mark_constrained": (("border_in", 1), ("seam_in", 1), ("constrained_out", 1), ("is_constrained_out", 1)),
     "list_constrained": (("constrained_in", 1), ("edge_out", 2)),
     "mark_faces_left": (("corner_vertex_in", 1), ("root_in", 1), ("vertex_drop_in", 1), ("is_left_out", 1)),
-    "list_faces_left": (("before_in", 1), ("face_out", 2)),
+    "list_faces_left": (("before_in", 1), ("row_out", 2)),
 }
 
 

@@ -33,3 +33,15 @@ def find_unclean_vertices(
         behind = half_edge_target(corner_vertex_in, h) == corner_vertex_in[previous_corner(g)]
         if ahead and behind:
             is_unclean_out[0] = 1
+
+
+@wp.kernel
+def count_non_manifold(
+    # in
+    vertex_flags_in: wp.array[wp.int32],
+    # in and out
+    count: wp.array[wp.int32],
+):
+    """Count the vertices whose faces are not one fan (from zero)."""
+    if (vertex_flags_in[wp.tid()] & NON_MANIFOLD) != 0:
+        wp.atomic_add(count, 0, 1)

@@ -35,14 +35,20 @@ def list_faces_left(
     root_in: wp.array[wp.int32],
     before_in: wp.array[wp.int32],
     # out
-    face_out: wp.array[wp.vec4i],
+    row_out: wp.array[wp.vec4i],
 ):
-    """Each face that is left, and the roots of its corners; ``before_in`` counts those up to each face, itself too."""
+    """How many faces are left, then each of them, as far as there is room, and the roots of its corners.
+
+    ``before_in`` counts those up to each face, itself too.
+    """
     f = wp.tid()
     before = wp.int32(0)
     if f > 0:
         before = before_in[f - 1]
-    if before_in[f] > before:
+    place = before_in[f]
+    if place > before and place < row_out.shape[0]:
         a = root_in[corner_vertex_in[3 * f]]
         b = root_in[corner_vertex_in[3 * f + 1]]
-        face_out[before] = wp.vec4i(f, a, b, root_in[corner_vertex_in[3 * f + 2]])
+        row_out[place] = wp.vec4i(f, a, b, root_in[corner_vertex_in[3 * f + 2]])
+    if f == before_in.shape[0] - 1:
+        row_out[0] = wp.vec4i(place, 0, 0, 0)

@@ -69,19 +69,30 @@ def nearest_member(state: MeshState, vertex: wp.int32, p: wp.vec3, best: wp.floa
 
 
 @wp.func
+def face_area(a: wp.vec3, b: wp.vec3, c: wp.vec3) -> wp.float32:
+    """Area of a face."""
+    return 0.5 * wp.length(wp.cross(b - a, c - a))
+
+
+@wp.func
+def face_middle(a: wp.vec3, b: wp.vec3, c: wp.vec3) -> wp.vec3:
+    """The middle of a face."""
+    return (a + b + c) / 3.0
+
+
+@wp.func
 def gap_of_face(
     state: MeshState, frames: AnyKeyFrames, u: wp.int32, v: wp.int32, x: wp.int32, y: wp.int32, apex: wp.vec3
 ) -> wp.float32:
     """Area times squared distance of the middle of the face ``apex x y`` from the members of its corners."""
     q = lead_point(frames.position[x, 0])
     r = lead_point(frames.position[y, 0])
-    area = 0.5 * wp.length(wp.cross(q - apex, r - apex))
-    middle = (apex + q + r) / 3.0
+    middle = face_middle(apex, q, r)
     squared = nearest_member(state, u, middle, wp.float32(wp.inf))
     squared = nearest_member(state, v, middle, squared)
     squared = nearest_member(state, x, middle, squared)
     squared = nearest_member(state, y, middle, squared)
-    return area * wp.max(squared, 0.0)
+    return face_area(apex, q, r) * wp.max(squared, 0.0)
 
 
 @wp.func

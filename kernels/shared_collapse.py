@@ -21,14 +21,23 @@ from warpqem.kernels.legality import (
     settle_collapse,
     turns_over,
 )
-from warpqem.kernels.member_distance import gap_of_face, lead_point, ring_distance_squared
+from warpqem.kernels.member_distance import (
+    face_area,
+    face_middle,
+    lead_point,
+    nearest_member,
+    ring_distance_squared,
+)
 from warpqem.kernels.mesh_state import KEY_FRAMES, AnyKeyFrames, CollapseLog, CostModel, MeshState, degree
 from warpqem.kernels.quadric import NO_PLANE
 from warpqem.kernels.topology import OPEN, half_edge_target, previous_corner
 from warpqem.kernels.work import EdgeList, Work
 
-# Threads that share the faces and members of a collapse: most have twelve faces around their ends.
-COLLAPSE_SLOTS = wp.constant(wp.int32(16))
+# Threads that share the faces and members of a collapse: most have ten faces left around their ends, each with members
+# of four vertices to look at.
+COLLAPSE_SLOTS = wp.constant(wp.int32(32))
+# The bits of infinity.
+FAR_AWAY = wp.constant(wp.int32(0x7F800000))
 
 
 @wp.struct
@@ -37,7 +46,8 @@ class CheckNotes:
 
     refused: wp.array[wp.int32]  # a collapse each: the last round that refused the one at this place in the list
     member_gap: wp.array[wp.float32]  # (V,) area times squared distance of a member from the faces left
-    face_gap: wp.array[wp.float32]  # (3N,) area times squared distance, at the corner that moves, of a face left
+    face_area: wp.array[wp.float32]  # (3N,) at the corner that moves: area of a face left
+    face_distance: wp.array[wp.int32]  # (3N,) there: squared distance of its middle from members, the bits of a float
 
 
 @lane_kernel(frames=KEY_FRAMES, target_out=POINTS_ARRAY)
@@ -117,6 +127,29 @@ def place_blocks(
 
 
 @wp.func
+def note_face(
+    state: MeshState,
+    frames: AnyKeyFrames,
+    notes: CheckNotes,
+    vertex: wp.int32,
+    g: wp.int32,
+    x: wp.int32,
+    y: wp.int32,
+    apex: wp.vec3,
+):
+    """Note the area of the face ``apex x y``, and how far its middle is from the members of one of its vertices.
+
+    The nearest member of all counts: a least is the same in any order of the threads.
+    """
+    q = lead_point(frames.position[x, 0])
+    r = lead_point(frames.position[y, 0])
+    squared = wp.max(nearest_member(state, vertex, face_middle(apex, q, r), wp.float32(wp.inf)), 0.0)
+    # The bits of numbers that are not negative are in their order.
+    wp.atomic_min(notes.face_distance, g, wp.cast(squared, wp.int32))
+    notes.face_area[g] = face_area(apex, q, r)
+
+
+@wp.func
 def check_faces(
     state: MeshState,
     frames: AnyKeyFrames,
@@ -127,26 +160,34 @@ def check_faces(
     slot: wp.int32,
     notes: CheckNotes,
 ) -> wp.bool:
-    """Whether one of a slot's faces around the ends of half-edge ``h`` breaks a rule; the gap of each that stays."""
+    """Whether a face of a slot, of those around the ends of half-edge ``h``, breaks a rule; notes of those that stay.
+
+    Each face is there four times, once for each vertex whose members it is compared with; two of these times it is
+    checked too.
+    """
     u = state.corner_vertex[h]
     v = half_edge_target(state.corner_vertex, h)
-    left, right = opposite_vertices(state, h)
-    open_fan = (state.vertex_flags[v] & OPEN) != 0
     apex = lead_point(target[i, 0])
     own = degree(state, u)
+    face_count = own + degree(state, v)
     breaks = wp.bool(False)
-    for j in range(slot, own + degree(state, v), COLLAPSE_SLOTS):
+    for item in range(slot, 4 * face_count, COLLAPSE_SLOTS):
+        turn = item // face_count
+        j = item % face_count
         at_u = j < own
         b = wp.where(at_u, v, u)
         g = state.adjacency.corner[wp.where(at_u, state.adjacency.start[u] + j, state.adjacency.start[v] + j - own)]
         x = half_edge_target(state.corner_vertex, g)
         y = state.corner_vertex[previous_corner(g)]
-        if not at_u and joins_rings(state, u, g, left, right, open_fan):
-            breaks = True
-        if x != b and y != b:
-            if turns_over(state, frames, g, target, i, flip_tolerance):
+        if turn == 1 and not at_u:
+            left, right = opposite_vertices(state, h)
+            if joins_rings(state, u, g, left, right, (state.vertex_flags[v] & OPEN) != 0):
                 breaks = True
-            notes.face_gap[g] = gap_of_face(state, frames, u, v, x, y, apex)
+        if x != b and y != b:
+            if turn == 0 and turns_over(state, frames, g, target, i, flip_tolerance):
+                breaks = True
+            vertex = wp.where(turn == 0, u, wp.where(turn == 1, v, wp.where(turn == 2, x, y)))
+            note_face(state, frames, notes, vertex, g, x, y, apex)
     return breaks
 
 
@@ -160,7 +201,7 @@ def check_slots(
     flip_tolerance: wp.int32,
     round_count_in: wp.array[wp.int32],
     work: Work,
-    # out
+    # in and out
     notes: CheckNotes,
 ):
     """What the rules and distances of each selected collapse come to at its faces and members, a slot of them a thread.
@@ -202,8 +243,8 @@ def noted_member_gap(state: MeshState, notes: CheckNotes, u: wp.int32, v: wp.int
 
 
 @wp.func
-def noted_face_gap(state: MeshState, notes: CheckNotes, u: wp.int32, v: wp.int32) -> wp.float32:
-    """What :func:`face_gap` measures, of the notes."""
+def take_face_gap(state: MeshState, notes: CheckNotes, u: wp.int32, v: wp.int32) -> wp.float32:
+    """What :func:`face_gap` measures, of the notes, which are cleared."""
     gap = wp.float32(0.0)
     for side in range(2):
         a = wp.where(side == 0, u, v)
@@ -211,7 +252,8 @@ def noted_face_gap(state: MeshState, notes: CheckNotes, u: wp.int32, v: wp.int32
         for i in range(state.adjacency.start[a], state.adjacency.end[a]):
             g = state.adjacency.corner[i]
             if half_edge_target(state.corner_vertex, g) != b and state.corner_vertex[previous_corner(g)] != b:
-                gap += notes.face_gap[g]
+                gap += notes.face_area[g] * wp.cast(notes.face_distance[g], wp.float32)
+                notes.face_distance[g] = FAR_AWAY
     return gap
 
 
@@ -219,11 +261,11 @@ def noted_face_gap(state: MeshState, notes: CheckNotes, u: wp.int32, v: wp.int32
 def settle_collapses(
     # in and out
     state: MeshState,
+    notes: CheckNotes,
     # in
     frames: AnyKeyFrames,
     model: CostModel,
     selected: EdgeList,
-    notes: CheckNotes,
     round_count_in: wp.array[wp.int32],
     work: Work,
     # out
@@ -234,14 +276,13 @@ def settle_collapses(
     for i in range(wp.tid(), selected.count[0], work.thread_count):
         h = selected.half_edge[i]
         legal = notes.refused[i] != round_count_in[0] and keeps_manifold_ends(state, h)
+        u = state.corner_vertex[h]
+        v = half_edge_target(state.corner_vertex, h)
+        back = take_face_gap(state, notes, u, v)
         gap = wp.vec2(0.0, 0.0)
-        back = wp.float32(0.0)
         if legal:
-            u = state.corner_vertex[h]
-            v = half_edge_target(state.corner_vertex, h)
             gap = noted_member_gap(state, notes, u, v)
             error_out[i] = gap_error(gap)
-            back = noted_face_gap(state, notes, u, v)
         faces_removed_out[i] = settle_collapse(state, frames, model, h, legal, gap, back)
 
 

@@ -5,13 +5,13 @@ import pytest
 import warp as wp
 
 from tests.support import meshes
-from tests.support.mesh_state import corners_of
-from warpqem.decimation.constrained_edges import ConstrainedEdges, find_constrained_edges
+from tests.support.mesh_state import corners_of, listed_edges
+from warpqem.decimation.constrained_edges import ConstrainedEdges
 
 
 def edges_of(faces, border, seam, device) -> ConstrainedEdges:
     marks = (wp.array(values, dtype=wp.int32, device=device) for values in (border, seam))
-    return find_constrained_edges(corners_of(faces, device), *marks)
+    return listed_edges(corners_of(faces, device), *marks)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 1.0])

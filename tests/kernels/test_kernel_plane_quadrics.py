@@ -6,9 +6,8 @@ import warp as wp
 
 from tests.oracles import quadrics as oracle
 from tests.support import meshes
-from tests.support.mesh_state import blocks, build_mesh, packed
+from tests.support.mesh_state import blocks, build_mesh, listed_edges, packed
 from warpqem.decimation.adjacency import build_adjacency, classify_vertices
-from warpqem.decimation.constrained_edges import find_constrained_edges
 from warpqem.decimation.initial_quadrics import initial_quadrics
 from warpqem.kernels.lanes import width_of
 from warpqem.kernels.plane_quadrics import weigh_face_normals
@@ -51,7 +50,7 @@ def test_quadric_scale_multiplies_the_vertex_quadric(device):
     corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device)
     adjacency = build_adjacency(corner_vertex, points.shape[1])
     border = classify_vertices(corner_vertex, adjacency, wp.zeros(points.shape[1], dtype=wp.int32, device=device))
-    edges = find_constrained_edges(corner_vertex, border, wp.zeros_like(border))
+    edges = listed_edges(corner_vertex, border, wp.zeros_like(border))
     position = packed(points, device)
     scales = [np.ones(points.shape[1]), np.full(points.shape[1], 4.0)]
     once, fourfold = (

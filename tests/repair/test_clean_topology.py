@@ -2,11 +2,13 @@
 
 import numpy as np
 import pytest
+import warp as wp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.oracles.topology import NON_MANIFOLD, vertex_flags
 from tests.support import meshes
+from warpqem.kernels.clean_topology import count_non_manifold
 from warpqem.repair.mended_topology import repair_topology
 
 PATCH = meshes.grid(3, 2)[1]
@@ -51,3 +53,14 @@ def test_what_is_clean_has_distinct_faces_in_fans(device, chosen):
     distinct = len(np.unique(np.sort(faces, axis=1), axis=0)) == len(faces)
     in_fans = not (vertex_flags(faces, faces.max() + 1) & NON_MANIFOLD).any()
     assert is_clean(faces, device) == (distinct and in_fans)
+
+
+@pytest.mark.parametrize("name", [*CLEAN, *OTHERS])
+def test_non_manifold_vertices_are_counted(name, device):
+    faces = (CLEAN | OTHERS)[name]
+    flags = vertex_flags(faces, faces.max() + 1).astype(np.int32)
+    count = wp.zeros(1, dtype=wp.int32, device=device)
+    wp.launch(
+        count_non_manifold, dim=len(flags), inputs=[wp.array(flags, device=device)], outputs=[count], device=device
+    )
+    assert count.numpy()[0] == np.count_nonzero(flags & NON_MANIFOLD)

@@ -84,6 +84,15 @@ def test_each_part_gets_its_own_of_an_argument(argument, expected, three_threads
         np.testing.assert_array_equal(written, value)
 
 
+@pytest.mark.parametrize(
+    ("argument", "array"),
+    [(rows_of, ITEMS[:10]), (columns_of, ITEMS.reshape(3, 10)), (corners_of, ITEMS), (starts_of, ITEMS[:11])],
+)
+def test_a_part_that_is_the_whole_gets_the_array_itself(argument, array):
+    assert argument(array).of(slice(0, 10)) is array
+    assert argument(array).of(slice(0, 9)) is not array
+
+
 def test_threads_load_a_module_once(three_threads, monkeypatch):
     loads = []
     monkeypatch.setattr(launches, "_loaded", set())

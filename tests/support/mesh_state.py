@@ -6,7 +6,7 @@ import warp as wp
 from warpqem.decimation.adjacency import Adjacency, build_adjacency, classify_vertices
 from warpqem.decimation.attribute_quadrics import build_wedges
 from warpqem.decimation.cluster_vertices import build_members
-from warpqem.decimation.constrained_edges import find_constrained_edges
+from warpqem.decimation.constrained_edges import ConstrainedEdges, EdgeMarks
 from warpqem.decimation.deformation import build_deformation
 from warpqem.decimation.initial_quadrics import initial_quadrics
 from warpqem.frames.blocks import pack_frames
@@ -32,6 +32,12 @@ def blocks(values, frame_count) -> np.ndarray:
 def corners_of(faces, device) -> wp.array:
     """The vertices of all corners (3N,) of faces (N, 3)."""
     return wp.array(np.asarray(faces).ravel(), dtype=wp.int32, device=device)
+
+
+def listed_edges(corner_vertex, border, seam) -> ConstrainedEdges:
+    """The half-edges with a mark (3N,) of either kind."""
+    count = wp.zeros(1, dtype=wp.int32, device=corner_vertex.device)
+    return EdgeMarks(corner_vertex, border, seam, count).listed(int(count.numpy()[0]))
 
 
 class DeviceMesh:
@@ -89,7 +95,7 @@ def build_mesh(
     frames.position = position
     ones = wp.ones(vertex_count, dtype=wp.float32, device=device)
     state.seam = wp.zeros(faces.size, dtype=wp.int32, device=device)
-    edges = find_constrained_edges(state.corner_vertex, border, state.seam)
+    edges = listed_edges(state.corner_vertex, border, state.seam)
     frames.quadric = initial_quadrics(state.corner_vertex, adjacency, edges, position, ones)
     weight = np.ones(vertex_count) if cost_weight is None else np.asarray(cost_weight)
     state.cost_weight = wp.array(weight, dtype=wp.float32, device=device)

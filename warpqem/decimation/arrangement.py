@@ -23,6 +23,8 @@ __all__ = ["ARRANGED_FACES", "Arrangement", "arrange"]
 
 # Meshes of at least so many faces are rearranged: below it, the rows of one or two blocks of key frames fit the cache.
 ARRANGED_FACES = 40_000
+# Vertices that a thread looks at for the box around all: threads wait for each other where they widen it.
+LEAST_BOUNDED = 64
 
 
 @dataclass(frozen=True)
@@ -83,12 +85,13 @@ class Arrangement:
 
     def restore_log(self, log: CollapseRecord) -> CollapseRecord:
         """The collapses in terms of input vertices."""
-        # What has no vertex has -1, which takes the last entry.
+        # An opposite vertex that is not there is -1, which wraps around to the last entry.
         vertex = np.append(self.host_vertex, np.int32(-1))
+        kept, removed, opposites = (np.take(vertex, v, mode="wrap") for v in (log.kept, log.removed, log.opposites))
         return CollapseRecord(
-            vertex[log.kept],
-            vertex[log.removed],
-            vertex[log.opposites],
+            kept,
+            removed,
+            opposites,
             log.faces_removed,
             log.cost,
             log.error,
@@ -108,6 +111,7 @@ def arrange(corner_vertex: wp.array, position: wp.array) -> Arrangement:
     width, bounds = width_of(position), kernels.Bounds()
     bounds.low, bounds.high = (wp.full(3, end, dtype=wp.float32, device=device) for end in (np.inf, -np.inf))
     work = part_work(0, 1, str(device))
+    work.thread_count = max(1, min(work.thread_count, vertex_count // LEAST_BOUNDED))
     launch(kernels.find_bounds[width], work.thread_count, [position, work], [bounds], device=device)
     keys, items = _sorting_room(vertex_count, device)
     launch(kernels.key_vertices[width], vertex_count, [position, bounds], [keys, items], device=device)

@@ -10,7 +10,7 @@ import warp as wp
 from warpqem.kernels import constrained_edges as kernels
 from warpqem.runtime.launches import launch
 
-__all__ = ["ConstrainedEdges", "find_constrained_edges"]
+__all__ = ["ConstrainedEdges", "EdgeMarks"]
 
 
 @dataclass(frozen=True)
@@ -56,21 +56,29 @@ class ConstrainedEdges:
         return vertex.astype(np.int32), start.astype(np.int32), half_edge[order].astype(np.int32)
 
 
-def find_constrained_edges(corner_vertex: wp.array, border: wp.array, seam: wp.array) -> ConstrainedEdges:
-    """List the half-edges that are marked.
+class EdgeMarks:
+    """Half-edges of borders and seams as marks on the device.
 
     Args:
         corner_vertex: (3N,) int32.
         border: (3N,) int32, 1 at half-edges without an opposite one.
         seam: (3N,) int32, 1 at both half-edges of a seam edge.
+        count: (1,) int32 on the device: gets the number of half-edges that are marked.
     """
-    device, count = corner_vertex.device, len(corner_vertex)
-    constrained, before = wp.empty_like(border), wp.empty_like(border)
-    launch(kernels.mark_constrained, count, [border, seam], [constrained, before], device=device)
-    wp.utils.array_scan(before, before, inclusive=True)
-    listed = int(before[count - 1 :].numpy()[0]) if count else 0
-    edges = wp.empty(listed, dtype=wp.vec4i, device=device)
-    if listed:
-        launch(kernels.list_constrained, count, [corner_vertex, constrained, before], [edges], device=device)
-    rows = np.array(edges.numpy())
-    return ConstrainedEdges(rows[:, 0], rows[:, 1], rows[:, 2:])
+
+    def __init__(self, corner_vertex: wp.array, border: wp.array, seam: wp.array, count: wp.array) -> None:
+        self._corner_vertex, device = corner_vertex, corner_vertex.device
+        self._marks, self._before = wp.empty_like(border), wp.empty_like(border)
+        launch(kernels.mark_constrained, len(border), [border, seam], [self._marks, self._before], device=device)
+        wp.utils.array_scan(self._before, self._before, inclusive=True)
+        wp.copy(count, self._before, src_offset=len(border) - 1, count=1)
+
+    def listed(self, count: int) -> ConstrainedEdges:
+        """The half-edges; ``count`` is their number."""
+        device, edges = self._corner_vertex.device, np.zeros((0, 4), dtype=np.int32)
+        if count:
+            found = wp.empty(count, dtype=wp.vec4i, device=device)
+            inputs = [self._corner_vertex, self._marks, self._before]
+            launch(kernels.list_constrained, len(self._marks), inputs, [found], device=device)
+            edges = np.array(found.numpy())
+        return ConstrainedEdges(edges[:, 0], edges[:, 1], edges[:, 2:])

@@ -15,7 +15,8 @@ from warpqem.decimation.attribute_quadrics import build_wedges
 from warpqem.decimation.cluster_vertices import build_members
 from warpqem.decimation.collapse_log import CollapseRecord, read_log
 from warpqem.decimation.collapse_nodes import NodeRecorder
-from warpqem.decimation.constrained_edges import ConstrainedEdges, find_constrained_edges
+from warpqem.decimation.component_forest import ComponentForest
+from warpqem.decimation.constrained_edges import ConstrainedEdges, EdgeMarks
 from warpqem.decimation.deformation import build_deformation
 from warpqem.decimation.device_loop import DeviceOrderer
 from warpqem.decimation.faces_left import faces_left
@@ -26,6 +27,7 @@ from warpqem.decimation.passes import Orderer
 from warpqem.decimation.pruning import Components, DropRecord
 from warpqem.decimation.quadric_sums import QuadricSums, add_quadric_sums
 from warpqem.kernels import attribute as attribute_kernels
+from warpqem.kernels.clean_topology import count_non_manifold
 from warpqem.kernels.lanes import width_of
 from warpqem.kernels.mesh_state import KEY_FRAMES, AnyKeyFrames, CostModel, MeshState
 from warpqem.kernels.topology import CORNER, NON_MANIFOLD
@@ -132,15 +134,15 @@ def order_collapses(
     vertex_count = len(mesh.vertex_flags)
     corner_vertex = wp.array(mesh.faces.ravel(), dtype=wp.int32, device=device)
     arrangement = arrange(corner_vertex, mesh.key_position) if len(mesh.faces) >= ARRANGED_FACES else None
-    state, frames, adjacency, edges = _on_device(mesh, corner_vertex, arrangement, settings.memoryless, device)
-    non_manifold = (state.vertex_flags.numpy() & int(NON_MANIFOLD)) != 0
+    state, frames, adjacency, kinds = _on_device(mesh, corner_vertex, arrangement, settings, device)
+    edges, non_manifold = kinds.edges, kinds.non_manifold
     steps = PassSteps(state, frames, adjacency, _cost_model(mesh, settings), device, settings.memoryless)
-    stopped, log, drops = _collapse(steps, settings, progress, recorder)
+    stopped, log, drops = _collapse(steps, settings, kinds.forest, progress, recorder)
     if mesh.attributes is not None:
         add_attributes = attribute_kernels.add_attribute_quadrics[width_of(frames.quadric)]
         launch(add_attributes, len(frames.quadric), [state.wedges.quadric], [frames.quadric], device=device)
     # What follows needs their memory.
-    del state, adjacency, steps
+    del state, adjacency, steps, kinds
     row = np.arange(vertex_count, dtype=np.int32)
     if arrangement is not None:
         row, log, drops = (
@@ -150,7 +152,7 @@ def order_collapses(
         )
         edges = edges.renumbered(arrangement.restore_half_edges(edges.half_edge), arrangement.host_vertex)
     root = log.roots(vertex_count)
-    faces, face_map = faces_left(corner_vertex, root, drops)
+    faces, face_map = faces_left(corner_vertex, log, root, drops)
     return DecimatedMesh(
         faces=faces,
         face_map=face_map,
@@ -172,6 +174,7 @@ def order_collapses(
 def _collapse(
     steps: PassSteps,
     settings: OrderSettings,
+    forest: ComponentForest | None,
     progress: Callable[[int], None] | None,
     recorder: NodeRecorder | None,
 ) -> tuple[str, CollapseRecord, DropRecord]:
@@ -180,9 +183,9 @@ def _collapse(
     lowest_limit = min(settings.error_limit, settings.size_limit)
     orderer = _new_ordering(steps)
     components = None
-    if not settings.keep_components:
+    if forest is not None:
         limits = settings.error_limit**2, lowest_limit**2
-        components = Components.find(state, steps.frames.position, int(steps.model.key_count), *limits)
+        components = Components(forest, state, steps.frames.position, int(steps.model.key_count), *limits)
     if recorder is not None:
         recorder.begin(settings.memoryless)
     stopped = orderer.run(settings.target_faces, progress, recorder, components)
@@ -194,9 +197,13 @@ def _collapse(
 
 
 def _on_device(
-    mesh: DecimationInput, input_corners: wp.array, arrangement: Arrangement | None, memoryless: bool, device: str
-) -> tuple[MeshState, AnyKeyFrames, Adjacency, ConstrainedEdges]:
-    """The mesh as kernels see it, rearranged or a copy: state, key frames, adjacency, edges of borders and seams."""
+    mesh: DecimationInput,
+    input_corners: wp.array,
+    arrangement: Arrangement | None,
+    settings: OrderSettings,
+    device: str,
+) -> tuple[MeshState, AnyKeyFrames, Adjacency, _Kinds]:
+    """The mesh as kernels see it, rearranged or a copy."""
     state, frames = MeshState(), KEY_FRAMES[width_of(mesh.key_position)]()
     if arrangement is None:
         corner_vertex, frames.position = wp.clone(input_corners), wp.clone(mesh.key_position)
@@ -216,19 +223,43 @@ def _on_device(
     state.cost_weight = of_vertices(mesh.cost_weight, wp.float32)
     state.seam = _seam_marks(mesh.seam, arrangement, device)
     border = classify_vertices(corner_vertex, adjacency, state.vertex_flags)
-    edges = find_constrained_edges(corner_vertex, border, state.seam)
+    kinds = _find_kinds(state, border, settings.keep_components)
     options = mesh if arrangement is None else _rearranged_options(mesh, arrangement)
     if options.matrices is None:
-        frames.quadric = initial_quadrics(corner_vertex, adjacency, edges, frames.position, state.quadric_scale)
+        frames.quadric = initial_quadrics(corner_vertex, adjacency, kinds.edges, frames.position, state.quadric_scale)
     else:
         frames.quadric = given_quadrics(options.matrices, device)
     if options.sums is not None:
-        _add_sums(options.sums, state, frames, memoryless)
+        _add_sums(options.sums, state, frames, settings.memoryless)
     state.edge_cost = wp.empty(len(corner_vertex), dtype=wp.float32, device=device)
     state.trajectory, state.deformation = build_deformation(options.trajectories, len(mesh.faces), device)
     state.wedges = build_wedges(corner_vertex, frames.position, options.attributes, mesh.key_count)
     state.members = build_members(corner_vertex, adjacency, frames.position)
-    return state, frames, adjacency, edges
+    return state, frames, adjacency, kinds
+
+
+@dataclass(frozen=True)
+class _Kinds:
+    """What the topology shows of a mesh (V vertices), as the device numbers it."""
+
+    edges: ConstrainedEdges
+    non_manifold: np.ndarray  # (V,) bool
+    forest: ComponentForest | None  # None for a single component, or where they do not matter
+
+
+def _find_kinds(state: MeshState, border: wp.array, keep_components: bool) -> _Kinds:
+    """Look for edges of borders and seams, non-manifold vertices and components: the host waits once for the counts."""
+    device, flags = border.device, state.vertex_flags
+    counts = wp.zeros(3, dtype=wp.int32, device=device)
+    marks = EdgeMarks(state.corner_vertex, border, state.seam, counts[:1])
+    forest = None if keep_components else ComponentForest(state.corner_vertex, state.adjacency, counts[1:2])
+    launch(count_non_manifold, len(flags), [flags], [counts[2:]], device=device)
+    edge_count, component_count, non_manifold_count = counts.numpy().tolist()
+    non_manifold = np.zeros(len(flags), dtype=bool)
+    if non_manifold_count:
+        non_manifold = (flags.numpy() & int(NON_MANIFOLD)) != 0
+    # One component always stays.
+    return _Kinds(marks.listed(edge_count), non_manifold, forest if component_count > 1 else None)
 
 
 def _seam_marks(seam: np.ndarray, arrangement: Arrangement | None, device: str) -> wp.array:

@@ -56,9 +56,10 @@ def initial_quadrics(
         device=device,
     )
     for kind, weight in CONSTRAINT_WEIGHT.items():
-        vertex, start, half_edge = edges.of_kind(kind).lists()
-        if not len(vertex):
+        chosen = edges.of_kind(kind)
+        if not len(chosen.half_edge):
             continue
+        vertex, start, half_edge = chosen.lists()
         launch(
             kernels.add_border_planes[width],
             dim=(len(vertex), block_count),

@@ -88,6 +88,8 @@ class DropRecord:
 
     def for_vertices(self, vertex: np.ndarray) -> DropRecord:
         """The same for vertices in another order: ``vertex`` (V,) is the new number of each."""
+        if not len(self):
+            return self
         vertex_drop = np.empty_like(self.vertex_drop)
         vertex_drop[vertex] = self.vertex_drop
         return DropRecord(vertex_drop, self.collapse_count, self.face_count, self.error)
@@ -113,7 +115,7 @@ class Components:
     """The components of a mesh, which collapses neither join nor part.
 
     Args:
-        forest: its components.
+        forest: its components, several: one always stays.
         state: the mesh, with nothing collapsed yet.
         key_position: (V, B) blocks of points of the key frames, as the input has them.
         key_count: key frames.
@@ -138,14 +140,6 @@ class Components:
         self._free[self._component[(state.vertex_flags.numpy() & int(LOCKED)) != 0]] = False
         # As the input has them: both are changed by collapses.
         self._corner_vertex, self._points = wp.clone(state.corner_vertex), _chosen_frames(key_position, key_count)
-
-    @classmethod
-    def find(
-        cls, state: MeshState, key_position: wp.array, key_count: int, error_limit: float, last_limit: float
-    ) -> Components | None:
-        """The components of a mesh, with the arguments of the class; None where there is one, as one always stays."""
-        forest = ComponentForest(state.corner_vertex, state.adjacency)
-        return None if forest.count <= 1 else cls(forest, state, key_position, key_count, error_limit, last_limit)
 
     @cached_property
     def _distances(self) -> ComponentDistances:

@@ -82,7 +82,7 @@ class OrderedLevels:
         drops = self._ordered.drops.head(step_count - collapse_count)
         log = self.log.head(collapse_count)
         root = log.roots(len(self._ordered.root))
-        faces, face_map = faces_left(self._corner_vertex, root, drops)
+        faces, face_map = faces_left(self._corner_vertex, log, root, drops)
         shown = []
         for index, nodes in enumerate(self._passes):
             first = int(self._pass_start[index])
@@ -122,7 +122,7 @@ class OrderedLevels:
         drops = self._ordered.drops
         drops = drops.chosen(cut.dropped, cut.kept) if len(drops) else drops
         root = log.roots(len(self._ordered.root))
-        faces, face_map = faces_left(self._corner_vertex, root, drops)
+        faces, face_map = faces_left(self._corner_vertex, log, root, drops)
         return replace(
             self._ordered,
             faces=faces,
@@ -147,14 +147,14 @@ class OrderedLevels:
             kept = np.sort(self.log.kept[part])
             place[kept] = np.arange(len(kept), dtype=np.int32)
             cluster = place[root]
+            log = self.log.head(part.stop)
             self._shown[:] = -1
             all_nodes = np.ones(len(kept), dtype=bool)
             self._show(nodes, all_nodes)
             if self._present is not None:
-                _, face_map = faces_left(self._corner_vertex, root, self._ordered.drops.head(0))
+                _, face_map = faces_left(self._corner_vertex, log, root, self._ordered.drops.head(0))
                 self._show_present([(nodes, all_nodes)], root, face_map)
             inside = np.where(cluster >= 0, root, -1).astype(np.int32)
-            log = self.log.head(part.stop)
             ordered = replace(self._ordered, root=inside, position=self._position, quadric=self._quadric, log=log)
             collapse = part.start + np.argsort(self.log.kept[part])
             yield MergedClusters(collapse, kept, cluster, ordered)

@@ -28,9 +28,10 @@ class SharedSteps:
         notes = self._notes = CheckNotes()
         notes.refused = steps.integers(len(steps.faces_removed))
         vertex_count, corner_count = len(steps.state.vertex_flags), len(steps.state.corner_vertex)
-        notes.member_gap, notes.face_gap = (
+        notes.member_gap, notes.face_area = (
             wp.empty(count, dtype=wp.float32, device=steps.device) for count in (vertex_count, corner_count)
         )
+        notes.face_distance = wp.full(corner_count, kernels.FAR_AWAY, dtype=wp.int32, device=steps.device)
 
     def checking(self, selected: EdgeList) -> list[LaunchGroup]:
         """The faces that each selected collapse removes, and where it puts its vertex."""
@@ -45,7 +46,7 @@ class SharedSteps:
             record_shared(recorder, kernels.place_blocks[width], placed, work, [steps.target])
             checked = [frames, state, selected, steps.target, steps.flip_tolerance, steps.log.round_count]
             record_shared(recorder, kernels.check_slots[width], checked, work, [self._notes])
-            settled = [state, frames, model, selected, self._notes, steps.log.round_count]
+            settled = [state, self._notes, frames, model, selected, steps.log.round_count]
             record_shared(recorder, kernels.settle_collapses[width], settled, work, [steps.faces_removed, steps.error])
 
         return [LaunchGroup(check)]

@@ -238,14 +238,16 @@ def faces_for(ordered: DecimatedMesh, mesh: MeshInput, target: int) -> int:
 
     assert mesh.repair is not None
     log, drops = ordered.log, ordered.drops
-    collapses = np.arange(len(log))
+    index = np.arange(len(log))
     corner_vertex = wp.array(mesh.faces.ravel(), dtype=wp.int32, device=ordered.position.device)
-    event = np.argsort(np.concatenate([2 * collapses + 1, 2 * drops.collapse_count]), kind="stable")
+    event = np.argsort(np.concatenate([2 * index + 1, 2 * drops.collapse_count]), kind="stable")
 
     def left(count: int) -> np.ndarray:
         collapsed = int((event[:count] < len(log)).sum())
-        root = log.head(collapsed).roots(len(ordered.root))
-        return faces_left(corner_vertex, root, drops.head(count - collapsed))[1]
+        collapses = log.head(collapsed)
+        return faces_left(corner_vertex, collapses, collapses.roots(len(ordered.root)), drops.head(count - collapsed))[
+            1
+        ]
 
     low, high = 0, len(event)
     while low < high:

@@ -36,22 +36,27 @@ FIRST_ITEM = PerPart(lambda part: part.start)
 
 def rows_of(array: wp.array) -> PerPart:
     """The part's own rows of an array (n, ...) of n items."""
-    return PerPart(lambda part: array[part])
+    return PerPart(lambda part: array if _is_whole(part, len(array)) else array[part])
 
 
 def columns_of(array: wp.array) -> PerPart:
     """The part's own columns of an array (m, n) of n items."""
-    return PerPart(lambda part: array[:, part])
+    return PerPart(lambda part: array if _is_whole(part, array.shape[1]) else array[:, part])
 
 
 def corners_of(array: wp.array) -> PerPart:
     """The part's own rows of an array (3n, ...) of the corners of n faces."""
-    return PerPart(lambda part: array[3 * part.start : 3 * part.stop])
+    return PerPart(lambda part: array if _is_whole(part, len(array) // 3) else array[3 * part.start : 3 * part.stop])
 
 
 def starts_of(array: wp.array) -> PerPart:
     """Where the lists of the part's own items begin, and the last one ends, of an array (n+1,) for n items."""
-    return PerPart(lambda part: array[part.start : part.stop + 1])
+    return PerPart(lambda part: array if _is_whole(part, len(array) - 1) else array[part.start : part.stop + 1])
+
+
+def _is_whole(part: slice, count: int) -> bool:
+    """Whether a part is all there is: a slice of an array takes the host longer than a launch."""
+    return bool(part.start == 0 and part.stop == count)
 
 
 def launch_in_parts(
