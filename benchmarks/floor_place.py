@@ -48,14 +48,6 @@ def _mark_highest(a: Arguments) -> Demand:
     return Demand(3 * size_of(a["cluster_in"]) + 2 * size_of(a["highest_rank_in"]))
 
 
-def _limit_counts(a: Arguments) -> Demand:
-    return Demand(2 * size_of(a["count_in"]))
-
-
-def _count_entries(a: Arguments) -> Demand:
-    return Demand(2 * size_of(a["member_start_in"]))
-
-
 def _fill_gram_matrices(a: Arguments) -> Demand:
     keys, size = frames_of(a["key_position_in"]), _member_counts(a)
     members, entries = size.sum(), (size * (size + 1) / 2).sum()
@@ -94,7 +86,7 @@ def _measure_stiffness(a: Arguments) -> Demand:
 
 
 def _sum_stiffness(a: Arguments) -> Demand:
-    moved = sum(size_of(a[name]) for name in ("error_in", "area_in", "error_out", "area_out"))
+    moved = sum(size_of(a[name]) for name in ("error_in", "area_in", "sum_out"))
     return Demand(moved, a["error_in"].size + a["area_in"].size)
 
 
@@ -123,8 +115,6 @@ PLACE_MODELS: dict[str, Callable[[Arguments], Demand]] = {
         _copy_vertices,
         _count_members,
         _mark_highest,
-        _limit_counts,
-        _count_entries,
         _fill_gram_matrices,
         _solve_for_weights,
         _measure_reach,

@@ -271,18 +271,6 @@ def keep_within_reach(
 
 
 @wp.kernel
-def count_entries(
-    # in
-    member_start_in: wp.array[wp.int32],
-    # out
-    count_out: wp.array[wp.int32],
-):
-    """Entries of the Gram matrix of each cluster, see :func:`packed`."""
-    cluster = wp.tid()
-    count_out[cluster] = packed(member_start_in[cluster + 1] - member_start_in[cluster], 0)
-
-
-@wp.kernel
 def finish_anchors(
     # in
     start_in: wp.array[wp.int32],

@@ -46,19 +46,6 @@ def mark_highest(
 
 
 @wp.kernel
-def limit_counts(
-    # in
-    count_in: wp.array[wp.int32],
-    most: wp.int32,
-    # out
-    count_out: wp.array[wp.int32],
-):
-    """The counts, or ``most`` where they are larger."""
-    i = wp.tid()
-    count_out[i] = wp.min(count_in[i], most)
-
-
-@wp.kernel
 def choose_nearest(
     # in
     start_in: wp.array[wp.int32],

@@ -11,7 +11,7 @@ def mark_used_vertices(
     corner_vertex_in: wp.array[wp.int32],
     # in and out
     used: wp.array[wp.bool],
-    is_unfit: wp.array[wp.int32],
+    is_unfit: wp.array[wp.bool],
 ):
     """Mark the vertices (V,) of faces; ``is_unfit`` (1,) is where one uses a vertex twice, or one that is none."""
     h = 3 * wp.tid()
@@ -20,7 +20,7 @@ def mark_used_vertices(
     c = corner_vertex_in[h + 2]
     vertex_count = used.shape[0]
     if wp.min(wp.min(a, b), c) < 0 or wp.max(wp.max(a, b), c) >= vertex_count or a == b or b == c or c == a:
-        is_unfit[0] = 1
+        is_unfit[0] = True
     else:
         used[a] = True
         used[b] = True

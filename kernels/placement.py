@@ -171,20 +171,19 @@ def sum_stiffness(
     error_in: wp.array3d[wp.float32],
     area_in: wp.array2d[wp.float32],
     # out
-    error_out: wp.array2d[wp.float32],
-    area_out: wp.array[wp.float32],
+    sum_out: wp.array2d[wp.float32],
 ):
-    """The sums over all frames, (C, S) and (C,), of what :func:`measure_stiffness` finds in blocks of them."""
+    """Sums over all frames, (C, S + 1), the area last, of what :func:`measure_stiffness` finds in blocks of them."""
     c = wp.tid()
     for step in range(error_in.shape[2]):
         error = wp.float32(0.0)
         for t in range(error_in.shape[1]):
             error += error_in[c, t, step]
-        error_out[c, step] = error
+        sum_out[c, step] = error
     area = wp.float32(0.0)
     for t in range(area_in.shape[1]):
         area += area_in[c, t]
-    area_out[c] = area
+    sum_out[c, error_in.shape[2]] = area
 
 
 @lane_kernel(blocks_in=POINTS_ARRAY)

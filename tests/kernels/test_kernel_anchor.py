@@ -9,8 +9,7 @@ import warp as wp
 from tests.oracles import quadrics as oracle
 from tests.support import meshes
 from tests.support.mesh_state import build_mesh, packed, packed_quadrics
-from warpqem.kernels.anchor import count_entries, fill_gram_matrices, measure_cluster_distances
-from warpqem.kernels.cluster_rows import mark_highest
+from warpqem.kernels.anchor import fill_gram_matrices, measure_cluster_distances
 from warpqem.kernels.lanes import width_of
 from warpqem.place.anchors import (
     Anchors,
@@ -272,12 +271,12 @@ def test_anchor_stays_near_the_end_of_a_ridge_that_its_planes_share(device):
     assert place[0] == pytest.approx(-1 - 0.25 * 3.75, abs=0.01)
 
 
-def in_order(eligible, distance, starts, found) -> None:
-    _find_in_order(eligible, distance, starts[1], found)
+def in_order(holder, distance, starts, found) -> None:
+    _find_in_order(holder, distance, starts[1], found)
 
 
-def by_sort(eligible, distance, starts, found) -> None:
-    _find_by_sort(eligible, distance, *starts, found)
+def by_sort(holder, distance, starts, found) -> None:
+    _find_by_sort(holder, distance, *starts, found)
 
 
 @pytest.mark.parametrize("find", [in_order, by_sort])
@@ -290,10 +289,10 @@ def test_nearest_vertices_come_first_and_equal_ones_in_their_order(most, find, d
     first = np.concatenate([[0], np.cumsum(np.bincount(cluster[cluster >= 0], minlength=6))]).astype(np.int32)
     size = np.minimum(np.diff(first), most)
     start = np.concatenate([[0], np.cumsum(size)]).astype(np.int32)
-    eligible = wp.array(np.append(cluster, -1), dtype=wp.int32, device=device)
+    holder = wp.array(np.append(cluster, -1), dtype=wp.int32, device=device)
     starts = [wp.array(values, dtype=wp.int32, device=device) for values in (first, start)]
     found = wp.empty(int(start[-1]), dtype=wp.int32, device=device)
-    find(eligible, wp.array(distance, device=device), starts, found)
+    find(holder, wp.array(distance, device=device), starts, found)
     chosen = found.numpy()
     for c in range(6):
         members = np.flatnonzero(cluster == c)
@@ -333,15 +332,17 @@ def test_vertices_of_clusters_are_counted_and_those_of_the_highest_rank_marked(s
     clusters = Clusters.of(cluster.astype(np.int32), rank.astype(np.int32), 7, device)
     highest = np.zeros(7, dtype=int)
     np.maximum.at(highest, cluster[cluster >= 0], rank[cluster >= 0])
-    np.testing.assert_array_equal(clusters.size.numpy(), np.bincount(cluster[cluster >= 0], minlength=7))
-    np.testing.assert_array_equal(clusters.highest_rank.numpy(), highest)
-    count = wp.zeros(7, dtype=wp.int32, device=device)
-    found = wp.empty(90, dtype=wp.int32, device=device)
-    inputs = [clusters.cluster, clusters.rank, clusters.highest_rank]
-    wp.launch(mark_highest, dim=90, inputs=inputs, outputs=[count, found], device=device)
+    np.testing.assert_array_equal(clusters.size, np.bincount(cluster[cluster >= 0], minlength=7))
+    np.testing.assert_array_equal(clusters.highest_rank, highest)
     expected = np.where((cluster >= 0) & (rank == highest[cluster]), cluster, -1)
-    np.testing.assert_array_equal(found.numpy(), expected)
-    np.testing.assert_array_equal(count.numpy(), np.bincount(expected[expected >= 0], minlength=7))
+    np.testing.assert_array_equal(clusters.holder.numpy(), expected)
+    np.testing.assert_array_equal(clusters.holder_count, np.bincount(expected[expected >= 0], minlength=7))
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 3])
+def test_holders_come_in_threes(count, device):
+    holder = Clusters.of(np.zeros(count, dtype=np.int32), np.zeros(count, dtype=np.int32), 1, device).holder
+    assert holder.numpy().tolist() == [0] * count + [-1] * (-count % 3)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -363,11 +364,3 @@ def test_pinned_anchors_are_their_own_vertex_and_the_first_heaviest_member_is_fo
     np.testing.assert_array_equal(largest, np.maximum.reduceat(weight, start[:-1]))
     first = [start[c] + np.argmax(weight[start[c] : start[c + 1]]) for c in range(40)]
     np.testing.assert_array_equal(heaviest, vertex[first])
-
-
-def test_gram_matrices_have_an_entry_for_each_pair_of_members(device):
-    start = np.array([0, 1, 1, 4, 36])
-    count = wp.empty(4, dtype=wp.int32, device=device)
-    starts = wp.array(start, dtype=wp.int32, device=device)
-    wp.launch(count_entries, dim=4, inputs=[starts], outputs=[count], device=device)
-    assert count.numpy().tolist() == [n * (n + 1) // 2 for n in np.diff(start)]

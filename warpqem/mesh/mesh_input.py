@@ -177,11 +177,13 @@ def _used_vertices(faces: np.ndarray, vertex_count: int, device: str) -> np.ndar
     """(V,) bool, vertices with a face; None for faces (N, 3) of which some are unfit, or which are no plain int32."""
     if faces.dtype != np.int32 or not faces.flags.c_contiguous or not len(faces):
         return None
-    used = wp.zeros(vertex_count, dtype=wp.bool, device=device)
-    is_unfit = wp.zeros(1, dtype=wp.int32, device=device)
+    # The vertices, and whether a face is unfit: the host waits once.
+    marks = wp.zeros(vertex_count + 1, dtype=wp.bool, device=device)
     corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device, copy=False)
-    launch(mark_used_vertices, len(faces), [corner_vertex], [used, is_unfit], device=device)
-    return None if is_unfit.numpy()[0] else np.array(used.numpy())
+    outputs = [marks[:vertex_count], marks[vertex_count:]]
+    launch(mark_used_vertices, len(faces), [corner_vertex], outputs, device=device)
+    found = np.array(marks.numpy())
+    return None if found[-1] else found[:-1]
 
 
 def measure_mesh(

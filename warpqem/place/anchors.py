@@ -12,7 +12,6 @@ from warpqem.decimation.decimate import DecimatedMesh
 from warpqem.kernels import anchor as kernels
 from warpqem.kernels import cluster_rows as row_kernels
 from warpqem.kernels.lanes import width_of
-from warpqem.place.cluster_rows import last_start, starts_of_counts
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import launch
 from warpqem.runtime.part_launches import launch_in_parts, rows_of, starts_of
@@ -26,27 +25,37 @@ MAX_MEMBERS = 32
 
 @dataclass(frozen=True)
 class Clusters:
-    """Clusters of input vertices on the device.
+    """Clusters of input vertices.
+
+    In a cluster with vertices on a border or seam these alone hold the anchor, so that it stays there; where there are
+    corners of seams among them, these alone do.
 
     Attributes:
-        cluster: (V,) int32, the cluster of each input vertex, -1 where there is none.
-        size: (C,) int32, its input vertices.
-        rank: (V,) int32, ``line_rank`` of the vertices.
-        highest_rank: (C,) int32, the highest among those of a cluster.
+        cluster: (V,) int32 on the device, the cluster of each input vertex, -1 where there is none.
+        holder: int32 on the device, the same of vertices that hold the anchor, -1 for others, and up to two of these
+            more, as corners come in threes.
+        size: (C,) int32, input vertices of each cluster.
+        highest_rank: (C,) int32, the highest ``line_rank`` among them.
+        holder_count: (C,) int32, how many hold the anchor.
     """
 
     cluster: wp.array
-    size: wp.array
-    rank: wp.array
-    highest_rank: wp.array
+    holder: wp.array
+    size: np.ndarray
+    highest_rank: np.ndarray
+    holder_count: np.ndarray
 
     @classmethod
     def of(cls, cluster: np.ndarray, line_rank: np.ndarray, cluster_count: int, device: str) -> Clusters:
         """Count the vertices (V,) of each."""
+        count = len(cluster)
         given = [wp.array(values, dtype=wp.int32, device=device, copy=False) for values in (cluster, line_rank)]
-        found = [wp.zeros(cluster_count, dtype=wp.int32, device=device) for _ in range(2)]
-        launch(row_kernels.count_members, len(cluster), given, found, device=device)
-        return cls(given[0], found[0], given[1], found[1])
+        holder = wp.full(-(-count // 3) * 3, -1, dtype=wp.int32, device=device)
+        found = wp.zeros((3, cluster_count), dtype=wp.int32, device=device)
+        size, highest_rank, holder_count = (found[row] for row in range(3))
+        launch(row_kernels.count_members, count, given, [size, highest_rank], device=device)
+        launch(row_kernels.mark_highest, count, [*given, highest_rank], [holder_count, holder], device=device)
+        return cls(given[0], holder, *found.numpy())
 
 
 @dataclass(frozen=True)
@@ -75,8 +84,8 @@ class Anchors:
         """
         device, count = self.start.device, len(kept)
         flags = wp.array(pinned, dtype=wp.int32, device=device)
-        heaviest = wp.empty(count, dtype=wp.int32, device=device)
-        largest = wp.empty(count, dtype=wp.float32, device=device)
+        found = wp.empty((2, count), dtype=wp.int32, device=device)
+        heaviest, largest = found[0], found[1].view(wp.float32)
         launch_in_parts(
             kernels.finish_anchors,
             count,
@@ -84,52 +93,51 @@ class Anchors:
             outputs=[self.vertex, self.weight, rows_of(heaviest), rows_of(largest)],
             device=device,
         )
-        return heaviest.numpy(), largest.numpy()
+        vertex, weight = found.numpy()
+        return vertex, weight.view(np.float32)
 
 
-def nearest_members(ordered: DecimatedMesh, clusters: Clusters, most: int) -> tuple[wp.array, wp.array]:
-    """The ``most`` vertices of each cluster nearest to where ordering put it over the key frames.
-
-    In a cluster with vertices on a border or seam these alone hold the anchor, so that it stays there; where there are
-    corners of seams among them, these alone do.
+def nearest_members(ordered: DecimatedMesh, clusters: Clusters, most: int) -> tuple[np.ndarray, wp.array, wp.array]:
+    """The ``most`` vertices of each cluster nearest to where ordering put it over the key frames, of its holders.
 
     Returns:
-        ``start`` (C+1,) int32 and ``vertex`` int32, the nearest first.
+        How many there are, (C,) int; ``start`` (C+1,) int32 and ``vertex`` int32 on the device, the nearest first.
     """
-    device, cluster_count, vertex_count = ordered.position.device, len(clusters.size), len(clusters.cluster)
+    device = ordered.position.device
     distance = _cluster_distances(ordered, device)
-    # Corners come in threes, if clusters are taken for vertices and their members for corners.
-    eligible = wp.full(-(-vertex_count // 3) * 3, -1, dtype=wp.int32, device=device)
-    count, size = (wp.zeros(cluster_count + 1, dtype=wp.int32, device=device) for _ in range(2))
-    inputs = [clusters.cluster, clusters.rank, clusters.highest_rank]
-    launch(row_kernels.mark_highest, vertex_count, inputs, [count, eligible], device=device)
-    launch(row_kernels.limit_counts, cluster_count, [count, most], [size], device=device)
-    start = starts_of_counts(size)
-    vertex = wp.empty(last_start(start), dtype=wp.int32, device=device)
+    size = np.minimum(clusters.holder_count, most)
+    starts = _starts(size)
+    start, vertex = wp.array(starts, device=device), wp.empty(int(starts[-1]), dtype=wp.int32, device=device)
     if device_traits(str(device)).in_order:
-        _find_in_order(eligible, distance, start, vertex)
+        _find_in_order(clusters.holder, distance, start, vertex)
     else:
-        _find_by_sort(eligible, distance, starts_of_counts(count), start, vertex)
-    return start, vertex
+        first = wp.array(_starts(clusters.holder_count), device=device)
+        _find_by_sort(clusters.holder, distance, first, start, vertex)
+    return size, start, vertex
 
 
-def _find_in_order(eligible: wp.array, distance: wp.array, start: wp.array, vertex_out: wp.array) -> None:
+def _starts(count: np.ndarray) -> np.ndarray:
+    """Where the items of each of C groups begin and the last end, (C+1,) int32, of their counts (C,)."""
+    start = np.zeros(len(count) + 1, dtype=np.int32)
+    np.cumsum(count, out=start[1:])
+    return start
+
+
+def _find_in_order(holder: wp.array, distance: wp.array, start: wp.array, vertex_out: wp.array) -> None:
     """The nearest vertices of each cluster, the nearest first: a thread walks all vertices of a cluster.
 
     Args:
-        eligible: (V,) int32, the cluster of each vertex, -1 for one to leave out, and up to two of these more.
+        holder: see :class:`Clusters`.
         distance: (V,) float32.
         start: (C+1,) int32, where each has its part of the result.
         vertex_out: takes the vertices.
     """
-    groups = build_adjacency(eligible, len(start) - 1)
+    groups = build_adjacency(holder, len(start) - 1)
     inputs = [starts_of(groups.start), groups.corner, distance, starts_of(start)]
     launch_in_parts(row_kernels.choose_nearest, len(start) - 1, inputs, [vertex_out], device=distance.device)
 
 
-def _find_by_sort(
-    eligible: wp.array, distance: wp.array, first: wp.array, start: wp.array, vertex_out: wp.array
-) -> None:
+def _find_by_sort(holder: wp.array, distance: wp.array, first: wp.array, start: wp.array, vertex_out: wp.array) -> None:
     """The same by one sort of all vertices, which keeps the order of those as near as each other.
 
     ``first`` (C+1,) int32 says how many vertices come before those of each cluster.
@@ -137,7 +145,7 @@ def _find_by_sort(
     device, count, cluster_count = distance.device, len(distance), len(start) - 1
     # A sort works between the two halves.
     keys, vertices = (wp.empty(2 * count, dtype=dtype, device=device) for dtype in (wp.int64, wp.int32))
-    launch(row_kernels.key_members, count, [eligible, distance, cluster_count], [keys, vertices], device=device)
+    launch(row_kernels.key_members, count, [holder, distance, cluster_count], [keys, vertices], device=device)
     wp.utils.radix_sort_pairs(keys, vertices, count, 0, 32 + cluster_count.bit_length())
     launch(row_kernels.take_nearest, count, [keys, vertices, first, start], [vertex_out], device=device)
 
@@ -154,7 +162,7 @@ def _cluster_distances(ordered: DecimatedMesh, device: str) -> wp.array:
 
 def nearest_anchors(ordered: DecimatedMesh, clusters: Clusters) -> Anchors:
     """Each vertex anchored to the one input vertex nearest to where ordering put it (exact for endpoint placement)."""
-    start, vertex = nearest_members(ordered, clusters, most=1)
+    _, start, vertex = nearest_members(ordered, clusters, most=1)
     return Anchors(start, vertex, wp.ones(len(vertex), dtype=wp.float32, device=start.device))
 
 
@@ -173,15 +181,14 @@ def fit_anchors(
         regularisation: (C,) stiffness towards equal weights, relative to the mean diagonal of the Gram matrix.
     """
     device = ordered.position.device
-    member_start, member = nearest_members(ordered, clusters, MAX_MEMBERS)
-    entry_count = wp.zeros(len(kept) + 1, dtype=wp.int32, device=device)
-    launch(kernels.count_entries, len(kept), [member_start], [entry_count], device=device)
-    first_entry = starts_of_counts(entry_count)
+    size, member_start, member = nearest_members(ordered, clusters, MAX_MEMBERS)
+    first_entry = _starts(size * (size + 1) // 2)
     row = wp.array(ordered.row[kept], dtype=wp.int32, device=device)
-    matrix = wp.zeros(last_start(first_entry), dtype=wp.float32, device=device)
+    matrix = wp.zeros(int(first_entry[-1]), dtype=wp.float32, device=device)
     stiffness = wp.array(regularisation, dtype=wp.float32, device=device)
     weight = wp.empty(len(member), dtype=wp.float32, device=device)
-    fit_weights(ordered, row, Anchors(member_start, member, weight), first_entry, stiffness, matrix)
+    starts = wp.array(first_entry, device=device)
+    fit_weights(ordered, row, Anchors(member_start, member, weight), starts, stiffness, matrix)
     return Anchors(member_start, member, weight)
 
 

@@ -12,10 +12,8 @@ from warpqem.runtime.part_launches import launch_in_parts, rows_of, starts_of
 __all__ = [
     "gather_faces",
     "group_rows",
-    "last_start",
     "list_faces_at",
     "match_keys",
-    "starts_of_counts",
     "sum_repeated",
 ]
 
@@ -63,18 +61,6 @@ def match_keys(wanted: np.ndarray, key: np.ndarray) -> tuple[np.ndarray, np.ndar
     return entry, order[first[entry] + within]
 
 
-def starts_of_counts(count: wp.array) -> wp.array:
-    """Where the items of each of C groups begin and the last end, (C+1,) int32, of their counts (C+1,), the last 0."""
-    start = wp.empty_like(count)
-    wp.utils.array_scan(count, start, inclusive=False)
-    return start
-
-
-def last_start(start: wp.array) -> int:
-    """How many items there are in all, of where those of each group begin."""
-    return int(start[len(start) - 1 :].numpy()[0])
-
-
 def gather_faces(
     corner_cluster: wp.array, corner_weight: wp.array, cluster_count: int
 ) -> tuple[wp.array, wp.array, wp.array]:
@@ -93,8 +79,9 @@ def gather_faces(
     count = wp.zeros(cluster_count + 1, dtype=wp.int32, device=device)
     lists = [starts_of(adjacency.start), adjacency.corner]
     launch_in_parts(kernels.count_faces, cluster_count, lists, [rows_of(count)], device=device)
-    start = starts_of_counts(count)
-    face = wp.empty(last_start(start), dtype=wp.int32, device=device)
+    start = wp.empty_like(count)
+    wp.utils.array_scan(count, start, inclusive=False)
+    face = wp.empty(int(start[cluster_count:].numpy()[0]), dtype=wp.int32, device=device)
     weight = wp.empty(len(face), dtype=wp.float32, device=device)
     inputs = [*lists, corner_weight, starts_of(start)]
     launch_in_parts(kernels.list_faces, cluster_count, inputs, [face, weight], device=device)

@@ -92,7 +92,7 @@ class ClusterPlacer:
         self.vertex_count = len(kept)
         pinned = (pinned | ordered.non_manifold)[kept]
         clusters = Clusters.of(cluster, ordered.line_rank, len(kept), device)
-        size = clusters.size.numpy()
+        size = clusters.size
         stiffness, regularisation = stiffness_by_size(size, settings.epsilon, settings.regularisation)
         if settings.loose is not None:
             loose = np.unique(cluster[settings.loose & (cluster >= 0)])
@@ -107,7 +107,7 @@ class ClusterPlacer:
             solved = ((size > 1) & ~pinned).astype(np.int32)
             self.nearest, largest = anchors.finish(kept, pinned)
         # Corners of seams keep the place that their own planes and seams give them.
-        self.free = (solved == 1) & (clusters.highest_rank.numpy() != 2)
+        self.free = (solved == 1) & (clusters.highest_rank != 2)
         half_edge = np.flatnonzero(ordered.constrained)
         kind = ordered.constrained[half_edge]
         self.on_seam = _on_seam(faces, half_edge[kind >= 2], cluster, len(kept))
