@@ -27,6 +27,7 @@ from warpqem.usd.commands.skin_bound import interpolated, largest_diagonal, simp
 from warpqem.usd.commands.skin_fit import FittedMesh, SkinFitter, SkinPoses, simplify_by_pullback, why_not_fitted
 from warpqem.usd.commands.weights import painted_options
 from warpqem.usd.read.lengths import parse_length
+from warpqem.usd.read.skin_poses import repeated_joint
 from warpqem.usd.write.point_samples import PointSamples
 from warpqem.usd.write.stage_report import PrimReport
 
@@ -152,6 +153,11 @@ class CoreCalls:
         poses, options = self._skin_poses(job), self._options
         if not options.reduces_joints:
             return SkinFitter(poses)
+        repeated = repeated_joint(poses.poser)
+        if repeated is not None:
+            report.notes.append(
+                f"{job.mesh.path}: its order of joints (skel:joints) stays, as two joints have the name {repeated}"
+            )
         limit = options.joint_error
         if np.ptp(poses.transforms()[1:], axis=0).max(initial=0.0) == 0:
             lost = "joints go from the leaves" if options.joints is not None else "all joints stay"

@@ -22,7 +22,14 @@ from warpqem.usd.commands.mesh_job import MeshJob, RestFit
 from warpqem.usd.read.mesh_skin import Influences, Skin
 from warpqem.usd.read.read_mesh import MeshSource
 from warpqem.usd.read.skeleton_poses import MeshPoser
-from warpqem.usd.read.skin_poses import is_linear, joint_names, joint_parents, joint_transforms, shape_offsets
+from warpqem.usd.read.skin_poses import (
+    is_linear,
+    joint_names,
+    joint_parents,
+    joint_transforms,
+    repeated_joint,
+    shape_offsets,
+)
 from warpqem.usd.write.attribute_transfer import AttributeTransfer
 from warpqem.usd.write.skin_output import blend_influences
 from warpqem.usd.write.stage_report import JointsReport
@@ -222,7 +229,7 @@ class SkinFitter:
         return FittedMesh(poses.fit.undo(fitted.skin.rest), Influences(fitted.skin.joints, fitted.skin.weights))
 
     def _reduced(self, done: ReducedJoints) -> FittedMesh:
-        """The skin with fewer joints, in an order of its own."""
+        """The skin with fewer joints, in an order of its own where names say which joints are meant."""
         names = joint_names(self.poses.poser)
         skin = done.skin
         report = JointsReport(
@@ -235,7 +242,9 @@ class SkinFitter:
             errors=done.errors.tolist(),
             influences=skin.joints.shape[1],
         )
-        used = (done.used, tuple(names[joint] for joint in done.used))
+        used = None
+        if repeated_joint(self.poses.poser) is None:
+            used = (done.used, tuple(names[joint] for joint in done.used))
         return FittedMesh(self.poses.fit.undo(skin.rest), Influences(skin.joints, skin.weights), used, report)
 
 
