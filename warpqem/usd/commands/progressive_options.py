@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from warpqem.arguments.limits import ABOVE_0, COUNT, SHARE
-from warpqem.arguments.option_fields import check_options, option
+from warpqem.arguments.option_fields import check_options, option, option_fields
 from warpqem.costs.screen_error import ScreenView
 from warpqem.errors import OptionError
 from warpqem.options import MethodOptions
@@ -15,7 +15,7 @@ from warpqem.usd.read.time_codes import FrameRange
 __all__ = ["NOT_TO_BUILD", "BuildOptions", "LevelChoice"]
 
 # Options of a mesh that a progressive mesh has no use for: it has all levels, and every vertex is placed once.
-NOT_TO_BUILD = ("ratio", "max_error", "max_size_error", "refit", "keep_components")
+NOT_TO_BUILD = ("ratio", "max_error", "max_size_error", "quality", "refit", "keep_components")
 
 
 @dataclass(frozen=True)
@@ -35,8 +35,19 @@ class BuildOptions(MethodOptions):
     frames: FrameRange | None = option(None, FRAMES_HELP, "START:END[:STEP]", basic=True, parse=read_frames)
 
     def __post_init__(self) -> None:
-        """Check the options."""
+        """Check the options.
+
+        Raises:
+            OptionError: one is of the wrong type or outside its range, or it is one that has no meaning here.
+        """
+        from warpqem.progressive.build import check_quality
+
         check_options(self)
+        check_quality(self.quality)
+        fields = option_fields(BuildOptions)
+        given = [name for name in NOT_TO_BUILD if getattr(self, name) != fields[name].default]
+        if given:
+            raise OptionError(f"{', '.join(given)}: not with a progressive mesh, which has all levels")
 
 
 @dataclass(frozen=True)
