@@ -59,8 +59,7 @@ def weighted_fields(source: MeshSource, uv_weight: float, weights: AttributeWeig
 
     Raises:
         StageError: a primvar that `weights` names has no real numbers at points or corners, or a primvar has a value
-            that is not finite.
-        OptionError: the values of one are too far apart for its weight.
+            that is not finite, or values too far apart for its weight.
     """
     named = {bare_name(name): weight for name, weight in weights}
     api = UsdGeom.PrimvarsAPI(source.prim)
@@ -89,8 +88,7 @@ def _weighted_field(source: MeshSource, name: str, values: npt.NDArray[Any], wei
     """Values of a primvar at the corners of the triangles, with their weight.
 
     Raises:
-        StageError: one is no finite number in single precision.
-        OptionError: they are too far apart for that weight.
+        StageError: one is no finite number in single precision, or they are too far apart for that weight.
     """
     topology = source.topology
     corners = values.reshape(len(topology.triangles), 3, -1)
@@ -102,7 +100,7 @@ def _weighted_field(source: MeshSource, name: str, values: npt.NDArray[Any], wei
     try:
         check_span(corners, weight)
     except OptionError as error:
-        raise OptionError(f"{source.path}.{name}: {error}") from error
+        raise StageError(f"{source.path}.{name}: {error}") from error
     return AttributeField(corners, weight)
 
 

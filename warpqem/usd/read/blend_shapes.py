@@ -73,10 +73,11 @@ def _read_shape(shape: UsdSkel.BlendShape, point_count: int) -> ShapeData | None
         if len(value) != len(indices):
             return None
         dense = np.zeros((point_count, 3), dtype=np.float32)
-        dense[indices] = np.asarray(value, dtype=np.float32)
-        bad = np.flatnonzero(~np.isfinite(np.asarray(value)).all(axis=1)) if moves_points else ()
-        if len(bad):
-            raise StageError(f"{attribute.GetPath()}: offset {bad[0]} is {list(value[int(bad[0])])}")
+        offsets = np.asarray(value, dtype=np.float32)
+        bad = np.flatnonzero(~np.isfinite(offsets).all(axis=1))
+        if moves_points and len(bad):
+            raise StageError(f"{attribute.GetPath()}: offset {bad[0]} is {offsets[bad[0]].tolist()}")
+        dense[indices] = offsets
         arrays[attribute.GetName()] = dense
     return ShapeData(shape.GetPath(), arrays)
 
