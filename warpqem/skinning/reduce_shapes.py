@@ -134,7 +134,7 @@ def reduce_shapes(
         limit = real_number(max_error, "max_error", "a percentage of at least 0", lambda x: x >= 0) / 100.0
     problem = _ShapeProblem(rest, faces, offsets, weights, inbetweens, heirs, scalable)
     may_go = np.ones(problem.count, dtype=bool)
-    if keep is not None and not is_empty(keep):
+    if keep is not None:
         may_go[_read_indices(keep, "keep", problem.count)] = False
     errors = [(0.0, 0.0)]
     costs: dict[int, float] = dict.fromkeys(np.flatnonzero(may_go).tolist(), -1.0)
@@ -142,11 +142,9 @@ def reduce_shapes(
     while costs and problem.count - len(removed) > least:
         shape = problem.cheapest(costs)
         parts = problem.without(shape)
-        gone = [*removed, shape]
-        found = problem.errors(parts, gone)
+        found = problem.errors(parts, [*removed, shape])
         if max(found) > limit:
-            problem.scale(parts, gone)
-            found = problem.errors(parts, gone)
+            found = problem.scaled_errors(parts, [*removed, shape])
         if max(found) > limit:
             break
         problem.parts = parts
@@ -159,7 +157,8 @@ def reduce_shapes(
 
 
 def _read_indices(value: Any, name: str, count: int) -> np.ndarray:
-    found = index_array(value, name, ("N",))
+    # An empty list has no integers.
+    found = index_array(np.zeros(0, dtype=np.int64) if is_empty(value) else value, name, ("N",))
     outside = first_outside(found, count)
     if outside is not None:
         raise MeshShapeError(f"{name} at {outside[0]} is {found[outside]}, but there are {count} shapes")
@@ -201,10 +200,9 @@ class _ShapeProblem:
         self._takes[: self.count] = True
         if heirs is not None:
             self._takes[:] = False
-        if heirs is not None and not is_empty(heirs):
             self._takes[_read_indices(heirs, "heirs", self.count)] = True
         self._scalable = np.full(self.count, scalable is None)
-        if scalable is not None and not is_empty(scalable):
+        if scalable is not None:
             self._scalable[_read_indices(scalable, "scalable", self.count)] = True
         self._scalable[self._owner] = False
         self.scaled = np.zeros(self.count, dtype=bool)
@@ -236,17 +234,15 @@ class _ShapeProblem:
             fresh.add(shape)
 
     def without(self, shape: int, turns: int = TURNS) -> np.ndarray:
-        """The parts when a shape goes, with its inbetweens; in one turn only those that lost an heir are found anew.
+        """The parts when a shape goes, with its inbetweens; in one turn only those that lost an heir are found anew."""
+        asked = [shape, *[row for row in self.gone if self.parts[row, shape] > 0]]
+        # The first of several may make up for the next, or each stands for itself.
+        ways = [False, True] if len(asked) > 1 else [True]
+        found = [self._without(shape, asked, turns, each_alone=way) for way in ways]
+        return min(found, key=lambda parts: self._left(parts, [*self.gone, shape]))
 
-        These are found each for itself, or so that the first make up for the next: what leaves less.
-        """
-        gone = [*self.gone, shape]
-        found = [self._without(shape, turns, each_alone) for each_alone in (False, True)]
-        return min(found, key=lambda parts: self._left(parts, gone))
-
-    def _without(self, shape: int, turns: int, each_alone: bool) -> np.ndarray:
+    def _without(self, shape: int, asked: list[int], turns: int, *, each_alone: bool) -> np.ndarray:
         parts = self.parts.copy()
-        asked = [shape, *[row for row in self.gone if parts[row, shape] > 0]]
         parts[self.count + np.flatnonzero(self._owner == shape)] = 0.0
         parts[asked] = 0.0
         heirs = self._takes.copy()
@@ -274,12 +270,13 @@ class _ShapeProblem:
             return found
         # What is left of the row and, by how their weights go together, of the others.
         target = (moment[:, None] * left).sum(axis=0) / own + parts[row]
-        slope = target @ self._gram
+        slope, size = target @ self._gram, np.diag(self._gram)
         support: list[int] = []
         for _ in range(MAX_HEIRS):
             rest = slope - found @ self._gram
-            gain = np.where(heirs & (np.diag(self._gram) > 0), rest, 0.0)
-            gain = np.divide(gain, np.sqrt(np.diag(self._gram)), out=np.zeros_like(gain), where=gain > 0)
+            # What each takes off with the best part of it that it may have.
+            part = np.divide(rest, size, out=np.zeros_like(rest), where=heirs & (size > 0)).clip(0.0, 1.0)
+            gain = part * (2.0 * rest - part * size)
             gain[support] = 0.0
             best = int(gain.argmax())
             if gain[best] <= 0:
@@ -291,11 +288,14 @@ class _ShapeProblem:
 
     def _least_squares(self, slope: np.ndarray, support: list[int]) -> np.ndarray:
         """Parts within [0, 1] on a support of few, by coordinate descent."""
-        found = np.zeros(len(slope))
+        gram, goal = self._gram[np.ix_(support, support)].tolist(), slope[support].tolist()
+        part = [0.0] * len(support)
         for _ in range(20):
-            for row in support:
-                rest = slope[row] - found @ self._gram[row] + found[row] * self._gram[row, row]
-                found[row] = np.clip(rest / self._gram[row, row], 0.0, 1.0)
+            for k, row in enumerate(gram):
+                rest = goal[k] - sum(entry * other for entry, other in zip(row, part, strict=True)) + part[k] * row[k]
+                part[k] = min(max(rest / row[k], 0.0), 1.0)
+        found = np.zeros(len(slope))
+        found[support] = part
         return found
 
     def _left(self, parts: np.ndarray, shapes: list[int]) -> float:
@@ -304,9 +304,10 @@ class _ShapeProblem:
         left = np.eye(len(parts))[rows] - parts[rows]
         return float((self._moment[np.ix_(rows, rows)] * (left @ self._gram @ left.T)).sum())
 
-    def scale(self, parts: np.ndarray, shapes: list[int]) -> None:
-        """Scale the shapes that take over weight of some that go, where they may be."""
+    def scaled_errors(self, parts: np.ndarray, shapes: list[int]) -> tuple[float, float]:
+        """The errors once shapes that take over weight of some that go are scaled, where they may be."""
         self.scaled |= self._scalable & (parts[shapes, : self.count] > 0).any(axis=0)
+        return self.errors(parts, shapes)
 
     def scales(self, parts: np.ndarray, shapes: list[int]) -> np.ndarray:
         """What each shape is scaled by, (S,), when some go: as far as the sum of weights that it gets may go."""
