@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from warpqem.arguments.limits import ABOVE_0, COUNT, SHARE
 from warpqem.arguments.option_fields import check_options, option, option_fields
@@ -11,6 +12,10 @@ from warpqem.errors import OptionError
 from warpqem.options import MethodOptions
 from warpqem.usd.commands.option_checks import FRAMES_HELP, read_frames
 from warpqem.usd.read.time_codes import FrameRange
+
+if TYPE_CHECKING:
+    from warpqem.arguments.distance_limit import DistanceLimit
+    from warpqem.progressive.stage_notes import StageNotes
 
 __all__ = ["NOT_TO_BUILD", "BuildOptions", "LevelChoice"]
 
@@ -57,16 +62,15 @@ class LevelChoice:
     Attributes:
         ratio: Share of the input's triangles.
         faces: Triangles.
-        max_error: Largest error, as the order estimates it, in % of the bounding-box diagonal; not proved.
-        screen: Largest error on a screen, estimated likewise, at a distance in the units of the stage.
+        max_error: Largest distance from the input, in % of the diagonal of its bounding box in each frame; proved.
+        screen: The same on a screen, at a distance in the units of the stage.
     """
 
     ratio: float | None = option(None, "Share of the input's triangles.", "SHARE", SHARE, basic=True)
     faces: int | None = option(None, "Triangles.", "FACES", COUNT, basic=True)
     max_error: float | None = option(
         None,
-        "Largest error by the estimate of the order, in % of the bounding-box diagonal; not proved, and a point may be "
-        "several times as far.",
+        "Largest distance from the input, in % of its bounding-box diagonal, proved for every point and pose.",
         "PCT",
         ABOVE_0,
         basic=True,
@@ -81,3 +85,19 @@ class LevelChoice:
                 f"exactly one of ratio, faces, max_error and screen_error must be given, not {given or 'none'}"
             )
         check_options(self)
+
+    def limit(self, notes: StageNotes) -> DistanceLimit:
+        """How far the level may be from the input.
+
+        Args:
+            notes: what the file says of its stage.
+
+        Raises:
+            ProgressiveFileError: the size that it says is none.
+        """
+        from warpqem.arguments.distance_limit import DistanceLimit
+
+        if self.screen is not None:
+            notes.diagonal()
+            return DistanceLimit(length=self.screen.length)
+        return DistanceLimit() if self.max_error is None else DistanceLimit(part=self.max_error / 100.0)
