@@ -16,6 +16,7 @@ from warpqem.cli.console import (
     print_table,
     progress_bar,
     quiet_libraries,
+    upper_text,
     write_json,
 )
 from warpqem.cli.parameters import Device, Frames, JsonReport, Prims, ReportPage, Variants
@@ -141,10 +142,8 @@ def _table(reference: str, test: str, pairs: list[PairReport]) -> PlainTable:
         if measures is None:
             table.add_row(*cells, "failed")
             continue
+        distances = (error_text(measures.rms), error_text(measures.mean), upper_text(measures.hausdorff))
         values = (
-            measures.rms,
-            measures.mean,
-            measures.hausdorff,
             measures.normal_deviation,
             measures.flips,
             measures.jitter,
@@ -154,7 +153,7 @@ def _table(reference: str, test: str, pairs: list[PairReport]) -> PlainTable:
         )
         faces = f"{measures.reference_topology.faces} / {measures.test_topology.faces}"
         verdict = measures.verdict
-        table.add_row(*cells, str(measures.frame_count), faces, *map(error_text, values), verdict.word)
+        table.add_row(*cells, str(measures.frame_count), faces, *distances, *map(error_text, values), verdict.word)
         if verdict.reason:
             table.add_note(f"{verdict.word}: {pair.path}: {verdict.reason}")
     return table

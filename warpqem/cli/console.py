@@ -20,6 +20,7 @@ from rich.style import StyleType
 from rich.table import Table
 from rich.text import Text
 
+from warpqem.arguments.figures import rounded_up
 from warpqem.cli import messages
 from warpqem.cli.messages import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_USAGE, print_message, printed_messages
 from warpqem.errors import OptionError, StageError, WarpqemError
@@ -44,6 +45,7 @@ __all__ = [
     "print_table",
     "progress_bar",
     "quiet_libraries",
+    "upper_text",
     "write_json",
 ]
 
@@ -234,6 +236,11 @@ class PlainTable(Table):
 def error_text(value: float | None) -> str:
     """A measured figure as every table shows it; empty for none."""
     return "" if value is None else f"{value:.4g}"
+
+
+def upper_text(value: float | None) -> str:
+    """A figure that nothing is above, rounded up: as long as `error_text`, and as true."""
+    return "" if value is None else rounded_up(value)
 
 
 def print_table(table: PlainTable, to_stderr: bool = False) -> None:

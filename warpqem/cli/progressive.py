@@ -6,7 +6,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from warpqem.cli.console import PlainTable, load_usd, print_table, progress_bar, quiet_libraries, write_json
+from warpqem.cli.console import (
+    PlainTable,
+    error_text,
+    load_usd,
+    print_table,
+    progress_bar,
+    quiet_libraries,
+    upper_text,
+    write_json,
+)
 from warpqem.cli.examples import epilog
 from warpqem.cli.help_option import Command, Group
 from warpqem.cli.option_parameters import takes_options
@@ -68,6 +77,8 @@ def extract(
 ) -> None:
     """Write one level as a USD file. Give one of --ratio, --faces, --max-error and --screen-error.
 
+    A level by a limit is proved to be within it and measured; one by its faces has an estimate of its error.
+
     Exit codes: 0 done; 1 an error; 2 wrong usage; 130 interrupted.
     """
     quiet_libraries()
@@ -76,14 +87,19 @@ def extract(
     from warpqem.usd.commands.progressive import extract_level
 
     choice = read_options(options, LevelChoice)
-    count, error = extract_level(file, output, choice, memory, named_outputs({"--json": json}))
+    level = extract_level(file, output, choice, memory, named_outputs({"--json": json}))
     table = PlainTable(f"{file} -> {output}")
-    for name in ("faces", "estimate %"):
+    cells = {"faces": str(level.faces), "estimate %": error_text(level.estimate)}
+    if level.measured is not None:
+        cells |= {"RMS %": error_text(level.measured.rms), "Hausdorff %": upper_text(level.measured.hausdorff)}
+    for name in cells:
         table.add_column(name, justify="right")
-    table.add_row(str(count), f"{error:.4f}")
+    table.add_row(*cells.values())
     print_table(table, to_stderr=json == "-")
     if json is not None:
-        write_json(json, {"input": file, "output": output, "faces": count, "estimate": error})
+        measured = None if level.measured is None else level.measured.to_dict()
+        found = {"faces": level.faces, "estimate": level.estimate, "measured": measured}
+        write_json(json, {"input": file, "output": output, **found})
 
 
 @progressive.command(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from warpqem.arguments.figures import rounded_up
 from warpqem.cli import messages
 from warpqem.cli.console import (
     EXIT_FAILED,
@@ -19,6 +20,7 @@ from warpqem.cli.console import (
     print_table,
     progress_bar,
     quiet_libraries,
+    upper_text,
     write_json,
 )
 from warpqem.cli.logs import Quiet, Verbose, start_logging
@@ -278,7 +280,7 @@ def _named(outputs: list[str]) -> str:
 def _distance(measured: dict[str, Any]) -> str:
     """How far a mesh is off, for a warning."""
     percent, length = measured["hausdorff"], measured["hausdorff_length"]
-    return f"a point is up to {percent:.4g} % of the diagonal ({length:.4g} units) off"
+    return f"a point is up to {rounded_up(percent)} % of the diagonal ({rounded_up(length)} units) off"
 
 
 def _rig_columns(prims: list[PrimReport]) -> tuple[str, ...]:
@@ -313,8 +315,10 @@ def _total(prims: list[PrimReport], measured: bool, rig: tuple[str, ...]) -> lis
 def _row(prim: PrimReport, measured: bool, rig: tuple[str, ...]) -> list[str]:
     if measured:
         found = prim.measured
-        errors = [""] * 4 if found is None else [*map(error_text, (found["rms"], found["hausdorff"], found["flips"]))]
-        errors += [] if found is None else [found["verdict"]]
+        errors = [""] * 4
+        if found is not None:
+            errors = [error_text(found["rms"]), upper_text(found["hausdorff"]), error_text(found["flips"])]
+            errors.append(found["verdict"])
     else:
         errors = ["" if prim.estimate is None else error_text(prim.estimate)]
     stopped = prim.stopped if prim.status == "simplified" else prim.status

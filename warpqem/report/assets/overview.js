@@ -5,6 +5,12 @@
   const data = JSON.parse(byId("data").textContent);
   const share = (asset) => (asset.faces ? (100 * asset.faces_after) / asset.faces : null);
   const short = (value) => (Number.isInteger(value) ? String(value) : Number(value.toPrecision(4)).toString());
+  // What nothing is above is rounded up, as in the commands' tables.
+  const upper = (value) => {
+    const near = Number(value.toPrecision(4));
+    const step = 10 ** (Math.floor(Math.log10(Math.abs(value))) - 3);
+    return Number((near < value ? near + step : near).toPrecision(4)).toString();
+  };
   // Name, value to sort by, unit.
   const columns = [
     ["asset", (asset) => asset.name, ""],
@@ -80,7 +86,7 @@
           if (found === "poor") cell.className = "bad";
           if (asset.reason) cell.title = asset.reason;
         } else {
-          cell.textContent = found === null ? "–" : short(found) + unit;
+          cell.textContent = found === null ? "–" : (name === "Hausdorff" && !Number.isInteger(found) ? upper : short)(found) + unit;
         }
       });
     }

@@ -13,6 +13,12 @@
   let levelLoad = 0;
 
   const figure = (value) => Number(value.toPrecision(4)).toString();
+  // What nothing is above is rounded up, as in the commands' tables.
+  const upper = (value) => {
+    const near = Number(value.toPrecision(4));
+    const step = 10 ** (Math.floor(Math.log10(Math.abs(value))) - 3);
+    return Number((near < value ? near + step : near).toPrecision(4)).toString();
+  };
   const percent = (value) => (value === null || value === undefined ? "–" : `${figure(value)} %`);
   const level = () => data.levels[state.level];
 
@@ -37,7 +43,8 @@
     for (const row of rows) {
       const line = element(body, "tr");
       row.forEach((value, column) => {
-        const text = value === null ? "" : typeof value === "number" && !Number.isInteger(value) ? figure(value) : String(value);
+        const shown = head[column].startsWith("Hausdorff") ? upper : figure;
+        const text = value === null ? "" : typeof value === "number" && !Number.isInteger(value) ? shown(value) : String(value);
         const names = [isNumber[column] ? "number" : "", bad(row, column) ? "bad" : ""];
         element(line, "td", text, names.filter(Boolean).join(" "));
       });
@@ -123,7 +130,7 @@
     byId("level-name").textContent = one ? `${one.name}, ${one.faces} faces` : "";
     const heat = state.colors === "heat" && view && view.level && state.layout !== "original";
     byId("legend").hidden = !heat;
-    if (heat) byId("legend-max").textContent = `${percent(view.level.mesh.heatScale)} of the diagonal`;
+    if (heat) byId("legend-max").textContent = `${upper(view.level.mesh.heatScale)} % of the diagonal`;
     marks.forEach((mark) => mark());
     placeTags();
   }
