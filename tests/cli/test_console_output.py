@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import re
 
 import pytest
@@ -12,8 +11,7 @@ from pxr import UsdGeom
 
 from tests.support.cli import run
 from tests.support.usd_stages import cloth_stage, define_cloth
-from warpqem.cli import messages
-from warpqem.cli.message_groups import file_size, group_messages, grouped_messages, shortened_path, with_separators
+from warpqem.cli.message_groups import file_size, group_messages, shortened_path, with_separators
 
 PATHS = ("/Root/Worst", "/Root/B", "/Root/C")
 
@@ -27,6 +25,17 @@ def test_of_messages_that_differ_in_numbers_that_of_the_worst_mesh_is_shown():
     off = dict(zip(PATHS, (11.3, 7, 2.5), strict=True))
     held = [("warning", f"{path}: a point is {off[path]} % off") for path in PATHS[::-1]]
     assert group_messages(held, PATHS) == [("warning", "3 meshes, such as /Root/Worst: a point is 11.3 % off")]
+
+
+def test_thousands_are_one_number():
+    held = [("warning", "/Root/B: stopped at 1,024 faces"), ("warning", "/Root/C: stopped at 7 faces")]
+    assert group_messages(held, PATHS) == [("warning", "2 meshes, such as /Root/B: stopped at 1,024 faces")]
+
+
+def test_an_example_of_many_is_named_by_the_end_of_its_path():
+    paths = [f"/Root/{'Group/' * 20}Mesh{name}" for name in "AB"]
+    [(_, text)] = group_messages([("note", f"{path}: off by {index}") for index, path in enumerate(paths)], paths)
+    assert re.fullmatch(r"2 meshes, such as \.\.\.(/Group)+/MeshA: off by 0", text)
 
 
 def test_other_messages_errors_and_levels_stand_for_themselves():
@@ -67,13 +76,6 @@ def test_no_message_is_lost(parts):
         if kind == "error" and path:
             assert f"{path}: {said}" in shown
     assert len(lines) <= len(held)
-
-
-def test_messages_come_also_where_an_error_ends_the_work(capsys):
-    with contextlib.suppress(RuntimeError), grouped_messages(PATHS):
-        messages.print_message("warning", "/Root/B: cut")
-        raise RuntimeError
-    assert capsys.readouterr().err == "warning: /Root/B: cut\n"
 
 
 @given(st.lists(st.text("abcdef_", min_size=1, max_size=9), min_size=1, max_size=9), st.integers(8, 40))

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from warpqem.cli import messages
 from warpqem.cli.console import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
@@ -24,9 +25,11 @@ from warpqem.cli.console import (
     quiet_libraries,
 )
 from warpqem.cli.crash_guard import interruptible
-from warpqem.cli.logs import LogJson, Verbose, start_logging
+from warpqem.cli.logs import LogJson, Quiet, Verbose, start_logging
+from warpqem.cli.message_groups import files_size, terminal_width
 from warpqem.cli.option_parameters import takes_options
 from warpqem.errors import OptionError, StageError
+from warpqem.printable import printable
 from warpqem.usd.commands.simplify_options import SimplifyOptions
 
 if TYPE_CHECKING:
@@ -111,6 +114,7 @@ def batch(
         str | None,
         typer.Option("--report", metavar="FILE", help="Write an overview (.html) with pictures; it opens offline."),
     ] = None,
+    quiet: Quiet = False,
     verbose: Verbose = 0,
     log_json: LogJson = None,
 ) -> None:
@@ -120,6 +124,7 @@ def batch(
 
     Exit codes: 0 all done; 1 an error, or some asset or mesh failed; 2 wrong usage; 130 interrupted.
     """
+    messages.quiet = quiet
     quiet_libraries()
     load_usd()
     start_logging(verbose, None)
@@ -150,14 +155,17 @@ def batch(
     _make_folder(folder)
     count = len(work) + len(wrong)
     with interruptible(), _lines(json) as write, display:
-        results, interrupted = _collect(wrong, updates, write)
+        results, interrupted = _collect(wrong, updates, write, verbose > 0)
         seconds = display.seconds
-    print_table(summary_table(results, count, seconds), to_stderr=json == "-")
+    if not quiet:
+        print_table(summary_table(results, count, seconds), to_stderr=json == "-")
     if interrupted:
         print_message("error", f"interrupted after {len(results)} of {count} assets; go on with --resume")
         raise typer.Exit(EXIT_INTERRUPTED)
     if report is not None:
         _write_overview(report, results, options)
+    if not quiet:
+        _print_written(folder, results, report, json)
     if not all(result.ok for result in results):
         raise typer.Exit(EXIT_FAILED)
 
@@ -168,31 +176,53 @@ def _show_plan(work: list[BatchJob], wrong: list[WrongLine], journal: Path | Non
 
     for line in wrong:
         print_message("error", line.message)
-    print_table(dry_run_table(work, journal), to_stderr)
+    print_table(dry_run_table(work, journal, terminal_width(to_stderr)), to_stderr)
     if wrong:
         raise typer.Exit(EXIT_FAILED)
 
 
 def _collect(
-    wrong: list[WrongLine], updates: Generator[BatchResult, None, None], write: Callable[[BatchResult], None]
+    wrong: list[WrongLine],
+    updates: Generator[BatchResult, None, None],
+    write: Callable[[BatchResult], None],
+    each: bool,
 ) -> tuple[list[BatchResult], bool]:
-    """The results of all assets as they come, and whether an interrupt ended that."""
-    from warpqem.cli.batch_losses import loss_lines
+    """The results of all assets as they come, and whether an interrupt ended that.
+
+    Args:
+        wrong: Lines of manifests that are no jobs.
+        updates: The results of the others.
+        write: Called with each result.
+        each: Print a line for each mesh.
+    """
+    from warpqem.cli.batch_messages import result_lines
 
     results: list[BatchResult] = []
     try:
         for result in chain((line.result() for line in wrong), updates):
             results.append(result)
             write(result)
-            if not result.ok:
-                print_message("error", f"{result.error}: {result.message}")
-            for kind, text in loss_lines(result):
+            for kind, text in result_lines(result, each):
                 print_message(kind, text)
     except KeyboardInterrupt:
         return results, True
     finally:
         updates.close()
     return results, False
+
+
+def _print_written(folder: Path, results: list[BatchResult], page: str | None, json: str | None) -> None:
+    """The last line: what was written, and how large it is."""
+    from warpqem.batching.job_result import DONE, PARTIAL, report_of
+
+    made = [result for result in results if result.status in (DONE, PARTIAL)]
+    files = [file for result in made for file in report_of(result).get("outputs") or [result.output]]
+    count = f"{len(files):,} file{'' if len(files) == 1 else 's'} in {folder}"
+    named = [f"{count}, {files_size(files)}"] if files else []
+    others = {"report": page, "JSON": json if json != "-" else None}
+    named += [f"{what} {path}" for what, path in others.items() if path is not None]
+    if named:
+        print(f"wrote {printable('; '.join(named))}", file=sys.stderr)
 
 
 def _write_overview(path: str, results: list[BatchResult], options: dict[str, Any]) -> None:

@@ -215,7 +215,7 @@ class PlainTable(Table):
 
     def __init__(self, title: str) -> None:
         # Without lines between columns figures have room at 80 characters.
-        super().__init__(title=Text(printable(title)), box=SIMPLE_HEAD, padding=(0, 0))
+        super().__init__(title=Text(printable(title)), box=SIMPLE_HEAD, padding=(0, 0), caption_justify="left")
         self._notes: list[str] = []
 
     def add_row(

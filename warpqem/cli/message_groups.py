@@ -4,40 +4,31 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 
 from rich.console import Console
 
-from warpqem.cli import messages
 from warpqem.cli.console import WIDEST
 
-__all__ = ["file_size", "grouped_messages", "path_width", "shortened_path", "with_separators"]
+__all__ = [
+    "MIN_PATH",
+    "file_size",
+    "files_size",
+    "group_messages",
+    "path_width",
+    "shortened_path",
+    "terminal_width",
+    "with_separators",
+]
 
 # What two messages of a kind may differ in.
-NUMBERS = re.compile(r"\d+(?:\.\d+)?(?:e[+-]?\d+)?")
+NUMBERS = re.compile(r"\d+(?:,\d{3})*(?:\.\d+)?(?:e[+-]?\d+)?")
 # Characters of a line that the figures beside a path take.
 FIGURES = 67
 # Characters of a path that are left at least: a name of most meshes.
 MIN_PATH = 12
-
-
-@contextmanager
-def grouped_messages(paths: Sequence[str], each: bool = False) -> Iterator[None]:
-    """Hold the messages within back, and print them at the end: those of several meshes that say the same as one.
-
-    Args:
-        paths: The meshes, the worst first: of messages that differ in numbers that of the first one is shown.
-        each: Print them all as they are.
-    """
-    held: list[tuple[str, str]] = []
-    before, messages.held_messages = messages.held_messages, held
-    try:
-        yield
-    finally:
-        messages.held_messages = before
-        for kind, text in held if each else group_messages(held, paths):
-            messages.print_message(kind, text)
+# Characters of a path that is an example of many; all of them are named with --verbose.
+EXAMPLE_WIDTH = 40
 
 
 def group_messages(held: Sequence[tuple[str, str]], paths: Sequence[str]) -> list[tuple[str, str]]:
@@ -63,7 +54,7 @@ def group_messages(held: Sequence[tuple[str, str]], paths: Sequence[str]) -> lis
         path, said = min(members, key=lambda member: rank[member[0]])
         count = len({path for path, _ in members})
         alike = len({said for _, said in members}) == 1
-        example = "" if alike else f", such as {path}"
+        example = "" if alike else f", such as {shortened_path(path, EXAMPLE_WIDTH)}"
         lines.append((kind, f"{level}{count} meshes{example}: {said}"))
     return lines
 
@@ -81,10 +72,15 @@ def _parted(text: str, rank: dict[str, int]) -> tuple[str, str, str]:
     return "", "", text
 
 
+def terminal_width(to_stderr: bool = False) -> int:
+    """Characters of a line on a terminal; where there is none, as many as a table has."""
+    console = Console(stderr=to_stderr)
+    return console.width if console.is_terminal else WIDEST
+
+
 def path_width(to_stderr: bool = False) -> int:
     """Characters of a path in a table of figures; where no terminal limits it, as many as it has."""
-    console = Console(stderr=to_stderr)
-    return max(MIN_PATH, console.width - FIGURES) if console.is_terminal else WIDEST
+    return max(MIN_PATH, terminal_width(to_stderr) - FIGURES)
 
 
 def shortened_path(path: str, width: int) -> str:
@@ -104,8 +100,13 @@ def with_separators(cell: str) -> str:
 
 def file_size(path: str) -> str:
     """The size of a file in words, such as "18 KB"; empty where it is not known."""
+    return files_size([path])
+
+
+def files_size(paths: Sequence[str]) -> str:
+    """The size of some files together in words; empty where it is not known."""
     try:
-        size = float(os.path.getsize(path))
+        size = float(sum(map(os.path.getsize, paths)))
     except OSError:
         return ""
     for unit in ("bytes", "KB", "MB"):

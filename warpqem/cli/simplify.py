@@ -22,9 +22,10 @@ from warpqem.cli.console import (
     write_json,
 )
 from warpqem.cli.logs import Quiet, Verbose, start_logging
-from warpqem.cli.message_groups import file_size, grouped_messages, path_width, shortened_path, with_separators
+from warpqem.cli.message_groups import file_size, path_width, shortened_path, with_separators
 from warpqem.cli.option_parameters import takes_options
 from warpqem.cli.parameters import JsonReport, MeshInput, MeshOutput, ReportPage
+from warpqem.cli.problem_lines import grouped_lines
 from warpqem.printable import printable
 from warpqem.usd.commands.simplify_options import SimplifyOptions
 
@@ -132,8 +133,8 @@ def run_simplify(
                 raise OptionError("--fps is for mesh files; a USD file has a rate of its own")
             report = simplify_stage(input_file, output, asked, **shared)
             write_page(report)
-    with grouped_messages([prim.path for prim in report.worst_first], each=verbose > 0):
-        _print_problems(report)
+    for kind, text in grouped_lines(report.to_dict(), each=verbose > 0):
+        print_message(kind, text)
     if not quiet:
         is_many = len({prim.path for prim in report.prims}) > MANY_MESHES and not verbose
         print_table(_table(report, WORST_MESHES if is_many else None, path_width(json == "-")), to_stderr=json == "-")
@@ -166,65 +167,6 @@ def _level(prim: PrimReport) -> str:
     from warpqem.usd.commands.lods import LevelReport
 
     return prim.level if isinstance(prim, LevelReport) else ""
-
-
-def _print_problems(report: StageReport) -> None:
-    from warpqem.measure.verdict import WARNING_DISTANCE
-
-    for problem in report.problems:
-        print_message("warning", problem)
-    for note in report.notes:
-        print_message("note", note)
-    for problem in dict.fromkeys(text for prim in report.prims for text in prim.problems):
-        print_message("warning", problem)
-    for note in dict.fromkeys(text for prim in report.prims for text in prim.notes):
-        print_message("note", note)
-    for prim in report.prims:
-        level = f"{_level(prim)}: " if _level(prim) else ""
-        if prim.dropped:
-            print_message(
-                "warning", f"{level}{prim.path}: dropped, does not fit the new mesh: {', '.join(prim.dropped)}"
-            )
-        for line in _gone(prim):
-            print_message("note", f"{level}{prim.path}: {line}")
-        if prim.symmetry not in (None, "kept"):
-            print_message("warning", f"{level}{prim.path}: not kept symmetric: {prim.symmetry}")
-        if prim.status == "simplified" and prim.stopped == "no legal collapse":
-            print_message(
-                "warning", f"{level}{prim.path}: stopped at {prim.faces_after} faces, no legal collapse is left"
-            )
-        if prim.status == "kept" and prim.message and prim.message.startswith("no geometry"):
-            print_message("note", f"{prim.path}: kept: {prim.message}")
-        if prim.measured is not None and prim.measured["hausdorff"] > WARNING_DISTANCE:
-            print_message("warning", f"{level}{prim.path}: {_distance(prim.measured)}")
-        if prim.status == "failed":
-            print_message("error", level + (prim.message or prim.path))
-    _print_small(report)
-    if report.output is None:
-        print_message("error", f"nothing written: no mesh of {report.input} could be simplified")
-
-
-def _gone(prim: PrimReport) -> list[str]:
-    """What went of joints and blend shapes, by name."""
-    lines = []
-    if prim.joints is not None and prim.joints.removed:
-        added = f"{prim.joints.added_error:.3g} % of the diagonal to the RMS distance over the poses"
-        lines.append(f"without the joints {', '.join(prim.joints.removed)}, which adds {added} (in quadrature)")
-    if prim.shapes is not None and prim.shapes.removed:
-        lines.append(
-            f"without the blend shapes {', '.join(prim.shapes.removed)}; {len(prim.shapes.merged)} of them go on in "
-            f"others. RMS distance by this: {prim.shapes.used_error:.3g} % of the diagonal over the animation, "
-            f"{prim.shapes.random_error:.3g} % over random weights"
-        )
-    return lines
-
-
-def _print_small(report: StageReport) -> None:
-    """Name the meshes that stopped early in one line: on a stage of small props it is most of them."""
-    stopped = list(dict.fromkeys(prim.path for prim in report.prims if prim.stopped == "max_size_error"))
-    if stopped:
-        more = f" and {len(stopped) - 1} more" if len(stopped) > 1 else ""
-        print_message("note", f"{stopped[0]}{more}: keeps more faces, as the error would pass --max-size-error")
 
 
 def _table(report: StageReport, most: int | None = None, width: int = WIDEST) -> PlainTable:
@@ -273,12 +215,6 @@ def _table(report: StageReport, most: int | None = None, width: int = WIDEST) ->
 def _named(outputs: list[str]) -> str:
     """The files that were written, of many the first and the last."""
     return ", ".join(outputs) if len(outputs) <= MAX_NAMED else f"{outputs[0]}, ..., {outputs[-1]}"
-
-
-def _distance(measured: dict[str, Any]) -> str:
-    """How far a mesh is off, for a warning."""
-    percent, length = measured["hausdorff"], measured["hausdorff_length"]
-    return f"a point is up to {percent:.4g} % of the diagonal ({length:.4g} units) off"
 
 
 def _rig_columns(prims: list[PrimReport]) -> tuple[str, ...]:
