@@ -154,12 +154,3 @@ def test_the_program_alone_shows_its_help():
     assert done.exit_code == 0
     assert "simplify" in done.stdout
     assert "error" not in done.stderr
-
-
-def test_help_is_short_and_help_all_whole(monkeypatch):
-    monkeypatch.setenv("COLUMNS", "80")
-    short, whole = run("simplify", "--help").stdout, run("simplify", "--help-all").stdout
-    assert len(short.splitlines()) <= 60
-    assert len(re.findall(r"^│ [* ] +--[a-z]", short, re.MULTILINE)) <= 14
-    assert "--memoryless" not in short
-    assert "it orders by the present faces" in " ".join(re.sub(r"[│╭╰─╮╯]", " ", whole).split())

@@ -75,44 +75,109 @@ def batch(
     ],
     output: Annotated[
         str,
-        typer.Option("--output", "-o", metavar="DIR", help="Folder for the outputs; the folders of INPUT are kept."),
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="DIR",
+            rich_help_panel="Output",
+            help="Folder for the outputs; the folders of INPUT are kept.",
+        ),
     ],
     options: dict[str, Any],
     output_format: Annotated[
         OutputFormat | None,
-        typer.Option("--format", hidden=True, help="Kind of the outputs; by default that of each input."),
+        typer.Option(
+            "--format",
+            hidden=True,
+            metavar="usd|usda|usdc|usdz",
+            rich_help_panel="Output",
+            help="Kind of the outputs; by default that of each input.",
+        ),
     ] = None,
     resume: Annotated[
         bool,
-        typer.Option("--resume", help="Leave out what is done already from the same files with the same options."),
+        typer.Option(
+            "--resume",
+            rich_help_panel="Output",
+            help="Leave out what is done already from the same files with the same options.",
+        ),
     ] = False,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be done, and do nothing.")] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", rich_help_panel="Output", help="Say what would be done, and do nothing.")
+    ] = False,
     jobs: Annotated[
         int | None,
-        typer.Option(help="Processes on this machine; by default one for each GPU, or for each core without any."),
+        typer.Option(
+            metavar="COUNT",
+            rich_help_panel="Machine",
+            help="Processes on this machine; by default one for each GPU, or for each core without any.",
+        ),
     ] = None,
     timeout: Annotated[
-        float | None, typer.Option(metavar="SECONDS", help="Stop an asset that takes longer, and go on without it.")
+        float | None,
+        typer.Option(
+            metavar="SECONDS", rich_help_panel="Machine", help="Stop an asset that takes longer, and go on without it."
+        ),
     ] = None,
-    retries: Annotated[int, typer.Option(hidden=True, help="How often to begin anew what has lost its process.")] = 1,
+    retries: Annotated[
+        int,
+        typer.Option(
+            hidden=True,
+            metavar="COUNT",
+            rich_help_panel="Machine",
+            help="How often to begin anew what has lost its process.",
+        ),
+    ] = 1,
     engine: Annotated[
-        EngineName, typer.Option(hidden=True, help="Processes on this machine, or tasks on a Ray cluster.")
+        EngineName,
+        typer.Option(
+            hidden=True,
+            metavar="local|ray",
+            rich_help_panel="Machine",
+            help="Processes on this machine, or tasks on a Ray cluster.",
+        ),
     ] = EngineName.local,
     address: Annotated[
-        str | None, typer.Option(hidden=True, help="With --engine ray: the cluster; auto for that of this machine.")
+        str | None,
+        typer.Option(
+            hidden=True,
+            metavar="HOST",
+            rich_help_panel="Machine",
+            help="With --engine ray: the cluster; auto for that of this machine.",
+        ),
     ] = None,
-    cpus: Annotated[float, typer.Option(hidden=True, help="With --engine ray: CPU cores of an asset.")] = 1.0,
+    cpus: Annotated[
+        float,
+        typer.Option(
+            hidden=True, metavar="CORES", rich_help_panel="Machine", help="With --engine ray: CPU cores of an asset."
+        ),
+    ] = 1.0,
     gpus: Annotated[
         float | None,
-        typer.Option(hidden=True, help="With --engine ray: GPUs of an asset, such as 0.25; by default 1 if any."),
+        typer.Option(
+            hidden=True,
+            metavar="GPUS",
+            rich_help_panel="Machine",
+            help="With --engine ray: GPUs of an asset, such as 0.25; by default 1 if any.",
+        ),
     ] = None,
     json: Annotated[
         str | None,
-        typer.Option("--json", metavar="FILE", help="Write a line of JSON for each asset to FILE, or to stdout for -."),
+        typer.Option(
+            "--json",
+            metavar="FILE",
+            rich_help_panel="Output",
+            help="Write a line of JSON for each asset to FILE, or to stdout for -.",
+        ),
     ] = None,
     report: Annotated[
         str | None,
-        typer.Option("--report", metavar="FILE", help="Write an overview (.html) with pictures; it opens offline."),
+        typer.Option(
+            "--report",
+            metavar="FILE",
+            rich_help_panel="Output",
+            help="Write an overview (.html) with pictures; it opens offline.",
+        ),
     ] = None,
     quiet: Quiet = False,
     verbose: Verbose = 0,

@@ -37,8 +37,9 @@ def compare(
     samples: Annotated[
         int | None,
         typer.Option(
+            metavar="COUNT",
             help="Number of sample points on each mesh in each frame; by default as many as suit the number of frames, "
-            "which are those of simplify."
+            "which are those of simplify.",
         ),
     ] = None,
     frames: Frames = None,
@@ -52,6 +53,7 @@ def compare(
         str | None,
         typer.Option(
             metavar="OUT",
+            rich_help_panel="Output",
             help="Write a layer over TEST that colours each vertex by its distance to REFERENCE in each frame "
             "(primvars:displayColor); switch materials off to see it.",
         ),

@@ -24,7 +24,10 @@ face = typer.Typer(
 POINT_OPTIONS = ("metric", "face_points", "face_weight", "face_ring", "face_keep")
 
 FacePrim = Annotated[
-    str | None, typer.Option("--prim", metavar="PATH", help="Prim path of the face; by default the largest mesh.")
+    str | None,
+    typer.Option(
+        "--prim", metavar="PATH", rich_help_panel="Input", help="Prim path of the face; by default the largest mesh."
+    ),
 ]
 Points = Annotated[
     str | None,
@@ -48,10 +51,18 @@ FindOrientation = Annotated[
 def detect(
     input_file: Input,
     output: Annotated[
-        str | None, typer.Option("--output", "-o", metavar="FILE", help="JSON file to write the points to.")
+        str | None,
+        typer.Option(
+            "--output", "-o", metavar="FILE", rich_help_panel="Output", help="JSON file to write the points to."
+        ),
     ] = None,
     picture: Annotated[
-        str | None, typer.Option(metavar="PNG", help="Draw the points on the face, from the front and from the side.")
+        str | None,
+        typer.Option(
+            metavar="PNG",
+            rich_help_panel="Output",
+            help="Draw the points on the face, from the front and from the side.",
+        ),
     ] = None,
     prim: FacePrim = None,
     frames: Frames = None,

@@ -17,12 +17,19 @@ __all__ = ["LogJson", "Quiet", "Verbose", "start_logging"]
 
 LEVELS = (logging.WARNING, logging.INFO, logging.DEBUG)
 
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", hidden=True, help="Print errors alone.")]
+Quiet = Annotated[
+    bool, typer.Option("--quiet", "-q", hidden=True, rich_help_panel="Output", help="Print errors alone.")
+]
 
 Verbose = Annotated[
     int,
     typer.Option(
-        "--verbose", "-v", hidden=True, count=True, help="Say on stderr what is being done; twice: in detail."
+        "--verbose",
+        "-v",
+        hidden=True,
+        count=True,
+        rich_help_panel="Output",
+        help="Say on stderr what is being done; twice: in detail.",
     ),
 ]
 
@@ -32,6 +39,7 @@ LogJson = Annotated[
         "--log-json",
         hidden=True,
         metavar="FILE",
+        rich_help_panel="Output",
         help="Append a line of JSON for everything that is being done to FILE.",
     ),
 ]

@@ -37,7 +37,12 @@ MeshFile = Annotated[str, typer.Argument(metavar="FILE", help="Progressive mesh 
 @takes_options(BuildOptions, without=NOT_TO_BUILD)
 def build(
     input_file: Input,
-    output: Annotated[str, typer.Option("--output", "-o", metavar="FILE", help="Progressive mesh to write (.wpqm).")],
+    output: Annotated[
+        str,
+        typer.Option(
+            "--output", "-o", metavar="FILE", rich_help_panel="Output", help="Progressive mesh to write (.wpqm)."
+        ),
+    ],
     options: dict[str, Any],
     json: JsonReport = None,
 ) -> None:

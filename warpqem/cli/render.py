@@ -18,14 +18,18 @@ EXAMPLES = ("warpqem render cape.usda -o sheet.png --reference cape_wind.usdc --
 
 def render(
     input_file: Input,
-    output: Annotated[str, typer.Option("--output", "-o", metavar="PNG", help="Picture to write (.png).")],
+    output: Annotated[
+        str, typer.Option("--output", "-o", metavar="PNG", rich_help_panel="Output", help="Picture to write (.png).")
+    ],
     reference: Annotated[
         str | None, typer.Option(metavar="FILE", help="USD file to draw above IN, from the same view.")
     ] = None,
     heatmap: Annotated[
         bool, typer.Option("--heatmap", help="With --reference: a third row coloured by the distance from it.")
     ] = False,
-    pictures: Annotated[int, typer.Option(help="Pictures in a row, spread evenly over the animation.")] = 4,
+    pictures: Annotated[
+        int, typer.Option(metavar="COUNT", help="Pictures in a row, spread evenly over the animation.")
+    ] = 4,
     size: Annotated[str, typer.Option(metavar="WxH", help="Size of one picture, in pixels.")] = "480x360",
     azimuth: Annotated[float, typer.Option(metavar="DEG", help="View about the up axis, in degrees.")] = 30.0,
     elevation: Annotated[float, typer.Option(metavar="DEG", help="View above the horizon, in degrees.")] = 12.0,

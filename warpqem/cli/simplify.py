@@ -59,6 +59,8 @@ def simplify(
         float | None,
         typer.Option(
             hidden=True,
+            metavar="RATE",
+            rich_help_panel="Input",
             help="With mesh files as IN: frames per second; their numbers are the time codes. [default: 24]",
         ),
     ] = None,

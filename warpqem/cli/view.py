@@ -27,7 +27,9 @@ def view(
     other: Annotated[
         str | None, typer.Argument(metavar="[OUT]", help="USD file to show beside it, such as what simplify wrote.")
     ] = None,
-    port: Annotated[int, typer.Option(help="Port of this machine to serve at; 0 takes any that is free.")] = 0,
+    port: Annotated[
+        int, typer.Option(metavar="PORT", help="Port of this machine to serve at; 0 takes any that is free.")
+    ] = 0,
     browser: Annotated[
         bool, typer.Option("--browser/--no-browser", help="Open the page in the browser, or only print its address.")
     ] = True,

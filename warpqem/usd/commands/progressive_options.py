@@ -28,11 +28,15 @@ class BuildOptions(MethodOptions):
         frames: Time codes to read; None for all authored ones.
     """
 
-    prim: str | None = option(None, "Prim path of the mesh; needed where IN has more than one.", "PATH", basic=True)
-    base_faces: int | None = option(
-        None, "Triangles of the coarsest level; by default as few as can be.", "FACES", COUNT, basic=True
+    prim: str | None = option(
+        None, "Prim path of the mesh; needed where IN has more than one.", "PATH", basic=True, panel="Input"
     )
-    frames: FrameRange | None = option(None, FRAMES_HELP, "START:END[:STEP]", basic=True, parse=read_frames)
+    base_faces: int | None = option(
+        None, "Triangles of the coarsest level; by default as few as can be.", "FACES", COUNT, basic=True, panel="Goal"
+    )
+    frames: FrameRange | None = option(
+        None, FRAMES_HELP, "START:END[:STEP]", basic=True, parse=read_frames, panel="Input"
+    )
 
     def __post_init__(self) -> None:
         """Check the options."""
@@ -50,8 +54,8 @@ class LevelChoice:
         screen: Largest error on a screen, estimated likewise, at a distance in the units of the stage.
     """
 
-    ratio: float | None = option(None, "Share of the input's triangles.", "SHARE", SHARE, basic=True)
-    faces: int | None = option(None, "Triangles.", "FACES", COUNT, basic=True)
+    ratio: float | None = option(None, "Share of the input's triangles.", "SHARE", SHARE, basic=True, panel="Goal")
+    faces: int | None = option(None, "Triangles.", "FACES", COUNT, basic=True, panel="Goal")
     max_error: float | None = option(
         None,
         "Largest error by the estimate of the order, in % of the bounding-box diagonal; not proved, and a point may be "
@@ -59,6 +63,7 @@ class LevelChoice:
         "PCT",
         ABOVE_0,
         basic=True,
+        panel="Goal",
     )
     screen: ScreenView | None = option(None, "")
 

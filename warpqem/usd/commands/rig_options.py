@@ -68,6 +68,7 @@ class RigOptions(MethodOptions):
         "one for each level, such as 4,2,1.",
         "JOINTS",
         parse=read_counts,
+        panel="Skin and shapes",
     )
     joints: int | tuple[int, ...] | None = option(
         None,
@@ -75,6 +76,7 @@ class RigOptions(MethodOptions):
         "solved for again. With --lods one number, or one for each level.",
         "JOINTS",
         parse=read_counts,
+        panel="Skin and shapes",
     )
     joint_error: float | None = option(
         None,
@@ -83,10 +85,12 @@ class RigOptions(MethodOptions):
         "measured.",
         "PCT",
         PERCENT,
+        panel="Skin and shapes",
     )
     reduce_skeleton: bool = option(
         False,
         "Take joints that move nothing any more off the skeletons and their animations, too; on each level.",
+        panel="Skin and shapes",
     )
     shapes: int | tuple[int, ...] | None = option(
         None,
@@ -94,6 +98,7 @@ class RigOptions(MethodOptions):
         "corrected. With --lods one number, or one for each level.",
         "SHAPES",
         parse=read_counts,
+        panel="Skin and shapes",
     )
     shape_error: float | None = option(
         None,
@@ -101,6 +106,7 @@ class RigOptions(MethodOptions):
         "the animation and over random weights.",
         "PCT",
         PERCENT,
+        panel="Skin and shapes",
     )
 
     def check_rig(self, level_count: int) -> None:
