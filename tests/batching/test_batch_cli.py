@@ -21,7 +21,7 @@ from warpqem.batching.jobs import BatchJob
 from warpqem.cli.batch import _line
 from warpqem.cli.batch_display import dry_run_table, summary_table
 from warpqem.cli.batch_messages import result_lines
-from warpqem.cli.console import PlainTable
+from warpqem.cli.tables import PlainTable
 from warpqem.usd import SimplifyOptions
 from warpqem.usd.write.stage_report import PrimReport
 
@@ -183,7 +183,7 @@ def test_errors_of_warpqem_need_no_name_and_others_have_one():
 
 def table_text(table: PlainTable) -> str:
     console = Console(file=io.StringIO(), width=200)
-    console.print(table)
+    console.print(table.rendered())
     return console.file.getvalue()
 
 
@@ -232,7 +232,7 @@ def test_dry_run_is_a_table_with_heads_size_goal_and_state(folder):
 def test_dry_run_fits_a_terminal_with_paths_cut_on_the_left(width, tmp_path):
     job = BatchJob(f"/{'long/' * 20}body.usd", f"/{'other/' * 20}body.usd", SimplifyOptions(ratio=0.5))
     console = Console(file=io.StringIO(), width=width)
-    console.print(dry_run_table([job], None, width))
+    console.print(dry_run_table([job], None).rendered(width))
     lines = console.file.getvalue().splitlines()
     assert max(map(len, lines)) <= width
     [row] = [line for line in lines if "body.usd" in line]

@@ -15,19 +15,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from warpqem.cli import messages
-from warpqem.cli.console import (
-    EXIT_FAILED,
-    EXIT_INTERRUPTED,
-    load_usd,
-    print_message,
-    print_table,
-    progress_bar,
-    quiet_libraries,
-)
+from warpqem.cli.console import EXIT_FAILED, EXIT_INTERRUPTED, load_usd, print_message, quiet_libraries
 from warpqem.cli.crash_guard import interruptible
 from warpqem.cli.logs import LogJson, Quiet, Verbose, start_logging
-from warpqem.cli.message_groups import files_size, terminal_width
+from warpqem.cli.message_groups import files_size
 from warpqem.cli.option_parameters import takes_options
+from warpqem.cli.progress_bar import progress_bar
+from warpqem.cli.tables import print_table
 from warpqem.errors import OptionError, StageError
 from warpqem.printable import printable
 from warpqem.usd.commands.simplify_options import SimplifyOptions
@@ -241,7 +235,7 @@ def _show_plan(work: list[BatchJob], wrong: list[WrongLine], journal: Path | Non
 
     for line in wrong:
         print_message("error", line.message)
-    print_table(dry_run_table(work, journal, terminal_width(to_stderr)), to_stderr)
+    print_table(dry_run_table(work, journal), to_stderr)
     if wrong:
         raise typer.Exit(EXIT_FAILED)
 

@@ -10,15 +10,17 @@ from pathlib import Path
 from types import TracebackType
 
 from rich.console import Console
-from rich.progress import BarColumn, TaskID, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from rich.progress import TaskID
 
 from warpqem.batching.engine import Finished, Progressed, Started, Update
 from warpqem.batching.job_result import DONE, FAILED, PARTIAL, SKIPPED, BatchResult, report_of
 from warpqem.batching.jobs import BatchJob
 from warpqem.batching.journal import Journal
+from warpqem.cli import messages
 from warpqem.cli.batch_messages import failure_text, has_losses
-from warpqem.cli.console import WIDEST, PlainTable, QuietProgress
-from warpqem.cli.message_groups import MIN_PATH, file_size, shortened_path
+from warpqem.cli.message_groups import file_size
+from warpqem.cli.progress_bar import QuietProgress, bar_columns
+from warpqem.cli.tables import PlainTable
 from warpqem.costs.screen_error import ScreenView
 from warpqem.files.file_kinds import kind_of
 from warpqem.printable import printable
@@ -34,7 +36,8 @@ MAX_NAMED = 20
 MAX_WORST = 5
 # In the order of the closing table.
 STATUSES = (DONE, PARTIAL, SKIPPED, FAILED)
-DRY_RUN_HEADS = ("input", "output", "size", "goal", "state")
+# Columns that a terminal without room for all shows last.
+SUMMARY_RANKS = {"most memory MB": 3, "process seconds": 2, "faces x frames": 1}
 
 
 class BatchDisplay:
@@ -42,13 +45,8 @@ class BatchDisplay:
 
     def __init__(self, jobs: Sequence[BatchJob]) -> None:
         console = Console(stderr=True)
-        columns = [
-            BarColumn(),
-            TaskProgressColumn(),
-            TimeRemainingColumn(),
-            TextColumn("{task.description}", markup=False),
-        ]
-        self._progress = QuietProgress(*columns, console=console, transient=True, disable=not console.is_terminal)
+        is_hidden = not console.is_terminal or messages.quiet
+        self._progress = QuietProgress(*bar_columns(), console=console, transient=True, expand=True, disable=is_hidden)
         self._weights = {job.output: _weight(job) for job in jobs}
         self._count, self._done, self._failed, self._face_frames = len(jobs), 0, 0, 0
         # Until the first asset begins, processes start and kernels are compiled or loaded.
@@ -97,27 +95,25 @@ class BatchDisplay:
         self._progress.update(self._all, advance=self._weights[output], description=text)
 
 
-def dry_run_table(jobs: Sequence[BatchJob], journal: Path | None, width: int = WIDEST) -> PlainTable:
+def dry_run_table(jobs: Sequence[BatchJob], journal: Path | None) -> PlainTable:
     """What would be done.
 
     Args:
         jobs: The jobs.
         journal: Where to look for what is done; None to take nothing as done.
-        width: Characters of a line; paths are shortened to fit.
     """
     done: set[str] = set()
     if journal is not None and journal.exists():
         with Journal(journal) as notes:
             done = {job.output for job in jobs if notes.is_done(job)}
-    rows = [_dry_run_row(job, job.output in done) for job in jobs]
-    table = PlainTable(f"{len(jobs) - len(done)} of {len(jobs)} assets to be done")
-    for name in DRY_RUN_HEADS:
-        table.add_column(name, justify="right" if name == "size" else "left", no_wrap=True)
-    # A column is as wide as its longest cell, with a blank on either side of the row and between columns.
-    others = [max(len(row[at]) for row in [DRY_RUN_HEADS, *rows]) for at in range(2, len(DRY_RUN_HEADS))]
-    path_width = max(MIN_PATH, (width - sum(others) - len(DRY_RUN_HEADS) - 1) // 2)
-    for row in rows:
-        table.add_row(*(shortened_path(path, path_width) for path in row[:2]), *row[2:])
+    table = PlainTable(f"{len(jobs) - len(done):,} of {len(jobs):,} assets to be done")
+    for name in ("input", "output"):
+        table.add_column(name, is_path=True)
+    table.add_column("size", "right", rank=1)
+    table.add_column("goal")
+    table.add_column("state")
+    for job in jobs:
+        table.add_row(*_dry_run_row(job, job.output in done))
     return table
 
 
@@ -148,7 +144,7 @@ def summary_table(results: Sequence[BatchResult], job_count: int, seconds: float
     table = PlainTable(f"{len(results):,} of {job_count:,} assets in {seconds:,.1f} s")
     table.add_column("")
     for name in ("assets", "faces before", "faces after", "faces x frames", "process seconds", "most memory MB"):
-        table.add_column(name, justify="right")
+        table.add_column(name, "right", rank=SUMMARY_RANKS.get(name, 0))
     found = {status: [result for result in results if result.status == status] for status in STATUSES}
     rows = [_summary_row(status, some) for status, some in found.items() if some]
     if len(rows) > 1:
@@ -167,16 +163,16 @@ def summary_table(results: Sequence[BatchResult], job_count: int, seconds: float
     return table
 
 
-def _summary_row(name: str, results: Sequence[BatchResult]) -> list[str]:
+def _summary_row(name: str, results: Sequence[BatchResult]) -> list[str | int]:
     peak = max((result.peak_memory or 0 for result in results), default=0)
     return [
         name,
-        f"{len(results):,}",
-        f"{sum(result.faces for result in results):,}",
-        f"{sum(result.faces_after for result in results):,}",
+        len(results),
+        sum(result.faces for result in results),
+        sum(result.faces_after for result in results),
         _count(sum(result.face_frames for result in results)),
         f"{sum(result.seconds for result in results):,.1f}",
-        f"{peak >> 20:,}" if peak else "",
+        peak >> 20 if peak else "",
     ]
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from warpqem.cli.message_groups import group_messages
+from warpqem.cli.message_groups import group_messages, message_path_width
 
 __all__ = ["grouped_lines", "problem_lines"]
 
@@ -39,7 +39,7 @@ def grouped_lines(report: Mapping[str, Any], each: bool = False) -> list[Line]:
     """
     lines = problem_lines(report)
     paths = dict.fromkeys(prim["path"] for prim in sorted(report["prims"], key=_badness))
-    return lines if each else group_messages(lines, list(paths))
+    return lines if each else group_messages(lines, list(paths), message_path_width())
 
 
 def _badness(prim: Mapping[str, Any]) -> tuple[int, tuple[int, float]]:

@@ -6,8 +6,9 @@ from typing import Annotated
 
 import typer
 
-from warpqem.cli.console import load_usd, print_message, progress_bar, quiet_libraries
+from warpqem.cli.console import load_usd, print_message, quiet_libraries
 from warpqem.cli.parameters import Device, Frames, Input, Prims, Variants
+from warpqem.cli.progress_bar import progress_bar
 from warpqem.errors import OptionError
 
 __all__ = ["EXAMPLES", "render"]
@@ -44,25 +45,26 @@ def render(
 
     Exit codes: 0 done; 1 an error; 2 wrong usage; 130 interrupted.
     """
-    quiet_libraries()
-    load_usd()
-    from warpqem.usd import FrameRange
-    from warpqem.usd.commands.render import RenderOptions, render_sheet
+    with progress_bar("loading") as progress:
+        quiet_libraries()
+        load_usd()
+        from warpqem.usd import FrameRange
+        from warpqem.usd.commands.render import RenderOptions, render_sheet
 
-    options = RenderOptions(
-        pictures=pictures,
-        frames=FrameRange.parse(frames) if frames else None,
-        prims=tuple(prim or ()),
-        size=_parse_size(size),
-        azimuth=azimuth,
-        elevation=elevation,
-        lines=lines,
-        smooth=smooth,
-        heatmap=heatmap,
-        device=device,
-        variants=tuple(variant or ()),
-    )
-    with progress_bar("reading") as progress:
+        options = RenderOptions(
+            pictures=pictures,
+            frames=FrameRange.parse(frames) if frames else None,
+            prims=tuple(prim or ()),
+            size=_parse_size(size),
+            azimuth=azimuth,
+            elevation=elevation,
+            lines=lines,
+            smooth=smooth,
+            heatmap=heatmap,
+            device=device,
+            variants=tuple(variant or ()),
+        )
+        progress(0.0, "reading")
         scale = render_sheet(input_file, output, options, reference, progress)
     if scale is not None:
         print_message("note", f"the brightest colour is at {scale:.3g} % of the bounding-box diagonal")

@@ -9,9 +9,10 @@ from typing import Annotated, Any
 
 import typer
 
-from warpqem.cli.console import load_usd, print_message, progress_bar, quiet_libraries
+from warpqem.cli.console import load_usd, print_message, quiet_libraries
 from warpqem.cli.crash_guard import interruptible
 from warpqem.cli.parameters import Device, Frames, MeshMemory, Prims, Variants
+from warpqem.cli.progress_bar import progress_bar
 from warpqem.errors import MemoryLimitError, OptionError, StageError, WarpqemError
 
 __all__ = ["EXAMPLES", "view"]
