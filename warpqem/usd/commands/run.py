@@ -18,6 +18,7 @@ from warpqem.usd.commands.blend_shape_weights import check_morph
 from warpqem.usd.commands.context import Context, Progress, SharedOrder, part_of
 from warpqem.usd.commands.core_calls import CoreCalls
 from warpqem.usd.commands.face_points import FacePoints
+from warpqem.usd.commands.kept_mesh import wanted_changes
 from warpqem.usd.commands.mesh_job import MeshJob
 from warpqem.usd.commands.mesh_result import MeshResult
 from warpqem.usd.commands.rig_options import single
@@ -265,9 +266,12 @@ class Run:
         if target_faces is None and self.options.ratio is not None:
             least = 1 if self.options.size_limit is None else MIN_FACES
             target_faces = max(target_count(self.options.ratio, face_count), least)
+        wanted = wanted_changes(job, self.options)
         if target_faces is not None and target_faces >= face_count:
-            report.status, report.message = "kept", "the mesh has no more faces than asked for"
-            return
+            if not wanted:
+                report.status, report.message = "kept", "the mesh has no more faces than asked for"
+                return
+            target_faces = face_count
         fitter = self.core.fitter(job)
         with_normals = self.options.normals == "keep"
         samples = self.layer.point_samples(job.mesh.path, job.written_times, with_normals)
@@ -276,7 +280,10 @@ class Run:
                 core = part_of(progress, 0.0, CORE_SHARE)
                 result, fitted = self.core.simplify_with_skin(job, core, fitter, samples, target_faces, shared)
             report.stopped = result.stopped
-            if job.is_simplified_by(result):
+            if wanted and not job.is_simplified_by(result):
+                names = ", ".join(wanted)
+                report.notes.append(f"{job.mesh.path}: keeps its faces, and is written as triangles for {names}")
+            if wanted or job.is_simplified_by(result):
                 progress(CORE_SHARE, "write")
                 limit = self.core.distance_limit(job)
                 others = self.poses.shapes_of_others(prim) if self.options.reduces_shapes else set()
