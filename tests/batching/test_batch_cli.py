@@ -63,8 +63,8 @@ def test_dry_run_writes_nothing(folder):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--ratio", "0.5", "--faces", "9"], "ratio 0.5 and faces 9 exclude each other"),
-        ([], "one of ratio"),
+        (["--ratio", "0.5", "--faces", "9"], "--ratio 0.5 and --faces 9 exclude each other"),
+        ([], "one of --ratio"),
         (["--ratio", "0.5", "--jobs", "0"], "jobs 0"),
         (["--ratio", "0.5", "--timeout", "-1"], "timeout -1"),
         (["--ratio", "0.5", "--retries", "-1"], "retries -1"),

@@ -14,6 +14,7 @@ import typer
 import typer.core
 
 from warpqem.cli import messages
+from warpqem.cli.flag_names import error_text, flags_of
 from warpqem.cli.messages import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_USAGE, print_message, printed_messages
 from warpqem.errors import OptionError, StageError, WarpqemError
 from warpqem.printable import printable_lines
@@ -86,10 +87,11 @@ class OneLineErrors(typer.core.TyperGroup):
         try:
             return super().main(args, prog_name, complete_var, False, windows_expand_args, **extra)
         except OptionError as error:
-            print_message("error", str(error))
+            print_message("error", error_text(error, flags_of(self, sys.argv[1:] if args is None else args)))
             return EXIT_USAGE
         except WarpqemError as error:
-            print_message("error", with_limit(str(error), error))
+            flags = flags_of(self, sys.argv[1:] if args is None else args)
+            print_message("error", with_limit(error_text(error, flags), error))
         except MemoryError as error:
             print_message("error", with_limit("out of memory", error))
         except typer.Abort:

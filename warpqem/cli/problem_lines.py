@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from warpqem.cli.flag_names import flags_of_options, with_flags
 from warpqem.cli.message_groups import group_messages, message_path_width
+from warpqem.usd.commands.simplify_options import SimplifyOptions
 
 __all__ = ["grouped_lines", "problem_lines"]
 
@@ -27,7 +29,8 @@ def problem_lines(report: Mapping[str, Any]) -> list[Line]:
             lines.append(("error", _level(prim) + (prim["message"] or prim["path"])))
     if report["output"] is None:
         lines.append(("error", f"nothing written: no mesh of {report['input']} could be simplified"))
-    return list(dict.fromkeys(lines))
+    flags = flags_of_options(SimplifyOptions)
+    return list(dict.fromkeys((kind, with_flags(text, flags)) for kind, text in lines))
 
 
 def grouped_lines(report: Mapping[str, Any], each: bool = False) -> list[Line]:

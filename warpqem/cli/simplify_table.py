@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections import Counter
 from typing import TYPE_CHECKING
 
+from warpqem.cli.flag_names import flags_of_options, with_flags
 from warpqem.cli.tables import PlainTable, error_text, shortened_path
+from warpqem.usd.commands.simplify_options import SimplifyOptions
 
 if TYPE_CHECKING:
     from warpqem.usd.write.stage_report import PrimReport, StageReport
@@ -122,4 +124,5 @@ def _row(prim: PrimReport, measured: bool, rig: tuple[str, ...]) -> list[str | i
         count if prim.frames else "" for count in (prim.frames, prim.faces_before, prim.faces_after)
     ]
     rigged = [_rig(prim).get(name, "") for name in rig]
-    return [prim.path, *counts, *rigged, *errors, stopped or "", f"{prim.seconds:.1f}"]
+    shown = with_flags(stopped or "", flags_of_options(SimplifyOptions))
+    return [prim.path, *counts, *rigged, *errors, shown, f"{prim.seconds:.1f}"]

@@ -72,6 +72,6 @@ class LevelChoice:
         given = [name for name, value in vars(self).items() if value is not None]
         if len(given) != 1:
             raise OptionError(
-                f"exactly one of ratio, faces, max_error and screen_error must be given, not {given or 'none'}"
+                f"exactly one of `ratio`, `faces`, `max_error` and `screen_error` must be given, not {given or 'none'}"
             )
         check_options(self)

@@ -124,7 +124,7 @@ class RigOptions(MethodOptions):
             for count in value if isinstance(value, tuple) else (value,):
                 whole_number(count, name, expected="a whole number at least 1")
             if isinstance(value, tuple) and len(value) != max(level_count, 1):
-                levels = f"there are {level_count} levels" if level_count else "there are no levels (lods)"
+                levels = f"there are {level_count} levels" if level_count else "there are no levels (`lods`)"
                 raise OptionError(f"{name} has {len(value)} values, and {levels}")
 
     @property

@@ -335,7 +335,7 @@ class SimplifyOptions(RigOptions):
         self._check_goals()
         if isinstance(self.ratio, Real) and 1 < self.ratio <= 100:
             raise OptionError(
-                f"ratio must be in (0, 1], got {self.ratio:g}; for {self.ratio:g} % give {self.ratio / 100:g}"
+                f"`ratio` must be in (0, 1], got {self.ratio:g}; for {self.ratio:g} % give {self.ratio / 100:g}"
             )
         check_options(self)
         if self.faces is not None:
@@ -355,30 +355,32 @@ class SimplifyOptions(RigOptions):
         self._check_levels()
         self.check_rig(len(self.lods))
         if self.reduces_joints and (self.pose_independent or self.bake or not self.skin_fit):
-            raise OptionError("joints and joint_error exclude bake, pose_independent and an interpolated skin")
+            raise OptionError("`joints` and `joint_error` exclude `bake`, `pose_independent` and an interpolated skin")
         if self.reduces_shapes and self.bake:
-            raise OptionError("shapes and shape_error exclude bake")
+            raise OptionError("`shapes` and `shape_error` exclude `bake`")
 
     def _check_goals(self) -> None:
         given = [name for name in GOALS if getattr(self, name) not in (None, ())]
         if not given:
-            raise OptionError("one of ratio, faces, max_error, max_distance, screen and lods is needed")
+            raise OptionError("one of `ratio`, `faces`, `max_error`, `max_distance`, `screen` and `lods` is needed")
         if given[:2] == ["ratio", "faces"]:
-            raise OptionError(f"ratio {self.ratio} and faces {self.faces} exclude each other")
+            raise OptionError(f"`ratio` {self.ratio} and `faces` {self.faces} exclude each other")
         if "lods" in given and len(given) > 1:
-            raise OptionError(f"lods and {given[0]} exclude each other: the ratios of the levels say how far to go")
+            raise OptionError(f"`lods` and `{given[0]}` exclude each other: the ratios of the levels say how far to go")
 
     def _check_levels(self) -> None:
         if self.lods and self.flatten and not self.lod_files:
             raise OptionError(
-                "lods and flatten exclude each other: every level is a layer over the input; with lod_files each level "
-                "is a file that can be flat"
+                "`lods` and `flatten` exclude each other: every level is a layer over the input; with `lod_files` each "
+                "level is a file that can be flat"
             )
         for name in ("usd_lod", "lod_files"):
             if getattr(self, name) and not self.lods:
-                raise OptionError(f"{name} needs lods: the ratios of the levels")
+                raise OptionError(f"`{name}` needs `lods`: the ratios of the levels")
         if self.usd_lod and self.lod_files:
-            raise OptionError("usd_lod and lod_files exclude each other: all levels in one file, or one file for each")
+            raise OptionError(
+                "`usd_lod` and `lod_files` exclude each other: all levels in one file, or one file for each"
+            )
 
     def _check_pose_independent(self) -> None:
         others = (
@@ -393,15 +395,15 @@ class SimplifyOptions(RigOptions):
         )
         if self.pose_independent and others:
             raise OptionError(
-                "pose_independent excludes symmetry, quality best, refit, memoryless, bake, lods, another metric, its "
-                "options and another placement"
+                "`pose_independent` excludes `symmetry`, `quality` best, `refit`, `memoryless`, `bake`, `lods`, "
+                "another `metric`, its options and another `placement`"
             )
 
     def _check_face(self) -> None:
         given = [name for name in ("face_points", "face_weight", "face_ring") if getattr(self, name) is not None]
         given += [] if self.face_keep else ["face_keep"]
         if given and not cost_model(self.metric).keeps_face:
-            raise OptionError(f"{given[0]}: needs metric 'face', not {cost_model(self.metric).name!r}")
+            raise OptionError(f"`{given[0]}`: needs `metric` 'face', not {cost_model(self.metric).name!r}")
 
     def face_protection(self, features: FacialFeatures | None = None) -> FaceProtection:
         """How these feature points are kept."""
