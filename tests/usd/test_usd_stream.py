@@ -119,7 +119,7 @@ def test_memory_that_is_no_number_of_bytes_is_wrong_usage(tmp_path):
     cloth_stage(tmp_path / "in.usda")
     result = run("simplify", tmp_path / "in.usda", "-o", tmp_path / "out.usda", "--ratio", 0.5, "--memory", "lots")
     assert result.exit_code == 2
-    assert "error: memory 'lots': expected bytes above 0" in result.stderr
+    assert "error: --memory 'lots': expected bytes above 0" in result.stderr
 
 
 def test_a_mesh_that_fails_half_way_leaves_no_trace(tmp_path, in_small_blocks):

@@ -7,7 +7,9 @@ from typing import Any
 import warpqem.errors
 from warpqem.batching.engine import TIMED_OUT, WORKER_LOST
 from warpqem.batching.job_result import BatchResult, report_of
+from warpqem.cli.flag_names import flags_of_options, with_flags
 from warpqem.cli.problem_lines import grouped_lines
+from warpqem.usd.commands.simplify_options import SimplifyOptions
 
 __all__ = ["failure_text", "has_losses", "result_lines"]
 
@@ -26,7 +28,7 @@ def has_losses(result: BatchResult) -> bool:
 
 def failure_text(result: BatchResult) -> str:
     """Why an asset failed, with its file."""
-    message = result.message or result.input
+    message = with_flags(result.message or result.input, flags_of_options(SimplifyOptions))
     return message if result.error in PLAIN_ERRORS else f"{result.error}: {message}"
 
 
