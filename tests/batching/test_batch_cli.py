@@ -236,7 +236,7 @@ def test_dry_run_fits_a_terminal_with_paths_cut_on_the_left(width, tmp_path):
     lines = console.file.getvalue().splitlines()
     assert max(map(len, lines)) <= width
     [row] = [line for line in lines if "body.usd" in line]
-    assert re.fullmatch(r" \.\.\.\S*/body\.usd +\.\.\.\S*/body\.usd +ratio 0\.5 no such file *", row)
+    assert re.fullmatch(r"\.\.\.\S*/body\.usd +\.\.\.\S*/body\.usd +ratio 0\.5 no such file *", row)
 
 
 def test_last_line_says_what_was_written_and_quiet_prints_errors_alone(folder):

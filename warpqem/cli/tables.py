@@ -17,7 +17,7 @@ __all__ = ["WIDEST", "PlainTable", "error_text", "print_table", "shortened_path"
 # Where output goes to a file or a pipe, lines may be as long as a table needs, within reason.
 WIDEST = 1000
 # Characters of a path that are left at least: a name of most meshes.
-MIN_PATH = 12
+MIN_PATH = 16
 
 
 @dataclass(frozen=True)
@@ -80,8 +80,8 @@ class PlainTable:
         kept = self._fitting(width)
         left_out = [column.head for at, column in enumerate(self._columns) if at not in kept]
         notes = [*self._notes, *([f"no room for {', '.join(left_out)}: see --json"] if left_out else [])]
-        # Without lines between columns figures have room at 80 characters.
-        table = Table(title=Text(self.title), box=SIMPLE_HEAD, padding=(0, 0), caption_justify="left")
+        # Without lines between columns figures have room at 80 characters, and without edges at 25 lines.
+        table = Table(title=Text(self.title), box=SIMPLE_HEAD, padding=(0, 0), show_edge=False, caption_justify="left")
         table.caption = Text("\n".join(notes)) if notes else None
         widths = self._widths(kept, width)
         for at in kept:
@@ -125,9 +125,9 @@ class PlainTable:
 
 
 def _line_length(widths: Iterable[int]) -> int:
-    """Characters of a line of columns, with a blank on either side and between them."""
+    """Characters of a line of columns, with a blank between them."""
     widths = list(widths)
-    return sum(widths) + len(widths) + 1
+    return sum(widths) + len(widths) - 1
 
 
 def shortened_path(path: str, width: int) -> str:
