@@ -18,12 +18,10 @@ from warpqem.cli import messages
 from warpqem.cli.console import EXIT_FAILED, EXIT_INTERRUPTED, load_usd, print_message, quiet_libraries
 from warpqem.cli.crash_guard import interruptible
 from warpqem.cli.logs import LogJson, Quiet, Verbose, start_logging
-from warpqem.cli.message_groups import files_size
 from warpqem.cli.option_parameters import takes_options
 from warpqem.cli.progress_bar import progress_bar
 from warpqem.cli.tables import print_table
 from warpqem.errors import OptionError, StageError
-from warpqem.printable import printable
 from warpqem.usd.commands.simplify_options import SimplifyOptions
 
 if TYPE_CHECKING:
@@ -192,6 +190,7 @@ def batch(
     from warpqem.batching.output_check import check_batch_outputs
     from warpqem.batching.run_batch import batch as run_batch
     from warpqem.cli.batch_display import BatchDisplay, summary_table
+    from warpqem.cli.batch_messages import print_written
     from warpqem.files.outputs import InputFile, named_outputs
     from warpqem.report.page import check_page_path
 
@@ -224,7 +223,7 @@ def batch(
     if report is not None:
         _write_overview(report, results, options)
     if not quiet:
-        _print_written(folder, results, report, json)
+        print_written(folder, results, report, json)
     if not all(result.ok for result in results):
         raise typer.Exit(EXIT_FAILED)
 
@@ -268,20 +267,6 @@ def _collect(
     finally:
         updates.close()
     return results, False
-
-
-def _print_written(folder: Path, results: list[BatchResult], page: str | None, json: str | None) -> None:
-    """The last line: what was written, and how large it is."""
-    from warpqem.batching.job_result import DONE, PARTIAL, report_of
-
-    made = [result for result in results if result.status in (DONE, PARTIAL)]
-    files = [file for result in made for file in report_of(result).get("outputs") or [result.output]]
-    count = f"{len(files):,} file{'' if len(files) == 1 else 's'} in {folder}"
-    named = [f"{count}, {files_size(files)}"] if files else []
-    others = {"report": page, "JSON": json if json != "-" else None}
-    named += [f"{what} {path}" for what, path in others.items() if path is not None]
-    if named:
-        print(f"wrote {printable('; '.join(named))}", file=sys.stderr)
 
 
 def _write_overview(path: str, results: list[BatchResult], options: dict[str, Any]) -> None:
