@@ -200,3 +200,18 @@ def test_the_program_alone_shows_its_help():
     assert done.exit_code == 0
     assert "simplify" in done.stdout
     assert "error" not in done.stderr
+
+
+def test_quiet_is_an_option_of_all_commands_that_write_or_measure(tmp_path):
+    cloth_stage(tmp_path / "in.usda")
+    run("simplify", tmp_path / "in.usda", "-o", tmp_path / "out.usda", "--ratio", "0.5", "--device", "cpu")
+    commands = (
+        ("compare", tmp_path / "in.usda", tmp_path / "out.usda", "--device", "cpu", "--json", tmp_path / "found.json"),
+        ("features", tmp_path / "in.usda", "-o", tmp_path / "joints.usda", "--device", "cpu"),
+        ("render", tmp_path / "in.usda", "-o", tmp_path / "a.png", "--pictures", "1", "--device", "cpu"),
+    )
+    for command in commands:
+        done = run(*command, "-q")
+        assert (done.exit_code, done.output) == (0, ""), command
+    assert run(*commands[0]).stdout
+    assert (tmp_path / "found.json").exists()

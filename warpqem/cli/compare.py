@@ -8,6 +8,7 @@ import typer
 
 from warpqem.cli.appearance_table import appearance_table
 from warpqem.cli.console import EXIT_FAILED, load_usd, print_message, quiet_libraries, write_json
+from warpqem.cli.logs import ShownQuiet
 from warpqem.cli.parameters import Device, Frames, JsonReport, Prims, ReportPage, Variants
 from warpqem.cli.progress_bar import progress_bar
 from warpqem.cli.tables import PlainTable, error_text, print_table, shortened_path
@@ -65,6 +66,7 @@ def compare(
     device: Device = None,
     report: ReportPage = None,
     json: JsonReport = None,
+    quiet: ShownQuiet = False,
 ) -> None:
     """Measure the meshes that TEST shows against those that REFERENCE shows at the same prim path, at the frames of
     both. What instances share is measured once.

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from warpqem.cli.console import load_usd, print_message, quiet_libraries
+from warpqem.cli.logs import ShownQuiet
 from warpqem.cli.parameters import Device, Frames, Input, Prims, Variants
 from warpqem.cli.progress_bar import progress_bar
 from warpqem.errors import OptionError
@@ -40,6 +41,7 @@ def render(
     prim: Prims = None,
     variant: Variants = None,
     device: Device = None,
+    quiet: ShownQuiet = False,
 ) -> None:
     """Draw a contact sheet: the meshes of IN at several times, beside those of a reference, without a browser.
 

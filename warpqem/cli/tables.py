@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from warpqem.cli import messages
 from warpqem.printable import printable
 
 __all__ = ["WIDEST", "PlainTable", "error_text", "print_table", "shortened_path", "terminal_width"]
@@ -152,7 +153,12 @@ def terminal_width(to_stderr: bool = False) -> int:
 
 
 def print_table(table: PlainTable, to_stderr: bool = False) -> None:
-    """Print a table, by default on stdout; where that is not a terminal, as wide as it needs to be."""
+    """Print a table, by default on stdout; where that is not a terminal, as wide as it needs to be.
+
+    With --quiet nothing is printed.
+    """
+    if messages.quiet:
+        return
     console = Console(stderr=to_stderr)
     shown = table.rendered(terminal_width(to_stderr))
     if not console.is_terminal:
