@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from warpqem.errors import OptionError
 
-__all__ = ["DistanceLimit"]
+__all__ = ["SINGLE_PRECISION", "DistanceLimit"]
 
 # Half a unit in the last place of a coordinate as long as the diagonal, in single precision: points of a result are
 # placed no better, wherever the mesh is.

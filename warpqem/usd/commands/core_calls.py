@@ -10,7 +10,7 @@ import numpy.typing as npt
 from pxr import UsdGeom
 
 import warpqem
-from warpqem.arguments.distance_limit import DistanceLimit
+from warpqem.arguments.distance_limit import SINGLE_PRECISION, DistanceLimit
 from warpqem.costs.models import cost_model
 from warpqem.errors import MeshShapeError, OptionError, UnreachableTargetError
 from warpqem.frames.stream import LaterFrames, NoFrames
@@ -23,6 +23,7 @@ from warpqem.usd.commands.blend_shape_weights import morph_scale
 from warpqem.usd.commands.context import Context, Progress, SharedOrder
 from warpqem.usd.commands.face_points import FacePoints, face_protection
 from warpqem.usd.commands.joint_bound import fewest_joints, simplify_with_fewer_joints
+from warpqem.usd.commands.kept_mesh import wanted_changes
 from warpqem.usd.commands.mesh_job import MeshJob
 from warpqem.usd.commands.rig_options import single
 from warpqem.usd.commands.skin_bound import Attempt, interpolated, largest_diagonal, simplify_skinned, skin_holds
@@ -34,7 +35,7 @@ from warpqem.usd.write.attribute_transfer import AttributeTransfer
 from warpqem.usd.write.point_samples import PointSamples
 from warpqem.usd.write.stage_report import PrimReport
 
-__all__ = ["CoreCalls"]
+__all__ = ["CoreCalls", "part_of_limit"]
 
 Seams = npt.NDArray[np.int32]
 
@@ -75,7 +76,7 @@ class CoreCalls:
             # Of a mesh with a skin the rest shape alone is written; it is the first frame.
             sink = NoFrames() if job.skin is not None else LaterFrames(taker, job.pose_start)
         seams = job.seams.hold()
-        limits = {name: share * limit for name, limit in self._limits(job).items()}
+        limits: dict[str, Any] = {name: part_of_limit(name, limit, share) for name, limit in self._limits(job).items()}
         if target_faces is None:
             return self._call(job, progress, seams, sink, **limits)
         call = self._call if self._options.strict else self._as_far_as_it_goes
@@ -92,6 +93,7 @@ class CoreCalls:
     ) -> tuple[warpqem.SimplifiedMesh, FittedMesh | None]:
         """The simplified mesh and its skin, which holds the limits where it is linear; None for one to interpolate."""
         limit = self.distance_limit(job)
+        wanted = wanted_changes(job, self._options)
         poses: SkinPoses | None = None
         if fitter is not None:
             poses = fitter.poses
@@ -113,7 +115,7 @@ class CoreCalls:
                 return []
 
         def attempt(result: warpqem.SimplifiedMesh) -> Attempt:
-            if poses is None or not job.is_simplified_by(result):
+            if poses is None or not (wanted or job.is_simplified_by(result)):
                 return Attempt(result, None)
             transfer = job.transfer(result, self._options.device)
             steps = skins(result, transfer)
@@ -332,3 +334,9 @@ class CoreCalls:
         if job.examples is not None:
             return SkinPoses(job, job.examples, job.examples.frame_times())
         return SkinPoses(job, job.source, job.source.frame_times(self._options.frames))
+
+
+def part_of_limit(name: str, limit: float, share: float) -> float:
+    """A share of a limit, but of one in % no less than single precision resolves, unless the limit itself is less."""
+    least = 100.0 * SINGLE_PRECISION if name == "max_error" else 0.0
+    return max(share * limit, min(limit, least))

@@ -33,11 +33,15 @@ class BuildOptions(MethodOptions):
         frames: Time codes to read; None for all authored ones.
     """
 
-    prim: str | None = option(None, "Prim path of the mesh; needed where IN has more than one.", "PATH", basic=True)
-    base_faces: int | None = option(
-        None, "Triangles of the coarsest level; by default as few as can be.", "FACES", COUNT, basic=True
+    prim: str | None = option(
+        None, "Prim path of the mesh; needed where IN has more than one.", "PATH", basic=True, panel="Input"
     )
-    frames: FrameRange | None = option(None, FRAMES_HELP, "START:END[:STEP]", basic=True, parse=read_frames)
+    base_faces: int | None = option(
+        None, "Triangles of the coarsest level; by default as few as can be.", "FACES", COUNT, basic=True, panel="Goal"
+    )
+    frames: FrameRange | None = option(
+        None, FRAMES_HELP, "START:END[:STEP]", basic=True, parse=read_frames, panel="Input"
+    )
 
     def __post_init__(self) -> None:
         """Check the options.
@@ -66,14 +70,15 @@ class LevelChoice:
         screen: The same on a screen, at a distance in the units of the stage.
     """
 
-    ratio: float | None = option(None, "Share of the input's triangles.", "SHARE", SHARE, basic=True)
-    faces: int | None = option(None, "Triangles.", "FACES", COUNT, basic=True)
+    ratio: float | None = option(None, "Share of the input's triangles.", "SHARE", SHARE, basic=True, panel="Goal")
+    faces: int | None = option(None, "Triangles.", "FACES", COUNT, basic=True, panel="Goal")
     max_error: float | None = option(
         None,
         "Largest distance from the input, in % of its bounding-box diagonal, proved for every point and pose.",
         "PCT",
         ABOVE_0,
         basic=True,
+        panel="Goal",
     )
     screen: ScreenView | None = option(None, "")
 
@@ -82,7 +87,7 @@ class LevelChoice:
         given = [name for name, value in vars(self).items() if value is not None]
         if len(given) != 1:
             raise OptionError(
-                f"exactly one of ratio, faces, max_error and screen_error must be given, not {given or 'none'}"
+                f"exactly one of `ratio`, `faces`, `max_error` and `screen_error` must be given, not {given or 'none'}"
             )
         check_options(self)
 

@@ -89,7 +89,7 @@ def render_sheet(
     if not os.fspath(output_path).lower().endswith(".png"):
         raise OptionError(f"output {output_path}: the suffix must be .png")
     if options.heatmap and reference_path is None:
-        raise OptionError("heatmap needs a reference")
+        raise OptionError("`heatmap` needs a `reference`")
     paths = [path for path in (reference_path, input_path) if path is not None]
     stages = open_stages(paths)
     check_stage_outputs([OutputFile("output", output_path)], stages)
