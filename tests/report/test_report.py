@@ -71,7 +71,9 @@ def test_data_hold_what_the_page_shows():
     data = report_data(report, device="cpu")
     [level] = data["levels"]
     assert level["measures"]["perFrame"]["rms"] == pytest.approx([level["measures"]["rms"]] * 4, rel=0.2)
-    assert level["mesh"]["heatScale"] == level["measures"]["hausdorff"]
+    # No vertex is farther off than the largest distance of the table, and here one is as far.
+    assert level["mesh"]["heatScale"] == pytest.approx(level["measures"]["hausdorff"], rel=1e-3)
+    assert level["mesh"]["heatScale"] <= data["heatEnd"] <= 1.25 * level["mesh"]["heatScale"]
     heat = decode(level["mesh"]["heat"], np.uint8, (4, len(report.points[0])))
     assert heat.max() == 255
     nodes = np.cumsum(decode(data["original"]["mesh"]["points"], np.uint16, report.points.shape), 0, np.uint16)

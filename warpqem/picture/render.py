@@ -16,7 +16,7 @@ from warpqem.mesh.mesh_input import finite_points, read_faces, read_points
 from warpqem.runtime.device import on_device, resolve_device
 from warpqem.runtime.part_launches import PerPart, launch_in_parts, rows_of
 
-__all__ = ["View", "fit_view", "render"]
+__all__ = ["View", "encoded_srgb", "fit_view", "render"]
 
 # A light grey, linear: dark and bright surfaces both stand out from it.
 BACKGROUND = (0.85, 0.87, 0.89)
@@ -174,7 +174,7 @@ def render(
         outputs=[rows_of(image)],
         device=device,
     )
-    return _encode(image.numpy())
+    return encoded_srgb(image.numpy())
 
 
 def _checked_size(size: Any) -> tuple[int, int]:
@@ -196,7 +196,7 @@ def _vertex_normals(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return np.divide(total, length, out=np.zeros_like(total), where=length > 0).astype(np.float32)
 
 
-def _encode(linear: np.ndarray) -> np.ndarray:
+def encoded_srgb(linear: np.ndarray) -> np.ndarray:
     """sRGB bytes of linear values (IEC 61966-2-1)."""
     clipped = np.clip(linear, 0.0, 1.0)
     encoded = np.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * clipped ** (1 / 2.4) - 0.055)

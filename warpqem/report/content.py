@@ -9,6 +9,7 @@ import numpy as np
 
 from warpqem.arguments.array_record import ArrayRecord
 from warpqem.arguments.json_types import Json
+from warpqem.picture.look import Look
 
 __all__ = ["Level", "Report", "Table"]
 
@@ -22,12 +23,16 @@ class Level(ArrayRecord):
         points: (F, V', 3), in the coordinates and frames of the original.
         faces: (N', 3) integers, counter-clockwise.
         measured: its errors over all frames of the animation, where they are known; None for those of the frames here.
+        look: its colours and textures; None for none.
+        meshes: the errors of each of its meshes, by the name of the part in the look.
     """
 
     name: str
     points: np.ndarray
     faces: np.ndarray
     measured: Mapping[str, Json] | None = None
+    look: Look | None = None
+    meshes: Mapping[str, Mapping[str, Json]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -61,6 +66,7 @@ class Report(ArrayRecord):
         notes: sentences under the picture.
         markers: vertices of the original by name, such as the feature points of a face; drawn as dots, on the levels
             too, on the vertex that is nearest in the first frame.
+        look: colours and textures of the original; None for none.
         thinned: True where frames were left out before, so that differences from one to the next mean nothing.
     """
 
@@ -74,4 +80,5 @@ class Report(ArrayRecord):
     tables: Sequence[Table] = ()
     notes: Sequence[str] = ()
     markers: Mapping[str, int] = field(default_factory=dict)
+    look: Look | None = None
     thinned: bool = False

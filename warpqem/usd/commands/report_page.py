@@ -22,6 +22,7 @@ from warpqem.usd.commands.appearance import stage_looks
 from warpqem.usd.commands.level_stages import level_names, level_root
 from warpqem.usd.commands.lods import VARIANT_SET, LevelReport
 from warpqem.usd.commands.simplify_options import SimplifyOptions
+from warpqem.usd.read.materials import Materials
 from warpqem.usd.read.open_stage import open_stage
 from warpqem.usd.read.variants import open_stages
 from warpqem.usd.read.world import WorldMeshes, chosen_times, limit_places, longest_run
@@ -78,6 +79,7 @@ def write_simplify_report(
         tables[1:1] = _appearance_tables(_looks(report, original, levels, options, notes), notes)
     title = f"{original.name} → {os.path.basename(output)}"
     page = _gather(title, original, levels, options.frames, tables, list(dict.fromkeys(notes)))
+    page = replace(page, levels=[replace(level, meshes=_errors_by_mesh(level.name, report)) for level in page.levels])
     if len(report.prims) == len(page.levels):
         # Of one mesh, the page shows the errors that are known, of all its frames.
         known = [prim.measured for prim in report.prims]
@@ -234,19 +236,32 @@ def _gather(
         left = f"Shown and measured: {len(shown)} of {len(times)} frames, one in {shown.step}: the page stays small."
         notes = [*notes, left]
     points, faces = original.read(own)
+    # Textures that all files have are on the page once.
+    materials = Materials()
     rate = original.stage.GetTimeCodesPerSecond() / (float(np.median(np.diff(own))) if own and len(own) > 1 else 1.0)
     return Report(
         title=title,
         points=points,
         faces=faces,
-        levels=[Level(name, *meshes.read(own)) for name, meshes in levels],
+        levels=[Level(name, *meshes.read(own), look=meshes.look(own, materials)) for name, meshes in levels],
         times=own,
         frames_per_second=rate,
         up=original.up,
         tables=tables,
         notes=notes,
+        look=original.look(own, materials),
         thinned=thinned,
     )
+
+
+def _errors_by_mesh(level: str, report: StageReport) -> dict[str, dict[str, Any]]:
+    """Verdict and errors of each mesh of a level, by its path."""
+    of_level = [prim for prim in report.prims if not isinstance(prim, LevelReport) or prim.level == level]
+    return {
+        prim.path: {name: prim.measured[name] for name in ("verdict", "reason", "rms", "hausdorff")}
+        for prim in of_level
+        if prim.measured is not None
+    }
 
 
 def _mesh_table(prims: Sequence[PrimReport]) -> Table:
@@ -337,4 +352,6 @@ def _feature_points(page: Report) -> dict[str, int]:
 def _as_text(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
+    if value is None:
+        return "–"
     return ", ".join(map(str, value)) if isinstance(value, tuple) else str(value)
