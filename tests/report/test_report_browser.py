@@ -12,7 +12,6 @@ from tests.support.browser import CHROMIUM, changed, open_page, picture, state
 from tests.support.report import waving
 from warpqem.report import Level, Report, Table, report_page, write_report
 from warpqem.report.live import LiveLevels
-from warpqem.report.overview import Asset, overview_page
 from warpqem.report.server import PageServer
 
 pytest.importorskip("playwright.sync_api", reason="the browser extra is not installed")
@@ -228,37 +227,5 @@ def test_page_without_some_meshes_or_all_shows_the_rest(browser, tmp_path, monke
         page.wait_for_function("window.warpqem && window.warpqem.ready")
     assert "Validity" in page.locator("#tables").inner_text()
     page.locator("#scrub").fill("2")
-    assert errors == []
-    page.close()
-
-
-def test_overview_is_sorted_and_limited(browser, tmp_path):
-    picture = np.full((6, 8, 3), 90, dtype=np.uint8)
-    assets = [
-        Asset("b", "done", 100, 10, "poor", "Hausdorff 3 % is above 2", rms=0.5, pictures=[picture, picture]),
-        Asset("a", "failed", message="lost"),
-        Asset("c", "done", 20, 10, "good", rms=0.1),
-    ]
-    (tmp_path / "page.html").write_text(overview_page("three", assets), "utf-8")
-    page = browser.new_page()
-    errors = []
-    page.on("pageerror", lambda error: errors.append(str(error)))
-    page.goto((tmp_path / "page.html").as_uri())
-
-    def names() -> list[str]:
-        return page.locator("tbody tr td:first-child > span").all_inner_texts()
-
-    assert names() == ["b", "a", "c"]
-    for column in ("RMS", "verdict"):
-        page.click(f"thead button:text('{column}')")
-        assert names() == ["c", "b", "a"]
-        page.click(f"thead button:text('{column}')")
-        assert names() == ["b", "c", "a"]
-    assert page.locator("td.bad").all_inner_texts() == ["poor", "failed"]
-    page.click("#status [data-value=failed]")
-    assert names() == ["a"]
-    page.click("#status [data-value=all]")
-    page.fill("#search", "LOST")
-    assert names() == ["a"]
     assert errors == []
     page.close()
