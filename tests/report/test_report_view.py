@@ -14,7 +14,7 @@ from tests.support import meshes
 from tests.support.browser import CHROMIUM, changed, open_page, picture, state
 from tests.support.report import waving
 from warpqem.picture.look import Look, Part, Texture
-from warpqem.report import Level, Report, Table, write_report
+from warpqem.report import Curve, Level, Report, Skeleton, Table, write_report
 
 pytest.importorskip("playwright.sync_api", reason="the browser extra is not installed")
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium")
@@ -245,6 +245,26 @@ def test_picture_is_saved_with_its_captions(page):
     # Text above, the mesh, and the colours of the legend below.
     assert np.ptp(shot[:30].sum(axis=-1)) > 300
     assert ((shot[-36:, :, 0] - shot[-36:, :, 2]) > 100).any()
+
+
+def test_skeleton_is_drawn_with_the_joints_that_went(browser, tmp_path):
+    points, faces = waving(2)
+    places = np.repeat(np.array([[[0.2, 0.2, 0.3], [0.8, 0.8, 0.3], [0.8, 0.2, 0.3]]]), 2, axis=0)
+    skeleton = Skeleton("/Rig", ["a", "b", "c"], np.array([-1, 0, 1]), places, {"a", "b", "c"})
+    level = Level("level", points, faces, used_joints={"/Rig": {"a"}})
+    curve = Curve("Error over joints", "%", "joints", [("x", [3, 2, 1], [0.0, 0.1, 0.2])])
+    report = Report("Rig", points, faces, [level], skeletons=[skeleton], curves=[curve])
+    write_report(tmp_path / "page.html", report, device="cpu")
+    with open_page(browser, (tmp_path / "page.html").as_uri()) as page:
+        assert not has_color(picture(page), 0)
+        page.click("#bones")
+        shown = picture(page)
+        red = [(pane(shown, index)[..., 0] - pane(shown, index)[..., 1] > 100).sum() for index in (0, 1)]
+        assert red[0] == 0
+        assert red[1] > 40
+        page.keyboard.press("b")
+        assert not has_color(picture(page), 0)
+        assert page.locator("#plots h2:text('Error over joints')").is_visible()
 
 
 def test_figures_say_what_they_mean(page):

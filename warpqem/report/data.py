@@ -15,8 +15,8 @@ from warpqem.measure import Comparison, compare, vertex_distances
 from warpqem.measure.closest_points import ClosestPointSearch
 from warpqem.measure.heatmap import COLOR_MAP
 from warpqem.picture.look import Texture
-from warpqem.report.content import Level, Report
-from warpqem.report.encoding import Grid
+from warpqem.report.content import Curve, Level, Report, Skeleton
+from warpqem.report.encoding import Grid, encode
 from warpqem.report.mesh_data import mesh_data, packed_textures
 from warpqem.runtime.device import device_turn
 
@@ -92,10 +92,8 @@ def report_data(report: Report, device: str | None = None, progress: Progress | 
         # Few points, so that every vertex can be asked.
         places = original[0, marked].astype(np.float64)
         nearest = [int(((level.points[0] - place) ** 2).sum(axis=1).argmin()) for place in places]
-        packed.append(
-            {"markers": nearest}
-            | _level_data(level, original, report, grid, labels, shown[index + 1], textures, device, part)
-        )
+        found = _level_data(level, original, report, grid, labels, shown[index + 1], textures, device, part)
+        packed.append({"markers": nearest, "joints": _used_joints(report.skeletons, level.used_joints)} | found)
     return {
         "title": report.title,
         "up": report.up,
@@ -115,9 +113,37 @@ def report_data(report: Report, device: str | None = None, progress: Progress | 
         "heatEnd": scale_end([level.pop("heatEnd") for level in packed]),
         "textures": packed_textures(textures),
         "samples": packed[0]["measures"]["samples"] if packed else 0,
+        "skeletons": [_skeleton_data(skeleton) for skeleton in report.skeletons],
+        "curves": [_curve_data(curve) for curve in report.curves],
         "tables": [asdict(table) for table in report.tables],
         "notes": notes,
     }
+
+
+def _skeleton_data(skeleton: Skeleton) -> dict[str, Any]:
+    """A skeleton as the page decodes it, on a grid of its own: joints may be far from the mesh."""
+    grid = Grid.around(skeleton.points)
+    return {
+        "name": skeleton.name,
+        "joints": list(skeleton.joints),
+        "parents": np.asarray(skeleton.parents).tolist(),
+        "used": [joint in skeleton.used for joint in skeleton.joints],
+        "grid": {"low": grid.low.tolist(), "step": grid.step},
+        "points": encode(grid.round(skeleton.points), over_time=True),
+    }
+
+
+def _used_joints(skeletons: Sequence[Skeleton], used: Mapping[str, set[str]] | None) -> list[list[bool]]:
+    """Of each skeleton, which of its joints move a level."""
+    return [
+        [joint in (skeleton.used if used is None else used.get(skeleton.name, set())) for joint in skeleton.joints]
+        for skeleton in skeletons
+    ]
+
+
+def _curve_data(curve: Curve) -> dict[str, Any]:
+    series = [{"name": name, "x": list(x), "y": list(y)} for name, x, y in curve.series]
+    return {"title": curve.title, "unit": curve.unit, "xName": curve.x_name, "series": series}
 
 
 def scale_end(ends: Sequence[float]) -> float:

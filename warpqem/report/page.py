@@ -21,7 +21,17 @@ __all__ = ["asset_text", "check_page_path", "page_json", "report_page", "save_pa
 
 SUFFIXES = (".html", ".htm")
 # In the order of what they use of each other.
-SCRIPTS = ("decode.js", "tables.js", "plots.js", "mesh_view.js", "scene.js", "meshes.js", "share.js", "page.js")
+SCRIPTS = (
+    "decode.js",
+    "tables.js",
+    "plots.js",
+    "mesh_view.js",
+    "skeleton.js",
+    "scene.js",
+    "meshes.js",
+    "share.js",
+    "page.js",
+)
 
 
 def write_report(

@@ -377,6 +377,7 @@ const BUTTON_ROOM = 64;
 
   function drawNow() {
     state.dirty = false;
+    view.levelJoints = level() ? level().joints : null;
     view.draw(state, data.heatEnd || 0);
     seen.drawn += 1;
   }
@@ -397,6 +398,9 @@ const BUTTON_ROOM = 64;
     textures = await SceneView.textures(data.textures || []);
     const original = data.original.mesh ? await decodeMesh(data.original.mesh, frameCount) : null;
     view.setMeshes(original ? new MeshView(original, data.grid, "original", data.original.markers, textures) : null, null);
+    const joints = await Promise.all((data.skeletons || []).map((skeleton) => inflate(skeleton.points)));
+    view.skeletons = joints.map((bytes, i) => new SkeletonView(data.skeletons[i], bytes));
+    byId("bones").hidden = !view.skeletons.length;
     await setLevel(state.level);
     if (!view.views.length) {
       showNoPicture("The meshes are too large for this page; plots and tables are below.");

@@ -45,6 +45,8 @@ class SceneView {
     this.moved = false;
     this.insets = { top: 0, bottom: 0 };
     this.layout = "side";
+    this.skeletons = [];
+    this.levelJoints = null;
     this.changed = () => {};
     this.controls.addEventListener("change", () => this.changed());
     setColorTables(data);
@@ -214,7 +216,7 @@ class SceneView {
     return shown[this.layout][index].filter(Boolean);
   }
 
-  draw({ frame, layout, colors, shading, wire, dots }, heatEnd) {
+  draw({ frame, layout, colors, shading, wire, dots, bones }, heatEnd) {
     this.layout = layout;
     this.renderer.setSize(this.canvas.clientWidth, this.canvas.clientHeight, false);
     [this.sky.intensity, this.lamps[0].intensity] = LIGHTS[colors];
@@ -229,7 +231,7 @@ class SceneView {
       this.renderer.setScissor(pane.x, pane.y, pane.width, pane.height);
       this.camera.aspect = pane.width / pane.height;
       this.camera.updateProjectionMatrix();
-      this.scene.children.filter((child) => child.isMesh || child.isPoints).forEach((child) => this.scene.remove(child));
+      this.scene.children.filter((child) => child.isMesh || child.isPoints || child.isLineSegments).forEach((child) => this.scene.remove(child));
       for (const view of this.shownIn(index)) {
         // Overlaid, the original is a glass around the simplified mesh.
         const glass = layout === "over" && view === this.original;
@@ -245,6 +247,10 @@ class SceneView {
         this.scene.add(view.solid);
         if (wire && !glass) this.scene.add(view.lines);
         if (dots && !glass) this.scene.add(view.dots);
+      }
+      if (bones) {
+        const ofLevel = this.shownIn(index)[0] === this.level && this.levelJoints;
+        this.skeletons.forEach((skeleton, i) => this.scene.add(...skeleton.show(frame, ofLevel ? ofLevel[i] : null)));
       }
       this.renderer.render(this.scene, this.camera);
     });

@@ -109,6 +109,11 @@ class WorldMeshes:
         """One path for each mesh, the first at which the stage shows it."""
         return [mesh.places[0] for mesh in self._meshes]
 
+    @property
+    def sources(self) -> list[MeshSource]:
+        """The meshes with one topology."""
+        return [mesh.source for mesh in self._meshes if mesh.source is not None]
+
     def show_only(self, places: Sequence[Sdf.Path]) -> None:
         """Leave meshes out of all other paths; one that is at none of these is left at its first."""
         wanted = set(places)
