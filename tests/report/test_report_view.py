@@ -141,6 +141,18 @@ def test_keys_of_a_focused_control_are_its_own(page):
     assert page.evaluate("document.activeElement.dataset.value") == "over"
 
 
+def test_slow_machines_play_with_fewer_pixels_and_stop_with_all(browser, address):
+    context = browser.new_context()
+    context.add_init_script("window.requestAnimationFrame = (draw) => setTimeout(() => draw(performance.now()), 80)")
+    page = context.new_page()
+    page.goto(address)
+    width = "document.getElementById('canvas').width"
+    page.wait_for_function(f"window.warpqem && window.warpqem.state.playing && {width} < 600")
+    page.click("#play")
+    page.wait_for_function(f"{width} === document.getElementById('canvas').clientWidth")
+    context.close()
+
+
 def test_wheel_keeps_what_is_under_the_cursor(page):
     page.keyboard.press("3")
     page.click("#shading [data-value=flat]")

@@ -80,7 +80,7 @@ def report_data(report: Report, device: str | None = None, progress: Progress | 
         [("The original", original, report.faces), *((v.name, v.points, v.faces) for v in levels)], notes
     )
     marked = np.array(list(report.markers.values()), dtype=np.int64)
-    packed = []
+    packed: list[dict[str, Any]] = []
     textures: list[Texture] = []
     labels = _features(original, report.faces, device)
     for index, level in enumerate(levels):

@@ -3,6 +3,12 @@
 // In pixels.
 const TAG_ROOM = 34;
 const BUTTON_ROOM = 64;
+// Milliseconds from one picture to the next that are too many while it plays, so many times in a row, and what part of
+// the pixels along each side is left then.
+const SLOW = 45;
+const SLOW_FRAMES = 6;
+const DETAIL_STEP = 0.75;
+const LEAST_DETAIL = 0.5;
 
 (async () => {
   const byId = (id) => document.getElementById(id);
@@ -430,12 +436,23 @@ const BUTTON_ROOM = 64;
     refresh();
     let last = null;
     let elapsed = 0;
+    let slow = 0;
     const tick = (now) => {
       if (state.playing && last !== null) {
         elapsed += (now - last) * 0.001 * data.framesPerSecond * Number(byId("speed").value);
         const steps = Math.floor(elapsed);
         elapsed -= steps;
         if (steps) setFrame(state.frame + steps);
+      }
+      // A picture that plays smoothly is worth more than its last pixels; it has them all when it stands still.
+      slow = state.playing && last !== null && now - last > SLOW ? slow + 1 : Math.max(0, slow - 1);
+      if (slow > SLOW_FRAMES && view.detail > LEAST_DETAIL) {
+        view.detail *= DETAIL_STEP;
+        slow = 0;
+      }
+      if (!state.playing && view.detail < 1) {
+        view.detail = 1;
+        state.dirty = true;
       }
       last = state.playing ? now : null;
       if (state.dirty) {

@@ -20,7 +20,8 @@ class SceneView {
   constructor(canvas, data) {
     this.canvas = canvas;
     this.renderer = new THREE.WebGLRenderer({ canvas, antialias: true, alpha: true });
-    this.renderer.setPixelRatio(Math.min(window.devicePixelRatio, 2));
+    // Part of the screen's pixels along each side that are drawn.
+    this.detail = 1;
     this.renderer.setScissorTest(true);
     this.scene = new THREE.Scene();
     this.camera = new THREE.PerspectiveCamera(30, 1, 0.1, 10);
@@ -218,7 +219,7 @@ class SceneView {
 
   draw({ frame, layout, colors, shading, wire, dots, bones }, heatEnd) {
     this.layout = layout;
-    this.renderer.setSize(this.canvas.clientWidth, this.canvas.clientHeight, false);
+    this.resize();
     [this.sky.intensity, this.lamps[0].intensity] = LIGHTS[colors];
     for (const view of this.views) view.show(frame, colors, shading, heatEnd);
     // Near and far follow the camera, so that neither cuts anything off and depths stay fine.
@@ -254,6 +255,15 @@ class SceneView {
       }
       this.renderer.render(this.scene, this.camera);
     });
+  }
+
+  // Buffers are as large as the canvas; making them anew takes longer than to draw.
+  resize() {
+    const wanted = [this.canvas.clientWidth, this.canvas.clientHeight, this.detail * Math.min(window.devicePixelRatio, 2)];
+    if (String(wanted) === this.size) return;
+    this.size = String(wanted);
+    this.renderer.setPixelRatio(wanted[2]);
+    this.renderer.setSize(wanted[0], wanted[1], false);
   }
 
   // Numbers from which `look` finds the same view again.
