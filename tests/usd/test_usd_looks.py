@@ -133,9 +133,26 @@ def test_file_that_is_no_image_gives_the_fallback(tmp_path, content):
         (0.1, 0.2, 0.3, 1)
     )
     (tmp_path / "map.png").write_bytes(content)
-    look = look_of(stage)
+    materials = Materials()
+    look = look_of(stage, materials)
     assert not look.textures
     assert look.colors[0, 0] == pytest.approx([0.1, 0.2, 0.3])
+    assert materials.left_out == [
+        "/Root/Textured: texture ./map.png is not shown: it is missing, or no image that can be read"
+    ]
+
+
+@pytest.mark.parametrize("name", ["./tile.<UDIM>.png", "./missing.png", ""])
+def test_texture_that_is_not_found_leaves_the_display_colours_and_a_line(tmp_path, name):
+    stage = cloth_stage(tmp_path / "in.usda")
+    add_st(stage)
+    UsdGeom.Mesh(stage.GetPrimAtPath(CLOTH)).CreateDisplayColorAttr([(0.3, 0.2, 0.1)])
+    bind(stage.GetPrimAtPath(CLOTH), textured(tmp_path, stage))
+    stage.GetPrimAtPath("/Root/Textured").GetAttribute("inputs:map").Set(name)
+    materials = Materials()
+    assert look_of(stage, materials).colors[0, 0] == pytest.approx([0.3, 0.2, 0.1])
+    [line] = materials.left_out
+    assert line.startswith(f"/Root/Textured: texture {name or 'none'} is not shown: ")
 
 
 def test_texture_in_a_package_is_found(tmp_path):

@@ -189,6 +189,11 @@ const LEAST_DETAIL = 0.5;
     },
   };
 
+  function toggleBones() {
+    choose("bones", !state.bones);
+    tell(state.bones ? "Blue joints move the mesh, red ones moved the original alone, grey ones move nothing." : "");
+  }
+
   function goToWorst() {
     const found = view && view.level ? view.level.worstFrame : null;
     if (found === null) return;
@@ -221,7 +226,8 @@ const LEAST_DETAIL = 0.5;
       for (const button of byId(id).children) button.addEventListener("click", () => choose(key, button.dataset.value));
       byId(id).addEventListener("keydown", (event) => stepChoice(event, byId(id), key));
     }
-    for (const key of ["wire", "dots", "bones"]) byId(key).addEventListener("click", () => choose(key, !state[key]));
+    for (const key of ["wire", "dots"]) byId(key).addEventListener("click", () => choose(key, !state[key]));
+    byId("bones").addEventListener("click", toggleBones);
     byId("play").addEventListener("click", () => choose("playing", !state.playing));
     byId("scrub").addEventListener("input", (event) => {
       state.playing = false;
@@ -282,7 +288,7 @@ const LEAST_DETAIL = 0.5;
       h: () => toggle("heat"),
       j: () => toggle("features"),
       s: () => choose("shading", state.shading === "flat" ? "smooth" : "flat"),
-      b: () => !byId("bones").hidden && choose("bones", !state.bones),
+      b: () => !byId("bones").hidden && toggleBones(),
       x: goToWorst,
       f: () => view && view.fit([state.frame]),
       r: () => view && view.aim(frameCount),

@@ -64,7 +64,7 @@ function plotCard(parent, { title, unit, xName, series, logX = false, dots = fal
     svgNode(svg, "text", { x: placeX(value), y: height - bottom + 16, "text-anchor": "middle" }, short(value));
   }
   svgNode(svg, "text", { x: (left + width) / 2, y: height - 3, "text-anchor": "middle" }, xName);
-  const now = svgNode(svg, "line", { class: "now", x1: -9, x2: -9, y1: top, y2: height - bottom });
+  const now = svgNode(svg, "line", { class: "now", visibility: "hidden", x1: 0, x2: 0, y1: top, y2: height - bottom });
   series.forEach((one, index) => {
     const color = LINE_COLORS[index % LINE_COLORS.length];
     const line = one.x.map((x, i) => `${i ? "L" : "M"}${placeX(x).toFixed(1)} ${placeY(one.y[i]).toFixed(1)}`).join("");
@@ -93,6 +93,7 @@ function plotCard(parent, { title, unit, xName, series, logX = false, dots = fal
     });
   }
   return (x) => {
+    now.setAttribute("visibility", "visible");
     now.setAttribute("x1", placeX(x));
     now.setAttribute("x2", placeX(x));
   };

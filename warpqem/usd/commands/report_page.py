@@ -243,20 +243,22 @@ def _gather(
     # Textures that all files have are on the page once.
     materials = Materials()
     rate = original.stage.GetTimeCodesPerSecond() / (float(np.median(np.diff(own))) if own and len(own) > 1 else 1.0)
+    look = original.look(own, materials)
+    shown_levels = [
+        Level(name, *meshes.read(own), look=meshes.look(own, materials), used_joints=_used_joints(meshes))
+        for name, meshes in levels
+    ]
     return Report(
         title=title,
         points=points,
         faces=faces,
-        levels=[
-            Level(name, *meshes.read(own), look=meshes.look(own, materials), used_joints=_used_joints(meshes))
-            for name, meshes in levels
-        ],
+        levels=shown_levels,
         times=own,
         frames_per_second=rate,
         up=original.up,
         tables=tables,
-        notes=notes,
-        look=original.look(own, materials),
+        notes=[*notes, *materials.left_out],
+        look=look,
         skeletons=skeletons,
         thinned=thinned,
     )

@@ -57,10 +57,15 @@ class Surface:
 
 
 class Materials:
-    """Reads each material and each image once; shared between files, what is equal in them is one texture."""
+    """Reads each material and each image once; shared between files, what is equal in them is one texture.
+
+    Attributes:
+        left_out: Why materials are not shown, one line for each that has a texture which cannot be.
+    """
 
     def __init__(self) -> None:
         """Nothing is read yet."""
+        self.left_out: list[str] = []
         self._surfaces: dict[tuple[Usd.Stage, Sdf.Path], Surface | None] = {}
         self._images: dict[bytes, npt.NDArray[np.uint8] | None] = {}
         self._textures: dict[tuple[bytes, tuple[bool, bool]], Texture] = {}
@@ -94,9 +99,15 @@ class Materials:
             return Surface(None, primvar=_text(_value(node, "varname")))
         if kind != "UsdUVTexture":
             return None
-        image = self._image(_value(node, "file"))
+        asset = _value(node, "file")
+        image = self._image(asset)
         if image is None:
-            return Surface(_color(_value(node, "fallback")) or (0.0, 0.0, 0.0))
+            name = getattr(asset, "path", "") or "none"
+            why = "tiles are not shown" if "<UDIM>" in name else "it is missing, or no image that can be read"
+            self._leave_out(f"{node.GetPath().GetParentPath()}: texture {name} is not shown: {why}")
+            fallback = _color(_value(node, "fallback"))
+            # What the specification has without one is black, in which no shape is to be seen.
+            return None if fallback is None else Surface(fallback)
         pixels, content = image
         repeats = tuple(str(_value(node, name) or "") not in ("clamp", "black") for name in ("wrapS", "wrapT"))
         texture = self._textures.setdefault(
@@ -104,6 +115,10 @@ class Materials:
         )
         primvar, transform = _coordinates(node)
         return Surface(_color(_value(node, "scale")) or (1.0, 1.0, 1.0), TextureUse(texture, primvar, transform))
+
+    def _leave_out(self, line: str) -> None:
+        if line not in self.left_out:
+            self.left_out.append(line)
 
     def _image(self, asset: Any) -> tuple[npt.NDArray[np.uint8], bytes] | None:
         place = str(getattr(asset, "resolvedPath", "") or "")
