@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import struct
+import zlib
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -223,3 +227,56 @@ def test_subdivision_surfaces_are_smooth_all_over(tmp_path):
     UsdGeom.Mesh(stage.GetPrimAtPath(CLOTH)).CreateSubdivisionSchemeAttr("catmullClark")
     normals = look_of(stage).normals
     assert (normals == normals[0, 0]).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "value"),
+    [
+        ("rotation", TYPES.String, "much"),
+        ("rotation", TYPES.Float, float("nan")),
+        ("scale", TYPES.Float, 3.0),
+        ("scale", TYPES.Float2, Gf.Vec2f(float("inf"), 1)),
+        ("translation", TYPES.Token, "x"),
+    ],
+)
+def test_transform_that_is_none_is_left_out(tmp_path, name, kind, value):
+    stage = cloth_stage(tmp_path / "in.usda")
+    add_st(stage)
+    bind(stage.GetPrimAtPath(CLOTH), textured(tmp_path, stage))
+    node = stage.GetPrimAtPath("/Root/Textured/Turn")
+    node.RemoveProperty(f"inputs:{name}")
+    UsdShade.Shader(node).CreateInput(name, kind).Set(value)
+    assert np.isfinite(look_of(stage).uvs).all()
+
+
+def test_nodes_in_a_circle_end(tmp_path):
+    stage = cloth_stage(tmp_path / "in.usda")
+    add_st(stage)
+    bind(stage.GetPrimAtPath(CLOTH), textured(tmp_path, stage))
+    turn = UsdShade.Shader(stage.GetPrimAtPath("/Root/Textured/Turn"))
+    turn.GetInput("in").ConnectToSource(turn.ConnectableAPI(), "result")
+    assert len(look_of(stage).textures) == 1
+
+
+def test_texture_that_is_no_regular_file_is_left_out(tmp_path):
+    stage = cloth_stage(tmp_path / "in.usda")
+    add_st(stage)
+    bind(stage.GetPrimAtPath(CLOTH), textured(tmp_path, stage))
+    (tmp_path / "map.png").unlink()
+    os.mkfifo(tmp_path / "map.png")
+    materials = Materials()
+    assert look_of(stage, materials).is_plain
+    assert len(materials.left_out) == 1
+
+
+def test_image_that_claims_to_be_huge_is_left_out(tmp_path):
+    stage = cloth_stage(tmp_path / "in.usda")
+    add_st(stage)
+    bind(stage.GetPrimAtPath(CLOTH), textured(tmp_path, stage))
+    # The size in the head of a PNG, with the checksum that belongs to it.
+    content = (tmp_path / "map.png").read_bytes()
+    head = b"IHDR" + struct.pack(">II", 20000, 20000) + content[24:29]
+    (tmp_path / "map.png").write_bytes(content[:12] + head + struct.pack(">I", zlib.crc32(head)) + content[33:])
+    materials = Materials()
+    assert look_of(stage, materials).is_plain
+    assert len(materials.left_out) == 1

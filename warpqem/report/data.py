@@ -29,6 +29,8 @@ BYTES_PER_POINT = 6
 # The meshes as a whole, with their faces.
 LARGEST_MESHES = 2 * LARGEST_POSITIONS
 BYTES_PER_FACE = 12
+# Vertex, smoothing group, place on the texture and colour of what is drawn for a vertex.
+BYTES_OF_LOOK = 15
 # Five seconds show what moves, and each frame that is shown is measured too.
 MAX_FRAMES = 120
 # Distances in % of the diagonal that are rounding: double precision leaves some 1e-13.
@@ -164,7 +166,8 @@ def _with_room(meshes: Sequence[tuple[str, np.ndarray, np.ndarray]], notes: list
     room = LARGEST_MESHES
     shown = []
     for name, points, faces in reversed(meshes):
-        size = points.shape[0] * points.shape[1] * BYTES_PER_POINT + len(faces) * BYTES_PER_FACE
+        per_vertex = points.shape[0] * BYTES_PER_POINT + BYTES_OF_LOOK
+        size = points.shape[1] * per_vertex + len(faces) * BYTES_PER_FACE
         shown.append(size <= room)
         if shown[-1]:
             room -= size

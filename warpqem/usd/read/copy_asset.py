@@ -28,8 +28,8 @@ def copy_asset(place: str, target: IO[bytes]) -> None:
         OSError: it cannot be written.
     """
     outer, inner = Ar.SplitPackageRelativePathOuter(place) if Ar.IsPackageRelativePath(place) else (place, "")
+    check_regular(outer, StageError)
     if os.path.isfile(outer):
-        check_regular(outer, StageError)
         with open(outer, "rb") as file:
             if not inner:
                 shutil.copyfileobj(file, target)

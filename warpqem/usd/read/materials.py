@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import math
+import struct
+import warnings
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,8 +22,20 @@ __all__ = ["Materials", "Surface", "TextureUse"]
 
 # The longer side of textures, in pixels; a page holds them all.
 LARGEST_TEXTURE = 512
-# An image of more pixels is not opened: decoding it would take a gigabyte.
-MAX_PIXELS = 16384**2
+# What Pillow raises for damaged images, and for those that it takes for attacks by their size.
+IMAGE_ERRORS = (
+    OSError,
+    ValueError,
+    SyntaxError,
+    EOFError,
+    LookupError,
+    TypeError,
+    OverflowError,
+    struct.error,
+    MemoryError,
+    Image.DecompressionBombError,
+    Image.DecompressionBombWarning,
+)
 # Nodes on the way from a base colour to its texture and from there to its coordinates; deeper ones are no way out.
 MAX_NODES = 16
 
@@ -139,15 +153,16 @@ class Materials:
 def _decoded(content: bytes) -> npt.NDArray[np.uint8] | None:
     """Pixels, made smaller; None for what is no image that can be read."""
     try:
-        with Image.open(io.BytesIO(content)) as image:
-            if image.width * image.height > MAX_PIXELS:
-                return None
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            image = Image.open(io.BytesIO(content))
+        with image:
             # JPEG files are read at a smaller size at once.
             image.draft("RGB", (LARGEST_TEXTURE, LARGEST_TEXTURE))
             small = image.convert("RGB")
             small.thumbnail((LARGEST_TEXTURE, LARGEST_TEXTURE), Image.Resampling.LANCZOS)
             return np.array(small)
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
+    except IMAGE_ERRORS:
         return None
 
 
@@ -170,13 +185,17 @@ def _value(node: UsdShade.Shader, name: str) -> Any:
 
 def _color(value: Any) -> tuple[float, float, float] | None:
     """The first three numbers of a value, 0 and larger; None for what is none."""
+    found = _numbers(value, 3)
+    return None if found is None else (max(found[0], 0.0), max(found[1], 0.0), max(found[2], 0.0))
+
+
+def _numbers(value: Any, count: int) -> list[float] | None:
+    """The first numbers of a value of whatever type; None for what has fewer, or one that is not finite."""
     try:
-        red, green, blue = (float(value[index]) for index in range(3))
-    except (TypeError, ValueError, IndexError):
+        found = [float(value)] if count == 1 else [float(value[index]) for index in range(count)]
+    except (TypeError, ValueError, IndexError, OverflowError):
         return None
-    if not all(map(math.isfinite, (red, green, blue))):
-        return None
-    return max(red, 0.0), max(green, 0.0), max(blue, 0.0)
+    return found if all(map(math.isfinite, found)) else None
 
 
 def _text(value: Any) -> str:
@@ -204,13 +223,9 @@ def _coordinates(node: UsdShade.Shader) -> tuple[str, npt.NDArray[np.float64]]:
 
 def _transform_of(node: UsdShade.Shader) -> npt.NDArray[np.float64]:
     """(3, 3): scale, then rotation counter-clockwise in degrees, then translation, for rows (u, v, 1)."""
-    angle = np.radians(float(_value(node, "rotation") or 0.0))
+    angle = np.radians((_numbers(_value(node, "rotation"), 1) or [0.0])[0])
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     matrix = np.eye(3)
-    matrix[:2, :2] = np.diag(_pair(_value(node, "scale"), 1.0)) @ turn
-    matrix[2, :2] = _pair(_value(node, "translation"), 0.0)
+    matrix[:2, :2] = np.diag(_numbers(_value(node, "scale"), 2) or [1.0, 1.0]) @ turn
+    matrix[2, :2] = _numbers(_value(node, "translation"), 2) or [0.0, 0.0]
     return matrix
-
-
-def _pair(value: Any, missing: float) -> tuple[float, float]:
-    return (missing, missing) if value is None else (float(value[0]), float(value[1]))
