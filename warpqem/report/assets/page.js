@@ -332,7 +332,10 @@ const LEAST_DETAIL = 0.5;
     const end = data.heatEnd || 0;
     if (!end) return [{ at: 0, text: "0" }];
     // A part of the end that is a number of one digit, see SCALE_ENDS of data.py.
-    const count = [4, 5, 3].find((parts) => Math.abs(Number((end / parts).toPrecision(1)) * parts - end) < 1e-6 * end) || 4;
+    const steps = [4, 5, 3].map((parts) => ({ parts, step: Number((end / parts).toPrecision(1)) }));
+    const exact = steps.filter(({ parts, step }) => Math.abs(step * parts - end) < 1e-6 * end);
+    // One of 1, 2 or 5 is read most easily.
+    const count = (exact.find(({ step }) => /^0*[125]0*$/.test(String(step).replace(".", ""))) || exact[0] || steps[0]).parts;
     const text = (value) => Number(value.toPrecision(3)).toString();
     return Array.from({ length: count + 1 }, (_, i) => ({ at: i / count, text: (i === count ? "≥ " : "") + text((end * i) / count) }));
   }
