@@ -456,7 +456,7 @@ const LEAST_DETAIL = 0.5;
       // A picture that plays smoothly is worth more than its last pixels; it has them all when it stands still.
       slow = state.playing && last !== null && now - last > SLOW ? slow + 1 : Math.max(0, slow - 1);
       if (slow > SLOW_FRAMES && view.detail > LEAST_DETAIL) {
-        view.detail *= DETAIL_STEP;
+        view.detail = Math.max(LEAST_DETAIL, view.detail * DETAIL_STEP);
         slow = 0;
       }
       if (!state.playing && view.detail < 1) {
