@@ -36,7 +36,13 @@ def render(
     azimuth: Annotated[float, typer.Option(metavar="DEG", help="View about the up axis, in degrees.")] = 30.0,
     elevation: Annotated[float, typer.Option(metavar="DEG", help="View above the horizon, in degrees.")] = 12.0,
     lines: Annotated[bool, typer.Option("--lines", help="Draw the edges.")] = False,
-    smooth: Annotated[bool, typer.Option("--smooth", help="Shade over the edges instead of face by face.")] = False,
+    smooth: Annotated[
+        bool,
+        typer.Option("--smooth/--faceted", help="Shade over the edges that are not hard, or every face for itself."),
+    ] = True,
+    plain: Annotated[
+        bool, typer.Option("--plain", help="One colour instead of the textures and display colours of the file.")
+    ] = False,
     frames: Frames = None,
     prim: Prims = None,
     variant: Variants = None,
@@ -62,6 +68,7 @@ def render(
             elevation=elevation,
             lines=lines,
             smooth=smooth,
+            plain=plain,
             heatmap=heatmap,
             device=device,
             variants=tuple(variant or ()),
