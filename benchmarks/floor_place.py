@@ -15,6 +15,10 @@ def _measure_bounds(a: Arguments) -> Demand:
     return Demand(size_of(a["points_in"]) + size_of(a["used_in"]), 6 * a["points_in"].size)
 
 
+def _subtract_origin(a: Arguments) -> Demand:
+    return Demand(size_of(a["points_in"]) + size_of(a["points_out"]), 3 * a["points_in"].size)
+
+
 def _mark_used_vertices(a: Arguments) -> Demand:
     return Demand(size_of(a["corner_vertex_in"]) + size_of(a["used"]))
 
@@ -107,6 +111,7 @@ PLACE_MODELS: dict[str, Callable[[Arguments], Demand]] = {
     model.__name__.removeprefix("_"): model
     for model in (
         _measure_bounds,
+        _subtract_origin,
         _mark_used_vertices,
         _key_collapses,
         _key_rounds,

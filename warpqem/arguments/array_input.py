@@ -6,12 +6,15 @@ A view of the caller's memory is returned where one will do; nothing here writes
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import warp as wp
 
-from warpqem.errors import MeshShapeError
+from warpqem.errors import MeshShapeError, WarpqemError
+from warpqem.runtime.device_arrays import warp_array
 
 __all__ = [
     "FLOAT32_MAX",
@@ -23,6 +26,7 @@ __all__ = [
     "first_outside",
     "index_array",
     "is_empty",
+    "read_warp_array",
     "real_array",
 ]
 
@@ -46,11 +50,23 @@ def as_numpy(array: Any, name: str) -> np.ndarray:
     Raises:
         MeshShapeError: it is no array and cannot be made one, or some of its values are masked.
     """
-    try:
+    with _conversion(array, name):
         if isinstance(array, (list, tuple)) and any(isinstance(row, np.ma.MaskedArray) for row in array):
             array = np.ma.stack([np.ma.asarray(row) for row in array])
         found = _converted(array)
-    except (MemoryError, MeshShapeError):
+    if found.ndim == 0 and found.dtype.kind == "O":
+        raise MeshShapeError(f"{name} must be an array, got {_described(array)}")
+    if isinstance(array, np.ma.MaskedArray):
+        _check_mask(array, name)
+    return found
+
+
+@contextlib.contextmanager
+def _conversion(array: Any, name: str) -> Iterator[None]:
+    """Name the argument in what is raised within."""
+    try:
+        yield
+    except (MemoryError, WarpqemError):
         raise
     except Exception as error:
         # Whatever somebody's __array__ raises, and what NumPy says of rows of different lengths.
@@ -58,11 +74,25 @@ def as_numpy(array: Any, name: str) -> np.ndarray:
         raise MeshShapeError(
             f"{name} cannot be converted to an array ({type(array).__name__}: {type(error).__name__}: {reason})"
         ) from error
-    if found.ndim == 0 and found.dtype.kind == "O":
-        raise MeshShapeError(f"{name} must be an array, got {_described(array)}")
-    if isinstance(array, np.ma.MaskedArray):
-        _check_mask(array, name)
-    return found
+
+
+def read_warp_array(array: Any, name: str) -> wp.array:
+    """A Warp array of numbers over the memory of one that is on a device; vectors are rows of three numbers.
+
+    Args:
+        array: one that :func:`warpqem.runtime.device.array_device` knows the device of.
+        name: what messages call it.
+
+    Raises:
+        MeshShapeError: it gives none, or one of something other than numbers.
+    """
+    with _conversion(array, name):
+        found = warp_array(array)
+        assert found is not None
+        scalar = getattr(found.dtype, "_wp_scalar_type_", found.dtype)
+        # Raises TypeError for values that are no numbers.
+        wp.dtype_to_numpy(scalar)
+        return found if scalar is found.dtype else found.view(scalar)
 
 
 def _converted(array: Any) -> np.ndarray:
@@ -74,8 +104,10 @@ def _converted(array: Any) -> np.ndarray:
         return copied
     if hasattr(array, "__array_interface__"):
         return np.asarray(array)
-    if hasattr(array, "__cuda_array_interface__"):
-        return wp.array(array, copy=False).numpy()
+    there = warp_array(array)
+    if there is not None:
+        fetched: np.ndarray = there.numpy()
+        return fetched
     # Before __array__, which tensors on a GPU have only to raise from it.
     if hasattr(array, "__dlpack__"):
         imported: np.ndarray = wp.from_dlpack(array).numpy()

@@ -20,11 +20,12 @@ from warpqem.arguments.array_types import ArrayInput, MeshPoints
 from warpqem.costs.weights import check_factors
 from warpqem.errors import OptionError
 from warpqem.frames.blocks import chunk_steps
+from warpqem.frames.device_frames import to_device
 from warpqem.kernels import motion as kernels
 from warpqem.mesh.components import lowest_members
 from warpqem.mesh.edges import edge_table
 from warpqem.mesh.mesh_input import MeshInput, measure_mesh, read_mesh
-from warpqem.runtime.device import on_device, resolve_device
+from warpqem.runtime.device import array_device, on_device, resolve_device
 from warpqem.runtime.launches import launch
 
 __all__ = ["FEATURE_WEIGHTS", "MotionFeatures", "MotionWatch", "MotionWeighting", "motion_features", "motion_weighting"]
@@ -123,7 +124,7 @@ def motion_features(
         WarpqemError: as for :func:`warpqem.simplify`.
     """
     device = resolve_device(device)
-    mesh = read_mesh(points, faces)
+    mesh = read_mesh(points, faces, device=device if array_device(points) is not None else None)
     watch = MotionWatch(mesh, device, weighting)
     measure_mesh(mesh, device, [watch])
     return watch.features()
@@ -146,16 +147,24 @@ class MotionWatch:
         edges = np.concatenate([self._table.ends[self._inner], self._table.opposites[self._inner]], axis=1)
         self._edge = wp.array(edges, dtype=wp.int32, device=device)
         self._change = wp.zeros(len(edges), dtype=wp.float32, device=device)
-        self._last = np.empty((0, mesh.vertex_count, 3), dtype=np.float32)
+        # The last frame seen, and the first of the block after it.
+        self._pair: wp.array | None = None
 
-    def observe(self, frames: slice, points: np.ndarray) -> None:
-        """Take on the largest change of each angle over these frames (n, V, 3) and the one before them."""
-        if len(self._last):
-            self._measure(np.concatenate([self._last, points[:1]]))
-        self._measure(points)
-        self._last = points[-1:].copy()
+    def observe(self, frames: slice, points: np.ndarray | wp.array) -> None:
+        """Take on the largest change of each angle over these frames and the one before them.
 
-    def _measure(self, points: np.ndarray) -> None:
+        They are (n, V, 3), or (n, V) points on the device.
+        """
+        there = to_device(points, self._device) if isinstance(points, np.ndarray) else points
+        if self._pair is None:
+            self._pair = wp.empty((2, self._vertex_count), dtype=wp.vec3, device=self._device)
+        else:
+            wp.copy(self._pair[1:], there[:1])
+            self._measure(self._pair)
+        self._measure(there)
+        wp.copy(self._pair[:1], there[len(there) - 1 :])
+
+    def _measure(self, points: wp.array) -> None:
         steps = len(points) - 1
         if steps < 1 or not len(self._edge):
             return
@@ -163,7 +172,7 @@ class MotionWatch:
         launch(
             kernels.measure_dihedral_changes,
             dim=(-(-steps // chunk), len(self._edge)),
-            inputs=[self._edge, wp.array(points, dtype=wp.vec3, device=self._device, copy=False), chunk],
+            inputs=[self._edge, points, chunk],
             outputs=[self._change],
             device=self._device,
         )

@@ -14,12 +14,19 @@ from warpqem.kernels import frame_bounds as kernels
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import launch
 
-__all__ = ["BoundsMeter", "HeldFrames", "device_blocks", "to_device"]
+__all__ = ["BoundsMeter", "DeviceSink", "HeldFrames", "device_blocks", "take_vertices", "to_device"]
 
 
 def to_device(points: np.ndarray, device: str) -> wp.array:
     """Points (n, V, 3) float32 as an array (n, V) of the device, which may be a view of them."""
     return wp.array(points, dtype=wp.vec3, device=device, copy=False)
+
+
+def take_vertices(points: wp.array, vertex: wp.array) -> wp.array:
+    """Some vertices (M,) int32 of points (n, V): (n, M) points."""
+    taken = wp.empty((len(points), len(vertex)), dtype=points.dtype, device=points.device)
+    wp.copy(taken, wp.indexedarray(points, [None, vertex]))
+    return taken
 
 
 @dataclass(frozen=True)
@@ -90,14 +97,15 @@ class BoundsMeter:
         """
         block = None if held is None else held.put(frames, points)
         if self._on_device:
-            return self._measure_there(to_device(points, self._device) if block is None else block)
+            return self.measure_there(to_device(points, self._device) if block is None else block)
         low, high = frame_bounds(points)
         finite = bool(np.isfinite(low).all() and np.isfinite(high).all())
         if self._used is not None:
             low, high = frame_bounds(points[:, self._used])
         return low, high, finite
 
-    def _measure_there(self, points: wp.array) -> tuple[np.ndarray, np.ndarray, bool]:
+    def measure_there(self, points: wp.array) -> tuple[np.ndarray, np.ndarray, bool]:
+        """The same of points (n, V) on the device, which has memory of its own."""
         largest = float(kernels.LARGEST)
         initial = np.array([[*3 * [largest], *3 * [-largest], 0.0]], dtype=np.float32)
         count, vertex_count = points.shape
@@ -107,3 +115,31 @@ class BoundsMeter:
         launch(kernels.measure_bounds, (count, lanes), inputs, [bounds], device=self._device)
         found = bounds.numpy()
         return found[:, :3], found[:, 3:6], not found[:, 6].any()
+
+
+class DeviceSink:
+    """Keeps the frames of a result in an array on the device.
+
+    Args:
+        device: Warp device.
+
+    Attributes:
+        points: (F, V') points.
+    """
+
+    points: wp.array
+
+    def __init__(self, device: str) -> None:
+        self._device = device
+
+    def begin(self, frame_count: int, vertex_count: int, faces: np.ndarray) -> None:
+        """Make room for all frames."""
+        self.points = wp.empty((frame_count, vertex_count), dtype=wp.vec3, device=self._device)
+
+    def room(self, frames: slice) -> wp.array:
+        """Where consecutive frames belong, (n, V') points, for what is on the device already."""
+        return self.points[frames.start : frames.stop]
+
+    def write(self, frames: slice, points: np.ndarray) -> None:
+        """Take frames from the host."""
+        wp.copy(self.room(frames), to_device(points, "cpu"))

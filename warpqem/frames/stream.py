@@ -203,7 +203,8 @@ class SharedFrames:
 
     def read(self, frames: slice) -> np.ndarray:
         """Consecutive frames."""
-        with self._reading:
+        # Whoever is reading may wait for a turn that this thread has.
+        with turns_released(), self._reading:
             return self._source.read(frames)
 
 
@@ -280,7 +281,8 @@ def read_ahead(read: Callable[[slice], Block], blocks: Sequence[slice]) -> Itera
                 block = read(frames)
             yield frames, block
         return
-    with ThreadPoolExecutor(1, thread_name_prefix="warpqem-read") as pool:
+    pool = ThreadPoolExecutor(1, thread_name_prefix="warpqem-read")
+    try:
         pending = pool.submit(read, blocks[0])
         for frames, following in zip(blocks, [*blocks[1:], None], strict=True):
             with turns_released():
@@ -290,6 +292,10 @@ def read_ahead(read: Callable[[slice], Block], blocks: Sequence[slice]) -> Itera
             yield frames, block
             # The caller is done with it: two blocks are enough in memory.
             del block
+    finally:
+        # A block under way may wait for its turn.
+        with turns_released():
+            pool.shutdown(wait=True)
 
 
 class FrameWriter(Generic[Block]):

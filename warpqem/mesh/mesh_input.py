@@ -10,13 +10,24 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 import warp as wp
 
-from warpqem.arguments.array_input import FLOAT32_MAX, INDEX_LIMIT, first_beyond, first_outside, index_array, real_array
+from warpqem.arguments.array_input import (
+    FLOAT32_MAX,
+    INDEX_LIMIT,
+    first_beyond,
+    first_outside,
+    index_array,
+    read_warp_array,
+    real_array,
+)
 from warpqem.errors import DegenerateMeshError, FaceIndexError, MeshShapeError, OptionError
 from warpqem.frames.blocks import frame_blocks
-from warpqem.frames.checked_frames import BrokenPoints, check_source, frame_bounds
-from warpqem.frames.device_frames import BoundsMeter, HeldFrames, device_blocks
-from warpqem.frames.stream import ArrayFrames, FrameSource, counted_frames, read_ahead
+from warpqem.frames.checked_frames import BrokenPoints, check_source
+from warpqem.frames.device_frames import HeldFrames, device_blocks
+from warpqem.frames.device_source import DeviceFrames
+from warpqem.frames.stream import ArrayFrames, FrameSource, counted_frames
 from warpqem.kernels.face_check import mark_used_vertices
+from warpqem.mesh.first_reading import FirstReading, about_origin
+from warpqem.runtime.device import array_device
 from warpqem.runtime.launches import launch
 
 if TYPE_CHECKING:
@@ -91,7 +102,7 @@ class AnimatedMesh(MeshInput):
 
     def points(self, frames: slice) -> np.ndarray:
         """Consecutive frames in the caller's coordinates minus ``origin``: (n, V, 3) float32, C-contiguous."""
-        return _about(self.source.read(frames), self.origin)
+        return about_origin(self.source.read(frames), self.origin)
 
     def chosen_points(self, frames: np.ndarray) -> np.ndarray:
         """The same of any frames, ascending."""
@@ -102,6 +113,9 @@ class AnimatedMesh(MeshInput):
 
     def device_blocks(self, blocks: Sequence[slice], device: str) -> Iterator[tuple[slice, wp.array]]:
         """Every block of frames, about ``origin``, as points (n, V) on the device."""
+        if self.held is None and isinstance(self.source, DeviceFrames):
+            source = self.source
+            return ((frames, source.block(frames, self.origin)) for frames in blocks)
         return device_blocks(self.held, self.points, blocks, device)
 
     def to_unit(self, points: np.ndarray) -> np.ndarray:
@@ -118,8 +132,11 @@ class AnimatedMesh(MeshInput):
 class FrameObserver(Protocol):
     """Learns something from the frames while they are read for the first time."""
 
-    def observe(self, frames: slice, points: np.ndarray) -> None:
-        """See consecutive frames (n, V, 3) float32, about the mesh's origin; called in the order of the frames."""
+    def observe(self, frames: slice, points: np.ndarray | wp.array) -> None:
+        """See consecutive frames (n, V, 3) float32, about the mesh's origin; called in the order of the frames.
+
+        Of a source on a device they are (n, V) points there.
+        """
         ...
 
 
@@ -140,7 +157,7 @@ def read_mesh(
     A ``trimesh.Trimesh`` as the only argument serves for both, and so does a source with ``faces``, such as a
     :class:`warpqem.MeshSequence`, and a mesh that has been read. ``admit`` is
     called with the number of faces before anything is made of them; it may raise. Faces are looked through on the
-    ``device``; None for the host.
+    ``device``, and points that are there stay there; None for the host.
 
     Raises:
         MeshShapeError: wrong shape or dtype.
@@ -159,7 +176,7 @@ def read_mesh(
         points, faces = points.vertices, points.faces
     elif faces is None:
         raise OptionError("faces (N, 3) are missing")
-    source = _checked_source(points)
+    source = _checked_source(points, device)
     given = index_array(faces, "faces", ("N", 3))
     if admit is not None:
         admit(len(given))
@@ -210,30 +227,21 @@ def measure_mesh(
         DegenerateMeshError: no extent.
     """
     lows, highs = [], []
-    origin = np.zeros(3)
     broken: BrokenPoints | None = None
-    meter = BoundsMeter(mesh.used, device)
-    held = HeldFrames.empty(mesh.frame_count, mesh.vertex_count, device) if hold else None
-    for frames, raw in read_ahead(mesh.source.read, frame_blocks(mesh.frame_count, mesh.vertex_count, block_frames)):
-        finite = raw.dtype == np.float32 or _fits_single(raw)
-        if finite:
-            if frames.start == 0 and raw.dtype != np.float32:
-                # float64 coordinates far from the origin keep their precision when the offset goes first.
-                origin = raw[0, mesh.used].mean(axis=0)
-            points = _about(raw, origin)
-            # A vertex without a face has no say in the mesh's size.
-            low, high, finite = meter.measure(points, held, frames)
-        if not finite:
-            broken = BrokenPoints.add(broken, raw, frames.start)
+    # A vertex without a face has no say in the mesh's size.
+    reading = FirstReading(mesh.source, mesh.used, device, hold)
+    for seen in reading.blocks(frame_blocks(mesh.frame_count, mesh.vertex_count, block_frames)):
+        if seen.broken is not None:
+            broken = BrokenPoints.add(broken, seen.broken, seen.frames.start)
         if broken is not None:
             # All frames are looked through, for the message to say how many points there are.
             continue
-        lows.append(low)
-        highs.append(high)
+        lows.append(seen.low)
+        highs.append(seen.high)
         for observer in observers:
-            observer.observe(frames, points)
+            observer.observe(seen.frames, seen.points)
         if progress:
-            progress(frames.stop)
+            progress(seen.frames.stop)
     if broken is not None:
         raise broken.error()
     low, high = np.concatenate(lows), np.concatenate(highs)
@@ -245,18 +253,12 @@ def measure_mesh(
         mesh.face_index,
         mesh.input_face_count,
         mesh.used,
-        origin,
+        reading.origin,
         centre,
         diagonal,
         repair=mesh.repair,
-        held=held,
+        held=reading.held,
     )
-
-
-def _fits_single(points: np.ndarray) -> bool:
-    """Whether all of them are finite, in single precision too."""
-    low, high = frame_bounds(points)
-    return bool(max(np.abs(low).max(), np.abs(high).max()) <= FLOAT32_MAX)
 
 
 def _diagonal(low: np.ndarray, high: np.ndarray) -> float:
@@ -273,13 +275,18 @@ def _diagonal(low: np.ndarray, high: np.ndarray) -> float:
     return diagonal
 
 
-def _about(points: np.ndarray, origin: np.ndarray) -> np.ndarray:
-    """Points minus ``origin`` as float32; float32 points have none."""
-    return np.ascontiguousarray(points if points.dtype == np.float32 else points - origin, dtype=np.float32)
-
-
-def _checked_source(points: Any) -> FrameSource:
-    return check_source(points, "points") or ArrayFrames(read_points(points, "points"))
+def _checked_source(points: Any, device: str | None) -> FrameSource:
+    """A source as it is, or the frames of an array; those on ``device`` stay there."""
+    source = check_source(points, "points")
+    if source is not None:
+        return source
+    if device is None or array_device(points) != device:
+        return ArrayFrames(read_points(points, "points"))
+    there = read_warp_array(points, "points")
+    # A NumPy array without memory has the same shape and kind of value, so the same is refused in the same words.
+    dtype = np.dtype(wp.dtype_to_numpy(there.dtype))
+    shape = read_points(np.broadcast_to(np.zeros((), dtype=dtype), there.shape), "points").shape
+    return DeviceFrames(there if there.ndim == 3 else there.reshape(shape))
 
 
 def read_points(points: Any, name: str) -> np.ndarray:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+import warp as wp
 
+from warpqem.frames.device_frames import take_vertices
 from warpqem.frames.stream import counted_frames
 from warpqem.mesh.mesh_input import MeshInput
 
@@ -39,13 +41,22 @@ class KeyFrameChoice:
         self._all = self._count == len(self._counted)
         self._poses = np.empty((0 if self._all else mesh.frame_count, len(self._vertex), 3), dtype=np.float32)
 
-    def observe(self, frames: slice, points: np.ndarray) -> None:
-        """Keep what distinguishes these frames (n, V, 3) from others."""
+    def observe(self, frames: slice, points: np.ndarray | wp.array) -> None:
+        """Keep what distinguishes these frames (n, V, 3), or (n, V) points on a device, from others."""
         if not self._all:
             # Laid out alike for any number of frames, so that sums round alike: a vertex of all frames after another.
-            pose = np.ascontiguousarray(np.take(points, self._vertex, axis=1).transpose(1, 0, 2))
+            pose = np.ascontiguousarray(self._sampled(points).transpose(1, 0, 2))
             pose -= pose.mean(axis=0)
             self._poses[frames] = pose.transpose(1, 0, 2)
+
+    def _sampled(self, points: np.ndarray | wp.array) -> np.ndarray:
+        """The vertices that poses are compared at, on the host: of frames on a device, no others come there."""
+        if isinstance(points, np.ndarray):
+            return np.take(points, self._vertex, axis=1)
+        sampled: np.ndarray = take_vertices(
+            points, wp.array(self._vertex, dtype=wp.int32, device=points.device)
+        ).numpy()
+        return sampled
 
     def choose(self) -> np.ndarray:
         """The key frames, (K,) int, ascending; fewer than asked for where poses repeat."""

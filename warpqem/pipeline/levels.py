@@ -25,7 +25,7 @@ from warpqem.pipeline.memory_plan import admit_faces
 from warpqem.pipeline.prepare import ORDER_END, Prepared, prepare
 from warpqem.pipeline.result import SimplifiedMesh, finish, reached
 from warpqem.repair.mended_mesh import faces_for
-from warpqem.runtime.device import device_turn, on_device, resolve_device
+from warpqem.runtime.device import array_device, device_turn, on_device, resolve_device
 from warpqem.runtime.thread_limit import limit_threads, thread_scope, worthwhile_threads
 
 if TYPE_CHECKING:
@@ -106,7 +106,8 @@ class LevelOrder:
         with thread_scope(), device_turn(self._work.device):
             limit_threads(worthwhile_threads(len(self._work.mesh.faces), self._work.mesh.frame_count))
             ordered = self._levels.at(self._levels.steps_to(self._base_faces(target_faces)))
-            result = finish(self._work, ordered, self._refit, sink=sink, progress=listen)
+            device = self._work.result_device if sink is None else None
+            result = finish(self._work, ordered, self._refit, sink=sink, device=device, progress=listen)
         if sink is None:
             result = replace(result, measuring=ResultMeasure.of(self._work.mesh, self._work.device))
         return reached(result, target_faces)
@@ -189,7 +190,8 @@ def simplify_levels(
         raise OptionError("target_faces: not with ratios")
     listen = listener(progress, cancel)
     device = resolve_device(options.get("device"))
-    mesh = read_mesh(points, faces, partial(admit_faces, limit=options.get("memory"), device=device))
+    there = None if array_device(points) is None else device
+    mesh = read_mesh(points, faces, partial(admit_faces, limit=options.get("memory"), device=device), there)
     targets = [target_count(ratio, len(mesh.faces)) for ratio in parts]
     order = order_levels(mesh, target_faces=min(targets), progress=listen, **options)
     results = []

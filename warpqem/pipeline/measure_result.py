@@ -12,7 +12,7 @@ from warpqem.frames.stream import ArrayFrames, FrameSink, FrameSource, SharedFra
 from warpqem.measure.measured import Measured, MeasuringSink, measure_frames, measured_errors
 from warpqem.mesh.mesh_input import MeshInput
 from warpqem.pipeline.prepare import Prepared
-from warpqem.pipeline.result import SimplifiedMesh
+from warpqem.pipeline.result import SimplifiedMesh, on_result_device
 from warpqem.runtime.device import device_turn
 
 __all__ = ["ResultMeasure", "measured_on_the_way", "with_errors"]
@@ -40,6 +40,7 @@ class ResultMeasure:
     def __call__(self, result: SimplifiedMesh) -> Measured:
         """The errors of a result."""
         with device_turn(self.device) as device:
+            result = result.numpy()
             frames = range(len(result.points))
             test = ArrayFrames(result.points)
             return measured_errors(
@@ -55,12 +56,14 @@ def measured_on_the_way(work: Prepared, sink: FrameSink) -> tuple[Prepared, Meas
 
 
 def with_errors(
-    simplify: Callable[[], SimplifiedMesh], measuring: Callable[[SimplifiedMesh], Measured] | None
+    simplify: Callable[[], SimplifiedMesh],
+    measuring: Callable[[SimplifiedMesh], Measured] | None,
+    device: str | None = None,
 ) -> SimplifiedMesh:
-    """What a function gives, or its error has, with the way to measure it."""
+    """What a function gives, or its error has, with the way to measure it, and arrays on the device; None for none."""
     try:
-        return replace(simplify(), measuring=measuring)
+        return on_result_device(replace(simplify(), measuring=measuring), device)
     except UnreachableTargetError as error:
         if error.result is not None:
-            error.result = replace(error.result, measuring=measuring)
+            error.result = on_result_device(replace(error.result, measuring=measuring), device)
         raise

@@ -116,6 +116,7 @@ class MemoryNeeds:
         source_bytes: what the source of the frames keeps in memory.
         bounded: the distance to the input is proved.
         measured: the result is measured on its way to a sink.
+        frames_there: the frames are on the device already, as they are needed.
     """
 
     frame_count: int
@@ -134,6 +135,7 @@ class MemoryNeeds:
     source_bytes: int = 0
     bounded: bool = False
     measured: bool = False
+    frames_there: bool = False
 
     @property
     def stage_frames(self) -> int:
@@ -276,7 +278,9 @@ def _result(needs: MemoryNeeds) -> int:
 
 
 def _device_frames(needs: MemoryNeeds, device: str) -> int:
-    """All frames, on a device that has a copy of them anyway."""
+    """All frames, on a device that has a copy of them anyway, unless that is the caller's."""
+    if needs.frames_there:
+        return 0
     return 12 * needs.frame_count * needs.vertex_count if device_traits(device).own_memory else 0
 
 

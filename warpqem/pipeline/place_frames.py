@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from warpqem.frames.device_frames import DeviceSink
 from warpqem.frames.stream import FrameSink, FrameWriter, read_ahead
 from warpqem.mesh.mesh_input import AnimatedMesh
 from warpqem.place.block_placer import PlacedBlocks
@@ -25,7 +26,7 @@ class FinishedFrames:
 
     Attributes:
         flips: (F,) int32, output faces of each frame that face away from the input.
-        first: (1, C, 3) float32, the first frame in the caller's coordinates.
+        first: (1, C, 3) float32, the first frame in the caller's coordinates, where it came to the host.
     """
 
     flips: np.ndarray
@@ -65,13 +66,17 @@ class _Finish:
 
     def __init__(self, work: Placing) -> None:
         self._mesh, self._placer = work.mesh, work.placer
+        self._there = work.sink if isinstance(work.sink, DeviceSink) else None
         self.finished = FinishedFrames(np.empty(work.mesh.frame_count, dtype=np.int32))
         work.sink.begin(work.mesh.frame_count, work.placer.vertex_count, work.faces)
 
     def take(self, frames: slice, placed: PlacedBlocks, write: FrameWriter[np.ndarray]) -> None:
         """Finish consecutive frames."""
+        out = placed.restored(self._mesh, None if self._there is None else self._there.room(frames))
         self.finished.flips[frames] = self._placer.count_flips(placed)
-        points = placed.original_points(self._mesh)
+        if self._there is not None:
+            return
+        points = out.numpy()
         if frames.start == 0:
             self.finished.first = points[:1].copy()
         write(frames, points)

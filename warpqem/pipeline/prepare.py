@@ -22,6 +22,7 @@ from warpqem.decimation.decimate import DecimatedMesh, DecimationInput, OrderSet
 from warpqem.decimation.quadric_sums import QuadricSums
 from warpqem.errors import OptionError
 from warpqem.frames.blocks import frame_blocks, pack_frames
+from warpqem.frames.device_source import DeviceFrames
 from warpqem.frames.stream import held_bytes, read_ahead
 from warpqem.kernels.topology import CORNER, LOCKED, SEAM
 from warpqem.mesh.mesh_input import AnimatedMesh, FrameObserver, MeshInput, measure_mesh, read_mesh
@@ -114,6 +115,11 @@ class Prepared:
     def without_input(self) -> Prepared:
         """The same without what only decimation needs."""
         return replace(self, order_input=None)
+
+    @property
+    def result_device(self) -> str | None:
+        """Where the arrays of the result belong: on the device that the points were on; None for the host."""
+        return self.mesh.source.device if isinstance(self.mesh.source, DeviceFrames) else None
 
     @property
     def blocks(self) -> list[slice]:
@@ -252,6 +258,7 @@ def plan_work(
             source_bytes=held_bytes(mesh.source),
             bounded=options.bounded,
             measured=measured,
+            frames_there=isinstance(mesh.source, DeviceFrames) and mesh.source.whole is not None,
         ),
         options.memory,
         device,
@@ -321,7 +328,10 @@ def _packed_keys(mesh: AnimatedMesh, keys: np.ndarray, device: str) -> wp.array:
     """(V, B) blocks of points: some frames (K,), in diagonals."""
     scale = 1 / mesh.diagonal
     if mesh.held is None:
-        return pack_frames(mesh.chosen_points(keys), device, centre=mesh.centre, scale=scale)
+        points: np.ndarray | wp.array = mesh.chosen_points(keys)
+        if isinstance(mesh.source, DeviceFrames):
+            points = mesh.source.chosen(keys, mesh.origin)
+        return pack_frames(points, device, centre=mesh.centre, scale=scale)
     return pack_frames(mesh.held.points, device, frames=keys, centre=mesh.centre, scale=scale)
 
 

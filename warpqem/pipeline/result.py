@@ -9,12 +9,14 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import warp as wp
 
 from warpqem.arguments.array_record import ArrayRecord
 from warpqem.arguments.progress import Progress
 from warpqem.decimation.collapse_log import CollapseRecord
 from warpqem.decimation.decimate import DecimatedMesh
 from warpqem.errors import UnreachableTargetError
+from warpqem.frames.device_frames import DeviceSink
 from warpqem.frames.stream import ArraySink, FrameSink
 from warpqem.mesh.mesh_input import MeshInput
 from warpqem.pipeline.memory_plan import MemoryPlan
@@ -22,6 +24,7 @@ from warpqem.pipeline.place_frames import Placing, place_frames, place_refitted
 from warpqem.pipeline.prepare import ORDER_END, Prepared
 from warpqem.place.place import Placer
 from warpqem.repair.mended_mesh import MeshRepair
+from warpqem.runtime.device import device_turn
 
 if TYPE_CHECKING:
     import trimesh
@@ -32,6 +35,7 @@ __all__ = [
     "SimplifiedMesh",
     "finish",
     "in_input_terms",
+    "on_result_device",
     "reached",
     "with_frames",
     "without_frames",
@@ -39,9 +43,16 @@ __all__ = [
 ]
 
 
+# What is on the device that the points were on.
+DEVICE_ARRAYS = ("points", "faces", "vertex_map", "face_map")
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class SimplifiedMesh(ArrayRecord):
     """What :func:`simplify` returns.
+
+    Where the points were an array on a GPU, and no sink took the frames, ``points``, ``faces``, ``vertex_map`` and
+    ``face_map`` are Warp arrays of the same shapes and types there, ready on every stream; see :meth:`numpy`.
 
     Attributes:
         points: (F, V', 3) float32, in the input's coordinates; where a sink took the frames, the first one, (1, V', 3).
@@ -93,7 +104,15 @@ class SimplifiedMesh(ArrayRecord):
         """The picture that a notebook shows: three frames over time, or the mesh from three sides."""
         from warpqem.picture.preview import preview
 
-        return preview(self.points, self.faces)
+        here = self.numpy()
+        return preview(here.points, here.faces)
+
+    def numpy(self) -> SimplifiedMesh:
+        """The same result with all arrays on the host; the result itself where they are."""
+        if isinstance(self.points, np.ndarray):
+            return self
+        with device_turn(self.points.device.alias):
+            return replace(self, **{name: getattr(self, name).numpy() for name in DEVICE_ARRAYS})
 
     @property
     def estimate(self) -> float:
@@ -115,7 +134,7 @@ class SimplifiedMesh(ArrayRecord):
     def corner_clusters(self, faces: np.ndarray) -> np.ndarray:
         """(N, 3) int32, the output vertex of each corner of the input's ``faces`` (N, 3), -1 for none."""
         if self.repair is None or self.copy_map is None:
-            clusters: np.ndarray = self.vertex_map[faces]
+            clusters: np.ndarray = self.numpy().vertex_map[faces]
             return clusters
         return self.repair.corner_clusters(self.copy_map)
 
@@ -143,13 +162,30 @@ class SimplifiedMesh(ArrayRecord):
         """
         from warpqem.mesh_files.saving import save_frames
 
-        return save_frames(self.points, self.faces, path, numbers, fps)
+        here = self.numpy()
+        return save_frames(here.points, here.faces, path, numbers, fps)
 
     def to_trimesh(self, frame: int = 0) -> trimesh.Trimesh:
         """One frame as a ``trimesh.Trimesh``, its vertices and faces in their order."""
         from warpqem.mesh_files.writing import as_trimesh
 
-        return as_trimesh(self.points[frame], self.faces)
+        here = self.numpy()
+        return as_trimesh(here.points[frame], here.faces)
+
+
+def on_result_device(result: SimplifiedMesh, device: str | None) -> SimplifiedMesh:
+    """The result with its arrays on the device; None for the host, where those of ``result`` but its points are."""
+    if device is None:
+        return result
+    arrays = {
+        name: wp.array(values, device=device)
+        for name in DEVICE_ARRAYS
+        if isinstance(values := getattr(result, name), np.ndarray)
+    }
+    # Copies and launches under way are done when the host goes on: the caller may use the result on any stream, and
+    # change or free the input.
+    wp.synchronize_device(device)
+    return replace(result, **arrays)
 
 
 def in_input_terms(mesh: MeshInput, vertex_map: np.ndarray) -> dict[str, Any]:
@@ -201,6 +237,7 @@ def with_frames(
     refit: bool,
     *,
     sink: FrameSink | None = None,
+    device: str | None = None,
     progress: Progress | None = None,
 ) -> SimplifiedMesh:
     """Place all frames, and refit them where that is asked for.
@@ -211,9 +248,10 @@ def with_frames(
         placer: what places its frames.
         refit: whether to fit the surface once more.
         sink: takes the frames; None to keep them in an array.
+        device: where that array is; None for the host.
         progress: called with the part done and "place".
     """
-    mesh, array = work.mesh, ArraySink()
+    mesh, array = work.mesh, ArraySink() if device is None else DeviceSink(device)
     placed = _place_progress(progress, mesh.frame_count)
     placing = Placing(mesh, placer, array if sink is None else sink, work.blocks, result.faces, placed)
     if refit and not work.place_settings.endpoint and placer.free.any():
@@ -230,7 +268,10 @@ def with_frames(
         )
     else:
         finished = place_frames(placing)
-    return replace(result, points=array.points if sink is None else finished.first, flips=finished.flips)
+    if sink is not None:
+        return replace(result, points=finished.first, flips=finished.flips)
+    points = array.points if isinstance(array, ArraySink) else array.points.view(wp.float32)
+    return on_result_device(replace(result, points=points, flips=finished.flips), device)
 
 
 def finish(
@@ -239,12 +280,13 @@ def finish(
     refit: bool,
     *,
     sink: FrameSink | None = None,
+    device: str | None = None,
     progress: Progress | None = None,
 ) -> SimplifiedMesh:
     """The result of a decimated mesh that stays in memory meanwhile: both of the above."""
     placer = work.placer(ordered, refit=refit)
     result = without_frames(work, placer, ordered)
-    return with_frames(result, work, placer, refit, sink=sink, progress=progress)
+    return with_frames(result, work, placer, refit, sink=sink, device=device, progress=progress)
 
 
 def reached(result: SimplifiedMesh, target_faces: int) -> SimplifiedMesh:

@@ -21,7 +21,7 @@ from warpqem.pipeline.memory_plan import MemoryPlan, admit_faces
 from warpqem.pipeline.prepare import plan_work, prepare
 from warpqem.pipeline.result import SimplifiedMesh, reached, with_frames, without_frames
 from warpqem.repair.mended_mesh import repaired_mesh, repaired_options
-from warpqem.runtime.device import on_device, resolve_device
+from warpqem.runtime.device import array_device, on_device, resolve_device
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -56,7 +56,8 @@ def simplify(
     Args:
         points: (F, V, 3) or (V, 3) coordinates in any unit: NumPy, Warp, or anything with the array interface or
             DLPack; or a :class:`warpqem.FrameSource`, which is read block by block, twice, and once more for the key
-            frames; or a ``trimesh.Trimesh``, or what :func:`warpqem.load` gives, then without ``faces``.
+            frames; or a ``trimesh.Trimesh``, or what :func:`warpqem.load` gives, then without ``faces``. An array on a
+            GPU stays there: without ``device`` that is where it is simplified, and where the arrays of the result are.
         faces: (N, 3) vertex indices.
         sink: takes the frames of the result, block by block, in place of an array.
         measure: give the result its ``measured`` errors: where it is an array, they are computed when they are first
@@ -99,16 +100,17 @@ def simplify(
         else:
             work, sink = measured_on_the_way(work, sink)
             measuring = sink.measured
+    device = work.result_device if sink is None else None
     if bounded:
         within = partial(simplify_within, work, asked.refits, sink=sink, progress=listen)
-        return with_errors(within, measuring)
+        return with_errors(within, measuring, device)
     ordered = work.order(listen)
     placer = work.placer(ordered, refit=asked.refits)
     result = without_frames(work, placer, ordered)
     # Placing needs the memory of decimation.
     work = work.without_input()
     del ordered
-    result = with_frames(result, work, placer, asked.refits, sink=sink, progress=listen)
+    result = with_frames(result, work, placer, asked.refits, sink=sink, device=device, progress=listen)
     return reached(replace(result, measuring=measuring), work.goal.target_faces)
 
 
@@ -138,8 +140,14 @@ def plan(
     check_sink(sink)
     asked = read_keywords(options)
     spec, levels = cost_model(asked.metric), flag(levels, "levels")
-    device = resolve_device(asked.device)
-    given = read_mesh(points, faces, partial(admit_faces, limit=asked.memory, device=device))
+    there = array_device(points)
+    device = resolve_device(there if asked.device is None else asked.device)
+    given = read_mesh(
+        points,
+        faces,
+        partial(admit_faces, limit=asked.memory, device=device),
+        None if there is None else device,
+    )
     mesh = repaired_mesh(given, device)
     asked = repaired_options(asked, given, mesh)
     keep_nodes = levels or asked.bounded

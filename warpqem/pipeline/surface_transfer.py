@@ -90,7 +90,7 @@ def surface_transfer(
             one also where the result is that of another mesh.
     """
     device = resolve_device(device)
-    check_result(result)
+    result = check_result(result)
     given = read_points(real_array(points, "points", ("V", 3)), "points")
     pose = finite_points(given)[0].astype(np.float64)
     faces = read_faces(faces, "faces", len(pose))
@@ -170,13 +170,14 @@ def _wedge_sources(
     return source.numpy(), weight.numpy()
 
 
-def check_result(result: Any) -> None:
-    """Raise an OptionError for what is no result of simplifying."""
+def check_result(result: Any) -> SimplifiedMesh:
+    """The result with all arrays on the host; an OptionError for what is no result of simplifying."""
     # What simplifies is loaded where there is a result: comparing meshes needs none of it.
     from warpqem.pipeline.result import SimplifiedMesh
 
     if not isinstance(result, SimplifiedMesh):
         raise OptionError(f"result must be a SimplifiedMesh, as warpqem.simplify returns, got {shown(result)}")
+    return result.numpy()
 
 
 def check_fit(result: SimplifiedMesh, faces: np.ndarray, vertex_count: int) -> None:

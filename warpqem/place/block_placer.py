@@ -72,8 +72,14 @@ class PlacedBlocks:
 
     def original_points(self, mesh: AnimatedMesh) -> np.ndarray:
         """The points in the caller's coordinates, (n, C, 3) float32, on the host."""
-        device, (frame_count, vertex_count) = self.points.device, (len(self.source), len(self.points))
-        out = wp.empty((frame_count, vertex_count), dtype=wp.vec3, device=device)
+        found: np.ndarray = self.restored(mesh).numpy()
+        return found
+
+    def restored(self, mesh: AnimatedMesh, out: wp.array | None = None) -> wp.array:
+        """The same on the device, (n, C) points, in ``out`` if that is given."""
+        device = self.points.device
+        if out is None:
+            out = wp.empty((len(self.source), len(self.points)), dtype=wp.vec3, device=device)
         offset = wp.vec3d(*map(float, mesh.centre + mesh.origin))
         launch_in_parts(
             kernels.restore_points[width_of(self.points)],
@@ -83,7 +89,7 @@ class PlacedBlocks:
             device=device,
         )
         self._copy(wp.vec3d(*map(float, mesh.origin)), self.copied, out)
-        return out.numpy()
+        return out
 
     def fetch(self) -> PlacedFrames:
         """All of it on the host, with one copy."""

@@ -12,6 +12,7 @@ from warpqem.arguments.array_input import is_empty
 from warpqem.arguments.array_record import ArrayRecord
 from warpqem.costs.attributes import checked_fields
 from warpqem.costs.weights import lock_mask, read_quadric_scale, read_weights
+from warpqem.frames.device_source import DeviceFrames
 from warpqem.frames.stream import FrameSource, held_bytes
 from warpqem.mesh.edges import edge_key
 from warpqem.mesh.mesh_input import MeshInput, is_proper
@@ -131,6 +132,10 @@ class SplitFrames:
         return self._source.read(frames)[:, self._vertex]
 
 
+def _split(source: FrameSource, vertex: np.ndarray) -> FrameSource:
+    return source.split(vertex) if isinstance(source, DeviceFrames) else SplitFrames(source, vertex)
+
+
 def repaired_mesh(mesh: MeshInput, device: str) -> MeshInput:
     """The same mesh where its topology is fit for decimation, else one with the topology mended, and its ``repair``."""
     if mesh.repair is not None:
@@ -141,7 +146,7 @@ def repaired_mesh(mesh: MeshInput, device: str) -> MeshInput:
     faces, used = np.ascontiguousarray(repair.faces), np.zeros(len(repair.vertex), dtype=bool)
     used[faces] = True
     is_split = len(repair.vertex) > mesh.vertex_count
-    source = SplitFrames(mesh.source, repair.vertex) if is_split else mesh.source
+    source = _split(mesh.source, repair.vertex) if is_split else mesh.source
     return MeshInput(source, faces, repair.face_index, mesh.input_face_count, used, repair=repair)
 
 

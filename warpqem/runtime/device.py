@@ -8,8 +8,9 @@ import os
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
+import numpy as np
 import warp as wp
 
 from warpqem.errors import DeviceError
@@ -17,7 +18,15 @@ from warpqem.kernels.lanes import WIDE
 from warpqem.runtime.thread_limit import thread_scope
 from warpqem.runtime.warp_messages import quiet_start
 
-__all__ = ["DeviceTraits", "device_traits", "device_turn", "on_device", "resolve_device", "turns_released"]
+__all__ = [
+    "DeviceTraits",
+    "array_device",
+    "device_traits",
+    "device_turn",
+    "on_device",
+    "resolve_device",
+    "turns_released",
+]
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -78,6 +87,9 @@ GPU = DeviceTraits(
 _TRAITS = {"cpu": CPU, "cuda": GPU}
 
 
+# Kinds of devices in DLPack: CUDA memory, and CUDA memory that the host sees too.
+DLPACK_CUDA = (2, 13)
+
 _starting = threading.Lock()
 _started = False
 
@@ -121,6 +133,35 @@ def resolve_device(device: str | None = None) -> str:
     except (ValueError, RuntimeError, TypeError) as error:
         existing = ", ".join(d.alias for d in wp.get_devices())
         raise DeviceError(f"no Warp device {device!r} on this machine; it has: {existing}") from error
+
+
+def array_device(value: Any) -> str | None:
+    """Name of the device that an array is on, if it has memory of its own; None for every other argument.
+
+    An array that has the CUDA array interface and no DLPack does not say which GPU it is on: Warp's current one.
+
+    Raises:
+        DeviceError: the array is on a GPU, and Warp finds none.
+    """
+    if isinstance(value, np.ndarray):
+        return None
+    if isinstance(value, (wp.array, wp.indexedarray)):
+        device: str | None = None if value.device is None else value.device.alias
+    else:
+        device = _exchange_device(value)
+    return device if device is not None and device_traits(device).own_memory else None
+
+
+def _exchange_device(value: Any) -> str | None:
+    """The GPU of an array that is not Warp's."""
+    if hasattr(type(value), "__dlpack_device__"):
+        try:
+            kind, index = value.__dlpack_device__()
+        except Exception:
+            # It raises that again where the array is read, and there it has a name.
+            return None
+        return resolve_device(f"cuda:{int(index)}") if int(kind) in DLPACK_CUDA else None
+    return resolve_device("cuda") if hasattr(type(value), "__cuda_array_interface__") else None
 
 
 class _Turn:
@@ -221,11 +262,18 @@ def turns_released() -> Iterator[None]:
 
 
 def on_device(function: Callable[P, R]) -> Callable[P, R]:
-    """Run a public function in a turn of the device that its keyword ``device`` names."""
+    """Run a public function in a turn of the device that its keyword ``device`` names.
+
+    Where that is None, and its first argument is an array on a device, the function gets that device.
+    """
 
     @functools.wraps(function)
     def run(*args: P.args, **kwargs: P.kwargs) -> R:
         device = kwargs.get("device")
+        if device is None:
+            there = array_device(args[0] if args else kwargs.get("points"))
+            if there is not None:
+                kwargs["device"] = device = there
         name = device if isinstance(device, str) else None if device is None else str(device)
         with thread_scope(), device_turn(name):
             return function(*args, **kwargs)

@@ -185,7 +185,7 @@ def prepare_fit(
     device: str | None,
 ) -> PreparedFit:
     """Check the arguments of :func:`fit_skin`, which see, and prepare the solves."""
-    device = resolve_device(device)
+    device, result = resolve_device(device), check_result(result)
     given = _checked(points, faces, result, skin, transforms, start, influences, offsets, start_offsets)
     to_planes = flag(to_planes, "to_planes")
     start, start_offsets = given.start, given.start_offsets
@@ -257,7 +257,7 @@ class _Given:
 def _checked(
     points: Any,
     faces: Any,
-    result: Any,
+    result: SimplifiedMesh,
     skin: Any,
     transforms: Any,
     start: Any,
@@ -265,7 +265,6 @@ def _checked(
     offsets: Any,
     start_offsets: Any,
 ) -> _Given:
-    check_result(result)
     poses = read_poses(points)
     corner = read_faces(faces, "faces", poses.shape[1])
     matrices = read_transforms(transforms, len(poses))
