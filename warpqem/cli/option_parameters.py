@@ -18,16 +18,17 @@ __all__ = ["HelpAll", "parameter_of", "takes_options"]
 KIND = inspect.Parameter.POSITIONAL_OR_KEYWORD
 
 
-# What options do in full, by the name of each: --help has the first clause.
-_full_help: dict[str, str] = {}
+# What options do in full, by the name and the short help of each: --help has the first clause. Options of one name may
+# do different things in two commands.
+_full_help: dict[tuple[str, str], str] = {}
 
 
 def _print_all(context: typer.Context, wanted: bool) -> None:
     if wanted:
         for parameter in context.command.params:
-            parameter.hidden = False  # type: ignore[attr-defined]  # an option of click
-            if parameter.name in _full_help:
-                parameter.help = _full_help[parameter.name]  # type: ignore[attr-defined]  # likewise
+            option: Any = parameter
+            option.hidden = False
+            option.help = _full_help.get((option.name, option.help), option.help)
         typer.echo(context.get_help())
         raise typer.Exit
 
@@ -89,8 +90,8 @@ def parameter_of(entry: OptionField, basic: bool) -> inspect.Parameter:
     flag = entry.kind is bool
     # A flag that is off need not be switched off.
     names = [f"--{name}/--no-{name}" if flag and (entry.optional or entry.default) else f"--{name}"]
-    _full_help[entry.name] = _help(entry)
-    text = _first_clause(entry) if basic and said.basic else _full_help[entry.name]
+    text = _first_clause(entry) if basic and said.basic else _help(entry)
+    _full_help[entry.name, text] = _help(entry)
     about = typer.Option(*names, metavar=None if flag else said.unit, help=text, hidden=not basic)
     default = None if not entry.has_default or said.repeated else entry.default
     annotation = _value_type(entry)
