@@ -87,10 +87,10 @@ def _value(option: Any) -> str:
         return ""
     # Typer's own description of types has taken the place of click's.
     kind = getattr(option, "type_descriptor", None) or option.type
-    choices = getattr(kind, "choices", None) or ()
+    choices = [getattr(choice, "value", choice) for choice in getattr(kind, "choices", None) or ()]
     given = (option.metavar or "").split("|") if "|" in (option.metavar or "") else [option.metavar or "NUMBER"]
     # Several names may stand below each other.
-    return " " + " \\| ".join(f"`{name}`" for name in map(str, choices or given))
+    return " " + " \\| ".join(f"`{name}`" for name in choices or given)
 
 
 def _what(parameter: Any) -> str:

@@ -30,7 +30,7 @@ SHOWN_AS = {
 # Files that the site offers as they are.
 OFFERED = ("examples/blender_simplify.py",)
 # Code so short that it fits a line of a phone: an option is not broken at its hyphens.
-SHORT_CODE = re.compile(r"<code>([^<>\s]{1,24})</code>")
+SHORT_CODE = re.compile(r"<code>([^<>]{1,24})</code>")
 LINK = re.compile(r"\]\((?!https?:|#)([^)#\s]+)(#[^)\s]*)?\)")
 
 

@@ -93,6 +93,14 @@ def test_the_page_of_commands_has_every_option_with_its_full_help(site):
         assert " ".join(entry.option.help.replace("`", "").split()) in simplify, name
 
 
+def test_the_page_of_commands_has_the_values_of_choices_and_defaults(site):
+    page = text_of(site / "cli.html")
+    found = re.search(r"--metric ((?:\w+ \| )+\w+) .*?Default: (\w+)\.", page)
+    assert found is not None
+    assert {"qem", "dsd", "dod", "aqem", "face"} <= set(found[1].split(" | "))
+    assert found[2] == "dsd"
+
+
 def test_the_page_of_commands_has_every_command_and_its_examples(site):
     page = text_of(site / "cli.html")
     for name in ("batch", "info", "compare", "features", "render", "view", "progressive extract", "face retarget"):
