@@ -76,6 +76,12 @@ def test_all_public_names_are_in_the_reference_with_what_they_do(site):
         assert not re.search(r":(?:mod|class|func):", page), module
 
 
+def test_docstrings_link_to_the_public_names_that_they_mention(site):
+    page = read(site / "api" / "warpqem.measure.html")
+    compare = page[page.index('id="warpqem.measure.compare"') :]
+    assert re.search(r'href="warpqem.html#warpqem.simplify"[^>]*><code[^>]*>warpqem.simplify</code>', compare)
+
+
 def test_the_reference_shows_defaults_of_options_and_not_how_they_are_made(site):
     page = text_of(site / "api" / "warpqem.options.html")
     assert "ratio: float | None = None" in page
