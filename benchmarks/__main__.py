@@ -14,7 +14,18 @@ from benchmarks.report import write_report
 from benchmarks.settings import Settings
 
 # Each is a module of that name with a function `run`; loaded when it is asked for, as each needs something else.
-COMMANDS = ("peers", "scaling", "static", "kernels", "startup", "stream", "articulated", "joints", "device")
+COMMANDS = (
+    "peers",
+    "scaling",
+    "static",
+    "kernels",
+    "startup",
+    "stream",
+    "articulated",
+    "joints",
+    "device",
+    "registers",
+)
 TURNS, QUICK_TURNS = 5, 2
 
 
@@ -30,7 +41,8 @@ def parse(arguments: Sequence[str] | None = None) -> tuple[str, Settings]:
         "large frame; kernels: time and floor of each kernel; startup: the command line on a small file; "
         "stream: memory on long clips and a large mesh; articulated: the order of collapses of a skinned mesh by the "
         "error of its skin; joints: errors by the number of joints and influences; "
-        "device: verify and measure a GPU in six minutes, with NumPy and Warp alone",
+        "device: verify and measure a GPU in six minutes, with NumPy and Warp alone; registers: what each kernel takes "
+        "of a GPU's thread, by ptxas",
     )
     parser.add_argument("--out", type=Path, default=Path("benchmark_results"), help="folder for the reports")
     parser.add_argument("--quick", action="store_true", help="small meshes, few turns: whether it works, not how fast")

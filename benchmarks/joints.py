@@ -24,9 +24,10 @@ from warpqem.pipeline.result import SimplifiedMesh
 from warpqem.pipeline.surface_transfer import surface_transfer
 from warpqem.runtime.device import resolve_device
 from warpqem.skinning.fit_skin import prepare_fit
-from warpqem.skinning.joint_removal import JointRemoval
+from warpqem.skinning.joint_course import JointsGone, choose_joints, joint_removal, reduced_skin
+from warpqem.skinning.leaf_order import next_leaf
 from warpqem.skinning.linear_skin import LinearSkin, blend_influences, pose_skin
-from warpqem.skinning.reduce_joints import JointsGone, choose_joints, joint_removal, reduced_skin
+from warpqem.skinning.reduce_joints import RemovalPlan, joint_steps
 
 __all__ = ["run"]
 
@@ -121,32 +122,25 @@ class _Study:
         start = time.process_time()
         given = (self._poses, self._clip.faces, self.result, self._clip.skin, self._transforms)
         prepared = prepare_fit(*given, None, None, self._offsets, None, None, True, self._device)
-        joints = len(self._clip.parents)
-        chosen = choose_joints(prepared, self._clip.parents, np.ones(joints, dtype=bool), 1) if order == "error" else []
-        removal, size = joint_removal(prepared, self._clip.parents)
-        gone, skins = JointsGone(removal), []
-        skins.append(reduced_skin(prepared, removal))
-        while len(gone.used) > 1:
-            joint = chosen[len(skins) - 1] if order == "error" else self._leaf(removal, order == "leaf")
-            gone.remove(joint, exchanges=order == "error")
-            skins.append(reduced_skin(prepared, removal))
+        parents, every = self._clip.parents, np.ones(len(self._clip.parents), dtype=bool)
         if order == "error":
+            plan = RemovalPlan(choose_joints(prepared, parents, every, 1))
+            # At each count the better way, as `reduce_joints` takes it.
+            counts = range(joint_removal(prepared, parents)[0].used().size, 0, -1)
+            ways = [joint_steps(prepared, parents, every, count, np.inf, plan)[0][0] for count in counts]
             self.seconds = time.process_time() - start
+            return {len(way.used): (float(way.errors[-1]), self._error(way.skin)) for way in ways}
+        removal, size = joint_removal(prepared, parents)
+        gone = JointsGone(removal)
+        skins = [reduced_skin(prepared, removal)]
+        while len(gone.used) > 1:
+            joint = next_leaf(removal, parents, deepest=order == "leaf")
+            assert joint is not None
+            gone.remove(joint, exchanges=False)
+            skins.append(reduced_skin(prepared, removal))
         fit = 100.0 * np.sqrt(np.array(gone.misses) / size)
         curve = zip(gone.counts, fit, skins, strict=True)
         return {count: (float(error), self._error(skin)) for count, error, skin in curve}
-
-    def _leaf(self, removal: JointRemoval, deepest: bool) -> int:
-        """The leaf that goes next."""
-        used, parents = removal.used(), self._clip.parents
-        above = [_chain(parents, joint) for joint in used]
-        inner = {joint for chain in above for joint in chain}
-        leaves = [index for index, joint in enumerate(used) if joint not in inner]
-        costs = {index: removal.cost(int(used[index])) for index in leaves}
-        depth = max(len(above[index]) for index in leaves)
-        if deepest:
-            leaves = [index for index in leaves if len(above[index]) == depth]
-        return int(used[min(leaves, key=lambda index: costs[index])])
 
     def _simplified(self, ratio: float) -> SimplifiedMesh:
         try:
@@ -170,15 +164,6 @@ class _Study:
         posed = pose_skin(skin, self._clip.transforms[self._unseen], self._new_offsets).astype(np.float32)
         faces = (self._clip.faces, self.result.faces)
         return compare(self._test, faces[0], posed, faces[1], samples=SAMPLES, device=self._device).rms
-
-
-def _chain(parents: np.ndarray, joint: int) -> list[int]:
-    """All joints above one."""
-    chain = []
-    while parents[joint] >= 0:
-        joint = int(parents[joint])
-        chain.append(joint)
-    return chain
 
 
 def _spread(items: np.ndarray, count: int) -> np.ndarray:

@@ -21,7 +21,7 @@ from scenes import head
 from scenes.generate import SCENES, VIEWS
 from scenes.generate import picture as scenes_picture
 from warpqem.measure import vertex_distances
-from warpqem.measure.heatmap import distance_colors
+from warpqem.measure.heatmap import COLOR_MAP, distance_colors
 from warpqem.picture import View, caption, render, tile, write_gif, write_png
 from warpqem.usd import SimplifyOptions, simplify_stage
 from warpqem.usd.commands.motion_features import feature_colors
@@ -29,9 +29,7 @@ from warpqem.usd.commands.report_page import write_simplify_report
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
-SIZE = (390, 250)
-# Of still pictures; more colours do not show, and the files stay small.
-COLORS = 128
+SIZE = (440, 290)
 # A frame in which the legs of the quadruped are far apart.
 STRIDE = 11
 # The face of the head, from the front.
@@ -44,6 +42,17 @@ Pixels = np.ndarray
 def _gallop() -> tuple[np.ndarray, np.ndarray]:
     scene = SCENES["quadruped_gallop"]()
     return scene.baked(), scene.faces
+
+
+def _colors(result: warpqem.SimplifiedMesh | None = None) -> np.ndarray:
+    """Colours of the quadruped's vertices; of a simplified one the means of those that each vertex stands for."""
+    colors = SCENES["quadruped_gallop"]().colors
+    if result is None:
+        return colors
+    kept = result.vertex_map >= 0
+    count = np.bincount(result.vertex_map[kept], minlength=result.points.shape[1])
+    sums = [np.bincount(result.vertex_map[kept], channel[kept], result.points.shape[1]) for channel in colors.T]
+    return np.stack(sums, axis=1) / np.maximum(count, 1)[:, None]
 
 
 def _view() -> View:
@@ -66,9 +75,10 @@ def _heat(results: dict[str, warpqem.SimplifiedMesh], path: Path) -> None:
     pictures = []
     for name, result in results.items():
         colors, _ = distance_colors(points, faces, result.points, result.faces, scale=scale)
-        text = f"{name}: {len(result.faces)} faces, yellow is {scale:.2f} %"
-        pictures.append(_draw(result.points[STRIDE], result.faces, text, colors=colors[STRIDE], smooth=True))
-    write_png(tile(pictures, 2), path, colors=COLORS)
+        text = f"{name}: {len(result.faces):,} faces"
+        drawn = render(result.points[STRIDE], result.faces, _view(), size=SIZE, colors=colors[STRIDE], smooth=True)
+        pictures.append(caption(drawn, text, (COLOR_MAP, f"{scale:.2f} %")))
+    write_png(tile(pictures, 2), path)
 
 
 def gallop(path: Path) -> None:
@@ -76,15 +86,17 @@ def gallop(path: Path) -> None:
     points, faces = _gallop()
     result = _simplify(0.1)
     pictures = []
-    # One stride of two, in every second frame.
-    for frame in range(0, len(points) // 2, 2):
-        meshes = ((points, faces, False), (result.points, result.faces, True))
+    meshes = (points, faces, _colors(), False), (result.points, result.faces, _colors(result), True)
+    # One stride of two, frame by frame.
+    for frame in range(len(points) // 2):
         pair = [
-            caption(render(p[frame], f, _view(), size=(360, 240), lines=lines), f"{len(f)} faces")
-            for p, f, lines in meshes
+            caption(
+                render(p[frame], f, _view(), size=(440, 290), colors=c, lines=lines, smooth=True), f"{len(f):,} faces"
+            )
+            for p, f, c, lines in meshes
         ]
         pictures.append(tile(pair, 2))
-    write_gif(pictures, path, frames_per_second=12, colors=32)
+    write_gif(pictures, path, frames_per_second=25, colors=64)
 
 
 def levels(path: Path) -> None:
@@ -93,9 +105,17 @@ def levels(path: Path) -> None:
     ratios = (0.5, 0.2, 0.08, 0.03)
     results = warpqem.simplify_levels(points, faces, ratios=ratios)
     pictures = [
-        _draw(result.points[STRIDE], result.faces, f"{len(result.faces)} faces", lines=True) for result in results
+        _draw(
+            result.points[STRIDE],
+            result.faces,
+            f"{len(result.faces):,} faces",
+            lines=True,
+            smooth=True,
+            colors=_colors(result),
+        )
+        for result in results
     ]
-    write_png(tile(pictures, 2), path, colors=COLORS)
+    write_png(tile(pictures, 2), path)
 
 
 def metrics(path: Path) -> None:
@@ -110,9 +130,9 @@ def joints(path: Path) -> None:
     result = _simplify(0.08, metric="aqem")
     pictures = [
         _draw(points[STRIDE], faces, f"{found.feature_count} joints", colors=feature_colors(found.label), smooth=True),
-        _draw(result.points[STRIDE], result.faces, f"aqem, {len(result.faces)} faces", lines=True),
+        _draw(result.points[STRIDE], result.faces, f"aqem, {len(result.faces):,} faces", lines=True, smooth=True),
     ]
-    write_png(tile(pictures, 2), path, colors=COLORS)
+    write_png(tile(pictures, 2), path)
 
 
 def morph(path: Path) -> None:
@@ -135,10 +155,10 @@ def morph(path: Path) -> None:
     pictures = []
     for (name, result), pair in zip(results.items(), pairs, strict=True):
         colors, _ = distance_colors(*pair, scale=scale)
-        text = f"{name}: {len(result.faces)} of {len(scene.faces)} faces, yellow is {scale:.2f} %"
+        text = f"{name}: {len(result.faces):,} of {len(scene.faces):,} faces"
         drawn = render(frames[0], scene.faces, HEAD_VIEW, size=SIZE, colors=colors[0], smooth=True)
-        pictures.append(caption(drawn, text))
-    write_png(tile(pictures, 2), path, colors=COLORS)
+        pictures.append(caption(drawn, text, (COLOR_MAP, f"{scale:.2f} %")))
+    write_png(tile(pictures, 2), path)
 
 
 def scenes(path: Path) -> None:
@@ -163,11 +183,10 @@ def report(path: Path) -> None:
         write_simplify_report(page_file, done, options)
         flags = ["--no-sandbox", "--disable-gpu", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
         browser = playwright.chromium.launch(executable_path=chromium, args=flags)
-        page = browser.new_page(viewport={"width": 1100, "height": 960}, reduced_motion="reduce")
+        page = browser.new_page(viewport={"width": 1200, "height": 860}, reduced_motion="reduce")
         page.goto(page_file.as_uri())
         page.wait_for_function("window.warpqem && window.warpqem.ready")
         page.locator("#scrub").fill(str(STRIDE))
-        page.keyboard.press("h")
         # No mark of the keyboard's focus on the scrubber.
         page.evaluate("document.activeElement.blur()")
         page.wait_for_function("!window.warpqem.state.dirty")

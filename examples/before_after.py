@@ -8,6 +8,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent.parent))  # the scenes are not part of the installed package
 
+import numpy as np
+
 import warpqem
 from scenes import quadruped
 from scenes.generate import VIEWS
@@ -22,15 +24,18 @@ def main(path: str) -> None:
     scene = quadruped.build()
     points = scene.baked()
     result = warpqem.simplify(points, scene.faces, ratio=0.1)
-    colors, scale = distance_colors(points, scene.faces, result.points, result.faces)
+    # Each new vertex has the mean colour of those that it stands for.
+    stands_for = np.bincount(result.vertex_map, minlength=result.points.shape[1])[:, None]
+    sums = [np.bincount(result.vertex_map, channel, result.points.shape[1]) for channel in scene.colors.T]
+    new_colors = np.stack(sums, axis=1) / np.maximum(stands_for, 1)
+    distances, scale = distance_colors(points, scene.faces, result.points, result.faces)
     view, size = VIEWS["quadruped_gallop"], (390, 250)
     rows = [
-        [render(points[f], scene.faces, view, size=size) for f in FRAMES],
-        [render(result.points[f], result.faces, view, size=size) for f in FRAMES],
-        [render(result.points[f], result.faces, view, colors=colors[f], size=size, smooth=True) for f in FRAMES],
+        [render(points[f], scene.faces, view, colors=scene.colors, size=size, smooth=True) for f in FRAMES],
+        [render(result.points[f], result.faces, view, colors=new_colors, size=size, smooth=True) for f in FRAMES],
+        [render(result.points[f], result.faces, view, colors=distances[f], size=size, smooth=True) for f in FRAMES],
     ]
-    # 128 colours keep the picture small.
-    write_png(tile([p for row in rows for p in row], len(FRAMES)), path, colors=128)
+    write_png(tile([p for row in rows for p in row], len(FRAMES)), path)
     print(f"{path}: {len(scene.faces)} -> {len(result.faces)} faces; brightest colour at {scale:.3f} % of the diagonal")
 
 

@@ -78,7 +78,10 @@ def close_trees(
 ):
     """Let every vertex point to its root, and count the roots that have a face (from zero)."""
     v = wp.tid()
-    root = find_root(parent, v)
+    # No vertex but this one may come to point elsewhere: its own thread may have been there.
+    root = parent[v]
+    while parent[root] < root:
+        root = parent[root]
     parent[v] = root
     is_root_out[v] = wp.where(root == v, 1, 0)
     if root == v and adjacency_in.start[v] < adjacency_in.end[v]:

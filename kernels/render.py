@@ -7,13 +7,12 @@ wp.set_module_options({"enable_backward": False})  # no gradients are taken
 # Light from over the viewer's left shoulder, and a weaker one from the right that keeps the dark side readable.
 KEY_LIGHT = wp.constant(wp.vec3(-0.476, 0.617, 0.627))
 FILL_LIGHT = wp.constant(wp.vec3(0.830, 0.055, 0.555))
-AMBIENT = wp.constant(wp.float32(0.18))
+AMBIENT = wp.constant(wp.float32(0.24))
 KEY = wp.constant(wp.float32(0.68))
 FILL = wp.constant(wp.float32(0.20))
 # Rays start so far before the middle, in diagonals of the mesh, and end so far behind it.
 REACH = wp.constant(wp.float32(4.0))
-# How dark a line is, and its half width in pixels.
-LINE_SHADE = wp.constant(wp.float32(0.35))
+# Half width of a line, in pixels.
 LINE_HALF_WIDTH = wp.constant(wp.float32(0.6))
 
 
@@ -32,11 +31,17 @@ class Camera:
 class Shading:
     """What a surface looks like."""
 
-    color: wp.array[wp.vec3]  # (V,) linear
-    normal: wp.array[wp.vec3]  # (V,) unit; read where ``smooth`` is 1
+    color: wp.array[wp.vec3]  # (3N,) linear, at the corners
+    normal: wp.array[wp.vec3]  # (3N,) unit; read where ``smooth`` is 1
     smooth: wp.int32
-    lines: wp.int32  # 1: lines along the edges
+    line: wp.float32  # how much darker a line along the edges is, 0 for none to 1 for black
     background: wp.vec3  # linear
+    uv: wp.array[wp.vec2]  # (3N,), from the lower left; read where there is a texture
+    face_texture: wp.array[wp.int32]  # (N,), -1 for none
+    texel: wp.array[wp.vec3]  # linear, of all textures after each other, the top row first
+    texture_start: wp.array[wp.int32]  # (T,) first texel
+    texture_size: wp.array[wp.vec2i]  # (T,) width and height
+    texture_repeats: wp.array[wp.vec2i]  # (T,) 1 where it repeats beyond its border, across and up
 
 
 @wp.func
@@ -60,6 +65,35 @@ def edge_distance(a: wp.vec3, b: wp.vec3, c: wp.vec3, share: wp.vec3) -> wp.floa
 
 
 @wp.func
+def texel_place(place: wp.int32, size: wp.int32, repeats: wp.int32) -> wp.int32:
+    """The texel that stands for a place beyond the border."""
+    if repeats == 1:
+        return (place % size + size) % size
+    return wp.clamp(place, 0, size - 1)
+
+
+@wp.func
+def texture_color(shading: Shading, texture: wp.int32, uv: wp.vec2) -> wp.vec3:
+    """The linear colour of a texture, between its four nearest texels."""
+    start = shading.texture_start[texture]
+    size = shading.texture_size[texture]
+    repeats = shading.texture_repeats[texture]
+    x = uv[0] * wp.float32(size[0]) - 0.5
+    y = (1.0 - uv[1]) * wp.float32(size[1]) - 0.5
+    column = wp.int32(wp.floor(x))
+    row = wp.int32(wp.floor(y))
+    across = x - wp.floor(x)
+    down = y - wp.floor(y)
+    left = texel_place(column, size[0], repeats[0])
+    right = texel_place(column + 1, size[0], repeats[0])
+    top = start + texel_place(row, size[1], repeats[1]) * size[0]
+    bottom = start + texel_place(row + 1, size[1], repeats[1]) * size[0]
+    upper = wp.lerp(shading.texel[top + left], shading.texel[top + right], across)
+    lower = wp.lerp(shading.texel[bottom + left], shading.texel[bottom + right], across)
+    return wp.lerp(upper, lower, down)
+
+
+@wp.func
 def trace_ray(
     mesh: wp.uint64,
     corner_vertex: wp.array[wp.int32],
@@ -79,16 +113,25 @@ def trace_ray(
     j = corner_vertex[3 * hit.face + 1]
     k = corner_vertex[3 * hit.face + 2]
     share = wp.vec3(hit.u, hit.v, 1.0 - hit.u - hit.v)
+    corner = 3 * hit.face
     normal = hit.normal
     if shading.smooth == 1:
         normal = wp.normalize(
-            share[0] * shading.normal[i] + share[1] * shading.normal[j] + share[2] * shading.normal[k]
+            share[0] * shading.normal[corner]
+            + share[1] * shading.normal[corner + 1]
+            + share[2] * shading.normal[corner + 2]
         )
-    color = share[0] * shading.color[i] + share[1] * shading.color[j] + share[2] * shading.color[k]
+    color = (
+        share[0] * shading.color[corner] + share[1] * shading.color[corner + 1] + share[2] * shading.color[corner + 2]
+    )
+    texture = shading.face_texture[hit.face]
+    if texture >= 0:
+        uv = share[0] * shading.uv[corner] + share[1] * shading.uv[corner + 1] + share[2] * shading.uv[corner + 2]
+        color = wp.cw_mul(color, texture_color(shading, texture, uv))
     color = color * lighten(normal, camera)
-    if shading.lines == 1:
+    if shading.line > 0.0:
         away = edge_distance(points[i], points[j], points[k], share) / camera.pixel
-        color = color * wp.lerp(LINE_SHADE, 1.0, wp.clamp(away / LINE_HALF_WIDTH - 0.5, 0.0, 1.0))
+        color = color * wp.lerp(1.0 - shading.line, 1.0, wp.clamp(away / LINE_HALF_WIDTH - 0.5, 0.0, 1.0))
     return color
 
 

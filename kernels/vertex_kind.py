@@ -41,19 +41,34 @@ COLLAPSE_BITS = wp.constant(
 )
 
 
+def _kind_of(flags: int) -> int:
+    """The kind of a vertex: what pins it counts most, then a border, then a seam."""
+    if flags & int(NON_MANIFOLD):
+        return int(NON_MANIFOLD_KIND)
+    if flags & int(LOCKED):
+        return int(LOCKED_KIND)
+    if flags & int(BORDER):
+        return int(BORDER_CORNER_KIND if flags & int(SEAM) else BORDER_KIND)
+    if flags & int(CORNER):
+        return int(SEAM_CORNER_KIND)
+    return int(SEAM_KIND if flags & int(SEAM) else INNER_KIND)
+
+
+# The kinds of all sets of flags, four bits each, as two numbers. Not asked flag by flag: the compiler of Warp 1.19 for
+# sm_90 keeps such conditions of two vertices in one predicate (of `R2P`), and takes one vertex's for the other's.
+_FLAG_SETS = 2 * int(CORNER)
+_SETS_PER_NUMBER = 16
+LOW_KINDS, HIGH_KINDS = (
+    wp.constant(wp.uint64(sum(_kind_of(first + k) << 4 * k for k in range(_SETS_PER_NUMBER))))
+    for first in range(0, _FLAG_SETS, _SETS_PER_NUMBER)
+)
+
+
 @wp.func
 def vertex_kind(flags: wp.int32) -> wp.int32:
-    """The kind of a vertex: what pins it counts most, then a border, then a seam."""
-    kind = wp.where((flags & SEAM) != 0, SEAM_KIND, INNER_KIND)
-    if (flags & CORNER) != 0:
-        kind = SEAM_CORNER_KIND
-    if (flags & BORDER) != 0:
-        kind = wp.where((flags & SEAM) != 0, BORDER_CORNER_KIND, BORDER_KIND)
-    if (flags & LOCKED) != 0:
-        kind = LOCKED_KIND
-    if (flags & NON_MANIFOLD) != 0:
-        kind = NON_MANIFOLD_KIND
-    return kind
+    """The kind of a vertex."""
+    kinds = wp.where((flags & CORNER) != 0, HIGH_KINDS, LOW_KINDS)
+    return wp.int32((kinds >> wp.uint64(4 * (flags & 15))) & wp.uint64(15))
 
 
 @wp.func

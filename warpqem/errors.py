@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -59,7 +60,19 @@ class FeaturePointError(WarpqemError, ValueError):
 
 
 class OptionError(WarpqemError, ValueError):
-    """An option has a value outside its range, or two options exclude each other."""
+    """An option has a value outside its range, or two options exclude each other.
+
+    Names of options stand in backticks in what it is made of, which its text leaves out: the command line writes flags
+    instead, see ``warpqem.cli.flag_names``.
+    """
+
+    @property
+    def marked(self) -> str:
+        """The text with names of options in backticks."""
+        return str(self.args[0]) if self.args else ""
+
+    def __str__(self) -> str:
+        return re.sub(r"`([a-z_]+)`", r"\1", self.marked)
 
 
 class DeviceError(WarpqemError, RuntimeError):

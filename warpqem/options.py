@@ -98,7 +98,9 @@ class MethodOptions:
         device: Warp device; None takes cuda:0 if present, else cpu.
     """
 
-    ratio: float | None = option(None, "Share of its triangles that each mesh keeps.", "SHARE", SHARE, basic=True)
+    ratio: float | None = option(
+        None, "Share of its triangles that each mesh keeps.", "SHARE", SHARE, basic=True, panel="Goal"
+    )
     max_error: float | None = option(
         None,
         "Largest distance of each mesh from the input, in % of its bounding-box diagonal, proved for every point and "
@@ -107,12 +109,14 @@ class MethodOptions:
         ABOVE_0,
         brief="Largest distance from the input, in % of its diagonal, proved for every point and pose",
         basic=True,
+        panel="Goal",
     )
     max_size_error: float | None = option(
         None,
         "A mesh stops where its error would pass so many % of its bounding-box diagonal, whatever the goal.",
         "PCT",
         ABOVE_0,
+        panel="Goal",
     )
     quality: Literal["fast", "best"] = option(
         "fast",
@@ -120,6 +124,7 @@ class MethodOptions:
         "surface at the end, see --memoryless and --refit.",
         brief="best takes two to three times as long for a better shape",
         basic=True,
+        panel="Quality",
     )
     metric: Metric = option(
         "dsd",
@@ -127,36 +132,46 @@ class MethodOptions:
         "Heckbert 1997), dod adds stretching edges (Huang, Chen & Chuang), aqem keeps joints (Yang et al. 2019), face "
         "keeps the feature points of a face. Installed packages may offer more.",
         choices=cost_model_names,
+        panel="Quality",
     )
     coherence: float = option(
         0.5,
         "0 to 1: 0 fits every frame on its own, 1 lets vertices stick to the surface over time.",
         "SHARE",
         Limits(0.0, 1.0),
+        panel="Quality",
     )
     refit: bool | None = option(
-        None, "Fit the whole surface once more at the end: better shape, slower. By default as --quality says."
+        None,
+        "Fit the whole surface once more at the end: better shape, slower. By default as --quality says.",
+        panel="Quality",
     )
     memoryless: bool | None = option(
         None,
         "Order by planes of the present faces instead of the input's (Lindstrom & Turk 1998): better shape, slower. By "
         "default as --quality says.",
+        panel="Quality",
     )
     placement: Literal["optimal", "endpoint"] = option(
-        "optimal", "Merged vertices at the optimal point, or at an endpoint of the edge."
+        "optimal", "Merged vertices at the optimal point, or at an endpoint of the edge.", panel="Quality"
     )
     key_frames: int | None = option(
-        16, "Number of frames, different in pose, that decide the topology.", "FRAMES", COUNT
+        16, "Number of frames, different in pose, that decide the topology.", "FRAMES", COUNT, panel="Quality"
     )
-    lock_borders: bool = option(False, "Keep the points of open borders.")
-    keep_components: bool = option(False, "Prune no small component, even if the shape would miss it less than others.")
+    lock_borders: bool = option(False, "Keep the points of open borders.", panel="What to keep")
+    keep_components: bool = option(
+        False, "Prune no small component, even if the shape would miss it less than others.", panel="What to keep"
+    )
     memory: int | str | None = option(
         None,
         "Memory that the work on a mesh may take beside the program itself, such as 8G or 500M; by default most of "
         "what is free. It decides how many frames are in memory at once, and no bit of the result.",
         "BYTES",
+        panel="Machine",
     )
-    device: str | None = option(None, "Warp device, such as cpu or cuda:0; by default the GPU if there is one.", "NAME")
+    device: str | None = option(
+        None, "Warp device, such as cpu or cuda:0; by default the GPU if there is one.", "NAME", panel="Machine"
+    )
 
     @property
     def refits(self) -> bool:
@@ -203,7 +218,7 @@ class MeshOptions(MethodOptions):
 
     target_faces: int | None = option(None, "Faces to keep.", "FACES", COUNT)
     max_distance: float | None = option(
-        None, "Largest distance of the result from the input, in units of the points.", "UNITS", ABOVE_0
+        None, "Largest distance of the result from the input, in units of the points.", "UNITS", ABOVE_0, panel="Goal"
     )
     vertex_weights: ArrayInput | None = None
     quadric_scale: ArrayInput | None = None

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import contextlib
+import io
 import re
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pxr import UsdGeom
+from rich.console import Console
 
 from tests.support.cli import run
 from tests.support.usd_stages import cloth_stage, define_cloth
-from warpqem.cli import messages
-from warpqem.cli.message_groups import file_size, group_messages, grouped_messages, shortened_path, with_separators
+from warpqem.cli.message_groups import file_size, group_messages
+from warpqem.cli.tables import PlainTable, shortened_path
 
 PATHS = ("/Root/Worst", "/Root/B", "/Root/C")
 
@@ -27,6 +28,22 @@ def test_of_messages_that_differ_in_numbers_that_of_the_worst_mesh_is_shown():
     off = dict(zip(PATHS, (11.3, 7, 2.5), strict=True))
     held = [("warning", f"{path}: a point is {off[path]} % off") for path in PATHS[::-1]]
     assert group_messages(held, PATHS) == [("warning", "3 meshes, such as /Root/Worst: a point is 11.3 % off")]
+
+
+def test_thousands_are_one_number():
+    held = [("warning", "/Root/B: stopped at 1,024 faces"), ("warning", "/Root/C: stopped at 7 faces")]
+    assert group_messages(held, PATHS) == [("warning", "2 meshes, such as /Root/B: stopped at 1,024 faces")]
+
+
+def test_paths_in_messages_lose_their_beginning_where_asked_and_those_in_errors_do_not():
+    paths = [f"/Root/{'Group/' * 20}Mesh{name}" for name in "AB"]
+    held = [("note", f"{path}: off by {index}") for index, path in enumerate(paths)]
+    held += [("warning", f"{paths[0]}: cut"), ("error", f"{paths[1]}: broken")]
+    note, warning, error = (text for _, text in group_messages(held, paths, 40))
+    assert re.fullmatch(r"2 meshes, such as \.\.\.(/Group)+/MeshA: off by 0", note)
+    assert re.fullmatch(r"\.\.\.(/Group)+/MeshA: cut", warning)
+    assert error == f"{paths[1]}: broken"
+    assert group_messages(held, paths)[1] == ("warning", f"{paths[0]}: cut")
 
 
 def test_other_messages_errors_and_levels_stand_for_themselves():
@@ -69,13 +86,6 @@ def test_no_message_is_lost(parts):
     assert len(lines) <= len(held)
 
 
-def test_messages_come_also_where_an_error_ends_the_work(capsys):
-    with contextlib.suppress(RuntimeError), grouped_messages(PATHS):
-        messages.print_message("warning", "/Root/B: cut")
-        raise RuntimeError
-    assert capsys.readouterr().err == "warning: /Root/B: cut\n"
-
-
 @given(st.lists(st.text("abcdef_", min_size=1, max_size=9), min_size=1, max_size=9), st.integers(8, 40))
 def test_a_shortened_path_keeps_its_end(names, width):
     path = "/" + "/".join(names)
@@ -84,14 +94,52 @@ def test_a_shortened_path_keeps_its_end(names, width):
     assert short == path or (short.startswith("...") and path.endswith(short[3:]))
 
 
-def test_numbers_have_separators_and_sizes_a_unit(tmp_path):
-    assert [with_separators(cell) for cell in ("1234567", "0.1234", "", "12", "target")] == [
-        "1,234,567",
-        "0.1234",
-        "",
-        "12",
-        "target",
-    ]
+def shown(table, width=1000):
+    console = Console(file=io.StringIO(), width=width)
+    console.print(table.rendered(width))
+    return [line.rstrip() for line in console.file.getvalue().splitlines()]
+
+
+def test_counts_have_separators_and_other_cells_stay():
+    table = PlainTable("")
+    for name in "abcd":
+        table.add_column(name, "right")
+    table.add_row(1234567, "0.1234", "1234567", 12)
+    assert shown(table)[-1].split() == ["1,234,567", "0.1234", "1234567", "12"]
+
+
+def wide_table():
+    table = PlainTable("title")
+    table.add_column("mesh", is_path=True)
+    for name, rank in (("faces before", 0), ("RMS %", 0), ("jitter %", 1), ("edge length %", 2)):
+        table.add_column(name, "right", rank=rank)
+    table.add_column("stopped")
+    table.add_row("/Root/Group/Body/Hand/Finger", 1234567, "0.1234", "0.00001", "0.54321", "no legal collapse")
+    table.add_row("/Root/A", "failed")
+    return table
+
+
+@pytest.mark.parametrize("width", [60, 66, 80, 100, 200])
+def test_figures_are_whole_at_any_width_and_what_is_left_out_is_named(width):
+    lines = shown(wide_table(), width)
+    assert max(map(len, lines)) <= width
+    text = "\n".join(lines)
+    assert "…" not in text
+    for figure in ("1,234,567", "0.1234", "no legal collapse"):
+        assert figure in text
+    for head, figure in (("jitter", "0.00001"), ("edge", "0.54321")):
+        assert (figure in text) == (f"{head}" not in text.split("no room for")[-1] or "no room for" not in text)
+    assert "Finger" in text
+
+
+def test_columns_go_by_their_rank_once_paths_are_short():
+    assert not any("no room" in line for line in shown(wide_table(), 67))
+    assert "no room for edge length %: see --json" in shown(wide_table(), 60)
+    assert any("no room for jitter %, edge length %" in line for line in shown(wide_table(), 56))
+    assert "/Root/Group/Body/Hand/Finger" in "".join(shown(wide_table(), 120))
+
+
+def test_sizes_have_a_unit(tmp_path):
     for size, text in ((0, "0 bytes"), (999, "999 bytes"), (1500, "1.5 KB"), (18_000, "18 KB"), (2_340_000, "2.3 MB")):
         (tmp_path / "file").write_bytes(bytes(size))
         assert file_size(str(tmp_path / "file")) == text
@@ -154,10 +202,16 @@ def test_the_program_alone_shows_its_help():
     assert "error" not in done.stderr
 
 
-def test_help_is_short_and_help_all_whole(monkeypatch):
-    monkeypatch.setenv("COLUMNS", "80")
-    short, whole = run("simplify", "--help").stdout, run("simplify", "--help-all").stdout
-    assert len(short.splitlines()) <= 60
-    assert len(re.findall(r"^│ [* ] +--[a-z]", short, re.MULTILINE)) <= 14
-    assert "--memoryless" not in short
-    assert "it orders by the present faces" in " ".join(re.sub(r"[│╭╰─╮╯]", " ", whole).split())
+def test_quiet_is_an_option_of_all_commands_that_write_or_measure(tmp_path):
+    cloth_stage(tmp_path / "in.usda")
+    run("simplify", tmp_path / "in.usda", "-o", tmp_path / "out.usda", "--ratio", "0.5", "--device", "cpu")
+    commands = (
+        ("compare", tmp_path / "in.usda", tmp_path / "out.usda", "--device", "cpu", "--json", tmp_path / "found.json"),
+        ("features", tmp_path / "in.usda", "-o", tmp_path / "joints.usda", "--device", "cpu"),
+        ("render", tmp_path / "in.usda", "-o", tmp_path / "a.png", "--pictures", "1", "--device", "cpu"),
+    )
+    for command in commands:
+        done = run(*command, "-q")
+        assert (done.exit_code, done.output) == (0, ""), command
+    assert run(*commands[0]).stdout
+    assert (tmp_path / "found.json").exists()

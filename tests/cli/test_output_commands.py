@@ -132,10 +132,7 @@ def test_no_option_writes_over_a_file_that_is_read(request, command, option, suf
         line = line[: line.index("-o")]
     result = run([*line, option, file])
     assert result.exit_code == 2, result.output
-    # What the functions know too goes by the name that it has there.
-    api_options = ("--heatmap", "--output")
-    named = option.removeprefix("--") if option in api_options and command != "face detect" else option
-    assert f"error: {named} {file}: this is " in result.stderr
+    assert f"error: {option} {file}: this is " in result.stderr
     assert file_bytes(where) == before
 
 

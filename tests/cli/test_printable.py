@@ -20,8 +20,9 @@ from warpqem.batching.engine import Finished, Progressed, Started
 from warpqem.batching.job_result import BatchResult
 from warpqem.batching.jobs import BatchJob
 from warpqem.cli.batch_display import BatchDisplay, dry_run_table, summary_table
-from warpqem.cli.console import PlainTable, print_message
+from warpqem.cli.console import print_message
 from warpqem.cli.logs import start_logging
+from warpqem.cli.tables import PlainTable
 from warpqem.printable import printable, printable_lines
 from warpqem.report.overview import Asset, overview_page
 from warpqem.report.page import page_json
@@ -80,7 +81,7 @@ def test_terminal_gets_names_as_plain_text(name, capsys):
     results = [BatchResult(name, name, "failed", error="StageError", message=name)]
     for table in (plain, dry_run_table([job], None), summary_table(results, 1, 1.0)):
         console = Console(file=io.StringIO(), width=300)
-        console.print(table)
+        console.print(table.rendered())
         assert drives(console.file.getvalue()) == []
         if table is plain:
             assert console.file.getvalue().count(printable(name)) == 2

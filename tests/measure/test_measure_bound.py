@@ -7,8 +7,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.support.meshes import bumpy_sphere, grid, icosphere
+from warpqem.arguments.distance_limit import DistanceLimit
+from warpqem.frames.stream import NoFrames
+from warpqem.measure import compare
 from warpqem.measure.bound import DistanceBound
 from warpqem.measure.closest_points import ClosestPointSearch
+from warpqem.mesh.mesh_input import read_mesh
+from warpqem.pipeline.bound_sink import BoundSink, ExceededError
 
 
 def excess(reference, test, limit, device):
@@ -140,3 +145,27 @@ def test_nothing_counts_as_proved_in_frames_that_were_not_seen(device):
     moved = still.copy()
     moved[7] *= 1.2
     assert set(after.excess(0, still, moved).test_faces) == set(np.flatnonzero((faces == 7).any(axis=1)))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_no_limit_below_a_measured_distance_is_said_to_hold(seed, device):
+    # What is measured is up to a thousandth above the distance of a point; a limit is not to be within that.
+    rng = np.random.default_rng(seed)
+    points, faces = bumpy_sphere(2) if seed % 2 else icosphere(2)
+    points = (points * rng.uniform(0.5, 2, 3)).astype(np.float32)[None]
+    other, other_faces = icosphere(1)
+    other = (other * np.ptp(points[0], axis=0) / np.ptp(other, axis=0) + rng.normal(0, 0.02, other.shape))[None]
+    other = other.astype(np.float32)
+    measured = compare(points, faces, other, other_faces, samples=1000, device=device).hausdorff
+
+    def holds(part):
+        bound = BoundSink(NoFrames(), read_mesh(points, faces), DistanceLimit(part * measured / 100), 1.0, device)
+        bound.begin(1, other.shape[1], other_faces)
+        try:
+            bound.write(slice(0, 1), other)
+        except ExceededError:
+            return False
+        return True
+
+    assert not any(holds(part) for part in (0.9999, 0.9996, 0.9993))
+    assert holds(1.003)

@@ -79,14 +79,14 @@ def test_levels_of_a_memoryless_order_keep_the_sums_at_feature_points(device):
         assert level.points.tobytes() == warpqem.simplify(points, faces, ratio=ratio, **options).points.tobytes()
 
 
-def test_progressive_mesh_of_best_quality_fits_better(device):
+def test_progressive_mesh_of_a_memoryless_order_fits_better(device):
     points, faces = CLOTH
     error = {}
-    for quality in ("fast", "best"):
-        mesh = warpqem.build_progressive(points, faces, quality=quality, device=device)
+    for memoryless in (False, True):
+        mesh = warpqem.build_progressive(points, faces, memoryless=memoryless, device=device)
         level = mesh.level(mesh.splits_for(ratio=0.1))
-        error[quality] = compare(points, faces, level.points, level.faces, samples=3000, device=device).rms
-    assert error["best"] < error["fast"]
+        error[memoryless] = compare(points, faces, level.points, level.faces, samples=3000, device=device).rms
+    assert error[True] < error[False]
 
 
 def test_levels_nest(device):

@@ -15,6 +15,7 @@ import warpqem
 from tests.support import meshes
 from warpqem.errors import (
     CancelledError,
+    DeviceError,
     FaceIndexError,
     MemoryLimitError,
     NonFinitePointError,
@@ -71,6 +72,34 @@ def test_meshes_may_have_options_of_their_own_and_be_trimeshes():
 
 def test_no_mesh_gives_no_result():
     assert warpqem.simplify_many([], ratio=0.5) == []
+
+
+@pytest.mark.parametrize(
+    ("options", "match"),
+    [
+        ({"coherence": 2.0}, "coherence must be"),
+        ({"ratio": 2.0}, "ratio must be"),
+        ({"target_faces": 5}, "exclude each other"),
+        ({"metric": "nonsense"}, "metric"),
+        ({"memory": "much"}, "memory 'much'"),
+        ({"attributes": 3}, "attributes must be a list"),
+        ({"face": warpqem.face.FaceProtection()}, "face= needs metric 'face'"),
+        ({"device": "tpu"}, "no Warp device 'tpu'"),
+    ],
+)
+@pytest.mark.parametrize("asked", [[], [(*SHAPES[0], {"ratio": 0.5, "coherence": 0.5})]])
+def test_options_for_all_are_checked_whatever_the_meshes_are(asked, options, match):
+    with pytest.raises((OptionError, DeviceError), match=match):
+        warpqem.simplify_many(asked, **{"ratio": 0.5, **options})
+
+
+def test_options_that_do_not_exist_are_refused_without_any_mesh():
+    with pytest.raises(TypeError, match="'nonsense'"):
+        warpqem.simplify_many([], nonsense=3)
+
+
+def test_no_mesh_needs_no_goal():
+    assert warpqem.simplify_many([], quality="best") == []
 
 
 def broken(index: int) -> list[tuple[np.ndarray, np.ndarray]]:

@@ -6,6 +6,7 @@ import pytest
 import warpqem
 from tests.support import meshes, symmetry
 from warpqem.arguments.distance_limit import DistanceLimit
+from warpqem.arguments.figures import rounded_up
 from warpqem.measure import compare
 from warpqem.mesh.mesh_input import read_mesh
 from warpqem.pipeline.bound_sink import BoundSink
@@ -133,7 +134,7 @@ def test_what_costs_nothing_goes_within_any_limit(device):
     points, faces = meshes.grid(8, 8)
     result = warpqem.simplify(points, faces, max_error=1e-9, device=device)
     assert result.stopped == "max_error"
-    assert len(result.faces) < 0.5 * len(faces)
+    assert len(result.faces) < 0.6 * len(faces)
 
 
 def test_the_unit_of_the_scene_makes_no_difference_where_a_frame_has_no_extent(device):
@@ -183,3 +184,16 @@ def test_a_distance_beyond_the_size_stops_where_the_size_does(device):
     assert result.stopped == "max_size_error"
     by_count = warpqem.simplify(points, faces, target_faces=1, max_size_error=5.0, device=device)
     assert len(result.faces) == len(by_count.faces)
+
+
+@pytest.mark.parametrize("limit", [0.2, 0.4, 1.0])
+@pytest.mark.parametrize("options", [{}, {"quality": "best"}])
+def test_no_measured_distance_is_above_the_limit(limit, options, device):
+    # Measured distances are up to a thousandth above those of points.
+    for points, faces in (BAR, meshes.waving_grid(14, frames=4), meshes.swaying_sphere(3, 4)):
+        result = warpqem.simplify(points, faces, max_error=limit, device=device, **options)
+        assert 0.0 < result.measured.hausdorff <= limit
+        apart = compare(points, faces, result.points, result.faces, samples=2000, device=device)
+        assert apart.hausdorff <= limit
+        assert apart.per_frame.hausdorff.max() <= limit
+        assert float(rounded_up(result.measured.hausdorff)) <= limit

@@ -6,6 +6,7 @@ import base64
 import io
 import json
 import re
+from shutil import copyfile
 
 import numpy as np
 import pytest
@@ -64,6 +65,37 @@ def of_verdict(done: dict, tmp_path, name: str, **measured) -> dict:
     prim = done["report"]["prims"][0]
     report = {**done["report"], "prims": [{**prim, "measured": {**prim["measured"], **measured}}]}
     return {**done, "input": str(tmp_path / f"{name}.usda"), "report": report}
+
+
+def test_assets_link_to_reports_of_their_own(done, tmp_path, monkeypatch):
+    # Names that are the same as those of files in a folder.
+    (tmp_path / "x").mkdir()
+    for name in ("x/b.usda", "x_b.usda"):
+        copyfile(tmp_path / "b.usda", tmp_path / name)
+    twice = [{**done, "input": str(tmp_path / name)} for name in ("x/b.usda", "x_b.usda")]
+    pages = [asset["page"] for asset in overview(tmp_path, twice)["assets"]]
+    assert pages == ["page_pages/x_b.usda.html", "page_pages/x_b.usda_2.html"]
+    for name in pages:
+        data = data_of((tmp_path / name).read_text("utf-8"))
+        assert (data["original"]["faces"], data["levels"][0]["faces"]) == (128, 64)
+        assert (
+            data["levels"][0]["meshes"]["/Root/Cloth"]["verdict"] == done["report"]["prims"][0]["measured"]["verdict"]
+        )
+    monkeypatch.setattr("warpqem.usd.commands.overview.MAX_PAGES", 1)
+    data = overview(tmp_path, twice)
+    assert [asset["page"] for asset in data["assets"]] == [pages[0], ""]
+    assert data["notes"][-1] == "The first 1 have a report of their own."
+
+
+def test_report_of_an_asset_replaces_no_input(done, tmp_path):
+    (tmp_path / "page_pages").mkdir()
+    needed = tmp_path / "page_pages" / "b.usda.html"
+    needed.write_text("needed")
+    result = {**done, "fingerprint": {"files": {str(needed): ""}}}
+    [asset] = overview(tmp_path, [result])["assets"]
+    assert (asset["page"], asset["message"].startswith("no report of its own: ")) == ("", True)
+    assert len(asset["pictures"]) == 2
+    assert needed.read_text() == "needed"
 
 
 def test_assets_come_with_the_worst_first_and_equal_ones_by_name(done, tmp_path):

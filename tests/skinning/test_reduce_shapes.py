@@ -76,6 +76,63 @@ def test_errors_grow_and_weights_stay_within_0_and_1(seed, count):
     assert (total[1:] >= 0.9 * total[:-1]).all()
 
 
+def displaced(offsets, weights) -> np.ndarray:
+    return np.einsum("fs,svi->fvi", weights, offsets)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    seed=st.integers(0, 2**31),
+    factors=st.lists(st.sampled_from([0.25, 0.5, 1.0, 2.0]), min_size=2, max_size=6),
+    lowest=st.sampled_from([-0.5, 0.0]),
+    is_used=st.booleans(),
+)
+def test_multiples_of_one_shape_merge_without_error_and_weights_stay_within_their_range(seed, factors, lowest, is_used):
+    rng = np.random.default_rng(seed)
+    offsets = np.concatenate([np.array(factors)[:, None, None] * X, Y[None]])
+    used = rng.uniform(lowest, 1, (9, len(offsets)))
+    # Each weight reaches its ends.
+    used[:2] = [[lowest], [1.0]]
+    done = reduce_shapes(REST, FACES, offsets, used if is_used else None, max_error=0.01)
+    assert len(done.kept) == 2
+    assert max(done.used_errors[-1], done.random_errors[-1]) <= 0.01
+    weights = rng.uniform(0, 1, (20, len(offsets)))
+    if is_used:
+        weights = np.concatenate([weights, used])
+    lower, upper = np.full((2, 2), [[lowest if is_used else 0.0], [1.0]])
+    found = done.corrected(weights, upper, lower)
+    assert ((found >= lower - 1e-9) & (found <= upper + 1e-9)).all()
+    kept = offsets[done.kept] * done.scales[:, None, None]
+    np.testing.assert_allclose(displaced(kept, found), displaced(offsets, weights), atol=1e-6)
+    if is_used:
+        np.testing.assert_allclose(done.weights, done.corrected(used, upper, lower))
+
+
+def test_shapes_are_scaled_only_where_a_limit_asks_for_it_and_they_may_be():
+    offsets = np.stack([X, X, X, X])
+    by_count = reduce_shapes(REST, FACES, offsets, shapes=1)
+    assert by_count.scales.tolist() == [1.0]
+    loose = reduce_shapes(REST, FACES, np.stack([X, 0.01 * X]), max_error=0.1)
+    assert (loose.removed.tolist(), loose.scales.tolist()) == ([1], [1.0])
+    for more in ({"scalable": []}, {"inbetweens": [{0.5: Y}] * 4}):
+        done = reduce_shapes(REST, FACES, offsets, max_error=0.01, **more)
+        assert len(done.kept) == 4
+        assert done.scales.tolist() == [1.0] * 4
+
+
+def test_no_shape_may_be_kept_or_take_over_weight():
+    done = reduce_shapes(REST, FACES, np.stack([X, X, Y]), shapes=2, keep=[], heirs=[])
+    assert len(done.removed) == 1
+    assert not done.parts[done.removed].any()
+
+
+def test_sum_of_two_shapes_merges_into_them_within_a_limit():
+    done = reduce_shapes(REST, FACES, np.stack([X, Y, X + Y]), max_error=0.01)
+    assert done.removed.tolist() == [2]
+    np.testing.assert_allclose(done.scales, [2.0, 2.0], atol=1e-3)
+    np.testing.assert_allclose(done.corrected(np.ones(3)), [1.0, 1.0], atol=1e-3)
+
+
 AXES, HEIGHTS = np.concatenate([np.eye(3), -np.eye(3)]), np.geomspace(0.001, 0.2, 6)
 
 

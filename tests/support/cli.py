@@ -7,5 +7,7 @@ from typer.testing import CliRunner, Result
 from warpqem.cli.main import app
 
 
-def run(*arguments: object) -> Result:
-    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+def run(*arguments: object, env: dict[str, str] | None = None, name: str | None = None) -> Result:
+    """The outcome of a command; ``name`` is what the help calls the program."""
+    more = {} if name is None else {"prog_name": name}
+    return CliRunner().invoke(app, [str(argument) for argument in arguments], env=env, **more)

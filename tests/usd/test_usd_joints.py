@@ -9,7 +9,7 @@ import pytest
 from pxr import Usd, UsdSkel
 
 from tests.support.cli import run
-from tests.support.usd_rig import ANIMATION, NAMES, SKELETON, TUBE, rig, rms
+from tests.support.usd_rig import ANIMATION, NAMES, SKELETON, TUBE, baked, rig, rms
 from warpqem.errors import OptionError
 from warpqem.usd import SimplifyOptions, simplify_stage
 from warpqem.usd.commands.option_values import read_options
@@ -101,6 +101,65 @@ def test_limit_on_the_distance_holds_for_the_skin_with_fewer_joints(tmp_path):
     assert report.joints.after == 4
     assert report.measured["hausdorff"] <= 3.0
     assert rms(source, stage) <= 3.0
+
+
+def nearest(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Distances (N,) of points from the nearest of triangles (T, 3, 3), one by one (Ericson 2005, 5.1.5, by parts)."""
+    found = np.full(len(points), np.inf)
+    for a, b, c in triangles:
+        normal = np.cross(b - a, c - a)
+        area = normal @ normal
+        if area > 0:
+            away = points - a
+            second = np.cross(away, c - a) @ normal / area
+            third = np.cross(b - a, away) @ normal / area
+            inside = (second >= 0) & (third >= 0) & (second + third <= 1)
+            found = np.where(inside, np.minimum(found, np.abs(away @ normal) / np.sqrt(area)), found)
+        for start, end in ((a, b), (b, c), (c, a)):
+            along = end - start
+            part = np.clip((points - start) @ along / max(along @ along, 1e-300), 0, 1)
+            found = np.minimum(found, np.linalg.norm(points - start - part[:, None] * along, axis=1))
+    return found
+
+
+def spots(triangles: np.ndarray) -> np.ndarray:
+    """Corners, middles of edges and middles of triangles."""
+    corners, middles = np.moveaxis(triangles, 1, 0), triangles.mean(axis=1)
+    return np.concatenate([*corners, middles, (triangles[:, 0] + triangles[:, 1]) / 2])
+
+
+def largest_distance(first: Usd.Stage, second: Usd.Stage) -> float:
+    """Largest distance found over all frames, both ways, in % of the diagonal of the first mesh in the frame."""
+    (before, faces), (after, new_faces) = baked(first), baked(second)
+    largest = 0.0
+    for pose, new in zip(before.astype(np.float64), after.astype(np.float64), strict=True):
+        one, other = pose[faces], new[new_faces]
+        away = max(nearest(spots(one), other).max(), nearest(spots(other), one).max())
+        largest = max(largest, 100 * away / np.linalg.norm(np.ptp(pose[np.unique(faces)], axis=0)))
+    return largest
+
+
+@pytest.mark.parametrize(
+    ("limit", "options"), [(1.0, {"joints": 2}), (3.0, {"joints": 3}), (2.0, {"joint_error": 5.0})]
+)
+def test_limit_holds_in_all_frames_and_more_joints_stay_where_it_would_not(tmp_path, limit, options):
+    source = rig(tmp_path / "in.usda")
+    stage, report = simplified(tmp_path, ratio=None, max_error=limit, **options)
+    assert not report.problems
+    assert 0.3 * limit < largest_distance(source, stage) <= limit
+    asked = options.get("joints", 1)
+    assert report.joints.after >= asked
+    if report.joints.after > asked:
+        text = f"{report.joints.after} of 5 joints stay, as max_error {limit:g} % does not hold with fewer"
+        assert any(text in note for note in report.notes)
+
+
+def test_joints_that_the_limit_allows_go(tmp_path):
+    source = rig(tmp_path / "in.usda")
+    stage, report = simplified(tmp_path, ratio=None, max_error=12.0, joints=3)
+    assert (report.joints.after, report.notes) == (3, [])
+    assert report.faces_after < 300
+    assert largest_distance(source, stage) <= 12.0
 
 
 def test_skin_that_cannot_be_fitted_keeps_its_joints_with_a_note(tmp_path):

@@ -167,7 +167,7 @@ def test_usd_lod_without_ratios_is_wrong_usage(tmp_path):
     cloth_stage(tmp_path / "in.usda")
     result = run("simplify", tmp_path / "in.usda", "-o", tmp_path / "out.usda", "--usd-lod", "--ratio", "0.5")
     assert result.exit_code == 2
-    assert "usd_lod needs lods" in result.stderr
+    assert "--usd-lod needs --lods" in result.stderr
 
 
 def test_command_line_writes_the_schemas(tmp_path):

@@ -279,7 +279,7 @@ def test_bad_ratios_are_wrong_usage(ratios, tmp_path):
     cloth_stage(tmp_path / "in.usda")
     result = run("simplify", tmp_path / "in.usda", "-o", tmp_path / "out.usda", f"--lods={ratios}")
     assert result.exit_code == 2
-    assert result.stderr.startswith("error: lods")
+    assert result.stderr.startswith("error: --lods")
     assert not (tmp_path / "out.usda").exists()
 
 

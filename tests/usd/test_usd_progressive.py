@@ -7,16 +7,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from pxr import Gf, Usd, UsdGeom
 from typer.testing import CliRunner
 
 from tests.support.usd_stages import FRAMES, cloth_stage, define_cloth, skinned_stage
+from warpqem.arguments.figures import rounded_up
 from warpqem.cli.main import app
 from warpqem.costs.screen_error import ScreenView
 from warpqem.errors import OptionError, ProgressiveFileError, StageError
 from warpqem.progressive import build_progressive, load, read_info, save
+from warpqem.progressive.bounded_levels import measured_level
 from warpqem.usd import SimplifyOptions, simplify_stage
 from warpqem.usd.commands.progressive import BuildOptions, LevelChoice, build_file, extract_level
+from warpqem.usd.read.read_mesh import MeshSource
+from warpqem.usd.read.skeleton_poses import StagePoses
 
 CPU = BuildOptions(device="cpu")
 
@@ -50,7 +55,8 @@ def test_finest_level_is_the_input_in_world_space(cloth):
 
 def test_level_has_the_faces_times_and_metadata_asked_for(cloth):
     out = cloth.with_name("out.usda")
-    faces, error = extract_level(cloth, out, LevelChoice(faces=20))
+    faces, error, measured = extract_level(cloth, out, LevelChoice(faces=20))
+    assert measured is None
     stage = Usd.Stage.Open(str(out))
     mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/Root/Cloth"))
     assert len(mesh.GetFaceVertexCountsAttr().Get()) == faces
@@ -142,11 +148,11 @@ def test_views_that_show_nothing_are_refused(view):
 
 def test_farther_camera_gives_fewer_faces_within_its_error(cloth):
     info, counts = read_info(cloth), []
-    for distance in (50.0, 500.0):
+    for distance in (500.0, 2000.0):
         view = ScreenView(2.0, distance)
-        faces, error = extract_level(cloth, cloth.with_name("out.usda"), LevelChoice(screen=view))
-        assert error * info.extra["diagonal"] / 100 <= view.length
-        counts.append(faces)
+        level = extract_level(cloth, cloth.with_name("out.usda"), LevelChoice(screen=view))
+        assert level.measured.hausdorff_length <= 1.2 * view.length
+        counts.append(level.faces)
     assert counts[1] < counts[0] < info.face_count
 
 
@@ -187,3 +193,41 @@ def test_half_a_view_is_wrong_usage(cloth, options):
     result = CliRunner().invoke(app, arguments)
     assert isinstance(result.exception, (OptionError, SystemExit))
     assert result.exit_code != 0
+
+
+@pytest.mark.parametrize("options", [{"quality": "best"}, {"ratio": 0.5}, {"refit": True}, {"keep_components": True}])
+def test_options_without_a_meaning_for_all_levels_are_refused(options):
+    with pytest.raises(OptionError, match=f"{next(iter(options))}.*(memoryless=True|which has all levels)"):
+        BuildOptions(device="cpu", **options)
+
+
+@pytest.mark.parametrize("limit", [2.0, 6.0, 15.0])
+def test_error_that_is_printed_for_a_level_holds_in_all_frames(cloth, limit):
+    folder = cloth.parent
+    options = ["--max-error", str(limit), "--json", str(folder / "level.json")]
+    shown = CliRunner().invoke(app, ["progressive", "extract", str(cloth), "-o", str(folder / "out.usda"), *options])
+    assert shown.exit_code == 0, shown.output
+    level = json.loads((folder / "level.json").read_text())
+    printed = float(rounded_up(level["measured"]["hausdorff"]))
+    assert rounded_up(level["measured"]["hausdorff"]) in shown.output
+    assert printed <= limit
+    # By trimesh, of many samples in each frame.
+    for time in FRAMES:
+        one, other = (surface(folder / name, time) for name in ("in.usda", "out.usda"))
+        diagonal = np.linalg.norm(np.ptp(one.vertices, axis=0))
+        for own, of in ((one, other), (other, one)):
+            spots = np.concatenate([own.vertices, trimesh.sample.sample_surface(own, 2000, seed=1)[0]])
+            _, away, _ = trimesh.proximity.closest_point_naive(of, spots)
+            assert 100 * away.max() / diagonal <= printed
+    # No coarser one holds.
+    mesh = load(cloth)
+    coarser = mesh.splits_for(target_faces=level["faces"]) - 1
+    if coarser >= 0:
+        assert measured_level(mesh, mesh.level(coarser), device="cpu").hausdorff > 0.998 * limit
+
+
+def surface(path: Path, time: float) -> trimesh.Trimesh:
+    stage = Usd.Stage.Open(str(path))
+    prim = stage.GetPrimAtPath("/Root/Cloth")
+    faces = MeshSource(prim, StagePoses(stage)).topology.triangles
+    return trimesh.Trimesh(world_points(path, "/Root/Cloth", time), faces, process=False)

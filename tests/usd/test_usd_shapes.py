@@ -99,11 +99,12 @@ def test_animation_without_weights_or_names_of_shapes_moves_none(tmp_path):
     assert not UsdSkel.Animation(stage.GetPrimAtPath(ANIMATION)).GetBlendShapeWeightsAttr().HasAuthoredValue()
 
 
-def test_limit_on_the_error_takes_what_nothing_shows(tmp_path):
+def test_limit_on_the_error_takes_what_nothing_shows_and_what_others_show(tmp_path):
     shaped_rig(tmp_path / "in.usda")
-    _, report = simplified(tmp_path, shape_error=1e-4)
-    assert report.shapes.removed == ["nothing"]
-    assert report.shapes.random_error <= 1e-4
+    _, report = simplified(tmp_path, shape_error=1e-3)
+    assert report.shapes.removed == ["nothing", "both"]
+    assert report.shapes.scales == pytest.approx({"left": 2.0, "right": 2.0}, rel=0.02)
+    assert report.shapes.random_error <= 1e-3
 
 
 @pytest.mark.parametrize("inbetween", [False, True])
@@ -236,3 +237,47 @@ def test_shapes_without_an_animation_are_chosen_by_random_weights(tmp_path):
     _, report = simplified(tmp_path, shapes=2)
     assert report.shapes.removed == ["nothing", "both"]
     assert report.shapes.used_error == 0
+
+
+@pytest.mark.parametrize("animated", [False, True])
+def test_equal_shapes_merge_within_a_small_limit(animated, tmp_path):
+    source = shaped_rig(tmp_path / "in.usda")
+    same = UsdSkel.BlendShape(source.GetPrimAtPath(f"{TUBE}/left")).GetOffsetsAttr().Get()
+    for token in SHAPES:
+        UsdSkel.BlendShape(source.GetPrimAtPath(f"{TUBE}/{token}")).GetOffsetsAttr().Set(same)
+    if not animated:
+        source.RemovePrim(ANIMATION)
+    source.Save()
+    stage, report = simplified(tmp_path, shape_error=0.01)
+    assert report.shapes.after == 1
+    assert max(report.shapes.used_error, report.shapes.random_error) <= 0.01
+    [(kept, scale)] = report.shapes.scales.items()
+    assert scale == pytest.approx(4.0, rel=1e-4)
+    assert any(f"the offsets of blend shape {kept} are 4 times as long" in note for note in report.notes)
+    plain, _ = simplified(tmp_path)
+    longest = [
+        np.abs(UsdSkel.BlendShape(each.GetPrimAtPath(f"{TUBE}/{kept}")).GetOffsetsAttr().Get()).max()
+        for each in (plain, stage)
+    ]
+    assert longest[1] == pytest.approx(scale * longest[0], rel=1e-4)
+    if animated:
+        np.testing.assert_allclose(
+            weights(stage)[:, SHAPES.index(kept)], weights(source).sum(axis=1) / scale, atol=1e-4
+        )
+        assert rms(source, stage) < 1.02 * rms(source, plain)
+        assert rms(source, stage) == pytest.approx(report.measured["rms"], rel=0.15)
+
+
+def test_equal_shapes_with_inbetweens_or_other_users_stay_as_they_are(tmp_path):
+    source = shaped_rig(tmp_path / "in.usda")
+    same = UsdSkel.BlendShape(source.GetPrimAtPath(f"{TUBE}/left")).GetOffsetsAttr().Get()
+    for token in SHAPES:
+        shape = UsdSkel.BlendShape(source.GetPrimAtPath(f"{TUBE}/{token}"))
+        shape.GetOffsetsAttr().Set(same)
+        # Beyond the ends, where it takes part in no sum.
+        between = shape.CreateInbetween("more")
+        between.SetWeight(1.5)
+        between.SetOffsets(same)
+    source.Save()
+    _, report = simplified(tmp_path, shape_error=0.01)
+    assert (report.shapes.after, report.shapes.scales) == (4, {})

@@ -91,8 +91,8 @@ def test_the_plan_of_each_mesh_is_announced_before_its_work(tmp_path):
         progress=lambda part, text: seen.append(text),
         announce=lambda name, plan: seen.append((name, plan.frame_count)),
     )
-    assert seen.index((CLOTH, 21)) < seen.index("Cloth: read")
-    assert seen.index(("/Root/Other", 1)) < seen.index("Other: read")
+    assert seen.index((CLOTH, 21)) < seen.index("Cloth (1 of 2): reading its frames, 128 faces x 21 frames")
+    assert seen.index(("/Root/Other", 1)) < seen.index("Other (2 of 2): reading its frames, 128 faces x 1 frames")
 
 
 def test_levels_of_one_order_announce_one_plan(tmp_path):
@@ -119,7 +119,7 @@ def test_memory_that_is_no_number_of_bytes_is_wrong_usage(tmp_path):
     cloth_stage(tmp_path / "in.usda")
     result = run("simplify", tmp_path / "in.usda", "-o", tmp_path / "out.usda", "--ratio", 0.5, "--memory", "lots")
     assert result.exit_code == 2
-    assert "error: memory 'lots': expected bytes above 0" in result.stderr
+    assert "error: --memory 'lots': expected bytes above 0" in result.stderr
 
 
 def test_a_mesh_that_fails_half_way_leaves_no_trace(tmp_path, in_small_blocks):

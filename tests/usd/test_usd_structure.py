@@ -125,7 +125,7 @@ def test_input_of_an_unknown_format_is_an_error(tmp_path):
     (tmp_path / "in.abc").write_bytes(b"Ogawa\xff")
     result = CliRunner().invoke(app, ["info", str(tmp_path / "in.abc")])
     assert result.exit_code == 1
-    assert "Cannot determine file format" in result.output
+    assert "convert it to USD" in result.output
 
 
 @pytest.mark.parametrize("specifier", [Sdf.SpecifierDef, Sdf.SpecifierClass, Sdf.SpecifierOver])

@@ -16,9 +16,12 @@ from typing import Any, Literal, Union
 
 from warpqem.arguments.limits import Limits
 
-__all__ = ["Option", "OptionField", "check_options", "named_options", "option", "option_fields"]
+__all__ = ["Option", "OptionField", "Panel", "check_options", "named_options", "option", "option_fields"]
 
 KEY = "warpqem option"
+
+# Heads of the help, in its order.
+Panel = Literal["Input", "Goal", "Quality", "What to keep", "Skin and shapes", "Levels", "Output", "Machine"]
 
 
 @dataclass(frozen=True)
@@ -36,6 +39,7 @@ class Option:
         choices: a function that gives the names that it takes, where these are known at run time only.
         parse: makes a value from text, or from a list that says the same; None for numbers, flags and names.
         repeated: the command line takes it several times.
+        panel: under which head the help shows it.
     """
 
     help: str
@@ -47,6 +51,7 @@ class Option:
     choices: Callable[[], tuple[str, ...]] | None = None
     parse: Callable[[Any], Any] | None = None
     repeated: bool = False
+    panel: Panel | None = None
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from typing import Any, ParamSpec, Protocol, TypeVar
 
 from warpqem.arguments.number_input import shown
 from warpqem.errors import CancelledError, OptionError
+from warpqem.runtime.compiling import compile_listener
 
 __all__ = ["CancelToken", "Progress", "ProgressInput", "listener", "share_of", "with_progress_bar"]
 
@@ -96,10 +97,17 @@ def with_progress_bar(function: Callable[P, R]) -> Callable[P, R]:
 def _bar() -> Iterator[Progress]:
     # Loaded for a bar alone.
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TaskProgressColumn,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
 
     console = Console(file=sys.stderr)
-    columns: list[Any] = [BarColumn(), TaskProgressColumn(), TimeRemainingColumn()]
+    columns: list[Any] = [BarColumn(bar_width=20), TaskProgressColumn(), TimeElapsedColumn(), TimeRemainingColumn()]
     columns.append(TextColumn("{task.description}", markup=False))
     visible = console.is_terminal or console.is_jupyter
     if not visible:
@@ -107,5 +115,15 @@ def _bar() -> Iterator[Progress]:
         yield lambda fraction, text: None
         return
     with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task("", total=1.0)
-        yield lambda fraction, text: bar.update(task, completed=fraction, description=STAGES.get(text, text))
+        task, shown = bar.add_task("starting", total=1.0), "starting"
+
+        def show(fraction: float, text: str) -> None:
+            nonlocal shown
+            shown = STAGES.get(text, text)
+            bar.update(task, completed=fraction, description=shown)
+
+        def show_compiling(begins: bool) -> None:
+            bar.update(task, description="compiling kernels" if begins else shown)
+
+        with compile_listener(show_compiling):
+            yield show

@@ -1,6 +1,8 @@
 """Texture coordinates of the output that fit the input's: seams stay on their lines, and no triangle is turned over.
 
-A seam's coordinates are fitted along it only: across it, one side would show what lies beyond its island.
+A seam's coordinates are fitted along it only: across it, one side would show what lies beyond its island. None leaves
+the tiles, squares between whole numbers, that the input has there: beyond them another image of a UDIM set shows, or
+nothing.
 """
 
 from __future__ import annotations
@@ -29,6 +31,25 @@ UNTANGLE_ROUNDS = 20
 # Triangles that are looked at one by one at last, and how far beyond its edge a corner goes, in parts of its height.
 MAX_FOLDS = 1000
 BEYOND = 0.1
+# Values so near to the border of a tile are on it: means of values there are in single precision.
+ON_BORDER = 1e-6
+
+
+@dataclass(frozen=True)
+class _Tiles:
+    """The tiles that R values may be in.
+
+    Attributes:
+        lower: (R, 2) whole numbers.
+        upper: likewise.
+    """
+
+    lower: Floats
+    upper: Floats
+
+    def clip(self, values: Floats) -> Floats:
+        """Values (R, 2), those beyond their tiles on the border."""
+        return np.asarray(np.clip(values, self.lower, self.upper))
 
 
 @dataclass(frozen=True)
@@ -56,10 +77,10 @@ def fit_texture(faces: Ints, layout: ValueLayout, values: Floats, start: Floats,
         start: (R, 2) float64, so far.
         signs: (N',) which way each triangle of the output is to turn, see :func:`reference_signs`.
     """
-    outline = _find_outline(faces, layout.corner_row, len(start))
+    outline, tiles = _find_outline(faces, layout.corner_row, len(start)), _find_tiles(layout, values, start)
     slid = _slide(outline, layout, values, start)
-    fitted = fit_smooth_values(layout, values, slid, ~outline.on_seam)
-    return _turned_back(layout.corner_row, fitted, start, signs, ~outline.on_seam)
+    fitted = tiles.clip(fit_smooth_values(layout, values, slid, ~outline.on_seam))
+    return tiles.clip(_turned_back(layout.corner_row, fitted, start, signs, ~outline.on_seam, tiles))
 
 
 def face_signs(corners: Floats) -> npt.NDArray[np.int8]:
@@ -73,6 +94,19 @@ def reference_signs(layout: ValueLayout, values: Floats) -> npt.NDArray[np.int8]
     sign = face_signs(values[layout.corner_element])
     partner = layout.partners.face.numpy()
     return np.sign(np.where(partner >= 0, sign[partner], 0).sum(axis=1)).astype(np.int8)
+
+
+def _find_tiles(layout: ValueLayout, values: Floats, start: Floats) -> _Tiles:
+    """The tiles of the start and of the input's faces at the samples of the faces that have a value."""
+    lower, upper = np.floor(start + ON_BORDER), np.ceil(start - ON_BORDER)
+    partner = layout.partners.face.numpy()
+    has_partner, corner = (partner >= 0)[..., None], values[layout.corner_element]
+    row = layout.corner_row.ravel()
+    lowest = np.where(has_partner, np.floor(corner.min(axis=1))[partner], np.inf).min(axis=1)
+    np.minimum.at(lower, row, np.repeat(lowest, 3, axis=0))
+    highest = np.where(has_partner, np.ceil(corner.max(axis=1))[partner], -np.inf).max(axis=1)
+    np.maximum.at(upper, row, np.repeat(highest, 3, axis=0))
+    return _Tiles(lower, upper)
 
 
 def _find_outline(faces: Ints, corner_row: Ints, row_count: int) -> _Outline:
@@ -110,7 +144,9 @@ def _slide(outline: _Outline, layout: ValueLayout, values: Floats, start: Floats
     return slid
 
 
-def _turned_back(corner_row: Ints, fitted: Floats, start: Floats, signs: npt.NDArray[np.int8], free: Flags) -> Floats:
+def _turned_back(
+    corner_row: Ints, fitted: Floats, start: Floats, signs: npt.NDArray[np.int8], free: Flags, tiles: _Tiles
+) -> Floats:
     """Fitted values with less change, or none, where a triangle would be turned over by it."""
 
     def turned(values: Floats) -> Flags:
@@ -130,10 +166,10 @@ def _turned_back(corner_row: Ints, fitted: Floats, start: Floats, signs: npt.NDA
         # A neighbour of a triangle that is as before may be turned over by the other one's values.
         share[np.unique(corner_row[bad])] = 0.0
         values = start + share[:, None] * (fitted - start)
-    return _untangled(corner_row, values, signs, free)
+    return _untangled(corner_row, values, signs, free, tiles)
 
 
-def _untangled(corner_row: Ints, values: Floats, signs: npt.NDArray[np.int8], free: Flags) -> Floats:
+def _untangled(corner_row: Ints, values: Floats, signs: npt.NDArray[np.int8], free: Flags, tiles: _Tiles) -> Floats:
     """The same with fewer triangles turned over: their values are drawn to the middle of their neighbours'."""
     tail, head = corner_row.ravel(), np.roll(corner_row, -1, axis=1).ravel()
     ends, others = np.concatenate([tail, head]), np.concatenate([head, tail])
@@ -152,15 +188,15 @@ def _untangled(corner_row: Ints, values: Floats, signs: npt.NDArray[np.int8], fr
         near = moved[ends]
         degree = np.bincount(ends[near], minlength=len(values))
         middle = np.stack([np.bincount(ends[near], values[others[near], k], len(values)) for k in (0, 1)], axis=1)
-        trial = np.where(moved[:, None], middle / np.maximum(degree, 1)[:, None], values)
+        trial = np.where(moved[:, None], tiles.clip(middle / np.maximum(degree, 1)[:, None]), values)
         after = count(trial)
         if after >= left:
             break
         values, left = trial, after
-    return _folded_back(corner_row, values, signs)
+    return _folded_back(corner_row, values, signs, tiles)
 
 
-def _folded_back(corner_row: Ints, values: Floats, signs: npt.NDArray[np.int8]) -> Floats:
+def _folded_back(corner_row: Ints, values: Floats, signs: npt.NDArray[np.int8], tiles: _Tiles) -> Floats:
     """The same where the last triangles that are turned over are folded back at one of their edges, one by one.
 
     These are slivers along seams: the corner goes to the other side of the edge, where that turns no other one over.
@@ -175,6 +211,9 @@ def _folded_back(corner_row: Ints, values: Floats, signs: npt.NDArray[np.int8]) 
             across = np.array([-along[1], along[0]])
             squared = (along**2).sum()
             move = -(1 + BEYOND) * ((apex - first) @ across) / squared * across if squared > 0 else along
+            # On the border of its tile, where the fold would take it out.
+            goal = np.clip(apex + move, tiles.lower[rows[k]], tiles.upper[rows[k]])
+            move = goal - apex
             around = corner_row[(corner_row == rows[k]).any(axis=1)]
             signs_around = signs[(corner_row == rows[k]).any(axis=1)]
             before = (face_signs(values[around]) * signs_around < 0).sum()

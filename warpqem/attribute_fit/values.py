@@ -92,7 +92,8 @@ def fit_normals(layout: ValueLayout, values: Floats, start: Floats) -> Floats:
 
 
 def unit(vectors: npt.NDArray[np.floating]) -> Floats:
-    """Vectors (..., 3) of length one in double precision; those without a length stay."""
+    """Vectors (..., 3) of length one in double precision; those without a finite length become zero."""
     given = vectors.astype(np.float64)
-    length = np.linalg.norm(given, axis=-1, keepdims=True)
-    return np.divide(given, length, out=np.zeros_like(given), where=length > 0)
+    with np.errstate(over="ignore"):
+        length = np.linalg.norm(given, axis=-1, keepdims=True)
+    return np.divide(given, length, out=np.zeros_like(given), where=(length > 0) & np.isfinite(length))

@@ -15,7 +15,7 @@ from types import TracebackType
 from typing import Any
 
 from warpqem.batching.fingerprint import files_hash, is_current
-from warpqem.batching.job_result import DONE, BatchResult, report_of
+from warpqem.batching.job_result import DONE, SKIPPED, BatchResult, report_of
 from warpqem.batching.jobs import BatchJob
 from warpqem.errors import BatchError
 from warpqem.files.file_kinds import check_regular
@@ -23,6 +23,8 @@ from warpqem.files.file_kinds import check_regular
 __all__ = ["JOURNAL_NAME", "Journal"]
 
 JOURNAL_NAME = ".warpqem-batch.jsonl"
+# What the journal keeps of a result, for the totals of a batch that is resumed.
+COUNTS = ("faces", "faces_after", "face_frames")
 
 _log = logging.getLogger(__name__)
 
@@ -66,6 +68,17 @@ class Journal:
         record = self._records.get(self._key(job.output))
         return record is not None and is_current(job, record)
 
+    def skipped(self, job: BatchJob) -> BatchResult:
+        """The result of a job that is done: the counts are those of the time when it was; 0 from older journals."""
+        counts = self._records[self._key(job.output)].get("counts")
+        known = counts if isinstance(counts, dict) else {}
+        result = BatchResult(job.input, job.output, SKIPPED)
+        for name in COUNTS:
+            count = known.get(name)
+            if isinstance(count, int) and not isinstance(count, bool):
+                setattr(result, name, count)
+        return result
+
     def add(self, result: BatchResult) -> None:
         """Note a job that is done. A full disk costs the note, not the batch."""
         if result.status != DONE or result.fingerprint is None:
@@ -74,6 +87,7 @@ class Journal:
             "output": self._key(result.output),
             "output_hash": files_hash(report_of(result).get("outputs") or [result.output]),
             "fingerprint": result.fingerprint,
+            "counts": {name: getattr(result, name) for name in COUNTS},
         }
         try:
             # A line that a full disk cut short is ended first.

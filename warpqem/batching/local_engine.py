@@ -140,7 +140,7 @@ class _Pool:
         self.workers: list[_Worker] = []
         self._waiting = deque(_Task(job) for job in jobs)
         self._left = len(jobs)
-        self._devices = [engine.device] if engine.device else [gpu.alias for gpu in wp.get_cuda_devices()] or ["cpu"]
+        self._devices = [engine.device] if engine.device else _all_devices()
         self._size = engine.worker_count(len(jobs), self._devices)
         self._failed_starts = 0
         # Kernels are compiled by one worker, and found by the others.
@@ -318,6 +318,11 @@ class _Pool:
         worker.connection.close()
         if worker.task is not None:
             remove_leftovers(Path(worker.task.job.output).parent, worker.process.pid)
+
+
+def _all_devices() -> list[str]:
+    """The GPUs of this machine, or its CPU; resolving a device starts Warp without its messages."""
+    return ["cpu"] if resolve_device() == "cpu" else [gpu.alias for gpu in wp.get_cuda_devices()]
 
 
 def ending(code: int | None) -> str:

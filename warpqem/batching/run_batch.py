@@ -11,7 +11,7 @@ from pathlib import Path
 from warpqem.arguments.number_input import check_function, flag, shown
 from warpqem.arguments.progress import CancelToken, listener
 from warpqem.batching.engine import Engine, Finished, Update
-from warpqem.batching.job_result import SKIPPED, BatchResult
+from warpqem.batching.job_result import BatchResult
 from warpqem.batching.jobs import BatchJob, read_jobs
 from warpqem.batching.journal import Journal
 from warpqem.batching.local_engine import LocalEngine
@@ -121,7 +121,7 @@ def _results(
         for job in jobs:
             result = unread.get(job.output)
             if resume and notes is not None and notes.is_done(job):
-                result = BatchResult(job.input, job.output, SKIPPED)
+                result = notes.skipped(job)
             if result is None:
                 todo.append(job)
             else:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from warpqem.cli.console import PlainTable, error_text
+from warpqem.cli.tables import PlainTable, error_text
 
 if TYPE_CHECKING:
     from warpqem.usd.commands.compare import PairReport
 
 __all__ = ["appearance_table"]
+
+# Figures that a terminal has no room for are left out from the end of this.
+LAST_SHOWN = ("seam drift %", "stretch", "of reference", "swim %", "swim 95 %")
 
 
 def appearance_table(pairs: list[PairReport]) -> PlainTable:
@@ -17,10 +20,10 @@ def appearance_table(pairs: list[PairReport]) -> PlainTable:
     from warpqem.measure.appearance_rows import APPEARANCE_COLUMNS, APPEARANCE_TITLE, appearance_rows
 
     table = PlainTable(APPEARANCE_TITLE)
-    table.add_column("mesh", overflow="fold")
-    table.add_column("values", overflow="fold")
+    table.add_column("mesh", is_path=True)
+    table.add_column("values", is_path=True)
     for name in APPEARANCE_COLUMNS:
-        table.add_column(name, justify="right")
+        table.add_column(name, "right", rank=LAST_SHOWN.index(name) + 1 if name in LAST_SHOWN else 0)
     for pair in pairs:
         if pair.appearance is None:
             continue

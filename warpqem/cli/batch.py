@@ -14,18 +14,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from warpqem.cli.console import (
-    EXIT_FAILED,
-    EXIT_INTERRUPTED,
-    load_usd,
-    print_message,
-    print_table,
-    progress_bar,
-    quiet_libraries,
-)
+from warpqem.cli import messages
+from warpqem.cli.console import EXIT_FAILED, EXIT_INTERRUPTED, load_usd, print_message, quiet_libraries
 from warpqem.cli.crash_guard import interruptible
-from warpqem.cli.logs import LogJson, Verbose, start_logging
+from warpqem.cli.logs import LogJson, Quiet, Verbose, start_logging
 from warpqem.cli.option_parameters import takes_options
+from warpqem.cli.progress_bar import progress_bar
+from warpqem.cli.tables import print_table
 from warpqem.errors import OptionError, StageError
 from warpqem.usd.commands.simplify_options import SimplifyOptions
 
@@ -72,45 +67,111 @@ def batch(
     ],
     output: Annotated[
         str,
-        typer.Option("--output", "-o", metavar="DIR", help="Folder for the outputs; the folders of INPUT are kept."),
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="DIR",
+            rich_help_panel="Output",
+            help="Folder for the outputs; the folders of INPUT are kept.",
+        ),
     ],
     options: dict[str, Any],
     output_format: Annotated[
         OutputFormat | None,
-        typer.Option("--format", hidden=True, help="Kind of the outputs; by default that of each input."),
+        typer.Option(
+            "--format",
+            hidden=True,
+            metavar="usd|usda|usdc|usdz",
+            rich_help_panel="Output",
+            help="Kind of the outputs; by default that of each input.",
+        ),
     ] = None,
     resume: Annotated[
         bool,
-        typer.Option("--resume", help="Leave out what is done already from the same files with the same options."),
+        typer.Option(
+            "--resume",
+            rich_help_panel="Output",
+            help="Leave out what is done already from the same files with the same options.",
+        ),
     ] = False,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be done, and do nothing.")] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", rich_help_panel="Output", help="Say what would be done, and do nothing.")
+    ] = False,
     jobs: Annotated[
         int | None,
-        typer.Option(help="Processes on this machine; by default one for each GPU, or for each core without any."),
+        typer.Option(
+            metavar="COUNT",
+            rich_help_panel="Machine",
+            help="Processes on this machine; by default one for each GPU, or for each core without any.",
+        ),
     ] = None,
     timeout: Annotated[
-        float | None, typer.Option(metavar="SECONDS", help="Stop an asset that takes longer, and go on without it.")
+        float | None,
+        typer.Option(
+            metavar="SECONDS", rich_help_panel="Machine", help="Stop an asset that takes longer, and go on without it."
+        ),
     ] = None,
-    retries: Annotated[int, typer.Option(hidden=True, help="How often to begin anew what has lost its process.")] = 1,
+    retries: Annotated[
+        int,
+        typer.Option(
+            hidden=True,
+            metavar="COUNT",
+            rich_help_panel="Machine",
+            help="How often to begin anew what has lost its process.",
+        ),
+    ] = 1,
     engine: Annotated[
-        EngineName, typer.Option(hidden=True, help="Processes on this machine, or tasks on a Ray cluster.")
+        EngineName,
+        typer.Option(
+            hidden=True,
+            metavar="local|ray",
+            rich_help_panel="Machine",
+            help="Processes on this machine, or tasks on a Ray cluster.",
+        ),
     ] = EngineName.local,
     address: Annotated[
-        str | None, typer.Option(hidden=True, help="With --engine ray: the cluster; auto for that of this machine.")
+        str | None,
+        typer.Option(
+            hidden=True,
+            metavar="HOST",
+            rich_help_panel="Machine",
+            help="With --engine ray: the cluster; auto for that of this machine.",
+        ),
     ] = None,
-    cpus: Annotated[float, typer.Option(hidden=True, help="With --engine ray: CPU cores of an asset.")] = 1.0,
+    cpus: Annotated[
+        float,
+        typer.Option(
+            hidden=True, metavar="CORES", rich_help_panel="Machine", help="With --engine ray: CPU cores of an asset."
+        ),
+    ] = 1.0,
     gpus: Annotated[
         float | None,
-        typer.Option(hidden=True, help="With --engine ray: GPUs of an asset, such as 0.25; by default 1 if any."),
+        typer.Option(
+            hidden=True,
+            metavar="GPUS",
+            rich_help_panel="Machine",
+            help="With --engine ray: GPUs of an asset, such as 0.25; by default 1 if any.",
+        ),
     ] = None,
     json: Annotated[
         str | None,
-        typer.Option("--json", metavar="FILE", help="Write a line of JSON for each asset to FILE, or to stdout for -."),
+        typer.Option(
+            "--json",
+            metavar="FILE",
+            rich_help_panel="Output",
+            help="Write a line of JSON for each asset to FILE, or to stdout for -.",
+        ),
     ] = None,
     report: Annotated[
         str | None,
-        typer.Option("--report", metavar="FILE", help="Write an overview (.html) with pictures; it opens offline."),
+        typer.Option(
+            "--report",
+            metavar="FILE",
+            rich_help_panel="Output",
+            help="Write an overview (.html) with pictures; it opens offline.",
+        ),
     ] = None,
+    quiet: Quiet = False,
     verbose: Verbose = 0,
     log_json: LogJson = None,
 ) -> None:
@@ -120,6 +181,7 @@ def batch(
 
     Exit codes: 0 all done; 1 an error, or some asset or mesh failed; 2 wrong usage; 130 interrupted.
     """
+    messages.quiet = quiet
     quiet_libraries()
     load_usd()
     start_logging(verbose, None)
@@ -128,6 +190,7 @@ def batch(
     from warpqem.batching.output_check import check_batch_outputs
     from warpqem.batching.run_batch import batch as run_batch
     from warpqem.cli.batch_display import BatchDisplay, summary_table
+    from warpqem.cli.batch_messages import print_written
     from warpqem.files.outputs import InputFile, named_outputs
     from warpqem.report.page import check_page_path
 
@@ -150,14 +213,17 @@ def batch(
     _make_folder(folder)
     count = len(work) + len(wrong)
     with interruptible(), _lines(json) as write, display:
-        results, interrupted = _collect(wrong, updates, write)
+        results, interrupted = _collect(wrong, updates, write, verbose > 0)
         seconds = display.seconds
-    print_table(summary_table(results, count, seconds), to_stderr=json == "-")
+    if not quiet:
+        print_table(summary_table(results, count, seconds), to_stderr=json == "-")
     if interrupted:
         print_message("error", f"interrupted after {len(results)} of {count} assets; go on with --resume")
         raise typer.Exit(EXIT_INTERRUPTED)
     if report is not None:
         _write_overview(report, results, options)
+    if not quiet:
+        print_written(folder, results, report, json)
     if not all(result.ok for result in results):
         raise typer.Exit(EXIT_FAILED)
 
@@ -174,19 +240,27 @@ def _show_plan(work: list[BatchJob], wrong: list[WrongLine], journal: Path | Non
 
 
 def _collect(
-    wrong: list[WrongLine], updates: Generator[BatchResult, None, None], write: Callable[[BatchResult], None]
+    wrong: list[WrongLine],
+    updates: Generator[BatchResult, None, None],
+    write: Callable[[BatchResult], None],
+    each: bool,
 ) -> tuple[list[BatchResult], bool]:
-    """The results of all assets as they come, and whether an interrupt ended that."""
-    from warpqem.cli.batch_losses import loss_lines
+    """The results of all assets as they come, and whether an interrupt ended that.
+
+    Args:
+        wrong: Lines of manifests that are no jobs.
+        updates: The results of the others.
+        write: Called with each result.
+        each: Print a line for each mesh.
+    """
+    from warpqem.cli.batch_messages import result_lines
 
     results: list[BatchResult] = []
     try:
         for result in chain((line.result() for line in wrong), updates):
             results.append(result)
             write(result)
-            if not result.ok:
-                print_message("error", f"{result.error}: {result.message}")
-            for kind, text in loss_lines(result):
+            for kind, text in result_lines(result, each):
                 print_message(kind, text)
     except KeyboardInterrupt:
         return results, True

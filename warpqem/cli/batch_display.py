@@ -10,16 +10,21 @@ from pathlib import Path
 from types import TracebackType
 
 from rich.console import Console
-from rich.progress import BarColumn, TaskID, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from rich.progress import TaskID
 
 from warpqem.batching.engine import Finished, Progressed, Started, Update
 from warpqem.batching.job_result import DONE, FAILED, PARTIAL, SKIPPED, BatchResult, report_of
 from warpqem.batching.jobs import BatchJob
 from warpqem.batching.journal import Journal
-from warpqem.cli.batch_losses import has_losses
-from warpqem.cli.console import PlainTable, QuietProgress
+from warpqem.cli import messages
+from warpqem.cli.batch_messages import failure_text, has_losses
+from warpqem.cli.message_groups import file_size
+from warpqem.cli.progress_bar import QuietProgress, bar_columns
+from warpqem.cli.tables import PlainTable
+from warpqem.costs.screen_error import ScreenView
 from warpqem.files.file_kinds import kind_of
 from warpqem.printable import printable
+from warpqem.usd.commands.simplify_options import GOALS
 
 __all__ = ["BatchDisplay", "dry_run_table", "summary_table"]
 
@@ -27,6 +32,12 @@ __all__ = ["BatchDisplay", "dry_run_table", "summary_table"]
 BYTES_FOR_OPENING = 2**16
 # Failed assets that the closing table names; messages about all of them were printed before.
 MAX_NAMED = 20
+# Meshes whose verdict is not good that it names, the worst first.
+MAX_WORST = 5
+# In the order of the closing table.
+STATUSES = (DONE, PARTIAL, SKIPPED, FAILED)
+# Columns that a terminal without room for all shows last.
+SUMMARY_RANKS = {"most memory MB": 3, "process seconds": 2, "faces x frames": 1}
 
 
 class BatchDisplay:
@@ -34,16 +45,14 @@ class BatchDisplay:
 
     def __init__(self, jobs: Sequence[BatchJob]) -> None:
         console = Console(stderr=True)
-        columns = [
-            BarColumn(),
-            TaskProgressColumn(),
-            TimeRemainingColumn(),
-            TextColumn("{task.description}", markup=False),
-        ]
-        self._progress = QuietProgress(*columns, console=console, transient=True, disable=not console.is_terminal)
+        is_hidden = not console.is_terminal or messages.quiet
+        self._progress = QuietProgress(*bar_columns(), console=console, transient=True, expand=True, disable=is_hidden)
         self._weights = {job.output: _weight(job) for job in jobs}
         self._count, self._done, self._failed, self._face_frames = len(jobs), 0, 0, 0
-        self._all = self._progress.add_task("", total=sum(self._weights.values()) or 1)
+        # Until the first asset begins, processes start and kernels are compiled or loaded.
+        self._all = self._progress.add_task(
+            "starting, kernels are compiled the first time", total=sum(self._weights.values()) or 1
+        )
         self._running: dict[str, TaskID] = {}
         self._start = time.perf_counter()
 
@@ -97,49 +106,74 @@ def dry_run_table(jobs: Sequence[BatchJob], journal: Path | None) -> PlainTable:
     if journal is not None and journal.exists():
         with Journal(journal) as notes:
             done = {job.output for job in jobs if notes.is_done(job)}
-    table = PlainTable(f"{len(jobs) - len(done)} of {len(jobs)} assets to be done")
-    for name in ("input", "output", ""):
-        table.add_column(name, overflow="fold")
+    table = PlainTable(f"{len(jobs) - len(done):,} of {len(jobs):,} assets to be done")
+    for name in ("input", "output"):
+        table.add_column(name, is_path=True)
+    table.add_column("size", "right", rank=1)
+    table.add_column("goal")
+    table.add_column("state")
     for job in jobs:
-        state = "is done" if job.output in done else _why_not(job.input)
-        table.add_row(job.input, job.output, state)
+        table.add_row(*_dry_run_row(job, job.output in done))
     return table
 
 
-def _why_not(path: str) -> str:
-    return "" if os.path.isfile(path) else kind_of(path) or "no such file"
+def _dry_run_row(job: BatchJob, is_done: bool) -> tuple[str, ...]:
+    state = "is done" if is_done else "to do" if os.path.isfile(job.input) else kind_of(job.input) or "no such file"
+    return job.input, job.output, file_size(job.input), _goal(job), state
+
+
+def _goal(job: BatchJob) -> str:
+    """How far an asset is to be simplified, in the words of the command line."""
+    return ", ".join(
+        f"{name.replace('_', ' ')} {_value(getattr(job.options, name))}"
+        for name in GOALS
+        if getattr(job.options, name) not in (None, ())
+    )
+
+
+def _value(value: object) -> str:
+    if isinstance(value, tuple):
+        return ",".join(map(_value, value))
+    if isinstance(value, ScreenView):
+        return f"{value.error:g} px"
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def summary_table(results: Sequence[BatchResult], job_count: int, seconds: float) -> PlainTable:
-    """How a batch ended, with the assets that failed first."""
-    counts = Counter(result.status for result in results)
-    table = PlainTable(f"{len(results)} of {job_count} assets in {seconds:.1f} s")
+    """How a batch ended, with the reasons of the assets that failed."""
+    table = PlainTable(f"{len(results):,} of {job_count:,} assets in {seconds:,.1f} s")
     table.add_column("")
     for name in ("assets", "faces before", "faces after", "faces x frames", "process seconds", "most memory MB"):
-        table.add_column(name, justify="right")
-    for status in (DONE, PARTIAL, SKIPPED, FAILED):
-        if counts[status]:
-            some = [result for result in results if result.status == status]
-            peak = max((result.peak_memory or 0 for result in some), default=0)
-            table.add_row(
-                status,
-                str(len(some)),
-                str(sum(result.faces for result in some)),
-                str(sum(result.faces_after for result in some)),
-                _count(sum(result.face_frames for result in some)),
-                f"{sum(result.seconds for result in some):.1f}",
-                str(peak >> 20) if peak else "",
-            )
+        table.add_column(name, "right", rank=SUMMARY_RANKS.get(name, 0))
+    found = {status: [result for result in results if result.status == status] for status in STATUSES}
+    rows = [_summary_row(status, some) for status, some in found.items() if some]
+    if len(rows) > 1:
+        rows.append(_summary_row("total", results))
+    for index, row in enumerate(rows):
+        table.add_row(*row, end_section=len(rows) > 1 and index == len(rows) - 2)
     _add_verdicts(table, results)
     losing = sum(map(has_losses, results))
     if losing:
         table.add_note(f"{losing} of {len(results)} assets lost what does not fit the new meshes, named above")
     bad = [result for result in results if not result.ok]
     for result in bad[:MAX_NAMED]:
-        table.add_note(f"{result.error}: {result.input}")
+        table.add_note(f"{result.status}: {failure_text(result)}")
     if len(bad) > MAX_NAMED:
-        table.add_note(f"and {len(bad) - MAX_NAMED} more, all named above")
+        table.add_note(f"and {len(bad) - MAX_NAMED} more that failed, all named above")
     return table
+
+
+def _summary_row(name: str, results: Sequence[BatchResult]) -> list[str | int]:
+    peak = max((result.peak_memory or 0 for result in results), default=0)
+    return [
+        name,
+        len(results),
+        sum(result.faces for result in results),
+        sum(result.faces_after for result in results),
+        _count(sum(result.face_frames for result in results)),
+        f"{sum(result.seconds for result in results):,.1f}",
+        peak >> 20 if peak else "",
+    ]
 
 
 def _add_verdicts(table: PlainTable, results: Sequence[BatchResult]) -> None:
@@ -158,10 +192,10 @@ def _add_verdicts(table: PlainTable, results: Sequence[BatchResult]) -> None:
     table.add_note("meshes: " + ", ".join(f"{counts[word]} {word}" for word in WORDS if counts[word]))
     wanting = [entry for entry in found if entry[2]["reason"]]
     wanting.sort(key=lambda entry: rank(entry[2]["verdict"], entry[2]["hausdorff"]))
-    for source, path, measured in wanting[:MAX_NAMED]:
+    for source, path, measured in wanting[:MAX_WORST]:
         table.add_note(f"{measured['verdict']}: {source}: {path}: {measured['reason']}")
-    if len(wanting) > MAX_NAMED:
-        table.add_note(f"and {len(wanting) - MAX_NAMED} more that are not good, see --json")
+    if len(wanting) > MAX_WORST:
+        table.add_note(f"and {len(wanting) - MAX_WORST} more that are not good, see --json")
 
 
 def _weight(job: BatchJob) -> int:

@@ -7,18 +7,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from warpqem.cli.appearance_table import appearance_table
-from warpqem.cli.console import (
-    EXIT_FAILED,
-    PlainTable,
-    error_text,
-    load_usd,
-    print_message,
-    print_table,
-    progress_bar,
-    quiet_libraries,
-    write_json,
-)
+from warpqem.cli.console import EXIT_FAILED, load_usd, print_message, quiet_libraries, write_json
+from warpqem.cli.logs import ShownQuiet
 from warpqem.cli.parameters import Device, Frames, JsonReport, Prims, ReportPage, Variants
+from warpqem.cli.progress_bar import progress_bar
+from warpqem.cli.tables import PlainTable, error_text, print_table, shortened_path, upper_text
 
 if TYPE_CHECKING:
     from warpqem.usd.commands.compare import PairReport
@@ -27,6 +20,10 @@ __all__ = ["EXAMPLES", "compare"]
 
 # Under its help; tests run them.
 EXAMPLES = ("warpqem compare cape_wind.usdc cape.usda --heatmap heat.usdc --report compare.html",)
+# Meshes that are not good of which the table says why, and characters of their paths.
+MAX_WORST, NOTE_WIDTH = 8, 40
+# Figures that a terminal has no room for are left out from the end of this.
+LAST_SHOWN = ("normals deg", "frames", "mean %", "jitter %", "slide %", "slide 95 %", "edge length %")
 
 
 def compare(
@@ -37,8 +34,9 @@ def compare(
     samples: Annotated[
         int | None,
         typer.Option(
+            metavar="COUNT",
             help="Number of sample points on each mesh in each frame; by default as many as suit the number of frames, "
-            "which are those of simplify."
+            "which are those of simplify.",
         ),
     ] = None,
     frames: Frames = None,
@@ -52,6 +50,7 @@ def compare(
         str | None,
         typer.Option(
             metavar="OUT",
+            rich_help_panel="Output",
             help="Write a layer over TEST that colours each vertex by its distance to REFERENCE in each frame "
             "(primvars:displayColor); switch materials off to see it.",
         ),
@@ -67,6 +66,7 @@ def compare(
     device: Device = None,
     report: ReportPage = None,
     json: JsonReport = None,
+    quiet: ShownQuiet = False,
 ) -> None:
     """Measure the meshes that TEST shows against those that REFERENCE shows at the same prim path, at the frames of
     both. What instances share is measured once.
@@ -82,26 +82,27 @@ def compare(
 
     Exit codes: 0 all done; 1 an error, or some pair failed; 2 wrong usage; 130 interrupted.
     """
-    quiet_libraries()
-    load_usd()
-    from warpqem.files.outputs import named_outputs
-    from warpqem.report.page import check_page_path
-    from warpqem.usd import CompareOptions, FrameRange, compare_stages
-    from warpqem.usd.commands.report_page import write_compare_report
+    with progress_bar("loading") as progress:
+        quiet_libraries()
+        load_usd()
+        from warpqem.files.outputs import named_outputs
+        from warpqem.report.page import check_page_path
+        from warpqem.usd import CompareOptions, FrameRange, compare_stages
+        from warpqem.usd.commands.report_page import write_compare_report
 
-    if report is not None:
-        check_page_path(report)
-    options = CompareOptions(
-        samples=samples,
-        frames=FrameRange.parse(frames) if frames else None,
-        prims=tuple(prim or ()),
-        device=device,
-        heatmap=heatmap,
-        heatmap_scale=scale,
-        variants=tuple(variant or ()),
-        all_lods=all_lods,
-    )
-    with progress_bar("reading") as progress:
+        if report is not None:
+            check_page_path(report)
+        options = CompareOptions(
+            samples=samples,
+            frames=FrameRange.parse(frames) if frames else None,
+            prims=tuple(prim or ()),
+            device=device,
+            heatmap=heatmap,
+            heatmap_scale=scale,
+            variants=tuple(variant or ()),
+            all_lods=all_lods,
+        )
+        progress(0.0, "reading")
         others = named_outputs({"--report": report, "--json": json})
         pairs = compare_stages(reference, test, options, progress, others)
         if report is not None and any(pair.comparison for pair in pairs):
@@ -130,21 +131,20 @@ def _table(reference: str, test: str, pairs: list[PairReport]) -> PlainTable:
     levels = any(pair.level for pair in pairs)
     if levels:
         table.add_column("level")
-    table.add_column("mesh", overflow="fold")
+    table.add_column("mesh", is_path=True)
     names = ("frames", "faces", "RMS %", "mean %", "Hausdorff %", "normals deg", "flips", "jitter %", "slide %")
     for name in (*names, "slide 95 %", "edge length %"):
-        table.add_column(name, justify="right")
+        table.add_column(name, "right", rank=LAST_SHOWN.index(name) + 1 if name in LAST_SHOWN else 0)
     table.add_column("verdict")
+    wanting: list[str] = []
     for pair in sorted(pairs, key=_badness):
         measures = pair.comparison
         cells = [pair.level or "", pair.path] if levels else [pair.path]
         if measures is None:
             table.add_row(*cells, "failed")
             continue
+        distances = (error_text(measures.rms), error_text(measures.mean), upper_text(measures.hausdorff))
         values = (
-            measures.rms,
-            measures.mean,
-            measures.hausdorff,
             measures.normal_deviation,
             measures.flips,
             measures.jitter,
@@ -152,11 +152,15 @@ def _table(reference: str, test: str, pairs: list[PairReport]) -> PlainTable:
             measures.slide_p95,
             measures.edge_length_error,
         )
-        faces = f"{measures.reference_topology.faces} / {measures.test_topology.faces}"
+        faces = f"{measures.reference_topology.faces:,} / {measures.test_topology.faces:,}"
         verdict = measures.verdict
-        table.add_row(*cells, str(measures.frame_count), faces, *map(error_text, values), verdict.word)
+        table.add_row(*cells, measures.frame_count, faces, *distances, *map(error_text, values), verdict.word)
         if verdict.reason:
-            table.add_note(f"{verdict.word}: {pair.path}: {verdict.reason}")
+            wanting.append(f"{verdict.word}: {shortened_path(pair.path, NOTE_WIDTH)}: {verdict.reason}")
+    for text in wanting[:MAX_WORST]:
+        table.add_note(text)
+    if len(wanting) > MAX_WORST:
+        table.add_note(f"and {len(wanting) - MAX_WORST} more that are not good")
     return table
 
 

@@ -6,24 +6,18 @@ import json
 import os
 import sys
 import traceback
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 import typer.core
-from rich.box import SIMPLE_HEAD
-from rich.console import Console, RenderableType
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
-from rich.style import StyleType
-from rich.table import Table
-from rich.text import Text
 
 from warpqem.cli import messages
+from warpqem.cli.flag_names import error_text, flags_of
 from warpqem.cli.messages import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_USAGE, print_message, printed_messages
 from warpqem.errors import OptionError, StageError, WarpqemError
-from warpqem.printable import printable, printable_lines
+from warpqem.printable import printable_lines
 from warpqem.runtime.process_limits import limit_behind_error, with_limit
 
 if TYPE_CHECKING:
@@ -34,21 +28,12 @@ __all__ = [
     "EXIT_FAILED",
     "EXIT_INTERRUPTED",
     "EXIT_USAGE",
-    "WIDEST",
     "OneLineErrors",
-    "PlainTable",
-    "QuietProgress",
-    "error_text",
     "load_usd",
     "print_message",
-    "print_table",
-    "progress_bar",
     "quiet_libraries",
     "write_json",
 ]
-
-# Where output goes to a file or a pipe, lines may be as long as a table needs, within reason.
-WIDEST = 1000
 
 # Set to anything, an error that is a defect of warpqem or of the machine comes with its traceback.
 TRACEBACK_VARIABLE = "WARPQEM_TRACEBACK"
@@ -102,10 +87,11 @@ class OneLineErrors(typer.core.TyperGroup):
         try:
             return super().main(args, prog_name, complete_var, False, windows_expand_args, **extra)
         except OptionError as error:
-            print_message("error", str(error))
+            print_message("error", error_text(error, flags_of(self, sys.argv[1:] if args is None else args)))
             return EXIT_USAGE
         except WarpqemError as error:
-            print_message("error", with_limit(str(error), error))
+            flags = flags_of(self, sys.argv[1:] if args is None else args)
+            print_message("error", with_limit(error_text(error, flags), error))
         except MemoryError as error:
             print_message("error", with_limit("out of memory", error))
         except typer.Abort:
@@ -143,19 +129,13 @@ def print_usd_warnings() -> None:
 
 
 class _WarpMessages:
-    """Warp's messages as lines on stderr; of those about modules and devices only that kernels are being compiled."""
-
-    def __init__(self) -> None:
-        self._told = False
+    """Warp's messages as lines on stderr, but for those about modules and devices."""
 
     def debug(self, message: str) -> None:
         pass
 
     def info(self, message: str) -> None:
-        # Warp says so for each module when it has been compiled, so this comes after the first of about ten.
-        if "(compiled)" in message and not self._told:
-            self._told = True
-            print_message("note", "compiling the kernels, which takes some seconds the first time on a device")
+        pass
 
     def warning(self, message: str, category: type[Warning] | None = None, stacklevel: int = 1) -> None:
         print_message("warning", " ".join(message.split()))
@@ -180,70 +160,11 @@ def load_usd() -> None:
 
 
 def quiet_libraries() -> None:
-    """Keep Warp's messages off stdout, which belongs to the command's result, and make lines of those that compile."""
+    """Keep Warp's messages off stdout, which belongs to the command's result."""
     import warp
 
     warp.config.log_level = warp.LOG_INFO
     warp.set_logger(_WarpMessages())
-
-
-class QuietProgress(Progress):
-    """A progress display that writes nothing where it is disabled; before rich 14.3 its end is an empty line."""
-
-    def stop(self) -> None:
-        """Stop the display, if there is one."""
-        if not self.disable:
-            super().stop()
-
-
-@contextmanager
-def progress_bar(first_text: str) -> Iterator[Callable[[float, str], None]]:
-    """Show a progress bar on stderr; nothing if stderr is not a terminal.
-
-    Yields:
-        A function that takes the fraction done and what is being done.
-    """
-    console = Console(stderr=True)
-    columns = [BarColumn(), TaskProgressColumn(), TimeElapsedColumn(), TextColumn("{task.description}", markup=False)]
-    with QuietProgress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task(first_text, total=1.0)
-        yield lambda fraction, text: progress.update(task, completed=fraction, description=printable(text))
-
-
-class PlainTable(Table):
-    """A table whose title and cells are shown as they are: no markup, and nothing that drives a terminal."""
-
-    def __init__(self, title: str) -> None:
-        # Without lines between columns figures have room at 80 characters.
-        super().__init__(title=Text(printable(title)), box=SIMPLE_HEAD, padding=(0, 0))
-        self._notes: list[str] = []
-
-    def add_row(
-        self, *renderables: RenderableType | None, style: StyleType | None = None, end_section: bool = False
-    ) -> None:
-        """Add a row of plain text."""
-        cells = [Text(printable(cell)) if isinstance(cell, str) else cell for cell in renderables]
-        super().add_row(*cells, style=style, end_section=end_section)
-
-    def add_note(self, text: str) -> None:
-        """Add a line below the table."""
-        self._notes.append(printable(text))
-        self.caption = Text("\n".join(self._notes))
-
-
-def error_text(value: float | None) -> str:
-    """A measured figure as every table shows it; empty for none."""
-    return "" if value is None else f"{value:.4g}"
-
-
-def print_table(table: PlainTable, to_stderr: bool = False) -> None:
-    """Print a table, by default on stdout; where that is not a terminal, as wide as it needs to be."""
-    console = Console(stderr=to_stderr)
-    if not console.is_terminal:
-        widest = console.measure(table, options=console.options.update(max_width=WIDEST)).maximum
-        # Rich measures tables without padding a character short.
-        console.width = widest + len(table.columns)
-    console.print(table)
 
 
 def write_json(target: str, value: Any) -> None:

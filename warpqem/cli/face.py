@@ -6,12 +6,13 @@ from typing import Annotated, Any
 
 import typer
 
-from warpqem.cli.console import PlainTable, load_usd, print_table, quiet_libraries, write_json
+from warpqem.cli.console import load_usd, quiet_libraries, write_json
 from warpqem.cli.examples import epilog
 from warpqem.cli.help_option import Command, Group
 from warpqem.cli.option_parameters import takes_options
 from warpqem.cli.parameters import Device, Frames, Input, JsonReport, Output, ReportPage
 from warpqem.cli.simplify import run_simplify
+from warpqem.cli.tables import PlainTable, print_table
 from warpqem.usd.commands.simplify_options import SimplifyOptions
 
 __all__ = ["face"]
@@ -24,7 +25,10 @@ face = typer.Typer(
 POINT_OPTIONS = ("metric", "face_points", "face_weight", "face_ring", "face_keep")
 
 FacePrim = Annotated[
-    str | None, typer.Option("--prim", metavar="PATH", help="Prim path of the face; by default the largest mesh.")
+    str | None,
+    typer.Option(
+        "--prim", metavar="PATH", rich_help_panel="Input", help="Prim path of the face; by default the largest mesh."
+    ),
 ]
 Points = Annotated[
     str | None,
@@ -48,10 +52,18 @@ FindOrientation = Annotated[
 def detect(
     input_file: Input,
     output: Annotated[
-        str | None, typer.Option("--output", "-o", metavar="FILE", help="JSON file to write the points to.")
+        str | None,
+        typer.Option(
+            "--output", "-o", metavar="FILE", rich_help_panel="Output", help="JSON file to write the points to."
+        ),
     ] = None,
     picture: Annotated[
-        str | None, typer.Option(metavar="PNG", help="Draw the points on the face, from the front and from the side.")
+        str | None,
+        typer.Option(
+            metavar="PNG",
+            rich_help_panel="Output",
+            help="Draw the points on the face, from the front and from the side.",
+        ),
     ] = None,
     prim: FacePrim = None,
     frames: Frames = None,
@@ -81,7 +93,7 @@ def detect(
             write_json(target, written)
     table = PlainTable(f"{found.path}: {len(written['points'])} points")
     for name in ("point", "index", "confidence"):
-        table.add_column(name, justify="left" if name == "point" else "right", overflow="fold")
+        table.add_column(name, "left" if name == "point" else "right", wraps=name == "confidence")
     for name, entry in written["points"].items():
         table.add_row(name, str(entry["point"]), f"{entry['confidence']:.2f}")
     for name, reason in written["missing"].items():
@@ -191,7 +203,7 @@ def retarget(
     table = PlainTable(f"{source_file}, {target_file} -> {output}")
     for name in row:
         table.add_column(name, justify="right")
-    table.add_row(*map(str, row.values()))
+    table.add_row(*row.values())
     print_table(table, to_stderr=json == "-")
     if json is not None:
         write_json(json, {"source": source_file, "target": target_file, "output": output, **row})

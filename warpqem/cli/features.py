@@ -7,18 +7,12 @@ from typing import Any
 
 import typer
 
-from warpqem.cli.console import (
-    EXIT_FAILED,
-    PlainTable,
-    load_usd,
-    print_message,
-    print_table,
-    progress_bar,
-    quiet_libraries,
-    write_json,
-)
+from warpqem.cli.console import EXIT_FAILED, load_usd, print_message, quiet_libraries, write_json
+from warpqem.cli.logs import ShownQuiet
 from warpqem.cli.option_parameters import takes_options
 from warpqem.cli.parameters import Input, JsonReport, Output
+from warpqem.cli.progress_bar import progress_bar
+from warpqem.cli.tables import PlainTable, print_table
 from warpqem.usd.commands.simplify_options import SimplifyOptions
 
 __all__ = ["EXAMPLES", "features"]
@@ -28,7 +22,13 @@ EXAMPLES = ("warpqem features quadruped_gallop.usdc -o joints.usda",)
 
 
 @takes_options(SimplifyOptions, only=("frames", "feature_threshold", "feature_floor", "prim", "device"))
-def features(input_file: Input, output: Output, options: dict[str, Any], json: JsonReport = None) -> None:
+def features(
+    input_file: Input,
+    output: Output,
+    options: dict[str, Any],
+    json: JsonReport = None,
+    quiet: ShownQuiet = False,
+) -> None:
     """Colour the motion features, the parts that bend while a mesh moves: one colour for each, grey for the rest.
 
     After Yang et al. 2019: edges that bend more than the mean hang together in features, see --metric aqem of
@@ -38,13 +38,14 @@ def features(input_file: Input, output: Output, options: dict[str, Any], json: J
 
     Exit codes: 0 all done; 1 an error, or some mesh failed; 2 wrong usage; 130 interrupted.
     """
-    quiet_libraries()
-    load_usd()
-    from warpqem.costs.motion_features import motion_weighting
-    from warpqem.files.outputs import named_outputs
-    from warpqem.usd import FrameRange, color_features
+    with progress_bar("loading") as progress:
+        quiet_libraries()
+        load_usd()
+        from warpqem.costs.motion_features import motion_weighting
+        from warpqem.files.outputs import named_outputs
+        from warpqem.usd import FrameRange, color_features
 
-    with progress_bar("reading") as progress:
+        progress(0.0, "reading")
         reports = color_features(
             input_file,
             output,
@@ -56,14 +57,14 @@ def features(input_file: Input, output: Output, options: dict[str, Any], json: J
             other_outputs=named_outputs({"--json": json}),
         )
     table = PlainTable(f"{input_file} -> {output}")
-    table.add_column("mesh", overflow="fold")
+    table.add_column("mesh", is_path=True)
     for name in ("frames", "features", "vertices in features", "vertices"):
-        table.add_column(name, justify="right")
+        table.add_column(name, "right")
     for report in reports:
         if report.message is not None:
             print_message("error", report.message)
         counts = (report.frames, report.features, report.feature_vertices, report.vertices)
-        table.add_row(report.path, *(["failed"] if report.message else map(str, counts)))
+        table.add_row(report.path, *(["failed"] if report.message else counts))
     print_table(table, to_stderr=json == "-")
     if json is not None:
         write_json(json, {"input": input_file, "output": output, "prims": [asdict(report) for report in reports]})

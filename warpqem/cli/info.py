@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from warpqem.cli.console import PlainTable, load_usd, print_message, print_table, quiet_libraries, write_json
+from warpqem.cli.console import load_usd, print_message, quiet_libraries, write_json
 from warpqem.cli.parameters import Input, JsonReport, Variants
+from warpqem.cli.tables import PlainTable, print_table
 
 if TYPE_CHECKING:
     from warpqem.usd.read.inspect import MeshInfo
@@ -14,6 +15,17 @@ __all__ = ["EXAMPLES", "info"]
 
 # Under its help; tests run them.
 EXAMPLES = ("warpqem info talking_head.usdc",)
+# Figures that a terminal has no room for are left out from the end of this.
+LAST_SHOWN = (
+    "frames",
+    "blend shapes",
+    "joints",
+    "triangles",
+    "border edges",
+    "non-manifold edges",
+    "UV sets",
+    "subsets",
+)
 
 
 def info(input_file: Input, variant: Variants = None, json: JsonReport = None) -> None:
@@ -39,13 +51,13 @@ def info(input_file: Input, variant: Variants = None, json: JsonReport = None) -
 
 def _table(input_file: str, meshes: list[MeshInfo]) -> PlainTable:
     table = PlainTable(f"{input_file}: {len(meshes)} mesh{'' if len(meshes) == 1 else 'es'}")
-    table.add_column("mesh", overflow="fold")
+    table.add_column("mesh", is_path=True)
     names = ("frames", "vertices", "faces", "triangles", "border edges", "non-manifold edges", "joints", "blend shapes")
     for name in names:
-        table.add_column(name, justify="right")
-    table.add_column("UV sets")
+        table.add_column(name, "right", rank=_rank(name))
+    table.add_column("UV sets", rank=_rank("UV sets"))
     for name in ("subsets", "problems"):
-        table.add_column(name, justify="right")
+        table.add_column(name, "right", rank=_rank(name))
     for mesh in meshes:
         counts = (
             mesh.frames,
@@ -57,7 +69,9 @@ def _table(input_file: str, meshes: list[MeshInfo]) -> PlainTable:
             mesh.joints,
             mesh.blend_shapes,
         )
-        table.add_row(
-            mesh.path, *map(str, counts), " ".join(mesh.uv_sets), str(len(mesh.subsets)), str(len(mesh.problems))
-        )
+        table.add_row(mesh.path, *counts, " ".join(mesh.uv_sets), len(mesh.subsets), len(mesh.problems))
     return table
+
+
+def _rank(name: str) -> int:
+    return LAST_SHOWN.index(name) + 1 if name in LAST_SHOWN else 0

@@ -6,23 +6,43 @@ import json
 import logging
 import sys
 import time
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
+from warpqem.cli import messages
 from warpqem.errors import StageError
 from warpqem.printable import printable, printable_lines
 
-__all__ = ["LogJson", "Quiet", "Verbose", "start_logging"]
+__all__ = ["LogJson", "Quiet", "ShownQuiet", "Verbose", "start_logging"]
 
 LEVELS = (logging.WARNING, logging.INFO, logging.DEBUG)
 
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", hidden=True, help="Print errors alone.")]
+
+def _be_quiet(wanted: bool) -> bool:
+    messages.quiet = wanted
+    return wanted
+
+
+def _quiet(hidden: bool) -> Any:
+    return typer.Option(
+        "--quiet", "-q", hidden=hidden, callback=_be_quiet, rich_help_panel="Output", help="Print errors alone."
+    )
+
+
+# Of commands with --help-all, and of the others.
+Quiet = Annotated[bool, _quiet(hidden=True)]
+ShownQuiet = Annotated[bool, _quiet(hidden=False)]
 
 Verbose = Annotated[
     int,
     typer.Option(
-        "--verbose", "-v", hidden=True, count=True, help="Say on stderr what is being done; twice: in detail."
+        "--verbose",
+        "-v",
+        hidden=True,
+        count=True,
+        rich_help_panel="Output",
+        help="Say on stderr what is being done; twice: in detail.",
     ),
 ]
 
@@ -32,6 +52,7 @@ LogJson = Annotated[
         "--log-json",
         hidden=True,
         metavar="FILE",
+        rich_help_panel="Output",
         help="Append a line of JSON for everything that is being done to FILE.",
     ),
 ]

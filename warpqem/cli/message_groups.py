@@ -4,48 +4,32 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 
-from rich.console import Console
+from warpqem.cli.tables import WIDEST, shortened_path, terminal_width
 
-from warpqem.cli import messages
-from warpqem.cli.console import WIDEST
-
-__all__ = ["file_size", "grouped_messages", "path_width", "shortened_path", "with_separators"]
+__all__ = ["file_size", "files_size", "group_messages", "message_path_width"]
 
 # What two messages of a kind may differ in.
-NUMBERS = re.compile(r"\d+(?:\.\d+)?(?:e[+-]?\d+)?")
-# Characters of a line that the figures beside a path take.
-FIGURES = 67
-# Characters of a path that are left at least: a name of most meshes.
-MIN_PATH = 12
+NUMBERS = re.compile(r"\d+(?:,\d{3})*(?:\.\d+)?(?:e[+-]?\d+)?")
+# Characters of a path in a message on a terminal; they are whole with --verbose.
+PATH_WIDTH = 40
 
 
-@contextmanager
-def grouped_messages(paths: Sequence[str], each: bool = False) -> Iterator[None]:
-    """Hold the messages within back, and print them at the end: those of several meshes that say the same as one.
-
-    Args:
-        paths: The meshes, the worst first: of messages that differ in numbers that of the first one is shown.
-        each: Print them all as they are.
-    """
-    held: list[tuple[str, str]] = []
-    before, messages.held_messages = messages.held_messages, held
-    try:
-        yield
-    finally:
-        messages.held_messages = before
-        for kind, text in held if each else group_messages(held, paths):
-            messages.print_message(kind, text)
+def message_path_width() -> int:
+    """Characters of a path in a message: on a terminal its end, elsewhere all of it."""
+    return PATH_WIDTH if terminal_width(to_stderr=True) < WIDEST else WIDEST
 
 
-def group_messages(held: Sequence[tuple[str, str]], paths: Sequence[str]) -> list[tuple[str, str]]:
+def group_messages(
+    held: Sequence[tuple[str, str]], paths: Sequence[str], path_width: int = WIDEST
+) -> list[tuple[str, str]]:
     """Messages, in the order of the first of each kind.
 
     Args:
         held: Kind and text of each; the text of a mesh begins with its path, behind the name of a level, if any.
         paths: The meshes, the worst first.
+        path_width: Characters of a path, but for those in errors, which stay whole.
     """
     rank = {path: index for index, path in enumerate(paths)}
     groups: dict[tuple[str, str, bool, str], list[tuple[str, str]]] = {}
@@ -58,12 +42,14 @@ def group_messages(held: Sequence[tuple[str, str]], paths: Sequence[str]) -> lis
     for (kind, level, _, _), members in groups.items():
         # Errors of two meshes stay two, also where they say the same.
         if kind == "error" or members[0][0] == "" or len({path for path, _ in members}) == 1:
-            lines += [(kind, f"{level}{path}{': ' if path else ''}{said}") for path, said in dict.fromkeys(members)]
+            width = WIDEST if kind == "error" else path_width
+            for path, said in dict.fromkeys(members):
+                lines.append((kind, f"{level}{shortened_path(path, width)}{': ' if path else ''}{said}"))
             continue
         path, said = min(members, key=lambda member: rank[member[0]])
         count = len({path for path, _ in members})
         alike = len({said for _, said in members}) == 1
-        example = "" if alike else f", such as {path}"
+        example = "" if alike else f", such as {shortened_path(path, path_width)}"
         lines.append((kind, f"{level}{count} meshes{example}: {said}"))
     return lines
 
@@ -81,31 +67,15 @@ def _parted(text: str, rank: dict[str, int]) -> tuple[str, str, str]:
     return "", "", text
 
 
-def path_width(to_stderr: bool = False) -> int:
-    """Characters of a path in a table of figures; where no terminal limits it, as many as it has."""
-    console = Console(stderr=to_stderr)
-    return max(MIN_PATH, console.width - FIGURES) if console.is_terminal else WIDEST
-
-
-def shortened_path(path: str, width: int) -> str:
-    """A path without its beginning, where it is longer than so many characters."""
-    if len(path) <= width:
-        return path
-    end = path[-(width - 3) :]
-    # Whole names, unless the last one alone is too long.
-    cut = end.find("/")
-    return f"...{end[cut:] if 0 <= cut < len(end) - 1 else end}"
-
-
-def with_separators(cell: str) -> str:
-    """A whole number with separators of thousands; all else as it is."""
-    return f"{int(cell):,}" if cell.isdecimal() else cell
-
-
 def file_size(path: str) -> str:
     """The size of a file in words, such as "18 KB"; empty where it is not known."""
+    return files_size([path])
+
+
+def files_size(paths: Sequence[str]) -> str:
+    """The size of some files together in words; empty where it is not known."""
     try:
-        size = float(os.path.getsize(path))
+        size = float(sum(map(os.path.getsize, paths)))
     except OSError:
         return ""
     for unit in ("bytes", "KB", "MB"):

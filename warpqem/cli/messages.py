@@ -15,8 +15,6 @@ EXIT_INTERRUPTED = EXIT_SIGNAL + 2
 
 # Messages printed since USD's warnings were shown last.
 printed_messages: list[str] = []
-# Messages that are printed later, see `warpqem.cli.message_groups`; None for at once.
-held_messages: list[tuple[str, str]] | None = None
 # With --quiet errors alone are printed.
 quiet = False
 
@@ -26,9 +24,6 @@ def print_message(kind: str, message: str) -> None:
     from warpqem.printable import printable
 
     printed_messages.append(message)
-    if held_messages is not None:
-        held_messages.append((kind, message.strip()))
-        return
     if quiet and kind != "error":
         return
     print(f"{kind}: {printable(message.strip())}", file=sys.stderr)

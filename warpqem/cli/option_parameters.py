@@ -27,7 +27,8 @@ def _print_all(context: typer.Context, wanted: bool) -> None:
     if wanted:
         for parameter in context.command.params:
             option: Any = parameter
-            option.hidden = False
+            # What --help shows stands first.
+            option.shown_late, option.hidden = getattr(option, "hidden", False), False
             option.help = _full_help.get((option.name, option.help), option.help)
         typer.echo(context.get_help())
         raise typer.Exit
@@ -92,7 +93,7 @@ def parameter_of(entry: OptionField, basic: bool) -> inspect.Parameter:
     names = [f"--{name}/--no-{name}" if flag and (entry.optional or entry.default) else f"--{name}"]
     text = _first_clause(entry) if basic and said.basic else _help(entry)
     _full_help[entry.name, text] = _help(entry)
-    about = typer.Option(*names, metavar=None if flag else said.unit, help=text, hidden=not basic)
+    about = typer.Option(*names, metavar=_value_name(entry), help=text, hidden=not basic, rich_help_panel=said.panel)
     default = None if not entry.has_default or said.repeated else entry.default
     annotation = _value_type(entry)
     if default is None or default == ():
@@ -103,6 +104,14 @@ def parameter_of(entry: OptionField, basic: bool) -> inspect.Parameter:
         default=default,
         annotation=Annotated[annotation, about],
     )
+
+
+def _value_name(entry: OptionField) -> str | None:
+    """What the help shows for the value of an option; None for a flag."""
+    if entry.kind is bool:
+        return None
+    choices = entry.literals if entry.option.choices is None else entry.option.choices()
+    return "|".join(choices) or entry.option.unit
 
 
 def _value_type(entry: OptionField) -> Any:

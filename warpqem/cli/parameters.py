@@ -34,7 +34,11 @@ Input = Annotated[str, typer.Argument(metavar="IN", help="USD file to read (.usd
 Output = Annotated[
     str,
     typer.Option(
-        "--output", "-o", metavar="OUT", help="USD file to write (.usd, .usda, .usdc); replaced if it exists, never IN."
+        "--output",
+        "-o",
+        metavar="OUT",
+        rich_help_panel="Output",
+        help="USD file to write (.usd, .usda, .usdc); replaced if it exists, never IN.",
     ),
 ]
 
@@ -55,6 +59,7 @@ MeshOutput = Annotated[
         "--output",
         "-o",
         metavar="OUT",
+        rich_help_panel="Output",
         help="File to write: .usd, .usda, .usdc or .usdz, a .glb, or mesh files such as out/horse_####.ply.",
     ),
 ]
@@ -64,6 +69,7 @@ Variants = Annotated[
     typer.Option(
         "--variant",
         metavar="SET=NAME",
+        rich_help_panel="Input",
         help="Variant to look at instead of the one that the file selects, such as LOD=LOD1; '/Prim/Path{SET=NAME}' "
         "where several prims have the set. May be given several times, and goes for each file that has the set.",
     ),
@@ -73,7 +79,9 @@ Device = Annotated[str | None, _as_of_simplify("device")]
 
 JsonReport = Annotated[
     str | None,
-    typer.Option("--json", metavar="FILE", help="Write the report as JSON to FILE, or to stdout for -."),
+    typer.Option(
+        "--json", metavar="FILE", rich_help_panel="Output", help="Write the report as JSON to FILE, or to stdout for -."
+    ),
 ]
 
 ReportPage = Annotated[
@@ -81,6 +89,7 @@ ReportPage = Annotated[
     typer.Option(
         "--report",
         metavar="FILE",
+        rich_help_panel="Output",
         help="Write a page (.html) that shows both in motion, offline.",
     ),
 ]
@@ -90,6 +99,7 @@ MeshMemory = Annotated[
     typer.Option(
         "--memory",
         metavar="BYTES",
+        rich_help_panel="Machine",
         help="Memory that a progressive mesh may take, such as 8G or 500M, where the file is trusted; by default 64M, "
         "or 256 times the size of the file where that is more. Files of this version of warpqem need no more.",
     ),

@@ -6,11 +6,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from warpqem.cli.console import PlainTable, load_usd, print_table, progress_bar, quiet_libraries, write_json
+from warpqem.cli.console import load_usd, quiet_libraries, write_json
 from warpqem.cli.examples import epilog
 from warpqem.cli.help_option import Command, Group
 from warpqem.cli.option_parameters import takes_options
 from warpqem.cli.parameters import Input, JsonReport, MeshMemory, Output
+from warpqem.cli.progress_bar import progress_bar
+from warpqem.cli.tables import PlainTable, error_text, print_table, upper_text
 from warpqem.usd.commands.option_values import read_options
 from warpqem.usd.commands.progressive_options import NOT_TO_BUILD, BuildOptions, LevelChoice
 
@@ -37,7 +39,12 @@ MeshFile = Annotated[str, typer.Argument(metavar="FILE", help="Progressive mesh 
 @takes_options(BuildOptions, without=NOT_TO_BUILD)
 def build(
     input_file: Input,
-    output: Annotated[str, typer.Option("--output", "-o", metavar="FILE", help="Progressive mesh to write (.wpqm).")],
+    output: Annotated[
+        str,
+        typer.Option(
+            "--output", "-o", metavar="FILE", rich_help_panel="Output", help="Progressive mesh to write (.wpqm)."
+        ),
+    ],
     options: dict[str, Any],
     json: JsonReport = None,
 ) -> None:
@@ -45,13 +52,14 @@ def build(
 
     Exit codes: 0 done; 1 an error; 2 wrong usage; 130 interrupted.
     """
-    quiet_libraries()
-    load_usd()
-    from warpqem.files.outputs import named_outputs
-    from warpqem.usd.commands.progressive import build_file
+    with progress_bar("loading") as progress:
+        quiet_libraries()
+        load_usd()
+        from warpqem.files.outputs import named_outputs
+        from warpqem.usd.commands.progressive import build_file
 
-    asked = read_options(options, BuildOptions)
-    with progress_bar("reading") as progress:
+        asked = read_options(options, BuildOptions)
+        progress(0.0, "reading")
         info = build_file(input_file, output, asked, progress, named_outputs({"--json": json}))
     _show(f"{input_file} -> {output}", info, json)
 
@@ -68,6 +76,8 @@ def extract(
 ) -> None:
     """Write one level as a USD file. Give one of --ratio, --faces, --max-error and --screen-error.
 
+    A level by a limit is proved to be within it and measured; one by its faces has an estimate of its error.
+
     Exit codes: 0 done; 1 an error; 2 wrong usage; 130 interrupted.
     """
     quiet_libraries()
@@ -76,14 +86,19 @@ def extract(
     from warpqem.usd.commands.progressive import extract_level
 
     choice = read_options(options, LevelChoice)
-    count, error = extract_level(file, output, choice, memory, named_outputs({"--json": json}))
+    level = extract_level(file, output, choice, memory, named_outputs({"--json": json}))
     table = PlainTable(f"{file} -> {output}")
-    for name in ("faces", "estimate %"):
+    cells: dict[str, str | int] = {"faces": level.faces, "estimate %": error_text(level.estimate)}
+    if level.measured is not None:
+        cells |= {"RMS %": error_text(level.measured.rms), "Hausdorff %": upper_text(level.measured.hausdorff)}
+    for name in cells:
         table.add_column(name, justify="right")
-    table.add_row(str(count), f"{error:.4f}")
+    table.add_row(*cells.values())
     print_table(table, to_stderr=json == "-")
     if json is not None:
-        write_json(json, {"input": file, "output": output, "faces": count, "estimate": error})
+        measured = None if level.measured is None else level.measured.to_dict()
+        found = {"faces": level.faces, "estimate": level.estimate, "measured": measured}
+        write_json(json, {"input": file, "output": output, **found})
 
 
 @progressive.command(
@@ -122,7 +137,7 @@ def _show(title: str, info: FileInfo, json: str | None) -> None:
     }
     for name in rows:
         table.add_column(name, justify="right")
-    table.add_row(*map(str, rows.values()))
+    table.add_row(*rows.values())
     print_table(table, to_stderr=json == "-")
     if json is not None:
         write_json(json, {**vars(info), "chunks": len(info.chunks)})

@@ -3,34 +3,27 @@
 from __future__ import annotations
 
 import sys
-from collections import Counter
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from warpqem.cli import messages
-from warpqem.cli.console import (
-    EXIT_FAILED,
-    WIDEST,
-    PlainTable,
-    error_text,
-    load_usd,
-    print_message,
-    print_table,
-    progress_bar,
-    quiet_libraries,
-    write_json,
-)
+from warpqem.cli.console import EXIT_FAILED, load_usd, print_message, quiet_libraries, write_json
 from warpqem.cli.logs import Quiet, Verbose, start_logging
-from warpqem.cli.message_groups import file_size, grouped_messages, path_width, shortened_path, with_separators
+from warpqem.cli.message_groups import file_size
 from warpqem.cli.option_parameters import takes_options
 from warpqem.cli.parameters import JsonReport, MeshInput, MeshOutput, ReportPage
+from warpqem.cli.problem_lines import grouped_lines
+from warpqem.cli.progress_bar import progress_bar
+from warpqem.cli.simplify_table import MAX_NAMED, simplify_table
+from warpqem.cli.tables import print_table
 from warpqem.printable import printable
 from warpqem.usd.commands.simplify_options import SimplifyOptions
 
 if TYPE_CHECKING:
     from warpqem.pipeline.memory_plan import MemoryPlan
-    from warpqem.usd.write.stage_report import PrimReport, StageReport
+    from warpqem.usd.write.stage_report import StageReport
 
 __all__ = ["EXAMPLES", "run_simplify", "simplify"]
 
@@ -40,13 +33,6 @@ EXAMPLES = (
     "warpqem simplify cape_wind.usdc -o cape.usda --max-error 0.2 --lock-borders",
     "warpqem simplify cape_wind.usdc -o levels.usda --lods 0.5,0.2,0.05",
 )
-
-# Outputs that a title names.
-MAX_NAMED = 4
-# Of more meshes the table shows the worst alone; with --verbose all.
-MANY_MESHES, WORST_MESHES = 8, 5
-# Characters of a path below the table.
-NOTE_WIDTH = 40
 
 
 @takes_options(SimplifyOptions)
@@ -58,6 +44,8 @@ def simplify(
         float | None,
         typer.Option(
             hidden=True,
+            metavar="RATE",
+            rich_help_panel="Input",
             help="With mesh files as IN: frames per second; their numbers are the time codes. [default: 24]",
         ),
     ] = None,
@@ -90,6 +78,31 @@ def run_simplify(
     """Simplify, and say what came of it."""
     messages.quiet = quiet
     start_logging(verbose, None)
+    with progress_bar("loading") as progress:
+        report = _simplified(input_file, output, options, page, json, fps, _print_plan if verbose else None, progress)
+    for kind, text in grouped_lines(report.to_dict(), each=verbose > 0):
+        print_message(kind, text)
+    if not quiet:
+        print_table(simplify_table(report, all_meshes=verbose > 0), to_stderr=json == "-")
+    if json is not None:
+        write_json(json, report.to_dict())
+    if not quiet:
+        _print_written(report, page, json)
+    if report.failed:
+        raise typer.Exit(EXIT_FAILED)
+
+
+def _simplified(
+    input_file: str,
+    output: str,
+    options: dict[str, Any],
+    page: str | None,
+    json: str | None,
+    fps: float | None,
+    announce: Callable[[str, MemoryPlan], None] | None,
+    progress: Callable[[float, str], None],
+) -> StageReport:
+    """Simplify a file of any kind, and write the page of its report."""
     quiet_libraries()
     load_usd()
     from warpqem.errors import OptionError
@@ -107,42 +120,27 @@ def run_simplify(
     asked = read_options(options)
     if page is not None:
         check_page_path(page)
-    limit = None if asked.memory is None else parse_bytes(asked.memory)
-    with limited_memory(limit), progress_bar("reading") as progress:
+
+    def write_page(report: StageReport) -> None:
+        if page is not None and report.output is not None:
+            write_simplify_report(page, report, asked, progress)
+
+    progress(0.0, "reading")
+    with limited_memory(None if asked.memory is None else parse_bytes(asked.memory)):
         others = named_outputs({"--report": page, "--json": json})
-
-        def write_page(report: StageReport) -> None:
-            if page is not None and report.output is not None:
-                write_simplify_report(page, report, asked, progress)
-
-        shared: dict[str, Any] = {
-            "progress": progress,
-            "announce": _print_plan if verbose else None,
-            "other_outputs": others,
-        }
+        shared: dict[str, Any] = {"progress": progress, "announce": announce, "other_outputs": others}
         if is_animated_gltf(input_file):
             if fps is not None:
                 raise OptionError("--fps is for mesh files; an animated glTF file has times of its own")
-            report = simplify_gltf(input_file, output, asked, before_end=write_page, **shared)
-        elif is_mesh_name(input_file):
+            return simplify_gltf(input_file, output, asked, before_end=write_page, **shared)
+        if is_mesh_name(input_file):
             rate = DEFAULT_FPS if fps is None else fps
-            report = simplify_mesh_files(input_file, output, asked, fps=rate, before_end=write_page, **shared)
-        else:
-            if fps is not None:
-                raise OptionError("--fps is for mesh files; a USD file has a rate of its own")
-            report = simplify_stage(input_file, output, asked, **shared)
-            write_page(report)
-    with grouped_messages([prim.path for prim in report.worst_first], each=verbose > 0):
-        _print_problems(report)
-    if not quiet:
-        is_many = len({prim.path for prim in report.prims}) > MANY_MESHES and not verbose
-        print_table(_table(report, WORST_MESHES if is_many else None, path_width(json == "-")), to_stderr=json == "-")
-    if json is not None:
-        write_json(json, report.to_dict())
-    if not quiet:
-        _print_written(report, page, json)
-    if report.failed:
-        raise typer.Exit(EXIT_FAILED)
+            return simplify_mesh_files(input_file, output, asked, fps=rate, before_end=write_page, **shared)
+        if fps is not None:
+            raise OptionError("--fps is for mesh files; a USD file has a rate of its own")
+        report = simplify_stage(input_file, output, asked, **shared)
+        write_page(report)
+        return report
 
 
 def _print_plan(name: str, plan: MemoryPlan) -> None:
@@ -159,165 +157,3 @@ def _print_written(report: StageReport, page: str | None, json: str | None) -> N
     named += [f"{what} {path}" for what, path in others.items() if path is not None]
     if named:
         print(f"wrote {printable('; '.join(named))}", file=sys.stderr)
-
-
-def _level(prim: PrimReport) -> str:
-    """Name of the level of detail, empty where there are none."""
-    from warpqem.usd.commands.lods import LevelReport
-
-    return prim.level if isinstance(prim, LevelReport) else ""
-
-
-def _print_problems(report: StageReport) -> None:
-    from warpqem.measure.verdict import WARNING_DISTANCE
-
-    for problem in report.problems:
-        print_message("warning", problem)
-    for note in report.notes:
-        print_message("note", note)
-    for problem in dict.fromkeys(text for prim in report.prims for text in prim.problems):
-        print_message("warning", problem)
-    for note in dict.fromkeys(text for prim in report.prims for text in prim.notes):
-        print_message("note", note)
-    for prim in report.prims:
-        level = f"{_level(prim)}: " if _level(prim) else ""
-        if prim.dropped:
-            print_message(
-                "warning", f"{level}{prim.path}: dropped, does not fit the new mesh: {', '.join(prim.dropped)}"
-            )
-        for line in _gone(prim):
-            print_message("note", f"{level}{prim.path}: {line}")
-        if prim.symmetry not in (None, "kept"):
-            print_message("warning", f"{level}{prim.path}: not kept symmetric: {prim.symmetry}")
-        if prim.status == "simplified" and prim.stopped == "no legal collapse":
-            print_message(
-                "warning", f"{level}{prim.path}: stopped at {prim.faces_after} faces, no legal collapse is left"
-            )
-        if prim.status == "kept" and prim.message and prim.message.startswith("no geometry"):
-            print_message("note", f"{prim.path}: kept: {prim.message}")
-        if prim.measured is not None and prim.measured["hausdorff"] > WARNING_DISTANCE:
-            print_message("warning", f"{level}{prim.path}: {_distance(prim.measured)}")
-        if prim.status == "failed":
-            print_message("error", level + (prim.message or prim.path))
-    _print_small(report)
-    if report.output is None:
-        print_message("error", f"nothing written: no mesh of {report.input} could be simplified")
-
-
-def _gone(prim: PrimReport) -> list[str]:
-    """What went of joints and blend shapes, by name."""
-    lines = []
-    if prim.joints is not None and prim.joints.removed:
-        added = f"{prim.joints.added_error:.3g} % of the diagonal to the RMS distance over the poses"
-        lines.append(f"without the joints {', '.join(prim.joints.removed)}, which adds {added} (in quadrature)")
-    if prim.shapes is not None and prim.shapes.removed:
-        lines.append(
-            f"without the blend shapes {', '.join(prim.shapes.removed)}; {len(prim.shapes.merged)} of them go on in "
-            f"others. RMS distance by this: {prim.shapes.used_error:.3g} % of the diagonal over the animation, "
-            f"{prim.shapes.random_error:.3g} % over random weights"
-        )
-    return lines
-
-
-def _print_small(report: StageReport) -> None:
-    """Name the meshes that stopped early in one line: on a stage of small props it is most of them."""
-    stopped = list(dict.fromkeys(prim.path for prim in report.prims if prim.stopped == "max_size_error"))
-    if stopped:
-        more = f" and {len(stopped) - 1} more" if len(stopped) > 1 else ""
-        print_message("note", f"{stopped[0]}{more}: keeps more faces, as the error would pass --max-size-error")
-
-
-def _table(report: StageReport, most: int | None = None, width: int = WIDEST) -> PlainTable:
-    """The meshes, of many the ``most`` worst ones; their paths have so many characters."""
-    table = PlainTable(f"{report.input} -> {_named(report.outputs) or 'nothing written'}")
-    levels, worst_first = list(dict.fromkeys(map(_level, report.prims))), report.worst_first
-    if any(levels):
-        table.add_column("level")
-    table.add_column("mesh", overflow="fold")
-    measured = any(prim.measured for prim in report.prims)
-    errors = ("RMS %", "Hausdorff %", "flips") if measured else ("estimate %",)
-    rig = _rig_columns(report.prims)
-    for name in ("frames", "faces before", "faces after", *rig, *errors):
-        table.add_column(name, justify="right")
-    if measured:
-        table.add_column("verdict")
-    table.add_column("stopped", overflow="ellipsis")
-    table.add_column("s", justify="right")
-    for level in levels:
-        prims = [prim for prim in worst_first if _level(prim) == level]
-        rows = [_row(prim, measured, rig) for prim in prims[:most]]
-        if len(prims) > 1:
-            rows.append(_total(prims, measured, rig))
-        for index, row in enumerate(rows):
-            # The total stands apart from its meshes, and each level from the next.
-            end_section = index == len(rows) - 1 or (len(prims) > 1 and index == len(rows) - 2)
-            shown = [shortened_path(row[0], width), *map(with_separators, row[1:])]
-            table.add_row(*([level] if level else []), *shown, end_section=end_section)
-    for prim in worst_first if most is None else ():
-        if prim.measured is not None and prim.measured["reason"]:
-            level = f"{_level(prim)}: " if _level(prim) else ""
-            path = shortened_path(prim.path, max(width, NOTE_WIDTH))
-            table.add_note(f"{prim.measured['verdict']}: {level}{path}: {prim.measured['reason']}")
-    if most is not None:
-        found = Counter(prim.measured["verdict"] for prim in worst_first if prim.measured is not None)
-        table.add_note(f"the worst {most}{' of each level' if any(levels) else ''}; all with -v")
-        table.add_note(", ".join(f"{count} {verdict}" for verdict, count in found.items()))
-    for column in table.columns:
-        # Heads wrap, and a row is a line.
-        name, cells = str(column.header), [len(str(cell)) for cell in column._cells]
-        column.no_wrap = name in ("mesh", "stopped")
-        column.min_width = max([*map(len, name.split()), *(cells if name != "stopped" else ())])
-    return table
-
-
-def _named(outputs: list[str]) -> str:
-    """The files that were written, of many the first and the last."""
-    return ", ".join(outputs) if len(outputs) <= MAX_NAMED else f"{outputs[0]}, ..., {outputs[-1]}"
-
-
-def _distance(measured: dict[str, Any]) -> str:
-    """How far a mesh is off, for a warning."""
-    percent, length = measured["hausdorff"], measured["hausdorff_length"]
-    return f"a point is up to {percent:.4g} % of the diagonal ({length:.4g} units) off"
-
-
-def _rig_columns(prims: list[PrimReport]) -> tuple[str, ...]:
-    """What is said of joints and blend shapes, where some were to go."""
-    joints = ("joints", "influences") if any(prim.joints for prim in prims) else ()
-    return (*joints, "shapes") if any(prim.shapes for prim in prims) else joints
-
-
-def _rig(prim: PrimReport) -> dict[str, str]:
-    said = {}
-    if prim.joints is not None:
-        said["joints"] = f"{prim.joints.after} of {prim.joints.before}"
-        said["influences"] = str(prim.joints.influences)
-    if prim.shapes is not None:
-        said["shapes"] = f"{prim.shapes.after} of {prim.shapes.before}"
-    return said
-
-
-def _total(prims: list[PrimReport], measured: bool, rig: tuple[str, ...]) -> list[str]:
-    failed = sum(prim.status == "failed" for prim in prims)
-    return [
-        f"{len(prims)} meshes",
-        "",
-        str(sum(prim.faces_before for prim in prims)),
-        str(sum(prim.faces_after for prim in prims)),
-        *([""] * (len(rig) + (4 if measured else 1))),
-        f"{failed} failed" if failed else "",
-        f"{sum(prim.seconds for prim in prims):.1f}",
-    ]
-
-
-def _row(prim: PrimReport, measured: bool, rig: tuple[str, ...]) -> list[str]:
-    if measured:
-        found = prim.measured
-        errors = [""] * 4 if found is None else [*map(error_text, (found["rms"], found["hausdorff"], found["flips"]))]
-        errors += [] if found is None else [found["verdict"]]
-    else:
-        errors = ["" if prim.estimate is None else error_text(prim.estimate)]
-    stopped = prim.stopped if prim.status == "simplified" else prim.status
-    counts = [str(count) if prim.frames else "" for count in (prim.frames, prim.faces_before, prim.faces_after)]
-    rigged = [_rig(prim).get(name, "") for name in rig]
-    return [prim.path, *counts, *rigged, *errors, stopped or "", f"{prim.seconds:.1f}"]

@@ -9,9 +9,10 @@ from typing import Annotated, Any
 
 import typer
 
-from warpqem.cli.console import load_usd, print_message, progress_bar, quiet_libraries
+from warpqem.cli.console import load_usd, print_message, quiet_libraries
 from warpqem.cli.crash_guard import interruptible
 from warpqem.cli.parameters import Device, Frames, MeshMemory, Prims, Variants
+from warpqem.cli.progress_bar import progress_bar
 from warpqem.errors import MemoryLimitError, OptionError, StageError, WarpqemError
 
 __all__ = ["EXAMPLES", "view"]
@@ -27,7 +28,9 @@ def view(
     other: Annotated[
         str | None, typer.Argument(metavar="[OUT]", help="USD file to show beside it, such as what simplify wrote.")
     ] = None,
-    port: Annotated[int, typer.Option(help="Port of this machine to serve at; 0 takes any that is free.")] = 0,
+    port: Annotated[
+        int, typer.Option(metavar="PORT", help="Port of this machine to serve at; 0 takes any that is free.")
+    ] = 0,
     browser: Annotated[
         bool, typer.Option("--browser/--no-browser", help="Open the page in the browser, or only print its address.")
     ] = True,

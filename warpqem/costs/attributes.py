@@ -16,7 +16,14 @@ from warpqem.arguments.number_input import real_number
 from warpqem.errors import MeshShapeError, OptionError
 from warpqem.mesh.mesh_input import MeshInput
 
-__all__ = ["AttributeField", "channel_count", "checked_fields", "field_weight", "weighted_corner_values"]
+__all__ = [
+    "AttributeField",
+    "channel_count",
+    "check_span",
+    "checked_fields",
+    "field_weight",
+    "weighted_corner_values",
+]
 
 # Squares of differences of weighted values are float32, summed over faces and key frames: from 1e18 on costs and
 # positions come out as no numbers.
@@ -52,12 +59,20 @@ def weighted_corner_values(fields: Sequence[AttributeField], mesh: MeshInput) ->
     for index, (values, weight) in enumerate(zip(*checked_fields(fields, mesh), strict=True)):
         if weight > 0.0:
             at_corners = values[mesh.face_index] if values.ndim == 3 else values[mesh.faces]
-            _check_span(values, weight, index)
+            try:
+                check_span(values, weight)
+            except OptionError as error:
+                raise OptionError(f"attributes[{index}]: {error}") from error
             channels.append(at_corners.astype(np.float64) * weight)
     return np.concatenate(channels, axis=2) if channels else None
 
 
-def _check_span(values: np.ndarray, weight: float, index: int) -> None:
+def check_span(values: np.ndarray, weight: float) -> None:
+    """Check that values (..., C) of a field are near enough to each other.
+
+    Raises:
+        OptionError: they are not; the message begins with the channel.
+    """
     # All channels at once, which takes a tenth of the time, say for nearly every mesh that none spans too much.
     if not values.size or weight * (float(values.max()) - float(values.min())) <= MAX_SPAN:
         return
@@ -65,8 +80,8 @@ def _check_span(values: np.ndarray, weight: float, index: int) -> None:
     channel = int(span.argmax())
     if span[channel] > MAX_SPAN:
         raise OptionError(
-            f"attributes[{index}]: channel {channel} spans {span[channel]:g}, times its weight, expected at most "
-            f"{MAX_SPAN:g}, as costs are in single precision"
+            f"channel {channel} spans {span[channel]:g}, times its weight, expected at most {MAX_SPAN:g}, as costs are "
+            "in single precision"
         )
 
 

@@ -22,9 +22,15 @@ class ScreenView:
         image_height: Pixels.
     """
 
-    error: float = option(MISSING, "Largest error in pixels, seen from --distance.", "PX", ABOVE_0, name="screen_error")
+    error: float = option(
+        MISSING, "Largest error in pixels, seen from --distance.", "PX", ABOVE_0, name="screen_error", panel="Goal"
+    )
     distance: float = option(
-        MISSING, "With --screen-error: from the camera to the mesh, in units of the stage.", "UNITS", ABOVE_0
+        MISSING,
+        "With --screen-error: from the camera to the mesh, in units of the stage.",
+        "UNITS",
+        ABOVE_0,
+        panel="Goal",
     )
     field_of_view: float = option(
         45.0,
@@ -32,8 +38,11 @@ class ScreenView:
         "DEG",
         Limits(0.0, 180.0, True, True),
         name="fov",
+        panel="Goal",
     )
-    image_height: int = option(1080, "With --screen-error: height of the picture, in pixels.", "PX", COUNT)
+    image_height: int = option(
+        1080, "With --screen-error: height of the picture, in pixels.", "PX", COUNT, panel="Goal"
+    )
 
     def __post_init__(self) -> None:
         """Refuse views that show nothing."""

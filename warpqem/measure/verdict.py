@@ -6,6 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from warpqem.arguments.figures import rounded_up
+
 if TYPE_CHECKING:
     from warpqem.measure.measured import Measured
 
@@ -93,6 +95,6 @@ def verdict_of(errors: Measured) -> Verdict:
         beyond = [(limit.value(errors) / getattr(limit, word), limit) for limit in LIMITS]
         worst, limit = max(beyond, key=lambda pair: pair[0])
         if worst > 1.0:
-            value = f"{limit.value(errors):.4g}"
+            value = rounded_up(limit.value(errors))
             return Verdict(word, f"{limit.name} {value} {limit.unit} is above {getattr(limit, word):g}")
     return Verdict(GOOD, "")

@@ -17,8 +17,6 @@ __all__ = ["preview", "side_by_side"]
 # Pictures in a row, and the pixels of one: a row fills the width of a notebook.
 PICTURES = 3
 SIZE = (300, 225)
-# Pixels above a picture for a line of text.
-STRIP = 25
 COLORS = 32
 # A mesh that does not move is looked at from the front quarter, from behind, and from above.
 AROUND = ((30.0, 12.0), (210.0, 12.0), (30.0, 70.0))
@@ -41,21 +39,13 @@ def preview(points: npt.NDArray[np.float32], faces: npt.NDArray[np.int32]) -> by
     # One view of all of them, so that motion shows.
     view = fit_view(points[frames], aspect=SIZE[0] / SIZE[1])
     pictures = [render(points[frame], faces, view, size=SIZE, lines=True) for frame in frames]
-    return _png([_captioned(picture, f"frame {frame}") for picture, frame in zip(pictures, frames, strict=True)])
+    return _png([caption(picture, f"frame {frame}") for picture, frame in zip(pictures, frames, strict=True)])
 
 
 def side_by_side(meshes: Sequence[tuple[npt.NDArray[np.float32], npt.NDArray[np.int32], str]]) -> bytes:
     """A PNG of meshes, each of points (V, 3), faces (N, 3) and its caption, in one view."""
     view = fit_view(np.concatenate([points for points, _, _ in meshes]), aspect=SIZE[0] / SIZE[1])
-    return _png(
-        [_captioned(render(points, faces, view, size=SIZE, lines=True), text) for points, faces, text in meshes]
-    )
-
-
-def _captioned(picture: npt.NDArray[np.uint8], text: str) -> npt.NDArray[np.uint8]:
-    """The picture below a strip of its background with the text."""
-    strip = np.broadcast_to(picture[0, 0], (STRIP, *picture.shape[1:]))
-    return caption(np.concatenate([strip, picture]), text)
+    return _png([caption(render(points, faces, view, size=SIZE, lines=True), text) for points, faces, text in meshes])
 
 
 def _png(pictures: list[npt.NDArray[np.uint8]]) -> bytes:

@@ -2,26 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import warp as wp
 
 from warpqem.arguments.array_input import finite_array, real_array
 from warpqem.arguments.number_input import real_number, shown, whole_number
-from warpqem.errors import OptionError
+from warpqem.errors import MeshShapeError, OptionError
 from warpqem.kernels import render as kernels
 from warpqem.mesh.mesh_input import finite_points, read_faces, read_points
+from warpqem.picture.look import PLAIN, Look, Texture, corner_normals, plain_look, smoothing_groups
 from warpqem.runtime.device import on_device, resolve_device
 from warpqem.runtime.part_launches import PerPart, launch_in_parts, rows_of
 
-__all__ = ["View", "fit_view", "render"]
+__all__ = ["View", "decoded_srgb", "encoded_srgb", "fit_view", "render"]
 
 # A light grey, linear: dark and bright surfaces both stand out from it.
 BACKGROUND = (0.85, 0.87, 0.89)
-# Surfaces without a colour.
-PLAIN = (0.72, 0.72, 0.72)
+# How much darker lines are at most, and the mean length of edges in pixels from which on they are: those of finer
+# meshes are fainter, so that the shape stays to be seen.
+LINE_SHADE = 0.65
+LINE_LENGTH = 12.0
 # Part of the picture that is left free around the mesh.
 MARGIN = 0.06
 # Rays across a pixel, each way.
@@ -113,6 +118,7 @@ def render(
     size: tuple[int, int] = (480, 360),
     smooth: bool = False,
     lines: bool = False,
+    look: Look | None = None,
     device: str | None = None,
 ) -> np.ndarray:
     """A picture of a mesh, (height, width, 3) uint8, sRGB.
@@ -121,10 +127,11 @@ def render(
         points: (V, 3).
         faces: (N, 3) integers.
         view: where it is looked at from.
-        colors: (V, 3) linear Rec. 709, 0 to 1; None for grey.
+        colors: (V, 3) linear Rec. 709, 0 to 1; None for those of the look.
         size: width and height in pixels.
-        smooth: shade over the edges instead of face by face.
-        lines: draw the edges.
+        smooth: shade over the edges instead of face by face; hard edges stay, see `warpqem.picture.look`.
+        lines: draw the edges, the fainter the shorter they are.
+        look: colours, textures and hard edges; None for a plain surface.
         device: Warp device; None takes cuda:0 if present, else cpu.
 
     Raises:
@@ -151,12 +158,12 @@ def render(
     camera.right, camera.up = wp.vec3(*axes[0].tolist()), wp.vec3(*axes[1].tolist())
     camera.pixel = view.height / height
     camera.reach = float(max(np.linalg.norm(np.ptp(local, axis=0)), np.linalg.norm(local, axis=1).max(), 1e-30))
-    shading = kernels.Shading()
-    tones = np.broadcast_to(PLAIN, local.shape) if colors is None else colors
-    shading.color = wp.array(np.ascontiguousarray(tones, dtype=np.float32), dtype=wp.vec3, device=device)
-    shading.normal = wp.array(_vertex_normals(local, faces), dtype=wp.vec3, device=device)
-    shading.smooth, shading.lines = int(smooth), int(lines)
-    shading.background = wp.vec3(*BACKGROUND)
+    look = plain_look(len(faces)) if look is None else look
+    if len(look.face_part) != len(faces):
+        raise MeshShapeError(f"look: it is of {len(look.face_part)} faces, and the mesh has {len(faces)}")
+    corners = None if colors is None else colors[faces]
+    strength = 0.0 if not lines else LINE_SHADE * min(1.0, _edge_length(local, faces) / (camera.pixel * LINE_LENGTH))
+    shading = _shading(local, faces, look, corners, smooth, strength, device)
     image = wp.empty((height, width), dtype=wp.vec3, device=device)
 
     def camera_of(part: slice) -> kernels.Camera:
@@ -174,7 +181,7 @@ def render(
         outputs=[rows_of(image)],
         device=device,
     )
-    return _encode(image.numpy())
+    return encoded_srgb(image.numpy())
 
 
 def _checked_size(size: Any) -> tuple[int, int]:
@@ -187,16 +194,62 @@ def _checked_size(size: Any) -> tuple[int, int]:
     return width, height
 
 
-def _vertex_normals(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
+def _shading(
+    points: npt.NDArray[np.float32],
+    faces: npt.NDArray[np.integer],
+    look: Look,
+    colors: npt.NDArray[np.floating] | None,
+    smooth: bool,
+    line: float,
+    device: str,
+) -> Any:
+    """What the kernel reads; colours (N, 3, 3) take the place of all that the look has."""
+    shading = kernels.Shading()
+    textures: Sequence[Texture] = () if colors is not None else look.textures
+    if colors is None:
+        # Textures are multiplied with their colours, which are white where the look has none.
+        textured = np.array([part.texture is not None for part in look.parts])[look.face_part]
+        plain = np.where(textured[:, None, None], 1.0, np.broadcast_to(PLAIN, (len(faces), 3, 3)))
+        colors = plain if look.colors is None else look.colors
+    normals = np.zeros((len(faces), 3, 3), dtype=np.float32)
+    if smooth:
+        normals = corner_normals(points, faces, smoothing_groups(points, faces, look.normals))
+    part_texture = np.array([-1 if part.texture is None or not textures else part.texture for part in look.parts])
+
+    def at_corners(values: npt.NDArray[np.floating], dtype: Any) -> Any:
+        flat = np.ascontiguousarray(values, dtype=np.float32).reshape(-1, values.shape[-1])
+        return wp.array(flat, dtype=dtype, device=device)
+
+    shading.color, shading.normal = at_corners(colors, wp.vec3), at_corners(normals, wp.vec3)
+    shading.uv = at_corners(np.zeros((len(faces), 3, 2)) if look.uvs is None else look.uvs, wp.vec2)
+    shading.face_texture = wp.array(part_texture[look.face_part].astype(np.int32), dtype=wp.int32, device=device)
+    # Without a texture there is one texel that nothing reads.
+    texels = [decoded_srgb(texture.pixels).reshape(-1, 3) for texture in textures] or [np.zeros((1, 3))]
+    sizes = [texture.pixels.shape[1::-1] for texture in textures] or [(1, 1)]
+    repeats = [texture.repeats for texture in textures] or [(False, False)]
+    starts = np.cumsum([0, *(len(one) for one in texels[:-1])])
+    shading.texel = wp.array(np.concatenate(texels).astype(np.float32), dtype=wp.vec3, device=device)
+    shading.texture_start = wp.array(starts.astype(np.int32), dtype=wp.int32, device=device)
+    shading.texture_size = wp.array(np.array(sizes, dtype=np.int32), dtype=wp.vec2i, device=device)
+    shading.texture_repeats = wp.array(np.array(repeats, dtype=np.int32), dtype=wp.vec2i, device=device)
+    shading.smooth, shading.line = int(smooth), line
+    shading.background = wp.vec3(*BACKGROUND)
+    return shading
+
+
+def _edge_length(points: npt.NDArray[np.float32], faces: npt.NDArray[np.integer]) -> float:
+    """Mean length of the edges."""
     corner = points[faces].astype(np.float64)
-    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    total = np.zeros(points.shape)
-    np.add.at(total, faces.ravel(), np.repeat(normal, 3, axis=0))
-    length = np.linalg.norm(total, axis=1, keepdims=True)
-    return np.divide(total, length, out=np.zeros_like(total), where=length > 0).astype(np.float32)
+    return float(np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).mean()) if len(faces) else 0.0
 
 
-def _encode(linear: np.ndarray) -> np.ndarray:
+def decoded_srgb(encoded: npt.NDArray[np.uint8]) -> npt.NDArray[np.float64]:
+    """Linear values of sRGB bytes (IEC 61966-2-1)."""
+    share = encoded / 255.0
+    return np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
+
+
+def encoded_srgb(linear: np.ndarray) -> np.ndarray:
     """sRGB bytes of linear values (IEC 61966-2-1)."""
     clipped = np.clip(linear, 0.0, 1.0)
     encoded = np.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * clipped ** (1 / 2.4) - 0.055)

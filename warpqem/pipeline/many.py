@@ -13,9 +13,11 @@ from typing import TYPE_CHECKING, Any, Literal, cast, overload
 from warpqem.arguments.array_types import ArrayInput, MeshPoints
 from warpqem.arguments.number_input import flag, shown
 from warpqem.arguments.progress import CancelToken, Progress, ProgressInput, listener, share_of, with_progress_bar
+from warpqem.costs.models import cost_model
 from warpqem.errors import CancelledError, MemoryLimitError, OptionError, WarpqemError
 from warpqem.options import SimplifyKeywords, read_keywords
 from warpqem.pipeline.memory_plan import available_memory, parse_bytes
+from warpqem.pipeline.prepare import check_metric_options
 from warpqem.pipeline.result import SimplifiedMesh
 from warpqem.pipeline.simplify import simplify
 from warpqem.runtime.cpu_threads import thread_count
@@ -29,6 +31,8 @@ __all__ = ["ManyMeshes", "simplify_many"]
 # Meshes at once. Half of the work on a small one holds the interpreter's lock, so that more threads would wait; large
 # ones are split over all cores each.
 MAX_AT_ONCE = 4
+# Options of which each mesh may have its own in place of those for all.
+GOALS = ("ratio", "target_faces", "max_error", "max_distance")
 # Seconds between two looks at how far the meshes are.
 LOOK = 0.1
 
@@ -102,6 +106,7 @@ def simplify_many(
     given = [_read_mesh(index, mesh, options) for index, mesh in enumerate(_listed(meshes))]
     keep_errors = flag(return_errors, "return_errors")
     listen = listener(progress, cancel)
+    _check_common(options)
     if not given:
         return []
     # One device for all: they take turns on it.
@@ -127,12 +132,23 @@ def _read_mesh(index: int, mesh: Any, common: SimplifyKeywords) -> tuple[Any, An
     if not isinstance(own, dict):
         raise OptionError(f"meshes[{index}]: options must be a dictionary, got {shown(own)}")
     # A goal of its own takes the place of that for all.
-    goals = ("ratio", "target_faces", "max_error", "max_distance")
-    kept = {name: value for name, value in common.items() if name not in goals or not own.keys() & set(goals)}
+    kept = {name: value for name, value in common.items() if name not in GOALS or not own.keys() & set(GOALS)}
     keywords = cast("SimplifyKeywords", {**kept, **own})
     with _named(index):
         read_keywords(keywords)
     return points, faces, keywords
+
+
+def _check_common(options: SimplifyKeywords) -> None:
+    """Check what is asked of all meshes, also where there is none, or each has options of its own."""
+    # Each may have a goal of its own.
+    goal = {} if options.keys() & set(GOALS) else {"ratio": 1.0}
+    asked = read_keywords(cast("SimplifyKeywords", {**options, **goal}))
+    spec = cost_model(asked.metric)
+    check_metric_options(asked, spec)
+    resolve_device(asked.device)
+    if asked.memory is not None:
+        parse_bytes(asked.memory)
 
 
 def _memory_share(options: SimplifyKeywords, device: str, workers: int) -> int | None:

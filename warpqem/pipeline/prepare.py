@@ -36,7 +36,7 @@ from warpqem.repair.mended_mesh import faces_for, repaired_mesh, repaired_option
 from warpqem.runtime.device import resolve_device
 from warpqem.runtime.thread_limit import limit_threads, worthwhile_threads
 
-__all__ = ["ORDER_END", "Prepared", "QuadricSource", "plan_work", "prepare"]
+__all__ = ["ORDER_END", "Prepared", "QuadricSource", "check_metric_options", "plan_work", "prepare"]
 
 # Makes matrices (V, 3, 3) about the vertices of a mesh of one frame, on the mesh of unit diagonal, from the mesh and
 # the scale (V,) of the quadric at each vertex.
@@ -155,10 +155,7 @@ def prepare(
     if options.lock_borders:
         pinned |= border_vertices(given)
     scale = read_quadric_scale(options.quadric_scale, given)
-    if options.face is not None and not spec.keeps_face:
-        raise OptionError(f"face= needs metric 'face', not {spec.name!r}")
-    if options.motion is not None and not spec.uses_motion_features:
-        raise OptionError(f"motion= needs a metric that keeps motion features, such as 'aqem', not {spec.name!r}")
+    check_metric_options(options, spec)
     sums = None
     if spec.keeps_face:
         sums, kept = _protected_face(given, options)
@@ -181,6 +178,18 @@ def prepare(
         ),
         device=device,
     )
+
+
+def check_metric_options(options: MeshOptions, spec: CostModelSpec) -> None:
+    """Refuse options of another cost model.
+
+    Raises:
+        OptionError: there is one.
+    """
+    if options.face is not None and not spec.keeps_face:
+        raise OptionError(f"face= needs metric 'face', not {spec.name!r}")
+    if options.motion is not None and not spec.uses_motion_features:
+        raise OptionError(f"motion= needs a metric that keeps motion features, such as 'aqem', not {spec.name!r}")
 
 
 def _protected_face(given: MeshInput, options: MeshOptions) -> tuple[QuadricSums, np.ndarray]:

@@ -26,7 +26,24 @@ if TYPE_CHECKING:
     from typing_extensions import Unpack
 
 
-__all__ = ["build_progressive"]
+__all__ = ["build_progressive", "check_quality"]
+
+
+# Options of other functions that a progressive mesh has no use for.
+REFUSED = frozenset({"ratio", "target_faces", "max_error", "max_distance", "refit", "sink", "share", "keep_components"})
+
+
+def check_quality(quality: object) -> None:
+    """Refuse what would fit the surface of each level on its own.
+
+    Raises:
+        OptionError: quality is "best".
+    """
+    if quality == "best":
+        raise OptionError(
+            "quality 'best' fits the surface of each level on its own, but a vertex of a progressive mesh has one "
+            "place in all levels; memoryless=True (--memoryless) gives the order of 'best'"
+        )
 
 
 @with_progress_bar
@@ -44,8 +61,8 @@ def build_progressive(
 
     A vertex of any level is placed over all frames from its own cluster of input vertices, as :func:`warpqem.simplify`
     does, so a level does not depend on how it was reached: it has the same bits as the result for its face count,
-    with all components kept. Where topology is mended (:mod:`warpqem.repair`), its vertices are those of the input, and
-    behind them the copies of those that were cut.
+    with all components kept and without a last fit of the surface. Where topology is mended (:mod:`warpqem.repair`),
+    its vertices are those of the input, and behind them the copies of those that were cut.
 
     Args:
         points: as for :func:`warpqem.simplify`.
@@ -53,8 +70,10 @@ def build_progressive(
         base_faces: where to stop; None for as few faces as legal collapses lead to.
         progress: called with the part done, 0 to 1, and the stage, "read", "order" or "place"; True for a bar.
         cancel: as for :func:`warpqem.simplify`.
-        options: keyword arguments of :func:`warpqem.simplify`, but for its goals, ``refit``, ``memoryless``,
-            ``keep_components``, ``sink`` and ``share``.
+        options: keyword arguments of :func:`warpqem.simplify`, but for its goals, ``refit``, ``keep_components`` and
+            ``sink``. ``quality`` is "fast": "best" fits the surface of each level on its own, but here a vertex has one
+            place in all levels that it is in. ``memoryless`` gives the order of "best": levels have the same faces as
+            :func:`warpqem.simplify` gives, with vertices placed by the quadrics that their collapses had.
 
     Raises:
         OptionError: also for an option that does not apply.
@@ -69,9 +88,10 @@ def build_progressive(
         >>> [len(mesh.level(faces=count).faces) for count in (1000, 300)]
         [1000, 300]
     """
-    refused = {"ratio", "target_faces", "max_error", "refit", "sink", "share", "keep_components"} & set(options)
+    refused = REFUSED & set(options)
     if refused:
         raise OptionError(f"{', '.join(sorted(refused))}: not with a progressive mesh, which has all levels")
+    check_quality(options.get("quality"))
     # A mesh of one face is the least there is.
     target = 1 if base_faces is None else whole_number(base_faces, "base_faces")
     asked = read_keywords(options, target_faces=target, keep_components=True)

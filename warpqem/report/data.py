@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -14,11 +14,13 @@ from warpqem.errors import WarpqemError
 from warpqem.measure import Comparison, compare, vertex_distances
 from warpqem.measure.closest_points import ClosestPointSearch
 from warpqem.measure.heatmap import COLOR_MAP
-from warpqem.report.content import Level, Report
+from warpqem.picture.look import Texture
+from warpqem.report.content import Curve, Level, Report, Skeleton
 from warpqem.report.encoding import Grid, encode
+from warpqem.report.mesh_data import mesh_data, packed_textures
 from warpqem.runtime.device import device_turn
 
-__all__ = ["LARGEST_POSITIONS", "chosen_frames", "mesh_data", "report_data"]
+__all__ = ["LARGEST_POSITIONS", "chosen_frames", "report_data", "scale_end"]
 
 # Positions of a page take no more bytes than this before they are packed; the bundle and the rest add about 1 MB.
 LARGEST_POSITIONS = 6 * 2**20
@@ -27,14 +29,17 @@ BYTES_PER_POINT = 6
 # The meshes as a whole, with their faces.
 LARGEST_MESHES = 2 * LARGEST_POSITIONS
 BYTES_PER_FACE = 12
+# Vertex, smoothing group, place on the texture and colour of what is drawn for a vertex.
+BYTES_OF_LOOK = 15
 # Five seconds show what moves, and each frame that is shown is measured too.
 MAX_FRAMES = 120
-# The page has room for so many colours in one byte; the last value stands for no feature.
-NO_FEATURE = 255
 # Distances in % of the diagonal that are rounding: double precision leaves some 1e-13.
 NO_DISTANCE = 1e-9
-# Distances have 8 bits, as a share of the largest.
-DISTANCE_STEPS = 255
+# The scale of the colours ends here, as a share of the distances of all vertices in all frames: the few farthest would
+# leave all others dark.
+SCALE_QUANTILE = 0.99
+# Times a power of ten. Each is three to five times a number of one digit, for its ticks.
+SCALE_ENDS = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
 
 Progress = Callable[[float, str], None]
 
@@ -69,8 +74,7 @@ def report_data(report: Report, device: str | None = None, progress: Progress | 
     original = np.asarray(report.points)
     original = original[None] if original.ndim == 2 else original
     levels = [
-        Level(v.name, np.asarray(v.points).reshape(-1, *v.points.shape[-2:]), v.faces, v.measured)
-        for v in report.levels
+        replace(level, points=np.asarray(level.points).reshape(-1, *level.points.shape[-2:])) for level in report.levels
     ]
     grid = Grid.around(original, *(level.points for level in levels))
     notes = list(report.notes)
@@ -78,7 +82,8 @@ def report_data(report: Report, device: str | None = None, progress: Progress | 
         [("The original", original, report.faces), *((v.name, v.points, v.faces) for v in levels)], notes
     )
     marked = np.array(list(report.markers.values()), dtype=np.int64)
-    packed = []
+    packed: list[dict[str, Any]] = []
+    textures: list[Texture] = []
     labels = _features(original, report.faces, device)
     for index, level in enumerate(levels):
         start, share = index / len(levels), 1 / len(levels)
@@ -89,9 +94,8 @@ def report_data(report: Report, device: str | None = None, progress: Progress | 
         # Few points, so that every vertex can be asked.
         places = original[0, marked].astype(np.float64)
         nearest = [int(((level.points[0] - place) ** 2).sum(axis=1).argmin()) for place in places]
-        packed.append(
-            {"markers": nearest} | _level_data(level, original, report, grid, labels, shown[index + 1], device, part)
-        )
+        found = _level_data(level, original, report, grid, labels, shown[index + 1], textures, device, part)
+        packed.append({"markers": nearest, "joints": _used_joints(report.skeletons, level.used_joints)} | found)
     return {
         "title": report.title,
         "up": report.up,
@@ -102,48 +106,56 @@ def report_data(report: Report, device: str | None = None, progress: Progress | 
         "markers": list(report.markers),
         "original": {
             **_counts(original, report.faces),
-            "mesh": mesh_data(original, report.faces, grid, labels) if shown[0] else None,
+            "mesh": mesh_data(original, report.faces, grid, labels, look=report.look, textures=textures)
+            if shown[0]
+            else None,
             "markers": marked.tolist(),
         },
         "levels": packed,
+        "heatEnd": scale_end([level.pop("heatEnd") for level in packed]),
+        "textures": packed_textures(textures),
         "samples": packed[0]["measures"]["samples"] if packed else 0,
+        "skeletons": [_skeleton_data(skeleton) for skeleton in report.skeletons],
+        "curves": [_curve_data(curve) for curve in report.curves],
         "tables": [asdict(table) for table in report.tables],
         "notes": notes,
     }
 
 
-def mesh_data(
-    points: np.ndarray,
-    faces: np.ndarray,
-    grid: Grid,
-    labels: np.ndarray | None = None,
-    distance: np.ndarray | None = None,
-    scale: float | None = None,
-) -> dict[str, Any]:
-    """A mesh as the page decodes it.
-
-    Args:
-        points: (F, V, 3).
-        faces: (N, 3) integers.
-        grid: what positions are rounded to.
-        labels: (V,) integers, motion feature of each vertex, -1 for none; None where nothing was looked for.
-        distance: (F, V), in % of the diagonal; None where nothing was measured.
-        scale: distance of the last colour; None for the largest of these.
-    """
-    largest = scale if scale is not None else 0.0 if distance is None else float(distance.max(initial=0.0))
-    heat = None
-    if distance is not None:
-        steps = np.rint(distance * (DISTANCE_STEPS / largest if largest > 0 else 0))
-        heat = encode(np.minimum(steps, DISTANCE_STEPS).astype(np.uint8))
+def _skeleton_data(skeleton: Skeleton) -> dict[str, Any]:
+    """A skeleton as the page decodes it, on a grid of its own: joints may be far from the mesh."""
+    grid = Grid.around(skeleton.points)
     return {
-        "vertexCount": points.shape[1],
-        "faceCount": len(faces),
-        "points": encode(grid.round(points), over_time=True),
-        "faces": encode(np.asarray(faces).astype(np.uint32)),
-        "features": None if labels is None else encode(_feature_bytes(labels)),
-        "heat": heat,
-        "heatScale": largest,
+        "name": skeleton.name,
+        "joints": list(skeleton.joints),
+        "parents": np.asarray(skeleton.parents).tolist(),
+        "used": [joint in skeleton.used for joint in skeleton.joints],
+        "grid": {"low": grid.low.tolist(), "step": grid.step},
+        "points": encode(grid.round(skeleton.points), over_time=True),
     }
+
+
+def _used_joints(skeletons: Sequence[Skeleton], used: Mapping[str, set[str]] | None) -> list[list[bool]]:
+    """Of each skeleton, which of its joints move a level."""
+    return [
+        [joint in (skeleton.used if used is None else used.get(skeleton.name, set())) for joint in skeleton.joints]
+        for skeleton in skeletons
+    ]
+
+
+def _curve_data(curve: Curve) -> dict[str, Any]:
+    series = [{"name": name, "x": list(x), "y": list(y)} for name, x, y in curve.series]
+    return {"title": curve.title, "unit": curve.unit, "xName": curve.x_name, "series": series}
+
+
+def scale_end(ends: Sequence[float]) -> float:
+    """Where one scale of distances for all levels ends: the next round number above the largest of theirs."""
+    largest = max(ends, default=0.0)
+    if largest <= NO_DISTANCE:
+        return 0.0
+    power = 10.0 ** np.floor(np.log10(largest))
+    end = next(step * power for step in SCALE_ENDS if step * power >= largest * (1 - 1e-9))
+    return float(f"{end:.3g}")
 
 
 def _with_room(meshes: Sequence[tuple[str, np.ndarray, np.ndarray]], notes: list[str]) -> list[bool]:
@@ -154,17 +166,14 @@ def _with_room(meshes: Sequence[tuple[str, np.ndarray, np.ndarray]], notes: list
     room = LARGEST_MESHES
     shown = []
     for name, points, faces in reversed(meshes):
-        size = points.shape[0] * points.shape[1] * BYTES_PER_POINT + len(faces) * BYTES_PER_FACE
+        per_vertex = points.shape[0] * BYTES_PER_POINT + BYTES_OF_LOOK
+        size = points.shape[1] * per_vertex + len(faces) * BYTES_PER_FACE
         shown.append(size <= room)
         if shown[-1]:
             room -= size
         else:
             notes.append(f"{name} has {len(faces)} faces, more than this page has room for: measured, but not drawn.")
     return shown[::-1]
-
-
-def _feature_bytes(labels: np.ndarray) -> np.ndarray:
-    return np.where(labels < 0, NO_FEATURE, labels % NO_FEATURE).astype(np.uint8)
 
 
 def _counts(points: np.ndarray, faces: np.ndarray) -> dict[str, int]:
@@ -201,6 +210,7 @@ def _level_data(
     grid: Grid,
     labels: np.ndarray | None,
     shown: bool,
+    textures: list[Texture],
     device: str | None,
     progress: Callable[[int, int], None],
 ) -> dict[str, Any]:
@@ -208,12 +218,16 @@ def _level_data(
     distance = vertex_distances(*meshes, device=device)
     own_labels = None if labels is None else _transferred(labels, original[0], report.faces, level.points[0], device)
     measures = _measures(compare(*meshes, device=device, progress=progress), report.thinned, level.measured or {})
-    # The colours end at the largest distance of the table.
-    scale = measures["hausdorff"] if distance.max(initial=0.0) > NO_DISTANCE else 0.0
+    # Rounding alone is no distance.
+    scale = None if distance.max(initial=0.0) > NO_DISTANCE else 0.0
     return {
         "name": level.name,
         **_counts(level.points, level.faces),
-        "mesh": mesh_data(level.points, level.faces, grid, own_labels, distance, scale) if shown else None,
+        "mesh": mesh_data(level.points, level.faces, grid, own_labels, distance, scale, level.look, textures)
+        if shown
+        else None,
+        "heatEnd": float(np.quantile(distance, SCALE_QUANTILE)),
+        "meshes": {name: dict(found) for name, found in level.meshes.items()},
         "measures": measures,
     }
 
@@ -228,6 +242,7 @@ def _measures(found: Comparison, thinned: bool, known: Mapping[str, Any]) -> dic
         "normals": figures["normal_deviation"],
         "flips": figures["flips"],
         "verdict": figures["verdict"],
+        "reason": figures["reason"],
         "samples": figures["sample_count"],
         # Between frames that do not follow each other these say nothing.
         "jitter": None if thinned else found.jitter,

@@ -16,8 +16,9 @@ from warpqem.measure import vertex_distances
 from warpqem.progressive import ProgressiveMesh
 from warpqem.progressive.stage_notes import StageNotes
 from warpqem.report.content import Report
-from warpqem.report.data import chosen_frames, mesh_data, report_data
+from warpqem.report.data import SCALE_QUANTILE, chosen_frames, report_data, scale_end
 from warpqem.report.encoding import Grid
+from warpqem.report.mesh_data import mesh_data
 
 __all__ = ["LiveLevels"]
 
@@ -103,9 +104,11 @@ class LiveLevels:
         found["firstLevel"] = first
         # The page asks for it at once. All are measured against the finest, so that where one can be packed all can.
         try:
-            self.level(first)
+            end = self.level(first)["heatEnd"]
         except DegenerateMeshError as error:
             raise DegenerateMeshError(f"{self._title}: {error}") from error
+        # Levels much coarser are yellow all over, and the legend says from where on.
+        found["heatEnd"] = scale_end([end])
         found["curve"] = {"faces": [faces for faces, _ in levels], "error": [error for _, error in levels]}
         return found
 
@@ -137,4 +140,7 @@ class LiveLevels:
         level = self._mesh.level(self.splits[index])
         points = level.points[self._shown]
         distance = vertex_distances(self._points, self._faces, points, level.faces, device=self._device)
-        return {"mesh": mesh_data(points, level.faces, self._grid, None, distance)}
+        return {
+            "mesh": mesh_data(points, level.faces, self._grid, None, distance),
+            "heatEnd": float(np.quantile(distance, SCALE_QUANTILE)),
+        }

@@ -16,8 +16,8 @@ from warpqem.report.page import asset_text, page_json, script_text
 
 __all__ = ["Asset", "overview_page"]
 
-# Of a picture; more do not show at its size.
-COLORS = 48
+# Of JPEG, 0 to 100: more does not show at the size of these pictures.
+QUALITY = 84
 
 
 @dataclass(frozen=True)
@@ -38,6 +38,7 @@ class Asset:
         message: what went wrong; empty where nothing did.
         pictures: before and after, (height, width, 3) uint8 sRGB; empty for none.
         link: address of the output, relative to the page; empty for none.
+        page: address of its own report, likewise.
     """
 
     name: str
@@ -53,6 +54,7 @@ class Asset:
     message: str = ""
     pictures: Sequence[np.ndarray] = ()
     link: str = ""
+    page: str = ""
 
 
 def overview_page(title: str, assets: Sequence[Asset], notes: Sequence[str] = ()) -> str:
@@ -70,5 +72,5 @@ def overview_page(title: str, assets: Sequence[Asset], notes: Sequence[str] = ()
 
 def _as_address(picture: np.ndarray) -> str:
     file = io.BytesIO()
-    Image.fromarray(picture).quantize(COLORS).save(file, format="PNG", optimize=True)
-    return "data:image/png;base64," + base64.b64encode(file.getvalue()).decode("ascii")
+    Image.fromarray(picture).save(file, "JPEG", quality=QUALITY, subsampling=0, optimize=True)
+    return "data:image/jpeg;base64," + base64.b64encode(file.getvalue()).decode("ascii")

@@ -20,6 +20,18 @@ from warpqem.report.data import Progress, report_data
 __all__ = ["asset_text", "check_page_path", "page_json", "report_page", "save_page", "script_text", "write_report"]
 
 SUFFIXES = (".html", ".htm")
+# In the order of what they use of each other.
+SCRIPTS = (
+    "decode.js",
+    "tables.js",
+    "plots.js",
+    "mesh_view.js",
+    "skeleton.js",
+    "scene.js",
+    "meshes.js",
+    "share.js",
+    "page.js",
+)
 
 
 def write_report(
@@ -61,10 +73,22 @@ def report_page(data: Mapping[str, Json]) -> str:
         "STYLE": asset_text("page.css"),
         "DATA": page_json(data),
         "THREE": script_text("three.min.js"),
-        "PAGE": "".join(script_text(name) for name in ("decode.js", "plots.js", "scene.js", "page.js")),
+        "PAGE": "".join(map(script_text, SCRIPTS)),
+        "PLAIN": _plain_table(data),
     }
     pieces = text.split("%%")
     return "".join(parts[piece] if index % 2 else piece for index, piece in enumerate(pieces))
+
+
+def _plain_table(data: Mapping[str, Any]) -> str:
+    """The errors of the levels as HTML, for browsers that run no script."""
+    rows = [("level", "faces", "verdict", "RMS %", "Hausdorff %"), ("original", data["original"]["faces"], "", "", "")]
+    for level in data["levels"]:
+        found = level.get("measures") or {"verdict": "", "rms": None, "hausdorff": None}
+        errors = ("" if found[name] is None else f"{found[name]:.4g}" for name in ("rms", "hausdorff"))
+        rows.append((level["name"], level["faces"], found["verdict"], *errors))
+    cells = ("".join(f"<td>{html.escape(printable(str(value)))}</td>" for value in row) for row in rows)
+    return "<table>" + "".join(f"<tr>{row}</tr>" for row in cells) + "</table>"
 
 
 def page_json(value: Any) -> str:

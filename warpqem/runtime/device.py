@@ -85,6 +85,8 @@ _started = False
 def _start_warp() -> None:
     """Start Warp in one thread: threads that came to it at once would each start it."""
     global _started
+    if _started:
+        return
     with _starting:
         if not _started:
             with quiet_start():
@@ -94,6 +96,7 @@ def _start_warp() -> None:
 
 def device_traits(device: str) -> DeviceTraits:
     """How launches work on a Warp device."""
+    _start_warp()
     if wp.get_device(device).is_cpu:
         return _TRAITS["cpu"]
     traits = _TRAITS["cuda"]

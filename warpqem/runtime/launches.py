@@ -12,6 +12,7 @@ from typing import Any
 
 import warp as wp
 
+from warpqem.runtime.compiling import compiling
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.warp_messages import quiet_loading
 
@@ -43,7 +44,7 @@ def load_kernel(kernel: wp.Kernel, device: wp.DeviceLike) -> None:
         return
     with _loading:
         if key not in _loaded:
-            with quiet_loading(), _machine_code():
+            with quiet_loading(), _machine_code(), compiling(kernel.module, str(device)):
                 if device_traits(str(device)).compiles_together:
                     _compile_all(kernel.module, wp.get_device(device).arch)
                 wp.load_module(kernel.module, device, max_workers=0)

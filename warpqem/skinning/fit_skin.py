@@ -124,6 +124,8 @@ class PreparedFit:
         planes: those of the clusters.
         poses: (P, V, 3) float32, the input in its poses.
         placed: (P, C, 3), where placement put the vertices.
+        faces: (N, 3) int32, the faces that were simplified.
+        result_faces: (N', 3) int32, those of the simplified mesh.
         influences: joints that move an output vertex at most.
         diagonal: that of the rest shape's bounding box, in the caller's units.
         to_planes: aim at the least of the quadrics.
@@ -140,6 +142,8 @@ class PreparedFit:
     planes: ClusterPlanes
     poses: np.ndarray
     placed: np.ndarray
+    faces: np.ndarray
+    result_faces: np.ndarray
     influences: int
     diagonal: float
     to_planes: bool
@@ -215,6 +219,8 @@ def prepare_fit(
         planes=ClusterPlanes(corner, result.vertex_map, len(fixed), seams, device),
         poses=poses * np.float32(unit),
         placed=placed,
+        faces=corner,
+        result_faces=result.faces,
         influences=most,
         diagonal=given.diagonal,
         to_planes=to_planes,

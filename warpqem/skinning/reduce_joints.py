@@ -2,44 +2,39 @@
 
 The error of a skin is that of Landreneau & Schaefer 2009, see :mod:`warpqem.skinning.fit_skin`. Joints go one by one,
 each time the one whose vertices miss their poses least without it, after rest positions and weights are solved for
-again: a greedy backward elimination with exact costs. See :mod:`warpqem.skinning.joint_removal`.
+again: a greedy backward elimination with exact costs. Where joints that go from the leaves of the skeleton leave less
+distance, as it is measured on the surface, these go instead. See :mod:`warpqem.skinning.joint_removal`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, TypedDict
 
 import numpy as np
-import warp as wp
 
 from warpqem.arguments.array_input import first_outside, index_array
 from warpqem.arguments.array_record import ArrayRecord
 from warpqem.arguments.array_types import ArrayInput, Points
 from warpqem.arguments.number_input import real_number, whole_number
 from warpqem.errors import MeshShapeError, OptionError
+from warpqem.frames.stream import ArrayFrames
+from warpqem.measure.measured import measure_frames
 from warpqem.pipeline.result import SimplifiedMesh
 from warpqem.runtime.device import on_device
-from warpqem.skinning.fit_problem import SURFACE_REGULARISATION
 from warpqem.skinning.fit_skin import PreparedFit, prepare_fit
-from warpqem.skinning.joint_removal import JointRemoval, VertexSkin
-from warpqem.skinning.linear_skin import LinearSkin, blend_influences, normalised_weights
+from warpqem.skinning.joint_course import JointsGone, choose_joints, joint_removal, reduced_skin
+from warpqem.skinning.joint_removal import JointRemoval
+from warpqem.skinning.leaf_order import next_leaf
+from warpqem.skinning.linear_skin import LinearSkin, pose_skin
 
-__all__ = ["JointsGone", "ReducedJoints", "choose_joints", "joint_removal", "reduce_joints", "reduced_skin"]
+__all__ = ["JointGoals", "ReducedJoints", "RemovalPlan", "joint_steps", "reduce_in_steps", "reduce_joints"]
 
-# Vertices that decide which joint goes, about so many, and of each joint at least so many of those that it moves most:
-# all of a small mesh. The skin of all vertices is solved for in any case.
-MAX_DECIDING, MIN_DECIDING = 512, 8
-# Joints of a vertex that count in that choice: the others have little weight, and the solves grow with their cube.
-DECIDING_INFLUENCES = 4
-# Influences of a mesh whose vertices look for better solutions once more at the end, which takes up to 10 % off the
-# error and half a millisecond for each.
-MAX_IMPROVED = 40000
-# Where no more joints are left, one by one is not good enough: each is tried for each that went. With more of them the
-# choice was never worse than removal from the leaves.
-MAX_EXCHANGED = 3
-# An exchange takes off this part of the error at least.
-MIN_EXCHANGE = 0.999
+# Skins along a removal that are kept, by their numbers of joints.
+MAX_STEPS = 16
+# Poses, and samples on each mesh in each of them, that decide between two ways.
+MEASURED_POSES, MEASURED_SAMPLES = 16, 2000
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -77,7 +72,15 @@ class ReducedJoints(ArrayRecord):
         return LinearSkin(self.skin.rest, joints, self.skin.weights)
 
 
-@on_device
+class JointGoals(TypedDict, total=False):
+    """How far joints are reduced: arguments of :func:`reduce_joints`."""
+
+    joints: int | None
+    max_error: float | None
+    parents: ArrayInput | None
+    keep: ArrayInput | None
+
+
 def reduce_joints(
     points: Points,
     faces: ArrayInput,
@@ -124,17 +127,49 @@ def reduce_joints(
         MeshShapeError: shapes do not go together, or the poses are not what skin and transforms give.
         OptionError: there is no goal, or a number is out of range.
     """
+    goals: JointGoals = {"joints": joints, "max_error": max_error, "parents": parents, "keep": keep}
+    given = (points, faces, result, skin, transforms, start, influences, offsets, start_offsets, seams, to_planes)
+    return reduce_in_steps(given, goals, device=device)[0][0]
+
+
+@dataclass(frozen=True)
+class RemovalPlan:
+    """Which joints go.
+
+    Attributes:
+        order: what :func:`choose_joints` gives.
+        from_leaves: whether they go from the leaves of the skeleton instead; None where both are to be tried.
+    """
+
+    order: list[int]
+    from_leaves: bool | None = None
+
+
+@on_device
+def reduce_in_steps(
+    given: tuple[Any, ...], goals: JointGoals, *, device: str | None, plan: RemovalPlan | None = None
+) -> tuple[list[ReducedJoints], RemovalPlan]:
+    """The skins along a removal, of the fewest joints first, and the plan that it went by.
+
+    Args:
+        given: the arguments of :func:`warpqem.skinning.fit_skin.prepare_fit` but for the device.
+        goals: arguments of :func:`reduce_joints`.
+        device: Warp device.
+        plan: the plan for a mesh like this one; None to make one.
+
+    Raises:
+        The errors of :func:`reduce_joints`.
+    """
+    joints, max_error, keep = goals.get("joints"), goals.get("max_error"), goals.get("keep")
     if joints is None and max_error is None:
         raise OptionError("one of joints and max_error is needed")
     if joints is not None:
         joints = whole_number(joints, "joints")
     if max_error is not None:
         max_error = real_number(max_error, "max_error", "a percentage of at least 0", lambda x: x >= 0)
-    prepared = prepare_fit(
-        points, faces, result, skin, transforms, start, influences, offsets, start_offsets, seams, to_planes, device
-    )
+    prepared = prepare_fit(*(*given, device))
     joint_count = prepared.transforms.shape[1]
-    above = _read_parents(parents, joint_count)
+    above = _read_parents(goals.get("parents"), joint_count)
     may_go = np.ones(joint_count, dtype=bool)
     if keep is not None:
         kept = index_array(keep, "keep", ("N",))
@@ -142,20 +177,83 @@ def reduce_joints(
         if outside is not None:
             raise MeshShapeError(f"keep at {outside[0]} is {kept[outside]}, but there are {joint_count} joints")
         may_go[kept] = False
-    return _run(prepared, above, may_go, joints or 1, np.inf if max_error is None else max_error)
+    least, limit = joints or 1, np.inf if max_error is None else max_error
+    if plan is None:
+        plan = RemovalPlan(choose_joints(prepared, above, may_go, least, limit))
+    return joint_steps(prepared, above, may_go, least, limit, plan)
 
 
-def _run(prepared: PreparedFit, parents: np.ndarray, may_go: np.ndarray, least: int, limit: float) -> ReducedJoints:
-    order = choose_joints(prepared, parents, may_go, least, limit)
-    removal, size = joint_removal(prepared, parents)
+def joint_steps(
+    prepared: PreparedFit, parents: np.ndarray, may_go: np.ndarray, least: int, limit: float, plan: RemovalPlan
+) -> tuple[list[ReducedJoints], RemovalPlan]:
+    """The skins along a removal of joints, of the fewest joints first, and the plan that they came from.
+
+    Joints go by what they cost, or from the leaves of the skeleton where that is nearer to the input: the error that
+    decides is one by planes, which have no end.
+
+    Args:
+        prepared: the mesh.
+        parents: (J,) the joint above each, -1 for none.
+        may_go: (J,) bool.
+        least: joints to come down to.
+        limit: see ``max_error`` of :func:`reduce_joints`.
+        plan: which joints go.
+    """
+
+    def steps(from_leaves: bool) -> list[ReducedJoints]:
+        chosen = iter(plan.order)
+
+        def choose(removal: JointRemoval) -> int | None:
+            return next_leaf(removal, parents, may_go) if from_leaves else next(chosen, None)
+
+        return _course(prepared, may_go, least, limit, joint_removal(prepared, parents), choose, not from_leaves)
+
+    if plan.from_leaves is not None:
+        return steps(plan.from_leaves), plan
+    by_error = steps(False)
+    if (parents < 0).all() or len(by_error[0].removed) == 0:
+        return by_error, plan
+    leaves = steps(True)
+    counts = [len(way[0].used) for way in (by_error, leaves)]
+    if counts[0] == counts[1]:
+        errors = [_measured(prepared, way[0].skin) for way in (by_error, leaves)]
+        from_leaves = errors[1] < errors[0]
+    else:
+        from_leaves = counts[1] < counts[0]
+    return leaves if from_leaves else by_error, replace(plan, from_leaves=from_leaves)
+
+
+def _course(
+    prepared: PreparedFit,
+    may_go: np.ndarray,
+    least: int,
+    limit: float,
+    start: tuple[JointRemoval, float],
+    choose: Callable[[JointRemoval], int | None],
+    exchanges: bool,
+) -> list[ReducedJoints]:
+    """The skins along one removal, of the fewest joints first; ``choose`` says which joint goes next."""
+    removal, size = start
     gone = JointsGone(removal)
     # What the limit adds to the sum of squares.
     most = gone.misses[0] + (limit / 100.0) ** 2 * size
-    for joint in order:
-        if len(gone.used) <= least or gone.misses[-1] + removal.cost(joint) > most:
+    kept = set(np.linspace(least, len(gone.used), MAX_STEPS).round().astype(int).tolist())
+    steps = [_reduced(prepared, removal, gone, size)]
+    while len(gone.used) > least:
+        joint = choose(removal)
+        if joint is None or gone.misses[-1] + removal.cost(joint) > most:
             break
-        gone.remove(joint, may_go)
+        gone.remove(joint, may_go, exchanges=exchanges)
+        if len(gone.used) in kept:
+            steps.append(_reduced(prepared, removal, gone, size))
     gone.finish()
+    last = _reduced(prepared, removal, gone, size)
+    if len(steps[-1].used) == len(last.used):
+        steps.pop()
+    return [last, *steps[::-1]]
+
+
+def _reduced(prepared: PreparedFit, removal: JointRemoval, gone: JointsGone, size: float) -> ReducedJoints:
     return ReducedJoints(
         reduced_skin(prepared, removal),
         gone.used.astype(np.int32),
@@ -166,118 +264,16 @@ def _run(prepared: PreparedFit, parents: np.ndarray, may_go: np.ndarray, least: 
     )
 
 
-def choose_joints(
-    prepared: PreparedFit, parents: np.ndarray, may_go: np.ndarray, least: int, limit: float = np.inf
-) -> list[int]:
-    """The joints that go, in their order, by the exact cost of each over vertices that stand for all.
-
-    Args:
-        prepared: the mesh.
-        parents: (J,) the joint above each, -1 for none.
-        may_go: (J,) bool.
-        least: joints to come down to.
-        limit: see ``max_error`` of :func:`reduce_joints`.
-    """
-    removal, size = joint_removal(prepared, parents, sample=True)
-    removal.improve()
-    first = present = float(removal.skin.misses.sum())
-    order: list[int] = []
-    used = removal.used()
-    while len(used) > least:
-        candidates = used[may_go[used]]
-        if not len(candidates):
-            break
-        joint = removal.cheapest(candidates)
-        if present + removal.cost(joint) > first + (limit / 100.0) ** 2 * size:
-            break
-        order.append(joint)
-        removal.remove(joint)
-        removal.improve()
-        used = removal.used()
-        present = float(removal.skin.misses.sum())
-    return order
-
-
-class JointsGone:
-    """The course of a removal.
-
-    Attributes:
-        used: joints in use.
-        removed: joints that went.
-        heirs: which got most of the weight of each; -1 where its vertices found better ones before it went.
-        counts: joints in use before any went and after each.
-        misses: what the poses miss at each of these counts.
-    """
-
-    def __init__(self, removal: JointRemoval) -> None:
-        self._removal, self._all = removal, removal.used()
-        self.removed: list[int] = []
-        self.heirs: list[int] = []
-        self.used = self._all
-        self.counts: list[int] = []
-        self.misses: list[float] = []
-        self.record()
-
-    def remove(self, joint: int, may_go: np.ndarray | None = None, exchanges: bool = True) -> None:
-        """Take a joint away; where few are left and all may go, exchange others for joints that went before.
-
-        Args:
-            joint: the joint; the one that costs least where it went in an exchange.
-            may_go: (J,) bool; None for all.
-            exchanges: whether others may be exchanged.
-        """
-        movable = self.used if may_go is None else self.used[may_go[self.used]]
-        if joint not in movable:
-            joint = min(movable.tolist(), key=self._removal.cost)
-        self.removed.append(joint)
-        self.heirs.append(self._removal.remove(joint))
-        if exchanges and len(self.used) - 1 <= MAX_EXCHANGED and (may_go is None or may_go[self._all].all()):
-            self._exchange()
-        self.record()
-
-    def _exchange(self) -> None:
-        """Exchange one joint for another as long as the poses miss less with it, but not less than with one more."""
-        removal = self._removal
-        removal.settle()
-        while True:
-            used = removal.used().tolist()
-            trials = {}
-            for out in used:
-                for other in np.setdiff1d(self._all, used).tolist():
-                    joints = [*(joint for joint in used if joint != out), other]
-                    found, present = removal.misses_with(joints, MAX_DECIDING)
-                    trials[out, other] = found / max(present, np.finfo(float).tiny)
-            if not trials:
-                return
-            out, other = min(trials, key=lambda pair: (trials[pair], pair))
-            joints = [*(joint for joint in used if joint != out), other]
-            if trials[out, other] > MIN_EXCHANGE or not removal.move_with(joints, self.misses[-1]):
-                return
-            if other in self.removed:
-                del self.heirs[self.removed.index(other)]
-                self.removed.remove(other)
-            self.removed.append(out)
-            self.heirs.append(other)
-
-    def finish(self) -> None:
-        """Let the vertices of a mesh of moderate size take better solutions once more."""
-        if MAX_DECIDING * DECIDING_INFLUENCES < self._removal.skin.joints.size <= MAX_IMPROVED:
-            self._removal.improve()
-            del self.counts[-1], self.misses[-1]
-            self.record()
-
-    def record(self) -> None:
-        """Note what the removal has come to."""
-        if self._removal.skin.joints.size <= MAX_DECIDING * DECIDING_INFLUENCES:
-            self._removal.improve()
-        else:
-            self._removal.settle()
-        self.used = self._removal.used()
-        for joint in np.setdiff1d(self._all, [*self.used, *self.removed]).tolist():
-            self.removed.append(joint)
-            self.heirs.append(-1)
-        self.counts.append(len(self.used))
-        self.misses.append(float(self._removal.skin.misses.sum()))
+def _measured(prepared: PreparedFit, skin: LinearSkin) -> float:
+    """RMS distance of a skin from the input over the poses, in % of the diagonal, the rest shape left aside."""
+    count = len(prepared.poses)
+    poses = np.unique(np.linspace(min(1, count - 1), count - 1, MEASURED_POSES).round().astype(int))
+    offsets = None if prepared.start_offsets is None else prepared.start_offsets[poses]
+    posed = pose_skin(skin, prepared.transforms[poses], offsets) / prepared.diagonal
+    frames = [ArrayFrames(points.astype(np.float32)) for points in (prepared.poses[poses], posed)]
+    faces, chosen, device = (prepared.faces, prepared.result_faces), range(len(poses)), prepared.fit.device
+    done = measure_frames(frames[0], faces[0], frames[1], faces[1], chosen, samples=MEASURED_SAMPLES, device=device)
+    return float(done.per_frame().rms.mean())
 
 
 def _read_parents(parents: Any, joint_count: int) -> np.ndarray:
@@ -288,58 +284,3 @@ def _read_parents(parents: Any, joint_count: int) -> np.ndarray:
     if len(wrong):
         raise MeshShapeError(f"parents at {wrong[0]} is {above[wrong[0]]}, but there are {joint_count} joints")
     return np.asarray(above)
-
-
-def joint_removal(prepared: PreparedFit, parents: np.ndarray, sample: bool = False) -> tuple[JointRemoval, float]:
-    """The state before any joint goes, from the fitted skin; and the area of all planes over all poses.
-
-    Args:
-        prepared: the mesh.
-        parents: (J,) the joint above each, -1 for none.
-        sample: take vertices that stand for all where there are many.
-    """
-    fitted, _, _ = prepared.solve()
-    fit, count, unit = prepared.fit, len(prepared.fixed), 1.0 / prepared.diagonal
-    position = wp.array(np.ascontiguousarray(prepared.poses), dtype=wp.vec3, device=fit.device)
-    gathered = prepared.planes.gather(slice(0, count), position, prepared.placed, prepared.to_planes)
-    stiffness, goal = (array.numpy() for array in gathered)
-    size = float(np.trace(stiffness, axis1=2, axis2=3).sum()) / (1.0 + 3.0 * SURFACE_REGULARISATION)
-    transforms = prepared.transforms.copy()
-    transforms[..., 3] *= unit
-    offsets = None if prepared.start_offsets is None else prepared.start_offsets * unit
-    vertex, factor = np.arange(count), np.ones(count)
-    joints, weights = fitted.joints, fitted.weights.copy()
-    if sample:
-        vertex, factor = _representatives(fitted)
-        most = min(DECIDING_INFLUENCES, joints.shape[1])
-        joints, weights = blend_influences(joints, weights, vertex[:, None], np.ones((len(vertex), 1)), most)
-    skin = VertexSkin(fitted.rest[vertex] * unit, joints, weights, np.zeros(len(vertex)))
-    stiffness = stiffness[vertex] * factor[:, None, None, None]
-    offsets = None if offsets is None else offsets[:, vertex]
-    return JointRemoval(fit, stiffness, goal[:, vertex], transforms, offsets, skin, parents), size
-
-
-def _representatives(skin: LinearSkin) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices that stand for all, and how many each stands for: evenly of those that the same joint moves most."""
-    heaviest = skin.joints[np.arange(len(skin.joints)), skin.weights.argmax(axis=1)]
-    groups = [np.flatnonzero(heaviest == joint) for joint in np.unique(heaviest)]
-    # Small groups are kept, the others share the rest.
-    share = min(1.0, MAX_DECIDING / len(heaviest))
-    chosen, factor = [], []
-    for group in groups:
-        number = min(len(group), max(MIN_DECIDING, round(share * len(group))))
-        picked = group[np.linspace(0, len(group) - 1, number).round().astype(int)]
-        chosen.append(picked)
-        factor.append(np.full(number, len(group) / number))
-    vertex, weight = np.concatenate(chosen), np.concatenate(factor)
-    order = np.argsort(vertex)
-    return vertex[order], weight[order]
-
-
-def reduced_skin(prepared: PreparedFit, removal: JointRemoval) -> LinearSkin:
-    """The present skin in the caller's units and in single precision, weights in falling order."""
-    skin = removal.skin
-    order = np.argsort(-skin.weights, axis=1, kind="stable")
-    joints, weights = (np.take_along_axis(array, order, axis=1) for array in (skin.joints, skin.weights))
-    joints = np.where(weights > 0, joints, 0).astype(np.int32)
-    return LinearSkin((skin.rest * prepared.diagonal).astype(np.float32), joints, normalised_weights(weights))

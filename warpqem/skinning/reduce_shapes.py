@@ -2,7 +2,9 @@
 
 What weights ``w`` do is ``sum_s w_s D_s``. A shape that goes is replaced by a sum of few others,
 ``D_s = sum_r M_sr D_r`` with ``M >= 0``, and the weights of those that stay become ``w_r + sum_s w_s M_sr``, within
-[0, 1] or what the used weights reach. The mean square of what is left over weights that are used and over random ones,
+[0, 1] or what the used weights reach. Where a limit on the error asks for it, as it does of equal shapes that are used
+together, a shape that takes others over is scaled by the largest sum that it may get, and its weights by the inverse of
+that, so that none is cut off. The mean square of what is left over weights that are used and over random ones,
 ``tr(W (1 - M) Q (1 - M)^T)`` with ``W = mean w w^T`` and the Gram matrix ``Q`` of the shapes, is quadratic in ``M``.
 Shapes go one by one, each time the one that leaves least (greedy backward elimination); rows of ``M`` are found by
 orthogonal matching pursuit without negative terms. ``Q`` measures across the surface of the simplified mesh, and a
@@ -20,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from warpqem.arguments.array_input import finite_array, first_outside, index_array
+from warpqem.arguments.array_input import finite_array, first_outside, index_array, is_empty
 from warpqem.arguments.array_record import ArrayRecord
 from warpqem.arguments.array_types import ArrayInput
 from warpqem.arguments.number_input import real_number, whole_number
@@ -39,6 +41,8 @@ RANDOM_SAMPLES = 512
 MIN_PART = 1e-3
 # An inbetween matters where going without it adds so much to the mean square of the rest.
 INBETWEEN_SHARE = 0.01
+# Costs that differ by less than this part of what the largest shape moves are the same but for rounding.
+SAME_COST = 1e-12
 # Turns over all rows of M until each fits the others.
 TURNS = 2
 
@@ -51,6 +55,8 @@ class ReducedShapes(ArrayRecord):
         kept: (N,) int32, shapes that stay, ascending.
         removed: (R,) int32, those that went, in that order.
         parts: (S, N) float64, how much of the weight of each shape goes to each that stays: 1 for a shape itself.
+        scales: (N,) float64, what the offsets of each shape that stays are to be multiplied by, and its weights are
+            divided by: 1, but where it takes over so much that its weights would be cut off beyond ``max_error``.
         weights: (F, N) float64, the used weights corrected, within [0, 1] or what the used ones reach; None for none.
         inbetweens: for each shape the weights of its inbetweens that stay.
         counts: (R + 1,) int32, shapes at each step.
@@ -62,6 +68,7 @@ class ReducedShapes(ArrayRecord):
     kept: np.ndarray
     removed: np.ndarray
     parts: np.ndarray
+    scales: np.ndarray
     weights: np.ndarray | None
     inbetweens: list[tuple[float, ...]]
     counts: np.ndarray
@@ -82,7 +89,8 @@ class ReducedShapes(ArrayRecord):
             (..., N).
         """
         own = weights[..., self.kept]
-        return _clipped(weights @ self.parts, own, 0.0 if lower is None else lower, 1.0 if upper is None else upper)
+        low, high = (default if limit is None else limit for limit, default in ((lower, 0.0), (upper, 1.0)))
+        return _clipped(weights @ self.parts, own, low * self.scales, high * self.scales) / self.scales
 
 
 def reduce_shapes(
@@ -96,6 +104,7 @@ def reduce_shapes(
     inbetweens: Sequence[Mapping[float, ArrayInput]] | None = None,
     keep: ArrayInput | None = None,
     heirs: ArrayInput | None = None,
+    scalable: ArrayInput | None = None,
 ) -> ReducedShapes:
     """Choose the blend shapes that a mesh can do without, and how the others take their place.
 
@@ -110,6 +119,8 @@ def reduce_shapes(
         inbetweens: for each shape its inbetweens, offsets (C, 3) by their weight between 0 and 1; None for none.
         keep: shapes that stay; None for none.
         heirs: shapes that may take over weight of others; None for all.
+        scalable: of these, shapes whose offsets may be scaled, see :attr:`ReducedShapes.scales`; None for all. One with
+            inbetweens is never.
 
     Raises:
         MeshShapeError: shapes of arrays do not go together.
@@ -121,7 +132,7 @@ def reduce_shapes(
     limit = np.inf
     if max_error is not None:
         limit = real_number(max_error, "max_error", "a percentage of at least 0", lambda x: x >= 0) / 100.0
-    problem = _ShapeProblem(rest, faces, offsets, weights, inbetweens, heirs)
+    problem = _ShapeProblem(rest, faces, offsets, weights, inbetweens, heirs, scalable)
     may_go = np.ones(problem.count, dtype=bool)
     if keep is not None:
         may_go[_read_indices(keep, "keep", problem.count)] = False
@@ -132,6 +143,8 @@ def reduce_shapes(
         shape = problem.cheapest(costs)
         parts = problem.without(shape)
         found = problem.errors(parts, [*removed, shape])
+        if max(found) > limit:
+            found = problem.scaled_errors(parts, [*removed, shape])
         if max(found) > limit:
             break
         problem.parts = parts
@@ -144,7 +157,8 @@ def reduce_shapes(
 
 
 def _read_indices(value: Any, name: str, count: int) -> np.ndarray:
-    found = index_array(value, name, ("N",))
+    # An empty list has no integers.
+    found = index_array(np.zeros(0, dtype=np.int64) if is_empty(value) else value, name, ("N",))
     outside = first_outside(found, count)
     if outside is not None:
         raise MeshShapeError(f"{name} at {outside[0]} is {found[outside]}, but there are {count} shapes")
@@ -157,10 +171,13 @@ class _ShapeProblem:
     Attributes:
         count: shapes S.
         parts: (S + I, S + I) float64, row s says what takes the place of row s: 1 at itself where it stays.
+        scaled: (S,) bool, shapes that are scaled so that their weights are not cut off.
         gone: shapes that went.
     """
 
-    def __init__(self, rest: Any, faces: Any, offsets: Any, weights: Any, inbetweens: Any, heirs: Any) -> None:
+    def __init__(
+        self, rest: Any, faces: Any, offsets: Any, weights: Any, inbetweens: Any, heirs: Any, scalable: Any
+    ) -> None:
         points = finite_array(rest, "rest", ("C", 3)).astype(np.float64)
         corner = read_faces(faces, "faces", len(points))
         given = finite_array(offsets, "offsets", ("S", len(points), 3)).astype(np.float64)
@@ -184,6 +201,11 @@ class _ShapeProblem:
         if heirs is not None:
             self._takes[:] = False
             self._takes[_read_indices(heirs, "heirs", self.count)] = True
+        self._scalable = np.full(self.count, scalable is None)
+        if scalable is not None:
+            self._scalable[_read_indices(scalable, "scalable", self.count)] = True
+        self._scalable[self._owner] = False
+        self.scaled = np.zeros(self.count, dtype=bool)
         self.parts = np.eye(len(rows))
         self.gone: list[int] = []
 
@@ -198,27 +220,40 @@ class _ShapeProblem:
         return np.concatenate([weights, hats], axis=1)
 
     def cheapest(self, costs: dict[int, float]) -> int:
-        """The shape that leaves least when it goes; costs that are known before are lower bounds."""
-        fresh: set[int] = set()
+        """The shape that leaves least when it goes, of several the smallest; costs known before are lower bounds."""
+        size, fresh = np.diag(self._gram), set[int]()
         while True:
-            shape = min(costs, key=lambda each: (costs[each], each))
-            if shape in fresh:
-                return shape
+            least = min(costs.values()) + SAME_COST * float(size.max())
+            same = [shape for shape, cost in costs.items() if cost <= least]
+            stale = [shape for shape in same if shape not in fresh]
+            if not stale:
+                # A large one can be made of small ones, but no small one of a large one that is gone.
+                return min(same, key=lambda each: (size[each], each))
+            shape = min(stale, key=lambda each: (costs[each], each))
             costs[shape] = self._left(self.without(shape, turns=1), [*self.gone, shape])
             fresh.add(shape)
 
     def without(self, shape: int, turns: int = TURNS) -> np.ndarray:
         """The parts when a shape goes, with its inbetweens; in one turn only those that lost an heir are found anew."""
+        asked = [shape, *[row for row in self.gone if self.parts[row, shape] > 0]]
+        # The first of several may make up for the next, or each stands for itself.
+        ways = [False, True] if len(asked) > 1 else [True]
+        found = [self._without(shape, asked, turns, each_alone=way) for way in ways]
+        return min(found, key=lambda parts: self._left(parts, [*self.gone, shape]))
+
+    def _without(self, shape: int, asked: list[int], turns: int, *, each_alone: bool) -> np.ndarray:
         parts = self.parts.copy()
-        asked = [shape, *[row for row in self.gone if parts[row, shape] > 0]]
         parts[self.count + np.flatnonzero(self._owner == shape)] = 0.0
         parts[asked] = 0.0
         heirs = self._takes.copy()
         heirs[[*self.gone, shape]] = False
         rows = self._rows_gone([*self.gone, shape])
-        for turn in range(turns):
-            # The shapes that lost an heir, then all that went: what one leaves, another may take off.
-            for row in asked if turn == 0 else [*self.gone, shape]:
+        for place, row in enumerate(asked):
+            known = rows[~np.isin(rows, asked[place + 1 :])] if each_alone else rows
+            parts[row] = self._row(parts, row, known, heirs)
+        for _ in range(turns - 1):
+            # All that went: what one leaves, another may take off.
+            for row in [*self.gone, shape]:
                 parts[row] = self._row(parts, row, rows, heirs)
         return parts
 
@@ -235,12 +270,13 @@ class _ShapeProblem:
             return found
         # What is left of the row and, by how their weights go together, of the others.
         target = (moment[:, None] * left).sum(axis=0) / own + parts[row]
-        slope = target @ self._gram
+        slope, size = target @ self._gram, np.diag(self._gram)
         support: list[int] = []
         for _ in range(MAX_HEIRS):
             rest = slope - found @ self._gram
-            gain = np.where(heirs & (np.diag(self._gram) > 0), rest, 0.0)
-            gain = np.divide(gain, np.sqrt(np.diag(self._gram)), out=np.zeros_like(gain), where=gain > 0)
+            # What each takes off with the best part of it that it may have.
+            part = np.divide(rest, size, out=np.zeros_like(rest), where=heirs & (size > 0)).clip(0.0, 1.0)
+            gain = part * (2.0 * rest - part * size)
             gain[support] = 0.0
             best = int(gain.argmax())
             if gain[best] <= 0:
@@ -252,11 +288,14 @@ class _ShapeProblem:
 
     def _least_squares(self, slope: np.ndarray, support: list[int]) -> np.ndarray:
         """Parts within [0, 1] on a support of few, by coordinate descent."""
-        found = np.zeros(len(slope))
+        gram, goal = self._gram[np.ix_(support, support)].tolist(), slope[support].tolist()
+        part = [0.0] * len(support)
         for _ in range(20):
-            for row in support:
-                rest = slope[row] - found @ self._gram[row] + found[row] * self._gram[row, row]
-                found[row] = np.clip(rest / self._gram[row, row], 0.0, 1.0)
+            for k, row in enumerate(gram):
+                rest = goal[k] - sum(entry * other for entry, other in zip(row, part, strict=True)) + part[k] * row[k]
+                part[k] = min(max(rest / row[k], 0.0), 1.0)
+        found = np.zeros(len(slope))
+        found[support] = part
         return found
 
     def _left(self, parts: np.ndarray, shapes: list[int]) -> float:
@@ -265,15 +304,28 @@ class _ShapeProblem:
         left = np.eye(len(parts))[rows] - parts[rows]
         return float((self._moment[np.ix_(rows, rows)] * (left @ self._gram @ left.T)).sum())
 
+    def scaled_errors(self, parts: np.ndarray, shapes: list[int]) -> tuple[float, float]:
+        """The errors once shapes that take over weight of some that go are scaled, where they may be."""
+        self.scaled |= self._scalable & (parts[shapes, : self.count] > 0).any(axis=0)
+        return self.errors(parts, shapes)
+
+    def scales(self, parts: np.ndarray, shapes: list[int]) -> np.ndarray:
+        """What each shape is scaled by, (S,), when some go: as far as the sum of weights that it gets may go."""
+        taken = parts[shapes, : self.count]
+        high, low = (limit + limit[shapes] @ taken for limit in (self._upper, self._lower))
+        down = np.divide(low, self._lower, out=np.ones(self.count), where=self._lower < 0)
+        return np.where(self.scaled, np.maximum(np.maximum(high / self._upper, down), 1.0), 1.0)
+
     def errors(self, parts: np.ndarray, shapes: list[int]) -> tuple[float, float]:
         """RMS distances over used and random weights, in parts of the diagonal, with weights cut off at their ends."""
-        found = [self._rms(samples, parts, self._rows_gone(shapes)) for samples in self._samples]
+        scales = self.scales(parts, shapes)
+        found = [self._rms(samples, parts, self._rows_gone(shapes), scales) for samples in self._samples]
         return (found[0], found[1]) if len(found) == 2 else (0.0, found[0])
 
-    def _rms(self, samples: np.ndarray, parts: np.ndarray, rows: np.ndarray) -> float:
+    def _rms(self, samples: np.ndarray, parts: np.ndarray, rows: np.ndarray, scales: np.ndarray) -> float:
         new = samples @ parts
         own = samples[:, : self.count]
-        new[:, : self.count] = _clipped(new[:, : self.count], own, self._lower, self._upper)
+        new[:, : self.count] = _clipped(new[:, : self.count], own, self._lower * scales, self._upper * scales)
         new[:, rows] = 0.0
         away = samples - new
         return float(np.sqrt(max(np.einsum("fs,st,ft->", away, self._gram, away) / len(samples), 0.0)))
@@ -289,13 +341,15 @@ class _ShapeProblem:
             tuple(float(place) for place in self._place[(self._owner == shape) & stays & np.isin(shape, kept)])
             for shape in range(self.count)
         ]
-        weights = None
+        weights, scales = None, self.scales(self.parts, removed)[kept]
         if self._used is not None:
-            weights = _clipped(self._used @ parts, self._used[:, kept], self._lower[kept], self._upper[kept])
+            limits = (self._lower[kept] * scales, self._upper[kept] * scales)
+            weights = _clipped(self._used @ parts, self._used[:, kept], *limits) / scales
         return ReducedShapes(
             kept.astype(np.int32),
             np.array(removed, dtype=np.int32),
             parts,
+            scales,
             weights,
             inbetweens,
             np.arange(self.count, self.count - len(removed) - 1, -1, dtype=np.int32),

@@ -1,4 +1,4 @@
-// Arrays from the text that warpqem/report/encoding.py makes of them.
+// Arrays from the text that warpqem/report/encoding.py and mesh_data.py make of them.
 
 // Deflated bytes (RFC 1950) in base64.
 async function inflate(text) {
@@ -19,22 +19,36 @@ function joinPlanes(bytes, Type) {
   return values;
 }
 
-// A mesh of the data: positions as 16-bit nodes of the grid for all frames, faces, features and distances.
+// Rows of `length` values: the first is whole, the others are differences, modulo the width of the type.
+function addUp(values, length) {
+  for (let i = length; i < values.length; i += 1) values[i] += values[i - length];
+  return values;
+}
+
+// A mesh of the data: positions as 16-bit nodes of the grid for all frames, faces of wedges and what these are of.
 async function decodeMesh(mesh, frameCount) {
-  const [points, faces, features, heat] = await Promise.all(
-    [mesh.points, mesh.faces, mesh.features, mesh.heat].map((text) => (text === null ? null : inflate(text)))
+  const uvText = mesh.uv ? mesh.uv.nodes : null;
+  const [points, faces, features, heat, wedges, smooth, colors, uvs] = await Promise.all(
+    [mesh.points, mesh.faces, mesh.features, mesh.heat, mesh.wedges, mesh.smooth, mesh.colors, uvText].map((text) =>
+      text === null ? null : inflate(text)
+    )
   );
-  const nodes = joinPlanes(points, Uint16Array);
-  const length = 3 * mesh.vertexCount;
-  // The first frame is whole, the others are differences, modulo 2^16.
-  for (let i = length; i < length * frameCount; i += 1) nodes[i] += nodes[i - length];
+  const vertices = () => Uint32Array.from({ length: mesh.vertexCount }, (_, vertex) => vertex);
+  const wedgeVertex = wedges ? addUp(joinPlanes(wedges, Uint32Array), 1) : vertices();
   return {
     vertexCount: mesh.vertexCount,
     faceCount: mesh.faceCount,
-    nodes,
+    frameCount,
+    nodes: addUp(joinPlanes(points, Uint16Array), 3 * mesh.vertexCount),
     faces: joinPlanes(faces, Uint32Array),
+    wedgeVertex,
+    // Wedges of one group are shaded as one surface.
+    group: smooth ? addUp(joinPlanes(smooth, Uint32Array), 1) : wedgeVertex,
     features,
     heat,
     heatScale: mesh.heatScale,
+    colors,
+    uvs: uvs ? { ...mesh.uv, nodes: joinPlanes(uvs, Uint16Array) } : null,
+    parts: mesh.parts,
   };
 }

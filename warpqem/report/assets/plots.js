@@ -47,7 +47,9 @@ function plotCard(parent, { title, unit, xName, series, logX = false, dots = fal
   card.append(heading);
   const [width, height, left, bottom, top] = [460, 200, 46, 34, 8];
   const svg = svgNode(card, "svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": title });
-  const xs = series[0].x;
+  const xs = [...new Set(series.flatMap((one) => one.x))];
+  // Nothing lies between two counts.
+  const whole = dots && xs.every(Number.isInteger);
   const onX = (value) => (logX ? Math.log(value) : value);
   let [low, high] = [Math.min(...xs), Math.max(...xs)].map(onX);
   if (low === high) [low, high] = [low - 0.5, high + 0.5];
@@ -58,11 +60,11 @@ function plotCard(parent, { title, unit, xName, series, logX = false, dots = fal
     svgNode(svg, "line", { class: "grid", x1: left, x2: width - 12, y1: placeY(value), y2: placeY(value) });
     svgNode(svg, "text", { x: left - 6, y: placeY(value) + 4, "text-anchor": "end" }, short(value));
   }
-  for (const value of logX ? apart(xs, placeX) : ticks(low, high, 7)) {
+  for (const value of logX ? apart(xs, placeX) : ticks(low, high, 7).filter((at) => !whole || Number.isInteger(at))) {
     svgNode(svg, "text", { x: placeX(value), y: height - bottom + 16, "text-anchor": "middle" }, short(value));
   }
   svgNode(svg, "text", { x: (left + width) / 2, y: height - 3, "text-anchor": "middle" }, xName);
-  const now = svgNode(svg, "line", { class: "now", x1: -9, x2: -9, y1: top, y2: height - bottom });
+  const now = svgNode(svg, "line", { class: "now", visibility: "hidden", x1: 0, x2: 0, y1: top, y2: height - bottom });
   series.forEach((one, index) => {
     const color = LINE_COLORS[index % LINE_COLORS.length];
     const line = one.x.map((x, i) => `${i ? "L" : "M"}${placeX(x).toFixed(1)} ${placeY(one.y[i]).toFixed(1)}`).join("");
@@ -91,6 +93,7 @@ function plotCard(parent, { title, unit, xName, series, logX = false, dots = fal
     });
   }
   return (x) => {
+    now.setAttribute("visibility", "visible");
     now.setAttribute("x1", placeX(x));
     now.setAttribute("x2", placeX(x));
   };

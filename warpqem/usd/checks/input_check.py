@@ -20,6 +20,7 @@ from pxr import Ar, Pcp, Sdf, Tf, Usd
 
 from warpqem.errors import StageError
 from warpqem.files.file_kinds import check_regular, kind_of
+from warpqem.files.formats import how_to_read
 from warpqem.runtime.load_timeout import load_timeout
 from warpqem.usd.checks.byte_check import CRATE, check_bytes, check_stream
 from warpqem.usd.checks.named_assets import ASSET_TYPES, CLIPS, NamedAsset, clips_of, layers_of, outer_file, textures_of
@@ -72,6 +73,8 @@ def open_layers(path: str | os.PathLike[str], roots: Sequence[str | os.PathLike[
     check_regular(outer_file(first), StageError, os.fspath(path))
     if not _exists(first):
         raise StageError(f"{path}: no such file")
+    if os.path.isfile(first) and Sdf.FileFormat.FindByExtension(first) is None:
+        raise StageError(f"{path}: {how_to_read(first)}")
     allowed = [Path(root).resolve() for root in (*roots, Path(outer_file(first)).parent)] if roots else []
     layers: dict[str, Sdf.Layer] = {}
     named = _NamedFiles(allowed)

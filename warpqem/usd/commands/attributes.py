@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Usd, UsdGeom
 
-from warpqem.costs.attributes import AttributeField
+from warpqem.arguments.array_input import FLOAT32_MAX, first_beyond
+from warpqem.costs.attributes import AttributeField, check_span
 from warpqem.errors import OptionError, StageError
 from warpqem.usd.commands.option_checks import AttributeWeights, bare_name
 from warpqem.usd.read.mesh_seams import DISPLAY_COLORS, corner_values
@@ -57,7 +58,8 @@ def weighted_fields(source: MeshSource, uv_weight: float, weights: AttributeWeig
         weights: Weights of single primvars.
 
     Raises:
-        StageError: a primvar that `weights` names has no real numbers at points or corners.
+        StageError: a primvar that `weights` names has no real numbers at points or corners, or a primvar has a value
+            that is not finite, or values too far apart for its weight.
     """
     named = {bare_name(name): weight for name, weight in weights}
     api = UsdGeom.PrimvarsAPI(source.prim)
@@ -75,11 +77,31 @@ def weighted_fields(source: MeshSource, uv_weight: float, weights: AttributeWeig
     fields = []
     for name, weight in wanted.items():
         if name in values and values[name].dtype.kind == "f":
-            fields.append(AttributeField(values[name].reshape(len(source.topology.triangles), 3, -1), weight))
+            fields.append(_weighted_field(source, name, values[name], weight))
         elif bare_name(name) in named:
             raise StageError(f"{source.path}.{name}: has no real numbers at points or corners that could be weighed")
     fields += [_color_field(values[name], source.topology.triangles) for name in colors if name in values]
     return [field for field in fields if field.weight > 0.0]
+
+
+def _weighted_field(source: MeshSource, name: str, values: npt.NDArray[Any], weight: float) -> AttributeField:
+    """Values of a primvar at the corners of the triangles, with their weight.
+
+    Raises:
+        StageError: one is no finite number in single precision, or they are too far apart for that weight.
+    """
+    topology = source.topology
+    corners = values.reshape(len(topology.triangles), 3, -1)
+    bad = first_beyond(corners, FLOAT32_MAX)
+    if bad is not None:
+        point, face = topology.triangles[bad[:2]], topology.triangle_polygons[bad[0]]
+        value = corners[bad[:2]].squeeze().tolist()
+        raise StageError(f"{source.path}.{name}: value {value} at point {point} of face {face} has no error to weigh")
+    try:
+        check_span(corners, weight)
+    except OptionError as error:
+        raise StageError(f"{source.path}.{name}: {error}") from error
+    return AttributeField(corners, weight)
 
 
 def _varies(api: UsdGeom.PrimvarsAPI, name: str) -> bool:

@@ -64,7 +64,9 @@ class CompareOptions:
         """Refuse ways that exclude each other."""
         for name in ("heatmap", "variants"):
             if self.all_lods and getattr(self, name):
-                raise OptionError(f"all_lods and {name} exclude each other: choose one level as a variant instead")
+                raise OptionError(
+                    f"`all_lods` and `{name}` exclude each other: choose one level as a `variant` instead"
+                )
 
 
 @dataclass

@@ -16,10 +16,15 @@ from warpqem.usd.commands.mesh_job import MeshJob
 from warpqem.usd.commands.simplify_options import SimplifyOptions
 from warpqem.usd.read.open_stage import MeshSelection
 
-__all__ = ["Announce", "Context", "Progress", "SharedOrder"]
+__all__ = ["Announce", "Context", "Progress", "SharedOrder", "part_of"]
 
 Progress = Callable[[float, str], None]
 Announce = Callable[[str, MemoryPlan], None]
+
+
+def part_of(progress: Progress, start: float, share: float) -> Progress:
+    """The progress of a part that begins at ``start`` and is so much of the whole."""
+    return lambda fraction, text: progress(start + share * fraction, text)
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy.typing as npt
 from pxr import UsdGeom
 
 import warpqem
-from warpqem.arguments.distance_limit import DistanceLimit
+from warpqem.arguments.distance_limit import SINGLE_PRECISION, DistanceLimit
 from warpqem.costs.models import cost_model
 from warpqem.errors import MeshShapeError, OptionError, UnreachableTargetError
 from warpqem.frames.stream import LaterFrames, NoFrames
@@ -21,16 +22,20 @@ from warpqem.usd.commands.attributes import weighted_fields
 from warpqem.usd.commands.blend_shape_weights import morph_scale
 from warpqem.usd.commands.context import Context, Progress, SharedOrder
 from warpqem.usd.commands.face_points import FacePoints, face_protection
+from warpqem.usd.commands.joint_bound import fewest_joints, simplify_with_fewer_joints
+from warpqem.usd.commands.kept_mesh import wanted_changes
 from warpqem.usd.commands.mesh_job import MeshJob
 from warpqem.usd.commands.rig_options import single
-from warpqem.usd.commands.skin_bound import interpolated, largest_diagonal, simplify_skinned, skin_holds
+from warpqem.usd.commands.skin_bound import Attempt, interpolated, largest_diagonal, simplify_skinned, skin_holds
 from warpqem.usd.commands.skin_fit import FittedMesh, SkinFitter, SkinPoses, simplify_by_pullback, why_not_fitted
 from warpqem.usd.commands.weights import painted_options
 from warpqem.usd.read.lengths import parse_length
+from warpqem.usd.read.skin_poses import repeated_joint
+from warpqem.usd.write.attribute_transfer import AttributeTransfer
 from warpqem.usd.write.point_samples import PointSamples
 from warpqem.usd.write.stage_report import PrimReport
 
-__all__ = ["CoreCalls"]
+__all__ = ["CoreCalls", "part_of_limit"]
 
 Seams = npt.NDArray[np.int32]
 
@@ -71,7 +76,7 @@ class CoreCalls:
             # Of a mesh with a skin the rest shape alone is written; it is the first frame.
             sink = NoFrames() if job.skin is not None else LaterFrames(taker, job.pose_start)
         seams = job.seams.hold()
-        limits = {name: share * limit for name, limit in self._limits(job).items()}
+        limits: dict[str, Any] = {name: part_of_limit(name, limit, share) for name, limit in self._limits(job).items()}
         if target_faces is None:
             return self._call(job, progress, seams, sink, **limits)
         call = self._call if self._options.strict else self._as_far_as_it_goes
@@ -87,7 +92,8 @@ class CoreCalls:
         shared: SharedOrder | None,
     ) -> tuple[warpqem.SimplifiedMesh, FittedMesh | None]:
         """The simplified mesh and its skin, which holds the limits where it is linear; None for one to interpolate."""
-        limit, fitted = self.distance_limit(job), None
+        limit = self.distance_limit(job)
+        wanted = wanted_changes(job, self._options)
         poses: SkinPoses | None = None
         if fitter is not None:
             poses = fitter.poses
@@ -97,25 +103,42 @@ class CoreCalls:
         def simplify(share: float) -> warpqem.SimplifiedMesh:
             return self.simplify(job, progress, fitter or samples, target_faces, shared, share)
 
-        def holds(result: warpqem.SimplifiedMesh) -> bool:
-            nonlocal fitted
-            if poses is None or not job.is_simplified_by(result):
-                return True
-            transfer = job.transfer(result, self._options.device)
-            if fitter is not None:
-                try:
-                    fitted = fitter.fit(result, transfer, self._options.refits, self._options.device)
-                except MeshShapeError as error:
-                    # What UsdSkel makes of the skin is not what its arrays say.
-                    self._reports[job.mesh.path].skin, fitted = f"interpolated: {error}", None
-                    return True
-            elif limit:
-                fitted = interpolated(poses, result, transfer)
-            return (
-                not limit or fitted is None or skin_holds(poses, result, fitted, transfer, limit, self._options.device)
-            )
+        def skins(result: warpqem.SimplifiedMesh, transfer: AttributeTransfer) -> list[FittedMesh]:
+            if fitter is None:
+                assert poses is not None
+                return [interpolated(poses, result, transfer)] if limit else []
+            try:
+                return fitter.fit_steps(result, transfer, self._options.refits, self._options.device)
+            except MeshShapeError as error:
+                # What UsdSkel makes of the skin is not what its arrays say.
+                self._reports[job.mesh.path].skin = f"interpolated: {error}"
+                return []
 
-        return simplify_skinned(simplify, holds), fitted
+        def attempt(result: warpqem.SimplifiedMesh) -> Attempt:
+            if poses is None or not (wanted or job.is_simplified_by(result)):
+                return Attempt(result, None)
+            transfer = job.transfer(result, self._options.device)
+            steps = skins(result, transfer)
+            if not steps or not limit:
+                return Attempt(result, steps[0] if steps else None)
+            device, part = self._options.device, limit.relative(largest_diagonal(job))
+            holds = partial(skin_holds, poses, result, transfer=transfer, limit=limit, device=device)
+            return fewest_joints(result, steps, part, lambda skin: holds(fitted=skin))
+
+        if fitter is None or not fitter.reduces:
+            done = simplify_skinned(simplify, attempt)
+        else:
+            done = simplify_with_fewer_joints(simplify, attempt)
+            self._note_joints(job, done, limit)
+        return done.mesh, done.fitted
+
+    def _note_joints(self, job: MeshJob, done: Attempt, limit: DistanceLimit) -> None:
+        """Say why more joints stay than were asked for."""
+        if done.holds and not done.reached and done.fitted is not None and done.fitted.joints is not None:
+            joints = done.fitted.joints
+            self._reports[job.mesh.path].notes.append(
+                f"{job.mesh.path}: {joints.after} of {joints.before} joints stay, as {limit} does not hold with fewer"
+            )
 
     def try_out(
         self, job: MeshJob, progress: Progress, shared: SharedOrder, least: int
@@ -152,6 +175,11 @@ class CoreCalls:
         poses, options = self._skin_poses(job), self._options
         if not options.reduces_joints:
             return SkinFitter(poses)
+        repeated = repeated_joint(poses.poser)
+        if repeated is not None:
+            report.notes.append(
+                f"{job.mesh.path}: its order of joints (skel:joints) stays, as two joints have the name {repeated}"
+            )
         limit = options.joint_error
         if np.ptp(poses.transforms()[1:], axis=0).max(initial=0.0) == 0:
             lost = "joints go from the leaves" if options.joints is not None else "all joints stay"
@@ -306,3 +334,9 @@ class CoreCalls:
         if job.examples is not None:
             return SkinPoses(job, job.examples, job.examples.frame_times())
         return SkinPoses(job, job.source, job.source.frame_times(self._options.frames))
+
+
+def part_of_limit(name: str, limit: float, share: float) -> float:
+    """A share of a limit, but of one in % no less than single precision resolves, unless the limit itself is less."""
+    least = 100.0 * SINGLE_PRECISION if name == "max_error" else 0.0
+    return max(share * limit, min(limit, least))

@@ -12,6 +12,7 @@ from warpqem.frames.stream import FrameSource, SomeFrames, counted_frames
 from warpqem.measure import Measured
 from warpqem.measure.measured import measure_frames, measured_errors
 from warpqem.runtime.device import device_turn
+from warpqem.usd.commands.context import Progress
 from warpqem.usd.commands.mesh_job import MeshJob
 from warpqem.usd.commands.skin_bound import is_within, largest_diagonal
 from warpqem.usd.read.read_mesh import MeshSource, PoseFrames
@@ -21,7 +22,7 @@ from warpqem.usd.write.stage_report import PrimReport, name_prim
 __all__ = ["measure_written", "written_within"]
 
 
-def measure_written(job: MeshJob, stage: Usd.Stage, report: PrimReport, device: str | None) -> None:
+def measure_written(job: MeshJob, stage: Usd.Stage, report: PrimReport, device: str | None, progress: Progress) -> None:
     """Measure a mesh that was written, as the stage of the edits shows it, and note the errors in its report.
 
     They are those that `warpqem compare` gives for the input and the output. Frames are read a few at a time. Where a
@@ -32,13 +33,14 @@ def measure_written(job: MeshJob, stage: Usd.Stage, report: PrimReport, device: 
         stage: The input with the edits.
         report: What happened to the mesh.
         device: Warp device; None for the default.
+        progress: Called with the part done.
     """
     try:
         source = _written(stage, job)
         layout = source.layout(job.mesh.times)
         test = PoseFrames(source, job.mesh.times, layout.used_points)
         reference, faces = _reference(job)
-        report.measured = _measure(reference, faces, test, layout.right_handed_faces, device).to_dict()
+        report.measured = _measure(reference, faces, test, layout.right_handed_faces, device, progress).to_dict()
     except WarpqemError as error:
         report.problems.append(f"not measured: {name_prim(job.mesh.path, error)}")
 
@@ -58,11 +60,18 @@ def _measure(
     test: FrameSource,
     test_faces: npt.NDArray[np.int32],
     device: str | None,
+    progress: Progress,
 ) -> Measured:
+    def show(done: int, total: int) -> None:
+        progress(done / total, "measure")
+
+    progress(0.0, "measure")
     with device_turn(device) as used:
         frames = np.flatnonzero(counted_frames(reference)).tolist()
         return measured_errors(
-            measure_frames(reference, reference_faces, test, test_faces, frames, device=used, overall=True)
+            measure_frames(
+                reference, reference_faces, test, test_faces, frames, device=used, progress=show, overall=True
+            )
         )
 
 

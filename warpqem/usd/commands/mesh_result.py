@@ -10,6 +10,7 @@ from pxr import UsdGeom
 
 import warpqem
 from warpqem.arguments.distance_limit import DistanceLimit
+from warpqem.usd.commands.context import Progress
 from warpqem.usd.commands.face_points import points_on_level
 from warpqem.usd.commands.measuring import measure_written, written_within
 from warpqem.usd.commands.mesh_job import MeshJob
@@ -48,13 +49,14 @@ class MeshResult:
     face: warpqem.face.FaceProtection | None
     other_shapes: set[str] = field(default_factory=set)
 
-    def write(self, layer: OverLayer, report: PrimReport, options: SimplifyOptions) -> None:
+    def write(self, layer: OverLayer, report: PrimReport, options: SimplifyOptions, progress: Progress) -> None:
         """Write the mesh, and measure what was written if the options say so.
 
         Args:
             layer: Edits over the stage that the mesh was read from.
             report: Gets what came of the mesh.
             options: What is asked for.
+            progress: Called with the part done.
         """
         job, mesh = self.job, self.mesh
         transfer = job.transfer(mesh, options.device)
@@ -87,7 +89,7 @@ class MeshResult:
         if skin is not None and self.limit and not written_within(job, layer.stage, self.limit, options.device):
             report.problems.append(f"{job.mesh.path}: {self.limit}: not proved for the skin as it is written")
         if options.measure:
-            measure_written(job, layer.stage, report, options.device)
+            measure_written(job, layer.stage, report, options.device, progress)
 
     def _fewer_shapes(
         self, skin: Skin, rest: npt.NDArray[np.float32], transfer: AttributeTransfer, options: SimplifyOptions

@@ -50,7 +50,7 @@ def parse_attribute_weight(text: str) -> tuple[str, float]:
             return bare_name(name), float(weight)
     except ValueError:
         pass
-    raise OptionError(f"attribute weight '{text}': expected NAME=WEIGHT, such as st=0.1")
+    raise OptionError(f"`attribute_weight` '{text}': expected NAME=WEIGHT, such as st=0.1")
 
 
 def check_weights(weights: AttributeWeights) -> None:
@@ -114,7 +114,7 @@ def read_ratios(value: Any) -> tuple[float, ...]:
         try:
             ratios.append(float(part))
         except ValueError:
-            raise OptionError(f"lods '{text}': '{part}' is no number; expected ratios such as 0.5,0.25,0.1") from None
+            raise OptionError(f"`lods` '{text}': '{part}' is no number; expected ratios such as 0.5,0.25,0.1") from None
     return tuple(ratios)
 
 

@@ -86,7 +86,7 @@ def _make_part(options: type[Options], given: Mapping[str, Any]) -> Options | No
         return None
     if missing:
         here = next(name for name in needed if name in given)
-        raise OptionError(f"--{here.replace('_', '-')} needs --{missing[0].replace('_', '-')}")
+        raise OptionError(f"`{here}` needs `{missing[0]}`")
     return _make(options, given)
 
 
@@ -96,7 +96,7 @@ def _read(entry: OptionField, value: Any) -> Any:
     except (TypeError, ValueError, OverflowError) as error:
         if isinstance(error, OptionError):
             raise
-        raise OptionError(f"{entry.name} {value!r}: {error}") from None
+        raise OptionError(f"`{entry.name}` {value!r}: {error}") from None
 
 
 def _boolean(value: Any) -> bool:

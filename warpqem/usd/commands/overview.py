@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from itertools import chain, count
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
 import numpy as np
 
-from warpqem.errors import WarpqemError
+from warpqem.errors import StageError, WarpqemError
 from warpqem.files.outputs import InputFile, OutputFile, check_outputs
 from warpqem.measure.verdict import rank
 from warpqem.picture import fit_view, render
+from warpqem.report import write_report
 from warpqem.report.overview import Asset, overview_page
 from warpqem.report.page import check_page_path, save_page
-from warpqem.usd.commands.report_page import coarsest_level
+from warpqem.usd.commands.report_page import coarsest_level, stage_report
+from warpqem.usd.read.materials import Materials
 from warpqem.usd.read.world import WorldMeshes, chosen_times, limit_places
 
 __all__ = ["write_overview"]
@@ -26,9 +30,13 @@ Progress = Callable[[float, str], None]
 # States of assets, see `warpqem.BatchResult`.
 FAILED, PARTIAL = "failed", "partial"
 # Width and height of a picture.
-SIZE = (200, 150)
+SIZE = (320, 240)
 # Reading two files takes long beside drawing them, and the page is to stay below some MB.
 MAX_PICTURES = 400
+# Each asset has a report of its own, which takes some seconds and some MB: that many of the worst.
+MAX_PAGES = 40
+# Of the folder beside the overview.
+PAGES = "_pages"
 
 
 def write_overview(
@@ -38,10 +46,10 @@ def write_overview(
     device: str | None = None,
     progress: Progress | None = None,
 ) -> None:
-    """Write an overview of a batch as one HTML file.
+    """Write an overview of a batch as one HTML file, and beside it a folder with a report on each asset.
 
     Args:
-        path: .html file; replaced if it exists.
+        path: .html file; replaced if it exists. The folder is called as this, with `PAGES` instead of the suffix.
         results: What came of each asset, see `warpqem.BatchResult.to_dict`.
         prims: Prim paths; meshes at and below them are drawn. Empty for all.
         device: Warp device; None for the default.
@@ -57,19 +65,26 @@ def write_overview(
     folder = os.path.commonpath([os.path.dirname(os.path.abspath(result["input"])) for result in ordered] or [os.sep])
     assets = []
     drawn = 0
+    pages = _Pages(Path(path), prims, device)
     for index, result in enumerate(ordered):
         if progress:
             progress(index / len(ordered), f"drawing {result['input']}")
         pictures: list[np.ndarray] = []
         message = result["message"] or ""
+        name = os.path.relpath(os.path.abspath(result["input"]), folder)
+        page = ""
         if result["status"] != FAILED and drawn < MAX_PICTURES:
             drawn += 1
             try:
                 pictures = _pictures(result["input"], _outputs(result)[-1], prims, device)
             except WarpqemError as error:
                 message = " ".join(part for part in (message, f"not drawn: {error}") if part)
-        name = os.path.relpath(os.path.abspath(result["input"]), folder)
-        assets.append(_asset(name, result, message, pictures, Path(path)))
+        if pictures and drawn <= MAX_PAGES:
+            try:
+                page = pages.write(name, result)
+            except WarpqemError as error:
+                message = " ".join(part for part in (message, f"no report of its own: {error}") if part)
+        assets.append(replace(_asset(name, result, message, pictures, Path(path)), page=page))
     done = sum(result["status"] in ("done", "skipped") for result in ordered)
     notes = [f"Inputs are in {folder}."]
     notes += [
@@ -78,7 +93,51 @@ def write_overview(
     ]
     if drawn == MAX_PICTURES < len(ordered):
         notes.append(f"The first {MAX_PICTURES} are drawn.")
+    if drawn > MAX_PAGES:
+        notes.append(f"The first {MAX_PAGES} have a report of their own.")
     save_page(path, overview_page(f"{done} of {len(ordered)} assets are done", assets, notes))
+
+
+class _Pages:
+    """Reports on single assets, in a folder beside the overview."""
+
+    def __init__(self, overview: Path, prims: Sequence[str], device: str | None) -> None:
+        self._folder = overview.with_name(overview.stem + PAGES)
+        self._prims, self._device = prims, device
+        self._taken: set[str] = set()
+
+    def write(self, name: str, result: dict[str, Any]) -> str:
+        """Write the report on one asset; its address from the overview.
+
+        Raises:
+            WarpqemError: one of the files cannot be read or written.
+        """
+        outputs = _outputs(result)
+        report = stage_report(result["input"], outputs[-1], self._prims)
+        errors = [prim for prim in (result["report"] or {}).get("prims", []) if prim.get("measured")]
+        report = replace(report, levels=[replace(one, meshes=_of_level(errors, one.name)) for one in report.levels])
+        stem = name.replace(os.sep, "_")
+        numbered = (f"{stem}_{number}" for number in count(2))
+        unique = next(text for text in chain([stem], numbered) if text not in self._taken)
+        self._taken.add(unique)
+        try:
+            self._folder.mkdir(exist_ok=True)
+        except OSError as error:
+            raise StageError(f"{self._folder}: cannot be made ({error.strerror or error})") from error
+        target = self._folder / f"{unique}.html"
+        check_outputs([OutputFile("report", target)], _files_of(result))
+        write_report(target, report, self._device)
+        return _address(f"{self._folder.name}{os.sep}{unique}.html")
+
+
+def _of_level(prims: Sequence[dict[str, Any]], level: str) -> dict[str, dict[str, Any]]:
+    """Verdict and errors of the meshes of a level, by path."""
+    names = ("verdict", "reason", "rms", "hausdorff")
+    return {
+        prim["path"]: {name: prim["measured"][name] for name in names}
+        for prim in prims
+        if prim.get("level") in (None, level)
+    }
 
 
 def _badness(result: dict[str, Any]) -> tuple[int, tuple[int, float]]:
@@ -132,6 +191,11 @@ def _pictures(before: str, after: str, prims: Sequence[str], device: str | None)
     meshes = [WorldMeshes(before, prims), coarsest_level(after, prims)]
     limit_places(meshes)
     times = chosen_times(meshes)
-    shapes = [item.read([times[len(times) // 2]] if times else None) for item in meshes]
+    time = [times[len(times) // 2]] if times else None
+    shapes = [item.read(time) for item in meshes]
     view = fit_view(shapes[0][0], up=meshes[0].up, aspect=SIZE[0] / SIZE[1])
-    return [render(points[0], faces, view, size=SIZE, device=device) for points, faces in shapes]
+    materials = Materials()
+    return [
+        render(points[0], faces, view, size=SIZE, smooth=True, look=item.look(time, materials), device=device)
+        for item, (points, faces) in zip(meshes, shapes, strict=True)
+    ]

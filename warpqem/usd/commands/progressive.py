@@ -2,19 +2,29 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import reprlib
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from pxr import Sdf, Usd, UsdGeom, Vt
 
-from warpqem.errors import MemoryLimitError, OptionError, ProgressiveFileError, StageError, WarpqemError
+from warpqem.errors import (
+    DegenerateMeshError,
+    MemoryLimitError,
+    OptionError,
+    ProgressiveFileError,
+    StageError,
+    WarpqemError,
+)
 from warpqem.files.outputs import InputFile, OutputFile, check_outputs
+from warpqem.measure import Measured
 from warpqem.options import target_count
 from warpqem.progressive import ProgressiveMesh, build_progressive, read_info, save
+from warpqem.progressive.bounded_levels import coarsest_within, measured_level
 from warpqem.progressive.file import ProgressiveFile
 from warpqem.progressive.header import FileInfo
 from warpqem.progressive.stage_notes import StageNotes
@@ -29,9 +39,23 @@ from warpqem.usd.read.read_mesh import MeshSource
 from warpqem.usd.read.skeleton_poses import StagePoses
 from warpqem.usd.write.layer_files import check_output_path, export_layer
 
-__all__ = ["BuildOptions", "LevelChoice", "build_file", "extract_level"]
+__all__ = ["BuildOptions", "ExtractedLevel", "LevelChoice", "build_file", "extract_level"]
 
 Progress = Callable[[float, str], None]
+
+
+class ExtractedLevel(NamedTuple):
+    """A level that was written.
+
+    Attributes:
+        faces: Its triangles.
+        estimate: Its error by the estimate of the order, in % of the bounding-box diagonal.
+        measured: Its measured errors; None for a level that was taken by its faces.
+    """
+
+    faces: int
+    estimate: float
+    measured: Measured | None
 
 
 def build_file(
@@ -96,8 +120,11 @@ def extract_level(
     choice: LevelChoice,
     memory: int | str | None = None,
     other_outputs: Sequence[OutputFile] = (),
-) -> tuple[int, float]:
+    device: str | None = None,
+) -> ExtractedLevel:
     """Write one level of a progressive mesh as a USD file of its own, and read no more of it than that takes.
+
+    A level by a limit takes all of the file, as it is proved to be within the limit of the input.
 
     Args:
         input_path: The progressive mesh; one from anywhere is safe to read.
@@ -105,9 +132,7 @@ def extract_level(
         choice: Which level.
         memory: What the mesh may take, see `warpqem.progressive.load`.
         other_outputs: What else the caller is going to write; see `warpqem.usd.simplify_stage`.
-
-    Returns:
-        Its faces, and its error in % of the bounding-box diagonal.
+        device: Warp device; None for the default.
 
     Raises:
         ProgressiveFileError: the input is no progressive mesh, damaged, or takes more memory than it may.
@@ -120,16 +145,20 @@ def extract_level(
         check_outputs([OutputFile("output", output_path), *other_outputs], [InputFile(input_path)])
         with ProgressiveFile(input_path) as file:
             notes = StageNotes(file.path, file.info.extra, file.info.frame_count)
-            mesh, split_count = _find_level(file, notes, choice, memory)
+            mesh, split_count = _find_level(file, notes, choice, memory, device)
         level = mesh.level(split_count)
         export_layer(_layer(notes, level.points, level.faces), output)
+        measured = None
+        if choice.limit(notes):
+            with contextlib.suppress(DegenerateMeshError):
+                measured = measured_level(mesh, level, device=device)
     except OSError as error:
         raise StageError(f"{input_path}: cannot be read ({error.strerror})") from error
     except MemoryError as error:
         if isinstance(error, WarpqemError):
             raise
         raise MemoryLimitError(f"{input_path}: there is not enough memory to take a level out of it") from error
-    return len(level.faces), level.error
+    return ExtractedLevel(len(level.faces), level.error, measured)
 
 
 def _one_mesh(stage: Usd.Stage, path: str | None) -> Usd.Prim:
@@ -156,15 +185,15 @@ def _in_world(job: MeshJob) -> npt.NDArray[np.float64]:
 
 
 def _find_level(
-    file: ProgressiveFile, notes: StageNotes, choice: LevelChoice, memory: int | str | None
+    file: ProgressiveFile, notes: StageNotes, choice: LevelChoice, memory: int | str | None, device: str | None
 ) -> tuple[ProgressiveMesh, int]:
-    max_error = choice.max_error
-    if choice.screen is not None:
-        max_error = 100.0 * choice.screen.length / notes.diagonal()
-    if max_error is not None:
-        # Errors fall from chunk to chunk, and the first level within is the coarsest.
+    limit = choice.limit(notes)
+    if limit:
         mesh = file.load(memory=memory)
-        return mesh, mesh.splits_for(max_error=max_error)
+        # By the estimates, which fall from split to split, to begin with.
+        estimated = np.flatnonzero(mesh.topology.error <= limit.relative(notes.diagonal()))
+        first = int(estimated[0]) if len(estimated) else mesh.split_count
+        return mesh, coarsest_within(mesh, limit, first, device=device)
     face_count = file.info.face_count
     target = choice.faces if choice.ratio is None else target_count(choice.ratio, face_count)
     mesh = file.load(target_faces=target, memory=memory)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -12,9 +12,12 @@ import numpy.typing as npt
 from warpqem.errors import OptionError, StageError
 from warpqem.files.outputs import OutputFile
 from warpqem.measure import distance_colors
+from warpqem.measure.heatmap import COLOR_MAP
 from warpqem.picture import View, caption, fit_view, render, tile, write_png
+from warpqem.picture.look import Look
 from warpqem.usd.checks.input_files import check_stage_outputs
 from warpqem.usd.commands.level_stages import original_of_levels
+from warpqem.usd.read.materials import Materials
 from warpqem.usd.read.time_codes import FrameRange
 from warpqem.usd.read.variants import open_stages, select_variants
 from warpqem.usd.read.world import WorldMeshes, chosen_times, limit_places
@@ -36,7 +39,8 @@ class RenderOptions:
         azimuth: Degrees about the up axis, see `warpqem.picture.View`.
         elevation: Degrees above the horizon.
         lines: Draw the edges.
-        smooth: Shade over the edges.
+        smooth: Shade over the edges that are not hard, instead of face by face.
+        plain: One colour for all, instead of textures and display colours.
         heatmap: With a reference: a row of colours for the distance from it.
         device: Warp device; None for the default.
         variants: Variants to draw, `SET=NAME` or `/Prim/Path{SET=NAME}`, of each file that has them.
@@ -49,7 +53,8 @@ class RenderOptions:
     azimuth: float = 30.0
     elevation: float = 12.0
     lines: bool = False
-    smooth: bool = False
+    smooth: bool = True
+    plain: bool = False
     heatmap: bool = False
     device: str | None = None
     variants: tuple[str, ...] = ()
@@ -89,7 +94,7 @@ def render_sheet(
     if not os.fspath(output_path).lower().endswith(".png"):
         raise OptionError(f"output {output_path}: the suffix must be .png")
     if options.heatmap and reference_path is None:
-        raise OptionError("heatmap needs a reference")
+        raise OptionError("`heatmap` needs a `reference`")
     paths = [path for path in (reference_path, input_path) if path is not None]
     stages = open_stages(paths)
     check_stage_outputs([OutputFile("output", output_path)], stages)
@@ -102,16 +107,14 @@ def render_sheet(
     times = _spread(chosen_times(drawn, options.frames), options)
     # Each time for itself: the topology may be another one.
     meshes = [[item.read(None if times is None else [time]) for time in times or [0.0]] for item in drawn]
-    rows, scale = _rows(meshes, [item.name for item in drawn], options)
-    width, height = options.size
-    view = fit_view(
-        np.concatenate([points.reshape(-1, 3) for item in meshes for points, _ in item]),
-        azimuth=options.azimuth,
-        elevation=options.elevation,
-        up=drawn[0].up,
-        aspect=width / height,
-    )
-    pictures = _pictures(rows, times, view, options, progress)
+    materials = Materials()
+    looks = [
+        [_look(item, None if times is None else [time], options, materials) for time in times or [0.0]]
+        for item in drawn
+    ]
+    rows, scale = _rows(meshes, looks, [item.name for item in drawn], options)
+    views = _views(meshes, drawn[0].up, options)
+    pictures = _pictures(rows, times, views, options, progress)
     try:
         write_png(tile(pictures, len(times or [None])), output_path)
     except OSError as error:
@@ -119,28 +122,62 @@ def render_sheet(
     return scale
 
 
+def _look(item: WorldMeshes, times: list[float] | None, options: RenderOptions, materials: Materials) -> Look:
+    """Colours, textures and hard edges at a time; plain ones keep the edges."""
+    look = item.look(times, materials)
+    if not options.plain:
+        return look
+    return replace(look, parts=[replace(part, texture=None) for part in look.parts], colors=None, textures=())
+
+
+def _views(meshes: Sequence[_Meshes], up: str, options: RenderOptions) -> list[View]:
+    """A view for each time, in whose middle the meshes of all files are, all of one scale."""
+    width, height = options.size
+    found = [
+        fit_view(
+            np.concatenate([points.reshape(-1, 3) for points, _ in frame]),
+            azimuth=options.azimuth,
+            elevation=options.elevation,
+            up=up,
+            aspect=width / height,
+        )
+        if any(points.size for points, _ in frame)
+        else None
+        for frame in zip(*meshes, strict=True)
+    ]
+    shown = [view for view in found if view is not None]
+    # At a time at which nothing shows, any will do.
+    empty = View(options.azimuth, options.elevation, (0.0, 0.0, 0.0), 1.0, up)
+    tallest = max((view.height for view in shown), default=1.0)
+    return [replace(view or empty, height=tallest) for view in found]
+
+
 def _pictures(
-    rows: Sequence[_Row], times: list[float] | None, view: View, options: RenderOptions, progress: Progress | None
+    rows: Sequence[_Row],
+    times: list[float] | None,
+    views: Sequence[View],
+    options: RenderOptions,
+    progress: Progress | None,
 ) -> list[np.ndarray]:
-    """The pictures of all rows, one row after another, each with its title and time below."""
+    """The pictures of all rows, one row after another, each below its title and time."""
     pictures: list[np.ndarray] = []
-    count = len(times or [None])
     for row in rows:
-        for frame in range(count):
+        for frame, view in enumerate(views):
             if progress:
-                progress(len(pictures) / (count * len(rows)), row.title)
+                progress(len(pictures) / (len(views) * len(rows)), row.title)
             picture = render(
                 row.meshes[frame][0][0],
                 row.meshes[frame][1],
                 view,
                 colors=None if row.colors is None else row.colors[frame],
                 size=options.size,
-                smooth=options.smooth or row.colors is not None,
+                smooth=options.smooth,
                 lines=options.lines and row.colors is None,
+                look=row.looks[frame],
                 device=options.device,
             )
             time = "" if times is None else f", time {times[frame]:g}"
-            pictures.append(caption(picture, f"{row.title}{time}"))
+            pictures.append(caption(picture, f"{row.title}{time}", row.bar))
     return pictures
 
 
@@ -154,11 +191,18 @@ class _Row:
 
     title: str
     meshes: _Meshes
+    looks: Sequence[Look]
     colors: Sequence[npt.NDArray[np.float32]] | None = None
+    bar: tuple[npt.NDArray[np.float64], str] | None = None
 
 
-def _rows(meshes: Sequence[_Meshes], names: list[str], options: RenderOptions) -> tuple[list[_Row], float | None]:
-    rows = [_Row(f"{name}, {_face_counts(item)} faces", item) for name, item in zip(names, meshes, strict=True)]
+def _rows(
+    meshes: Sequence[_Meshes], looks: Sequence[Sequence[Look]], names: list[str], options: RenderOptions
+) -> tuple[list[_Row], float | None]:
+    rows = [
+        _Row(f"{name}, {_face_counts(item)} faces", item, look)
+        for name, item, look in zip(names, meshes, looks, strict=True)
+    ]
     if not options.heatmap:
         return rows, None
     # A time at which one of them shows nothing has no distances.
@@ -171,7 +215,7 @@ def _rows(meshes: Sequence[_Meshes], names: list[str], options: RenderOptions) -
         else np.zeros(pair[2].shape[1:], dtype=np.float32)
         for pair in pairs
     ]
-    return [*rows, _Row(f"distance, yellow is {scale:.3g} %", meshes[1], colors)], scale
+    return [*rows, _Row("distance", meshes[1], looks[1], colors, (COLOR_MAP, f"{scale:.3g} %"))], scale
 
 
 def _face_counts(meshes: _Meshes) -> str:

@@ -21,10 +21,13 @@ from warpqem.usd.checks.input_files import check_stage_outputs
 from warpqem.usd.commands.appearance import stage_looks
 from warpqem.usd.commands.level_stages import level_names, level_root
 from warpqem.usd.commands.lods import VARIANT_SET, LevelReport
+from warpqem.usd.commands.report_rig import rig_curves, size_table
 from warpqem.usd.commands.simplify_options import SimplifyOptions
+from warpqem.usd.read.materials import Materials
 from warpqem.usd.read.open_stage import open_stage
 from warpqem.usd.read.variants import open_stages
 from warpqem.usd.read.world import WorldMeshes, chosen_times, limit_places, longest_run
+from warpqem.usd.read.world_rig import moving_joints, skeletons_of
 from warpqem.usd.write.stage_report import PrimReport, StageReport
 
 if TYPE_CHECKING:
@@ -66,7 +69,7 @@ def write_simplify_report(
         levels = [(name, _open_level(output, name, options.prims, failed)) for name in names]
     levels = levels or [("simplified", WorldMeshes(output, options.prims, passing=failed))]
     check_stage_outputs([OutputFile("report", path)], [original.stage, *(level.stage for _, level in levels)])
-    tables = [_mesh_table(report.worst_first), _option_table(options)]
+    tables = [size_table(original, levels), _mesh_table(report.worst_first), _option_table(options)]
     notes = [prim.message for prim in report.prims if prim.message]
     notes += [
         f"{prim.path}: {prim.measured['verdict']}: {prim.measured['reason']}"
@@ -75,9 +78,11 @@ def write_simplify_report(
     ]
     notes += [f"{prim.path}: dropped: {', '.join(prim.dropped)}" for prim in report.prims if prim.dropped]
     if options.measure:
-        tables[1:1] = _appearance_tables(_looks(report, original, levels, options, notes), notes)
+        tables[2:2] = _appearance_tables(_looks(report, original, levels, options, notes), notes)
     title = f"{original.name} → {os.path.basename(output)}"
     page = _gather(title, original, levels, options.frames, tables, list(dict.fromkeys(notes)))
+    page = replace(page, curves=rig_curves(report.worst_first))
+    page = replace(page, levels=[replace(level, meshes=_errors_by_mesh(level.name, report)) for level in page.levels])
     if len(report.prims) == len(page.levels):
         # Of one mesh, the page shows the errors that are known, of all its frames.
         known = [prim.measured for prim in report.prims]
@@ -234,19 +239,49 @@ def _gather(
         left = f"Shown and measured: {len(shown)} of {len(times)} frames, one in {shown.step}: the page stays small."
         notes = [*notes, left]
     points, faces = original.read(own)
+    skeletons = skeletons_of(original.sources, own)
+    # Textures that all files have are on the page once.
+    materials = Materials()
     rate = original.stage.GetTimeCodesPerSecond() / (float(np.median(np.diff(own))) if own and len(own) > 1 else 1.0)
+    look = original.look(own, materials)
+    shown_levels = [
+        Level(name, *meshes.read(own), look=meshes.look(own, materials), used_joints=_used_joints(meshes))
+        for name, meshes in levels
+    ]
     return Report(
         title=title,
         points=points,
         faces=faces,
-        levels=[Level(name, *meshes.read(own)) for name, meshes in levels],
+        levels=shown_levels,
         times=own,
         frames_per_second=rate,
         up=original.up,
         tables=tables,
-        notes=notes,
+        notes=[*notes, *materials.left_out],
+        look=look,
+        skeletons=skeletons,
         thinned=thinned,
     )
+
+
+def _used_joints(meshes: WorldMeshes) -> dict[str, set[str]]:
+    """Joints that move the meshes of a level, by skeleton."""
+    used: dict[str, set[str]] = {}
+    for source in meshes.sources:
+        if source.poser is not None and source.poser.skinning_query.HasJointInfluences():
+            path = str(source.poser.skeleton_query.GetPrim().GetPath())
+            used.setdefault(path, set()).update(moving_joints(source.poser))
+    return used
+
+
+def _errors_by_mesh(level: str, report: StageReport) -> dict[str, dict[str, Any]]:
+    """Verdict and errors of each mesh of a level, by its path."""
+    of_level = [prim for prim in report.prims if not isinstance(prim, LevelReport) or prim.level == level]
+    return {
+        prim.path: {name: prim.measured[name] for name in ("verdict", "reason", "rms", "hausdorff")}
+        for prim in of_level
+        if prim.measured is not None
+    }
 
 
 def _mesh_table(prims: Sequence[PrimReport]) -> Table:
@@ -337,4 +372,6 @@ def _feature_points(page: Report) -> dict[str, int]:
 def _as_text(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
+    if value is None:
+        return "–"
     return ", ".join(map(str, value)) if isinstance(value, tuple) else str(value)

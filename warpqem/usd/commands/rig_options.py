@@ -68,6 +68,7 @@ class RigOptions(MethodOptions):
         "one for each level, such as 4,2,1.",
         "JOINTS",
         parse=read_counts,
+        panel="Skin and shapes",
     )
     joints: int | tuple[int, ...] | None = option(
         None,
@@ -75,6 +76,7 @@ class RigOptions(MethodOptions):
         "solved for again. With --lods one number, or one for each level.",
         "JOINTS",
         parse=read_counts,
+        panel="Skin and shapes",
     )
     joint_error: float | None = option(
         None,
@@ -83,10 +85,12 @@ class RigOptions(MethodOptions):
         "measured.",
         "PCT",
         PERCENT,
+        panel="Skin and shapes",
     )
     reduce_skeleton: bool = option(
         False,
         "Take joints that move nothing any more off the skeletons and their animations, too; on each level.",
+        panel="Skin and shapes",
     )
     shapes: int | tuple[int, ...] | None = option(
         None,
@@ -94,6 +98,7 @@ class RigOptions(MethodOptions):
         "corrected. With --lods one number, or one for each level.",
         "SHAPES",
         parse=read_counts,
+        panel="Skin and shapes",
     )
     shape_error: float | None = option(
         None,
@@ -101,6 +106,7 @@ class RigOptions(MethodOptions):
         "the animation and over random weights.",
         "PCT",
         PERCENT,
+        panel="Skin and shapes",
     )
 
     def check_rig(self, level_count: int) -> None:
@@ -118,7 +124,7 @@ class RigOptions(MethodOptions):
             for count in value if isinstance(value, tuple) else (value,):
                 whole_number(count, name, expected="a whole number at least 1")
             if isinstance(value, tuple) and len(value) != max(level_count, 1):
-                levels = f"there are {level_count} levels" if level_count else "there are no levels (lods)"
+                levels = f"there are {level_count} levels" if level_count else "there are no levels (`lods`)"
                 raise OptionError(f"{name} has {len(value)} values, and {levels}")
 
     @property

@@ -15,9 +15,10 @@ from warpqem.options import target_count
 from warpqem.usd.checks.usd_errors import usd_errors_named
 from warpqem.usd.commands.attributes import check_names
 from warpqem.usd.commands.blend_shape_weights import check_morph
-from warpqem.usd.commands.context import Context, Progress, SharedOrder
+from warpqem.usd.commands.context import Context, Progress, SharedOrder, part_of
 from warpqem.usd.commands.core_calls import CoreCalls
 from warpqem.usd.commands.face_points import FacePoints
+from warpqem.usd.commands.kept_mesh import wanted_changes
 from warpqem.usd.commands.mesh_job import MeshJob
 from warpqem.usd.commands.mesh_result import MeshResult
 from warpqem.usd.commands.rig_options import single
@@ -39,7 +40,15 @@ __all__ = ["Run"]
 # Triangles that a ratio leaves of a mesh at least: one alone is half of the smallest card.
 MIN_FACES = 2
 # What a mesh is at, in the words of the core's progress, for the message of an unexpected error.
-STEPS = {"read": "reading its frames", "order": "collapsing edges", "place": "placing vertices"}
+STEPS = {
+    "read": "reading its frames",
+    "order": "collapsing edges",
+    "place": "placing vertices",
+    "write": "writing the simplified mesh",
+    "measure": "measuring",
+}
+# How much of a mesh's progress is the core's; the rest is for what is transferred, written and measured.
+CORE_SHARE = 0.7
 
 Result = TypeVar("Result")
 
@@ -63,6 +72,7 @@ class Run:
         self.layer = OverLayer(self.stage, context.folder)
         context.cleanup.callback(self.layer.close)
         self.reports: dict[str, PrimReport] = {}
+        self._places = {str(prim.GetPath()): index for index, prim in enumerate(self.selection.prims, 1)}
         self.notes: list[str] = []
         # What the mesh at work is at.
         self.step = ""
@@ -120,9 +130,15 @@ class Run:
     def part(self, start: float, share: float, prim: Usd.Prim, level: str = "") -> Progress:
         """Progress of one mesh as a part of the whole."""
 
+        path = str(prim.GetPath())
+        count, place = len(self.selection.prims), self._places.get(path, 0)
+        which = f" ({place} of {count})" if count > 1 and place else ""
+
         def show(fraction: float, text: str) -> None:
             self.step = STEPS.get(text, text)
-            self.progress(start + share * fraction, f"{level}{prim.GetName()}: {text}")
+            report = self.reports[path]
+            size = f", {report.faces_before:,} faces x {report.frames:,} frames" if report.frames else ""
+            self.progress(start + share * fraction, f"{level}{prim.GetName()}{which}: {self.step}{size}")
 
         return show
 
@@ -250,24 +266,31 @@ class Run:
         if target_faces is None and self.options.ratio is not None:
             least = 1 if self.options.size_limit is None else MIN_FACES
             target_faces = max(target_count(self.options.ratio, face_count), least)
+        wanted = wanted_changes(job, self.options)
         if target_faces is not None and target_faces >= face_count:
-            report.status, report.message = "kept", "the mesh has no more faces than asked for"
-            return
+            if not wanted:
+                report.status, report.message = "kept", "the mesh has no more faces than asked for"
+                return
+            target_faces = face_count
         fitter = self.core.fitter(job)
         with_normals = self.options.normals == "keep"
         samples = self.layer.point_samples(job.mesh.path, job.written_times, with_normals)
         try:
             with usd_errors_named(job.mesh.path):
-                result, fitted = self.core.simplify_with_skin(job, progress, fitter, samples, target_faces, shared)
+                core = part_of(progress, 0.0, CORE_SHARE)
+                result, fitted = self.core.simplify_with_skin(job, core, fitter, samples, target_faces, shared)
             report.stopped = result.stopped
-            if job.is_simplified_by(result):
-                self.step = "writing the simplified mesh"
+            if wanted and not job.is_simplified_by(result):
+                names = ", ".join(wanted)
+                report.notes.append(f"{job.mesh.path}: keeps its faces, and is written as triangles for {names}")
+            if wanted or job.is_simplified_by(result):
+                progress(CORE_SHARE, "write")
                 limit = self.core.distance_limit(job)
                 others = self.poses.shapes_of_others(prim) if self.options.reduces_shapes else set()
                 done = MeshResult(job, result, samples, fitted, limit, self.core.face(job), others)
                 if fitted is not None:
                     report.joints = fitted.joints
-                done.write(self.layer, report, self.options)
+                done.write(self.layer, report, self.options, part_of(progress, CORE_SHARE, 1.0 - CORE_SHARE))
                 report.dropped += job.seams.released(job.faces, result.face_map)
                 return
             report.status, report.message = "kept", f"nothing could be removed ({report.stopped})"

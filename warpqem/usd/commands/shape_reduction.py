@@ -13,6 +13,7 @@ from warpqem.errors import StageError
 from warpqem.skinning.reduce_shapes import ReducedShapes, reduce_shapes, weight_range
 from warpqem.usd.commands.mesh_job import MeshJob
 from warpqem.usd.commands.rig_options import RigOptions, single
+from warpqem.usd.read.blend_shapes import ShapeData
 from warpqem.usd.read.mesh_skin import Skin
 from warpqem.usd.read.read_mesh import MeshSource
 from warpqem.usd.write.attribute_transfer import Rows
@@ -158,13 +159,22 @@ def reduce_mesh_shapes(
         inbetweens=inbetweens,
         keep=shading,
         heirs=np.array(heirs, dtype=np.int64),
+        # An inbetween is where it is by the weight of its shape.
+        scalable=np.flatnonzero([not _has_inbetweens(shape) for shape in skin.shapes]),
     )
-    kept = [skin.shapes[index] for index in done.kept]
+    kept = [_scaled(skin.shapes[index], scale) for index, scale in zip(done.kept, done.scales, strict=True)]
+    scales = {tokens[index]: float(scale) for index, scale in zip(done.kept, done.scales, strict=True) if scale != 1}
+    notes += [
+        f"{job.mesh.path}: the offsets of blend shape {token} are {scale:.4g} times as long and its weights as many "
+        "times smaller, so that it can take the place of others with weights of 1 at most"
+        for token, scale in scales.items()
+    ]
     gone = tuple(skin.shapes[index].path for index in sorted(done.removed))
     order = tuple(tokens[index] for index in done.kept)
     lower, upper = weight_range(weights, len(tokens))
     reduced = replace(skin, shapes=kept, shape_order=order, removed_shapes=gone)
-    return ShapeReduction(reduced, _report(done, tokens), done, tokens, lower[done.kept], upper[done.kept], notes)
+    report = _report(done, tokens, scales)
+    return ShapeReduction(reduced, report, done, tokens, lower[done.kept], upper[done.kept], notes)
 
 
 def _normals_only(
@@ -185,7 +195,19 @@ def _normals_only(
     return np.array(found, dtype=np.int64)
 
 
-def _report(done: ReducedShapes, tokens: list[str]) -> ShapesReport:
+def _has_inbetweens(shape: ShapeData) -> bool:
+    return any(name.startswith(INBETWEEN) for name in shape.arrays)
+
+
+def _scaled(shape: ShapeData, scale: float) -> ShapeData:
+    """A shape with offsets so many times as long."""
+    if scale == 1.0:
+        return shape
+    arrays = {name: array * np.float32(scale) for name, array in shape.arrays.items()}
+    return replace(shape, arrays=arrays)
+
+
+def _report(done: ReducedShapes, tokens: list[str], scales: dict[str, float]) -> ShapesReport:
     merged = {}
     for shape in done.removed:
         parts = {tokens[heir]: float(part) for heir, part in zip(done.kept, done.parts[shape], strict=True) if part > 0}
@@ -196,6 +218,7 @@ def _report(done: ReducedShapes, tokens: list[str]) -> ShapesReport:
         after=len(done.kept),
         removed=[tokens[shape] for shape in done.removed],
         merged=merged,
+        scales=scales,
         used_error=float(done.used_errors[-1]),
         random_error=float(done.random_errors[-1]),
         counts=done.counts.tolist(),

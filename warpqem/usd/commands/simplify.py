@@ -162,7 +162,7 @@ def _check_files(stage: Usd.Stage) -> list[str]:
     if root.anonymous:
         raise OptionError(
             f"the root layer {root.identifier} is in memory, and a file cannot be a layer over it; "
-            "flatten, or give a layer as output"
+            "`flatten`, or give a layer as output"
         )
     lacking = [
         f"{layer.identifier}: has changes that are not saved"

@@ -117,12 +117,12 @@ def _outputs(
     if to_meshes:
         check_mesh_output(output)
         if options.lods:
-            raise OptionError("lods: levels of mesh files need a USD file as output, with lod_files or as a package")
+            raise OptionError("`lods`: levels of mesh files need a USD file as output, with `lod_files`, or a package")
         return [OutputFile("output", file) for file in numbered_files(output, numbers)]
     check_output_path(output, [], packages=True)
     if options.lods and not options.lod_files and not is_package(output):
         raise OptionError(
-            "lods: levels are layers over the input, and mesh files are none; give lod_files, or a package (.usdz)"
+            "`lods`: levels are layers over the input, and mesh files are none; give `lod_files`, or a package (.usdz)"
         )
     return [OutputFile("output", file) for file in output_files(output, options)]
 

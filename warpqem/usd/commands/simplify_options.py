@@ -128,6 +128,7 @@ class SimplifyOptions(RigOptions):
         brief="Triangles of all meshes together, such as 5000 or 25%",
         basic=True,
         parse=parse_faces,
+        panel="Goal",
     )
     max_size_error: float | None = option(
         5.0,
@@ -135,6 +136,7 @@ class SimplifyOptions(RigOptions):
         "not destroyed for a face count or a large distance; inf for no limit.",
         "PCT",
         Limits(0.0, open_low=True, infinite=True),
+        panel="Goal",
     )
     max_distance: float | str | None = option(
         None,
@@ -142,6 +144,7 @@ class SimplifyOptions(RigOptions):
         "such as 2mm. Limits go together, and with --ratio or --faces: whichever comes first stops.",
         "LENGTH",
         parse=read_length,
+        panel="Goal",
     )
     screen: ScreenView | None = option(None, "")
     lods: tuple[float, ...] = option(
@@ -152,15 +155,18 @@ class SimplifyOptions(RigOptions):
         brief="Levels of detail as variants, such as 0.5,0.2,0.1",
         basic=True,
         parse=read_ratios,
+        panel="Levels",
     )
     usd_lod: bool = option(
         False,
         "With --lods: write the levels with the UsdLod schemas, for renderers to choose by size or distance.",
+        panel="Levels",
     )
     lod_files: bool = option(
         False,
         "With --lods: write each level as a file of its own, OUT_LOD1.usdc, OUT_LOD2.usdc, ..., for programs that know "
         "neither variants nor UsdLod; OUT itself is not written.",
+        panel="Levels",
     )
     uv_weight: float | None = option(
         None,
@@ -168,6 +174,7 @@ class SimplifyOptions(RigOptions):
         "bounding-box diagonal; 0 does not look at UVs (Hoppe 1999). By default 0.1 with --metric face, else 0.",
         "WEIGHT",
         WEIGHTS,
+        panel="What to keep",
     )
     attribute_weights: AttributeWeights = option(
         (),
@@ -176,27 +183,32 @@ class SimplifyOptions(RigOptions):
         name="attribute_weight",
         parse=read_weights,
         repeated=True,
+        panel="What to keep",
     )
     weight_primvar: str | None = option(
         None,
         "Primvar of numbers, painted on the meshes: 10 is ten times as important as 1, infinity locks.",
         "NAME",
+        panel="What to keep",
     )
     weight_scales: WeightScales = option(
         "cost",
         "What --weight-primvar scales: the cost of collapses, or the quadrics (Kho & Garland 2003), which also draw "
         "merged vertices to what counts more.",
+        panel="What to keep",
     )
     morph_weights: MorphWeights | None = option(
         None,
         "Keep more detail where blend shapes or poses move the surface more: scale quadrics by thirds of the points "
         "(Berner & Rieger 2006), by rank, by distance, or by distance as an animation uses the shapes.",
+        panel="Skin and shapes",
     )
     face_points: str | os.PathLike[str] | None = option(
         None,
         "With --metric face: JSON file with feature points by name, such as face detect writes. They take precedence "
         "over point subsets of the family face and primvars such as face:chin, these over what is found.",
         "FILE",
+        panel="What to keep",
     )
     face_weight: float | None = option(
         None,
@@ -204,16 +216,19 @@ class SimplifyOptions(RigOptions):
         "(equation 1 of multiresolution facial animation); 100 by default.",
         "WEIGHT",
         Limits(1.0, 1e12),
+        panel="What to keep",
     )
     face_ring: int | None = option(
         None,
         "With --metric face: neighbours up to so many edges away are summed; 1 by default.",
         "EDGES",
         Limits(0),
+        panel="What to keep",
     )
     face_keep: bool = option(
         True,
         "With --metric face: feature points stay as they are at any face count; or as long as their weight holds.",
+        panel="What to keep",
     )
     feature_threshold: float | None = option(
         None,
@@ -221,44 +236,55 @@ class SimplifyOptions(RigOptions):
         "edges. Less finds finer ones.",
         "DEG",
         ANGLE,
+        panel="What to keep",
     )
     feature_floor: float | None = option(
-        None, "Joints: degrees that an edge bends by in any case; by default 1.", "DEG", ANGLE
+        None, "Joints: degrees that an edge bends by in any case; by default 1.", "DEG", ANGLE, panel="What to keep"
     )
     feature_weight: FeatureWeight | None = option(
         None,
         "With --metric aqem: what a joint weighs: its size in points (the default, Yang et al. 2019), the root or one "
         "plus the logarithm of that, or how far it bends. All but size cost the rest less shape.",
+        panel="What to keep",
     )
     measure: bool = option(
-        True, "Measure what was written against IN, as `warpqem compare` does: RMS and largest distance, flips."
+        True,
+        "Measure what was written against IN, as `warpqem compare` does: RMS and largest distance, flips.",
+        panel="Output",
     )
     symmetry: Axis | None = option(
         None,
         "Meshes that are their own mirror image across this local axis, at rest or in the first pose, stay so; auto "
         "for the first axis of which this is true.",
+        panel="What to keep",
     )
-    frames: FrameRange | None = option(None, FRAMES_HELP, "START:END[:STEP]", basic=True, parse=read_frames)
+    frames: FrameRange | None = option(
+        None, FRAMES_HELP, "START:END[:STEP]", basic=True, parse=read_frames, panel="Input"
+    )
     poses: str | os.PathLike[str] | None = option(
         None,
         "USD file with example poses at the same prim paths, such as another clip: they decide how skinned meshes are "
         "simplified, instead of the animation in IN.",
         "FILE",
+        panel="Skin and shapes",
     )
     skin_fit: bool = option(
         True,
         "Fit rest points and joint influences of skinned meshes together to their poses (Landreneau & Schaefer 2009); "
         "or interpolate them.",
+        panel="Skin and shapes",
     )
     pose_independent: bool = option(
         False,
         "To compare with: simplify skinned meshes in their rest shape, by rest-pose quadrics of all poses, and "
         "interpolate their skin (DeCoro & Rusinkiewicz 2005).",
+        panel="Quality",
     )
     normals: Literal["fit", "keep", "none"] | None = option(
         None,
         "Normals fitted to those of IN by least squares, kept from the nearest points of IN, or none. By default they "
         "are fitted where IN has some or is smooth by subdivision; with fit all meshes get some.",
+        panel="What to keep",
     )
     asset_roots: tuple[str, ...] = option(
         (),
@@ -267,6 +293,7 @@ class SimplifyOptions(RigOptions):
         name="asset_root",
         parse=read_folders,
         repeated=True,
+        panel="Input",
     )
     prims: tuple[str, ...] = option(
         (),
@@ -276,33 +303,39 @@ class SimplifyOptions(RigOptions):
         basic=True,
         parse=read_paths,
         repeated=True,
+        panel="Input",
     )
     bake: bool = option(
         False,
         "Write skinned and blend-shaped meshes as point samples, without their skin.",
         brief="Write skinned meshes as point samples",
         basic=True,
+        panel="Skin and shapes",
     )
     varying_topology: VaryingTopology = option(
         "runs",
         "Meshes whose topology varies over time: simplify each run of constant topology over its frames, to the goal "
         "in each; or leave them as they are, with an error.",
+        panel="Input",
     )
-    weld: bool = option(True, "Join points that lie together in every frame, such as those split at UV seams.")
+    weld: bool = option(
+        True, "Join points that lie together in every frame, such as those split at UV seams.", panel="What to keep"
+    )
     flatten: bool = option(
         False,
         "Write one self-contained file instead of a layer over IN; textures in packages or other folders are copied to "
         "NAME_textures beside it.",
         basic=True,
+        panel="Output",
     )
-    strict: bool = option(False, "Stop at the first mesh that cannot be done, and write nothing.")
+    strict: bool = option(False, "Stop at the first mesh that cannot be done, and write nothing.", panel="Output")
 
     def __post_init__(self) -> None:
         """Check the options, and those that need or exclude each other."""
         self._check_goals()
         if isinstance(self.ratio, Real) and 1 < self.ratio <= 100:
             raise OptionError(
-                f"ratio must be in (0, 1], got {self.ratio:g}; for {self.ratio:g} % give {self.ratio / 100:g}"
+                f"`ratio` must be in (0, 1], got {self.ratio:g}; for {self.ratio:g} % give {self.ratio / 100:g}"
             )
         check_options(self)
         if self.faces is not None:
@@ -322,30 +355,32 @@ class SimplifyOptions(RigOptions):
         self._check_levels()
         self.check_rig(len(self.lods))
         if self.reduces_joints and (self.pose_independent or self.bake or not self.skin_fit):
-            raise OptionError("joints and joint_error exclude bake, pose_independent and an interpolated skin")
+            raise OptionError("`joints` and `joint_error` exclude `bake`, `pose_independent` and an interpolated skin")
         if self.reduces_shapes and self.bake:
-            raise OptionError("shapes and shape_error exclude bake")
+            raise OptionError("`shapes` and `shape_error` exclude `bake`")
 
     def _check_goals(self) -> None:
         given = [name for name in GOALS if getattr(self, name) not in (None, ())]
         if not given:
-            raise OptionError("one of ratio, faces, max_error, max_distance, screen and lods is needed")
+            raise OptionError("one of `ratio`, `faces`, `max_error`, `max_distance`, `screen` and `lods` is needed")
         if given[:2] == ["ratio", "faces"]:
-            raise OptionError(f"ratio {self.ratio} and faces {self.faces} exclude each other")
+            raise OptionError(f"`ratio` {self.ratio} and `faces` {self.faces} exclude each other")
         if "lods" in given and len(given) > 1:
-            raise OptionError(f"lods and {given[0]} exclude each other: the ratios of the levels say how far to go")
+            raise OptionError(f"`lods` and `{given[0]}` exclude each other: the ratios of the levels say how far to go")
 
     def _check_levels(self) -> None:
         if self.lods and self.flatten and not self.lod_files:
             raise OptionError(
-                "lods and flatten exclude each other: every level is a layer over the input; with lod_files each level "
-                "is a file that can be flat"
+                "`lods` and `flatten` exclude each other: every level is a layer over the input; with `lod_files` each "
+                "level is a file that can be flat"
             )
         for name in ("usd_lod", "lod_files"):
             if getattr(self, name) and not self.lods:
-                raise OptionError(f"{name} needs lods: the ratios of the levels")
+                raise OptionError(f"`{name}` needs `lods`: the ratios of the levels")
         if self.usd_lod and self.lod_files:
-            raise OptionError("usd_lod and lod_files exclude each other: all levels in one file, or one file for each")
+            raise OptionError(
+                "`usd_lod` and `lod_files` exclude each other: all levels in one file, or one file for each"
+            )
 
     def _check_pose_independent(self) -> None:
         others = (
@@ -360,15 +395,15 @@ class SimplifyOptions(RigOptions):
         )
         if self.pose_independent and others:
             raise OptionError(
-                "pose_independent excludes symmetry, quality best, refit, memoryless, bake, lods, another metric, its "
-                "options and another placement"
+                "`pose_independent` excludes `symmetry`, `quality` best, `refit`, `memoryless`, `bake`, `lods`, "
+                "another `metric`, its options and another `placement`"
             )
 
     def _check_face(self) -> None:
         given = [name for name in ("face_points", "face_weight", "face_ring") if getattr(self, name) is not None]
         given += [] if self.face_keep else ["face_keep"]
         if given and not cost_model(self.metric).keeps_face:
-            raise OptionError(f"{given[0]}: needs metric 'face', not {cost_model(self.metric).name!r}")
+            raise OptionError(f"`{given[0]}`: needs `metric` 'face', not {cost_model(self.metric).name!r}")
 
     def face_protection(self, features: FacialFeatures | None = None) -> FaceProtection:
         """How these feature points are kept."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -21,12 +22,46 @@ from warpqem.usd.read.skin_poses import joint_transforms, shape_offsets
 from warpqem.usd.write.attribute_transfer import AttributeTransfer
 from warpqem.usd.write.skin_output import blend_influences
 
-__all__ = ["SkinnedFrames", "interpolated", "is_within", "largest_diagonal", "simplify_skinned", "skin_holds"]
+__all__ = [
+    "MAX_STEPS",
+    "STEP",
+    "Attempt",
+    "SkinnedFrames",
+    "interpolated",
+    "is_within",
+    "largest_diagonal",
+    "simplify_skinned",
+    "skin_holds",
+]
 
 # What the skin leaves of a limit is not known before: each step leaves so much of it for the surface, until it holds.
 STEP = 0.7
 # After so many steps, at a tenth of the limit, it is the skin itself that does not hold.
 MAX_STEPS = 7
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """A mesh that was simplified by a share of the limit, and its skin.
+
+    Attributes:
+        mesh: the mesh.
+        fitted: its skin, of the fewest joints with which the limit holds; else of all. None for one to interpolate.
+        holds: whether the limit holds.
+        reached: whether it does with the joints that are asked for.
+        hopeless: whether these are so far off that no mesh holds it with them.
+    """
+
+    mesh: SimplifiedMesh
+    fitted: FittedMesh | None
+    holds: bool = True
+    reached: bool = True
+    hopeless: bool = False
+
+    @property
+    def joint_count(self) -> int:
+        """Joints that are left; 0 where it is not known."""
+        return 0 if self.fitted is None or self.fitted.joints is None else self.fitted.joints.after
 
 
 class SkinnedFrames:
@@ -109,18 +144,18 @@ def skin_holds(
 
 
 def simplify_skinned(
-    simplify: Callable[[float], SimplifiedMesh], holds: Callable[[SimplifiedMesh], bool]
-) -> SimplifiedMesh:
+    simplify: Callable[[float], SimplifiedMesh], attempt: Callable[[SimplifiedMesh], Attempt]
+) -> Attempt:
     """Simplify by smaller and smaller shares of a limit, until what the skin makes of the result holds the whole.
 
     Args:
         simplify: gets the share.
-        holds: whether a result holds; called once for each.
+        attempt: finds the skin of a result; called once for each.
     """
     share = 1.0
     for _ in range(MAX_STEPS):
-        result = simplify(share)
-        if holds(result):
+        done = attempt(simplify(share))
+        if done.holds:
             break
         share *= STEP
-    return result
+    return done

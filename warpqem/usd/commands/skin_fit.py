@@ -16,13 +16,20 @@ from warpqem.pipeline.key_frames import KeyFrameChoice
 from warpqem.pipeline.result import SimplifiedMesh
 from warpqem.skinning.fit_skin import fit_skin
 from warpqem.skinning.linear_skin import LinearSkin
-from warpqem.skinning.reduce_joints import ReducedJoints, reduce_joints
+from warpqem.skinning.reduce_joints import JointGoals, ReducedJoints, RemovalPlan, reduce_in_steps
 from warpqem.skinning.rest_pose_quadrics import simplify_pulled_back
 from warpqem.usd.commands.mesh_job import MeshJob, RestFit
 from warpqem.usd.read.mesh_skin import Influences, Skin
 from warpqem.usd.read.read_mesh import MeshSource
 from warpqem.usd.read.skeleton_poses import MeshPoser
-from warpqem.usd.read.skin_poses import is_linear, joint_names, joint_parents, joint_transforms, shape_offsets
+from warpqem.usd.read.skin_poses import (
+    is_linear,
+    joint_names,
+    joint_parents,
+    joint_transforms,
+    repeated_joint,
+    shape_offsets,
+)
 from warpqem.usd.write.attribute_transfer import AttributeTransfer
 from warpqem.usd.write.skin_output import blend_influences
 from warpqem.usd.write.stage_report import JointsReport
@@ -157,6 +164,10 @@ class SkinFitter:
     """Fits rest points and joint influences to poses.
 
     As a `warpqem.FrameSink` it keeps the simplified points of these poses.
+
+    Attributes:
+        poses: The poses.
+        reduces: Whether joints are to go.
     """
 
     def __init__(self, poses: SkinPoses, joints: int | None = None, joint_error: float | None = None) -> None:
@@ -168,8 +179,10 @@ class SkinFitter:
             joint_error: What fewer joints may add, see `warpqem.skinning.reduce_joints`; None for no limit.
         """
         self.poses, self._frames = poses, poses.frames
-        goal: dict[str, float | None] = {"joints": joints, "max_error": joint_error}
-        self._goal: dict[str, Any] = {name: value for name, value in goal.items() if value is not None}
+        self._goals: JointGoals = {"joints": joints, "max_error": joint_error}
+        self.reduces = joints is not None or joint_error is not None
+        # Which joints go hardly depends on the mesh; how far an error limit lets them go does.
+        self._plan: RemovalPlan | None = None
         self._points = np.zeros((0, 0, 3), dtype=np.float32)
 
     def begin(self, frame_count: int, vertex_count: int, faces: npt.NDArray[np.int32]) -> None:
@@ -184,7 +197,7 @@ class SkinFitter:
     def fit(
         self, result: SimplifiedMesh, transfer: AttributeTransfer, refitted: bool, device: str | None
     ) -> FittedMesh:
-        """Fit the skin.
+        """Fit the skin, with as few joints as may be.
 
         Args:
             result: The simplified mesh, whose frames went through here.
@@ -195,13 +208,19 @@ class SkinFitter:
         Raises:
             MeshShapeError: the poses are not what joints and blend shapes give.
         """
+        return self.fit_steps(result, transfer, refitted, device)[0]
+
+    def fit_steps(
+        self, result: SimplifiedMesh, transfer: AttributeTransfer, refitted: bool, device: str | None
+    ) -> list[FittedMesh]:
+        """Skins with as few joints as may be, and with more and more up to all; arguments and errors of `fit`."""
         poses, job = self.poses, self.poses.job
         assert job.skin is not None
         rows = transfer.vertices()
         start = blend_influences(poses.influences, rows, job.skin.influence_limit)
         offsets = poses.offsets()
         points = poses.points()
-        options: dict[str, Any] = {
+        given: dict[str, Any] = {
             "points": points,
             "faces": job.faces,
             "result": replace(result, points=self._points),
@@ -213,16 +232,17 @@ class SkinFitter:
             "start_offsets": None if offsets is None else np.stack([rows.blend(offset) for offset in offsets]),
             "seams": job.seams.hold(),
             "to_planes": not refitted,
-            "device": device,
         }
-        if self._goal:
-            goal = {**self._goal, "parents": joint_parents(poses.poser)}
-            return self._reduced(reduce_joints(**options, **goal))
-        fitted = fit_skin(**options)
-        return FittedMesh(poses.fit.undo(fitted.skin.rest), Influences(fitted.skin.joints, fitted.skin.weights))
+        if self.reduces:
+            self._goals["parents"] = joint_parents(poses.poser)
+            steps, plan = reduce_in_steps(tuple(given.values()), self._goals, device=device, plan=self._plan)
+            self._plan = plan if self._goals["max_error"] is None else None
+            return [self._reduced(step) for step in steps]
+        fitted = fit_skin(**given, device=device)
+        return [FittedMesh(poses.fit.undo(fitted.skin.rest), Influences(fitted.skin.joints, fitted.skin.weights))]
 
     def _reduced(self, done: ReducedJoints) -> FittedMesh:
-        """The skin with fewer joints, in an order of its own."""
+        """The skin with fewer joints, in an order of its own where names say which joints are meant."""
         names = joint_names(self.poses.poser)
         skin = done.skin
         report = JointsReport(
@@ -235,7 +255,9 @@ class SkinFitter:
             errors=done.errors.tolist(),
             influences=skin.joints.shape[1],
         )
-        used = (done.used, tuple(names[joint] for joint in done.used))
+        used = None
+        if repeated_joint(self.poses.poser) is None:
+            used = (done.used, tuple(names[joint] for joint in done.used))
         return FittedMesh(self.poses.fit.undo(skin.rest), Influences(skin.joints, skin.weights), used, report)
 
 

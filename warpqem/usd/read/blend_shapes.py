@@ -9,7 +9,9 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
-__all__ = ["ShapeData", "choose_targets", "count_shape_users", "read_shapes"]
+from warpqem.errors import StageError
+
+__all__ = ["ShapeData", "choose_targets", "count_shape_users", "read_shapes", "shape_attributes"]
 
 # Targets that take part in simplification as frames. They are chosen far apart; more of them add cost, not shape.
 MAX_TARGETS = 24
@@ -41,7 +43,11 @@ def count_shape_users(stage: Usd.Stage) -> Counter[Sdf.Path]:
 
 
 def read_shapes(prim: Usd.Prim, point_count: int) -> list[ShapeData] | None:
-    """The blend shapes of a mesh; None if one of them does not exist or does not fit the points."""
+    """The blend shapes of a mesh; None if one of them does not exist or does not fit the points.
+
+    Raises:
+        StageError: an offset of points is no finite number.
+    """
     shapes = []
     for path in UsdSkel.BindingAPI(prim).GetBlendShapeTargetsRel().GetForwardedTargets():
         shape = UsdSkel.BlendShape(prim.GetStage().GetPrimAtPath(path))
@@ -59,20 +65,29 @@ def _read_shape(shape: UsdSkel.BlendShape, point_count: int) -> ShapeData | None
         indices = np.arange(point_count)
     if indices.min(initial=0) < 0 or indices.max(initial=0) >= point_count:
         return None
-    attributes = [shape.GetOffsetsAttr(), shape.GetNormalOffsetsAttr()]
-    for inbetween in shape.GetInbetweens():
-        attributes += [inbetween.GetAttr(), inbetween.GetNormalOffsetsAttr()]
     arrays = {}
-    for attribute in attributes:
+    for attribute, moves_points in shape_attributes(shape):
         value = attribute.Get() if attribute else None
         if value is None or not len(value):
             continue
         if len(value) != len(indices):
             return None
         dense = np.zeros((point_count, 3), dtype=np.float32)
-        dense[indices] = np.asarray(value, dtype=np.float32)
+        offsets = np.asarray(value, dtype=np.float32)
+        bad = np.flatnonzero(~np.isfinite(offsets).all(axis=1))
+        if moves_points and len(bad):
+            raise StageError(f"{attribute.GetPath()}: offset {bad[0]} is {offsets[bad[0]].tolist()}")
+        dense[indices] = offsets
         arrays[attribute.GetName()] = dense
     return ShapeData(shape.GetPath(), arrays)
+
+
+def shape_attributes(shape: UsdSkel.BlendShape) -> list[tuple[Usd.Attribute, bool]]:
+    """The arrays of a blend shape and of its inbetweens, and which of them move points; the others turn normals."""
+    attributes = [(shape.GetOffsetsAttr(), True), (shape.GetNormalOffsetsAttr(), False)]
+    for inbetween in shape.GetInbetweens():
+        attributes += [(inbetween.GetAttr(), True), (inbetween.GetNormalOffsetsAttr(), False)]
+    return attributes
 
 
 def choose_targets(shapes: list[ShapeData]) -> list[Offsets]:

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
+from warpqem.usd.read.blend_shapes import shape_attributes
 from warpqem.usd.read.descendants import subsets_of
 from warpqem.usd.read.read_mesh import MeshSource
 from warpqem.usd.read.value_arrays import element_size, reads_as_indices, sample_codes, to_numpy
@@ -25,9 +26,9 @@ def find_odd_values(source: MeshSource) -> list[str]:
     """One line for each attribute with such values, with prim, attribute and time.
 
     Looked at are attributes of another type than the schema's, primvars whose elementSize or indices cannot be meant,
-    primvars, normals and motion that are no finite numbers, subsets of faces that do not exist, transforms that are not
-    finite or flatten the mesh, joint weights that are no shares, and skeletons and animations whose arrays do not fit
-    their joints.
+    primvars, normals, motion and blend shapes that are no finite numbers, subsets of faces that do not exist,
+    transforms that are not finite or flatten the mesh, joint weights that are no shares, and skeletons and animations
+    whose arrays do not fit their joints.
     """
     mesh = source.mesh
     found = [
@@ -38,6 +39,9 @@ def find_odd_values(source: MeshSource) -> list[str]:
     ]
     attributes = [primvar.GetAttr() for primvar in UsdGeom.PrimvarsAPI(mesh).GetPrimvarsWithAuthoredValues()]
     attributes += [mesh.GetNormalsAttr(), mesh.GetVelocitiesAttr(), mesh.GetAccelerationsAttr()]
+    for path in UsdSkel.BindingAPI(source.prim).GetBlendShapeTargetsRel().GetForwardedTargets():
+        shape = UsdSkel.BlendShape(source.prim.GetStage().GetPrimAtPath(path))
+        attributes += [attribute for attribute, _ in shape_attributes(shape) if attribute] if shape else []
     found += [text for text in map(_not_finite, attributes) if text is not None]
     if source.poser is not None:
         found += [*_weights(source.poser.skinning_query), *_skeleton(source.poser.skeleton_query)]

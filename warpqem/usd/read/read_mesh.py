@@ -15,6 +15,7 @@ from warpqem.errors import StageError, VaryingTopologyError
 from warpqem.usd.read.bake_times import bake_times
 from warpqem.usd.read.declared_types import check_declared_types
 from warpqem.usd.read.open_stage import world_scale
+from warpqem.usd.read.pose_values import first_broken_value
 from warpqem.usd.read.skeleton_poses import MeshPoser, StagePoses
 from warpqem.usd.read.time_codes import FrameRange
 from warpqem.usd.read.triangulation import TriangulatedFaces, read_topology
@@ -212,11 +213,15 @@ class MeshSource:
                 f"{self.path}.points: {len(value)} points at time {name}, {self.point_count} before; "
                 "a mesh whose topology varies over time cannot be simplified"
             )
-        points = self._posed(value, code)
+        # What is not finite is named below.
+        with np.errstate(invalid="ignore", over="ignore"):
+            points = self._posed(value, code)
         finite = np.isfinite(points).all(axis=1)
         if not finite.all():
             vertex = int(np.flatnonzero(~finite)[0])
-            raise StageError(f"{self.path}.points: point {vertex} at time {name} is {points[vertex].tolist()}")
+            cause = None if self.poser is None else first_broken_value(self.poser, code)
+            because = "" if cause is None else f", as {cause}"
+            raise StageError(f"{self.path}.points: point {vertex} at time {name} is {points[vertex].tolist()}{because}")
         return points
 
     def layout(self, times: Sequence[float] | None) -> MeshLayout:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -169,8 +170,7 @@ class MeshPoser:
         if transforms is not None and self.skinning_query.IsRigidlyDeformed():
             # One transform for all points, as UsdSkel bakes it. Blending several joints point by point rounds otherwise
             # and comes out up to a few millionths of the distance from the origin apart.
-            rigid = np.array(self.skinning_query.ComputeSkinnedTransform(transforms, time))
-            return self._to_local_space(_transform(np.asarray(points), rigid), time)
+            return self._to_local_space(_transform(np.asarray(points), self._rigid(transforms, time)), time)
         if transforms is None or not self._skin(transforms, points, time):
             raise StageError(
                 f"{self.prim.GetPath()}: UsdSkel cannot skin the {len(points)} points at time {time} "
@@ -178,26 +178,55 @@ class MeshPoser:
             )
         return self._to_local_space(np.asarray(points), time)
 
+    def ordered(self, transforms: Vt.Matrix4dArray) -> Vt.Matrix4dArray:
+        """Transforms of the skeleton's joints in the order of the mesh's influences.
+
+        A joint of the mesh that the skeleton lacks stays where it is, and so do all but the last of one name, as
+        `UsdSkel.BakeSkinning` has it.
+        """
+        mapper = self.skinning_query.GetJointMapper()
+        return transforms if mapper is None else mapper.RemapTransforms(transforms, Vt.Matrix4dArray())
+
+    @cached_property
+    def _lacks_joints(self) -> bool:
+        """Whether the skeleton lacks joints of the mesh, for which `UsdSkel.SkinningQuery` takes those of others."""
+        mapper = self.skinning_query.GetJointMapper()
+        return mapper is not None and bool(mapper.IsSparse())
+
+    def _rigid(self, transforms: Vt.Matrix4dArray, time: float | Usd.TimeCode) -> npt.NDArray[np.float64]:
+        """The one transform of a mesh that is moved as a whole."""
+        query = self.skinning_query
+        if not self._lacks_joints:
+            return np.array(query.ComputeSkinnedTransform(transforms, time))
+        influences = self._influences(time)
+        return np.array(
+            UsdSkel.SkinTransform(
+                query.GetSkinningMethod(), query.GetGeomBindTransform(time), self.ordered(transforms), *influences
+            )
+        )
+
+    def _influences(self, time: float | Usd.TimeCode) -> tuple[Any, Any]:
+        """Joint indices and weights as authored."""
+        query = self.skinning_query
+        joints, weights = query.GetJointIndicesPrimvar(), query.GetJointWeightsPrimvar()
+        return joints.ComputeFlattened(time), weights.ComputeFlattened(time)
+
     def _skin(self, transforms: Vt.Matrix4dArray, points: Vt.Vec3fArray, time: float | Usd.TimeCode) -> bool:
         """Move points by joints, in place; false where their influences do not fit."""
         query = self.skinning_query
-        influences = [
-            primvar.ComputeFlattened(time)
-            for primvar in (query.GetJointIndicesPrimvar(), query.GetJointWeightsPrimvar())
-        ]
-        if isinstance(influences[0], Vt.IntArray) and isinstance(influences[1], Vt.FloatArray):
+        influences = self._influences(time)
+        known = isinstance(influences[0], Vt.IntArray) and isinstance(influences[1], Vt.FloatArray)
+        if known and not self._lacks_joints:
             return bool(query.ComputeSkinnedPoints(transforms, points, time))
         # UsdSkel reads no numbers of other types, such as weights in double precision, but calculates with them.
         joints, weights = (np.asarray(values) for values in influences)
         if joints.dtype.kind not in "iu" or weights.dtype.kind not in "fiu":
             return False
-        mapper = query.GetJointMapper()
-        ordered = transforms if mapper is None else mapper.RemapTransforms(transforms)
         return bool(
             UsdSkel.SkinPoints(
                 query.GetSkinningMethod(),
                 query.GetGeomBindTransform(time),
-                ordered,
+                self.ordered(transforms),
                 Vt.IntArray.FromNumpy(joints.astype(np.int32)),
                 Vt.FloatArray.FromNumpy(weights.astype(np.float32)),
                 query.GetNumInfluencesPerComponent(),

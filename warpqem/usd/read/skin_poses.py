@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -11,7 +11,15 @@ from pxr import Usd, UsdGeom, UsdSkel, Vt
 from warpqem.errors import StageError
 from warpqem.usd.read.skeleton_poses import MeshPoser
 
-__all__ = ["is_linear", "joint_names", "joint_parents", "joint_transforms", "shape_offsets"]
+__all__ = [
+    "first_repeated",
+    "is_linear",
+    "joint_names",
+    "joint_parents",
+    "joint_transforms",
+    "repeated_joint",
+    "shape_offsets",
+]
 
 
 def is_linear(poser: MeshPoser) -> bool:
@@ -31,7 +39,6 @@ def joint_transforms(poser: MeshPoser, times: Sequence[Usd.TimeCode]) -> npt.NDA
     """
     matrices = []
     query = poser.skinning_query
-    index = _joint_index(poser)
     for time in times:
         transforms = poser.skeleton_query.ComputeSkinningTransforms(time)
         if transforms is None:
@@ -41,22 +48,11 @@ def joint_transforms(poser: MeshPoser, times: Sequence[Usd.TimeCode]) -> npt.NDA
         from_world = np.array(cache.GetLocalToWorldTransform(poser.prim).GetInverse())
         # USD matrices act on row vectors, so that the first to act stands first.
         bind = np.array(query.GetGeomBindTransform(time))
-        # A joint of the mesh that the skeleton lacks stays where it is, as UsdSkel leaves it.
-        own = np.concatenate([np.array(transforms).reshape(-1, 4, 4), np.eye(4)[None]])[index]
+        own = np.array(poser.ordered(transforms)).reshape(-1, 4, 4)
         matrices.append(bind @ own @ (to_world @ from_world))
     stacked = np.stack(matrices)
     columns: npt.NDArray[np.float64] = np.swapaxes(stacked, -1, -2)[..., :3, :]
     return columns
-
-
-def _joint_index(poser: MeshPoser) -> npt.NDArray[np.int64]:
-    """Where the joints that the mesh's influences name stand in the skeleton's order; -1 for those it lacks."""
-    names = list(poser.skeleton_query.GetJointOrder())
-    order = poser.skinning_query.GetJointOrder()
-    if order is None:
-        return np.arange(len(names))
-    position = {name: index for index, name in enumerate(names)}
-    return np.array([position.get(name, -1) for name in order], dtype=np.int64)
 
 
 def joint_names(poser: MeshPoser) -> list[str]:
@@ -70,17 +66,40 @@ def joint_parents(poser: MeshPoser) -> npt.NDArray[np.int64]:
 
     Joints between the two that the mesh does not name are passed over; so are joints that the skeleton lacks.
     """
-    names = list(poser.skeleton_query.GetJointOrder())
     topology = poser.skeleton_query.GetTopology()
-    own = {name: index for index, name in enumerate(joint_names(poser))}
-    place = {name: index for index, name in enumerate(names)}
-    parents = np.full(len(own), -1, dtype=np.int64)
-    for name, index in own.items():
-        above = topology.GetParent(place[name]) if name in place else -1
-        while above >= 0 and names[above] not in own:
+    place = _places(poser)
+    own = {joint: index for index, joint in enumerate(place.tolist()) if joint >= 0}
+    parents = np.full(len(place), -1, dtype=np.int64)
+    for joint, index in own.items():
+        above = topology.GetParent(joint)
+        while above >= 0 and above not in own:
             above = topology.GetParent(above)
-        parents[index] = own[names[above]] if above >= 0 else -1
+        parents[index] = own.get(above, -1)
     return parents
+
+
+def _places(poser: MeshPoser) -> npt.NDArray[np.int64]:
+    """Where each joint of a mesh stands in the skeleton's order, -1 for one that nothing there moves; (J,)."""
+    mapper = poser.skinning_query.GetJointMapper()
+    every = Vt.IntArray(range(len(poser.skeleton_query.GetJointOrder())))
+    if mapper is None:
+        return np.array(every, dtype=np.int64)
+    return np.array(mapper.Remap(every, Vt.IntArray([-1] * poser.joint_count)), dtype=np.int64)
+
+
+def repeated_joint(poser: MeshPoser) -> str | None:
+    """The first joint whose name does not say which one is meant, of the mesh's order or the skeleton's; or None."""
+    return first_repeated(joint_names(poser)) or first_repeated(poser.skeleton_query.GetJointOrder())
+
+
+def first_repeated(names: Iterable[str]) -> str | None:
+    """The first name that comes a second time; None if all differ."""
+    seen: set[str] = set()
+    for name in names:
+        if name in seen:
+            return name
+        seen.add(name)
+    return None
 
 
 def shape_offsets(

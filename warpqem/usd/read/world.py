@@ -12,6 +12,9 @@ import numpy.typing as npt
 from pxr import Sdf, Usd, UsdGeom
 
 from warpqem.errors import StageError, VaryingTopologyError
+from warpqem.picture.look import Look, joined, plain_look
+from warpqem.usd.read.materials import Materials
+from warpqem.usd.read.mesh_look import mesh_look
 from warpqem.usd.read.open_stage import find_meshes, open_stage
 from warpqem.usd.read.read_mesh import MeshSource, StageMesh
 from warpqem.usd.read.skeleton_poses import StagePoses
@@ -106,6 +109,11 @@ class WorldMeshes:
         """One path for each mesh, the first at which the stage shows it."""
         return [mesh.places[0] for mesh in self._meshes]
 
+    @property
+    def sources(self) -> list[MeshSource]:
+        """The meshes with one topology."""
+        return [mesh.source for mesh in self._meshes if mesh.source is not None]
+
     def show_only(self, places: Sequence[Sdf.Path]) -> None:
         """Leave meshes out of all other paths; one that is at none of these is left at its first."""
         wanted = set(places)
@@ -134,6 +142,21 @@ class WorldMeshes:
         if not points:
             return np.zeros((len(times or [0]), 0, 3), dtype=np.float32), np.zeros((0, 3), dtype=np.int32)
         return np.concatenate(points, axis=1).astype(np.float32), np.concatenate(faces).astype(np.int32)
+
+    def look(self, times: Sequence[float] | None, materials: Materials) -> Look:
+        """What the meshes look like at the first of some times, face by face as `read` has them.
+
+        Parts are named by the path at which a mesh shows.
+        """
+        looks = []
+        for item in self._meshes:
+            found = item.look(times, materials)
+            if found is not None:
+                looks += [
+                    replace(found, parts=[replace(part, name=str(place)) for part in found.parts])
+                    for place in item.places
+                ]
+        return joined(looks)
 
     def _in_world(
         self, points: npt.NDArray[np.float64], place: Sdf.Path, times: Sequence[float] | None
@@ -187,6 +210,14 @@ class _WorldMesh:
     def run_at(self, time: float) -> TopologyRun:
         """The run that a mesh whose topology varies shows at a time."""
         return next(run for run in self.runs if run.shows(time))
+
+    def look(self, times: Sequence[float] | None, materials: Materials) -> Look | None:
+        """What the mesh looks like; None where it shows nothing."""
+        if self.source is not None:
+            return mesh_look(self.source, materials, times[0] if times else None)
+        # A run is opened in a stage of its own, without what is bound to the mesh.
+        mesh = self.read(times)
+        return None if mesh is None else plain_look(len(mesh.faces))
 
     def read(self, times: Sequence[float] | None) -> StageMesh | None:
         """The mesh at some times; None where it shows nothing."""

@@ -73,7 +73,9 @@ class Rows:
         length = np.linalg.norm(mean, axis=-1, keepdims=True)
         # A quaternion of another length than one stays so: what its maker means by it is not known.
         wanted = 1.0 if signed else (weight * np.linalg.norm(corners, axis=-1, keepdims=True)).sum(axis=1)
-        return np.where(length > SHORTEST, wanted * mean / np.maximum(length, SHORTEST), heaviest)
+        # What is not finite stays so.
+        with np.errstate(invalid="ignore"):
+            return np.where(length > SHORTEST, wanted * mean / np.maximum(length, SHORTEST), heaviest)
 
 
 class AttributeTransfer:

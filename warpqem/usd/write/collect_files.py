@@ -4,23 +4,20 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
-import zipfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO
 
 from pxr import Ar, Sdf, Usd
 
 from warpqem.errors import StageError
-from warpqem.files.file_kinds import check_regular, kind_of
+from warpqem.files.file_kinds import kind_of
 from warpqem.files.temporary import replacing
 from warpqem.usd.checks.named_assets import ASSET_TYPES, UDIM, evaluated
 from warpqem.usd.checks.named_by import PICTURES
-from warpqem.usd.checks.usd_errors import first_line
+from warpqem.usd.read.copy_asset import copy_asset
 
-__all__ = ["Collection", "collect_files", "copy_asset", "is_media", "lies_elsewhere", "write_collected"]
+__all__ = ["Collection", "collect_files", "is_media", "lies_elsewhere", "write_collected"]
 
 # What attributes name beside pictures that belongs to an asset: the sounds of UsdMedia.
 SOUNDS = re.compile(r"\.(m4a|mp3|wav)$", re.IGNORECASE)
@@ -94,46 +91,10 @@ def write_collected(collection: Collection, folder: Path) -> None:
         target = folder / name
         try:
             target.parent.mkdir(exist_ok=True)
-            with replacing(target) as temporary:
-                copy_asset(source, temporary)
+            with replacing(target) as temporary, open(temporary, "wb") as file:
+                copy_asset(source, file)
         except OSError as error:
             raise StageError(f"{target}: cannot be written ({error.strerror or error})") from error
-
-
-def copy_asset(place: str, target: Path) -> None:
-    """Copy a file, which may be in a package or wherever a resolver looks.
-
-    Raises:
-        StageError: it cannot be read.
-        OSError: it cannot be written.
-    """
-    outer, inner = Ar.SplitPackageRelativePathOuter(place) if Ar.IsPackageRelativePath(place) else (place, "")
-    if os.path.isfile(outer):
-        check_regular(outer, StageError)
-        if not inner:
-            shutil.copyfile(place, target)
-            return
-        with open(outer, "rb") as package, open(target, "wb") as file:
-            try:
-                _unpack(package, str(inner), file)
-            except (zipfile.BadZipFile, KeyError, ValueError, EOFError) as error:
-                raise StageError(f"{place}: cannot be read ({first_line(error)})") from error
-        return
-    # Early versions of USD offer this to C++ alone.
-    asset = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(place)) if hasattr(Ar.Resolver, "OpenAsset") else None
-    if asset is None:
-        raise StageError(f"{place}: cannot be read")
-    target.write_bytes(asset.GetBuffer())
-
-
-def _unpack(package: IO[bytes], inner: str, file: IO[bytes]) -> None:
-    """Copy a file out of a package, which may lie in a package there."""
-    name, rest = Ar.SplitPackageRelativePathOuter(inner) if Ar.IsPackageRelativePath(inner) else (inner, "")
-    with zipfile.ZipFile(package) as archive, archive.open(str(name)) as entry:
-        if rest:
-            _unpack(entry, str(rest), file)
-        else:
-            shutil.copyfileobj(entry, file)
 
 
 @dataclass

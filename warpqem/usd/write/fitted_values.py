@@ -102,6 +102,8 @@ def fit_normal_offsets(
         offsets: float32, shape (P, 3), at the points of the input.
         start: float64, shape (V', 3), transferred; points without any get none.
     """
+    if not np.isfinite(offsets).all():
+        return start
     layout = transfer.layout("normalOffsets", True, None)
     return fit_smooth_values(layout, _flat(offsets), start, (start != 0).any(axis=1))
 

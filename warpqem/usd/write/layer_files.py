@@ -9,6 +9,7 @@ from pathlib import Path
 from pxr import Sdf, Tf
 
 from warpqem.errors import OptionError, StageError
+from warpqem.files.formats import how_to_write
 from warpqem.files.outputs import InputFile, OutputFile, check_outputs
 from warpqem.files.temporary import replacing
 from warpqem.usd.checks.text_numbers import make_readable
@@ -46,7 +47,9 @@ def check_output_path(
     suffixes = (*OUTPUT_SUFFIXES, PACKAGE_SUFFIX) if packages else OUTPUT_SUFFIXES
     if path.suffix.lower() not in suffixes:
         only = " (simplify and batch write packages)" if is_package(path) else ""
-        raise OptionError(f"{option} {output}: the suffix must be one of {', '.join(suffixes)}{only}")
+        raise OptionError(
+            f"{option} {output}: the suffix must be one of {', '.join(suffixes)}{only}{how_to_write(path)}"
+        )
     if not path.parent.is_dir():
         raise OptionError(f"{option} {output}: the folder {path.parent} does not exist")
     if path.is_dir():

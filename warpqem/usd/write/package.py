@@ -19,7 +19,8 @@ from pxr import Sdf, Tf, Usd, UsdUtils
 from warpqem.errors import StageError
 from warpqem.files.temporary import remove_path, replacing, temporary_path
 from warpqem.usd.checks.usd_errors import first_line
-from warpqem.usd.write.collect_files import Collection, copy_asset
+from warpqem.usd.read.copy_asset import copy_asset
+from warpqem.usd.write.collect_files import Collection
 
 __all__ = ["PACKAGE_SUFFIX", "is_package", "write_package", "write_package_with_layers"]
 
@@ -59,7 +60,8 @@ def write_package(layer: Sdf.Layer, collection: Collection, output: Path) -> lis
         files = {root.name: root}
         for number, (name, source) in enumerate(collection.files.items()):
             files[name] = folder / f"{number}.file"
-            copy_asset(source, files[name])
+            with open(files[name], "wb") as file:
+                copy_asset(source, file)
         _write_archive(files, output)
     return _foreign(collection.files, output)
 

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
 
 from warpqem.usd.read.hidden_users import hidden_properties
+from warpqem.usd.read.skin_poses import first_repeated
 
 __all__ = ["reduce_skeletons"]
 
@@ -92,6 +93,11 @@ def _animation(bound: _Bound) -> Usd.Prim | None:
 def _why_not(bound: _Bound, animation: Usd.Prim | None, shared: bool) -> str | None:
     if shared:
         return "another skeleton has the same animation"
+    orders = {bound.prim: bound.names, **{target.GetPrim(): target.GetJointOrder() for target in bound.targets}}
+    for prim, order in orders.items():
+        repeated = first_repeated(order or ())
+        if repeated is not None:
+            return f"{prim.GetPath()} names the joint {repeated} twice"
     if animation is not None and not animation.IsA(UsdSkel.Animation):
         return f"{animation.GetPath()} is no SkelAnimation"
     edited = [bound.prim, *[target.GetPrim() for target in bound.targets], *([animation] if animation else [])]

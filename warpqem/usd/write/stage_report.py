@@ -75,6 +75,8 @@ class ShapesReport:
         after: Those that stay.
         removed: Names of the others, in the order they went.
         merged: Of these, by name, how much of their weight which shapes took over.
+        scales: What the offsets of shapes that stay were multiplied by, and their weights divided by, by name; those
+            left out are as they were.
         used_error: RMS distance that this makes over the weights of the animation, in % of the rest shape's diagonal; 0
             without any.
         random_error: The same over random weights.
@@ -87,6 +89,7 @@ class ShapesReport:
     after: int
     removed: list[str]
     merged: dict[str, dict[str, float]]
+    scales: dict[str, float]
     used_error: float
     random_error: float
     counts: list[int]
