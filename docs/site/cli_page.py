@@ -5,12 +5,14 @@ from __future__ import annotations
 import contextlib
 import io
 import re
+import typing
 from collections.abc import Iterator
 from enum import Enum
 from typing import Any
 
 import typer.main
 
+from warpqem.arguments.option_fields import Panel
 from warpqem.cli.app import app
 
 __all__ = ["cli_page"]
@@ -59,10 +61,13 @@ def _section(path: tuple[str, ...], command: Any, shown: set[str]) -> list[str]:
     parts = [f"## {PROGRAM} {' '.join(path)}", _plain(command.help or ""), f"```text\n{usage}\n```"]
     if arguments:
         parts.append(_table("argument", [(f"`{_argument(row)}`", _what(row)) for row in arguments]))
-    heads: dict[str, list[Any]] = {}
+    # In the order of the help; what has no head stands first.
+    heads: dict[str, list[Any]] = {head: [] for head in ("", *typing.get_args(Panel))}
     for option in options:
-        heads.setdefault(getattr(option, "rich_help_panel", None) or "", []).append(option)
+        heads.setdefault(option.rich_help_panel or "", []).append(option)
     for head, members in heads.items():
+        if not members:
+            continue
         members.sort(key=lambda option: option.name not in shown)
         rows = [(_names(option, option.name in shown), _what(option)) for option in members]
         parts += [f"**{head}**"] * bool(head) + [_table("option", rows)]
@@ -98,7 +103,9 @@ def _what(parameter: Any) -> str:
     if parameter.required and parameter.param_type_name != "argument":
         text += " *Required.*"
     default = parameter.default.value if isinstance(parameter.default, Enum) else parameter.default
-    if isinstance(default, bool) or default in (None, "", (), []) or callable(default) or parameter.required:
+    # What is counted, as -v is, is counted from nothing.
+    none = isinstance(default, bool) or default in (None, "", (), []) or callable(default)
+    if none or parameter.required or getattr(parameter, "count", False):
         return text
     return f"{text} *Default:* `{default:g}`." if isinstance(default, float) else f"{text} *Default:* `{default}`."
 

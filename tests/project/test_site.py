@@ -107,6 +107,14 @@ def test_the_page_of_commands_has_the_values_of_choices_and_defaults(site):
     assert found[2] == "dsd"
 
 
+def test_options_stand_under_the_heads_of_the_help_in_its_order(site):
+    page = text_of(site / "cli.html")
+    simplify = page[page.index("warpqem simplify IN") : page.index("warpqem batch INPUT")]
+    heads = ["Goal", "Quality", "What to keep", "Levels", "Output", "Machine"]
+    places = [simplify.index(f" {head} option what it does") for head in heads]
+    assert places == sorted(places)
+
+
 def test_the_page_of_commands_has_every_command_and_its_examples(site):
     page = text_of(site / "cli.html")
     for name in ("batch", "info", "compare", "features", "render", "view", "progressive extract", "face retarget"):
