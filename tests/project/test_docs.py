@@ -8,6 +8,7 @@ import re
 from pathlib import Path
 
 import pytest
+import warp
 from PIL import Image
 
 from docs.notebook import NOTEBOOK, run_cells
@@ -118,6 +119,14 @@ def test_every_option_on_the_pages_exists():
             for option in re.findall(r"(?<![\w-])--[a-z][a-z-]+", code):
                 if not code.startswith(("python -m", "ruff", "pip", ".venv")):
                     assert option in known, f"{name_of(page)}: {code}"
+
+
+def test_architectures_of_the_table_of_gpus_are_those_that_warp_compiles_for():
+    known = set(warp.get_cuda_supported_archs())
+    if not known:
+        pytest.skip("this build of Warp compiles for no GPU")
+    rows = re.findall(r"^\| (\d+(?:, \d+)*) \|", (ROOT / "docs" / "systems.md").read_text("utf-8"), re.M)
+    assert {int(arch) for row in rows for arch in row.split(", ")} == known
 
 
 def test_figures_are_those_that_the_program_draws():
