@@ -5,11 +5,10 @@ from __future__ import annotations
 import importlib
 import json
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+import warp
 from PIL import Image
 
 from docs.notebook import NOTEBOOK, run_cells
@@ -17,7 +16,7 @@ from tests.support.docs import ROOT, run_line
 from warpqem.cli.main import app
 
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
-GUIDES = ["pipeline.md", "batch.md", "python.md", "cookbook.md", "appearance.md", "blender.md"]
+GUIDES = ["start.md", "pipeline.md", "batch.md", "python.md", "cookbook.md", "appearance.md", "blender.md"]
 
 
 def name_of(page: Path) -> str:
@@ -33,8 +32,12 @@ def blocks(page: Path) -> list[tuple[str, str]]:
 def test_everything_in_a_guide_runs_in_its_order(desk, guide, capsys):
     found = blocks(ROOT / "docs" / guide)
     assert found
+    # Continuous integration sets up the project with these.
+    set_up = {text for language, text in blocks(ROOT / "README.md") if language == "sh"}
     names: dict[str, object] = {"__name__": guide}
     for language, text in found:
+        if text in set_up:
+            continue
         if language == "sh":
             for line in text.splitlines():
                 run_line(line)
@@ -118,6 +121,14 @@ def test_every_option_on_the_pages_exists():
                     assert option in known, f"{name_of(page)}: {code}"
 
 
+def test_architectures_of_the_table_of_gpus_are_those_that_warp_compiles_for():
+    known = set(warp.get_cuda_supported_archs())
+    if not known:
+        pytest.skip("this build of Warp compiles for no GPU")
+    rows = re.findall(r"^\| (\d+(?:, \d+)*) \|", (ROOT / "docs" / "systems.md").read_text("utf-8"), re.M)
+    assert {int(arch) for row in rows for arch in row.split(", ")} == known
+
+
 def test_figures_are_those_that_the_program_draws():
     pytest.importorskip("skimage", reason="the scenes extra is not installed")
     figures = importlib.import_module("docs.figures")
@@ -129,20 +140,7 @@ def test_figures_are_those_that_the_program_draws():
 def test_pictures_are_small():
     for path in (ROOT / "docs").iterdir():
         if path.suffix in (".png", ".gif"):
-            assert path.stat().st_size < 500_000, path.name
+            # A film of 60 frames with its texture is larger than a picture.
+            assert path.stat().st_size < (800_000 if path.suffix == ".gif" else 500_000), path.name
             with Image.open(path) as picture:
                 assert picture.width <= 1600
-
-
-def test_reference_is_made_from_docstrings_and_all_public_names_have_one(tmp_path):
-    pytest.importorskip("pdoc", reason="the docs extra is not installed")
-    # In a process of its own, as it sets what is otherwise loaded late.
-    command = [sys.executable, "-W", "error::UserWarning", "-m", "docs.reference", str(tmp_path)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    for module in ("warpqem", "warpqem.usd", "warpqem.measure", "warpqem.report"):
-        loaded = importlib.import_module(module)
-        page = (tmp_path / f"{module.replace('.', '/')}.html").read_text("utf-8")
-        for name in loaded.__all__:
-            assert f'id="{name}"' in page or name.startswith("__"), f"{module}.{name}"
-            assert getattr(loaded, name).__doc__, f"{module}.{name}"

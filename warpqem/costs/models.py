@@ -93,7 +93,13 @@ COST_MODELS = {
 
 
 def cost_model_names() -> tuple[str, ...]:
-    """The names of all cost models: those of warpqem, then those of other packages by name. None is loaded."""
+    """The names of all cost models: those of warpqem, then those of other packages by name. None is loaded.
+
+    Examples:
+        >>> import warpqem
+        >>> "dsd" in warpqem.costs.cost_model_names()
+        True
+    """
     return (*COST_MODELS, *sorted(_plug_ins()))
 
 

@@ -132,6 +132,15 @@ def compare(
         DegenerateMeshError: a mesh has no face, or no extent or area in some frame.
         OptionError: samples, seed or frames out of range.
         DeviceError: there is no such device.
+
+    Examples:
+        >>> import numpy as np, trimesh, warpqem
+        >>> ball = trimesh.creation.icosphere(subdivisions=3)
+        >>> points = np.stack([ball.vertices * (1, 1, 1 + 0.2 * step) for step in range(4)])
+        >>> result = warpqem.simplify(points, ball.faces, ratio=0.1)
+        >>> errors = warpqem.measure.compare(points, ball.faces, result.points, result.faces)
+        >>> errors.rms < errors.hausdorff < 2
+        True
     """
     samples = None if samples is None else whole_number(samples, "samples")
     seed = whole_number(seed, "seed", least=0)

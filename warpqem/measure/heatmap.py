@@ -103,6 +103,15 @@ def distance_colors(
     Raises:
         MeshShapeError, NonFinitePointError, FaceIndexError, DegenerateMeshError, DeviceError: as in ``compare``.
         OptionError: scale is not a positive number.
+
+    Examples:
+        >>> import numpy as np, trimesh, warpqem
+        >>> ball = trimesh.creation.icosphere(subdivisions=3)
+        >>> points = np.stack([ball.vertices * (1, 1, 1 + 0.2 * step) for step in range(4)])
+        >>> result = warpqem.simplify(points, ball.faces, ratio=0.1)
+        >>> colors, scale = warpqem.measure.distance_colors(points, ball.faces, result.points, result.faces)
+        >>> colors.shape
+        (4, 66, 3)
     """
     if scale is not None:
         scale = real_number(scale, "scale", "a positive number", lambda value: 0.0 < value < np.inf)

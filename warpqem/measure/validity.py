@@ -99,6 +99,15 @@ def topology(faces: npt.ArrayLike) -> Topology:
         MeshShapeError: not (N, 3) integers.
         DegenerateMeshError: no face.
         FaceIndexError: a vertex index that is negative, or larger than there can be.
+
+    Examples:
+        A closed surface of two tetrahedra that do not touch:
+
+        >>> import warpqem
+        >>> one = [(0, 2, 1), (0, 1, 3), (1, 2, 3), (2, 0, 3)]
+        >>> found = warpqem.measure.topology(one + [(a + 4, b + 4, c + 4) for a, b, c in one])
+        >>> found.faces, found.components
+        (8, 2)
     """
     checked = read_faces(faces, "mesh faces", None).astype(np.int64)
     used, compact = np.unique(checked, return_inverse=True)

@@ -97,6 +97,16 @@ def load(
     Raises:
         MeshFileError: a file is missing, cannot be read, or its faces are not those of the first one.
         OptionError: a name is no mesh file's.
+
+    Examples:
+        >>> import numpy as np, trimesh, warpqem
+        >>> ball = trimesh.creation.icosphere(subdivisions=3)
+        >>> points = np.stack([ball.vertices * (1, 1, 1 + 0.2 * step) for step in range(4)])
+        >>> warpqem.simplify(points, ball.faces, ratio=0.1).save("ball_##.ply")
+        ['ball_01.ply', 'ball_02.ply', 'ball_03.ply', 'ball_04.ply']
+        >>> clip = warpqem.load("ball_*.ply")
+        >>> clip.frame_count, len(clip.faces)
+        (4, 128)
     """
     return scan(find_mesh_files(pattern), progress)
 

@@ -146,6 +146,16 @@ def order_levels(
     Raises:
         OptionError: also for an option that does not apply.
         WarpqemError: the other errors of :func:`warpqem.simplify`, but for an unreachable target.
+
+    Examples:
+        Levels of one order, at any count down to the coarsest:
+
+        >>> import numpy as np, trimesh, warpqem
+        >>> ball = trimesh.creation.icosphere(subdivisions=3)
+        >>> points = np.stack([ball.vertices * (1, 1, 1 + 0.2 * step) for step in range(4)])
+        >>> order = warpqem.order_levels(points, ball.faces, target_faces=100)
+        >>> [len(order.level(count).faces) for count in (640, 100)]
+        [640, 100]
     """
     refused = {"ratio", "max_error", "sink"} & set(options)
     if refused:
@@ -184,6 +194,14 @@ def simplify_levels(
     Raises:
         OptionError: also where there is no ratio, or an option that does not apply.
         WarpqemError: the other errors of :func:`simplify`, but for an unreachable target.
+
+    Examples:
+        >>> import numpy as np, trimesh, warpqem
+        >>> ball = trimesh.creation.icosphere(subdivisions=3)
+        >>> points = np.stack([ball.vertices * (1, 1, 1 + 0.2 * step) for step in range(4)])
+        >>> levels = warpqem.simplify_levels(points, ball.faces, ratios=(0.5, 0.25, 0.1))
+        >>> [len(level.faces) for level in levels]
+        [640, 320, 128]
     """
     parts = _checked_ratios(ratios)
     if "target_faces" in options:

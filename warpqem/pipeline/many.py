@@ -92,6 +92,16 @@ def simplify_many(
         OptionError: an argument or an option for all is wrong; names of meshes in messages are ``meshes[17]``.
         WarpqemError: the errors of :func:`simplify` for a mesh, which the message names, unless ``return_errors``.
         CancelledError: ``cancel`` was set.
+
+    Examples:
+        The second mesh has a ratio of its own:
+
+        >>> import numpy as np, trimesh, warpqem
+        >>> ball = trimesh.creation.icosphere(subdivisions=3)
+        >>> points = np.stack([ball.vertices * (1, 1, 1 + 0.2 * step) for step in range(4)])
+        >>> meshes = [(points, ball.faces), (points[:1], ball.faces, {"ratio": 0.2})]
+        >>> [len(result.faces) for result in warpqem.simplify_many(meshes, ratio=0.1)]
+        [128, 256]
     """
     given = [_read_mesh(index, mesh, options) for index, mesh in enumerate(_listed(meshes))]
     keep_errors = flag(return_errors, "return_errors")

@@ -76,6 +76,14 @@ def find_mirror(points: ArrayInput, faces: ArrayInput, plane: str | MirrorPlane 
     Raises:
         OptionError: the mesh is not symmetric about the plane, a face lies across it, or it is no plane.
         MeshShapeError, NonFinitePointError, FaceIndexError, DegenerateMeshError: see :mod:`warpqem.errors`.
+
+    Examples:
+        Two triangles, each the image of the other:
+
+        >>> import warpqem
+        >>> mirror = warpqem.find_mirror([(-1, 0, 0), (0, -1, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 3), (1, 2, 3)], "x")
+        >>> mirror.vertex.tolist(), mirror.face.tolist()
+        ([2, 1, 0, 3], [1, 0])
     """
     pose = finite_points(read_points(points, "points"))
     if len(pose) != 1:

@@ -78,6 +78,16 @@ def simplify(
         MemoryLimitError: it cannot be done in that memory; raised before the work starts.
         CancelledError: ``cancel`` was set.
         UnreachableTargetError: no legal collapse leads to the face count asked for; its ``result`` is what there is.
+
+    Examples:
+        A ball that swells over four frames:
+
+        >>> import numpy as np, trimesh, warpqem
+        >>> ball = trimesh.creation.icosphere(subdivisions=3)
+        >>> points = np.stack([ball.vertices * (1, 1, 1 + 0.2 * step) for step in range(4)])
+        >>> result = warpqem.simplify(points, ball.faces, ratio=0.1)
+        >>> result.points.shape, result.faces.shape, result.stopped
+        ((4, 66, 3), (128, 3), 'target')
     """
     asked = read_keywords(options)
     check_sink(sink)
@@ -136,6 +146,14 @@ def plan(
     Raises:
         MemoryLimitError: it cannot be done in that memory.
         OptionError, MeshShapeError, FaceIndexError, DegenerateMeshError, DeviceError: as for :func:`simplify`.
+
+    Examples:
+        >>> import numpy as np, trimesh, warpqem
+        >>> ball = trimesh.creation.icosphere(subdivisions=3)
+        >>> points = np.stack([ball.vertices * (1, 1, 1 + 0.2 * step) for step in range(4)])
+        >>> plan = warpqem.plan(points, ball.faces, ratio=0.1, memory="1G")
+        >>> plan.peak_bytes < 10**9
+        True
     """
     check_sink(sink)
     asked = read_keywords(options)

@@ -79,6 +79,14 @@ def build_progressive(
         OptionError: also for an option that does not apply.
         WarpqemError: the other errors of :func:`warpqem.simplify`, but for an unreachable target: the base mesh then
             has more faces than asked for.
+
+    Examples:
+        >>> import numpy as np, trimesh, warpqem
+        >>> ball = trimesh.creation.icosphere(subdivisions=3)
+        >>> points = np.stack([ball.vertices * (1, 1, 1 + 0.2 * step) for step in range(4)])
+        >>> mesh = warpqem.build_progressive(points, ball.faces)
+        >>> [len(mesh.level(faces=count).faces) for count in (1000, 300)]
+        [1000, 300]
     """
     refused = REFUSED & set(options)
     if refused:

@@ -84,6 +84,14 @@ def simplify_stage(
             cannot be a layer over a stage in memory, so that `options.flatten` is needed there.
         DeviceError: there is no such device.
         CancelledError: `cancel` was set.
+
+    Examples:
+        With the shipped scenes beside you:
+
+        >>> from warpqem.usd import SimplifyOptions, simplify_stage
+        >>> report = simplify_stage("cape_wind.usdc", "cape_20.usdc", SimplifyOptions(ratio=0.2))
+        >>> [prim.status for prim in report.prims]
+        ['simplified']
     """
     listen = listener(progress, cancel)
     output = _checked_output(input_path, output_path, options)

@@ -93,6 +93,11 @@ def inspect_stage(
     Raises:
         StageError: the file cannot be read.
         OptionError: an output is a file that is read, or there is no such variant.
+
+    Examples:
+        >>> from warpqem.usd import inspect_stage
+        >>> [mesh.path for mesh in inspect_stage("quadruped_gallop.usdc")]
+        ['/Quadruped/Mesh']
     """
     return inspect_with_problems(path, other_outputs, variants)[0]
 
