@@ -99,7 +99,7 @@ def test_arrays_are_shown_by_dtype_and_shape_and_long_values_by_their_number():
 def test_a_notebook_shows_a_picture_of_a_result(name):
     with Image.open(io.BytesIO(RESULTS[name]()._repr_png_())) as picture:
         assert picture.format == "PNG"
-        assert picture.size == (900, 250)
+        assert picture.size == (900, 251)
         columns = np.asarray(picture.convert("L")).std(axis=0).reshape(3, 300)
     # The mesh is in each of the three pictures.
     assert (columns.max(axis=1) > 10).all()
@@ -111,7 +111,7 @@ def test_one_pose_is_shown_from_three_sides_and_two_frames_once_each():
     for count in (1, 2):
         with Image.open(io.BytesIO(preview(np.stack([cone] * count), FACES))) as picture:
             pictures[count] = np.asarray(picture.convert("L"))
-    assert pictures[2].shape == (250, 600)
+    assert pictures[2].shape == (251, 600)
     sides = pictures[1].reshape(225, 3, 300).transpose(1, 0, 2)
     assert not np.array_equal(sides[0], sides[1])
     assert not np.array_equal(sides[0], sides[2])

@@ -269,7 +269,7 @@ def test_texture_that_is_no_regular_file_is_left_out(tmp_path):
     assert len(materials.left_out) == 1
 
 
-def test_image_that_claims_to_be_huge_is_left_out(tmp_path):
+def test_image_of_huge_size_in_its_head_is_left_out(tmp_path):
     stage = cloth_stage(tmp_path / "in.usda")
     add_st(stage)
     bind(stage.GetPrimAtPath(CLOTH), textured(tmp_path, stage))
