@@ -251,6 +251,12 @@ def test_levels_are_there_too(there):
         assert_same(level, other)
 
 
+def test_many_meshes_are_there_too_each_where_its_points_were(there):
+    found = warpqem.simplify_many([on(there), (POINTS, FACES)], ratio=0.3, device=there)
+    assert [type(result.points) for result in found] == [wp.array, np.ndarray]
+    assert_same(found[0], found[1])
+
+
 def test_unreachable_result_is_there_too(there):
     given = on(there)
     for options in ({}, {"max_distance": 0.5}):
