@@ -17,7 +17,7 @@ from warpqem.kernels.placement import (
     restore_points,
 )
 from warpqem.place.block_placer import BlockPlacer, ClusterData
-from warpqem.place.cluster_rows import gather_faces, sum_repeated
+from warpqem.place.cluster_rows import ClusterFaces, sum_repeated
 
 EPSILON = 0.3
 MESHES = {"closed": meshes.swaying_sphere(1, 3), "open": meshes.waving_grid(5, 3)}
@@ -195,7 +195,8 @@ def test_faces_of_clusters_are_the_repeated_items_of_their_corners(device):
     cluster = rng.integers(-1, 4, size=faces.max() + 1).astype(np.int32)[faces].ravel()
     weight = rng.uniform(1, 2, faces.size).astype(np.float32)
     corner_cluster, corner_weight = wp.array(cluster, device=device), wp.array(weight, device=device)
-    found = [array.numpy() for array in gather_faces(corner_cluster, corner_weight, 5)]
+    listed = ClusterFaces(corner_cluster, corner_weight, 5)
+    found = [array.numpy() for array in (listed.start, *listed.listed(int(listed.total.numpy()[0])))]
     expected = sum_repeated(cluster, np.arange(faces.size) // 3, weight, 5)
     for a, b in zip(found, expected, strict=True):
         np.testing.assert_array_equal(a, b)

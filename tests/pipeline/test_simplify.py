@@ -1,12 +1,14 @@
 """``warpqem.simplify``: face counts, validity of the result, kinds of input."""
 
+import os
+
 import numpy as np
 import pytest
 import trimesh
 import warp as wp
 
 import warpqem
-from tests.support import meshes
+from tests.support import cuda_semantics, meshes
 from tests.support.moving_meshes import BAR, CLOTH, MESHES, METRICS, SPHERE
 from warpqem.measure import topology
 
@@ -183,3 +185,12 @@ def test_input_arrays_are_left_as_they_were(device):
     warpqem.simplify(points, faces, ratio=0.3, device=device)
     np.testing.assert_array_equal(points, BAR[0])
     np.testing.assert_array_equal(faces, BAR[1])
+
+
+@pytest.mark.skipif("CUDA_SEMANTICS" not in os.environ, reason="needs CUDA_SEMANTICS")
+@pytest.mark.parametrize("name", ["sphere", "cloth"])
+def test_host_waits_for_a_gpu_twelve_times_at_most(name):
+    points, faces = {"sphere": SPHERE, "cloth": CLOTH}[name]
+    with cuda_semantics.counted() as traffic:
+        warpqem.simplify(points, faces, ratio=0.1, device="cpu")
+    assert traffic.readbacks <= 12

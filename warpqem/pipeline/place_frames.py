@@ -72,11 +72,12 @@ class _Finish:
 
     def take(self, frames: slice, placed: PlacedBlocks, write: FrameWriter[np.ndarray]) -> None:
         """Finish consecutive frames."""
-        out = placed.restored(self._mesh, None if self._there is None else self._there.room(frames))
-        self.finished.flips[frames] = self._placer.count_flips(placed)
+        flips = self._placer.count_flips(placed)
         if self._there is not None:
+            placed.restored(self._mesh, self._there.room(frames))
+            self.finished.flips[frames] = flips.numpy()
             return
-        points = out.numpy()
+        points, self.finished.flips[frames] = placed.points_and_numbers(self._mesh, flips)
         if frames.start == 0:
             self.finished.first = points[:1].copy()
         write(frames, points)

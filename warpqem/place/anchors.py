@@ -72,20 +72,21 @@ class Anchors:
     vertex: wp.array
     weight: wp.array
 
-    def finish(self, kept: np.ndarray, pinned: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def finish(self, kept: np.ndarray, pinned: np.ndarray, number: wp.array) -> tuple[np.ndarray, np.ndarray, int]:
         """Anchor each pinned vertex to itself alone, also where it is not among the nearest members of its cluster.
 
         Args:
             kept: (C,) int32, input vertex that each output vertex goes by.
             pinned: (C,) bool.
+            number: (1,) int32 on the device, which comes to the host with the rest.
 
         Returns:
-            The member of each with the largest weight, (C,) int32, the nearest of equal ones; and that weight.
+            The member of each with the largest weight, (C,) int32, the nearest of equal ones; that weight; the number.
         """
         device, count = self.start.device, len(kept)
         flags = wp.array(pinned, dtype=wp.int32, device=device)
-        found = wp.empty((2, count), dtype=wp.int32, device=device)
-        heaviest, largest = found[0], found[1].view(wp.float32)
+        found = wp.empty(2 * count + 1, dtype=wp.int32, device=device)
+        heaviest, largest = found[:count], found[count : 2 * count].view(wp.float32)
         launch_in_parts(
             kernels.finish_anchors,
             count,
@@ -93,8 +94,9 @@ class Anchors:
             outputs=[self.vertex, self.weight, rows_of(heaviest), rows_of(largest)],
             device=device,
         )
-        vertex, weight = found.numpy()
-        return vertex, weight.view(np.float32)
+        wp.copy(found[2 * count :], number)
+        brought = found.numpy()
+        return brought[:count], brought[count : 2 * count].view(np.float32), int(brought[-1])
 
 
 def nearest_members(ordered: DecimatedMesh, clusters: Clusters, most: int) -> tuple[np.ndarray, wp.array, wp.array]:

@@ -6,6 +6,7 @@ so how they are cut into blocks makes no difference to a single bit.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -74,6 +75,16 @@ class PlacedBlocks:
         """The points in the caller's coordinates, (n, C, 3) float32, on the host."""
         found: np.ndarray = self.restored(mesh).numpy()
         return found
+
+    def points_and_numbers(self, mesh: AnimatedMesh, number: wp.array) -> tuple[np.ndarray, np.ndarray]:
+        """The same, and ``number`` (n,) int32 of the device, by one copy to the host."""
+        shape = (len(self.source), len(self.points), 3)
+        size = math.prod(shape)
+        rows = wp.empty(size + len(number), dtype=wp.float32, device=self.points.device)
+        self.restored(mesh, rows[:size].reshape(shape).view(wp.vec3))
+        wp.copy(rows[size:].view(wp.int32), number)
+        brought = rows.numpy()
+        return brought[:size].reshape(shape), brought[size:].view(np.int32)
 
     def restored(self, mesh: AnimatedMesh, out: wp.array | None = None) -> wp.array:
         """The same on the device, (n, C) points, in ``out`` if that is given."""

@@ -10,7 +10,7 @@ from warpqem.kernels import cluster_rows as kernels
 from warpqem.runtime.part_launches import launch_in_parts, rows_of, starts_of
 
 __all__ = [
-    "gather_faces",
+    "ClusterFaces",
     "group_rows",
     "list_faces_at",
     "match_keys",
@@ -61,9 +61,7 @@ def match_keys(wanted: np.ndarray, key: np.ndarray) -> tuple[np.ndarray, np.ndar
     return entry, order[first[entry] + within]
 
 
-def gather_faces(
-    corner_cluster: wp.array, corner_weight: wp.array, cluster_count: int
-) -> tuple[wp.array, wp.array, wp.array]:
+class ClusterFaces:
     """The faces that have a corner in each cluster, each once: :func:`sum_repeated` for meshes of any size.
 
     Args:
@@ -71,26 +69,36 @@ def gather_faces(
         corner_weight: (3N,) float32.
         cluster_count: clusters C.
 
-    Returns:
-        ``start`` (C+1,) int32, ``face`` int32 ascending within a cluster, ``weight`` float32, the sum over its corners.
+    Attributes:
+        start: (C+1,) int32, where the faces of each cluster begin.
+        total: (1,) int32 on the device, how many there are.
     """
-    device = corner_cluster.device
-    adjacency = build_adjacency(corner_cluster, cluster_count)
-    count = wp.zeros(cluster_count + 1, dtype=wp.int32, device=device)
-    lists = [starts_of(adjacency.start), adjacency.corner]
-    launch_in_parts(kernels.count_faces, cluster_count, lists, [rows_of(count)], device=device)
-    start = wp.empty_like(count)
-    wp.utils.array_scan(count, start, inclusive=False)
-    face = wp.empty(int(start[cluster_count:].numpy()[0]), dtype=wp.int32, device=device)
-    weight = wp.empty(len(face), dtype=wp.float32, device=device)
-    inputs = [*lists, corner_weight, starts_of(start)]
-    launch_in_parts(kernels.list_faces, cluster_count, inputs, [face, weight], device=device)
-    return start, face, weight
+
+    def __init__(self, corner_cluster: wp.array, corner_weight: wp.array, cluster_count: int) -> None:
+        device = corner_cluster.device
+        adjacency = build_adjacency(corner_cluster, cluster_count)
+        count = wp.zeros(cluster_count + 1, dtype=wp.int32, device=device)
+        self._lists, self._corner_weight = [starts_of(adjacency.start), adjacency.corner], corner_weight
+        launch_in_parts(kernels.count_faces, cluster_count, self._lists, [rows_of(count)], device=device)
+        self.start = wp.empty_like(count)
+        wp.utils.array_scan(count, self.start, inclusive=False)
+        self.total = self.start[cluster_count:]
+
+    def listed(self, total: int) -> tuple[wp.array, wp.array]:
+        """``face`` int32, ascending within a cluster, and ``weight`` float32, the sum over its corners; so many."""
+        device = self.start.device
+        face = wp.empty(total, dtype=wp.int32, device=device)
+        weight = wp.empty(total, dtype=wp.float32, device=device)
+        inputs = [*self._lists, self._corner_weight, starts_of(self.start)]
+        launch_in_parts(kernels.list_faces, len(self.start) - 1, inputs, [face, weight], device=device)
+        return face, weight
 
 
 def list_faces_at(corner_cluster: np.ndarray, cluster_count: int, device: str) -> tuple[np.ndarray, np.ndarray]:
-    """The faces that have a corner (3N,) int in each cluster, see :func:`gather_faces`: ``start`` and ``face``."""
+    """The faces that have a corner (3N,) int in each cluster, see :class:`ClusterFaces`: ``start`` and ``face``."""
     cluster = wp.array(corner_cluster, dtype=wp.int32, device=device)
     weight = wp.zeros(len(cluster), dtype=wp.float32, device=device)
-    start, face, _ = gather_faces(cluster, weight, cluster_count)
-    return start.numpy(), face.numpy()
+    faces = ClusterFaces(cluster, weight, cluster_count)
+    start = faces.start.numpy()
+    face, _ = faces.listed(int(start[-1]))
+    return start, face.numpy()

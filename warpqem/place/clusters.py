@@ -14,7 +14,7 @@ from warpqem.kernels import cluster_rows as kernels
 from warpqem.mesh.mesh_input import AnimatedMesh
 from warpqem.place.anchors import Clusters, fit_anchors, nearest_anchors
 from warpqem.place.block_placer import BlockPlacer, ClusterData, PlacedBlocks
-from warpqem.place.cluster_rows import gather_faces, match_keys, sum_repeated
+from warpqem.place.cluster_rows import ClusterFaces, match_keys, sum_repeated
 from warpqem.place.stiffness import (
     MIN_REGULARISATION,
     MIN_STIFFNESS,
@@ -97,15 +97,16 @@ class ClusterPlacer:
         if settings.loose is not None:
             loose = np.unique(cluster[settings.loose & (cluster >= 0)])
             stiffness[loose], regularisation[loose] = MIN_STIFFNESS, MIN_REGULARISATION
+        corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device, copy=False)
+        own_faces = _own_faces(corner_vertex, clusters.cluster, quadric_scale, len(kept))
         if settings.endpoint:
             anchors = nearest_anchors(ordered, clusters)
-            solved = np.zeros(len(kept), dtype=np.int32)
-            self.nearest, largest = anchors.finish(kept, np.zeros(len(kept), dtype=bool))
+            solved, held = np.zeros(len(kept), dtype=np.int32), np.zeros(len(kept), dtype=bool)
         else:
             anchors = fit_anchors(ordered, kept, clusters, regularisation)
             # A vertex alone in its cluster lies on all its planes: it is its own optimum.
-            solved = ((size > 1) & ~pinned).astype(np.int32)
-            self.nearest, largest = anchors.finish(kept, pinned)
+            solved, held = ((size > 1) & ~pinned).astype(np.int32), pinned
+        self.nearest, largest, face_count = anchors.finish(kept, held, own_faces.total)
         # Corners of seams keep the place that their own planes and seams give them.
         self.free = (solved == 1) & (clusters.highest_rank != 2)
         half_edge = np.flatnonzero(ordered.constrained)
@@ -114,7 +115,6 @@ class ClusterPlacer:
         # An anchor that is one input vertex, not solved for, is copied, so that it keeps its bits.
         single = np.flatnonzero((solved == 0) & (largest == 1.0))
         self.copied_count = len(single)
-        corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device, copy=False)
         weight = np.where(kind == 1, CONSTRAINT_WEIGHT[1], CONSTRAINT_WEIGHT[2])
         self.clusters = ClusterData(
             corner_vertex=corner_vertex,
@@ -122,7 +122,7 @@ class ClusterPlacer:
                 "member_start": anchors.start,
                 "member": anchors.vertex,
                 "member_weight": anchors.weight,
-                **_own_faces(corner_vertex, clusters.cluster, quadric_scale, len(kept)),
+                **_face_rows(own_faces, corner_vertex, face_count),
                 **_other_planes(faces, half_edge, weight, cluster, len(kept), quadric_scale, sums),
                 "solved": solved,
                 "stiffness": stiffness,
@@ -153,20 +153,25 @@ def _on_seam(faces: np.ndarray, seams: np.ndarray, cluster: np.ndarray, cluster_
 
 def _own_faces(
     corner_vertex: wp.array, cluster: wp.array, quadric_scale: np.ndarray, cluster_count: int
-) -> dict[str, wp.array]:
-    """Faces of each cluster, each once, weighted by its corners there; what the rows of them are."""
+) -> ClusterFaces:
+    """Faces of each cluster, each once, weighted by its corners there."""
     device, corner_count = corner_vertex.device, len(corner_vertex)
     corner_cluster = wp.empty(corner_count, dtype=wp.int32, device=device)
     corner_weight = wp.empty(corner_count, dtype=wp.float32, device=device)
     scale = wp.array(quadric_scale, dtype=wp.float32, device=device, copy=False)
     inputs, outputs = [rows_of(corner_vertex), cluster, scale], [rows_of(corner_cluster), rows_of(corner_weight)]
     launch_in_parts(kernels.label_corners, corner_count, inputs, outputs, device=device)
-    start, face, weight = gather_faces(corner_cluster, corner_weight, cluster_count)
-    corners = wp.empty(len(face), dtype=wp.vec3i, device=device)
-    if len(face):
+    return ClusterFaces(corner_cluster, corner_weight, cluster_count)
+
+
+def _face_rows(faces: ClusterFaces, corner_vertex: wp.array, count: int) -> dict[str, wp.array]:
+    """What the rows of the faces of clusters are, which are so many."""
+    face, weight = faces.listed(count)
+    corners = wp.empty(count, dtype=wp.vec3i, device=corner_vertex.device)
+    if count:
         inputs = [rows_of(face), corner_vertex]
-        launch_in_parts(kernels.gather_corners, len(face), inputs, [rows_of(corners)], device=device)
-    return {"face_start": start, "face": corners, "face_weight": weight}
+        launch_in_parts(kernels.gather_corners, count, inputs, [rows_of(corners)], device=corner_vertex.device)
+    return {"face_start": faces.start, "face": corners, "face_weight": weight}
 
 
 def _other_planes(

@@ -56,8 +56,8 @@ class Placer(ClusterPlacer):
         super().__init__(faces, ordered, kept, self.vertex_map, quadric_scale, pinned, settings, device, sums)
         self._out_corner_vertex = wp.array(self.faces.ravel(), dtype=wp.int32, device=device)
 
-    def count_flips(self, placed: PlacedBlocks) -> np.ndarray:
-        """Faces of each frame that face away from the input, (n,) int32."""
+    def count_flips(self, placed: PlacedBlocks) -> wp.array:
+        """Faces of each frame that face away from the input, (n,) int32 on the device."""
         block_count, width = placed.points.shape[1], width_of(placed.points)
         count = wp.zeros(block_count * width, dtype=wp.int32, device=self.device)
         launch(
@@ -67,7 +67,7 @@ class Placer(ClusterPlacer):
             outputs=[count],
             device=self.device,
         )
-        return count[: len(placed.source)].numpy()
+        return count[: len(placed.source)]
 
     def to_blocks(self, mesh: AnimatedMesh, placed: PlacedFrames) -> PlacedBlocks:
         """Frames that were kept on the host, on the device again."""
