@@ -43,7 +43,7 @@ def kernel_registers(module: wp.Module, ptxas: Path) -> list[Row]:
     """Registers of each kernel of a module, and bytes of registers that it keeps in memory.
 
     Raises:
-        RuntimeError: ``ptxas`` does not take what Warp's compiler writes.
+        SystemExit: ``ptxas`` does not take what Warp's compiler writes.
     """
     with tempfile.TemporaryDirectory() as folder:
         written = wp.compile_aot_module(module, arch=[ARCHITECTURE], module_dir=folder, use_ptx=True)
@@ -53,7 +53,7 @@ def kernel_registers(module: wp.Module, ptxas: Path) -> list[Row]:
         command = [str(ptxas), "-v", f"-arch=sm_{ARCHITECTURE}", str(source), "-o", str(Path(folder) / "code")]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
-        raise RuntimeError(f"{ptxas}: {done.stderr.strip()}")
+        raise SystemExit(f"{ptxas}: {done.stderr.strip().splitlines()[0]}; a newer one: pip install nvidia-cuda-nvcc")
     return list(_rows(module.name, done.stderr))
 
 

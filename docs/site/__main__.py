@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import subprocess
 import sys
@@ -23,4 +24,6 @@ def main(folder: str | None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1] if len(sys.argv) > 1 else None))
+    parser = argparse.ArgumentParser(prog="python -m docs.site", description="Write the documentation as a site.")
+    parser.add_argument("folder", nargs="?", help="where to; build/site by default")
+    sys.exit(main(parser.parse_args().folder))

@@ -101,3 +101,11 @@ def test_a_share_of_a_limit_never_asks_for_more_than_single_precision_gives(limi
         assert part == limit
     else:
         assert part == pytest.approx(share * limit) or math.isclose(part, 100.0 * 2.0**-24)
+
+
+def test_a_limit_that_blend_shapes_break_is_said_to_be_broken(tmp_path):
+    shaped_rig(tmp_path / "in.usda")
+    prim, _ = simplified(tmp_path, ratio=None, max_error=0.01, shapes=1)
+    assert prim.measured["hausdorff"] > 0.01
+    assert prim.measured["verdict"] != "good"
+    assert any("does not hold for the skin as it is written: a point is" in text for text in prim.problems)

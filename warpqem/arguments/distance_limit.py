@@ -57,6 +57,10 @@ class DistanceLimit:
         """What is to be proved in a frame with that diagonal, as a part of it: a little less than the limit."""
         return self._relative(diagonal) / MEASURED_ABOVE
 
+    def is_below(self, part: float, length: float) -> bool:
+        """Whether a distance, as a part of the diagonal and in units, is above it."""
+        return part > self.part or length > self.length
+
     def _relative(self, diagonal: float) -> float:
         return min(self.part, self.length / diagonal)
 

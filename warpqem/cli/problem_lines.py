@@ -86,8 +86,9 @@ def _removed(prim: Mapping[str, Any]) -> Iterator[str]:
         added = f"{joints['added_error']:.3g} % of the diagonal to the RMS distance over the poses"
         yield f"without the joints {', '.join(joints['removed'])}, which adds {added} (in quadrature)"
     if shapes is not None and shapes["removed"]:
+        merged = f"; {len(shapes['merged'])} of them go on in others" if shapes["merged"] else ""
         yield (
-            f"without the blend shapes {', '.join(shapes['removed'])}; {len(shapes['merged'])} of them go on in "
-            f"others. RMS distance by this: {shapes['used_error']:.3g} % of the diagonal over the animation, "
+            f"without the blend shapes {', '.join(shapes['removed'])}{merged}. "
+            f"RMS distance by this: {shapes['used_error']:.3g} % of the diagonal over the animation, "
             f"{shapes['random_error']:.3g} % over random weights"
         )

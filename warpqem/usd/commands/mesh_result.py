@@ -10,6 +10,7 @@ from pxr import UsdGeom
 
 import warpqem
 from warpqem.arguments.distance_limit import DistanceLimit
+from warpqem.arguments.figures import rounded_up
 from warpqem.usd.commands.context import Progress
 from warpqem.usd.commands.face_points import points_on_level
 from warpqem.usd.commands.measuring import measure_written, written_within
@@ -86,10 +87,22 @@ class MeshResult:
         report.faces_after = len(mesh.faces)
         report.vertices_after = mesh.points.shape[1]
         report.estimate = float(mesh.error)
-        if skin is not None and self.limit and not written_within(job, layer.stage, self.limit, options.device):
-            report.problems.append(f"{job.mesh.path}: {self.limit}: not proved for the skin as it is written")
+        is_proved = skin is None or not self.limit or written_within(job, layer.stage, self.limit, options.device)
         if options.measure:
             measure_written(job, layer.stage, report, options.device, progress)
+        if not is_proved:
+            report.problems.append(self._unproved(report))
+
+    def _unproved(self, report: PrimReport) -> str:
+        """What is known of a limit that is not proved: that it does not hold, where a measured distance is above it."""
+        start, found = f"{self.job.mesh.path}: {self.limit}", report.measured
+        if found is None or not self.limit.is_below(found["hausdorff"] / 100, found["hausdorff_length"]):
+            return f"{start}: not proved for the skin as it is written"
+        broken = f"does not hold for the skin as it is written: a point is {rounded_up(found['hausdorff'])} % off"
+        if found["verdict"] == "good":
+            # Within what is good in general, but not what was asked for.
+            report.measured = found | {"verdict": "look", "reason": f"the limit {broken}"}
+        return f"{start}: {broken}"
 
     def _fewer_shapes(
         self, skin: Skin, rest: npt.NDArray[np.float32], transfer: AttributeTransfer, options: SimplifyOptions
