@@ -78,8 +78,13 @@ const LEAST_DETAIL = 0.5;
     byId("time").textContent = frameCount > 1 ? `${data.times[state.frame]} (${state.frame + 1}/${frameCount})` : "one pose";
     for (const [id, value] of [["layout", state.layout], ["color", state.colors], ["shading", state.shading]]) markChoice(byId(id), value);
     for (const key of ["wire", "dots", "bones"]) byId(key).setAttribute("aria-pressed", String(state[key]));
-    byId("play").textContent = state.playing ? "⏸" : "▶";
-    byId("play").setAttribute("aria-label", state.playing ? "Pause" : "Play");
+    const label = state.playing ? "Pause" : "Play";
+    if (byId("play").getAttribute("aria-label") !== label || !byId("play").firstElementChild) {
+      // Drawn: not every font has these signs.
+      const shape = state.playing ? "M3 2h4v12H3zM9 2h4v12H9z" : "M3 1.5l11 6.5-11 6.5z";
+      byId("play").innerHTML = `<svg viewBox="0 0 16 16" width="16" height="16" aria-hidden="true"><path fill="currentColor" d="${shape}"/></svg>`;
+      byId("play").setAttribute("aria-label", label);
+    }
     const one = level();
     byId("level").value = coarsest - state.level;
     byId("level-name").textContent = one ? `${one.name}, ${grouped(one.faces)} faces` : "";
