@@ -178,5 +178,5 @@ def test_a_skin_that_is_not_linear_is_proved_as_it_is_written_or_named(tmp_path)
     _, loose = simplified(tmp_path, ratio=None, max_error=20.0)
     assert not loose.problems
     _, tight = simplified(tmp_path, ratio=None, max_error=0.5)
-    named = [problem for problem in tight.problems if "not proved for the skin" in problem]
+    named = [problem for problem in tight.problems if "does not hold for the skin" in problem]
     assert len(named) == (tight.measured["hausdorff"] > 0.5)
