@@ -52,6 +52,13 @@ class CheckNotes:
     face_distance: wp.array[wp.int32]  # (3N,) there: squared distance of its middle from members, the bits of a float
 
 
+@wp.func
+def selected_ends(state: MeshState, selected: EdgeList, i: wp.int32):
+    """Where a selected half-edge begins and ends."""
+    h = selected.half_edge[i]
+    return state.corner_vertex[h], half_edge_target(state.corner_vertex, h)
+
+
 @lane_kernel(frames=KEY_FRAMES, target_out=POINTS_ARRAY)
 def measure_anchors(
     # in
@@ -67,8 +74,7 @@ def measure_anchors(
     for item in range(wp.tid(), block_count * selected.count[0], work.thread_count):
         i = item // block_count
         t = item % block_count
-        u = state.corner_vertex[selected.half_edge[i]]
-        v = half_edge_target(state.corner_vertex, selected.half_edge[i])
+        u, v = selected_ends(state, selected, i)
         slope, stiffness, regularisation = anchor_terms(frames, u, v, t)
         terms = target_out.dtype()
         terms[0, 0] = slope
@@ -90,8 +96,7 @@ def sum_anchor_terms(
 ):
     """The anchor along each selected edge, of the terms of :func:`measure_anchors`."""
     for i in range(wp.tid(), selected.count[0], work.thread_count):
-        u = state.corner_vertex[selected.half_edge[i]]
-        v = half_edge_target(state.corner_vertex, selected.half_edge[i])
+        u, v = selected_ends(state, selected, i)
         anchor = forced_anchor(state, u, v)
         if anchor < 0.0:
             slope = wp.float32(0.0)
@@ -123,8 +128,7 @@ def place_blocks(
     for item in range(wp.tid(), block_count * selected.count[0], work.thread_count):
         i = item // block_count
         t = item % block_count
-        u = state.corner_vertex[selected.half_edge[i]]
-        v = half_edge_target(state.corner_vertex, selected.half_edge[i])
+        u, v = selected_ends(state, selected, i)
         target_out[i, t] = merged_position(state, frames, model, u, v, t, anchor_in[i])
 
 

@@ -40,6 +40,15 @@ def test_joints_go_where_all_faces_stay(tmp_path, goal):
     assert prim.measured is not None
 
 
+def test_more_joints_stay_on_a_kept_mesh_where_a_limit_asks_for_them(tmp_path):
+    rig(tmp_path / "in.usda")
+    prim, _ = simplified(tmp_path, joints=2, max_error=0.5)
+    assert (prim.status, prim.faces_after) == ("simplified", prim.faces_before)
+    assert prim.joints.after > 2
+    assert prim.measured["hausdorff"] <= 0.5
+    assert any("joints stay, as" in note for note in prim.notes)
+
+
 def test_influences_are_limited_where_all_faces_stay(tmp_path):
     rig(tmp_path / "in.usda")
     _, stage = simplified(tmp_path, influences=1)

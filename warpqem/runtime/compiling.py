@@ -32,7 +32,7 @@ def compile_listener(listen: Listener) -> Iterator[None]:
 
 @contextlib.contextmanager
 def compiling(module: wp.Module, device: str) -> Iterator[None]:
-    """Load a module within, and tell those who listen if it is not compiled yet."""
+    """Load a module within, and inform those who listen if it is not compiled yet."""
     told = list(_listeners) if _listeners and not _is_compiled(module, device) else []
     for listen in told:
         listen(True)
