@@ -26,24 +26,11 @@ if TYPE_CHECKING:
     from typing_extensions import Unpack
 
 
-__all__ = ["build_progressive", "check_quality"]
+__all__ = ["build_progressive"]
 
 
 # Options of other functions that a progressive mesh has no use for.
 REFUSED = frozenset({"ratio", "target_faces", "max_error", "max_distance", "refit", "sink", "share", "keep_components"})
-
-
-def check_quality(quality: object) -> None:
-    """Refuse what would fit the surface of each level on its own.
-
-    Raises:
-        OptionError: quality is "best".
-    """
-    if quality == "best":
-        raise OptionError(
-            "quality 'best' fits the surface of each level on its own, but a vertex of a progressive mesh has one "
-            "place in all levels; memoryless=True (--memoryless) gives the order of 'best'"
-        )
 
 
 @with_progress_bar
@@ -71,9 +58,9 @@ def build_progressive(
         progress: called with the part done, 0 to 1, and the stage, "read", "order" or "place"; True for a bar.
         cancel: as for :func:`warpqem.simplify`.
         options: keyword arguments of :func:`warpqem.simplify`, but for its goals, ``refit``, ``keep_components`` and
-            ``sink``. ``quality`` is "fast": "best" fits the surface of each level on its own, but here a vertex has one
-            place in all levels that it is in. ``memoryless`` gives the order of "best": levels have the same faces as
-            :func:`warpqem.simplify` gives, with vertices placed by the quadrics that their collapses had.
+            ``sink``. ``quality`` decides the order only, so that levels have the same faces as
+            :func:`warpqem.simplify` gives; "best" fits the surface of a single result, but here a vertex has one place
+            in all levels that it is in, by the quadrics that its collapse had.
 
     Raises:
         OptionError: also for an option that does not apply.
@@ -91,7 +78,6 @@ def build_progressive(
     refused = REFUSED & set(options)
     if refused:
         raise OptionError(f"{', '.join(sorted(refused))}: not with a progressive mesh, which has all levels")
-    check_quality(options.get("quality"))
     # A mesh of one face is the least there is.
     target = 1 if base_faces is None else whole_number(base_faces, "base_faces")
     asked = read_keywords(options, target_faces=target, keep_components=True)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["NOT_TO_BUILD", "BuildOptions", "LevelChoice"]
 
 # Options of a mesh that a progressive mesh has no use for: it has all levels, and every vertex is placed once.
-NOT_TO_BUILD = ("ratio", "max_error", "max_size_error", "quality", "refit", "keep_components")
+NOT_TO_BUILD = ("ratio", "max_error", "max_size_error", "refit", "keep_components")
 
 
 @dataclass(frozen=True)
@@ -49,10 +49,7 @@ class BuildOptions(MethodOptions):
         Raises:
             OptionError: one is of the wrong type or outside its range, or it is one that has no meaning here.
         """
-        from warpqem.progressive.build import check_quality
-
         check_options(self)
-        check_quality(self.quality)
         fields = option_fields(BuildOptions)
         given = [name for name in NOT_TO_BUILD if getattr(self, name) != fields[name].default]
         if given:

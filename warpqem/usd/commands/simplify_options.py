@@ -385,8 +385,8 @@ class SimplifyOptions(RigOptions):
     def _check_pose_independent(self) -> None:
         others = (
             self.symmetry
-            or self.refits
-            or self.memoryless_orders
+            or self.refit
+            or self.memoryless
             or self.bake
             or self.lods
             or self.metric != "dsd"
@@ -395,7 +395,7 @@ class SimplifyOptions(RigOptions):
         )
         if self.pose_independent and others:
             raise OptionError(
-                "`pose_independent` excludes `symmetry`, `quality` best, `refit`, `memoryless`, `bake`, `lods`, "
+                "`pose_independent` excludes `symmetry`, `refit`, `memoryless`, `bake`, `lods`, "
                 "another `metric`, its options and another `placement`"
             )
 
