@@ -51,20 +51,31 @@ class Pairs:
 
 @wp.struct
 class Turns:
-    """Which pairs a launch finds: those of one key frame. Samples take turns, so that all frames are met."""
+    """Which pairs a launch finds: those of some key frames. Samples take turns, so that all frames are met."""
 
-    first: wp.int32  # of the launch's part of the frame's pairs
+    first: wp.int32  # of the launch's part of the frames' pairs
     count: wp.int32  # pairs of each sample
-    key: wp.int32
+    key: wp.int32  # the first of the frames
     key_count: wp.int32
+    per_key: wp.int32  # pairs that a frame may have
 
 
 @wp.func
-def own_pair(turns: Turns, i: wp.int32) -> wp.int32:
-    """Pair number ``i`` of the frame: turn ``k`` of sample ``s`` is in frame ``s + k (key_count / count)``, cyclic."""
-    turn = i % turns.count
-    first_sample = (turns.key + turns.key_count - turn * (turns.key_count / turns.count)) % turns.key_count
-    return (first_sample + (i / turns.count) * turns.key_count) * turns.count + turn
+def own_key(turns: Turns, i: wp.int32) -> wp.int32:
+    """The frame of pair number ``i`` of the launch's part."""
+    return turns.key + (turns.first + i) / turns.per_key
+
+
+@wp.func
+def own_pair(turns: Turns, key: wp.int32, i: wp.int32) -> wp.int32:
+    """Pair number ``i`` of the launch's part: turn ``k`` of sample ``s`` is in frame ``s + k (key_count / count)``.
+
+    Frames are counted cyclically.
+    """
+    place = (turns.first + i) % turns.per_key
+    turn = place % turns.count
+    first_sample = (key + turns.key_count - turn * (turns.key_count / turns.count)) % turns.key_count
+    return (first_sample + (place / turns.count) * turns.key_count) * turns.count + turn
 
 
 @wp.func
@@ -129,11 +140,11 @@ def match_input_samples(
     ``start_in`` is an output vertex near each input vertex, -1 at a vertex without a face; ``mesh`` is the hierarchy of
     the output in this frame, 0 for none.
     """
-    pair = own_pair(turns, turns.first + wp.tid())
+    t = own_key(turns, wp.tid())
+    pair = own_pair(turns, t, wp.tid())
     if pair >= pairs.face.shape[0]:
         return
     sample = pair / turns.count
-    t = turns.key
     face_count = source.corner_vertex.shape[0] / 3
     if sample >= face_count + source.adjacency_start.shape[0] - 1:
         return
@@ -198,11 +209,11 @@ def match_output_samples(
     ``start_in`` is an input vertex near each output vertex; ``mesh`` is the hierarchy of the input in this frame, 0 for
     none.
     """
-    pair = own_pair(turns, turns.first + wp.tid())
+    t = own_key(turns, wp.tid())
+    pair = own_pair(turns, t, wp.tid())
     if pair >= pairs.face.shape[0]:
         return
     sample = pair / turns.count
-    t = turns.key
     per_face = barycentric_in.shape[0]
     face = sample / per_face
     barycentric = barycentric_in[sample % per_face]
@@ -312,14 +323,14 @@ def match_border_samples(
     A point stands for its part of the edge's length, times ``width``. ``start_in`` is a vertex of the fixed surface
     near each vertex of the moving one.
     """
-    own = own_pair(turns, turns.first + wp.tid())
+    t = own_key(turns, wp.tid())
+    own = own_pair(turns, t, wp.tid())
     sample = own / turns.count
     if sample >= half_edge_in.shape[0] * per_edge:
         return
     i = first_pair + 2 * own
     pairs.face[i] = -1
     pairs.face[i + 1] = -1
-    t = turns.key
     h = half_edge_in[sample / per_edge]
     along = (wp.float32(sample % per_edge) + 0.5) / wp.float32(per_edge)
     a = moving.points[t, moving.corner_vertex[h]]

@@ -117,22 +117,20 @@ class Matching:
         With ``far`` a walk that does not end at a partner, or ends further away than that, is followed by a search of
         the whole surface.
         """
-        source, target = self._source, self._target
-        surfaces = [reach, 0.0 if far is None else far, source, target]
+        key_count = len(self._target.points)
         self._vertex_squared.zero_()
-        for key in range(len(target.points)):
-            source_mesh, target_mesh = (0, 0) if far is None else self._show(key)
-            inputs = [*surfaces, self._to_output, target_mesh]
-            self._launch(kernels.match_input_samples, key, self._sample_count, inputs, self.input_pairs)
-            inputs = [*surfaces, self._to_input, source_mesh, self._barycentric]
-            self._launch(kernels.match_output_samples, key, len(self.output_pairs.face), inputs, self.output_pairs)
-            self._find_borders(key, reach)
-            if far is not None:
-                inputs = [FIRST_ITEM, key, far, source, target, self._to_input, source_mesh]
+        if far is None:
+            self._find_samples(range(key_count), reach, 0.0, 0, 0)
+        else:
+            for key in range(key_count):
+                source_mesh, target_mesh = self._show(key)
+                self._find_samples(range(key, key + 1), reach, far, source_mesh, target_mesh)
+                inputs = [FIRST_ITEM, key, far, self._source, self._target, self._to_input, source_mesh]
                 count = len(self._vertex_squared)
                 launch_in_parts(
                     kernels.measure_vertex_distances, count, inputs, [self._vertex_squared], device=self._device
                 )
+        self._find_borders(reach)
         face = self.input_pairs.face.numpy()
         hit = np.flatnonzero(face >= 0)
         order, start = group_rows(face[hit], self._face_count)
@@ -167,7 +165,15 @@ class Matching:
         )
         return np.concatenate(squared), np.concatenate(face)
 
-    def _find_borders(self, key: int, reach: float) -> None:
+    def _find_samples(self, keys: range, reach: float, far: float, source_mesh: int, target_mesh: int) -> None:
+        """Pair the samples of both surfaces in some key frames; hierarchies of these are 0 for none."""
+        surfaces = [reach, far, self._source, self._target]
+        inputs = [*surfaces, self._to_output, target_mesh]
+        self._launch(kernels.match_input_samples, keys, self._sample_count, inputs, self.input_pairs)
+        inputs = [*surfaces, self._to_input, source_mesh, self._barycentric]
+        self._launch(kernels.match_output_samples, keys, len(self.output_pairs.face), inputs, self.output_pairs)
+
+    def _find_borders(self, reach: float) -> None:
         source, target, first = self._source, self._target, self._sample_count
         for is_output, per_edge in enumerate((INPUT_BORDER_SAMPLES, OUTPUT_BORDER_SAMPLES)):
             half_edge = self._borders[is_output]
@@ -175,21 +181,26 @@ class Matching:
             start = self._to_input if is_output else self._to_output
             count = len(half_edge) * per_edge * self._turns
             inputs = [reach, *surfaces, is_output, half_edge, start, per_edge, self._border_width, first]
-            self._launch(kernels.match_border_samples, key, count, inputs, self.input_pairs)
+            if count:
+                keys = range(len(source.points))
+                self._launch(kernels.match_border_samples, keys, count, inputs, self.input_pairs)
             first += 2 * count
 
-    def _launch(self, kernel: wp.Kernel, key: int, pair_count: int, inputs: list[object], pairs: kernels.Pairs) -> None:
-        """Find those of ``pair_count`` pairs whose turn it is in a key frame."""
+    def _launch(
+        self, kernel: wp.Kernel, keys: range, pair_count: int, inputs: list[object], pairs: kernels.Pairs
+    ) -> None:
+        """Find those of ``pair_count`` pairs whose turn it is in some key frames."""
         key_count = len(self._source.points)
         # As many as the first frame has; the kernel leaves out those past the end.
-        count = -(-pair_count // (key_count * self._turns)) * self._turns
+        per_key = -(-pair_count // (key_count * self._turns)) * self._turns
 
         def turns(part: slice) -> kernels.Turns:
             own = kernels.Turns()
-            own.first, own.count, own.key, own.key_count = part.start, self._turns, key, key_count
+            own.first, own.count, own.key, own.key_count = part.start, self._turns, keys.start, key_count
+            own.per_key = per_key
             return own
 
-        launch_in_parts(kernel, count, [PerPart(turns), *inputs], [pairs], device=self._device)
+        launch_in_parts(kernel, len(keys) * per_key, [PerPart(turns), *inputs], [pairs], device=self._device)
 
 
 class _Hierarchy:
