@@ -7,12 +7,13 @@ faces alone fit compact shapes better. They would let thin parts go, which the d
 
 import warp as wp
 
-from warpqem.kernels.lanes import lane_cross, lane_dot, lane_inverse_length, lane_kernel
+from warpqem.kernels.lanes import lane_cross, lane_inverse_length, lane_kernel, lane_scale
 from warpqem.kernels.mesh_state import KEY_FRAMES, AnyKeyFrames, MeshState
 from warpqem.kernels.plane_quadrics import add_border_plane
-from warpqem.kernels.quadric import add_plane, zero_quadric
+from warpqem.kernels.quadric import zero_quadric
 from warpqem.kernels.topology import (
     BORDER,
+    SEAM,
     find_half_edge,
     half_edge_target,
     previous_corner,
@@ -48,19 +49,27 @@ def memoryless_quadric(state: MeshState, frames: AnyKeyFrames, weights: LineWeig
     """Planes of the faces at ``u`` as they are now, and of its border and seam edges, about ``u``."""
     x = frames.position[u, t]
     q = zero_quadric(x)
-    on_plane = lane_dot(x - x, x)
+    has_lines = (state.vertex_flags[u] & (BORDER | SEAM)) != 0
     for i in range(state.adjacency.start[u], state.adjacency.end[u]):
         h = state.adjacency.corner[i]
         a = frames.position[half_edge_target(state.corner_vertex, h), t]
         b = frames.position[state.corner_vertex[previous_corner(h)], t]
         cross = lane_cross(a - x, b - x)
-        q = add_plane(q, cross, on_plane, lane_inverse_length(cross) * 0.5)
-        leaving = line_weight(state, weights, h)
-        if leaving > 0.0:
-            q = add_border_plane(q, x, a, b, x, leaving)
-        entering = line_weight(state, weights, previous_corner(h))
-        if entering > 0.0:
-            q = add_border_plane(q, b, x, a, x, entering)
+        # The vertex lies on the plane, so that of its quadric only the matrix is not zero.
+        n = lane_scale(lane_inverse_length(cross) * 0.5, cross)
+        q[0] += wp.cw_mul(n[0], cross[0])
+        q[1] += wp.cw_mul(n[0], cross[1])
+        q[2] += wp.cw_mul(n[0], cross[2])
+        q[3] += wp.cw_mul(n[1], cross[1])
+        q[4] += wp.cw_mul(n[1], cross[2])
+        q[5] += wp.cw_mul(n[2], cross[2])
+        if has_lines:
+            leaving = line_weight(state, weights, h)
+            if leaving > 0.0:
+                q = add_border_plane(q, x, a, b, x, leaving)
+            entering = line_weight(state, weights, previous_corner(h))
+            if entering > 0.0:
+                q = add_border_plane(q, b, x, a, x, entering)
     return q
 
 

@@ -18,7 +18,7 @@ from warpqem.decimation.recorded_launches import LaunchGroup, part_work, record_
 from warpqem.kernels import memoryless_quadric as kernels
 from warpqem.kernels.lanes import width_of
 from warpqem.kernels.mesh_state import KEY_FRAMES, MeshState
-from warpqem.kernels.topology import BORDER
+from warpqem.kernels.topology import BORDER, SEAM
 from warpqem.runtime.cpu_threads import thread_count
 from warpqem.runtime.launches import Recorder
 
@@ -63,6 +63,7 @@ class MemorylessQuadrics:
         corner_vertex = row[self._input_faces[face_map]].ravel().astype(np.int32)
         flags = np.zeros(len(root), dtype=np.int32)
         flags[row[self._borders]] = int(BORDER)
+        flags[row[self._seams]] |= int(SEAM)
         scales = np.ones(len(root), dtype=np.float32)
         scales[wanted] = scale
         mask = np.zeros(len(root), dtype=np.int32)
