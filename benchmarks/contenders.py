@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from ctypes import c_float, c_size_t, c_uint
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from benchmarks.work import Work
 __all__ = ["BASE", "CONTENDERS", "STATIC", "Contender"]
 
 # The one whose time the others' are divided by.
-BASE = "warpqem"
+BASE, FAST = "warpqem", "warpqem, fast"
 # Above any error a mesh can have, in its own units: the face count alone shall stop meshoptimizer.
 NO_ERROR_LIMIT = 1.0e9
 # Principal components of the motion that become vertex attributes: the most that meshoptimizer takes.
@@ -48,11 +48,16 @@ class Contender:
     run: Callable[[Work, str | None], Simplified]
 
 
-def _warpqem(work: Work, device: str | None) -> Simplified:
-    import warpqem
+def _warpqem(quality: Literal["best", "fast"]) -> Callable[[Work, str | None], Simplified]:
+    def run(work: Work, device: str | None) -> Simplified:
+        import warpqem
 
-    result = warpqem.simplify(work.points, work.faces, target_faces=work.target_faces, device=device)
-    return Simplified(list(result.points), [result.faces])
+        result = warpqem.simplify(
+            work.points, work.faces, target_faces=work.target_faces, quality=quality, device=device
+        )
+        return Simplified(list(result.points), [result.faces])
+
+    return run
 
 
 def _subset(points: NDArray[np.float32], faces: NDArray[Any]) -> Simplified:
@@ -157,7 +162,8 @@ def _fast_simplification_carried(work: Work, _: str | None) -> Simplified:
 
 
 CONTENDERS = {
-    BASE: Contender("warpqem", "all frames, one topology", _warpqem),
+    BASE: Contender("warpqem", "all frames, one topology", _warpqem("best")),
+    FAST: Contender("warpqem", "all frames, one topology, quality fast", _warpqem("fast")),
     "meshoptimizer, per frame": Contender("meshoptimizer", "each frame alone", _meshoptimizer_per_frame),
     "meshoptimizer, carried": Contender("meshoptimizer", "first frame, others follow", _meshoptimizer_carried),
     "meshoptimizer, attributes": Contender(
@@ -173,4 +179,4 @@ CONTENDERS = {
 }
 
 # With one frame there is nothing to carry.
-STATIC = [name for name in CONTENDERS if name == BASE or name.endswith("per frame")]
+STATIC = [name for name in CONTENDERS if name in (BASE, FAST) or name.endswith("per frame")]

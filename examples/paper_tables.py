@@ -22,6 +22,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from rich.console import Console
@@ -42,6 +43,8 @@ from warpqem.usd import CompareOptions, FrameRange, SimplifyOptions, compare_sta
 # The head of surface simplification guided by morph-targets: 3128 triangles to 878.
 PAPER_RATIO = 878 / 3128
 SCENES = Path(__file__).parent.parent / "scenes"
+# What the papers order by: quadrics of the input, and no last fit of the whole surface.
+QUALITY: Literal["fast"] = "fast"
 # Shares of the faces that skins are fitted at.
 SKIN_RATIOS = (0.25, 0.1, 0.05)
 # Reductions of the paper on motion features, in % of the faces.
@@ -64,7 +67,7 @@ def levels() -> Table:
     """Levels of a gallop from one progressive mesh."""
     scene = _gallop()
     points = scene.baked()
-    mesh = warpqem.build_progressive(points, scene.faces)
+    mesh = warpqem.build_progressive(points, scene.faces, quality=QUALITY)
     table = _table("A gallop at any level, from one run", "faces", "vertices", "error %", "RMS %")
     for ratio in (0.5, 0.25, 0.1, 0.05, 0.02, 0.01):
         level = mesh.level(mesh.splits_for(ratio=ratio))
@@ -81,7 +84,10 @@ def stretch() -> Table:
         points = scene.baked()
         inside = stretching_fifth(points, scene.faces)
         for ratio in (0.25, 0.1, 0.05):
-            results = [warpqem.simplify(points, scene.faces, ratio=ratio, metric=metric) for metric in ("dsd", "dod")]
+            results = [
+                warpqem.simplify(points, scene.faces, ratio=ratio, metric=metric, quality=QUALITY)
+                for metric in ("dsd", "dod")
+            ]
             shares = [100.0 * _share_inside(result, inside) for result in results]
             _add(table, name, len(results[0].faces), *shares)
     return table
@@ -125,7 +131,7 @@ def morph() -> Table:
     for options in MORPH_WAYS.values():
         scale = weights if options["weighted"] else None
         levels = warpqem.simplify_levels(
-            frames, scene.faces, ratios=MORPH_RATIOS, metric=options["metric"], quadric_scale=scale
+            frames, scene.faces, ratios=MORPH_RATIOS, metric=options["metric"], quadric_scale=scale, quality=QUALITY
         )
         columns.append([(len(level.faces), _mean_distance(frames, scene.faces, moved, level)) for level in levels])
     for cells in zip(*columns, strict=True):
@@ -172,7 +178,7 @@ def rest() -> Table:
     scales = {"none": None, "thirds": thirds, "features": features, "both": thirds * features}
     for ratio in (PAPER_RATIO, 0.1):
         for name, scale in scales.items():
-            level = warpqem.simplify(frames, scene.faces, ratio=ratio, quadric_scale=scale)
+            level = warpqem.simplify(frames, scene.faces, ratio=ratio, quadric_scale=scale, quality=QUALITY)
             parts = (moved, resting, np.ones(len(neutral), dtype=bool))
             distances = [_mean_distance(frames, scene.faces, part, level) for part in parts]
             _add(table, len(level.faces), name, *distances)
@@ -189,7 +195,7 @@ def _head_of_2000() -> tuple[np.ndarray, np.ndarray, warpqem.face.FacialFeatures
     scene = _head()
     points = scene.baked()
     whole = warpqem.face.facial_features(points, scene.faces)
-    small = warpqem.simplify(points[::4], scene.faces, target_faces=2000, locked=whole.indices)
+    small = warpqem.simplify(points[::4], scene.faces, target_faces=2000, locked=whole.indices, quality=QUALITY)
     return small.points, small.faces, whole.moved(small.vertex_map)
 
 
@@ -201,7 +207,10 @@ def _face_levels(count: int) -> dict[str, warpqem.SimplifiedMesh]:
         "default": {"metric": "face", "face": warpqem.face.FaceProtection(features)},
         "QEM": {"metric": "qem"},
     }
-    return {name: warpqem.simplify(points, faces, target_faces=count, **kind) for name, kind in kinds.items()}
+    return {
+        name: warpqem.simplify(points, faces, target_faces=count, quality=QUALITY, **kind)
+        for name, kind in kinds.items()
+    }
 
 
 def face() -> Table:
@@ -264,7 +273,9 @@ def _unseen_poses(title: str, kinds: dict[str, dict[str, object]]) -> Table:
             errors = []
             for options in kinds.values():
                 output = Path(folder) / "out.usdc"
-                simplify_stage(scene, output, SimplifyOptions(ratio=ratio, frames=FrameRange(1, 24), **options))
+                simplify_stage(
+                    scene, output, SimplifyOptions(ratio=ratio, quality=QUALITY, frames=FrameRange(1, 24), **options)
+                )
                 [pair] = compare_stages(scene, output, CompareOptions(samples=4000, frames=FrameRange(25, 48)))
                 errors.append(pair.comparison.rms)
             _add(table, ratio, *errors)
@@ -279,7 +290,7 @@ def joints() -> Table:
     inside = features.label >= 0
     table = _table("Vertices left inside motion features, at a tenth of the faces", "metric", "inside", "of all")
     for metric in ("qem", "dsd", "dod", "aqem"):
-        result = warpqem.simplify(points, scene.faces, ratio=0.1, metric=metric)
+        result = warpqem.simplify(points, scene.faces, ratio=0.1, metric=metric, quality=QUALITY)
         _add(table, metric, len(np.unique(result.vertex_map[inside])), result.points.shape[1])
     return table
 
@@ -296,7 +307,7 @@ def reductions() -> Table:
     for reduction in REDUCTIONS:
         cells: list[object] = []
         for options in ways.values():
-            result = warpqem.simplify(points, scene.faces, ratio=1 - reduction / 100, **options)
+            result = warpqem.simplify(points, scene.faces, ratio=1 - reduction / 100, quality=QUALITY, **options)
             rms = compare(points, scene.faces, result.points, result.faces, samples=4000, frames=8).rms
             cells += [rms, len(np.unique(result.vertex_map[inside]))]
         _add(table, reduction, len(result.faces), *cells)

@@ -17,6 +17,7 @@ from warpqem.kernels.near_faces import (
     corner_point,
     covers,
     nearer_face,
+    nearest_of_close_faces,
     squared_distance,
     with_first,
 )
@@ -27,11 +28,14 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 # What was found is within this part of the largest distance there is.
 TOLERANCE = wp.constant(wp.float64(1.0e-3))
-# Distances of a mesh of unit diagonal that are only rounding.
-ROUNDING = wp.constant(wp.float64(5.0e-15))
+# Distances of a mesh of unit diagonal that are only rounding: a few times ON_PLANE, up to which pieces reach over an edge.
+ROUNDING = wp.constant(wp.float64(3.0e-13))
 # Pieces of a patch that are looked at, and that may wait, before it is given up with what bounds it.
 MAX_PIECES = wp.constant(wp.int32(4096))
 MAX_WAITING = wp.constant(wp.int32(40))
+# Where so many pieces of a patch were looked at, the search for near faces is the trouble: it takes, in single precision,
+# the wrong one of two faces on whose edge a thin piece lies, and no cut over the wrong one's edges helps.
+MANY_PIECES = wp.constant(wp.int32(8))
 Waiting = wp.types.matrix(shape=(int(MAX_WAITING), 6), dtype=wp.float64)
 # Patches that a thread takes one after the other: the next one mostly lies beside the one before, over the same face.
 RUN = wp.constant(wp.int32(16))
@@ -79,8 +83,11 @@ class Look:
 
 
 @wp.func
-def near_face(other: Surface, hints: Faces, first: wp.int32, p: wp.vec3d) -> wp.int32:
-    """The face nearest to a point; ``hints`` bound the search. -1 where there are neither hints nor faces."""
+def near_face(other: Surface, hints: Faces, first: wp.int32, p: wp.vec3d, exact: wp.bool) -> wp.int32:
+    """The face nearest to a point; ``hints`` bound the search. -1 where there are neither hints nor faces.
+
+    Of faces that single precision does not tell apart it is any, unless it is to be ``exact``.
+    """
     best = wp.int32(-1)
     best_squared = ANYWHERE * ANYWHERE
     for k in range(HINTS):
@@ -89,7 +96,10 @@ def near_face(other: Surface, hints: Faces, first: wp.int32, p: wp.vec3d) -> wp.
             if squared < best_squared:
                 best = first + hints[k]
                 best_squared = squared
-    return nearer_face(other, best, best_squared, p)
+    best = nearer_face(other, best, best_squared, p)
+    if exact and best >= 0:
+        best = nearest_of_close_faces(other, best, p)
+    return best
 
 
 @wp.func
@@ -134,12 +144,14 @@ def covering_hint(other: Surface, hints: Faces, first: wp.int32, corners: Corner
 
 
 @wp.func
-def look_at_piece(other: Surface, hints: Faces, first: wp.int32, corners: Corners, low: wp.float64) -> Look:
+def look_at_piece(
+    other: Surface, hints: Faces, first: wp.int32, corners: Corners, low: wp.float64, exact: wp.bool
+) -> Look:
     """The face nearest to the middle of a piece, and what it says; ``low`` is the largest distance found before."""
     look = Look()
     look.low = low
     centre = (corners[0] + corners[1] + corners[2]) / wp.float64(3.0)
-    look.near = near_face(other, hints, first, centre)
+    look.near = near_face(other, hints, first, centre, exact)
     if look.near >= 0:
         look.low = wp.max(low, wp.sqrt(squared_distance(other, look.near, centre)))
         size = wp.float64(0.0)
@@ -149,7 +161,7 @@ def look_at_piece(other: Surface, hints: Faces, first: wp.int32, corners: Corner
         if look.bound > look.low + ROUNDING and size <= look.low:
             # What is furthest is most often a corner. Those of large pieces are corners of small ones.
             for k in range(3):
-                at_corner = near_face(other, hints, first, corners[k])
+                at_corner = near_face(other, hints, first, corners[k], exact)
                 if at_corner >= 0:
                     look.low = wp.max(look.low, wp.sqrt(squared_distance(other, at_corner, corners[k])))
     return look
@@ -214,7 +226,7 @@ def search_patch(
         if done:
             found.hints = with_first(found.hints, found.hints[hint], hint)
         else:
-            look = look_at_piece(other, found.hints, first, corners, found.low)
+            look = look_at_piece(other, found.hints, first, corners, found.low, looked_at >= MANY_PIECES)
             found.low = look.low
             looked_at += 1
             if look.near < 0:

@@ -113,6 +113,23 @@ def nearer_face(other: Surface, best: wp.int32, best_squared: wp.float64, p: wp.
     return nearest
 
 
+@wp.func
+def nearest_of_close_faces(other: Surface, best: wp.int32, p: wp.vec3d) -> wp.int32:
+    """The face nearest to a point in double precision, where ``best`` is as near in single precision."""
+    nearest = best
+    squared = squared_distance(other, best, p)
+    reach = wp.float32(wp.sqrt(squared) + SEARCH_MARGIN)
+    at = wp.vec3(wp.float32(p[0]), wp.float32(p[1]), wp.float32(p[2]))
+    query = wp.mesh_query_aabb(other.mesh, at - wp.vec3(reach, reach, reach), at + wp.vec3(reach, reach, reach))
+    face = wp.int32(0)
+    while wp.mesh_query_next(query, face):
+        found = squared_distance(other, face, p)
+        if found < squared or (found == squared and face < nearest):
+            squared = found
+            nearest = face
+    return nearest
+
+
 @wp.struct
 class Nearest:
     """The point of a face nearest to another point."""

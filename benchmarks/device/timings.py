@@ -26,17 +26,27 @@ TURNS, SMALL_TURNS = 5, 20
 def scenes(found: Findings) -> None:
     """The meshes of the data, one after the other."""
     for work in works(found.settings):
-        _time(found, work, SMALL_TURNS)
+        _time(found, work, SMALL_TURNS, quality="fast")
 
 
 def million(found: Findings) -> None:
     """A large animation."""
-    _time(found, torus_work(*(QUICK_MILLION if found.settings.quick else MILLION), found.settings.ratio), TURNS)
+    _time(
+        found,
+        torus_work(*(QUICK_MILLION if found.settings.quick else MILLION), found.settings.ratio),
+        TURNS,
+        quality="fast",
+    )
 
 
 def static(found: Findings) -> None:
     """A large single frame."""
-    _time(found, torus_work(*(QUICK_STATIC if found.settings.quick else STATIC), found.settings.ratio), TURNS)
+    _time(
+        found,
+        torus_work(*(QUICK_STATIC if found.settings.quick else STATIC), found.settings.ratio),
+        TURNS,
+        quality="fast",
+    )
 
 
 def refit(found: Findings) -> None:

@@ -115,7 +115,7 @@ def test_an_option_of_two_commands_has_the_help_of_each(command, option, text):
 
 def test_defaults_are_shown_and_flags_that_are_on_by_name():
     whole = plain(shown("simplify", "--help-all"))
-    for name, default in (("--quality", "fast"), ("--key-frames", "16"), ("--weld", "--weld"), ("--fov", "45")):
+    for name, default in (("--quality", "best"), ("--key-frames", "16"), ("--weld", "--weld"), ("--fov", "45")):
         about = re.split(rf"{name}(?:, --no-\w+| [^ ]+) (?=[A-Za-z])", whole, maxsplit=1)[1]
         assert f"[default: {default}]" in re.split(r"\] --", about)[0] + "]", name
     assert "[default: 0]" not in whole

@@ -3,8 +3,11 @@
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial import Delaunay
 
+from tests.support import meshes
 from warpqem.errors import DegenerateMeshError
+from warpqem.measure import compare
 from warpqem.measure.closest_points import ClosestPointSearch
 
 
@@ -72,3 +75,17 @@ def test_mesh_of_slivers_only_is_refused_with_its_frame(device):
     points = np.array([[0, 0, 0], [0.5, 0, 0], [1, 0, 0]])
     with pytest.raises(DegenerateMeshError, match=r"test mesh.*frame 7"):
         ClosestPointSearch(np.array([[0, 1, 2]]), device, "test").closest(points, np.ones((1, 3)), 7)
+
+
+@pytest.mark.parametrize("seed", range(1, 6))
+def test_two_ways_to_cut_a_flat_sheet_into_slivers_are_no_distance_apart(seed, device):
+    # Points moved by a few of the steps that single precision has there: faces whose edges all but coincide.
+    points, faces = meshes.grid(20, 20)
+    rng = np.random.default_rng(seed)
+    inner = ((points[:, :2] > 0) & (points[:, :2] < 1)).all(axis=1)
+    moved = points.copy()
+    moved[inner, :2] += rng.choice([0, 3e-8, -3e-8, 6e-8], size=(inner.sum(), 2)).astype(np.float32)
+    moved = moved[~inner | (rng.random(len(points)) < 0.4)]
+    other = Delaunay(moved[:, :2].astype(float)).simplices.astype(np.int32)
+    other = other[trimesh.triangles.area(moved[other].astype(float)) > 0]
+    assert compare(points, faces, moved, other, samples=500, device=device).hausdorff < 1e-4

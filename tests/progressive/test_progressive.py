@@ -206,12 +206,11 @@ def test_options_of_one_level_are_refused(option, device):
         warpqem.build_progressive(*SPHERE, device=device, **{option: 0.5})
 
 
-def test_quality_that_fits_each_level_on_its_own_is_refused(device):
-    with pytest.raises(OptionError, match="one place in all levels; memoryless=True"):
-        warpqem.build_progressive(*SPHERE, device=device, quality="best")
-    memoryless = warpqem.build_progressive(*SPHERE, device=device, memoryless=True).level(ratio=0.3)
-    result = warpqem.simplify(*SPHERE, ratio=0.3, quality="best", refit=False, device=device)
-    np.testing.assert_array_equal(memoryless.faces, result.faces)
+@pytest.mark.parametrize("quality", ["fast", "best"])
+def test_quality_decides_the_order_of_the_levels(quality, device):
+    level = warpqem.build_progressive(*SPHERE, device=device, quality=quality).level(ratio=0.3)
+    result = warpqem.simplify(*SPHERE, ratio=0.3, quality=quality, refit=False, device=device)
+    np.testing.assert_array_equal(level.faces, result.faces)
 
 
 def test_levels_follow_each_other_by_vertex_splits(built):
