@@ -28,13 +28,14 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 # What was found is within this part of the largest distance there is.
 TOLERANCE = wp.constant(wp.float64(1.0e-3))
-# Distances of a mesh of unit diagonal that are only rounding: a few times ON_PLANE, up to which pieces reach over an edge.
+# Distances of a mesh of unit diagonal that are only rounding: a few times ON_PLANE, up to which pieces reach over an
+# edge.
 ROUNDING = wp.constant(wp.float64(3.0e-13))
 # Pieces of a patch that are looked at, and that may wait, before it is given up with what bounds it.
 MAX_PIECES = wp.constant(wp.int32(4096))
 MAX_WAITING = wp.constant(wp.int32(40))
-# Where so many pieces of a patch were looked at, the search for near faces is the trouble: it takes, in single precision,
-# the wrong one of two faces on whose edge a thin piece lies, and no cut over the wrong one's edges helps.
+# Where so many pieces of a patch were looked at, the search for near faces is the trouble: it takes, in single
+# precision, the wrong one of two faces on whose edge a thin piece lies, and no cut over the wrong one's edges helps.
 MANY_PIECES = wp.constant(wp.int32(8))
 Waiting = wp.types.matrix(shape=(int(MAX_WAITING), 6), dtype=wp.float64)
 # Patches that a thread takes one after the other: the next one mostly lies beside the one before, over the same face.
