@@ -143,6 +143,10 @@ def _find_threshold_by_sums(a: Arguments) -> Demand:
     return Demand(2 * _size(a["histogram"]) + _size(a["sum_in"]))
 
 
+def _bound_threshold(a: Arguments) -> Demand:
+    return Demand(4 * INT)
+
+
 def _trim_collapses(a: Arguments) -> Demand:
     # Faces read and written; only the last rounds look at keys.
     return Demand(2 * _length(a["selected"]) * INT)
@@ -303,6 +307,7 @@ _MODELS: dict[str, Callable[[Arguments], Demand]] = {
         _find_cost_threshold,
         _sum_bins,
         _find_threshold_by_sums,
+        _bound_threshold,
         _trim_collapses,
         _list_log_keys,
         _collect_candidates,

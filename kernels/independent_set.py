@@ -9,6 +9,7 @@ collapses made one after another in any order.
 import warp as wp
 
 from warpqem.kernels.mesh_state import MeshState
+from warpqem.kernels.pass_control import MIN_CANDIDATES
 from warpqem.kernels.prefetch import prefetch_edges
 from warpqem.kernels.topology import OPEN, half_edge_target, previous_corner
 from warpqem.kernels.work import EdgeList, Work, append, first_item, last_item
@@ -17,6 +18,11 @@ wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
 # Costs are binned by the upper bits of their float: 8 of exponent and 4 of mantissa, so a bin is 6 % wide at most.
 BIN_SHIFT = wp.constant(wp.int32(19))
+# The bin of infinity.
+INFINITE_BIN = wp.constant(wp.int32(0x7F800000 >> 19))
+# On a small mesh, of whose edges a pass looks at a large part, those count whose bins are within ten octaves of that of
+# the cheapest: a collapse that costs nothing goes before one that takes a corner, and others go as they would.
+SPREAD_BINS = wp.constant(wp.int32(160))
 # The multipliers of murmur3's mixer.
 FIRST_MIX = wp.constant(wp.uint32(0x85EBCA6B))
 SECOND_MIX = wp.constant(wp.uint32(0xC2B2AE35))
@@ -83,17 +89,21 @@ def find_cost_threshold(
 ):
     """The upper end of the bin of the ``wanted``-th cheapest edge; 0 where none is wanted.
 
-    The histogram is cleared for the next pass.
+    On a small mesh it is at most so much above the cheapest edge's, see ``SPREAD_BINS``. The histogram is cleared for
+    the next pass.
     """
     wanted = wp.max(wp.min(1, wanted_in[0]), wanted_in[0] // sample_step_in[0])
     seen = wp.int32(0)
     cost_threshold = wp.int32(-1)
+    highest = wp.int32(histogram.shape[1])
     for b in range(histogram.shape[1]):
         n = wp.int32(0)
         for part in range(histogram.shape[0]):
             n += histogram[part, b]
             histogram[part, b] = 0
-        if n > 0 and seen < wanted:
+        if n > 0 and seen == 0 and wanted_in[0] <= MIN_CANDIDATES:
+            highest = b + SPREAD_BINS
+        if n > 0 and seen < wanted and b <= highest:
             cost_threshold = b
         seen += n
     threshold_out[0] = wp.cast((cost_threshold + 1) << BIN_SHIFT, wp.float32)
@@ -125,11 +135,12 @@ def find_threshold_by_sums(
     histogram: wp.array2d[wp.int32],
     # out
     threshold_out: wp.array[wp.float32],
+    cheapest_out: wp.array[wp.int32],
 ):
-    """The threshold of :func:`find_cost_threshold`, by as many threads as there are sums, a stretch of bins each.
+    """The threshold before it is bounded, by as many threads as there are sums, a stretch of bins each.
 
     The cheapest edges end in the bin where their number comes to what is wanted, or else in the last one with an edge:
-    one thread has it.
+    one thread has it. Another one has the bin of the cheapest edge.
     """
     i = wp.tid()
     wanted = wp.max(wp.min(1, wanted_in[0]), wanted_in[0] // sample_step_in[0])
@@ -147,7 +158,23 @@ def find_threshold_by_sums(
         histogram[0, b] = 0
         if n > 0 and seen < wanted and (seen + n >= wanted or seen + n == total):
             threshold_out[0] = wp.cast((b + 1) << BIN_SHIFT, wp.float32)
+        if n > 0 and seen == 0:
+            cheapest_out[0] = b
         seen += n
+
+
+@wp.kernel
+def bound_threshold(
+    # in
+    wanted_in: wp.array[wp.int32],
+    cheapest_in: wp.array[wp.int32],
+    # in and out
+    threshold: wp.array[wp.float32],
+):
+    """Bound the threshold on a small mesh, after which it is that of :func:`find_cost_threshold`."""
+    if wanted_in[0] <= MIN_CANDIDATES and threshold[0] > 0.0:
+        highest = wp.cast(wp.min(cheapest_in[0] + SPREAD_BINS + 1, INFINITE_BIN) << BIN_SHIFT, wp.float32)
+        threshold[0] = wp.min(threshold[0], highest)
 
 
 @wp.kernel

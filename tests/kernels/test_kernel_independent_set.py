@@ -91,30 +91,45 @@ def find_threshold(histogram, wanted, device) -> wp.array:
     return cost_threshold
 
 
-@pytest.mark.parametrize("stretches", [1, 64, 4096])
-@pytest.mark.parametrize("wanted", [0, 1, 2, 50, 999, 1000, 5000])
-@pytest.mark.parametrize("step", [1, 7])
-def test_threshold_by_sums_is_that_of_one_thread(stretches, wanted, step, device):
-    histogram, other = (histogram_of(random_costs(), device, step) for _ in range(2))
-    sums = wp.empty(stretches, dtype=wp.int32, device=device)
-    cost_threshold = wp.zeros(1, dtype=wp.float32, device=device)
+def find_by_sums(histogram, stretches, wanted, step, device) -> wp.array:
+    sums, cheapest = (wp.empty(count, dtype=wp.int32, device=device) for count in (stretches, 1))
+    cost_threshold = wp.full(1, 7.0, dtype=wp.float32, device=device)
     wp.launch(kernels.sum_bins, dim=stretches, inputs=[histogram], outputs=[sums], device=device)
-    inputs = [wp.array([wanted], dtype=wp.int32, device=device), step_of(step, device), sums]
+    outputs = [histogram, cost_threshold, cheapest]
     wp.launch(
-        kernels.find_threshold_by_sums, dim=stretches, inputs=inputs, outputs=[histogram, cost_threshold], device=device
+        kernels.find_threshold_by_sums, dim=stretches, inputs=[wanted, step, sums], outputs=outputs, device=device
     )
+    wp.launch(kernels.bound_threshold, dim=1, inputs=[wanted, cheapest], outputs=[cost_threshold], device=device)
+    return cost_threshold
+
+
+@pytest.mark.parametrize("stretches", [1, 64, 4096])
+@pytest.mark.parametrize("wanted", [0, 1, 2, 20, 32, 50, 999, 1000, 5000])
+@pytest.mark.parametrize("step", [1, 7])
+@pytest.mark.parametrize("spread", [1.0, 1e6])
+def test_threshold_by_sums_is_that_of_one_thread(stretches, wanted, step, spread, device):
+    costs = random_costs()
+    costs[::2] *= np.float32(spread)
+    histogram, other = (histogram_of(costs, device, step) for _ in range(2))
+    inputs = [wp.array([wanted], dtype=wp.int32, device=device), step_of(step, device)]
+    cost_threshold = find_by_sums(histogram, stretches, *inputs, device)
     one = wp.zeros(1, dtype=wp.float32, device=device)
-    wp.launch(kernels.find_cost_threshold, dim=1, inputs=inputs[:2], outputs=[other, one], device=device)
+    wp.launch(kernels.find_cost_threshold, dim=1, inputs=inputs, outputs=[other, one], device=device)
     assert cost_threshold.numpy()[0] == one.numpy()[0]
     assert not histogram.numpy().any()
 
 
 def test_threshold_by_sums_of_no_costs_is_zero(device):
-    histogram, sums = wp.zeros((1, BINS), dtype=wp.int32, device=device), wp.zeros(64, dtype=wp.int32, device=device)
-    cost_threshold = wp.full(1, 7.0, dtype=wp.float32, device=device)
-    inputs = [wp.array([5], dtype=wp.int32, device=device), step_of(1, device), sums]
-    wp.launch(kernels.find_threshold_by_sums, dim=64, inputs=inputs, outputs=[histogram, cost_threshold], device=device)
-    assert cost_threshold.numpy()[0] == 0.0
+    histogram = wp.zeros((1, BINS), dtype=wp.int32, device=device)
+    wanted = wp.array([5], dtype=wp.int32, device=device)
+    assert find_by_sums(histogram, 64, wanted, step_of(1, device), device).numpy()[0] == 0.0
+
+
+@pytest.mark.parametrize(("wanted", "taken"), [(20, 5), (32, 5), (33, 33)])
+def test_on_a_small_mesh_costly_edges_wait_until_the_cheap_ones_are_gone(wanted, taken, device):
+    cost = np.concatenate([np.linspace(1e-6, 5e-4, 5), np.linspace(1.0, 2.0, 60)]).astype(np.float32)
+    cost_threshold = find_threshold(histogram_of(cost, device), wanted, device).numpy()[0]
+    assert taken <= (cost < cost_threshold).sum() <= taken + 5
 
 
 def collected(cost, cost_threshold, device) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import trimesh
 
 import warpqem
 from tests.oracles.greedy import greedy_simplify
@@ -79,3 +80,24 @@ def test_dod_keeps_more_vertices_where_edges_stretch(device):
         for m in ("dod", "dsd")
     }
     assert kept["dod"] > kept["dsd"]
+
+
+@pytest.mark.parametrize("quality", ["fast", "best"])
+@pytest.mark.parametrize("size", [5, 6, 8, 10, 12])
+def test_small_flat_sheets_keep_their_corners_to_the_last_face(size, quality, device):
+    points, faces = meshes.grid(size, size)
+    result = warpqem.simplify(points, faces, target_faces=2, quality=quality, device=device)
+    assert len(result.faces) == 2
+    assert result.measured.hausdorff < 0.02
+
+
+@pytest.mark.parametrize("quality", ["fast", "best"])
+@pytest.mark.parametrize("cuts", [1, 2, 3, 4])
+def test_boxes_keep_their_corners_to_the_last_face(cuts, quality, device):
+    box = trimesh.creation.box()
+    for _ in range(cuts):
+        box = box.subdivide()
+    points, faces = np.asarray(box.vertices, dtype=np.float32), np.asarray(box.faces, dtype=np.int32)
+    result = warpqem.simplify(points, faces, target_faces=12, quality=quality, device=device)
+    assert len(result.faces) == 12
+    assert result.measured.hausdorff < 0.02

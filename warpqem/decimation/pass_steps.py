@@ -201,11 +201,11 @@ class PassSteps:
             if device_traits(self.device).in_order:
                 recorder.launch(set_kernels.find_cost_threshold, 1, inputs, [histogram, self.cost_threshold])
                 return
-            sums = self.integers(HISTOGRAM_STRETCHES)
+            sums, cheapest = self.integers(HISTOGRAM_STRETCHES), self.integers(1)
+            outputs = [histogram, self.cost_threshold, cheapest]
             recorder.launch(set_kernels.sum_bins, len(sums), [histogram], [sums])
-            recorder.launch(
-                set_kernels.find_threshold_by_sums, len(sums), [*inputs, sums], [histogram, self.cost_threshold]
-            )
+            recorder.launch(set_kernels.find_threshold_by_sums, len(sums), [*inputs, sums], outputs)
+            recorder.launch(set_kernels.bound_threshold, 1, [self.wanted, cheapest], [self.cost_threshold])
 
         def collect(recorder: Recorder, part: int) -> None:
             work = part_work(part, part_count, self.device)
