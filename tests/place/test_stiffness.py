@@ -1,6 +1,7 @@
 """How firmly clusters are held to the material, where that costs distance from the input."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
@@ -12,6 +13,7 @@ from warpqem.place.stiffness import (
     MAX_ADDED_SHARE,
     MIN_STIFFNESS,
     choose_softness,
+    max_added_share,
     recent_errors,
     softer_choices,
 )
@@ -50,7 +52,7 @@ def descending(values):
 @given(arrays.arrays(np.float32, (CLUSTERS, int(STEPS)), elements=POSITIVE).map(descending), POSITIVE)
 def test_the_choice_is_the_first_that_adds_no_more_than_its_bound(error, recent):
     area = np.full(CLUSTERS, 0.5)
-    chosen = choose_softness(error, area, np.full(CLUSTERS, recent), evened=False)
+    chosen = choose_softness(error, area, np.full(CLUSTERS, recent), np.inf)
     added = error.astype(np.float64) - error[:, -1:].astype(np.float64)
     bound = max(MAX_ADDED * np.float64(np.float32(recent)), 1e-6) ** 2 * 0.5
     row = np.arange(CLUSTERS)
@@ -59,16 +61,17 @@ def test_the_choice_is_the_first_that_adds_no_more_than_its_bound(error, recent)
     assert (added[row, chosen - 1][stiffer] > bound - 1e-6).all()
 
 
-@given(arrays.arrays(np.float32, (CLUSTERS, int(STEPS)), elements=POSITIVE).map(descending))
-def test_the_whole_mesh_is_softened_until_stiffness_adds_its_share(error):
+@pytest.mark.parametrize("epsilon", [0.1, 0.5, 20.0])
+@given(error=arrays.arrays(np.float32, (CLUSTERS, int(STEPS)), elements=POSITIVE).map(descending))
+def test_the_whole_mesh_is_softened_until_stiffness_adds_its_share(epsilon, error):
     area = np.full(CLUSTERS, 1e-3)
-    alone = choose_softness(error, area, np.ones(CLUSTERS), evened=False)
-    chosen = choose_softness(error, area, np.ones(CLUSTERS), evened=True)
+    alone = choose_softness(error, area, np.ones(CLUSTERS), np.inf)
+    chosen = choose_softness(error, area, np.ones(CLUSTERS), max_added_share(epsilon))
     assert (chosen >= alone).all()
     total = error[np.arange(CLUSTERS), chosen].sum(dtype=np.float64)
-    assert total <= (1 + MAX_ADDED_SHARE) * error[:, -1].sum(dtype=np.float64) + 1e-6
+    assert total <= (1 + MAX_ADDED_SHARE * max(1, epsilon / 0.5) ** 0.5) * error[:, -1].sum(dtype=np.float64) + 1e-6
 
 
 def test_no_clusters_have_no_choice():
     error = np.empty((0, int(STEPS)), dtype=np.float32)
-    assert len(choose_softness(error, np.empty(0), np.empty(0, dtype=np.float32), evened=True)) == 0
+    assert len(choose_softness(error, np.empty(0), np.empty(0, dtype=np.float32), 0.2)) == 0

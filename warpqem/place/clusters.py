@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,15 +40,16 @@ class PlaceSettings:
         endpoint: every output vertex is an input vertex.
         loose: (V,) bool, input vertices whose clusters are placed by their quadrics, with the least
             regularisation; None for none.
-        evened: soften all clusters where stiffness costs the whole mesh much. A cluster's place then depends on the
-            others, so that levels of a progressive mesh, which share clusters, do without.
+        max_share: soften all clusters until stiffness adds no more than that to the mean squared distance of the whole
+            mesh, relative to it. A cluster's place then depends on the others, so that levels of a progressive mesh,
+            which share clusters, do without: infinite.
     """
 
     epsilon: float
     regularisation: float
     endpoint: bool
     loose: np.ndarray | None = None
-    evened: bool = False
+    max_share: float = math.inf
 
 
 class ClusterPlacer:
@@ -135,7 +137,7 @@ class ClusterPlacer:
         if not settings.endpoint:
             choices = softer_choices(stiffness)
             error, area = self._blocks.measure_stiffness(ordered.key_position, choices)
-            chosen = choose_softness(error, area, recent_errors(ordered.log, kept), evened=settings.evened)
+            chosen = choose_softness(error, area, recent_errors(ordered.log, kept), settings.max_share)
             self._blocks.set_stiffness(choices[np.arange(len(kept)), chosen])
 
     def place(self, mesh: AnimatedMesh, points: wp.array, packed: wp.array | None = None) -> PlacedBlocks:

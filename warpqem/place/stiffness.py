@@ -7,6 +7,8 @@ rim, towards the middle of the cap. So it is bounded for each cluster by what it
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from warpqem.decimation.collapse_log import CollapseRecord
@@ -16,6 +18,7 @@ __all__ = [
     "MIN_REGULARISATION",
     "MIN_STIFFNESS",
     "choose_softness",
+    "max_added_share",
     "recent_errors",
     "softer_choices",
     "stiffness_by_size",
@@ -41,6 +44,10 @@ MIN_ADDED = 1e-6
 # Stiffness may add so much to the mean squared distance of a whole mesh. It mostly adds 6 to 20 %, and up to 74 % where
 # deformation travels over the surface, as wrinkles do: there vertices have to go along.
 MAX_ADDED_SHARE = 0.2
+# The stiffness at coherence one half, which that is for. Who asks for more gets it: the share grows with the root of
+# the stiffness, so that at coherence 1 nothing is softened (there stiffness adds two to three times the squared
+# distance, and the share is 4.5).
+SHARED_STIFFNESS = 0.5
 
 
 def stiffness_by_size(size: np.ndarray, epsilon: float, regularisation: float) -> tuple[np.ndarray, np.ndarray]:
@@ -55,6 +62,15 @@ def stiffness_by_size(size: np.ndarray, epsilon: float, regularisation: float) -
     stiffness = np.maximum(epsilon * np.sqrt(np.minimum(relative, MAX_RELATIVE_SIZE)), MIN_STIFFNESS)
     evened = regularisation * np.minimum(relative**4, MAX_EVENED)
     return stiffness.astype(np.float32), evened.astype(np.float32)
+
+
+def max_added_share(epsilon: float) -> float:
+    """What stiffness may add to the mean squared distance of a whole mesh, relative to it.
+
+    Args:
+        epsilon: stiffness as it is set, see :func:`stiffness_by_size`.
+    """
+    return MAX_ADDED_SHARE * math.sqrt(max(1.0, epsilon / SHARED_STIFFNESS))
 
 
 def softer_choices(stiffness: np.ndarray) -> np.ndarray:
@@ -80,22 +96,22 @@ def recent_errors(log: CollapseRecord, kept: np.ndarray) -> np.ndarray:
     return recent
 
 
-def choose_softness(error: np.ndarray, area: np.ndarray, recent: np.ndarray, *, evened: bool) -> np.ndarray:
+def choose_softness(error: np.ndarray, area: np.ndarray, recent: np.ndarray, max_share: float) -> np.ndarray:
     """(C,) int, the first of the choices of each cluster that adds little to its distance from the input.
 
     Args:
         error: (C, S) area times squared distance with each choice, the softest last.
         area: (C,) what planes weigh.
         recent: (C,) what the mesh had come to when the cluster came to be, in diagonals.
-        evened: see :class:`warpqem.place.clusters.PlaceSettings`.
+        max_share: see :class:`warpqem.place.clusters.PlaceSettings`.
     """
     bound = np.maximum(MAX_ADDED * recent.astype(np.float64), MIN_ADDED)
     fits = error <= error[:, -1:] + (bound**2 * area)[:, None]
     fits[:, -1] = True
     chosen: np.ndarray = np.argmax(fits, axis=1)
-    if not evened or not len(chosen):
+    if math.isinf(max_share) or not len(chosen):
         return chosen
-    most = (1.0 + MAX_ADDED_SHARE) * error[:, -1].sum(dtype=np.float64) + MIN_ADDED**2 * area.sum(dtype=np.float64)
+    most = (1.0 + max_share) * error[:, -1].sum(dtype=np.float64) + MIN_ADDED**2 * area.sum(dtype=np.float64)
     row = np.arange(len(chosen))
     for least in range(error.shape[1]):
         chosen = np.maximum(chosen, least)
