@@ -30,7 +30,6 @@ from warpqem.pipeline.cut_levels import Choice, CutLevel, LevelFrames
 from warpqem.pipeline.memory_plan import KEPT_BYTES, stage_frames
 from warpqem.pipeline.prepare import ORDER_END, Prepared
 from warpqem.pipeline.result import SimplifiedMesh, finish, in_input_terms, reached, written_faces
-from warpqem.repair.mended_mesh import faces_for
 from warpqem.runtime.device import device_turn
 
 __all__ = ["simplify_within"]
@@ -359,9 +358,6 @@ def simplify_within(
     # A count is one of both sides.
     coarsest = replace(work, mesh=whole.mesh).order(progress, recorder)
     known = OrderedLevels(work.mesh.faces, coarsest, recorder)
-    if repair is not None and work.goal.target_faces and repair.is_double.any():
-        coarsest = known.at(known.steps_to(faces_for(coarsest, whole.mesh, work.goal.target_faces)))
-        known = OrderedLevels(work.mesh.faces, coarsest, recorder)
     forest = CollapseForest(coarsest.log, coarsest.drops, len(coarsest.root))
     search = _Search(work, refit, known, forest)
     choice, result = search.run(sink is None, progress)

@@ -86,10 +86,10 @@ class Prepared:
         if repair is None or not target or not repair.is_double.any():
             return self.order_to(self.order_settings.target_faces, progress, recorder)
         # Far enough also where all faces that are left have a back.
-        coarse = self.order_to(max(1, target // 2), progress, recorder)
-        if repair.is_double.all() or recorder is not None:
-            return coarse
-        return self.order_to(faces_for(coarse, self.mesh, target))
+        if repair.is_double.all():
+            return self.order_to(max(1, target // 2), progress, recorder)
+        coarse = self.order_to(max(1, target // 2), progress)
+        return self.order_to(faces_for(coarse, self.mesh, target), recorder=recorder)
 
     def order_to(
         self, face_count: int, progress: Progress | None = None, recorder: NodeRecorder | None = None

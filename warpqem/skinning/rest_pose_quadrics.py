@@ -70,7 +70,7 @@ def simplify_pulled_back(
     unknown = UNUSED_OPTIONS & options.keys()
     if unknown:
         raise OptionError(f"{', '.join(sorted(unknown))}: no option of simplifying by pulled back quadrics")
-    asked = read_keywords(options, metric="qem", coherence=0.0)
+    asked = read_keywords(options, metric="qem", coherence=0.0, quality="fast")
     poses = read_poses(points)
     corner = read_faces(faces, "faces", poses.shape[1])
     if not isinstance(skin, LinearSkin):
