@@ -46,7 +46,7 @@ def test_help_of_simplify_is_a_screen_and_help_all_is_whole():
     assert len(short.splitlines()) <= 60
     assert len(re.findall(NAME, short, re.MULTILINE)) <= 12
     assert "--memoryless" not in short
-    assert "it orders by the present faces" in plain(whole)
+    assert "best orders by the present faces" in plain(whole)
     assert len(re.findall(NAME, whole, re.MULTILINE)) >= 55
 
 

@@ -61,6 +61,7 @@ def test_weight_lowers_the_texture_error_with_every_cost_model(metric, placement
             faces,
             ratio=0.15,
             metric=metric,
+            quality="fast",
             placement=placement,
             attributes=[AttributeField(value, weight)],
             device=device,

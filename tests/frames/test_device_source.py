@@ -106,7 +106,7 @@ def test_frames_are_not_copied_to_the_host(there, monkeypatch):
     # Poses are compared at 1024 to 2047 vertices, which a larger mesh has more of.
     points, faces = meshes.swaying_sphere(5, 40)
     given = on(there, points.astype(np.float32), faces)
-    options = {"ratio": 0.05, "key_frames": 4}
+    options = {"ratio": 0.05, "key_frames": 4, "quality": "fast"}
     with values_read(monkeypatch) as sizes:
         found = warpqem.simplify(*given, **options)
     frame = points[0].size
@@ -114,7 +114,7 @@ def test_frames_are_not_copied_to_the_host(there, monkeypatch):
     # The topology, the log and masks are there: some numbers for a vertex or a face, and none for a frame of it.
     assert sum(sizes) < poses + 12 * frame < 0.5 * points.size
     with values_read(monkeypatch) as sizes:
-        warpqem.simplify(*given, ratio=0.05, key_frames=None)
+        warpqem.simplify(*given, ratio=0.05, key_frames=None, quality="fast")
     assert sum(sizes) < 12 * frame
     assert isinstance(found.points, wp.array)
 
@@ -124,7 +124,7 @@ def test_frames_are_not_copied_to_the_host(there, monkeypatch):
 def test_of_double_precision_the_first_frame_alone_is_read(options, dtype, expected, there, monkeypatch):
     read, reads = DeviceFrames.read, []
     monkeypatch.setattr(DeviceFrames, "read", lambda self, frames: (reads.append(frames), read(self, frames))[1])
-    warpqem.simplify(*on(there, POINTS.astype(dtype)), **options)
+    warpqem.simplify(*on(there, POINTS.astype(dtype)), quality="fast", **options)
     assert reads == expected
 
 

@@ -67,7 +67,8 @@ def test_small_blocks_from_a_source_to_a_sink_give_the_bits_of_arrays(options, d
 
 @pytest.mark.parametrize("metric", ["dsd", "aqem"])
 def test_a_source_is_read_twice_and_once_more_for_its_key_frames(metric):
-    options = {"ratio": 0.5, "key_frames": 4, "metric": metric, "sink": NoFrames(), "device": "cpu"}
+    options = {"ratio": 0.5, "key_frames": 4, "metric": metric, "quality": "fast"}
+    options |= {"sink": NoFrames(), "device": "cpu"}
     for measure in (False, True):
         source = CountedFrames(POINTS)
         warpqem.simplify(source, FACES, measure=measure, **options)
@@ -185,7 +186,13 @@ def test_a_result_too_large_to_keep_is_refused_for_a_sink():
 
 def test_the_plan_of_many_frames_takes_little_more_than_that_of_few():
     few, many = (
-        warpqem.plan(np.broadcast_to(POINTS[:1], (count, *POINTS.shape[1:])), FACES, ratio=0.1, sink=NoFrames())
+        warpqem.plan(
+            np.broadcast_to(POINTS[:1], (count, *POINTS.shape[1:])),
+            FACES,
+            ratio=0.1,
+            quality="fast",
+            sink=NoFrames(),
+        )
         for count in (50, 50_000)
     )
     # Poses to choose key frames from, and a full block with its neighbours; frames are kept where there is memory.

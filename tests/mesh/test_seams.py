@@ -47,7 +47,7 @@ def test_ends_of_a_seam_at_the_border_stay_there(device):
 
 def test_cut_that_ends_inside_keeps_its_length(device):
     cut = COLUMN[4:12]
-    result = warpqem.simplify(POINTS, FACES, ratio=0.15, seams=cut, device=device)
+    result = warpqem.simplify(POINTS, FACES, ratio=0.15, seams=cut, quality="fast", device=device)
     ends = cut[[0, -1], [0, 1]]
     np.testing.assert_allclose(result.points[:, result.vertex_map[ends]], POINTS[:, ends], atol=1 / 64)
 

@@ -61,7 +61,8 @@ def test_rerun_gives_the_same_bits(metric, device):
 
 def test_still_repetition_of_a_pose_equals_the_pose(device):
     points, faces = meshes.bumpy_sphere(2)
-    one = warpqem.simplify(points, faces, ratio=0.4, device=device)
-    four = warpqem.simplify(np.stack([points] * 4), faces, ratio=0.4, device=device)
+    # The refit magnifies rounding: a sample on an edge is paired with one face or the other.
+    one = warpqem.simplify(points, faces, ratio=0.4, refit=False, device=device)
+    four = warpqem.simplify(np.stack([points] * 4), faces, ratio=0.4, refit=False, device=device)
     np.testing.assert_array_equal(one.faces, four.faces)
     np.testing.assert_allclose(four.points, np.repeat(one.points, 4, axis=0), atol=1e-5)

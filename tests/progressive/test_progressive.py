@@ -27,19 +27,19 @@ SPHERE = MESHES["closed"]
 @pytest.fixture(scope="module", params=list(MESHES))
 def built(request, device):
     points, faces = MESHES[request.param]
-    return points, faces, warpqem.build_progressive(points, faces, device=device)
+    return points, faces, warpqem.build_progressive(points, faces, quality="fast", device=device)
 
 
 @pytest.fixture(scope="module")
 def sphere(device):
-    return warpqem.build_progressive(*SPHERE, device=device)
+    return warpqem.build_progressive(*SPHERE, quality="fast", device=device)
 
 
 @pytest.mark.parametrize("ratio", [1.0, 0.8, 0.33, 0.1])
 def test_level_is_what_simplify_gives_to_the_bit(built, ratio, device):
     points, faces, mesh = built
     level = mesh.level(mesh.splits_for(ratio=ratio))
-    result = warpqem.simplify(points, faces, ratio=ratio, device=device)
+    result = warpqem.simplify(points, faces, ratio=ratio, quality="fast", device=device)
     np.testing.assert_array_equal(level.points, result.points)
     np.testing.assert_array_equal(level.faces, result.faces)
     np.testing.assert_array_equal(level.face_map, result.face_map)
@@ -61,9 +61,9 @@ def test_level_is_what_simplify_gives_to_the_bit(built, ratio, device):
 )
 def test_level_is_what_simplify_gives_with_every_option(options, device):
     points, faces = MESHES["open"]
-    mesh = warpqem.build_progressive(points, faces, device=device, **options)
+    mesh = warpqem.build_progressive(points, faces, quality="fast", device=device, **options)
     level = mesh.level(mesh.splits_for(ratio=0.3))
-    result = warpqem.simplify(points, faces, ratio=0.3, device=device, **options)
+    result = warpqem.simplify(points, faces, ratio=0.3, quality="fast", device=device, **options)
     np.testing.assert_array_equal(level.faces, result.faces)
     np.testing.assert_array_equal(level.points, result.points)
 
@@ -71,16 +71,16 @@ def test_level_is_what_simplify_gives_with_every_option(options, device):
 def test_level_is_what_simplify_gives_with_attributes(device):
     points, faces = MESHES["open"]
     field = warpqem.costs.AttributeField(np.sin(points[0, :, :2] * 9), weight=0.5)
-    mesh = warpqem.build_progressive(points, faces, device=device, attributes=[field])
+    mesh = warpqem.build_progressive(points, faces, quality="fast", device=device, attributes=[field])
     level = mesh.level(mesh.splits_for(ratio=0.3))
-    result = warpqem.simplify(points, faces, ratio=0.3, device=device, attributes=[field])
+    result = warpqem.simplify(points, faces, ratio=0.3, quality="fast", device=device, attributes=[field])
     np.testing.assert_array_equal(level.points, result.points)
 
 
 def test_level_is_what_simplify_gives_on_a_mesh_ordered_along_a_curve(device, monkeypatch):
     monkeypatch.setattr("warpqem.decimation.decimate.ARRANGED_FACES", 0)
-    mesh = warpqem.build_progressive(*SPHERE, device=device)
-    result = warpqem.simplify(*SPHERE, ratio=0.3, device=device)
+    mesh = warpqem.build_progressive(*SPHERE, quality="fast", device=device)
+    result = warpqem.simplify(*SPHERE, ratio=0.3, quality="fast", device=device)
     level = mesh.level(mesh.splits_for(ratio=0.3))
     np.testing.assert_array_equal(level.faces, result.faces)
     np.testing.assert_array_equal(level.points, result.points)
@@ -166,8 +166,8 @@ def test_unused_vertices_and_flawed_faces_are_left_out(device):
     points, faces = SPHERE
     more = np.concatenate([points, points[:, :3] + 1], axis=1)
     flawed = np.concatenate([[[0, 0, 1]], faces])
-    mesh = warpqem.build_progressive(more, flawed, device=device)
-    result = warpqem.simplify(more, flawed, ratio=0.3, device=device)
+    mesh = warpqem.build_progressive(more, flawed, quality="fast", device=device)
+    result = warpqem.simplify(more, flawed, ratio=0.3, quality="fast", device=device)
     level = mesh.level(mesh.splits_for(ratio=0.3))
     np.testing.assert_array_equal(level.points, result.points)
     np.testing.assert_array_equal(level.face_map, result.face_map)
@@ -177,8 +177,8 @@ def test_unused_vertices_and_flawed_faces_are_left_out(device):
 def test_float64_points_far_from_the_origin_come_out_as_from_simplify(device):
     points, faces = SPHERE
     far = points.astype(np.float64) + np.array([1e5, -2e5, 3e5])
-    mesh = warpqem.build_progressive(far, faces, device=device)
-    result = warpqem.simplify(far, faces, ratio=0.3, device=device)
+    mesh = warpqem.build_progressive(far, faces, quality="fast", device=device)
+    result = warpqem.simplify(far, faces, ratio=0.3, quality="fast", device=device)
     np.testing.assert_array_equal(mesh.level(mesh.splits_for(ratio=0.3)).points, result.points)
 
 

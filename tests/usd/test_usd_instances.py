@@ -19,13 +19,13 @@ def test_instances_of_another_file_are_simplified_and_stay_instances(tmp_path, f
     (tmp_path / "out").mkdir()
     result, report = convert(tmp_path / "in.usda", tmp_path / "out" / "out.usda", flatten=flatten)
     [prim] = report.prims
-    assert (prim.path, prim.status, prim.faces_after) == ("/Set/First/Cloth", "simplified", 50)
+    assert (prim.path, prim.status, prim.faces_after) == ("/Set/First/Cloth", "simplified", 51)
     check_stage(result)
     [prototype] = result.GetPrototypes()
     assert len(prototype.GetInstances()) == 2
     place = "the new meshes below /Set/First and 1 more instances come from the class /Simplified_Prototype_1"
     assert report.notes == ([] if flatten else [place])
-    assert faces_at(result, "/Set/First/Cloth") == faces_at(result, "/Set/Second/Cloth") == 50
+    assert faces_at(result, "/Set/First/Cloth") == faces_at(result, "/Set/Second/Cloth") == 51
     verdicts = compare_properties(Usd.Stage.Open(str(tmp_path / "in.usda")), result)
     assert {path.rsplit(".", 1)[-1] for path in verdicts} <= SHAPE | {"primvars:st:indices"}, verdicts
 
@@ -36,7 +36,7 @@ def test_flat_file_of_instances_needs_no_other(tmp_path):
     for name in ("in.usda", "tile.usda"):
         (tmp_path / name).unlink()
     result = Usd.Stage.Open(str(tmp_path / "out.usdc"))
-    assert faces_at(result, "/Set/Second/Cloth") == 50
+    assert faces_at(result, "/Set/Second/Cloth") == 51
     # Nothing is left of what the instances inherited on the way.
     assert [str(prim.GetPath()) for prim in result.GetPseudoRoot().GetAllChildren()] == [
         "/Flattened_Prototype_1",
@@ -50,7 +50,7 @@ def test_simplified_instances_can_be_compared_and_simplified_again(tmp_path):
     [pair] = compare_stages(tmp_path / "in.usda", tmp_path / "out.usda", CompareOptions(samples=200, device="cpu"))
     assert pair.comparison is not None
     result, report = convert(tmp_path / "out.usda", tmp_path / "again.usda")
-    assert report.prims[0].faces_before == 50
+    assert report.prims[0].faces_before == 51
     assert faces_at(result, "/Set/Second/Cloth") == report.prims[0].faces_after < 50
 
 
@@ -58,7 +58,7 @@ def test_only_the_chosen_instances_change(tmp_path):
     scene_of(tmp_path)
     result, report = convert(tmp_path / "in.usda", tmp_path / "out.usda", prims=("/Set/Second",))
     assert [prim.path for prim in report.prims] == ["/Set/Second/Cloth"]
-    assert (faces_at(result, "/Set/First/Cloth"), faces_at(result, "/Set/Second/Cloth")) == (64, 50)
+    assert (faces_at(result, "/Set/First/Cloth"), faces_at(result, "/Set/Second/Cloth")) == (64, 51)
 
 
 def test_instances_of_another_variant_show_that_variant(tmp_path, flatten):
@@ -79,7 +79,7 @@ def test_instances_of_another_variant_show_that_variant(tmp_path, flatten):
     stage.Save()
     result, report = convert(tmp_path / "in.usda", tmp_path / "out.usda", flatten=flatten)
     assert [(prim.path, prim.faces_before, prim.faces_after) for prim in report.prims] == [
-        ("/A/Thing/Tile", 32, 12), ("/A/Copy1/Tile", 72, 29)
+        ("/A/Thing/Tile", 32, 13), ("/A/Copy1/Tile", 72, 29)
     ]  # fmt: skip
     check_stage(result)
     for name, count in (("Thing", 12), ("Copy1", 29), ("Copy2", 29)):
@@ -142,13 +142,13 @@ def test_instances_within_instances_are_simplified_once(tmp_path, flatten):
     stage.Save()
     result, report = convert(tmp_path / "in.usda", tmp_path / "out.usda", flatten=flatten)
     assert {(prim.path, prim.faces_after) for prim in report.prims} == {
-        ("/Set/First/Own", 29), ("/Set/Single/Cloth", 50)
+        ("/Set/First/Own", 29), ("/Set/Single/Cloth", 51)
     }  # fmt: skip
     check_stage(result)
     for place in ("First", "Second", "First/Left", "Single"):
         assert result.GetPrimAtPath(f"/Set/{place}").IsInstance()
     for place in ("First/Left", "First/Right", "Second/Left", "Second/Right", "Single"):
-        assert faces_at(result, f"/Set/{place}/Cloth") == 50
+        assert faces_at(result, f"/Set/{place}/Cloth") == 51
     assert faces_at(result, "/Set/Second/Own") == 29
 
 
@@ -208,4 +208,4 @@ def test_names_of_classes_that_are_taken_are_left(tmp_path):
     stage.Save()
     result, _report = convert(tmp_path / "in.usda", tmp_path / "out.usda")
     assert result.GetPrimAtPath("/Simplified_Prototype_2").IsAbstract()
-    assert faces_at(result, "/Set/Second/Cloth") == 50
+    assert faces_at(result, "/Set/Second/Cloth") == 51

@@ -178,7 +178,7 @@ def test_instances_of_an_open_stage_stay_closed_on_it(tmp_path):
     assert state(stage) == before
     assert stage.GetPrimAtPath("/Set/First").IsInstance()
     result = shown(stage, output)
-    assert faces_at(result, "/Set/Second/Cloth") == 50
+    assert faces_at(result, "/Set/Second/Cloth") == 51
     assert len(result.GetPrototypes()) == 1
     check_stage(result)
 
@@ -215,7 +215,7 @@ def test_input_is_found_on_the_search_path_of_the_resolver(search_path, tmp_path
     tile_file(search_path / "searched_tile.usda")
     report = simplify("searched_tile.usda", tmp_path / "out.usda", flatten=flatten)
     assert (report.input, report.prims[0].status) == ("searched_tile.usda", "simplified")
-    assert faces_at(Usd.Stage.Open(str(tmp_path / "out.usda")), CLOTH) == 50
+    assert faces_at(Usd.Stage.Open(str(tmp_path / "out.usda")), CLOTH) == 51
 
 
 def test_input_on_the_search_path_is_never_overwritten(search_path):
@@ -235,7 +235,7 @@ def test_references_are_found_through_the_resolver_context_of_a_stage(tmp_path):
     stage = Usd.Stage.Open(layer, Ar.ResolverContext(Ar.DefaultResolverContext([str(tmp_path / "library")])))
     assert stage.GetPrimAtPath("/Prop/Cloth")
     report = simplify(stage, stage.GetRootLayer())
-    assert (report.prims[0].status, faces_at(stage, "/Prop/Cloth")) == ("simplified", 50)
+    assert (report.prims[0].status, faces_at(stage, "/Prop/Cloth")) == ("simplified", 51)
 
 
 def test_input_within_a_package_is_found(tmp_path, flatten):
@@ -248,7 +248,7 @@ def test_input_within_a_package_is_found(tmp_path, flatten):
             package.AddFile(str(tmp_path / name), name)
     report = simplify(f"{tmp_path}/in.usdz[tile.usdc]", tmp_path / "out.usda", flatten=flatten)
     assert report.prims[0].status == "simplified"
-    assert faces_at(Usd.Stage.Open(str(tmp_path / "out.usda")), CLOTH) == 50
+    assert faces_at(Usd.Stage.Open(str(tmp_path / "out.usda")), CLOTH) == 51
     with pytest.raises(StageError, match=r"in\.usdz\[none\.usdc\]: no such file"):
         simplify(f"{tmp_path}/in.usdz[none.usdc]", tmp_path / "out.usda")
 

@@ -49,10 +49,10 @@ def test_memory_decides_the_blocks_and_no_bit_of_the_result(tmp_path, monkeypatc
     monkeypatch.setattr("warpqem.usd.commands.mesh_job.KEPT_BYTES", 0)
     cloth_stage(tmp_path / "in.usda", times=TIMES)
     whole = written(tmp_path, "whole.usda")
-    options = SimplifyOptions(ratio=0.3, device="cpu", memory="300K")
+    options = SimplifyOptions(ratio=0.3, device="cpu", memory="400K")
     report = simplify_stage(tmp_path / "in.usda", tmp_path / "small.usda", options)
     assert report.prims[0].plan["block_count"] > 1
-    assert report.prims[0].plan["peak_bytes"] <= 300 * 1024
+    assert report.prims[0].plan["peak_bytes"] <= 400 * 1024
     assert text_of(tmp_path / "small.usda") == whole
 
 
@@ -214,7 +214,7 @@ def test_a_closed_mesh_is_not_read_for_welding(monkeypatch, tmp_path):
     monkeypatch.setattr("warpqem.usd.commands.mesh_job.KEPT_BYTES", 0)
     monkeypatch.setattr("warpqem.frames.blocks.BLOCK_BYTES", 1)
     monkeypatch.setattr("warpqem.pipeline.memory_plan.BLOCK_BYTES", 1)
-    simplify(tmp_path, "out.usda", key_frames=4, measure=False)
+    simplify(tmp_path, "out.usda", key_frames=4, quality="fast", measure=False)
     # Twice all frames, the key frames, the reference pose, and at most two blocks to see that no points coincide.
     assert len(read) <= 2 * len(TIMES) + 4 + 1 + 16
 

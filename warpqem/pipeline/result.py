@@ -74,6 +74,7 @@ class SimplifiedMesh(ArrayRecord):
         plan: the blocks of frames it was done in, and the memory for it.
         repair: what was mended of the input's topology before, see :mod:`warpqem.repair`; None where it was clean.
         copy_map: (V',) int32, the output vertex of each vertex of ``repair``; None without one.
+        refitted: whether the surface was fitted to the input as a whole, see ``refit`` of :func:`warpqem.simplify`.
         measuring: what measures it, see ``measured``; None for nothing.
     """
 
@@ -91,6 +92,7 @@ class SimplifiedMesh(ArrayRecord):
     components_removed: int = 0
     repair: MeshRepair | None = None
     copy_map: np.ndarray | None = None
+    refitted: bool = False
     measuring: Callable[[SimplifiedMesh], Measured] | None = field(default=None, repr=False, compare=False)
 
     def __repr__(self) -> str:
@@ -253,8 +255,10 @@ def with_frames(
     """
     mesh, array = work.mesh, ArraySink() if device is None else DeviceSink(device)
     placed = _place_progress(progress, mesh.frame_count)
+    refit = refit and not work.place_settings.endpoint and bool(placer.free.any())
+    result = replace(result, refitted=refit)
     placing = Placing(mesh, placer, array if sink is None else sink, work.blocks, result.faces, placed)
-    if refit and not work.place_settings.endpoint and placer.free.any():
+    if refit:
         on_disk = work.plan.scratch_bytes > 0
         # Errors are single precision: rounding gives the very one that was made a percentage.
         error = float(np.float32(result.error / 100.0))

@@ -47,8 +47,8 @@ def build_progressive(
     """Every level of an animated mesh from one run (progressive deforming meshes, Huang et al. 2006).
 
     A vertex of any level is placed over all frames from its own cluster of input vertices, as :func:`warpqem.simplify`
-    does, so a level does not depend on how it was reached: it has the same bits as the result for its face count,
-    with all components kept and without a last fit of the surface. Where topology is mended (:mod:`warpqem.repair`),
+    does, so a level does not depend on how it was reached: it has the faces of the result for its face count with all
+    components kept, and with ``quality`` "fast" its bits. Where topology is mended (:mod:`warpqem.repair`),
     its vertices are those of the input, and behind them the copies of those that were cut.
 
     Args:

@@ -74,7 +74,7 @@ def fit_skin(
     offsets: ArrayInput | None = None,
     start_offsets: ArrayInput | None = None,
     seams: ArrayInput | None = None,
-    to_planes: bool = True,
+    to_planes: bool | None = None,
     device: str | None = None,
 ) -> FittedSkin:
     """Fit the skin of a simplified mesh over P poses, the first of them the rest shape.
@@ -94,7 +94,7 @@ def fit_skin(
         start_offsets: (P, C, 3), the same for the output vertices; needed with ``offsets`` and ``start``.
         seams: (S, 2) vertex pairs, as given to :func:`warpqem.simplify`.
         to_planes: aim at the least of each vertex's quadrics, as the skin keeps it on the material by itself. False: at
-            where ``result`` has it, which is better after a refit.
+            where ``result`` has it, which is better after a refit. None: the one that is better for ``result``.
         device: Warp device; None takes cuda:0 if present, else cpu.
 
     Raises:
@@ -187,7 +187,7 @@ def prepare_fit(
     """Check the arguments of :func:`fit_skin`, which see, and prepare the solves."""
     device, result = resolve_device(device), check_result(result)
     given = _checked(points, faces, result, skin, transforms, start, influences, offsets, start_offsets)
-    to_planes = flag(to_planes, "to_planes")
+    to_planes = not result.refitted if to_planes is None else flag(to_planes, "to_planes")
     start, start_offsets = given.start, given.start_offsets
     if start is None:
         start, start_offsets = _blended_start(given, result, seams, device)

@@ -97,7 +97,7 @@ def reduce_joints(
     offsets: ArrayInput | None = None,
     start_offsets: ArrayInput | None = None,
     seams: ArrayInput | None = None,
-    to_planes: bool = True,
+    to_planes: bool | None = None,
     device: str | None = None,
 ) -> ReducedJoints:
     """Fit the skin of a simplified mesh over P poses with fewer joints, the first pose being the rest shape.

@@ -108,7 +108,7 @@ class CoreCalls:
                 assert poses is not None
                 return [interpolated(poses, result, transfer)] if limit else []
             try:
-                return fitter.fit_steps(result, transfer, self._options.refits, self._options.device)
+                return fitter.fit_steps(result, transfer, self._options.device)
             except MeshShapeError as error:
                 # What UsdSkel makes of the skin is not what its arrays say.
                 self._reports[job.mesh.path].skin = f"interpolated: {error}"

@@ -194,25 +194,20 @@ class SkinFitter:
         first, last = np.searchsorted(self._frames, [frames.start, frames.stop])
         self._points[first:last] = points[self._frames[first:last] - frames.start]
 
-    def fit(
-        self, result: SimplifiedMesh, transfer: AttributeTransfer, refitted: bool, device: str | None
-    ) -> FittedMesh:
+    def fit(self, result: SimplifiedMesh, transfer: AttributeTransfer, device: str | None) -> FittedMesh:
         """Fit the skin, with as few joints as may be.
 
         Args:
             result: The simplified mesh, whose frames went through here.
             transfer: Where it gets its values from.
-            refitted: Whether its surface was fitted as a whole, which the skin is then to follow.
             device: Warp device; None for the default.
 
         Raises:
             MeshShapeError: the poses are not what joints and blend shapes give.
         """
-        return self.fit_steps(result, transfer, refitted, device)[0]
+        return self.fit_steps(result, transfer, device)[0]
 
-    def fit_steps(
-        self, result: SimplifiedMesh, transfer: AttributeTransfer, refitted: bool, device: str | None
-    ) -> list[FittedMesh]:
+    def fit_steps(self, result: SimplifiedMesh, transfer: AttributeTransfer, device: str | None) -> list[FittedMesh]:
         """Skins with as few joints as may be, and with more and more up to all; arguments and errors of `fit`."""
         poses, job = self.poses, self.poses.job
         assert job.skin is not None
@@ -231,7 +226,7 @@ class SkinFitter:
             "offsets": None if offsets is None else offsets[:, poses.vertex_point],
             "start_offsets": None if offsets is None else np.stack([rows.blend(offset) for offset in offsets]),
             "seams": job.seams.hold(),
-            "to_planes": not refitted,
+            "to_planes": None,
         }
         if self.reduces:
             self._goals["parents"] = joint_parents(poses.poser)
