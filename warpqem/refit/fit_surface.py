@@ -64,7 +64,7 @@ MAX_GROWTH = 1.0
 # Below this, in diagonals, no distance counts as larger than another: ten times what float32 resolves.
 SMALLEST_DISTANCE = 1e-6
 # Places that come further away are held so often, more and more.
-ATTEMPTS = 3
+ATTEMPTS = 5
 # Then their whole component moves by these shares of what is left, and stays as placed in the end.
 SHARES = (0.5, 0.5, 0.0)
 
@@ -115,8 +115,8 @@ def fit_corrections(
     for round_index in range(ROUNDS):
         fit.improve(reach, first=round_index == 0)
     fit.hold_back(placed, blocks)
-    for _ in range(ATTEMPTS):
-        if not fit.hold_far_places(reach):
+    for attempt in range(ATTEMPTS):
+        if not fit.hold_far_places(reach, attempt):
             return fit.apply
         fit.hold_back(placed, blocks)
     for share in SHARES:
@@ -315,16 +315,19 @@ class _Refit:
         np.maximum.at(limits, self._component[face[found]], squared[found])
         return MAX_GROWTH**2 * limits
 
-    def hold_far_places(self, reach: float) -> bool:
+    def hold_far_places(self, reach: float, rings: int) -> bool:
         """Stiffen places that have come further away than any of their component was as placed: whether there are some.
 
-        The surfaces are paired anew, so that all corrections are found once more.
+        And so many rings of vertices around them. The surfaces are paired anew, so that all corrections are found once
+        more.
         """
         far = self._far_faces(reach)
         if len(far):
             self._matched_at = self._correction
             marked = np.zeros(self._vertex_count, dtype=bool)
             marked[self._faces[far].ravel()] = True
+            for _ in range(rings):
+                marked[self._faces[marked[self._faces].any(axis=1)].ravel()] = True
             self._stiffen(marked)
         return len(far) > 0
 
