@@ -15,6 +15,7 @@ from tests.support.moving_meshes import BAR, SPHERE, rms
 from warpqem.decimation.adjacency import build_adjacency
 from warpqem.kernels.element_solve import Elements
 from warpqem.measure import compare
+from warpqem.refit import fit_surface
 from warpqem.refit.matching import OUTPUT_SAMPLES
 from warpqem.refit.solve import solve_elements
 
@@ -296,3 +297,21 @@ def test_solving_waits_for_the_device_once():
     with cuda_semantics.counted() as traffic:
         solve_elements(elements, right)
     assert (traffic.graph_launches, traffic.readbacks, traffic.values_read) == (1, 1, 2)
+
+
+def test_each_attempt_holds_one_more_ring_around_a_place_that_comes_further_away(device, monkeypatch):
+    # The face stays too far: all attempts are made, and at last its component stays as placed.
+    held, stiffen = [], fit_surface._Refit._stiffen
+    monkeypatch.setattr(fit_surface._Refit, "_far_faces", lambda self, reach: np.array([7]))
+    monkeypatch.setattr(
+        fit_surface._Refit, "_stiffen", lambda self, marked: (held.append(marked.copy()), stiffen(self, marked))[1]
+    )
+    points, faces = meshes.swaying_sphere(3, 4)
+    result = warpqem.simplify(points, faces, ratio=0.3, device=device)
+    ring = np.zeros(result.points.shape[1], dtype=bool)
+    ring[result.faces[7]] = True
+    for _ in range(fit_surface.ATTEMPTS):
+        assert any(np.array_equal(ring, marked) for marked in held)
+        ring[result.faces[ring[result.faces].any(axis=1)].ravel()] = True
+    placed = warpqem.simplify(points, faces, ratio=0.3, refit=False, device=device)
+    np.testing.assert_array_equal(result.faces, placed.faces)

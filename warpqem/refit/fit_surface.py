@@ -63,7 +63,7 @@ REACH = 4.0
 MAX_GROWTH = 1.0
 # Below this, in diagonals, no distance counts as larger than another: ten times what float32 resolves.
 SMALLEST_DISTANCE = 1e-6
-# Places that come further away are held so often, more and more.
+# Places that come further away are held so often, each time with one more ring of vertices around them.
 ATTEMPTS = 5
 # Then their whole component moves by these shares of what is left, and stays as placed in the end.
 SHARES = (0.5, 0.5, 0.0)
