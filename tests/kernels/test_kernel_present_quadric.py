@@ -14,6 +14,7 @@ from warpqem.decimation.initial_quadrics import CONSTRAINT_WEIGHT
 from warpqem.kernels.edge_cost import compute_all_costs, update_neighbourhood_costs
 from warpqem.kernels.lanes import width_of
 from warpqem.kernels.memoryless_quadric import LineWeights, renew_quadrics
+from warpqem.kernels.topology import SEAM
 from warpqem.measure import compare
 
 MESHES = {
@@ -63,6 +64,9 @@ def test_seams_count_as_where_quadrics_begin(device):
     mesh = build_mesh(points, faces, device)
     before = mesh.quadric.copy()
     mesh.state.seam = wp.array(seam, device=device)
+    flags = mesh.state.vertex_flags.numpy()
+    flags[list(edge)] |= int(SEAM)
+    mesh.state.vertex_flags.assign(flags)
     renew(mesh, slice(None), device)
     changed = np.flatnonzero(np.abs(mesh.quadric - before).max(axis=(1, 2)) > 1e-4)
     assert set(changed) == edge

@@ -82,7 +82,7 @@ def test_instances_of_another_variant_show_that_variant(tmp_path, flatten):
         ("/A/Thing/Tile", 32, 13), ("/A/Copy1/Tile", 72, 29)
     ]  # fmt: skip
     check_stage(result)
-    for name, count in (("Thing", 12), ("Copy1", 29), ("Copy2", 29)):
+    for name, count in (("Thing", 13), ("Copy1", 29), ("Copy2", 29)):
         assert faces_at(result, f"/A/{name}/Tile") == count
         heat = result.GetPrimAtPath(f"/A/{name}/Tile").GetAttribute("primvars:heat")
         assert (heat.Get() is not None) == (name == "Thing")
