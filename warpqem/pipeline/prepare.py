@@ -187,11 +187,13 @@ def prepare(
 
 
 def check_metric_options(options: MeshOptions, spec: CostModelSpec) -> None:
-    """Refuse options of another cost model.
+    """Refuse options of another cost model, and what is no such option.
 
     Raises:
         OptionError: there is one.
     """
+    if not isinstance(options.motion, MotionWeighting | None):
+        raise OptionError(f"motion must be a MotionWeighting or None, got {shown(options.motion)}")
     if options.face is not None and not spec.keeps_face:
         raise OptionError(f"face= needs metric 'face', not {spec.name!r}")
     if options.motion is not None and not spec.uses_motion_features:
