@@ -24,6 +24,11 @@ class Limits:
         below = value < self.high if self.open_high else value <= self.high
         return above and below and (self.infinite or math.isfinite(value))
 
+    @property
+    def expected(self) -> str:
+        """What a message says must be given, such as "in (0, 1]" or "a finite number above 0"."""
+        return f"a finite number {self}" if math.isinf(self.high) and not self.infinite else str(self)
+
     def __str__(self) -> str:
         """The range as messages and help name it, such as "in (0, 1]" or "above 0"."""
         if math.isinf(self.high):

@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from warpqem.arguments.limits import Limits
 from warpqem.errors import OptionError
 
-__all__ = ["check_function", "flag", "real_number", "shown", "whole_number"]
+__all__ = ["check_function", "flag", "number_within", "real_number", "shown", "whole_number"]
 
 
 def real_number(value: Any, name: str, expected: str, is_allowed: Callable[[float], bool]) -> float:
@@ -30,6 +31,15 @@ def real_number(value: Any, name: str, expected: str, is_allowed: Callable[[floa
     if number is None or not is_allowed(number):
         raise OptionError(f"{name} must be {expected}, got {shown(value)}")
     return number
+
+
+def number_within(value: Any, name: str, limits: Limits) -> float:
+    """A number in the range of an option.
+
+    Raises:
+        OptionError: it is none, or outside the range.
+    """
+    return real_number(value, name, limits.expected, limits.__contains__)
 
 
 def whole_number(value: Any, name: str, least: int = 1, expected: str | None = None) -> int:
