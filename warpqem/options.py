@@ -323,9 +323,9 @@ def check_ratio(ratio: Any) -> float:
     Raises:
         OptionError: it is none.
     """
-    from warpqem.arguments.number_input import real_number
+    from warpqem.arguments.number_input import number_within
 
-    return real_number(ratio, "ratio", str(SHARE), SHARE.__contains__)
+    return number_within(ratio, "ratio", SHARE)
 
 
 def target_count(ratio: float, face_count: int) -> int:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from warpqem.arguments.limits import Limits
+from warpqem.arguments.number_hints import number_hint
 from warpqem.errors import OptionError
 
 __all__ = ["check_function", "flag", "number_within", "real_number", "shown", "whole_number"]
@@ -39,7 +40,10 @@ def number_within(value: Any, name: str, limits: Limits) -> float:
     Raises:
         OptionError: it is none, or outside the range.
     """
-    return real_number(value, name, limits.expected, limits.__contains__)
+    number = _number(value)
+    if number is None or number not in limits:
+        raise OptionError(f"{name} must be {limits.expected}, got {shown(value)}{number_hint(name, value, limits)}")
+    return number
 
 
 def whole_number(value: Any, name: str, least: int = 1, expected: str | None = None) -> int:

@@ -14,10 +14,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from warpqem.arguments.limits import ABOVE_0, COUNT, Limits
 from warpqem.cli import messages
 from warpqem.cli.console import EXIT_FAILED, EXIT_INTERRUPTED, load_usd, print_message, quiet_libraries
 from warpqem.cli.crash_guard import interruptible
 from warpqem.cli.logs import LogJson, Quiet, Verbose, start_logging
+from warpqem.cli.number_parameters import number, whole
 from warpqem.cli.option_parameters import takes_options
 from warpqem.cli.progress_bar import progress_bar
 from warpqem.cli.tables import print_table
@@ -101,6 +103,7 @@ def batch(
         int | None,
         typer.Option(
             metavar="COUNT",
+            parser=whole(COUNT),
             rich_help_panel="Machine",
             help="Processes on this machine; by default one for each GPU, or for each core without any.",
         ),
@@ -108,7 +111,10 @@ def batch(
     timeout: Annotated[
         float | None,
         typer.Option(
-            metavar="SECONDS", rich_help_panel="Machine", help="Stop an asset that takes longer, and go on without it."
+            metavar="SECONDS",
+            parser=number(ABOVE_0, "SECONDS"),
+            rich_help_panel="Machine",
+            help="Stop an asset that takes longer, and go on without it.",
         ),
     ] = None,
     retries: Annotated[
@@ -116,6 +122,7 @@ def batch(
         typer.Option(
             hidden=True,
             metavar="COUNT",
+            parser=whole(Limits(0)),
             rich_help_panel="Machine",
             help="How often to begin anew what has lost its process.",
         ),
@@ -141,7 +148,11 @@ def batch(
     cpus: Annotated[
         float,
         typer.Option(
-            hidden=True, metavar="CORES", rich_help_panel="Machine", help="With --engine ray: CPU cores of an asset."
+            hidden=True,
+            metavar="CORES",
+            parser=number(ABOVE_0),
+            rich_help_panel="Machine",
+            help="With --engine ray: CPU cores of an asset.",
         ),
     ] = 1.0,
     gpus: Annotated[
@@ -149,6 +160,7 @@ def batch(
         typer.Option(
             hidden=True,
             metavar="GPUS",
+            parser=number(Limits(0)),
             rich_help_panel="Machine",
             help="With --engine ray: GPUs of an asset, such as 0.25; by default 1 if any.",
         ),

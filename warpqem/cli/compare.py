@@ -6,9 +6,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from warpqem.arguments.limits import ABOVE_0, COUNT
 from warpqem.cli.appearance_table import appearance_table
 from warpqem.cli.console import EXIT_FAILED, load_usd, print_message, quiet_libraries, write_json
 from warpqem.cli.logs import ShownQuiet
+from warpqem.cli.number_parameters import number, whole
 from warpqem.cli.parameters import Device, Frames, JsonReport, Prims, ReportPage, Variants
 from warpqem.cli.progress_bar import progress_bar
 from warpqem.cli.tables import PlainTable, error_text, print_table, shortened_path, upper_text
@@ -35,6 +37,7 @@ def compare(
         int | None,
         typer.Option(
             metavar="COUNT",
+            parser=whole(COUNT),
             help="Number of sample points on each mesh in each frame; by default as many as suit the number of frames, "
             "which are those of simplify.",
         ),
@@ -59,6 +62,7 @@ def compare(
         float | None,
         typer.Option(
             metavar="PCT",
+            parser=number(ABOVE_0, "PCT"),
             help="Distance of the heat map's last colour, in % of the bounding-box diagonal; by default the Hausdorff "
             "distance",
         ),

@@ -16,6 +16,7 @@ import typer.core
 from warpqem.cli import messages
 from warpqem.cli.flag_names import error_text, flags_of
 from warpqem.cli.messages import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_USAGE, print_message, printed_messages
+from warpqem.cli.number_parameters import usage_text
 from warpqem.errors import OptionError, StageError, WarpqemError
 from warpqem.printable import printable_lines
 from warpqem.runtime.process_limits import limit_behind_error, with_limit
@@ -100,7 +101,7 @@ class OneLineErrors(typer.core.TyperGroup):
         except Exception as error:
             # Typer has its own copy of click since 0.26, so its usage errors are known by what they offer.
             if hasattr(error, "format_message"):
-                print_message("error", f"{error.format_message()} (see warpqem --help)")
+                print_message("error", f"{usage_text(error.format_message())} (see warpqem --help)")
                 return EXIT_USAGE
             limit = limit_behind_error(error)
             if os.environ.get(TRACEBACK_VARIABLE):

@@ -6,14 +6,16 @@ from typing import Annotated, Any
 
 import typer
 
+from warpqem.arguments.limits import Limits
 from warpqem.cli.console import load_usd, quiet_libraries, write_json
 from warpqem.cli.examples import epilog
 from warpqem.cli.help_option import Command, Group
+from warpqem.cli.number_parameters import number, whole
 from warpqem.cli.option_parameters import takes_options
 from warpqem.cli.parameters import Device, Frames, Input, JsonReport, Output, ReportPage
 from warpqem.cli.simplify import run_simplify
 from warpqem.cli.tables import PlainTable, print_table
-from warpqem.usd.commands.simplify_options import SimplifyOptions
+from warpqem.usd.commands.simplify_options import POINT_WEIGHTS, SimplifyOptions
 
 __all__ = ["face"]
 
@@ -118,6 +120,7 @@ def simplify(
         float | None,
         typer.Option(
             metavar="WEIGHT",
+            parser=number(POINT_WEIGHTS),
             hidden=True,
             help="Weight of the quadrics of a feature point and of its neighbours, which are summed at it (equation 1 "
             "of multiresolution facial animation); 100 by default.",
@@ -126,7 +129,10 @@ def simplify(
     ring: Annotated[
         int | None,
         typer.Option(
-            metavar="EDGES", hidden=True, help="Neighbours up to so many edges away are summed; 1 by default."
+            metavar="EDGES",
+            parser=whole(Limits(0)),
+            hidden=True,
+            help="Neighbours up to so many edges away are summed; 1 by default.",
         ),
     ] = None,
     keep: Annotated[

@@ -41,18 +41,20 @@ def features(
     with progress_bar("loading") as progress:
         quiet_libraries()
         load_usd()
-        from warpqem.costs.motion_features import motion_weighting
         from warpqem.files.outputs import named_outputs
-        from warpqem.usd import FrameRange, color_features
+        from warpqem.usd import color_features
+        from warpqem.usd.commands.option_values import read_options
 
+        # Nothing is simplified.
+        asked = read_options({**options, "ratio": 1.0})
         progress(0.0, "reading")
         reports = color_features(
             input_file,
             output,
-            prims=tuple(options["prim"] or ()),
-            frames=FrameRange.parse(options["frames"]) if options["frames"] else None,
-            weighting=motion_weighting(options["feature_threshold"], options["feature_floor"]),
-            device=options["device"],
+            prims=asked.prims,
+            frames=asked.frames,
+            weighting=asked.motion,
+            device=asked.device,
             progress=progress,
             other_outputs=named_outputs({"--json": json}),
         )

@@ -6,8 +6,10 @@ from typing import Annotated
 
 import typer
 
+from warpqem.arguments.limits import ANY, COUNT
 from warpqem.cli.console import load_usd, print_message, quiet_libraries
 from warpqem.cli.logs import ShownQuiet
+from warpqem.cli.number_parameters import number, whole
 from warpqem.cli.parameters import Device, Frames, Input, Prims, Variants
 from warpqem.cli.progress_bar import progress_bar
 from warpqem.errors import OptionError
@@ -30,11 +32,16 @@ def render(
         bool, typer.Option("--heatmap", help="With --reference: a third row coloured by the distance from it.")
     ] = False,
     pictures: Annotated[
-        int, typer.Option(metavar="COUNT", help="Pictures in a row, spread evenly over the animation.")
+        int,
+        typer.Option(metavar="COUNT", parser=whole(COUNT), help="Pictures in a row, spread evenly over the animation."),
     ] = 4,
     size: Annotated[str, typer.Option(metavar="WxH", help="Size of one picture, in pixels.")] = "480x360",
-    azimuth: Annotated[float, typer.Option(metavar="DEG", help="View about the up axis, in degrees.")] = 30.0,
-    elevation: Annotated[float, typer.Option(metavar="DEG", help="View above the horizon, in degrees.")] = 12.0,
+    azimuth: Annotated[
+        float, typer.Option(metavar="DEG", parser=number(ANY, "DEG"), help="View about the up axis, in degrees.")
+    ] = 30.0,
+    elevation: Annotated[
+        float, typer.Option(metavar="DEG", parser=number(ANY, "DEG"), help="View above the horizon, in degrees.")
+    ] = 12.0,
     lines: Annotated[bool, typer.Option("--lines", help="Draw the edges.")] = False,
     smooth: Annotated[
         bool,

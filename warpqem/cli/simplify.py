@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from warpqem.arguments.limits import ABOVE_0
 from warpqem.cli import messages
 from warpqem.cli.console import EXIT_FAILED, load_usd, print_message, quiet_libraries, write_json
 from warpqem.cli.logs import Quiet, Verbose, start_logging
 from warpqem.cli.message_groups import file_size
+from warpqem.cli.number_parameters import number
 from warpqem.cli.option_parameters import takes_options
 from warpqem.cli.parameters import JsonReport, MeshInput, MeshOutput, ReportPage
 from warpqem.cli.problem_lines import grouped_lines
@@ -45,6 +47,7 @@ def simplify(
         typer.Option(
             hidden=True,
             metavar="RATE",
+            parser=number(ABOVE_0),
             rich_help_panel="Input",
             help="With mesh files as IN: frames per second; their numbers are the time codes. [default: 24]",
         ),

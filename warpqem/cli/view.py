@@ -9,14 +9,18 @@ from typing import Annotated, Any
 
 import typer
 
+from warpqem.arguments.limits import Limits
 from warpqem.cli.console import load_usd, print_message, quiet_libraries
 from warpqem.cli.crash_guard import interruptible
+from warpqem.cli.number_parameters import whole
 from warpqem.cli.parameters import Device, Frames, MeshMemory, Prims, Variants
 from warpqem.cli.progress_bar import progress_bar
 from warpqem.errors import MemoryLimitError, OptionError, StageError, WarpqemError
 
 __all__ = ["EXAMPLES", "view"]
 
+# Of TCP.
+PORTS = Limits(0, 65535)
 # Under its help; tests run them.
 EXAMPLES = ("warpqem view cape_wind.usdc cape.usda",)
 
@@ -29,7 +33,10 @@ def view(
         str | None, typer.Argument(metavar="[OUT]", help="USD file to show beside it, such as what simplify wrote.")
     ] = None,
     port: Annotated[
-        int, typer.Option(metavar="PORT", help="Port of this machine to serve at; 0 takes any that is free.")
+        int,
+        typer.Option(
+            metavar="PORT", parser=whole(PORTS), help="Port of this machine to serve at; 0 takes any that is free."
+        ),
     ] = 0,
     browser: Annotated[
         bool, typer.Option("--browser/--no-browser", help="Open the page in the browser, or only print its address.")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 from dataclasses import dataclass
-from numbers import Real
 from typing import TYPE_CHECKING, Any, Literal
 
 from warpqem.arguments.limits import WEIGHTS, Limits
@@ -36,7 +35,7 @@ if TYPE_CHECKING:
     from warpqem.costs.motion_features import MotionWeighting
     from warpqem.face import FaceProtection, FacialFeatures
 
-__all__ = ["GOALS", "SimplifyOptions"]
+__all__ = ["GOALS", "POINT_WEIGHTS", "SimplifyOptions"]
 
 # These say how far to simplify.
 GOALS = ("ratio", "faces", "max_error", "max_distance", "screen", "lods")
@@ -48,6 +47,8 @@ VaryingTopology = Literal["runs", "refuse"]
 Axis = Literal["x", "y", "z", "auto"]
 # A dihedral angle changes by half a turn at most.
 ANGLE = Limits(0.0, 180.0)
+# Of feature points, see `warpqem.face.FaceProtection`.
+POINT_WEIGHTS = Limits(1.0, 1e12)
 
 
 @dataclass(frozen=True)
@@ -215,7 +216,7 @@ class SimplifyOptions(RigOptions):
         "With --metric face: weight of the quadrics of a feature point and of its neighbours, which are summed at it "
         "(equation 1 of multiresolution facial animation); 100 by default.",
         "WEIGHT",
-        Limits(1.0, 1e12),
+        POINT_WEIGHTS,
         panel="What to keep",
     )
     face_ring: int | None = option(
@@ -333,10 +334,6 @@ class SimplifyOptions(RigOptions):
     def __post_init__(self) -> None:
         """Check the options, and those that need or exclude each other."""
         self._check_goals()
-        if isinstance(self.ratio, Real) and 1 < self.ratio <= 100:
-            raise OptionError(
-                f"`ratio` must be in (0, 1], got {self.ratio:g}; for {self.ratio:g} % give {self.ratio / 100:g}"
-            )
         check_options(self)
         if self.faces is not None:
             check_faces(self.faces)

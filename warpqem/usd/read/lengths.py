@@ -31,7 +31,7 @@ def parse_length(value: float | str, meters_per_unit: float) -> float:
     unit = found[2] if found else ""
     if isinstance(value, bool) or (unit and unit not in METRES) or not 0.0 < number < math.inf:
         raise OptionError(
-            f"max_distance {value!r}: expected a length above 0 in units of the stage, or with one of "
+            f"max_distance {value!r}: expected a length, finite and above 0, in units of the stage, or with one of "
             f"{', '.join(METRES)}, such as 2mm"
         )
     return number if not unit else number * METRES[unit] / meters_per_unit
