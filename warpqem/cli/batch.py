@@ -15,10 +15,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from warpqem.arguments.limits import ABOVE_0, COUNT, Limits
-from warpqem.cli import messages
 from warpqem.cli.console import EXIT_FAILED, EXIT_INTERRUPTED, load_usd, print_message, quiet_libraries
 from warpqem.cli.crash_guard import interruptible
-from warpqem.cli.logs import LogJson, Quiet, Verbose, start_logging
+from warpqem.cli.logs import LogJson, start_logging, takes_verbosity
 from warpqem.cli.number_parameters import number, whole
 from warpqem.cli.option_parameters import takes_options
 from warpqem.cli.progress_bar import progress_bar
@@ -57,6 +56,7 @@ class OutputFormat(str, Enum):
     usdz = "usdz"
 
 
+@takes_verbosity
 @takes_options(SimplifyOptions, hidden=("frames", "prim", "bake", "flatten"))
 def batch(
     inputs: Annotated[
@@ -183,8 +183,8 @@ def batch(
             help="Write an overview (.html) with pictures; it opens offline.",
         ),
     ] = None,
-    quiet: Quiet = False,
-    verbose: Verbose = 0,
+    quiet: bool = False,
+    verbose: int = 0,
     log_json: LogJson = None,
 ) -> None:
     """Simplify many assets, each as `warpqem simplify` does; one that fails costs the others nothing.
@@ -193,10 +193,8 @@ def batch(
 
     Exit codes: 0 all done; 1 an error, or some asset or mesh failed; 2 wrong usage; 130 interrupted.
     """
-    messages.quiet = quiet
     quiet_libraries()
     load_usd()
-    start_logging(verbose, None)
     from warpqem.batching.jobs import check_jobs
     from warpqem.batching.journal import JOURNAL_NAME
     from warpqem.batching.output_check import check_batch_outputs

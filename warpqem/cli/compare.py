@@ -9,7 +9,7 @@ import typer
 from warpqem.arguments.limits import ABOVE_0, COUNT
 from warpqem.cli.appearance_table import appearance_table
 from warpqem.cli.console import EXIT_FAILED, load_usd, print_message, quiet_libraries, write_json
-from warpqem.cli.logs import ShownQuiet
+from warpqem.cli.logs import takes_verbosity
 from warpqem.cli.number_parameters import number, whole
 from warpqem.cli.parameters import Device, Frames, JsonReport, Prims, ReportPage, Variants
 from warpqem.cli.progress_bar import progress_bar
@@ -28,6 +28,7 @@ MAX_WORST, NOTE_WIDTH = 8, 40
 LAST_SHOWN = ("normals deg", "frames", "mean %", "jitter %", "slide %", "slide 95 %", "edge length %")
 
 
+@takes_verbosity
 def compare(
     reference: Annotated[str, typer.Argument(metavar="REFERENCE", help="USD file with the original meshes.")],
     test: Annotated[
@@ -70,7 +71,6 @@ def compare(
     device: Device = None,
     report: ReportPage = None,
     json: JsonReport = None,
-    quiet: ShownQuiet = False,
 ) -> None:
     """Measure the meshes that TEST shows against those that REFERENCE shows at the same prim path, at the frames of
     both. What instances share is measured once.

@@ -10,6 +10,7 @@ from warpqem.arguments.limits import Limits
 from warpqem.cli.console import load_usd, quiet_libraries, write_json
 from warpqem.cli.examples import epilog
 from warpqem.cli.help_option import Command, Group
+from warpqem.cli.logs import takes_verbosity
 from warpqem.cli.number_parameters import number, whole
 from warpqem.cli.option_parameters import takes_options
 from warpqem.cli.parameters import Device, Frames, Input, JsonReport, Output, ReportPage
@@ -51,6 +52,7 @@ FindOrientation = Annotated[
         "warpqem face detect talking_head.usdc -o points.json --picture points.png",
     ),
 )
+@takes_verbosity
 def detect(
     input_file: Input,
     output: Annotated[
@@ -110,6 +112,7 @@ def detect(
         "warpqem face simplify talking_head.usdc -o head_620.usda --faces 620 --points points.json --ring 2",
     ),
 )
+@takes_verbosity
 @takes_options(SimplifyOptions, without=POINT_OPTIONS, hidden=("bake", "flatten"))
 def simplify(
     input_file: Input,
@@ -145,6 +148,8 @@ def simplify(
     ] = True,
     report: ReportPage = None,
     json: JsonReport = None,
+    quiet: bool = False,
+    verbose: int = 0,
 ) -> None:
     """Simplify and keep the feature points of the face as vertices: what simplify does with --metric face.
 
@@ -154,7 +159,9 @@ def simplify(
     Exit codes: 0 all done; 1 an error, or some mesh failed; 2 wrong usage; 130 interrupted.
     """
     chosen = {"face_points": points, "face_weight": weight, "face_ring": ring, "face_keep": keep}
-    run_simplify(input_file, output, {**options, "metric": "face", **chosen}, report, json)
+    run_simplify(
+        input_file, output, {**options, "metric": "face", **chosen}, report, json, quiet=quiet, verbose=verbose
+    )
 
 
 @face.command(
@@ -163,6 +170,7 @@ def simplify(
         "warpqem face retarget talking_head.usdc head_2000.usda -o talking_2000.usdc",
     ),
 )
+@takes_verbosity
 def retarget(
     source_file: Annotated[str, typer.Argument(metavar="SOURCE", help="USD file with the face that moves.")],
     target_file: Annotated[str, typer.Argument(metavar="TARGET", help="USD file with the face to move.")],

@@ -8,7 +8,7 @@ from typing import Any
 import typer
 
 from warpqem.cli.console import EXIT_FAILED, load_usd, print_message, quiet_libraries, write_json
-from warpqem.cli.logs import ShownQuiet
+from warpqem.cli.logs import takes_verbosity
 from warpqem.cli.option_parameters import takes_options
 from warpqem.cli.parameters import Input, JsonReport, Output
 from warpqem.cli.progress_bar import progress_bar
@@ -21,13 +21,13 @@ __all__ = ["EXAMPLES", "features"]
 EXAMPLES = ("warpqem features quadruped_gallop.usdc -o joints.usda",)
 
 
+@takes_verbosity
 @takes_options(SimplifyOptions, only=("frames", "feature_threshold", "feature_floor", "prim", "device"))
 def features(
     input_file: Input,
     output: Output,
     options: dict[str, Any],
     json: JsonReport = None,
-    quiet: ShownQuiet = False,
 ) -> None:
     """Colour the motion features, the parts that bend while a mesh moves: one colour for each, grey for the rest.
 

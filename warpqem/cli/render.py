@@ -8,7 +8,7 @@ import typer
 
 from warpqem.arguments.limits import ANY, COUNT
 from warpqem.cli.console import load_usd, print_message, quiet_libraries
-from warpqem.cli.logs import ShownQuiet
+from warpqem.cli.logs import takes_verbosity
 from warpqem.cli.number_parameters import number, whole
 from warpqem.cli.parameters import Device, Frames, Input, Prims, Variants
 from warpqem.cli.progress_bar import progress_bar
@@ -20,6 +20,7 @@ __all__ = ["EXAMPLES", "render"]
 EXAMPLES = ("warpqem render cape.usda -o sheet.png --reference cape_wind.usdc --heatmap --pictures 3",)
 
 
+@takes_verbosity
 def render(
     input_file: Input,
     output: Annotated[
@@ -54,7 +55,6 @@ def render(
     prim: Prims = None,
     variant: Variants = None,
     device: Device = None,
-    quiet: ShownQuiet = False,
 ) -> None:
     """Draw a contact sheet: the meshes of IN at several times, beside those of a reference, without a browser.
 

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from warpqem.arguments.limits import ABOVE_0
-from warpqem.cli import messages
 from warpqem.cli.console import EXIT_FAILED, load_usd, print_message, quiet_libraries, write_json
-from warpqem.cli.logs import Quiet, Verbose, start_logging
+from warpqem.cli.logs import takes_verbosity
 from warpqem.cli.message_groups import file_size
 from warpqem.cli.number_parameters import number
 from warpqem.cli.option_parameters import takes_options
@@ -37,6 +36,7 @@ EXAMPLES = (
 )
 
 
+@takes_verbosity
 @takes_options(SimplifyOptions)
 def simplify(
     input_file: MeshInput,
@@ -54,8 +54,8 @@ def simplify(
     ] = None,
     report: ReportPage = None,
     json: JsonReport = None,
-    quiet: Quiet = False,
-    verbose: Verbose = 0,
+    quiet: bool = False,
+    verbose: int = 0,
 ) -> None:
     """Simplify every mesh over all its frames.
 
@@ -79,8 +79,6 @@ def run_simplify(
     verbose: int = 0,
 ) -> None:
     """Simplify, and say what came of it."""
-    messages.quiet = quiet
-    start_logging(verbose, None)
     with progress_bar("loading") as progress:
         report = _simplified(input_file, output, options, page, json, fps, _print_plan if verbose else None, progress)
     for kind, text in grouped_lines(report.to_dict(), each=verbose > 0):

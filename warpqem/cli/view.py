@@ -10,8 +10,10 @@ from typing import Annotated, Any
 import typer
 
 from warpqem.arguments.limits import Limits
+from warpqem.cli import messages
 from warpqem.cli.console import load_usd, print_message, quiet_libraries
 from warpqem.cli.crash_guard import interruptible
+from warpqem.cli.logs import takes_verbosity
 from warpqem.cli.number_parameters import whole
 from warpqem.cli.parameters import Device, Frames, MeshMemory, Prims, Variants
 from warpqem.cli.progress_bar import progress_bar
@@ -25,6 +27,7 @@ PORTS = Limits(0, 65535)
 EXAMPLES = ("warpqem view cape_wind.usdc cape.usda",)
 
 
+@takes_verbosity
 def view(
     input_file: Annotated[
         str, typer.Argument(metavar="IN", help="USD file, or progressive mesh (.wpqm): any of its levels, live.")
@@ -72,7 +75,9 @@ def view(
     else:
         data = _stage_data(input_file, other, frames, prim, variant, device)
     server = PageServer(report_page(data), level, port)
-    print(server.address, flush=True)
+    # Without a browser the address is all that there is of the page.
+    if not (browser and messages.quiet):
+        print(server.address, flush=True)
     print_message("note", "stop with Ctrl+C")
     if browser:
         webbrowser.open(server.address)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -22,6 +23,8 @@ __all__ = [
     "open_with_problems",
     "world_scale",
 ]
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass
@@ -76,6 +79,7 @@ def open_with_problems(
     Raises:
         StageError: see `open_stage`.
     """
+    _log.info("%s: reading", os.fspath(path))
     opened = open_layers(path, roots)
     try:
         stage = Usd.Stage.Open(os.fspath(path))
