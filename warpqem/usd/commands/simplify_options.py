@@ -69,10 +69,10 @@ class SimplifyOptions(RigOptions):
         usd_lod: With `lods`, write the levels as prims below that root prim, with the schemas of UsdLod, instead.
         lod_files: With `lods`, write each level as a file of its own beside the output, which is not written itself:
             OUT_LOD1.usdc, OUT_LOD2.usdc, ... for OUT.usdc.
-        max_size_error: A mesh stops above its number of faces, or within its limit, where its error would pass so many
-            % of its bounding-box diagonal, see `warpqem.options.MeshOptions`; of two triangles none goes. 5, a
-            twentieth of its size, keeps cubes and cards whole, and lets meshes of some hundred triangles come down to a
-            twentieth of them. None or infinity for no limit.
+        max_size_error: A mesh stops above its number of faces, or within its limit, where the estimate of its error
+            would pass so many % of its bounding-box diagonal, see `warpqem.options.MeshOptions`; of two triangles none
+            goes. 5, a twentieth of its size, keeps cubes and cards whole, and lets meshes of some hundred triangles
+            come down to a twentieth of them. None or infinity for no limit.
         uv_weight: Weight of the error of texture coordinates in the order of collapses: at 1 an error of the whole UV
             square counts as much as one bounding-box diagonal, see `warpqem.costs.AttributeField`; 0 does not look at
             them. None for the weight of the metric: 0.1 of "face", 0 of the others.
@@ -133,8 +133,9 @@ class SimplifyOptions(RigOptions):
     )
     max_size_error: float | None = option(
         5.0,
-        "A mesh stops where its error would pass so many % of its bounding-box diagonal, so that cards and boxes are "
-        "not destroyed for a face count or a large distance; inf for no limit.",
+        "A mesh stops where the estimate of its error would pass so many % of its bounding-box diagonal, so that cards "
+        "and boxes are not destroyed for a face count or a large distance; inf for no limit. It is not proved, "
+        "as --max-error is: the measured distance may be larger.",
         "PCT",
         Limits(0.0, open_low=True, infinite=True),
         panel="Goal",
