@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Annotated
 
 import typer
@@ -81,7 +82,7 @@ def render(
             variants=tuple(variant or ()),
         )
         progress(0.0, "reading")
-        scale = render_sheet(input_file, output, options, reference, progress)
+        scale = render_sheet(input_file, output, options, reference, progress, partial(print_message, "warning"))
     if scale is not None:
         print_message("note", f"the brightest colour is at {scale:.3g} % of the bounding-box diagonal")
 

@@ -122,4 +122,6 @@ def _stage_data(
     with progress_bar("reading") as progress:
         chosen = FrameRange.parse(frames) if frames else None
         report = stage_report(path, other, tuple(prim or ()), chosen, tuple(variant or ()))
+        for note in report.notes:
+            print_message("note", note)
         return report_data(report, device, progress)
