@@ -6,6 +6,7 @@ import json
 import os
 import sys
 import traceback
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -160,10 +161,15 @@ def load_usd() -> None:
     _usd_messages = _usd_messages or UsdMessages()
 
 
+def _show_warning(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+    print_message("warning", " ".join(str(message).split()))
+
+
 def quiet_libraries() -> None:
-    """Keep Warp's messages off stdout, which belongs to the command's result."""
+    """Keep Warp's messages off stdout, which belongs to the command's result, and make lines of Python's warnings."""
     import warp
 
+    warnings.showwarning = _show_warning
     warp.config.log_level = warp.LOG_INFO
     warp.set_logger(_WarpMessages())
 

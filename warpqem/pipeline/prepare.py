@@ -26,6 +26,7 @@ from warpqem.frames.device_source import DeviceFrames
 from warpqem.frames.stream import held_bytes, read_ahead
 from warpqem.kernels.topology import CORNER, LOCKED, SEAM
 from warpqem.mesh.mesh_input import AnimatedMesh, FrameObserver, MeshInput, measure_mesh, read_mesh
+from warpqem.mesh.rounding import warn_of_rounding
 from warpqem.mesh.seams import Seams, read_seams
 from warpqem.options import Goal, MeshOptions
 from warpqem.pipeline.key_frames import KeyFrameChoice
@@ -288,6 +289,7 @@ def _look_through(
         hold=planned.device_frame_bytes > 0,
         progress=_read_progress(progress, given.frame_count),
     )
+    warn_of_rounding(mesh.rounding)
     keys = choice.choose()
     if motion is not None:
         factors = motion.features().weight * factors
