@@ -53,6 +53,19 @@ CLOTHS = {
         lambda m: UsdGeom.Subset.CreateGeomSubset(m, "part", "face", [3, 1, 3]),
         ["/Root/Cloth/part.indices: names a face twice at time default"],
     ),
+    "points out of range": (
+        lambda m: UsdGeom.Subset.CreateGeomSubset(m, "part", "point", [80, 81, -1]),
+        ["/Root/Cloth/part.indices: point 81 at time default does not exist (81 points; 2 such entries)"],
+    ),
+    "points": (lambda m: UsdGeom.Subset.CreateGeomSubset(m, "part", "point", [80, 0]), []),
+    "orientation": (
+        lambda m: m.CreateOrientationAttr("up"),
+        ["/Root/Cloth.orientation: 'up' at time default is none of rightHanded, leftHanded"],
+    ),
+    "visibility": (
+        lambda m: m.CreateVisibilityAttr().Set("never", 3.0),
+        ["/Root/Cloth.visibility: 'never' at time 3 is none of inherited, invisible"],
+    ),
     "transform": (
         lambda m: m.AddTranslateOp().Set(Gf.Vec3d(NAN, 0, 0)),
         ["/Root/Cloth: its transform to the world at time 1 is not finite"],
