@@ -72,8 +72,9 @@ class MethodOptions:
             they would be too far (:mod:`warpqem.pipeline.bounded`), which takes several times as long as a result by
             count.
         max_size_error: where to stop above the face count or within a limit, so that a small mesh is not destroyed: no
-            edge collapses whose error, as in ``SimplifiedMesh.error``, would pass so many % of the diagonal of the
-            mesh's bounding box. Nothing is proved or searched for, as it is with ``max_error``. None for no limit.
+            edge collapses whose error, an estimate as in ``SimplifiedMesh.error``, would pass so many % of the diagonal
+            of the mesh's bounding box. Nothing is proved or searched for, as it is with ``max_error``. None for no
+            limit.
         quality: "best" orders by quadrics of the present faces and fits the whole surface at the end, see
             ``memoryless`` and ``refit``: a better shape in two to three times the time of "fast", which does neither.
         metric: cost model: "dsd" (default), "qem", "dod", "aqem", "face", or the name of one of another package; a
@@ -113,7 +114,8 @@ class MethodOptions:
     )
     max_size_error: float | None = option(
         None,
-        "A mesh stops where its error would pass so many % of its bounding-box diagonal, whatever the goal.",
+        "A mesh stops where the estimate of its error would pass so many % of its bounding-box diagonal, whatever the "
+        "goal.",
         "PCT",
         ABOVE_0,
         panel="Goal",
@@ -323,9 +325,9 @@ def check_ratio(ratio: Any) -> float:
     Raises:
         OptionError: it is none.
     """
-    from warpqem.arguments.number_input import real_number
+    from warpqem.arguments.number_input import number_within
 
-    return real_number(ratio, "ratio", str(SHARE), SHARE.__contains__)
+    return number_within(ratio, "ratio", SHARE)
 
 
 def target_count(ratio: float, face_count: int) -> int:

@@ -123,6 +123,7 @@ def test_one_pose_is_shown_from_three_sides_and_two_frames_once_each():
         ({"faces": 100}, {"target_faces": 100}),
         ({"ratio": 0.4}, {"ratio": 0.4}),
         ({"max_error": 3.0}, {"max_error": 3.0}),
+        ({"max_size_error": 3.0}, {"max_size_error": 3.0}),
     ],
 )
 def test_a_level_is_named_by_faces_ratio_or_error(asked, same):
@@ -135,5 +136,7 @@ def test_a_level_is_named_by_faces_ratio_or_error(asked, same):
 
 @pytest.mark.parametrize("asked", [{}, {"faces": 100, "ratio": 0.5}, {"split_count": 3, "faces": 100}])
 def test_a_level_is_named_by_exactly_one_argument(asked):
-    with pytest.raises(warpqem.errors.OptionError, match="exactly one of split_count, faces, ratio and max_error"):
+    with pytest.raises(
+        warpqem.errors.OptionError, match="exactly one of split_count, faces, ratio, max_error and max_size_error"
+    ):
         RESULTS["progressive"]().level(**asked)

@@ -61,10 +61,10 @@ def test_a_view_is_read_from_its_parts():
     ("values", "message"),
     [
         ({"rotio": 1}, "no option 'rotio'; there are .*ratio"),
-        ({"ratio": "half"}, "ratio 'half'"),
+        ({"ratio": "half"}, r"ratio must be in \(0, 1\], got 'half'"),
         ({"faces": 2.5}, "faces 2.5: expected a whole number"),
         ({"ratio": 0.5, "weld": "perhaps"}, "weld 'perhaps': expected true or false"),
-        ({"ratio": True}, "ratio True: expected a number"),
+        ({"ratio": True}, r"ratio must be in \(0, 1\], got True"),
         ({"ratio": 0.5, "metric": 3}, "metric 3: expected text"),
         ({"ratio": 0.5, "prim": [3]}, "prim"),
         ({"lods": ""}, "lods"),

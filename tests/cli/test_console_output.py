@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import io
+import json
 import re
+from typing import Any
 
 import pytest
+import typer
 from hypothesis import given
 from hypothesis import strategies as st
 from pxr import UsdGeom
@@ -13,6 +16,7 @@ from rich.console import Console
 
 from tests.support.cli import run
 from tests.support.usd_stages import cloth_stage, define_cloth
+from warpqem.cli.main import app
 from warpqem.cli.message_groups import file_size, group_messages
 from warpqem.cli.tables import PlainTable, shortened_path
 
@@ -202,16 +206,57 @@ def test_the_program_alone_shows_its_help():
     assert "error" not in done.stderr
 
 
-def test_quiet_is_an_option_of_all_commands_that_write_or_measure(tmp_path):
+def leaves(command: Any, path: tuple[str, ...] = ()) -> dict[tuple[str, ...], Any]:
+    """All commands by the words that name them."""
+    below = getattr(command, "commands", {})
+    found = {} if below else {path: command}
+    for name, other in below.items():
+        found |= leaves(other, (*path, name))
+    return found
+
+
+COMMANDS = leaves(typer.main.get_command(app))
+
+
+@pytest.mark.parametrize("path", COMMANDS, ids=" ".join)
+def test_quiet_and_verbose_are_options_of_every_command_and_exclude_each_other(path, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    options = {option for parameter in COMMANDS[path].params for option in parameter.opts}
+    assert options >= {"--quiet", "-q", "--verbose", "-v"}
+    needed = [parameter for parameter in COMMANDS[path].params if parameter.required]
+    given = [
+        text
+        for parameter in needed
+        for text in ([] if parameter.opts[0][0] != "-" else parameter.opts[:1]) + ["a.usda"]
+    ]
+    for both in (["-q", "-v"], ["-vv", "--quiet"], ["-qv"]):
+        done = run(*path, *given, *both)
+        assert (done.exit_code, done.stderr) == (2, "error: --quiet and --verbose exclude each other\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_every_command_that_prints_is_quiet_and_says_what_it_reads(tmp_path):
     cloth_stage(tmp_path / "in.usda")
     run("simplify", tmp_path / "in.usda", "-o", tmp_path / "out.usda", "--ratio", "0.5", "--device", "cpu")
     commands = (
         ("compare", tmp_path / "in.usda", tmp_path / "out.usda", "--device", "cpu", "--json", tmp_path / "found.json"),
         ("features", tmp_path / "in.usda", "-o", tmp_path / "joints.usda", "--device", "cpu"),
         ("render", tmp_path / "in.usda", "-o", tmp_path / "a.png", "--pictures", "1", "--device", "cpu"),
+        ("info", tmp_path / "in.usda", "--json", tmp_path / "info.json"),
+        ("progressive", "build", tmp_path / "in.usda", "-o", tmp_path / "a.wpqm", "--device", "cpu"),
+        ("progressive", "extract", tmp_path / "a.wpqm", "-o", tmp_path / "b.usda", "--ratio", "0.5"),
+        ("progressive", "info", tmp_path / "a.wpqm"),
     )
     for command in commands:
         done = run(*command, "-q")
         assert (done.exit_code, done.output) == (0, ""), command
+        done = run(*command, "-v")
+        assert (
+            f"INFO: {next(text for text in command[1:] if str(text).startswith(str(tmp_path)))}: reading" in done.stderr
+        )
+        assert done.exit_code == 0
     assert run(*commands[0]).stdout
-    assert (tmp_path / "found.json").exists()
+    assert json.loads((tmp_path / "found.json").read_text())
+    assert json.loads((tmp_path / "info.json").read_text())
+    # Of one run nothing is left to the next.
+    assert "INFO" not in run(*commands[3]).output

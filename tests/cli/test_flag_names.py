@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import pickle
+import re
 
+import numpy as np
 import pytest
 
+import warpqem
+from tests.support import meshes
 from tests.support.cli import run
 from tests.support.usd_stages import cloth_stage
 from warpqem.cli.flag_names import error_text, flags_of_options, with_flags
 from warpqem.errors import OptionError, StageError
 from warpqem.usd import SimplifyOptions
+from warpqem.usd.commands.option_values import read_options
 
 FLAGS = flags_of_options(SimplifyOptions)
 
@@ -30,7 +35,7 @@ FLAGS = flags_of_options(SimplifyOptions)
             "--joints and --joint-error exclude --bake, --pose-independent",
         ),
         (["--ratio", "0.5", "--face-weight", "3"], "--face-weight: needs --metric 'face', not 'dsd'"),
-        (["--ratio", "0.5", "--uv-weight", "-3"], "--uv-weight must be in [0, 1e+06], got -3.0"),
+        (["--ratio", "0.5", "--uv-weight", "-3"], "--uv-weight must be in [0, 1e+06], got -3"),
         (["--ratio", "0.5", "--memory", "much"], "--memory 'much': expected bytes"),
         (["--ratio", "0.5", "--attribute-weight", "x"], "--attribute-weight 'x': expected NAME=WEIGHT"),
         (["--ratio", "0.5", "--attribute-weight", "x=2"], "--attribute-weight: none of the 1 meshes has a primvar x"),
@@ -38,6 +43,56 @@ FLAGS = flags_of_options(SimplifyOptions)
         (["--max-distance", "3parsec"], "--max-distance '3parsec': expected a length"),
         (["--screen-error", "1"], "--screen-error needs --distance"),
         (["--faces", "0"], "--faces 0: expected at least 1"),
+        (["--max-error", "inf"], "--max-error must be a finite number above 0, got inf"),
+        (["--max-error", "nan"], "--max-error must be a finite number above 0, got nan"),
+        (["--max-error", "0"], "--max-error must be a finite number above 0, got 0"),
+        (["--max-error", "-1"], "--max-error must be a finite number above 0, got -1"),
+        (["--max-error", "much"], "--max-error must be a finite number above 0, got 'much'\n"),
+        (["--max-error", ""], "--max-error must be a finite number above 0, got ''\n"),
+        (
+            ["--max-error", "1mm"],
+            "--max-error must be a finite number above 0, got '1mm'; it is in % of the diagonal; "
+            "for a length give --max-distance 1mm\n",
+        ),
+        (["--max-error", "1%"], "--max-error must be a finite number above 0, got '1%'; it is in % anyway: give 1\n"),
+        (["--ratio", "10%"], "--ratio must be in (0, 1], got '10%'; give 0.1\n"),
+        (["--ratio", "0,1"], "--ratio must be in (0, 1], got '0,1'; give 0.1\n"),
+        (["--ratio", "1/10"], "--ratio must be in (0, 1], got '1/10'; give 0.1\n"),
+        (["--ratio", "200%"], "--ratio must be in (0, 1], got '200%'\n"),
+        (["--ratio", "150"], "--ratio must be in (0, 1], got 150\n"),
+        (["--ratio", "0.5", "--coherence", "50"], "--coherence must be in [0, 1], got 50; for 50 % give 0.5\n"),
+        (["--lods", "50,25"], "--lods: ratio 50: expected a share above 0 and below 1; for 50 % give 0.5\n"),
+        (
+            ["--lods", "50%,25%"],
+            "--lods '50%,25%': '50%' is no number; expected ratios such as 0.5,0.25,0.1; give 0.5\n",
+        ),
+        (
+            ["--faces", "1,000"],
+            "--faces '1,000': expected a whole number, or a share of all faces such as 25%; give 1000\n",
+        ),
+        (
+            ["--faces", "0.1"],
+            "--faces '0.1': expected a whole number, or a share of all faces such as 25%; for that share give 10%\n",
+        ),
+        (["--faces", "inf"], "--faces 'inf': expected a whole number, or a share of all faces such as 25%\n"),
+        (["--max-distance", "inf"], "--max-distance 'inf': expected a length, finite and above 0"),
+        (["--ratio", "0.5", "--max-size-error", "nan"], "--max-size-error must be above 0, or inf, got nan\n"),
+        (["--screen-error", "inf", "--distance", "1"], "--screen-error must be a finite number above 0, got inf\n"),
+        (
+            ["--screen-error", "2px", "--distance", "1"],
+            "--screen-error must be a finite number above 0, got '2px'; give 2\n",
+        ),
+        (
+            ["--screen-error", "2", "--distance", "1", "--fov", "45deg"],
+            "--fov must be in (0, 180), got '45deg'; give 45\n",
+        ),
+        (["--ratio", "0.5", "--key-frames", "2.5"], "--key-frames must be a whole number at least 1, got '2.5'\n"),
+        (
+            ["--ratio", "0.5", "--key-frames", "16.0"],
+            "--key-frames must be a whole number at least 1, got '16.0'; give 16\n",
+        ),
+        (["--ratio", "0.5", "--joints", "inf"], "--joints 'inf': expected a whole number, or one for each level"),
+        (["--ratio", "0.5", "--frames", "a:b"], "--frames: frame range 'a:b': START, END and STEP must be numbers\n"),
         (["--ratio", "0.5", "--report", "page.txt"], "--report page.txt: the suffix must be .html"),
     ],
 )
@@ -54,9 +109,110 @@ def test_each_command_has_its_own_flags(tmp_path):
     for arguments, message in (
         (("progressive", "extract", "none.wpqm", "-o", "out.usda"), "exactly one of --ratio, --faces, --max-error"),
         (("render", tmp_path / "in.usda", "-o", tmp_path / "out.png", "--heatmap"), "--heatmap needs a --reference"),
-        (("batch", tmp_path / "in.usda", "-o", tmp_path / "out", "--ratio", "1", "--jobs", "0"), "--jobs 0: expected"),
+        (
+            ("batch", tmp_path / "in.usda", "-o", tmp_path / "out", "--ratio", "1", "--jobs", "0"),
+            "--jobs must be a whole number at least 1, got 0",
+        ),
     ):
         assert run(*arguments).stderr.startswith(f"error: {message}"), arguments
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (
+            ["render", "in.usda", "-o", "out.png", "--azimuth", "30deg"],
+            "--azimuth must be a finite number, got '30deg'; give 30",
+        ),
+        (["render", "in.usda", "-o", "out.png", "--elevation", "nan"], "--elevation must be a finite number, got nan"),
+        (
+            ["render", "in.usda", "-o", "out.png", "--pictures", "0"],
+            "--pictures must be a whole number at least 1, got 0",
+        ),
+        (
+            ["compare", "in.usda", "in.usda", "--samples", "1e3"],
+            "--samples must be a whole number at least 1, got '1e3'; give 1000",
+        ),
+        (["compare", "in.usda", "in.usda", "--scale", "inf"], "--scale must be a finite number above 0, got inf"),
+        (["view", "in.usda", "--port", "99999"], "--port must be a whole number in [0, 65535], got 99999"),
+        (
+            ["simplify", "a.ply", "-o", "o.usda", "--ratio", "1", "--fps", "0"],
+            "--fps must be a finite number above 0, got 0",
+        ),
+        (["batch", "in.usda", "-o", "out", "--jobs", "two"], "--jobs must be a whole number at least 1, got 'two'"),
+        (["batch", "in.usda", "-o", "out", "--timeout", "inf"], "--timeout must be a finite number above 0, got inf"),
+        (
+            ["batch", "in.usda", "-o", "out", "--timeout", "9s"],
+            "--timeout must be a finite number above 0, got '9s'; give 9",
+        ),
+        (["batch", "in.usda", "-o", "out", "--retries", "-1"], "--retries must be a whole number at least 0, got -1"),
+        (["batch", "in.usda", "-o", "out", "--cpus", "nan"], "--cpus must be a finite number above 0, got nan"),
+        (["batch", "in.usda", "-o", "out", "--gpus", "-1"], "--gpus must be a finite number at least 0, got -1"),
+        (["face", "simplify", "in.usda", "-o", "o.usda", "--weight", "0.5"], "--weight must be in [1, 1e+12], got 0.5"),
+        (
+            ["face", "simplify", "in.usda", "-o", "o.usda", "--ring", "x"],
+            "--ring must be a whole number at least 0, got 'x'",
+        ),
+        (
+            ["features", "in.usda", "-o", "o.usda", "--feature-floor", "x"],
+            "--feature-floor must be in [0, 180], got 'x'",
+        ),
+        (
+            ["features", "in.usda", "-o", "o.usda", "--feature-threshold", "200"],
+            "--feature-threshold must be in [0, 180], got 200",
+        ),
+        (
+            ["progressive", "extract", "a.wpqm", "-o", "o.usda", "--faces", "10%"],
+            "--faces must be a whole number at least 1, got '10%'; for a share give --ratio 0.1",
+        ),
+        (
+            ["progressive", "extract", "a.wpqm", "-o", "o.usda", "--max-error", "1mm"],
+            "--max-error must be a finite number above 0, got '1mm'; it is in % of the diagonal",
+        ),
+        (
+            ["progressive", "build", "in.usda", "-o", "o.wpqm", "--base-faces", "x"],
+            "--base-faces must be a whole number at least 1, got 'x'",
+        ),
+    ],
+)
+def test_numbers_of_every_command_name_flag_range_and_value(tmp_path, monkeypatch, arguments, message):
+    monkeypatch.chdir(tmp_path)
+    cloth_stage(tmp_path / "in.usda")
+    done = run(*arguments)
+    assert done.exit_code == 2
+    assert done.stderr.removesuffix(" (see warpqem --help)\n").removesuffix("\n") == f"error: {message}"
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"ratio": 10}, "ratio must be in (0, 1], got 10; for 10 % give 0.1"),
+        ({"ratio": "10%"}, "ratio must be in (0, 1], got '10%' (str); give 0.1"),
+        ({"target_faces": 0.1}, "target_faces must be a whole number at least 1, got 0.1; for a share give ratio 0.1"),
+        (
+            {"target_faces": "10%"},
+            "target_faces must be a whole number at least 1, got '10%' (str); for a share give ratio 0.1",
+        ),
+        ({"max_error": np.inf}, "max_error must be a finite number above 0, got inf"),
+        (
+            {"max_error": "1mm"},
+            "max_error must be a finite number above 0, got '1mm' (str); it is in % of the diagonal; "
+            "for a length give max_distance 1mm",
+        ),
+        ({"max_distance": np.nan}, "max_distance must be a finite number above 0, got nan"),
+        ({"ratio": True}, "ratio must be in (0, 1], got True (bool)"),
+    ],
+)
+def test_python_gets_the_same_hints(options, message):
+    with pytest.raises(OptionError, match=f"^{re.escape(message)}$"):
+        warpqem.simplify(*meshes.icosphere(1), **options)
+
+
+def test_hints_are_numbers_that_are_taken():
+    for text in ("10%", "0,1", "1/10", "10"):
+        with pytest.raises(OptionError) as raised:
+            read_options({"ratio": text})
+        assert read_options({"ratio": re.search("give ([0-9.]+)", str(raised.value))[1]}).ratio == 0.1
 
 
 def test_python_names_arguments_and_errors_survive_a_pipe():

@@ -105,6 +105,8 @@ def test_usage_names_what_is_required():
         ("simplify", "--prim", "Only the meshes at and below this prim path"),
         ("progressive build", "--prim", "needed where IN has more than one"),
         ("face simplify", "--faces", "Triangles"),
+        ("simplify", "--max-size-error", "A mesh stops where the estimate of its error would pass"),
+        ("batch", "--max-size-error", "where the estimate of its error"),
     ],
 )
 def test_an_option_of_two_commands_has_the_help_of_each(command, option, text):

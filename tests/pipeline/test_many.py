@@ -21,6 +21,7 @@ from warpqem.errors import (
     NonFinitePointError,
     OptionError,
     UnreachableTargetError,
+    WarpqemError,
 )
 from warpqem.pipeline import many
 from warpqem.runtime.cpu_threads import thread_count
@@ -147,6 +148,77 @@ def test_an_unreachable_target_keeps_its_result():
 def test_wrong_arguments_are_named_before_the_work(asked, options, match):
     with pytest.raises(OptionError, match=match):
         warpqem.simplify_many(asked, **{"ratio": 0.5, **options})
+
+
+SPHERE = SHAPES[0]
+# The third of a mesh, and what its error says.
+OWN = {
+    "ratio": ({"ratio": 2.0}, "ratio must be in (0, 1], got 2.0"),
+    "text": ({"ratio": "half"}, "ratio must be in (0, 1]"),
+    "no goal": ({"ratio": None}, "one of ratio, target_faces"),
+    "two goals": ({"ratio": 0.5, "target_faces": 9}, "exclude each other"),
+    "weights": ({"vertex_weights": np.ones(3)}, "vertex_weights must be"),
+    "attributes": ({"attributes": 3}, "attributes must be a list"),
+    "device": ({"device": "tpu"}, "no Warp device 'tpu'"),
+    "metric": ({"metric": "nonsense"}, "unknown metric 'nonsense'"),
+    "memory": ({"memory": "much"}, "memory 'much'"),
+    "motion": ({"metric": "aqem", "motion": 5}, "motion must be a MotionWeighting"),
+    "face": ({"metric": "face", "face": 5}, "face must be a FaceProtection"),
+    "of another metric": ({"motion": warpqem.costs.MotionWeighting()}, "motion= needs a metric"),
+    "unknown": ({"rato": 0.5}, "there is no option 'rato' (str); the options are ratio, "),
+    "no name": ({3: 0.5}, "there is no option 3; the options are ratio, "),
+    "an argument of all": ({"progress": print}, "there is no option 'progress'"),
+    "no dictionary": (0.5, "options must be a dictionary, got 0.5"),
+}
+
+
+@pytest.mark.parametrize("case", OWN)
+def test_wrong_options_of_one_mesh_are_its_error_and_the_others_are_done(case):
+    own, text = OWN[case]
+    asked = [SPHERE, (*SPHERE, own), SPHERE]
+    found = warpqem.simplify_many(asked, ratio=0.5, device="cpu", return_errors=True)
+    good = warpqem.SimplifiedMesh
+    assert [type(result) for result in found[::2]] == [good, good]
+    assert isinstance(found[1], WarpqemError)
+    assert str(found[1]).startswith("meshes[1]: ")
+    assert text in str(found[1])
+
+
+@pytest.mark.parametrize("mesh", [(SPHERE[0],), (*SPHERE, {}, 1), (), None, "sphere", {}])
+def test_what_is_no_mesh_is_an_error_in_its_place(mesh):
+    found = warpqem.simplify_many([mesh, SPHERE], ratio=0.5, device="cpu", return_errors=True)
+    assert isinstance(found[0], WarpqemError)
+    assert str(found[0]).startswith("meshes[0]: ")
+    assert isinstance(found[1], warpqem.SimplifiedMesh)
+
+
+def test_options_for_all_end_the_call_where_errors_are_results_too():
+    with pytest.raises(OptionError, match=r"^coherence must be"):
+        warpqem.simplify_many([SPHERE], ratio=0.5, coherence=2.0, return_errors=True)
+
+
+def test_no_goal_for_all_is_none_where_each_mesh_has_one():
+    [found] = warpqem.simplify_many([(*SPHERE, {"ratio": 0.5})], ratio=None, device="cpu")
+    assert len(found.faces) == 40
+
+
+def test_only_wrong_meshes_are_errors_alone():
+    found = warpqem.simplify_many([(*SPHERE, {"ratio": 2}), None], ratio=0.5, return_errors=True)
+    assert [isinstance(error, WarpqemError) for error in found] == [True, True]
+
+
+def test_a_mesh_takes_no_more_memory_than_its_own_options_say(workers, monkeypatch):
+    real, limits = many.simplify, []
+
+    def watched(points, faces, **options):
+        limits.append(options["memory"])
+        return real(points, faces, **options)
+
+    monkeypatch.setattr(many, "simplify", watched)
+    own = {"memory": "100M"}
+    warpqem.simplify_many([SPHERE, (*SPHERE, own), SPHERE], ratio=0.5, device="cpu", memory="900M")
+    shared = "900M" if workers == 1 else 300 * 2**20
+    assert sorted(map(str, limits)) == sorted(map(str, [shared, "100M" if workers == 1 else 100 * 2**20, shared]))
 
 
 def test_an_option_that_does_not_exist_is_named():

@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 import warpqem
 from tests.oracles.topology import collapsed
 from tests.support import meshes
-from warpqem.errors import OptionError
-from warpqem.measure import topology
+from warpqem.errors import DegenerateMeshError, OptionError
+from warpqem.measure import compare, topology
+from warpqem.progressive import load, save
 
 TORUS = meshes.torus(18, 9)
 MESHES = {
@@ -126,10 +127,42 @@ def test_any_face_count_is_met_or_missed_by_one(sphere, target):
 
 
 @pytest.mark.parametrize("limit", [0.05, 0.5, 2.0])
-def test_error_limit_gives_the_coarsest_level_within(sphere, limit):
-    split_count = sphere.splits_for(max_error=limit)
+def test_estimate_gives_the_coarsest_level_within(sphere, limit):
+    split_count = sphere.splits_for(max_size_error=limit)
     assert sphere.level(split_count).error <= limit
     assert split_count == 0 or sphere.level(split_count - 1).error > limit
+    assert sphere.level(max_size_error=limit).split_count == split_count
+
+
+@pytest.mark.parametrize("limit", [0.3, 2.0, 6.0])
+def test_max_error_is_proved_as_for_simplify(built, limit, device):
+    points, faces, mesh = built
+    level = mesh.level(max_error=limit, device=device)
+    assert level.split_count == mesh.splits_for(max_error=limit, device=device)
+    found = compare(points, faces, level.points, level.faces, device=device)
+    assert found.hausdorff <= limit
+    # No coarser one holds, to what measuring and proving take for themselves.
+    if level.split_count:
+        coarser = mesh.level(level.split_count - 1)
+        assert compare(points, faces, coarser.points, coarser.faces, device=device).hausdorff > 0.998 * limit
+
+
+def test_a_limit_below_all_errors_gives_the_input(sphere, device):
+    assert sphere.splits_for(max_error=1e-9, device=device) == sphere.split_count
+
+
+def test_nothing_is_proved_of_a_mesh_that_is_loaded_in_part(sphere, tmp_path):
+    save(sphere, tmp_path / "sphere.wpqm")
+    part = load(tmp_path / "sphere.wpqm", split_count=0)
+    with pytest.raises(OptionError, match=r"max_error is proved against all faces: only 4 of 1280 faces are loaded"):
+        part.level(max_error=1.0)
+    assert part.level(max_size_error=100.0).split_count == 0
+
+
+def test_a_mesh_without_extent_has_no_limit_in_percent(sphere, device):
+    flat = warpqem.ProgressiveMesh(sphere.topology, np.zeros_like(sphere.points))
+    with pytest.raises(DegenerateMeshError, match="no extent"):
+        flat.level(max_error=1.0, device=device)
 
 
 def test_error_grows_from_level_to_level(sphere):
@@ -185,8 +218,14 @@ def test_float64_points_far_from_the_origin_come_out_as_from_simplify(device):
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda m: m.splits_for(), "exactly one"),
-        (lambda m: m.splits_for(ratio=0.5, target_faces=3), "exactly one"),
+        (
+            lambda m: m.splits_for(),
+            "exactly one of ratio, target_faces, max_error and max_size_error is needed, got none",
+        ),
+        (lambda m: m.splits_for(ratio=0.5, target_faces=3), "exactly one .* got ratio and target_faces"),
+        (lambda m: m.splits_for(max_error=0.0), "max_error must be a finite number above 0, got 0.0"),
+        (lambda m: m.level(max_error=np.inf), "max_error must be a finite number above 0, got inf"),
+        (lambda m: m.level(max_size_error=np.nan), "max_size_error must be a finite number above 0, got nan"),
         (lambda m: m.splits_for(ratio=1.5), r"ratio must be in \(0, 1\]"),
         (lambda m: m.splits_for(target_faces=1), "the base mesh has"),
         (lambda m: m.level(-1), "there are 0 to"),

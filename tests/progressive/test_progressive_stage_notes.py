@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 import warpqem
@@ -66,3 +67,9 @@ def test_diagonal_that_is_none_is_named(sphere, tmp_path, diagonal):
     choice = LevelChoice(screen=warpqem.costs.screen_error.ScreenView(1.0, 10.0))
     with pytest.raises(ProgressiveFileError, match=r"bad\.wpqm: diagonal .* in it is not"):
         extract_level(tmp_path / "bad.wpqm", tmp_path / "out.usda", choice)
+
+
+def test_file_of_a_mesh_without_extent_is_named_where_a_limit_is_asked_for(sphere, tmp_path):
+    save(warpqem.ProgressiveMesh(sphere.topology, np.zeros_like(sphere.points)), tmp_path / "bad.wpqm", NOTES)
+    with pytest.raises(ProgressiveFileError, match=r"bad\.wpqm: the mesh has no extent"):
+        extract_level(tmp_path / "bad.wpqm", tmp_path / "out.usda", LevelChoice(max_error=1.0))

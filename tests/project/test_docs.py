@@ -13,7 +13,10 @@ from PIL import Image
 
 from docs.notebook import NOTEBOOK, run_cells
 from tests.support.docs import ROOT, run_line
+from warpqem.arguments.option_fields import named_options
 from warpqem.cli.main import app
+from warpqem.options import MeshOptions
+from warpqem.usd import SimplifyOptions
 
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 GUIDES = ["start.md", "pipeline.md", "batch.md", "python.md", "cookbook.md", "appearance.md", "blender.md"]
@@ -119,6 +122,24 @@ def test_every_option_on_the_pages_exists():
             for option in re.findall(r"(?<![\w-])--[a-z][a-z-]+", code):
                 if not code.startswith(("python -m", "ruff", "pip", ".venv")):
                     assert option in known, f"{name_of(page)}: {code}"
+
+
+def test_pages_of_the_command_line_name_flags_and_those_of_python_keywords():
+    names = {*named_options(SimplifyOptions), *named_options(MeshOptions)}
+    # Those of one word are words of prose and of JSON, too.
+    names = {name for name in names if "_" in name}
+    for page in PAGES:
+        text = re.sub(r"^```.*?^```", "", page.read_text("utf-8"), flags=re.S | re.M)
+        name = name_of(page)
+        if name == "docs/python.md":
+            wrong = [line for line in text.splitlines() if re.search(r"`--[a-z]", line) and "command" not in line]
+        elif name.startswith(("docs/design/", "docs/papers.md", "docs/algorithm.md", "CONTRIBUTING.md")):
+            continue  # about the code
+        else:
+            # A line about Python, or a table with a column for each.
+            lines = [line for line in text.splitlines() if "Python" not in line and "`--" not in line]
+            wrong = [line for line in lines if names & set(re.findall(r"`([a-z_]+)`", line))]
+        assert wrong == [], name
 
 
 def test_architectures_of_the_table_of_gpus_are_those_that_warp_compiles_for():

@@ -25,3 +25,10 @@ def test_a_unit_counts_by_the_metres_of_the_stage(value, meters_per_unit, length
 def test_what_is_no_length_is_refused(value):
     with pytest.raises(OptionError, match="max_distance"):
         parse_length(value, 1.0)
+
+
+@pytest.mark.parametrize("meters_per_unit", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_unit_needs_the_size_of_those_of_the_stage(meters_per_unit):
+    with pytest.raises(OptionError, match=f"max_distance '2mm': metersPerUnit of the stage is {meters_per_unit:g}"):
+        parse_length("2mm", meters_per_unit)
+    assert parse_length("2", meters_per_unit) == 2.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom
 
 from tests.support.cli import run
 from tests.support.usd_stages import cloth_stage, skinned_stage
+from warpqem.usd import SimplifyOptions, simplify_stage
 from warpqem.usd.read.odd_values import find_odd_values
 from warpqem.usd.read.read_mesh import MeshSource
 from warpqem.usd.read.skeleton_poses import StagePoses
@@ -50,6 +52,19 @@ CLOTHS = {
     "subset twice": (
         lambda m: UsdGeom.Subset.CreateGeomSubset(m, "part", "face", [3, 1, 3]),
         ["/Root/Cloth/part.indices: names a face twice at time default"],
+    ),
+    "points out of range": (
+        lambda m: UsdGeom.Subset.CreateGeomSubset(m, "part", "point", [80, 81, -1]),
+        ["/Root/Cloth/part.indices: point 81 at time default does not exist (81 points; 2 such entries)"],
+    ),
+    "points": (lambda m: UsdGeom.Subset.CreateGeomSubset(m, "part", "point", [80, 0]), []),
+    "orientation": (
+        lambda m: m.CreateOrientationAttr("up"),
+        ["/Root/Cloth.orientation: 'up' at time default is none of rightHanded, leftHanded"],
+    ),
+    "visibility": (
+        lambda m: m.CreateVisibilityAttr().Set("never", 3.0),
+        ["/Root/Cloth.visibility: 'never' at time 3 is none of inherited, invisible"],
     ),
     "transform": (
         lambda m: m.AddTranslateOp().Set(Gf.Vec3d(NAN, 0, 0)),
@@ -124,3 +139,53 @@ def test_command_line_warns_and_reports(tmp_path):
     assert "warning: /Root/Cloth.normals: value 0 at time default is [nan, nan, nan]" in result.stderr
     [prim] = json.loads(report.read_text())["prims"]
     assert len(prim["problems"]) == 1
+
+
+INFINITE = float("inf")
+
+
+@pytest.mark.parametrize(
+    ("kind", "bad"),
+    [
+        ("color vertex", [INFINITE]),
+        ("color vertex", [INFINITE, -INFINITE]),
+        ("color vertex", [NAN]),
+        ("color vertex", [3e38, -3e38]),
+        ("color faceVarying", [INFINITE, NAN]),
+        ("opacity vertex", [INFINITE, -INFINITE]),
+        ("normals vertex", [INFINITE, -INFINITE]),
+        ("uv faceVarying", [INFINITE, -INFINITE]),
+    ],
+)
+def test_values_that_are_not_finite_are_named_and_computed_with_no_warning_of_numpy(kind, bad, tmp_path):
+    what, interpolation = kind.split()
+    stage = cloth_stage(tmp_path / "in.usda")
+    mesh = mesh_of(stage)
+    name, value_type, width = {
+        "color": ("displayColor", Sdf.ValueTypeNames.Color3fArray, 3),
+        "opacity": ("displayOpacity", Sdf.ValueTypeNames.FloatArray, 1),
+        "normals": ("normals", Sdf.ValueTypeNames.Normal3fArray, 3),
+        "uv": ("map", Sdf.ValueTypeNames.TexCoord2fArray, 2),
+    }[what]
+    count = {"vertex": 81, "faceVarying": len(mesh.GetFaceVertexIndicesAttr().Get())}[interpolation]
+    values = np.random.default_rng(2).random((count, width)).astype(np.float32)
+    # Neighbours, so that vertices stand for several of them.
+    values[: 12 * len(bad)] = np.repeat(np.array(bad, dtype=np.float32), 12)[:, None]
+    primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar(name, value_type, interpolation)
+    primvar.Set(value_type.defaultValue.FromNumpy(values if width > 1 else values[:, 0].copy()))
+    stage.Save()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        report = simplify_stage(tmp_path / "in.usda", tmp_path / "out.usda", SimplifyOptions(ratio=0.4, device="cpu"))
+    [prim] = report.prims
+    assert (prim.status, prim.message) == ("simplified", None)
+    named = [
+        text for text in prim.problems if text.startswith(f"/Root/Cloth.primvars:{name}: value 0 at time default is ")
+    ]
+    assert len(named) == (not np.isfinite(bad).all())
+    out = Usd.Stage.Open(str(tmp_path / "out.usda"))
+    new = np.array(out.GetAttributeAtPath(f"/Root/Cloth.primvars:{name}").Get())
+    # Where the input has numbers, the output has, too.
+    assert np.isfinite(new).any()
+    if np.isfinite(bad).all():
+        assert np.isfinite(new).all()

@@ -219,7 +219,7 @@ def test_payload_in_another_file_is_edited_by_the_layer(tmp_path):
         ({"ratio": -0.5}, "ratio must be in .* got -0.5"),
         ({"ratio": float("nan")}, "ratio must be in .* got nan"),
         ({"faces": 0}, "faces 0"),
-        ({"max_error": 0.0}, "max_error must be above 0, got 0"),
+        ({"max_error": 0.0}, "max_error must be a finite number above 0, got 0"),
         ({"ratio": 0.5, "faces": 3}, "ratio 0.5 and faces 3 exclude each other"),
         ({}, "one of ratio"),
     ],

@@ -11,11 +11,12 @@ from pxr import Gf, Sdf, Usd, UsdGeom
 
 import warpqem
 from tests.support.cli import run
+from tests.support.usd_rig import rig
 from tests.support.usd_stages import cloth_stage, define_cloth, quad_grid, skinned_stage, waves
 from tests.support.usd_stream import CLOTH, STAGES, TIMES, simplify, text_of, written
 from warpqem.errors import StageError
 from warpqem.frames.stream import NoFrames, held_bytes
-from warpqem.usd import SimplifyOptions, color_features, simplify_stage
+from warpqem.usd import SimplifyOptions, color_features, inspect_stage, simplify_stage
 from warpqem.usd.commands.mesh_job import MeshJob
 from warpqem.usd.read.read_mesh import MeshSource, PoseFrames
 from warpqem.usd.read.skeleton_poses import StagePoses
@@ -113,6 +114,20 @@ def test_the_command_line_prints_the_plan_and_reports_it(tmp_path):
     assert "plan: /Root/Cloth: 81 vertices, 128 faces, 21 frames in 1 block of 21, 16 key frames" in result.stderr
     plan = json.loads((tmp_path / "report.json").read_text())["prims"][0]["plan"]
     assert (plan["limit_bytes"], plan["frame_count"]) == (2**30, 21)
+
+
+def test_the_plan_of_a_skinned_mesh_counts_the_frames_of_the_table(tmp_path):
+    rig(tmp_path / "in.usda")
+    [mesh] = inspect_stage(tmp_path / "in.usda")
+    plans = []
+    options = SimplifyOptions(ratio=0.5, device="cpu", measure=False)
+    report = simplify_stage(
+        tmp_path / "in.usda", tmp_path / "out.usda", options, announce=lambda name, plan: plans.append(plan)
+    )
+    [prim] = report.prims
+    assert prim.frames == mesh.frames == prim.plan["frame_count"] - prim.plan["added_poses"]
+    assert prim.plan["added_poses"] == 1
+    assert f" faces, {mesh.frames} frames and 1 pose more in 1 block of {mesh.frames + 1}, " in str(plans[0])
 
 
 def test_memory_that_is_no_number_of_bytes_is_wrong_usage(tmp_path):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-__all__ = ["ABOVE_0", "COUNT", "SHARE", "WEIGHTS", "Limits"]
+__all__ = ["ABOVE_0", "ANY", "COUNT", "SHARE", "WEIGHTS", "Limits"]
 
 
 @dataclass(frozen=True)
@@ -24,6 +24,15 @@ class Limits:
         below = value < self.high if self.open_high else value <= self.high
         return above and below and (self.infinite or math.isfinite(value))
 
+    @property
+    def expected(self) -> str:
+        """What a message says must be given, such as "in (0, 1]" or "a finite number above 0"."""
+        if self.infinite:
+            return f"{self}, or inf"
+        if not math.isinf(self.high):
+            return str(self)
+        return "a finite number" if math.isinf(self.low) else f"a finite number {self}"
+
     def __str__(self) -> str:
         """The range as messages and help name it, such as "in (0, 1]" or "above 0"."""
         if math.isinf(self.high):
@@ -31,6 +40,7 @@ class Limits:
         return f"in {'(' if self.open_low else '['}{self.low:g}, {self.high:g}{')' if self.open_high else ']'}"
 
 
+ANY = Limits()
 ABOVE_0 = Limits(0.0, open_low=True)
 SHARE = Limits(0.0, 1.0, open_low=True)
 COUNT = Limits(1)

@@ -9,9 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from warpqem.arguments.limits import Limits
+from warpqem.arguments.number_hints import number_hint
 from warpqem.errors import OptionError
 
-__all__ = ["check_function", "flag", "real_number", "shown", "whole_number"]
+__all__ = ["check_function", "flag", "number_within", "real_number", "shown", "whole_number"]
 
 
 def real_number(value: Any, name: str, expected: str, is_allowed: Callable[[float], bool]) -> float:
@@ -29,6 +31,18 @@ def real_number(value: Any, name: str, expected: str, is_allowed: Callable[[floa
     number = _number(value)
     if number is None or not is_allowed(number):
         raise OptionError(f"{name} must be {expected}, got {shown(value)}")
+    return number
+
+
+def number_within(value: Any, name: str, limits: Limits) -> float:
+    """A number in the range of an option.
+
+    Raises:
+        OptionError: it is none, or outside the range.
+    """
+    number = _number(value)
+    if number is None or number not in limits:
+        raise OptionError(f"{name} must be {limits.expected}, got {shown(value)}{number_hint(name, value, limits)}")
     return number
 
 

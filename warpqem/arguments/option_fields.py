@@ -10,11 +10,12 @@ import functools
 import sys
 import types
 import typing
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
 from typing import Any, Literal, Union
 
 from warpqem.arguments.limits import Limits
+from warpqem.arguments.number_hints import number_hint
 
 __all__ = ["Option", "OptionField", "Panel", "check_options", "named_options", "option", "option_fields"]
 
@@ -85,6 +86,23 @@ class OptionField:
         return is_dataclass(self.kind) and bool(option_fields(self.kind))  # type: ignore[arg-type]  # a dataclass is a type
 
     @property
+    def expected(self) -> str:
+        """What a message says that a number must be."""
+        limits = self.option.limits
+        if self.kind is int:
+            return "a whole number" if limits is None else f"a whole number {limits}"
+        return "a number" if limits is None else limits.expected
+
+    def hint(self, value: Any, names: Collection[str]) -> str:
+        """What such a message says at its end, see :func:`warpqem.arguments.number_hints.number_hint`.
+
+        Args:
+            value: what was given.
+            names: of all options that may be given beside it.
+        """
+        return number_hint(self.field, value, self.option.limits, self.option.unit, self.kind is int, names)
+
+    @property
     def literals(self) -> tuple[str, ...]:
         """The names that it takes, known at once; empty for what is no name."""
         return typing.get_args(self.kind) if typing.get_origin(self.kind) is Literal else ()
@@ -142,10 +160,11 @@ def check_options(options: Any) -> dict[str, Any]:
     Raises:
         OptionError: one is of the wrong type or outside its range.
     """
-    return {name: _checked(entry, getattr(options, name)) for name, entry in option_fields(type(options)).items()}
+    entries = option_fields(type(options))
+    return {name: _checked(entry, getattr(options, name), entries) for name, entry in entries.items()}
 
 
-def _checked(entry: OptionField, value: Any) -> Any:
+def _checked(entry: OptionField, value: Any, names: Collection[str]) -> Any:
     # NumPy is behind these; the help of the command line does without.
     from warpqem.arguments.number_input import flag, real_number, shown, whole_number
     from warpqem.errors import OptionError
@@ -155,11 +174,13 @@ def _checked(entry: OptionField, value: Any) -> Any:
         return None
     if entry.kind is bool:
         return flag(value, entry.field)
-    if entry.kind is int and limits is not None:
-        expected = f"a whole number {limits}"
-        return whole_number(value, entry.field, int(limits.low), expected)
-    if entry.kind is float and limits is not None:
-        return real_number(value, entry.field, str(limits), limits.__contains__)
+    if entry.kind in (int, float) and limits is not None:
+        try:
+            if entry.kind is int:
+                return whole_number(value, entry.field, int(limits.low), entry.expected)
+            return real_number(value, entry.field, entry.expected, limits.__contains__)
+        except OptionError as error:
+            raise OptionError(f"{error.marked}{entry.hint(value, names)}") from None
     if entry.literals and (not isinstance(value, str) or value not in entry.literals):
         raise OptionError(f"{entry.field} must be {' or '.join(map(repr, entry.literals))}, got {shown(value)}")
     return value

@@ -14,10 +14,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from warpqem.cli import messages
+from warpqem.arguments.limits import ABOVE_0, COUNT, Limits
 from warpqem.cli.console import EXIT_FAILED, EXIT_INTERRUPTED, load_usd, print_message, quiet_libraries
 from warpqem.cli.crash_guard import interruptible
-from warpqem.cli.logs import LogJson, Quiet, Verbose, start_logging
+from warpqem.cli.logs import LogJson, start_logging, takes_verbosity
+from warpqem.cli.number_parameters import number, whole
 from warpqem.cli.option_parameters import takes_options
 from warpqem.cli.progress_bar import progress_bar
 from warpqem.cli.tables import print_table
@@ -55,6 +56,7 @@ class OutputFormat(str, Enum):
     usdz = "usdz"
 
 
+@takes_verbosity
 @takes_options(SimplifyOptions, hidden=("frames", "prim", "bake", "flatten"))
 def batch(
     inputs: Annotated[
@@ -101,6 +103,7 @@ def batch(
         int | None,
         typer.Option(
             metavar="COUNT",
+            parser=whole(COUNT),
             rich_help_panel="Machine",
             help="Processes on this machine; by default one for each GPU, or for each core without any.",
         ),
@@ -108,7 +111,10 @@ def batch(
     timeout: Annotated[
         float | None,
         typer.Option(
-            metavar="SECONDS", rich_help_panel="Machine", help="Stop an asset that takes longer, and go on without it."
+            metavar="SECONDS",
+            parser=number(ABOVE_0, "SECONDS"),
+            rich_help_panel="Machine",
+            help="Stop an asset that takes longer, and go on without it.",
         ),
     ] = None,
     retries: Annotated[
@@ -116,6 +122,7 @@ def batch(
         typer.Option(
             hidden=True,
             metavar="COUNT",
+            parser=whole(Limits(0)),
             rich_help_panel="Machine",
             help="How often to begin anew what has lost its process.",
         ),
@@ -141,7 +148,11 @@ def batch(
     cpus: Annotated[
         float,
         typer.Option(
-            hidden=True, metavar="CORES", rich_help_panel="Machine", help="With --engine ray: CPU cores of an asset."
+            hidden=True,
+            metavar="CORES",
+            parser=number(ABOVE_0),
+            rich_help_panel="Machine",
+            help="With --engine ray: CPU cores of an asset.",
         ),
     ] = 1.0,
     gpus: Annotated[
@@ -149,6 +160,7 @@ def batch(
         typer.Option(
             hidden=True,
             metavar="GPUS",
+            parser=number(Limits(0)),
             rich_help_panel="Machine",
             help="With --engine ray: GPUs of an asset, such as 0.25; by default 1 if any.",
         ),
@@ -171,8 +183,8 @@ def batch(
             help="Write an overview (.html) with pictures; it opens offline.",
         ),
     ] = None,
-    quiet: Quiet = False,
-    verbose: Verbose = 0,
+    quiet: bool = False,
+    verbose: int = 0,
     log_json: LogJson = None,
 ) -> None:
     """Simplify many assets, each as `warpqem simplify` does; one that fails costs the others nothing.
@@ -181,10 +193,8 @@ def batch(
 
     Exit codes: 0 all done; 1 an error, or some asset or mesh failed; 2 wrong usage; 130 interrupted.
     """
-    messages.quiet = quiet
     quiet_libraries()
     load_usd()
-    start_logging(verbose, None)
     from warpqem.batching.jobs import check_jobs
     from warpqem.batching.journal import JOURNAL_NAME
     from warpqem.batching.output_check import check_batch_outputs

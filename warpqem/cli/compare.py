@@ -6,9 +6,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from warpqem.arguments.limits import ABOVE_0, COUNT
 from warpqem.cli.appearance_table import appearance_table
 from warpqem.cli.console import EXIT_FAILED, load_usd, print_message, quiet_libraries, write_json
-from warpqem.cli.logs import ShownQuiet
+from warpqem.cli.logs import takes_verbosity
+from warpqem.cli.number_parameters import number, whole
 from warpqem.cli.parameters import Device, Frames, JsonReport, Prims, ReportPage, Variants
 from warpqem.cli.progress_bar import progress_bar
 from warpqem.cli.tables import PlainTable, error_text, print_table, shortened_path, upper_text
@@ -26,6 +28,7 @@ MAX_WORST, NOTE_WIDTH = 8, 40
 LAST_SHOWN = ("normals deg", "frames", "mean %", "jitter %", "slide %", "slide 95 %", "edge length %")
 
 
+@takes_verbosity
 def compare(
     reference: Annotated[str, typer.Argument(metavar="REFERENCE", help="USD file with the original meshes.")],
     test: Annotated[
@@ -35,6 +38,7 @@ def compare(
         int | None,
         typer.Option(
             metavar="COUNT",
+            parser=whole(COUNT),
             help="Number of sample points on each mesh in each frame; by default as many as suit the number of frames, "
             "which are those of simplify.",
         ),
@@ -59,6 +63,7 @@ def compare(
         float | None,
         typer.Option(
             metavar="PCT",
+            parser=number(ABOVE_0, "PCT"),
             help="Distance of the heat map's last colour, in % of the bounding-box diagonal; by default the Hausdorff "
             "distance",
         ),
@@ -66,7 +71,6 @@ def compare(
     device: Device = None,
     report: ReportPage = None,
     json: JsonReport = None,
-    quiet: ShownQuiet = False,
 ) -> None:
     """Measure the meshes that TEST shows against those that REFERENCE shows at the same prim path, at the frames of
     both. What instances share is measured once.

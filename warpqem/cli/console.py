@@ -6,6 +6,7 @@ import json
 import os
 import sys
 import traceback
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +17,7 @@ import typer.core
 from warpqem.cli import messages
 from warpqem.cli.flag_names import error_text, flags_of
 from warpqem.cli.messages import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_USAGE, print_message, printed_messages
+from warpqem.cli.number_parameters import usage_text
 from warpqem.errors import OptionError, StageError, WarpqemError
 from warpqem.printable import printable_lines
 from warpqem.runtime.process_limits import limit_behind_error, with_limit
@@ -100,7 +102,7 @@ class OneLineErrors(typer.core.TyperGroup):
         except Exception as error:
             # Typer has its own copy of click since 0.26, so its usage errors are known by what they offer.
             if hasattr(error, "format_message"):
-                print_message("error", f"{error.format_message()} (see warpqem --help)")
+                print_message("error", f"{usage_text(error.format_message())} (see warpqem --help)")
                 return EXIT_USAGE
             limit = limit_behind_error(error)
             if os.environ.get(TRACEBACK_VARIABLE):
@@ -159,10 +161,15 @@ def load_usd() -> None:
     _usd_messages = _usd_messages or UsdMessages()
 
 
+def _show_warning(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+    print_message("warning", " ".join(str(message).split()))
+
+
 def quiet_libraries() -> None:
-    """Keep Warp's messages off stdout, which belongs to the command's result."""
+    """Keep Warp's messages off stdout, which belongs to the command's result, and make lines of Python's warnings."""
     import warp
 
+    warnings.showwarning = _show_warning
     warp.config.log_level = warp.LOG_INFO
     warp.set_logger(_WarpMessages())
 

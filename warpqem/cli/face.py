@@ -6,14 +6,17 @@ from typing import Annotated, Any
 
 import typer
 
+from warpqem.arguments.limits import Limits
 from warpqem.cli.console import load_usd, quiet_libraries, write_json
 from warpqem.cli.examples import epilog
 from warpqem.cli.help_option import Command, Group
+from warpqem.cli.logs import takes_verbosity
+from warpqem.cli.number_parameters import number, whole
 from warpqem.cli.option_parameters import takes_options
 from warpqem.cli.parameters import Device, Frames, Input, JsonReport, Output, ReportPage
 from warpqem.cli.simplify import run_simplify
 from warpqem.cli.tables import PlainTable, print_table
-from warpqem.usd.commands.simplify_options import SimplifyOptions
+from warpqem.usd.commands.simplify_options import POINT_WEIGHTS, SimplifyOptions
 
 __all__ = ["face"]
 
@@ -49,6 +52,7 @@ FindOrientation = Annotated[
         "warpqem face detect talking_head.usdc -o points.json --picture points.png",
     ),
 )
+@takes_verbosity
 def detect(
     input_file: Input,
     output: Annotated[
@@ -108,6 +112,7 @@ def detect(
         "warpqem face simplify talking_head.usdc -o head_620.usda --faces 620 --points points.json --ring 2",
     ),
 )
+@takes_verbosity
 @takes_options(SimplifyOptions, without=POINT_OPTIONS, hidden=("bake", "flatten"))
 def simplify(
     input_file: Input,
@@ -118,6 +123,7 @@ def simplify(
         float | None,
         typer.Option(
             metavar="WEIGHT",
+            parser=number(POINT_WEIGHTS),
             hidden=True,
             help="Weight of the quadrics of a feature point and of its neighbours, which are summed at it (equation 1 "
             "of multiresolution facial animation); 100 by default.",
@@ -126,7 +132,10 @@ def simplify(
     ring: Annotated[
         int | None,
         typer.Option(
-            metavar="EDGES", hidden=True, help="Neighbours up to so many edges away are summed; 1 by default."
+            metavar="EDGES",
+            parser=whole(Limits(0)),
+            hidden=True,
+            help="Neighbours up to so many edges away are summed; 1 by default.",
         ),
     ] = None,
     keep: Annotated[
@@ -139,6 +148,8 @@ def simplify(
     ] = True,
     report: ReportPage = None,
     json: JsonReport = None,
+    quiet: bool = False,
+    verbose: int = 0,
 ) -> None:
     """Simplify and keep the feature points of the face as vertices: what simplify does with --metric face.
 
@@ -148,7 +159,9 @@ def simplify(
     Exit codes: 0 all done; 1 an error, or some mesh failed; 2 wrong usage; 130 interrupted.
     """
     chosen = {"face_points": points, "face_weight": weight, "face_ring": ring, "face_keep": keep}
-    run_simplify(input_file, output, {**options, "metric": "face", **chosen}, report, json)
+    run_simplify(
+        input_file, output, {**options, "metric": "face", **chosen}, report, json, quiet=quiet, verbose=verbose
+    )
 
 
 @face.command(
@@ -157,6 +170,7 @@ def simplify(
         "warpqem face retarget talking_head.usdc head_2000.usda -o talking_2000.usdc",
     ),
 )
+@takes_verbosity
 def retarget(
     source_file: Annotated[str, typer.Argument(metavar="SOURCE", help="USD file with the face that moves.")],
     target_file: Annotated[str, typer.Argument(metavar="TARGET", help="USD file with the face to move.")],

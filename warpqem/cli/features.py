@@ -8,7 +8,7 @@ from typing import Any
 import typer
 
 from warpqem.cli.console import EXIT_FAILED, load_usd, print_message, quiet_libraries, write_json
-from warpqem.cli.logs import ShownQuiet
+from warpqem.cli.logs import takes_verbosity
 from warpqem.cli.option_parameters import takes_options
 from warpqem.cli.parameters import Input, JsonReport, Output
 from warpqem.cli.progress_bar import progress_bar
@@ -21,13 +21,13 @@ __all__ = ["EXAMPLES", "features"]
 EXAMPLES = ("warpqem features quadruped_gallop.usdc -o joints.usda",)
 
 
+@takes_verbosity
 @takes_options(SimplifyOptions, only=("frames", "feature_threshold", "feature_floor", "prim", "device"))
 def features(
     input_file: Input,
     output: Output,
     options: dict[str, Any],
     json: JsonReport = None,
-    quiet: ShownQuiet = False,
 ) -> None:
     """Colour the motion features, the parts that bend while a mesh moves: one colour for each, grey for the rest.
 
@@ -41,18 +41,20 @@ def features(
     with progress_bar("loading") as progress:
         quiet_libraries()
         load_usd()
-        from warpqem.costs.motion_features import motion_weighting
         from warpqem.files.outputs import named_outputs
-        from warpqem.usd import FrameRange, color_features
+        from warpqem.usd import color_features
+        from warpqem.usd.commands.option_values import read_options
 
+        # Nothing is simplified.
+        asked = read_options({**options, "ratio": 1.0})
         progress(0.0, "reading")
         reports = color_features(
             input_file,
             output,
-            prims=tuple(options["prim"] or ()),
-            frames=FrameRange.parse(options["frames"]) if options["frames"] else None,
-            weighting=motion_weighting(options["feature_threshold"], options["feature_floor"]),
-            device=options["device"],
+            prims=asked.prims,
+            frames=asked.frames,
+            weighting=asked.motion,
+            device=asked.device,
             progress=progress,
             other_outputs=named_outputs({"--json": json}),
         )

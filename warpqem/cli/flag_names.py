@@ -15,6 +15,7 @@ __all__ = ["error_text", "flags_of", "flags_of_options", "with_flags"]
 ALIASES = {
     "asset_roots": "asset_root",
     "attribute_weights": "attribute_weight",
+    "error": "screen_error",
     "prims": "prim",
     "variants": "variant",
     "screen": "screen_error",

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from warpqem.cli.console import load_usd, print_message, quiet_libraries, write_json
+from warpqem.cli.logs import takes_verbosity
 from warpqem.cli.parameters import Input, JsonReport, Variants
 from warpqem.cli.tables import PlainTable, print_table
 
@@ -28,6 +29,7 @@ LAST_SHOWN = (
 )
 
 
+@takes_verbosity
 def info(input_file: Input, variant: Variants = None, json: JsonReport = None) -> None:
     """Describe every mesh: frames, vertices, faces, edges, skin, blend shapes, UV sets, subsets, problems.
 

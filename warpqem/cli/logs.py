@@ -2,49 +2,68 @@
 
 from __future__ import annotations
 
+import functools
+import inspect
 import json
 import logging
 import sys
 import time
+from collections.abc import Callable
 from typing import Annotated, Any
 
 import typer
 
 from warpqem.cli import messages
-from warpqem.errors import StageError
+from warpqem.errors import OptionError, StageError
 from warpqem.printable import printable, printable_lines
 
-__all__ = ["LogJson", "Quiet", "ShownQuiet", "Verbose", "start_logging"]
+__all__ = ["LogJson", "start_logging", "takes_verbosity"]
 
 LEVELS = (logging.WARNING, logging.INFO, logging.DEBUG)
 
 
-def _be_quiet(wanted: bool) -> bool:
-    messages.quiet = wanted
-    return wanted
+def takes_verbosity(command: Callable[..., None]) -> Callable[..., None]:
+    """Give a command --quiet and --verbose, which exclude each other; it gets those that it names itself.
+
+    Where it has --help-all, its help leaves them to that.
+    """
+    own = inspect.signature(command, eval_str=True)
+    hidden = "help_all" in own.parameters
+    flags = {
+        "quiet": (bool, False, _option("--quiet", "-q", hidden, "Print errors alone.")),
+        "verbose": (
+            int,
+            0,
+            _option("--verbose", "-v", hidden, "Say on stderr what is being done; twice: in detail.", count=True),
+        ),
+    }
+    shared = [
+        inspect.Parameter(
+            name, inspect.Parameter.POSITIONAL_OR_KEYWORD, default=default, annotation=Annotated[kind, about]
+        )
+        for name, (kind, default, about) in flags.items()
+    ]
+
+    @functools.wraps(command)
+    def wrapper(**arguments: Any) -> None:
+        quiet, verbose = arguments.pop("quiet"), arguments.pop("verbose")
+        if quiet and verbose:
+            raise OptionError("`quiet` and `verbose` exclude each other")
+        messages.quiet = quiet
+        start_logging(verbose, None)
+        asked = {"quiet": quiet, "verbose": verbose}
+        command(**arguments, **{name: value for name, value in asked.items() if name in own.parameters})
+
+    parameters = [parameter for name, parameter in own.parameters.items() if name not in flags] + shared
+    # Typer reads both.
+    wrapper.__signature__ = own.replace(parameters=parameters)  # type: ignore[attr-defined]  # PEP 362
+    wrapper.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    return wrapper
 
 
-def _quiet(hidden: bool) -> Any:
-    return typer.Option(
-        "--quiet", "-q", hidden=hidden, callback=_be_quiet, rich_help_panel="Output", help="Print errors alone."
-    )
+def _option(name: str, short: str, hidden: bool, text: str, count: bool = False) -> Any:
+    return typer.Option(name, short, hidden=hidden, count=count, rich_help_panel="Output", help=text)
 
-
-# Of commands with --help-all, and of the others.
-Quiet = Annotated[bool, _quiet(hidden=True)]
-ShownQuiet = Annotated[bool, _quiet(hidden=False)]
-
-Verbose = Annotated[
-    int,
-    typer.Option(
-        "--verbose",
-        "-v",
-        hidden=True,
-        count=True,
-        rich_help_panel="Output",
-        help="Say on stderr what is being done; twice: in detail.",
-    ),
-]
 
 LogJson = Annotated[
     str | None,

@@ -119,7 +119,8 @@ def _value_type(entry: OptionField) -> Any:
         return list[str]
     if entry.option.choices is not None:
         return Enum(entry.name, {name: name for name in entry.option.choices()}, type=str)
-    return entry.kind if entry.literals or entry.kind in (bool, int, float) else str
+    # Numbers are text here: what reads the options says which numbers one takes, and what to write instead.
+    return entry.kind if entry.literals or entry.kind is bool else str
 
 
 def _plain(value: Any) -> Any:

@@ -76,7 +76,7 @@ def _mesh_lines(prim: Mapping[str, Any]) -> Iterator[Line]:
         percent, length = prim["measured"]["hausdorff"], prim["measured"]["hausdorff_length"]
         yield "warning", f"a point is up to {rounded_up(percent)} % of the diagonal ({rounded_up(length)} units) off"
     if prim["stopped"] == "max_size_error":
-        yield "note", "more faces kept, as the error would pass --max-size-error"
+        yield "note", "more faces kept, as the estimate of the error would pass --max-size-error"
 
 
 def _removed(prim: Mapping[str, Any]) -> Iterator[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
@@ -22,6 +23,8 @@ from warpqem.printable import printable
 from warpqem.runtime.compiling import compile_listener
 
 __all__ = ["QuietProgress", "bar_columns", "progress_bar"]
+
+_log = logging.getLogger(__name__)
 
 # Characters of the bar: at 80 columns the text beside it has room for a mesh, its step, faces and frames.
 BAR_WIDTH = 12
@@ -62,6 +65,8 @@ def progress_bar(first_text: str) -> Iterator[Callable[[float, str], None]]:
 
         def show(fraction: float, text: str) -> None:
             nonlocal shown
+            if text != shown:
+                _log.debug("%s", text)
             shown = printable(text)
             progress.update(task, completed=fraction, description=shown)
 

@@ -9,6 +9,7 @@ import typer
 from warpqem.cli.console import load_usd, quiet_libraries, write_json
 from warpqem.cli.examples import epilog
 from warpqem.cli.help_option import Command, Group
+from warpqem.cli.logs import takes_verbosity
 from warpqem.cli.option_parameters import takes_options
 from warpqem.cli.parameters import Input, JsonReport, MeshMemory, Output
 from warpqem.cli.progress_bar import progress_bar
@@ -36,6 +37,7 @@ MeshFile = Annotated[str, typer.Argument(metavar="FILE", help="Progressive mesh 
         "warpqem progressive build cape_wind.usdc -o cape.wpqm",
     ),
 )
+@takes_verbosity
 @takes_options(BuildOptions, without=NOT_TO_BUILD)
 def build(
     input_file: Input,
@@ -70,6 +72,7 @@ def build(
         "warpqem progressive extract cape.wpqm -o level.usda --faces 700",
     ),
 )
+@takes_verbosity
 @takes_options(LevelChoice)
 def extract(
     file: MeshFile, output: Output, options: dict[str, Any], memory: MeshMemory = None, json: JsonReport = None
@@ -107,6 +110,7 @@ def extract(
         "warpqem progressive info cape.wpqm",
     ),
 )
+@takes_verbosity
 def info(file: MeshFile, json: JsonReport = None) -> None:
     """Say what is in a progressive mesh.
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Annotated
 
 import typer
 
+from warpqem.arguments.limits import ANY, COUNT
 from warpqem.cli.console import load_usd, print_message, quiet_libraries
-from warpqem.cli.logs import ShownQuiet
+from warpqem.cli.logs import takes_verbosity
+from warpqem.cli.number_parameters import number, whole
 from warpqem.cli.parameters import Device, Frames, Input, Prims, Variants
 from warpqem.cli.progress_bar import progress_bar
 from warpqem.errors import OptionError
@@ -18,6 +21,7 @@ __all__ = ["EXAMPLES", "render"]
 EXAMPLES = ("warpqem render cape.usda -o sheet.png --reference cape_wind.usdc --heatmap --pictures 3",)
 
 
+@takes_verbosity
 def render(
     input_file: Input,
     output: Annotated[
@@ -30,11 +34,16 @@ def render(
         bool, typer.Option("--heatmap", help="With --reference: a third row coloured by the distance from it.")
     ] = False,
     pictures: Annotated[
-        int, typer.Option(metavar="COUNT", help="Pictures in a row, spread evenly over the animation.")
+        int,
+        typer.Option(metavar="COUNT", parser=whole(COUNT), help="Pictures in a row, spread evenly over the animation."),
     ] = 4,
     size: Annotated[str, typer.Option(metavar="WxH", help="Size of one picture, in pixels.")] = "480x360",
-    azimuth: Annotated[float, typer.Option(metavar="DEG", help="View about the up axis, in degrees.")] = 30.0,
-    elevation: Annotated[float, typer.Option(metavar="DEG", help="View above the horizon, in degrees.")] = 12.0,
+    azimuth: Annotated[
+        float, typer.Option(metavar="DEG", parser=number(ANY, "DEG"), help="View about the up axis, in degrees.")
+    ] = 30.0,
+    elevation: Annotated[
+        float, typer.Option(metavar="DEG", parser=number(ANY, "DEG"), help="View above the horizon, in degrees.")
+    ] = 12.0,
     lines: Annotated[bool, typer.Option("--lines", help="Draw the edges.")] = False,
     smooth: Annotated[
         bool,
@@ -47,7 +56,6 @@ def render(
     prim: Prims = None,
     variant: Variants = None,
     device: Device = None,
-    quiet: ShownQuiet = False,
 ) -> None:
     """Draw a contact sheet: the meshes of IN at several times, beside those of a reference, without a browser.
 
@@ -74,7 +82,7 @@ def render(
             variants=tuple(variant or ()),
         )
         progress(0.0, "reading")
-        scale = render_sheet(input_file, output, options, reference, progress)
+        scale = render_sheet(input_file, output, options, reference, progress, partial(print_message, "warning"))
     if scale is not None:
         print_message("note", f"the brightest colour is at {scale:.3g} % of the bounding-box diagonal")
 

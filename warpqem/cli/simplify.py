@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from warpqem.cli import messages
+from warpqem.arguments.limits import ABOVE_0
 from warpqem.cli.console import EXIT_FAILED, load_usd, print_message, quiet_libraries, write_json
-from warpqem.cli.logs import Quiet, Verbose, start_logging
+from warpqem.cli.logs import takes_verbosity
 from warpqem.cli.message_groups import file_size
+from warpqem.cli.number_parameters import number
 from warpqem.cli.option_parameters import takes_options
 from warpqem.cli.parameters import JsonReport, MeshInput, MeshOutput, ReportPage
 from warpqem.cli.problem_lines import grouped_lines
@@ -35,6 +36,7 @@ EXAMPLES = (
 )
 
 
+@takes_verbosity
 @takes_options(SimplifyOptions)
 def simplify(
     input_file: MeshInput,
@@ -45,14 +47,15 @@ def simplify(
         typer.Option(
             hidden=True,
             metavar="RATE",
+            parser=number(ABOVE_0),
             rich_help_panel="Input",
             help="With mesh files as IN: frames per second; their numbers are the time codes. [default: 24]",
         ),
     ] = None,
     report: ReportPage = None,
     json: JsonReport = None,
-    quiet: Quiet = False,
-    verbose: Verbose = 0,
+    quiet: bool = False,
+    verbose: int = 0,
 ) -> None:
     """Simplify every mesh over all its frames.
 
@@ -76,8 +79,6 @@ def run_simplify(
     verbose: int = 0,
 ) -> None:
     """Simplify, and say what came of it."""
-    messages.quiet = quiet
-    start_logging(verbose, None)
     with progress_bar("loading") as progress:
         report = _simplified(input_file, output, options, page, json, fps, _print_plan if verbose else None, progress)
     for kind, text in grouped_lines(report.to_dict(), each=verbose > 0):

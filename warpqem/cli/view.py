@@ -9,18 +9,25 @@ from typing import Annotated, Any
 
 import typer
 
+from warpqem.arguments.limits import Limits
+from warpqem.cli import messages
 from warpqem.cli.console import load_usd, print_message, quiet_libraries
 from warpqem.cli.crash_guard import interruptible
+from warpqem.cli.logs import takes_verbosity
+from warpqem.cli.number_parameters import whole
 from warpqem.cli.parameters import Device, Frames, MeshMemory, Prims, Variants
 from warpqem.cli.progress_bar import progress_bar
 from warpqem.errors import MemoryLimitError, OptionError, StageError, WarpqemError
 
 __all__ = ["EXAMPLES", "view"]
 
+# Of TCP.
+PORTS = Limits(0, 65535)
 # Under its help; tests run them.
 EXAMPLES = ("warpqem view cape_wind.usdc cape.usda",)
 
 
+@takes_verbosity
 def view(
     input_file: Annotated[
         str, typer.Argument(metavar="IN", help="USD file, or progressive mesh (.wpqm): any of its levels, live.")
@@ -29,7 +36,10 @@ def view(
         str | None, typer.Argument(metavar="[OUT]", help="USD file to show beside it, such as what simplify wrote.")
     ] = None,
     port: Annotated[
-        int, typer.Option(metavar="PORT", help="Port of this machine to serve at; 0 takes any that is free.")
+        int,
+        typer.Option(
+            metavar="PORT", parser=whole(PORTS), help="Port of this machine to serve at; 0 takes any that is free."
+        ),
     ] = 0,
     browser: Annotated[
         bool, typer.Option("--browser/--no-browser", help="Open the page in the browser, or only print its address.")
@@ -65,7 +75,9 @@ def view(
     else:
         data = _stage_data(input_file, other, frames, prim, variant, device)
     server = PageServer(report_page(data), level, port)
-    print(server.address, flush=True)
+    # Without a browser the address is all that there is of the page.
+    if not (browser and messages.quiet):
+        print(server.address, flush=True)
     print_message("note", "stop with Ctrl+C")
     if browser:
         webbrowser.open(server.address)
@@ -110,4 +122,6 @@ def _stage_data(
     with progress_bar("reading") as progress:
         chosen = FrameRange.parse(frames) if frames else None
         report = stage_report(path, other, tuple(prim or ()), chosen, tuple(variant or ()))
+        for note in report.notes:
+            print_message("note", note)
         return report_data(report, device, progress)

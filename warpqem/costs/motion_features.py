@@ -17,6 +17,8 @@ import warp as wp
 
 from warpqem.arguments.array_record import ArrayRecord
 from warpqem.arguments.array_types import ArrayInput, MeshPoints
+from warpqem.arguments.limits import Limits
+from warpqem.arguments.number_input import real_number
 from warpqem.costs.weights import check_factors
 from warpqem.errors import OptionError
 from warpqem.frames.blocks import chunk_steps
@@ -32,6 +34,9 @@ __all__ = ["FEATURE_WEIGHTS", "MotionFeatures", "MotionWatch", "MotionWeighting"
 
 # Below one degree between two frames a change of angle is rounding, not motion (the paper's limit).
 FLOOR_DEGREES = 1.0
+# A dihedral angle changes by half a turn at most.
+HALF_TURN = Limits(0.0, 180.0)
+DEGREES = f"{HALF_TURN} degrees"
 FEATURE_WEIGHTS = ("size", "root", "log", "bend")
 
 
@@ -79,11 +84,9 @@ class MotionWeighting:
 
     def __post_init__(self) -> None:
         """Refuse angles that are none, and weights that there are not."""
-        # A dihedral angle changes by half a turn at most.
-        if self.threshold is not None and not 0.0 <= self.threshold <= 180.0:
-            raise OptionError(f"threshold of motion features {self.threshold}: expected 0 to 180 degrees")
-        if not 0.0 <= self.floor <= 180.0:
-            raise OptionError(f"floor of motion features {self.floor}: expected 0 to 180 degrees")
+        if self.threshold is not None:
+            real_number(self.threshold, "threshold of motion features", DEGREES, HALF_TURN.__contains__)
+        real_number(self.floor, "floor of motion features", DEGREES, HALF_TURN.__contains__)
         if not callable(self.weight) and self.weight not in FEATURE_WEIGHTS:
             raise OptionError(
                 f"weight of motion features {self.weight!r}: expected a function or one of {', '.join(FEATURE_WEIGHTS)}"

@@ -16,7 +16,9 @@ def blend(values: np.ndarray, weight: np.ndarray) -> np.ndarray:
     if not np.isfinite(values).all():
         # An infinite value, as a painted weight may be, counts only where it has a weight.
         values = np.where(weight.reshape(*weight.shape, *[1] * (values.ndim - 2)) > 0, values, 0.0)
-        infinite: np.ndarray = np.einsum("rk,rk...->r...", weight.astype(np.float64), values)
+        # Infinities of both signs have no mean.
+        with np.errstate(invalid="ignore"):
+            infinite: np.ndarray = np.einsum("rk,rk...->r...", weight.astype(np.float64), values)
         return infinite
     first = values[:, :1]
     mean: np.ndarray = first[:, 0] + np.einsum("rk,rk...->r...", weight.astype(np.float64), values - first)

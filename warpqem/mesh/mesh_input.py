@@ -27,6 +27,7 @@ from warpqem.frames.device_source import DeviceFrames
 from warpqem.frames.stream import ArrayFrames, FrameSource, counted_frames
 from warpqem.kernels.face_check import mark_used_vertices
 from warpqem.mesh.first_reading import FirstReading, about_origin
+from warpqem.mesh.rounding import rounding_of
 from warpqem.runtime.device import array_device
 from warpqem.runtime.launches import launch
 
@@ -93,12 +94,14 @@ class AnimatedMesh(MeshInput):
         centre: (3,) float32, middle of the bounding box of all frames, about ``origin``.
         diagonal: largest bounding-box diagonal of a frame, in the caller's units.
         held: the frames on the device; None where they are brought there as they are needed.
+        rounding: how far single precision moves a point in double precision at most, in % of the diagonal; else 0.
     """
 
     origin: np.ndarray
     centre: np.ndarray
     diagonal: float
     held: HeldFrames | None = field(default=None, kw_only=True, repr=False)
+    rounding: float = field(default=0.0, kw_only=True)
 
     def points(self, frames: slice) -> np.ndarray:
         """Consecutive frames in the caller's coordinates minus ``origin``: (n, V, 3) float32, C-contiguous."""
@@ -258,6 +261,7 @@ def measure_mesh(
         diagonal,
         repair=mesh.repair,
         held=reading.held,
+        rounding=rounding_of(low, high, reading.origin, diagonal) if mesh.source.dtype == np.float64 else 0.0,
     )
 
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, cast, overload
 
@@ -15,7 +15,7 @@ from warpqem.arguments.number_input import flag, shown
 from warpqem.arguments.progress import CancelToken, Progress, ProgressInput, listener, share_of, with_progress_bar
 from warpqem.costs.models import cost_model
 from warpqem.errors import CancelledError, MemoryLimitError, OptionError, WarpqemError
-from warpqem.options import SimplifyKeywords, read_keywords
+from warpqem.options import MeshOptions, SimplifyKeywords, read_keywords
 from warpqem.pipeline.memory_plan import available_memory, parse_bytes
 from warpqem.pipeline.prepare import check_metric_options
 from warpqem.pipeline.result import SimplifiedMesh
@@ -79,8 +79,9 @@ def simplify_many(
     Args:
         meshes: each ``(points, faces)``, or ``(points, faces, options)`` with options of its own that go before those
             given for all; or what :func:`simplify` takes without faces.
-        return_errors: give the error of a mesh in the place of its result, and go on; else the first one in order is
-            raised, and those behind it are not done.
+        return_errors: give the error of a mesh in the place of its result, and go on, also where it is its own options
+            that are wrong; else the first one in order is raised, and those behind it are not done. What a function of
+            yours raises, such as a ``metric``, ends the call either way.
         progress: called in this thread with the part done, 0 to 1, and how many meshes are; True for a bar.
         cancel: ends the call from another thread, such as a ``threading.Event``.
         options: as for :func:`simplify`; ``memory`` is for all that are at work at once.
@@ -103,14 +104,14 @@ def simplify_many(
         >>> [len(result.faces) for result in warpqem.simplify_many(meshes, ratio=0.1)]
         [128, 256]
     """
-    given = [_read_mesh(index, mesh, options) for index, mesh in enumerate(_listed(meshes))]
     keep_errors = flag(return_errors, "return_errors")
     listen = listener(progress, cancel)
+    given = [_read_mesh(index, mesh, options, keep_errors) for index, mesh in enumerate(_listed(meshes))]
     _check_common(options)
     if not given:
         return []
     # One device for all: they take turns on it.
-    devices = {resolve_device(keywords.get("device")) for _, _, keywords in given}
+    devices = {mesh.device for mesh in given if isinstance(mesh, _Asked)} or {resolve_device(options.get("device"))}
     workers = max(thread_count(device) if device_traits(device).splits_launches else 1 for device in devices)
     workers = min(workers, len(given), MAX_AT_ONCE)
     at_work = _Work(given, workers, _memory_share(options, next(iter(devices)), workers), keep_errors, cancel)
@@ -123,26 +124,59 @@ def _listed(meshes: Any) -> list[Any]:
     return list(meshes)
 
 
-def _read_mesh(index: int, mesh: Any, common: SimplifyKeywords) -> tuple[Any, Any, SimplifyKeywords]:
-    """Points, faces and options of a mesh."""
+@dataclass(frozen=True)
+class _Asked:
+    """A mesh with its options."""
+
+    points: Any
+    faces: Any
+    keywords: SimplifyKeywords
+    device: str
+
+
+def _read_mesh(index: int, mesh: Any, common: SimplifyKeywords, keep_errors: bool) -> _Asked | WarpqemError:
+    """Points, faces and options of a mesh, or its error where errors are results."""
+    try:
+        with _named(index):
+            return _asked(mesh, common)
+    except WarpqemError as error:
+        if not keep_errors:
+            raise
+        return error
+
+
+def _asked(mesh: Any, common: SimplifyKeywords) -> _Asked:
     points, faces, own = mesh, None, cast("SimplifyKeywords", {})
-    if isinstance(mesh, tuple) and len(mesh) in (2, 3):
+    if isinstance(mesh, tuple):
+        if len(mesh) not in (2, 3):
+            raise OptionError(f"expected (points, faces) or (points, faces, options), got a tuple of {len(mesh)}")
         points, faces = mesh[:2]
         own = mesh[2] if len(mesh) == 3 else own
     if not isinstance(own, dict):
-        raise OptionError(f"meshes[{index}]: options must be a dictionary, got {shown(own)}")
+        raise OptionError(f"options must be a dictionary, got {shown(own)}")
+    _check_own_names(own)
     # A goal of its own takes the place of that for all.
     kept = {name: value for name, value in common.items() if name not in GOALS or not own.keys() & set(GOALS)}
     keywords = cast("SimplifyKeywords", {**kept, **own})
-    with _named(index):
-        read_keywords(keywords)
-    return points, faces, keywords
+    asked = read_keywords(keywords)
+    check_metric_options(asked, cost_model(asked.metric))
+    if asked.memory is not None:
+        parse_bytes(asked.memory)
+    return _Asked(points, faces, keywords, resolve_device(asked.device))
+
+
+def _check_own_names(own: Mapping[Any, Any]) -> None:
+    """Raise an OptionError for an option that there is not: a dictionary is a value, like others of a mesh."""
+    names = [entry.name for entry in fields(MeshOptions)]
+    for name in own:
+        if name not in names:
+            raise OptionError(f"there is no option {shown(name)}; the options are {', '.join(names)}")
 
 
 def _check_common(options: SimplifyKeywords) -> None:
     """Check what is asked of all meshes, also where there is none, or each has options of its own."""
     # Each may have a goal of its own.
-    goal = {} if options.keys() & set(GOALS) else {"ratio": 1.0}
+    goal = {} if any(options.get(name) is not None for name in GOALS) else {"ratio": 1.0}
     asked = read_keywords(cast("SimplifyKeywords", {**options, **goal}))
     spec = cost_model(asked.metric)
     check_metric_options(asked, spec)
@@ -184,7 +218,7 @@ class _Work:
     """Meshes at work, in several threads.
 
     Args:
-        meshes: points, faces and options of each.
+        meshes: points, faces and options of each, or the error that its options are.
         workers: threads.
         memory: bytes for each of the meshes at work at once; None for what it would take alone.
         keep_errors: errors are results.
@@ -193,7 +227,7 @@ class _Work:
 
     def __init__(
         self,
-        meshes: Sequence[tuple[Any, Any, SimplifyKeywords]],
+        meshes: Sequence[_Asked | WarpqemError],
         workers: int,
         memory: int | None,
         keep_errors: bool,
@@ -271,12 +305,19 @@ class _Work:
         self, index: int, memory: int | None, progress: Progress | None, cancel: CancelToken | None
     ) -> SimplifiedMesh | WarpqemError:
         """The result of a mesh, or its error."""
-        points, faces, keywords = self._meshes[index]
+        mesh = self._meshes[index]
+        if not isinstance(mesh, _Asked):
+            self._done[index] = 1.0
+            return mesh
+        keywords = mesh.keywords
         if memory is not None:
-            keywords = cast("SimplifyKeywords", {**keywords, "memory": memory})
+            own = keywords.get("memory")
+            keywords = cast(
+                "SimplifyKeywords", {**keywords, "memory": memory if own is None else min(memory, parse_bytes(own))}
+            )
         try:
             with _named(index):
-                return simplify(points, faces, progress=progress, cancel=cancel, **keywords)
+                return simplify(mesh.points, mesh.faces, progress=progress, cancel=cancel, **keywords)
         except Exception as error:
             # For want of memory it has its turn again, alone.
             again = memory is not None and isinstance(error, MemoryLimitError)

@@ -45,7 +45,7 @@ class MemoryPlan:
     """How a mesh is going to be worked on.
 
     Attributes:
-        frame_count: frames F.
+        frame_count: frames F that are placed.
         vertex_count: input vertices V.
         face_count: input faces N.
         key_frames: key frames K that decide which edges collapse.
@@ -59,6 +59,7 @@ class MemoryPlan:
         scratch_bytes: size of the temporary file; 0 where there is none.
         device_frame_bytes: frames that stay on the device from reading to placing, a part of what is held; 0 where each
             block is brought there when it is needed.
+        added_poses: how many of the frames are poses beside the animation: rest shape, blend shapes, examples.
     """
 
     frame_count: int
@@ -73,6 +74,7 @@ class MemoryPlan:
     place_bytes: int
     scratch_bytes: int
     device_frame_bytes: int = 0
+    added_poses: int = 0
 
     @property
     def peak_bytes(self) -> int:
@@ -83,8 +85,11 @@ class MemoryPlan:
         blocks = f"{self.block_count} block{'' if self.block_count == 1 else 's'} of {self.block_frames}"
         limit = "" if self.limit_bytes is None else f" of {format_bytes(self.limit_bytes)}"
         scratch = f", {format_bytes(self.scratch_bytes)} in a temporary file" if self.scratch_bytes else ""
+        frames = f"{self.frame_count - self.added_poses} frames"
+        if self.added_poses:
+            frames += f" and {self.added_poses} pose{'s' * (self.added_poses != 1)} more"
         return (
-            f"{self.vertex_count} vertices, {self.face_count} faces, {self.frame_count} frames in {blocks}, "
+            f"{self.vertex_count} vertices, {self.face_count} faces, {frames} in {blocks}, "
             f"{self.key_frames} key frames; memory {format_bytes(self.peak_bytes)}{limit} "
             f"(held {format_bytes(self.held_bytes)}, order {format_bytes(self.order_bytes)}, "
             f"place {format_bytes(self.place_bytes)}{scratch})"

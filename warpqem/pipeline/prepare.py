@@ -26,6 +26,7 @@ from warpqem.frames.device_source import DeviceFrames
 from warpqem.frames.stream import held_bytes, read_ahead
 from warpqem.kernels.topology import CORNER, LOCKED, SEAM
 from warpqem.mesh.mesh_input import AnimatedMesh, FrameObserver, MeshInput, measure_mesh, read_mesh
+from warpqem.mesh.rounding import warn_of_rounding
 from warpqem.mesh.seams import Seams, read_seams
 from warpqem.options import Goal, MeshOptions
 from warpqem.pipeline.key_frames import KeyFrameChoice
@@ -190,11 +191,13 @@ def prepare(
 
 
 def check_metric_options(options: MeshOptions, spec: CostModelSpec) -> None:
-    """Refuse options of another cost model.
+    """Refuse options of another cost model, and what is no such option.
 
     Raises:
         OptionError: there is one.
     """
+    if not isinstance(options.motion, MotionWeighting | None):
+        raise OptionError(f"motion must be a MotionWeighting or None, got {shown(options.motion)}")
     if options.face is not None and not spec.keeps_face:
         raise OptionError(f"face= needs metric 'face', not {spec.name!r}")
     if options.motion is not None and not spec.uses_motion_features:
@@ -289,6 +292,7 @@ def _look_through(
         hold=planned.device_frame_bytes > 0,
         progress=_read_progress(progress, given.frame_count),
     )
+    warn_of_rounding(mesh.rounding)
     keys = choice.choose()
     if motion is not None:
         factors = motion.features().weight * factors

@@ -19,6 +19,7 @@ from warpqem.errors import UnreachableTargetError
 from warpqem.frames.device_frames import DeviceSink
 from warpqem.frames.stream import ArraySink, FrameSink
 from warpqem.mesh.mesh_input import MeshInput
+from warpqem.mesh.rounding import rounding_lines
 from warpqem.pipeline.memory_plan import MemoryPlan
 from warpqem.pipeline.place_frames import Placing, place_frames, place_refitted
 from warpqem.pipeline.prepare import ORDER_END, Prepared
@@ -76,6 +77,8 @@ class SimplifiedMesh(ArrayRecord):
         copy_map: (V',) int32, the output vertex of each vertex of ``repair``; None without one.
         refitted: whether the surface was fitted to the input as a whole, see ``refit`` of :func:`warpqem.simplify`.
         measuring: what measures it, see ``measured``; None for nothing.
+        rounding: how far single precision moves ``points`` of an input in double precision, at most, in % of
+            ``diagonal``; 0 of an input in single precision. Far from the origin that is much: ``notes`` says so.
     """
 
     points: np.ndarray
@@ -94,6 +97,7 @@ class SimplifiedMesh(ArrayRecord):
     copy_map: np.ndarray | None = None
     refitted: bool = False
     measuring: Callable[[SimplifiedMesh], Measured] | None = field(default=None, repr=False, compare=False)
+    rounding: float = 0.0
 
     def __repr__(self) -> str:
         frames, vertices = self.points.shape[:2]
@@ -142,8 +146,9 @@ class SimplifiedMesh(ArrayRecord):
 
     @property
     def notes(self) -> list[str]:
-        """What was mended of the input's topology, in words."""
-        return [] if self.repair is None else self.repair.findings.lines()
+        """What was mended of the input's topology, and what single precision takes of its shape, in words."""
+        mended = [] if self.repair is None else self.repair.findings.lines()
+        return [*mended, *rounding_lines(self.rounding)]
 
     def save(self, path: str | os.PathLike[str], numbers: Sequence[int] | None = None, fps: float = 24.0) -> list[str]:
         """Write the frames in ``points``: as one USD file, or as mesh files, which trimesh writes.
@@ -229,6 +234,7 @@ def without_frames(work: Prepared, placer: Placer, ordered: DecimatedMesh) -> Si
         diagonal=work.mesh.diagonal,
         plan=work.plan,
         components_removed=len(drops),
+        rounding=work.mesh.rounding,
     )
 
 

@@ -282,6 +282,7 @@ class _Half:
             key_frames=np.unique(part.key_frames % frame_count),
             diagonal=self._diagonal,
             plan=part.plan,
+            rounding=part.rounding * size,
         )
 
     def _whole_log(self, log: CollapseRecord, size: float) -> CollapseRecord:

@@ -7,7 +7,7 @@ import numpy as np
 from warpqem.arguments.distance_limit import DistanceLimit
 from warpqem.frames.stream import ArrayFrames, NoFrames
 from warpqem.measure.measured import Measured, measure_frames, measured_errors
-from warpqem.mesh.mesh_input import MeshInput, read_mesh
+from warpqem.mesh.mesh_input import MeshInput, measure_mesh, read_mesh
 from warpqem.pipeline.bound_sink import BoundSink, ExceededError
 from warpqem.progressive.progressive_mesh import MeshLevel, ProgressiveMesh
 from warpqem.runtime.device import on_device, resolve_device
@@ -16,23 +16,29 @@ __all__ = ["coarsest_within", "measured_level"]
 
 
 @on_device
-def coarsest_within(mesh: ProgressiveMesh, limit: DistanceLimit, first: int, *, device: str | None = None) -> int:
+def coarsest_within(mesh: ProgressiveMesh, limit: DistanceLimit, *, device: str | None = None) -> int:
     """The splits of the coarsest level that is proved to be within a limit of the input, both ways and in all frames.
 
-    It is found by bisection: a finer level is taken to be within the limit where a coarser one is.
+    It is found by bisection, from the level that is within it by the estimates: a finer level is taken to be within the
+    limit where a coarser one is.
 
     Args:
         mesh: with all splits.
         limit: the limit.
-        first: splits of the level to begin with.
         device: Warp device.
+
+    Raises:
+        DegenerateMeshError: the mesh has no extent.
     """
     finest = mesh.level(mesh.split_count)
     reference = read_mesh(finest.points, finest.faces)
-    diagonal = float(np.linalg.norm(np.ptp(finest.points.astype(np.float64), axis=1), axis=1).max())
     name = resolve_device(device)
+    diagonal = measure_mesh(reference, name).diagonal
     # The finest level is the input itself.
-    low, high, middle = -1, mesh.split_count, min(first, mesh.split_count - 1)
+    low, high = -1, mesh.split_count
+    # Estimates fall from split to split.
+    estimated = np.flatnonzero(mesh.topology.error[:high] <= limit.relative(diagonal))
+    middle = int(estimated[0]) if len(estimated) else high - 1
     while high - low > 1:
         if _is_within(reference, mesh.level(middle), limit, diagonal, name):
             high = middle

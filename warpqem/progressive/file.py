@@ -8,6 +8,7 @@ indices, the error, the ratio of its vertices, and their trajectories.
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -26,6 +27,8 @@ from warpqem.progressive.memory_limit import check_memory
 from warpqem.progressive.progressive_mesh import ProgressiveMesh
 
 __all__ = ["ProgressiveFile", "load", "read_info", "save", "stream"]
+
+_log = logging.getLogger(__name__)
 
 # The first chunk of splits is small, so that something finer comes soon; each one after is twice as long, up to a size
 # that keeps the coder's overhead small.
@@ -91,6 +94,7 @@ class ProgressiveFile:
         with self._errors_named():
             self._file = ChunkFile(path)
         self.info = self._file.info
+        _log.info("%s: reading", self.path)
 
     def __enter__(self) -> ProgressiveFile:
         return self

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from warpqem.arguments.array_record import ArrayRecord
-from warpqem.arguments.number_input import real_number, whole_number
+from warpqem.arguments.distance_limit import DistanceLimit
+from warpqem.arguments.limits import ABOVE_0
+from warpqem.arguments.number_input import number_within, real_number, whole_number
 from warpqem.errors import OptionError
 from warpqem.options import check_ratio, target_count
 from warpqem.progressive.vertex_splits import SplitTopology
@@ -47,6 +51,16 @@ class MeshLevel(ArrayRecord):
         from warpqem.picture.preview import preview
 
         return preview(self.points, self.faces)
+
+
+def _check_one(asked: Mapping[str, object]) -> None:
+    """Raise an OptionError unless exactly one of some arguments is given."""
+    given = [name for name, value in asked.items() if value is not None]
+    if len(given) != 1:
+        *most, last = asked
+        raise OptionError(
+            f"exactly one of {', '.join(most)} and {last} is needed, got {' and '.join(given) if given else 'none'}"
+        )
 
 
 @dataclass(frozen=True)
@@ -122,26 +136,43 @@ class ProgressiveMesh:
         return len(self.points)
 
     def splits_for(
-        self, *, ratio: float | None = None, target_faces: int | None = None, max_error: float | None = None
+        self,
+        *,
+        ratio: float | None = None,
+        target_faces: int | None = None,
+        max_error: float | None = None,
+        max_size_error: float | None = None,
+        device: str | None = None,
     ) -> int:
         """The splits of the level with so many faces, or one fewer, or of the coarsest one within an error.
 
         Args:
             ratio: part of the input's faces, in (0, 1].
             target_faces: faces.
-            max_error: % of the bounding-box diagonal.
+            max_error: as for :func:`warpqem.simplify`: the largest distance between the input and the level, both ways,
+                at every point and in every frame, in % of the diagonal of the input's bounding box in that frame. It is
+                proved, for some ten levels one after the other, and needs all splits.
+            max_size_error: the same as an estimate, which is there already: :meth:`error` of the level.
+            device: Warp device for the proof; None takes cuda:0 if present, else cpu.
 
         Raises:
-            OptionError: not exactly one of them is given, or the base mesh has more faces.
+            OptionError: not exactly one of the first four is given, there is no such level, or ``max_error`` is given
+                and not all splits are loaded.
         """
-        given = [value for value in (ratio, target_faces, max_error) if value is not None]
-        if len(given) != 1:
-            raise OptionError(f"exactly one of ratio, target_faces and max_error is needed, got {len(given)}")
+        asked = {
+            "ratio": ratio,
+            "target_faces": target_faces,
+            "max_error": max_error,
+            "max_size_error": max_size_error,
+        }
+        _check_one(asked)
         if max_error is not None:
-            max_error = real_number(max_error, "max_error", "a number of % of the diagonal", lambda x: x >= 0.0)
-            within = np.flatnonzero(100.0 * self.topology.error.astype(np.float64) <= max_error)
+            return self._splits_within(number_within(max_error, "max_error", ABOVE_0), device)
+        if max_size_error is not None:
+            limit = number_within(max_size_error, "max_size_error", ABOVE_0)
+            within = np.flatnonzero(100.0 * self.topology.error.astype(np.float64) <= limit)
             if not len(within):
-                raise OptionError(f"an error of {max_error} % was asked for, that of all levels here is larger")
+                raise OptionError(f"max_size_error {limit} % was asked for, the error of all levels here is larger")
             return int(within[0])
         if ratio is not None:
             target = target_count(check_ratio(ratio), self.face_count)
@@ -153,6 +184,13 @@ class ProgressiveMesh:
         if split_count == self.split_count and target > self.loaded_face_count and not self.is_complete:
             raise OptionError(f"{target} faces were asked for, {self.loaded_face_count} are loaded")
         return split_count
+
+    def _splits_within(self, max_error: float, device: str | None) -> int:
+        # It takes a mesh of this class, and Warp.
+        from warpqem.progressive.bounded_levels import coarsest_within
+
+        self._check_complete("max_error is proved against all faces")
+        return coarsest_within(self, DistanceLimit(max_error / 100.0), device=device)
 
     def error(self, split_count: int) -> float:
         """The error after so many splits, in % of the bounding-box diagonal, as ``SimplifiedMesh.error``.
@@ -169,23 +207,35 @@ class ProgressiveMesh:
         faces: int | None = None,
         ratio: float | None = None,
         max_error: float | None = None,
+        max_size_error: float | None = None,
+        device: str | None = None,
     ) -> MeshLevel:
-        """One level, in time that grows with its size alone; exactly one argument says which.
+        """One level; exactly one argument says which. All but ``max_error`` take time that grows with its size alone.
 
         Args:
             split_count: splits of the base mesh.
             faces: faces; the level has as many, or one fewer.
             ratio: part of the input's faces, in (0, 1].
-            max_error: the coarsest level with an ``error`` of at most so many % of the bounding-box diagonal.
+            max_error: the coarsest level that is proved to be within so many % of the diagonal of the input's bounding
+                box, see :meth:`splits_for`.
+            max_size_error: the coarsest level with an ``error``, which is an estimate, of at most so many % of it.
+            device: Warp device for the proof of ``max_error``; None takes cuda:0 if present, else cpu.
 
         Raises:
-            OptionError: there is no such level, or not exactly one argument.
+            OptionError: there is no such level, or not exactly one argument; or ``max_error`` where not all splits are
+                loaded.
         """
-        given = [value for value in (split_count, faces, ratio, max_error) if value is not None]
-        if len(given) != 1:
-            raise OptionError(f"exactly one of split_count, faces, ratio and max_error is needed, got {len(given)}")
+        asked = {
+            "split_count": split_count,
+            "faces": faces,
+            "ratio": ratio,
+            "max_error": max_error,
+            "max_size_error": max_size_error,
+        }
+        _check_one(asked)
         if split_count is None:
-            split_count = self.splits_for(ratio=ratio, target_faces=faces, max_error=max_error)
+            limits: dict[str, Any] = {"max_error": max_error, "max_size_error": max_size_error, "device": device}
+            split_count = self.splits_for(ratio=ratio, target_faces=faces, **limits)
         split_count = self._checked_count(split_count)
         rows = self._rows(split_count)
         face_count = int(self._face_counts[split_count])
@@ -206,8 +256,7 @@ class ProgressiveMesh:
         Raises:
             OptionError: not all splits are loaded, or there are not so many.
         """
-        if not self.is_complete:
-            raise OptionError(f"only {self.loaded_face_count} of {self.face_count} faces are loaded")
+        self._check_complete("vertex_map is that of all faces")
         rows = self._rows(self._checked_count(split_count))
         full = self._rows(self.split_count)
         vertex_map = np.full(self.topology.vertex_count, -1, dtype=np.int32)
@@ -241,6 +290,10 @@ class ProgressiveMesh:
         if blend == 1.0:
             return level.points, level.faces
         return start + np.float32(blend) * (level.points - start), level.faces
+
+    def _check_complete(self, why: str) -> None:
+        if not self.is_complete:
+            raise OptionError(f"{why}: only {self.loaded_face_count} of {self.face_count} faces are loaded")
 
     def _checked_count(self, split_count: int) -> int:
         most = self.split_count

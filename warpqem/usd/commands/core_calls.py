@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -223,6 +224,8 @@ class CoreCalls:
         plan = warpqem.plan(
             job.frames, job.faces, sink=sink, levels=shared is not None, measure=False, **options, **goal
         )
+        # The frames of the table are those of the animation.
+        plan = replace(plan, added_poses=job.pose_start)
         self._reports[job.mesh.path].plan = plan.to_dict()
         if shared is None or shared.order is None or not shared.announced:
             self._announce(job.mesh.path, plan)

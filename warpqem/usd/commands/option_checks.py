@@ -7,7 +7,8 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
-from warpqem.arguments.limits import WEIGHTS
+from warpqem.arguments.limits import COUNT, WEIGHTS, Limits
+from warpqem.arguments.number_hints import number_hint
 from warpqem.errors import OptionError
 from warpqem.usd.read.time_codes import FrameRange
 
@@ -29,6 +30,8 @@ __all__ = [
     "read_weights",
 ]
 
+# Shares of the levels below the original.
+LEVEL_SHARE = Limits(0.0, 1.0, open_low=True, open_high=True)
 # Weights by primvar name, without "primvars:".
 AttributeWeights = Sequence[tuple[str, float]]
 
@@ -77,7 +80,11 @@ def parse_faces(value: object) -> int | str:
     """
     text = str(value).strip()
     if isinstance(value, bool) or not re.fullmatch(r"-?\d{1,18}(\.0)?|\d+(\.\d+)? ?%", text):
-        raise ValueError("expected a whole number, or a share of all faces such as 25%")
+        if found := re.fullmatch(r"0?\.\d{1,6}", text):
+            hint = f"; for that share give {100 * float(found[0]):g}%"
+        else:
+            hint = number_hint("", value, COUNT, whole=True)
+        raise ValueError(f"expected a whole number, or a share of all faces such as 25%{hint}")
     return text.replace(" ", "") if text.endswith("%") else int(text.removesuffix(".0"))
 
 
@@ -114,7 +121,9 @@ def read_ratios(value: Any) -> tuple[float, ...]:
         try:
             ratios.append(float(part))
         except ValueError:
-            raise OptionError(f"`lods` '{text}': '{part}' is no number; expected ratios such as 0.5,0.25,0.1") from None
+            hint = number_hint("", part, LEVEL_SHARE)
+            expected = "expected ratios such as 0.5,0.25,0.1"
+            raise OptionError(f"`lods` '{text}': '{part}' is no number; {expected}{hint}") from None
     return tuple(ratios)
 
 
@@ -158,8 +167,9 @@ def check_lods(ratios: Sequence[float]) -> None:
     """
     before = math.inf
     for ratio in ratios:
-        if not 0 < ratio < 1:
-            raise OptionError(f"lods: ratio {ratio:g}: expected a share above 0 and below 1")
+        if ratio not in LEVEL_SHARE:
+            hint = number_hint("", ratio, LEVEL_SHARE)
+            raise OptionError(f"lods: ratio {ratio:g}: expected a share above 0 and below 1{hint}")
         if ratio >= before:
             raise OptionError(f"lods: ratio {ratio:g} after {before:g}: each level must be smaller than the one before")
         before = ratio

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any, TypeVar, overload
 
 from warpqem.arguments.option_fields import OptionField, named_options, option_fields
@@ -68,12 +68,13 @@ def _plain(value: Any) -> Any:
 
 def _make(options: type[Options], given: Mapping[str, Any]) -> Options:
     found: dict[str, Any] = {}
-    for field, entry in option_fields(options).items():
+    entries = option_fields(options)
+    for field, entry in entries.items():
         if entry.has_parts:
             part = _make_part(entry.kind, given)
             found |= {} if part is None else {field: part}
         elif entry.name in given:
-            found[field] = _read(entry, given[entry.name])
+            found[field] = _read(entry, given[entry.name], entries)
     return options(**found)
 
 
@@ -90,7 +91,13 @@ def _make_part(options: type[Options], given: Mapping[str, Any]) -> Options | No
     return _make(options, given)
 
 
-def _read(entry: OptionField, value: Any) -> Any:
+def _read(entry: OptionField, value: Any, names: Collection[str]) -> Any:
+    if entry.kind in _NUMBERS and entry.option.parse is None:
+        try:
+            return _NUMBERS[entry.kind](value)
+        except (TypeError, ValueError, OverflowError):
+            hint = entry.hint(value, names)
+            raise OptionError(f"`{entry.name}` must be {entry.expected}, got {value!r}{hint}") from None
     try:
         return (entry.option.parse or _READERS.get(entry.kind, _text))(value)
     except (TypeError, ValueError, OverflowError) as error:
@@ -110,14 +117,15 @@ def _boolean(value: Any) -> bool:
 
 def _integer(value: Any) -> int:
     if isinstance(value, bool) or (isinstance(value, float) and not value.is_integer()):
-        raise ValueError("expected a whole number")
+        raise ValueError
     return int(value)
 
 
 def _number(value: Any) -> float:
     if isinstance(value, bool):
-        raise ValueError("expected a number")
-    return float(value)
+        raise ValueError
+    # Messages show a number as it was written.
+    return int(value) if isinstance(value, str) and value.lstrip("-").isdecimal() else float(value)
 
 
 def _text(value: Any) -> str:
@@ -131,4 +139,5 @@ def _bytes(value: Any) -> int | str:
 
 
 # Readers of other types than text and names.
-_READERS: dict[Any, Callable[[Any], Any]] = {bool: _boolean, float: _number, int: _integer, int | str: _bytes}
+_READERS: dict[Any, Callable[[Any], Any]] = {bool: _boolean, int | str: _bytes}
+_NUMBERS: dict[Any, Callable[[Any], Any]] = {float: _number, int: _integer}

@@ -190,10 +190,10 @@ def _find_level(
     limit = choice.limit(notes)
     if limit:
         mesh = file.load(memory=memory)
-        # By the estimates, which fall from split to split, to begin with.
-        estimated = np.flatnonzero(mesh.topology.error <= limit.relative(notes.diagonal()))
-        first = int(estimated[0]) if len(estimated) else mesh.split_count
-        return mesh, coarsest_within(mesh, limit, first, device=device)
+        try:
+            return mesh, coarsest_within(mesh, limit, device=device)
+        except DegenerateMeshError as error:
+            raise ProgressiveFileError(f"{file.path}: {error}") from error
     face_count = file.info.face_count
     target = choice.faces if choice.ratio is None else target_count(choice.ratio, face_count)
     mesh = file.load(target_faces=target, memory=memory)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+from pxr import Usd
 
 from warpqem.errors import OptionError, StageError
 from warpqem.files.outputs import OutputFile
@@ -18,6 +19,7 @@ from warpqem.picture.look import Look
 from warpqem.usd.checks.input_files import check_stage_outputs
 from warpqem.usd.commands.level_stages import original_of_levels
 from warpqem.usd.read.materials import Materials
+from warpqem.usd.read.missing_textures import missing_lines, missing_textures
 from warpqem.usd.read.time_codes import FrameRange
 from warpqem.usd.read.variants import open_stages, select_variants
 from warpqem.usd.read.world import WorldMeshes, chosen_times, limit_places
@@ -73,6 +75,7 @@ def render_sheet(
     options: RenderOptions,
     reference_path: str | os.PathLike[str] | None = None,
     progress: Progress | None = None,
+    warn: Callable[[str], None] | None = None,
 ) -> float | None:
     """Draw a file at several times as a PNG: a row of pictures; with a reference a row of it above, from the same view.
 
@@ -82,6 +85,7 @@ def render_sheet(
         options: How to draw.
         reference_path: USD file to draw above it.
         progress: Called with the fraction done and what is being done.
+        warn: Called with a line for each texture that is not shown.
 
     Returns:
         Distance of the brightest colour of the heat map, in % of the bounding-box diagonal; None without one.
@@ -112,6 +116,9 @@ def render_sheet(
         [_look(item, None if times is None else [time], options, materials) for time in times or [0.0]]
         for item in drawn
     ]
+    if warn is not None and not options.plain:
+        for line in _not_shown(stages, materials):
+            warn(line)
     rows, scale = _rows(meshes, looks, [item.name for item in drawn], options)
     views = _views(meshes, drawn[0].up, options)
     pictures = _pictures(rows, times, views, options, progress)
@@ -120,6 +127,16 @@ def render_sheet(
     except OSError as error:
         raise StageError(f"{output_path}: cannot be written ({error.strerror or error})") from error
     return scale
+
+
+def _not_shown(stages: Sequence[Usd.Stage], materials: Materials) -> list[str]:
+    """A line for each texture that cannot be found, or that cannot be drawn for another reason."""
+    missing = [missing_textures(stage) for stage in stages]
+    named = {texture.path for textures in missing for texture in textures}
+    others = [
+        line for line in materials.left_out if not any(f": texture {path} is not shown" in line for path in named)
+    ]
+    return list(dict.fromkeys([*(line for textures in missing for line in missing_lines(textures)), *others]))
 
 
 def _look(item: WorldMeshes, times: list[float] | None, options: RenderOptions, materials: Materials) -> Look:

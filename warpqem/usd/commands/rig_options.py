@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
@@ -28,7 +29,7 @@ def read_counts(value: Any) -> int | tuple[int, ...]:
     if isinstance(value, bool):
         raise ValueError("expected a whole number, or one for each level such as 4,2,1")
     if isinstance(value, (int, float)):
-        return int(value) if value == int(value) else _refuse()
+        return _refuse() if isinstance(value, float) and not value.is_integer() else int(value)
     parts = value.split(",") if isinstance(value, str) else list(value)
     counts = tuple(_count(part) for part in parts)
     return counts[0] if len(counts) == 1 else counts
@@ -36,7 +37,7 @@ def read_counts(value: Any) -> int | tuple[int, ...]:
 
 def _count(part: Any) -> int:
     text = str(part).strip()
-    return int(text) if text.lstrip("-").isdigit() else _refuse()
+    return int(text) if re.fullmatch(r"-?\d{1,9}", text) else _refuse()
 
 
 def _refuse() -> int:

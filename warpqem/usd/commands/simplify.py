@@ -100,7 +100,8 @@ def simplify_stage(
         written = [OutputFile("output", path) for path in output_files(output_path, options)]
     start = time.perf_counter()
     name = input_path.GetRootLayer().identifier if isinstance(input_path, Usd.Stage) else os.fspath(input_path)
-    _log.info("%s: reading", name)
+    if isinstance(input_path, Usd.Stage):
+        _log.info("%s: reading", name)
     stage, problems = open_input(input_path, options.asset_roots)
     if isinstance(output, Sdf.Layer):
         check_output_layer(output, stage)

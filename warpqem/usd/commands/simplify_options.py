@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 from dataclasses import dataclass
-from numbers import Real
 from typing import TYPE_CHECKING, Any, Literal
 
 from warpqem.arguments.limits import WEIGHTS, Limits
@@ -36,7 +35,7 @@ if TYPE_CHECKING:
     from warpqem.costs.motion_features import MotionWeighting
     from warpqem.face import FaceProtection, FacialFeatures
 
-__all__ = ["GOALS", "SimplifyOptions"]
+__all__ = ["GOALS", "POINT_WEIGHTS", "SimplifyOptions"]
 
 # These say how far to simplify.
 GOALS = ("ratio", "faces", "max_error", "max_distance", "screen", "lods")
@@ -48,6 +47,8 @@ VaryingTopology = Literal["runs", "refuse"]
 Axis = Literal["x", "y", "z", "auto"]
 # A dihedral angle changes by half a turn at most.
 ANGLE = Limits(0.0, 180.0)
+# Of feature points, see `warpqem.face.FaceProtection`.
+POINT_WEIGHTS = Limits(1.0, 1e12)
 
 
 @dataclass(frozen=True)
@@ -68,10 +69,10 @@ class SimplifyOptions(RigOptions):
         usd_lod: With `lods`, write the levels as prims below that root prim, with the schemas of UsdLod, instead.
         lod_files: With `lods`, write each level as a file of its own beside the output, which is not written itself:
             OUT_LOD1.usdc, OUT_LOD2.usdc, ... for OUT.usdc.
-        max_size_error: A mesh stops above its number of faces, or within its limit, where its error would pass so many
-            % of its bounding-box diagonal, see `warpqem.options.MeshOptions`; of two triangles none goes. 5, a
-            twentieth of its size, keeps cubes and cards whole, and lets meshes of some hundred triangles come down to a
-            twentieth of them. None or infinity for no limit.
+        max_size_error: A mesh stops above its number of faces, or within its limit, where the estimate of its error
+            would pass so many % of its bounding-box diagonal, see `warpqem.options.MeshOptions`; of two triangles none
+            goes. 5, a twentieth of its size, keeps cubes and cards whole, and lets meshes of some hundred triangles
+            come down to a twentieth of them. None or infinity for no limit.
         uv_weight: Weight of the error of texture coordinates in the order of collapses: at 1 an error of the whole UV
             square counts as much as one bounding-box diagonal, see `warpqem.costs.AttributeField`; 0 does not look at
             them. None for the weight of the metric: 0.1 of "face", 0 of the others.
@@ -132,8 +133,9 @@ class SimplifyOptions(RigOptions):
     )
     max_size_error: float | None = option(
         5.0,
-        "A mesh stops where its error would pass so many % of its bounding-box diagonal, so that cards and boxes are "
-        "not destroyed for a face count or a large distance; inf for no limit.",
+        "A mesh stops where the estimate of its error would pass so many % of its bounding-box diagonal, so that cards "
+        "and boxes are not destroyed for a face count or a large distance; inf for no limit. It is not proved, "
+        "as --max-error is: the measured distance may be larger.",
         "PCT",
         Limits(0.0, open_low=True, infinite=True),
         panel="Goal",
@@ -215,7 +217,7 @@ class SimplifyOptions(RigOptions):
         "With --metric face: weight of the quadrics of a feature point and of its neighbours, which are summed at it "
         "(equation 1 of multiresolution facial animation); 100 by default.",
         "WEIGHT",
-        Limits(1.0, 1e12),
+        POINT_WEIGHTS,
         panel="What to keep",
     )
     face_ring: int | None = option(
@@ -333,10 +335,6 @@ class SimplifyOptions(RigOptions):
     def __post_init__(self) -> None:
         """Check the options, and those that need or exclude each other."""
         self._check_goals()
-        if isinstance(self.ratio, Real) and 1 < self.ratio <= 100:
-            raise OptionError(
-                f"`ratio` must be in (0, 1], got {self.ratio:g}; for {self.ratio:g} % give {self.ratio / 100:g}"
-            )
         check_options(self)
         if self.faces is not None:
             check_faces(self.faces)

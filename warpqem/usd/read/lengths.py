@@ -21,7 +21,7 @@ def parse_length(value: float | str, meters_per_unit: float) -> float:
         meters_per_unit: metersPerUnit of the stage.
 
     Raises:
-        OptionError: it is none, or not above 0.
+        OptionError: it is none, or not above 0; or it has a unit and the stage has none.
     """
     found = re.fullmatch(r"\s*([-+.\deE]+?)\s*([a-z]*)\s*", str(value))
     try:
@@ -31,7 +31,14 @@ def parse_length(value: float | str, meters_per_unit: float) -> float:
     unit = found[2] if found else ""
     if isinstance(value, bool) or (unit and unit not in METRES) or not 0.0 < number < math.inf:
         raise OptionError(
-            f"max_distance {value!r}: expected a length above 0 in units of the stage, or with one of "
+            f"max_distance {value!r}: expected a length, finite and above 0, in units of the stage, or with one of "
             f"{', '.join(METRES)}, such as 2mm"
         )
-    return number if not unit else number * METRES[unit] / meters_per_unit
+    if not unit:
+        return number
+    if not 0.0 < meters_per_unit < math.inf:
+        raise OptionError(
+            f"max_distance {value!r}: metersPerUnit of the stage is {meters_per_unit:g}, which is no size of a unit; "
+            "give the length in units of the stage"
+        )
+    return number * METRES[unit] / meters_per_unit

@@ -26,15 +26,16 @@ def find_odd_values(source: MeshSource) -> list[str]:
     """One line for each attribute with such values, with prim, attribute and time.
 
     Looked at are attributes of another type than the schema's, primvars whose elementSize or indices cannot be meant,
-    primvars, normals, motion and blend shapes that are no finite numbers, subsets of faces that do not exist,
-    transforms that are not finite or flatten the mesh, joint weights that are no shares, and skeletons and animations
-    whose arrays do not fit their joints.
+    primvars, normals, motion and blend shapes that are no finite numbers, names that the schema does not know, subsets
+    of faces or points that do not exist, transforms that are not finite or flatten the mesh, joint weights that are no
+    shares, and skeletons and animations whose arrays do not fit their joints.
     """
     mesh = source.mesh
     found = [
         *_types(source.prim),
         *_primvar_layout(source),
-        *_subsets(mesh, source.topology.polygon_count),
+        *_tokens(source.prim),
+        *_subsets(mesh, source.topology.polygon_count, source.point_count),
         *_transform(source),
     ]
     attributes = [primvar.GetAttr() for primvar in UsdGeom.PrimvarsAPI(mesh).GetPrimvarsWithAuthoredValues()]
@@ -86,22 +87,39 @@ def _numbers(attribute: Usd.Attribute, code: Usd.TimeCode) -> npt.NDArray[np.flo
     return array if array is not None and array.dtype.kind == "f" and len(array) else None
 
 
-def _subsets(mesh: UsdGeom.Mesh, polygon_count: int) -> Iterator[str]:
-    for subset in subsets_of(mesh):
-        if subset.GetElementTypeAttr().Get() != UsdGeom.Tokens.face:
+def _tokens(prim: Usd.Prim) -> Iterator[str]:
+    """Names that the schema does not know, such as an orientation "up": USD takes the default instead, or anything."""
+    definition = prim.GetPrimDefinition()
+    known = set(definition.GetPropertyNames())
+    for attribute in prim.GetAuthoredAttributes():
+        allowed = attribute.GetMetadata("allowedTokens") if attribute.GetName() in known else None
+        if not allowed:
             continue
-        attribute = subset.GetIndicesAttr()
+        for code in sample_codes(attribute):
+            value = attribute.Get(code)
+            if value not in allowed:
+                yield f"{attribute.GetPath()}: {value!r} at time {_name(code)} is none of {', '.join(allowed)}"
+                break
+
+
+def _subsets(mesh: UsdGeom.Mesh, polygon_count: int, point_count: int) -> Iterator[str]:
+    counts = {UsdGeom.Tokens.face: polygon_count, UsdGeom.Tokens.point: point_count}
+    for subset in subsets_of(mesh):
+        kind = subset.GetElementTypeAttr().Get()
+        if kind not in counts:
+            continue
+        count, attribute = counts[kind], subset.GetIndicesAttr()
         for code in sample_codes(attribute):
             indices = np.asarray(attribute.Get(code), dtype=np.int64)
-            outside = indices[(indices < 0) | (indices >= polygon_count)]
+            outside = indices[(indices < 0) | (indices >= count)]
             if len(outside):
                 yield (
-                    f"{attribute.GetPath()}: face {outside[0]} at time {_name(code)} does not exist "
-                    f"({polygon_count} faces; {len(outside)} such entries)"
+                    f"{attribute.GetPath()}: {kind} {outside[0]} at time {_name(code)} does not exist "
+                    f"({count} {kind}s; {len(outside)} such entries)"
                 )
                 break
             if len(np.unique(indices)) < len(indices):
-                yield f"{attribute.GetPath()}: names a face twice at time {_name(code)}"
+                yield f"{attribute.GetPath()}: names a {kind} twice at time {_name(code)}"
                 break
 
 

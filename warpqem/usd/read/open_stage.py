@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -12,6 +13,7 @@ from warpqem.errors import StageError
 from warpqem.usd.checks.input_check import check_composition, open_layers
 from warpqem.usd.checks.usd_errors import first_line
 from warpqem.usd.read.instances import SharedPrototype, end_instancing, open_instances, spec_places
+from warpqem.usd.read.missing_textures import missing_lines, missing_textures
 from warpqem.usd.read.stage_views import private_view
 
 __all__ = [
@@ -22,6 +24,8 @@ __all__ = [
     "open_with_problems",
     "world_scale",
 ]
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass
@@ -65,7 +69,7 @@ def open_stage(path: str | os.PathLike[str], roots: Sequence[str | os.PathLike[s
         StageError: the file does not exist, USD cannot read it, or could not read it safely; a file it needs lies
             elsewhere; or a layer or prim refers to itself.
     """
-    return open_with_problems(path, roots)[0]
+    return _opened(path, roots)[0]
 
 
 def open_with_problems(
@@ -76,6 +80,13 @@ def open_with_problems(
     Raises:
         StageError: see `open_stage`.
     """
+    stage, problems = _opened(path, roots)
+    return stage, [*problems, *missing_lines(missing_textures(stage))]
+
+
+def _opened(path: str | os.PathLike[str], roots: Sequence[str | os.PathLike[str]]) -> tuple[Usd.Stage, list[str]]:
+    """A stage, and what is wrong with how it is composed and with files that its layers name."""
+    _log.info("%s: reading", os.fspath(path))
     opened = open_layers(path, roots)
     try:
         stage = Usd.Stage.Open(os.fspath(path))
@@ -102,7 +113,7 @@ def open_input(
     if not isinstance(source, Usd.Stage):
         return open_with_problems(source, roots)
     view = private_view(source)
-    return view, check_composition(view)
+    return view, [*check_composition(view), *missing_lines(missing_textures(view))]
 
 
 def find_meshes(stage: Usd.Stage, prim_paths: Sequence[str] = (), by_root: bool = False) -> MeshSelection:

@@ -33,15 +33,15 @@ class FrameRange:
         """Refuse ranges that contain nothing."""
         values = [self.start, self.end] if self.step is None else [self.start, self.end, self.step]
         if not all(math.isfinite(value) for value in values):
-            raise OptionError(f"frame range {self}: start, end and step must be finite time codes")
+            raise OptionError(f"`frames`: frame range {self}: start, end and step must be finite time codes")
         if self.end < self.start:
-            raise OptionError(f"frame range {self}: the end lies before the start")
+            raise OptionError(f"`frames`: frame range {self}: the end lies before the start")
         if self.step is None:
             return
         if self.step <= 0:
-            raise OptionError(f"frame range {self}: the step must be above 0")
+            raise OptionError(f"`frames`: frame range {self}: the step must be above 0")
         if (self.end - self.start) / self.step >= MAX_FRAMES:
-            raise OptionError(f"frame range {self}: more than {MAX_FRAMES} frames")
+            raise OptionError(f"`frames`: frame range {self}: more than {MAX_FRAMES} frames")
 
     def __str__(self) -> str:
         """The range as it is written on the command line."""
@@ -57,11 +57,11 @@ class FrameRange:
         """
         parts = text.split(":")
         if len(parts) not in (2, 3):
-            raise OptionError(f"frame range '{text}': expected START:END or START:END:STEP, in time codes")
+            raise OptionError(f"`frames`: frame range '{text}': expected START:END or START:END:STEP, in time codes")
         try:
             numbers = [float(part) for part in parts]
         except ValueError:
-            raise OptionError(f"frame range '{text}': START, END and STEP must be numbers") from None
+            raise OptionError(f"`frames`: frame range '{text}': START, END and STEP must be numbers") from None
         return cls(*numbers)
 
     def select(self, times: Sequence[float]) -> list[float]:

@@ -66,15 +66,15 @@ class Rows:
         """
         corners, heaviest = values[self.index].astype(np.float64), self.pick(values).astype(np.float64)
         weight = self.weight.astype(np.float64).reshape(*self.weight.shape, *[1] * (corners.ndim - 2))
-        if not signed:
-            agreement = (corners * heaviest[:, None]).sum(axis=-1, keepdims=True)
-            corners = np.where(agreement < 0, -corners, corners)
-        mean = (weight * corners).sum(axis=1)
-        length = np.linalg.norm(mean, axis=-1, keepdims=True)
-        # A quaternion of another length than one stays so: what its maker means by it is not known.
-        wanted = 1.0 if signed else (weight * np.linalg.norm(corners, axis=-1, keepdims=True)).sum(axis=1)
         # What is not finite stays so.
         with np.errstate(invalid="ignore"):
+            if not signed:
+                agreement = (corners * heaviest[:, None]).sum(axis=-1, keepdims=True)
+                corners = np.where(agreement < 0, -corners, corners)
+            mean = (weight * corners).sum(axis=1)
+            length = np.linalg.norm(mean, axis=-1, keepdims=True)
+            # A quaternion of another length than one stays so: what its maker means by it is not known.
+            wanted = 1.0 if signed else (weight * np.linalg.norm(corners, axis=-1, keepdims=True)).sum(axis=1)
             return np.where(length > SHORTEST, wanted * mean / np.maximum(length, SHORTEST), heaviest)
 
 
@@ -146,6 +146,9 @@ class AttributeTransfer:
         """Colours of the output vertices, (V', ...) float64, from those of the authored points, (P, ...)."""
         points, faces, result = self._input
         blended = self.vertices().blend(values)
+        if not np.isfinite(values).all():
+            # Nothing lies between what is infinite, or no number, and the rest.
+            return blended
         cluster = np.where(is_proper(faces)[:, None], result.vertex_map[faces], -1)
         corners = values[self.topology.triangles].reshape(len(faces), 3, -1)
         fitted, found = fitted_values(corners, points, faces, cluster, result.points[0])
