@@ -67,6 +67,13 @@ class _Direction:
         self._most = MAX_GROWTH * self._count
         return low
 
+    def take_over(self, way: _Direction) -> None:
+        """Begin with the patches that the search of another one has come to."""
+        self._count = way._count
+        self._patches = way._patches.rows(slice(self._count)).copy()
+        self.leading = way.leading
+        self._most = MAX_GROWTH * self._count
+
     def show(self, points: tuple[wp.array, wp.array]) -> None:
         """Go to a block of frames, packed."""
         self._points = points
@@ -168,11 +175,22 @@ class LargestDistance:
         device: Warp device.
         overall: whether only the largest of all frames is asked for: then a frame is searched for what is beyond that
             of the frames before.
+        like: a search of the same frames that is always a step ahead, with whose patches this one begins; None for
+            none.
     """
 
-    def __init__(self, reference: Cells, test: Cells, frame_count: int, device: str, *, overall: bool = False) -> None:
+    def __init__(
+        self,
+        reference: Cells,
+        test: Cells,
+        frame_count: int,
+        device: str,
+        *,
+        overall: bool = False,
+        like: LargestDistance | None = None,
+    ) -> None:
         self._ways = (_Direction(reference, test, device), _Direction(test, reference, device))
-        self._frame_count, self._device, self._overall = frame_count, device, overall
+        self._frame_count, self._device, self._overall, self._like = frame_count, device, overall, like
         # The largest so far.
         self._largest = 0.0
         self._block: tuple[Doubles, Doubles] | None = None
@@ -209,10 +227,7 @@ class LargestDistance:
                 found, bound = np.maximum(found, result.low.max()), np.maximum(bound, result.high.max())
             return np.maximum(found, bound)
         if not self._is_cut:
-            for way in self._ways:
-                found[0] = way.cut_first(float(found[0]))
-                if self._overall:
-                    found[:] = found.max()
+            self._begin(found)
             self._is_cut = True
             self._show()
         if not self._overall:
@@ -225,6 +240,16 @@ class LargestDistance:
         self._largest = max(self._largest, float(found.max()))
         self._least = min(self._least, float(found.min()))
         return np.maximum(found, bound)
+
+    def _begin(self, found: Doubles) -> None:
+        """Cut both meshes into patches in the first of some frames, and note what is found there."""
+        for number, way in enumerate(self._ways):
+            if self._like is not None:
+                way.take_over(self._like._ways[number])
+                continue
+            found[0] = way.cut_first(float(found[0]))
+            if self._overall:
+                found[:] = found.max()
 
     def near_faces(self, side: int) -> wp.array:
         """(N,) int32, a face of the other mesh near to each face of one, 0 the reference, mostly; -1 for none."""
