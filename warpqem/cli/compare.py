@@ -90,11 +90,11 @@ def compare(
         quiet_libraries()
         load_usd()
         from warpqem.files.outputs import named_outputs
-        from warpqem.report.page import check_page_path
         from warpqem.usd import CompareOptions, FrameRange, compare_stages
-        from warpqem.usd.commands.report_page import write_compare_report
 
         if report is not None:
+            from warpqem.report.page import check_page_path
+
             check_page_path(report)
         options = CompareOptions(
             samples=samples,
@@ -110,6 +110,8 @@ def compare(
         others = named_outputs({"--report": report, "--json": json})
         pairs = compare_stages(reference, test, options, progress, others)
         if report is not None and any(pair.comparison for pair in pairs):
+            from warpqem.usd.commands.report_page import write_compare_report
+
             write_compare_report(report, reference, test, pairs, options, progress)
     _show(reference, test, pairs, json)
     if not pairs or any(pair.message is not None for pair in pairs):

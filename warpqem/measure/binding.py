@@ -188,7 +188,9 @@ class _WholeSearch:
 
     def facing(self, key: int, chosen: Ints, normal: Floats, distance: Floats) -> Ints:
         reach = np.maximum(self._vertices.reach[chosen], 2 * distance)
-        return self._surface.facing(key, self._vertices.points[key, chosen], normal, distance, reach)
+        # The frame is that which was searched for the nearest faces.
+        mesh = self._search.mesh
+        return self._surface.facing(key, self._vertices.points[key, chosen], normal, distance, reach, mesh)
 
 
 class _ListedSearch:

@@ -172,15 +172,20 @@ class ReferenceSurface:
         """(S,) where two faces share a vertex, or an edge leads from one to the other."""
         a, b = (np.repeat(self._place_of[self.mesh.faces[face]], 3, axis=1) for face in (one, other))
         b = b[:, [0, 3, 6, 1, 4, 7, 2, 5, 8]]
-        joined: npt.NDArray[np.bool_] = ((a == b) | np.isin(edge_key(a, b, len(self._place_of)), self._edges)).any(
-            axis=1
-        )
+        key = edge_key(a, b, len(self._place_of))
+        at = np.searchsorted(self._edges, key).clip(0, len(self._edges) - 1)
+        joined: npt.NDArray[np.bool_] = ((a == b) | (self._edges[at] == key)).any(axis=1)
         return joined
 
-    def facing(self, key: int, query: Floats, normal: Floats, distance: Floats, reach: Floats) -> Ints:
-        """The nearest face to each query (S, 3) in a key frame that faces as its normal does; -1: none in reach."""
+    def facing(
+        self, key: int, query: Floats, normal: Floats, distance: Floats, reach: Floats, mesh: wp.Mesh | None
+    ) -> Ints:
+        """The nearest face to each query (S, 3) in a key frame that faces as its normal does; -1: none in reach.
+
+        ``mesh`` is the hierarchy of that frame, where there is one.
+        """
         points = self.points[key]
-        return nearest_facing(points, self.corner_vertex, query, normal, distance, reach, self.device)
+        return nearest_facing(points, self.corner_vertex, query, normal, distance, reach, self.device, mesh=mesh)
 
 
 class TestVertices:

@@ -46,6 +46,8 @@ class ClosestPointSearch:
         self._indices = wp.array(faces.ravel(), dtype=wp.int32, device=device)
         self._device = device
         self._name = name
+        # The hierarchy of the points that were searched last.
+        self.mesh: wp.Mesh | None = None
 
     def closest(self, points: npt.NDArray[np.float64], queries: npt.NDArray[np.float64], frame: int) -> Closest:
         """Closest points of the mesh with points (V, 3) to queries (S, 3).
@@ -58,7 +60,7 @@ class ClosestPointSearch:
         """
         device = self._device
         exact_points = wp.array(points, dtype=wp.vec3d, device=device)
-        mesh = wp.Mesh(points=wp.array(points, dtype=wp.vec3, device=device), indices=self._indices)
+        mesh = self.mesh = wp.Mesh(points=wp.array(points, dtype=wp.vec3, device=device), indices=self._indices)
         distance = wp.zeros(len(queries), dtype=wp.float64, device=device)
         face = wp.zeros(len(queries), dtype=wp.int32, device=device)
         barycentric = wp.zeros(len(queries), dtype=wp.vec3d, device=device)

@@ -60,6 +60,10 @@ class Patches:
         """Some of them."""
         return Patches(self.face[chosen], self.place[chosen], self.hint[chosen])
 
+    def copy(self) -> Patches:
+        """The same in arrays of their own."""
+        return Patches(*(values.copy() for values in vars(self).values()))
+
     def grown(self, capacity: int) -> Patches:
         """The same at the beginning of larger arrays."""
         larger = Patches(*(np.empty((capacity, *values.shape[1:]), values.dtype) for values in vars(self).values()))

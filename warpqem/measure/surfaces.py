@@ -114,7 +114,7 @@ class SurfaceComparison:
         surfaces = self._reference, self._test, frame_count, device
         self._largest = LargestDistance(*surfaces, overall=True)
         # In one frame it is the same.
-        self._in_frames = None if overall or frame_count == 1 else LargestDistance(*surfaces)
+        self._in_frames = None if overall or frame_count == 1 else LargestDistance(*surfaces, like=self._largest)
         self._overall = 0.0
         self.test_faces = len(test_faces)
         self.sample_count, self._seed, self._device = samples, seed, device

@@ -5,7 +5,8 @@ Edges are collapsed once. A level is a cut through the forest of these collapses
 placed; where a vertex of the input is too far from the faces around the one that it went to, the last collapse of the
 largest error there is left out, and the next cut is looked at where it differs. Cuts in which hardly a vertex is too
 far are bounded (:class:`warpqem.measure.bound.DistanceBound`), which takes longer and proves it; where a face is not
-proved to be within the limit, the same is done. So a spot holds back itself alone.
+proved to be within the limit, the same is done. So a spot holds back itself alone. A refit comes last, and leaves those
+vertices as placed which it would take too far (:mod:`warpqem.pipeline.bounded_frames`).
 """
 
 from __future__ import annotations
@@ -23,11 +24,12 @@ from warpqem.errors import OptionError
 from warpqem.frames.stream import ArraySink, FrameSink, NoFrames, SharedFrames
 from warpqem.measure.bound import DistanceBound, Excess
 from warpqem.measure.far_points import FacesAround, far_points
-from warpqem.measure.unit_frames import ChangingBlock
 from warpqem.mesh.mesh_input import AnimatedMesh
 from warpqem.pipeline.bound_sink import LimitFrames
+from warpqem.pipeline.bounded_frames import BoundedFrames, HeldVertices, SettledFrames
 from warpqem.pipeline.cut_levels import Choice, CutLevel, LevelFrames
 from warpqem.pipeline.memory_plan import KEPT_BYTES, stage_frames
+from warpqem.pipeline.place_frames import Settling
 from warpqem.pipeline.prepare import ORDER_END, Prepared
 from warpqem.pipeline.result import SimplifiedMesh, finish, in_input_terms, reached, written_faces
 from warpqem.runtime.device import device_turn
@@ -53,43 +55,17 @@ VERY_FEW = 0.002
 MAX_GENERATIONS = 2
 
 
-class _BoundFrames:
-    """Bounds the frames of a level as they come, keeps where they are too far, and passes them on.
+class _Steps:
+    """How far a search is: the number of its levels is unknown, so that each takes half of what is left."""
 
-    ``proved`` (F, C, 3) are frames that have been bounded: those that come with the same bits are not bounded again,
-    and ``differs`` says whether some did not.
-    """
+    def __init__(self, progress: Progress | None) -> None:
+        self._progress, self._left = progress, 1.0 - ORDER_END
 
-    def __init__(
-        self,
-        sink: FrameSink,
-        frames: LimitFrames,
-        bound: DistanceBound,
-        device: str,
-        kept: np.ndarray,
-        proved: np.ndarray | None,
-    ) -> None:
-        self._sink, self._frames, self._bound, self._device = sink, frames, bound, device
-        self._kept, self._proved, self.differs = kept, proved, False
-        self.excess: list[Excess] = []
-
-    def begin(self, frame_count: int, vertex_count: int, faces: np.ndarray) -> None:
-        """Pass it on."""
-        self._sink.begin(frame_count, vertex_count, faces)
-
-    def write(self, frames: slice, points: np.ndarray) -> None:
-        """Bound consecutive frames."""
-        self._sink.write(frames, points)
-        if self._proved is not None:
-            self.differs |= not np.array_equal(self._proved[frames], points)
-            return
-        with device_turn(self._device):
-            units, reference = self._frames.block(frames)
-            test = ChangingBlock((len(points), reference.vertex_count), units, self._device)
-            test.put(self._kept, points)
-            found = self._bound.excess_of_blocks(frames.start, reference, test)
-        if found is not None:
-            self.excess.append(found)
+    def done(self) -> None:
+        """One more is placed in all frames."""
+        self._left /= 2
+        if self._progress:
+            self._progress(1.0 - self._left, "place")
 
 
 class _Search:
@@ -113,55 +89,75 @@ class _Search:
 
     def run(self, keep: bool, progress: Progress | None) -> tuple[Choice, SimplifiedMesh]:
         """The level that holds, and its result; with its points where they are to be kept."""
-        left, mesh = 1.0 - ORDER_END, self._work.mesh
+        mesh, steps = self._work.mesh, _Steps(progress)
         loose = np.zeros(len(mesh.used), dtype=bool)
         starts = [max(self._limit / part, NO_ERROR) for part in DISTANCE_PER_ERROR]
         choice = self._first_choice([Choice(self._forest.within(error), loose) for error in starts])
-        whole = not self._refit and 12 * mesh.frame_count * mesh.vertex_count <= KEPT_BYTES
-        count = stage_frames(mesh.vertex_count)
-        if not whole:
-            block = self._some_frames(count)
-            choice = self._within(self._nearer(choice, block), block, int(VERY_FEW * len(mesh.faces)))
-        proved: np.ndarray | None = None
-        if whole:
-            block = self._block(slice(0, mesh.frame_count))
-            choice = self._nearer(choice, block)
-            choice = self._within(choice, block, 0)
-            assert self._level is not None
-            proved = block.points(self._level)
-        elif self._bound is not None:
-            self._bound.look_again()
+        whole = 12 * mesh.frame_count * mesh.vertex_count <= KEPT_BYTES
+        block = self._block(slice(0, mesh.frame_count)) if whole else self._some_frames(stage_frames(mesh.vertex_count))
+        choice = self._nearer(choice, block)
         while True:
-            level = self._level_of(choice)
-            array = ArraySink()
+            choice = self._within(choice, block, 0 if whole else int(VERY_FEW * len(mesh.faces)))
+            assert self._level is not None
+            assert self._bound is not None
+            proved = block.points(self._level) if whole else None
+            if not whole:
+                self._bound.look_again()
+            if not (whole and self._refit):
+                choice, result = self._placed(choice, keep, proved, steps)
+            if not self._refit:
+                return choice, result
+            level, array = self._level_of(choice), ArraySink()
+            sink = array if keep else NoFrames()
+            near = self._near_faces(level)
+            settled = SettledFrames(sink, self._frames, self._bound_of(level), level, self._work.device, near)
+            result = self._finish(level, settled, settling=settled)
+            steps.done()
+            if not settled.excess:
+                choice = replace(choice, held=settled.choice_held())
+                return choice, replace(result, points=array.points) if keep else result
+            for excess in settled.excess:
+                choice = self._finer(level, choice, excess, 1)
+
+    def _placed(
+        self, choice: Choice, keep: bool, proved: np.ndarray | None, steps: _Steps
+    ) -> tuple[Choice, SimplifiedMesh]:
+        """The level that holds in all frames as it is placed, and its result; some may be ``proved`` already."""
+        keep = keep and not self._refit
+        while True:
+            level, array = self._level_of(choice), ArraySink()
             bound = self._bound_of(level)
-            sink = _BoundFrames(
-                array if keep else NoFrames(), self._frames, bound, self._work.device, level.kept, proved
-            )
-            result = self._finish(level, sink)
-            if progress:
-                # The number of levels is unknown: each takes half of what is left.
-                left /= 2
-                progress(1.0 - left, "place")
+            sink = BoundedFrames(array if keep else NoFrames(), self._frames, bound, level, self._work.device, proved)
+            result = self._finish(level, sink, refit=False)
+            steps.done()
             if not sink.excess and not sink.differs:
                 return choice, replace(result, points=array.points) if keep else result
             if sink.differs:
                 proved = None
-                self._bound_of(level).look_again()
+                bound.look_again()
                 continue
             for excess in sink.excess:
                 choice = self._finer(level, choice, excess, 1)
 
     def place(self, choice: Choice, sink: FrameSink, mesh: AnimatedMesh, progress: Progress | None) -> SimplifiedMesh:
         """The result of a level, in the terms of the mesh as it is given."""
-        return self._finish(self._level_of(choice), sink, mesh, progress)
+        level = self._level_of(choice)
+        return self._finish(level, sink, mesh, progress, settling=HeldVertices(level))
 
     def _finish(
-        self, level: CutLevel, sink: FrameSink, mesh: AnimatedMesh | None = None, progress: Progress | None = None
+        self,
+        level: CutLevel,
+        sink: FrameSink,
+        mesh: AnimatedMesh | None = None,
+        progress: Progress | None = None,
+        *,
+        refit: bool = True,
+        settling: Settling | None = None,
     ) -> SimplifiedMesh:
         work = self._work_of(level)
         work = work if mesh is None else replace(work, mesh=mesh)
-        return finish(work, level.ordered, self._refit, sink=sink, progress=progress)
+        refit = refit and self._refit
+        return finish(work, level.ordered, refit, sink=sink, progress=progress, settling=settling)
 
     def _work_of(self, level: CutLevel) -> Prepared:
         settings = replace(self._work.place_settings, loose=level.choice.loose)
@@ -252,11 +248,7 @@ class _Search:
         work, ordered = self._work, level.ordered
         if self._bound is not None and self._level is level:
             return self._bound
-        # A face of the level at each vertex.
-        near = np.full(len(work.mesh.used), -1, dtype=np.int32)
-        near[ordered.faces.ravel()] = np.repeat(np.arange(len(ordered.faces), dtype=np.int32), 3)
-        near = near[ordered.root[work.mesh.faces[:, 0]]]
-        near[ordered.face_map] = np.arange(len(ordered.faces))
+        near = self._near_faces(level)
         if self._bound is None or self._level is None:
             bound = DistanceBound(work.mesh.faces, ordered.faces, self._limit, work.device, near, ordered.face_map)
         else:
@@ -266,10 +258,20 @@ class _Search:
             old = index[ordered.face_map]
             there = np.flatnonzero(old >= 0)
             old[there[(before.faces[old[there]] != ordered.faces[there]).any(axis=1)]] = -1
-            same = (old >= 0) & level.unmoved(self._level)[ordered.faces].all(axis=1) & (not self._refit)
+            same = (old >= 0) & level.unmoved(self._level)[ordered.faces].all(axis=1)
             bound = self._bound.succeeded_by(ordered.faces, old, same, ordered.face_map, near)
         self._bound, self._level = bound, level
         return bound
+
+    def _near_faces(self, level: CutLevel) -> np.ndarray:
+        """A face (N,) of a level near each face of the input."""
+        faces, ordered = self._work.mesh.faces, level.ordered
+        # At each vertex of the level one of its faces.
+        near = np.full(len(self._work.mesh.used), -1, dtype=np.int32)
+        near[ordered.faces.ravel()] = np.repeat(np.arange(len(ordered.faces), dtype=np.int32), 3)
+        near = near[ordered.root[faces[:, 0]]]
+        near[ordered.face_map] = np.arange(len(ordered.faces))
+        return near
 
     def _finer_at(self, level: CutLevel, choice: Choice, vertices: np.ndarray) -> Choice:
         """A choice that is to come nearer around vertices of the input that have gone to others, by a collapse each."""

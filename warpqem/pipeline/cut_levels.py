@@ -25,10 +25,12 @@ class Choice:
         cut: its collapses.
         loose: (V,) bool, input vertices whose clusters are placed by their quadrics, with the least weight of the
             anchor.
+        held: (V,) bool, input vertices whose clusters a refit leaves as placed; None for none.
     """
 
     cut: Cut
     loose: np.ndarray
+    held: np.ndarray | None = None
 
 
 class CutLevel:

@@ -190,8 +190,10 @@ REFIT_KEY, REFIT_FACE, REFIT_VERTEX, REFIT_OUTPUT = 24, 170, 160, 1700
 # The proof of a distance, for each input face: pieces of 60 bytes, some five of both meshes for each, and once more
 # while they are joined; what lies across edges and the search hierarchies. For each frame it looks at, and input
 # vertex: the points as read and about the origin, in double precision, in blocks, and the level's; for each output
-# vertex: these; for each input face: two bits of each of five pieces, in 32-bit words.
+# vertex: these; for each input face: two bits of each of five pieces, in 32-bit words. The surface as placed keeps its
+# pieces while the refitted one is proved.
 BOUND_FACE, BOUND_VERTEX, BOUND_OUTPUT, BOUND_PIECES = 700, 60, 60, 6
+BOUND_REFIT = 300
 # Measuring, for each face of both meshes, in groups of frames of so many faces: corners, search hierarchies, patches
 # and room for theirs, distances; and the samples.
 MEASURE_FACE, MEASURE_GROUP, MEASURE_SAMPLES = 400, 2**14, 8 * 2**20
@@ -324,6 +326,7 @@ def _place(needs: MemoryNeeds, device: str) -> tuple[int, int]:
         bound = BOUND_VERTEX * needs.vertex_count + BOUND_OUTPUT * needs.output_vertices
         bound += BOUND_PIECES * needs.face_count
         fixed += BOUND_FACE * needs.face_count + needs.stage_frames * bound
+        fixed += BOUND_REFIT * needs.face_count if needs.refit else 0
         per_frame += bound
     if needs.measured:
         fixed += 2 * MEASURE_FACE * max(needs.face_count, MEASURE_GROUP) + MEASURE_SAMPLES

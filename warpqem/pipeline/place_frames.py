@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from warpqem.place.frame_store import FrameStore
 from warpqem.place.place import Placer
 from warpqem.refit.fit_surface import fit_corrections
 
-__all__ = ["FinishedFrames", "Placing", "place_frames", "place_refitted"]
+__all__ = ["FinishedFrames", "Placing", "Settling", "place_frames", "place_refitted"]
 
 Progress = Callable[[int], None] | None
 
@@ -61,6 +62,20 @@ class Placing:
                 self.progress(frames.stop)
 
 
+class Settling(Protocol):
+    """Decides which vertices a refit leaves as they were placed, by looking at all frames as often as it takes.
+
+    Attributes:
+        held: (C,) bool, these vertices.
+    """
+
+    held: np.ndarray
+
+    def is_settled(self) -> bool:
+        """Whether the frames that the sink got were the last ones; else more vertices are held from now on."""
+        ...
+
+
 class _Finish:
     """Counts flips, brings frames back to the caller's coordinates, and hands them to a sink on a thread."""
 
@@ -93,7 +108,13 @@ def place_frames(work: Placing) -> FinishedFrames:
 
 
 def place_refitted(
-    work: Placing, *, key_frames: np.ndarray, error: float, recent_error: float, on_disk: bool
+    work: Placing,
+    *,
+    key_frames: np.ndarray,
+    error: float,
+    recent_error: float,
+    on_disk: bool,
+    settling: Settling | None = None,
 ) -> FinishedFrames:
     """Place all frames into a store, fit the corrections, and hand the corrected frames to the sink.
 
@@ -103,6 +124,7 @@ def place_refitted(
         error: the largest error of a collapse, in diagonals.
         recent_error: the root mean square of the errors of the last collapses, in diagonals.
         on_disk: keep the placed frames in a temporary file.
+        settling: leaves vertices as placed; the sink begins anew each time that there are more.
     """
     placer = work.placer
     store = FrameStore(work.mesh.frame_count, placer.vertex_count, placer.copied_count, on_disk)
@@ -111,10 +133,16 @@ def place_refitted(
             for frames, placed in work.placed():
                 keep(frames, placed.fetch())
         correct = fit_corrections(work.mesh, placer, store, key_frames, error, recent_error, work.blocks, placer.device)
-        finish = _Finish(work)
-        with FrameWriter(work.sink.write, len(work.blocks)) as write:
-            for frames, kept in read_ahead(store.read, work.blocks):
-                finish.take(frames, placer.to_blocks(work.mesh, correct(kept)), write)
+        while True:
+            finish = _Finish(work)
+            with FrameWriter(work.sink.write, len(work.blocks)) as write:
+                for frames, kept in read_ahead(store.read, work.blocks):
+                    moved = correct(kept)
+                    if settling is not None:
+                        moved = replace(moved, points=np.where(settling.held[:, None], kept.points, moved.points))
+                    finish.take(frames, placer.to_blocks(work.mesh, moved), write)
+            if settling is None or settling.is_settled():
+                break
     finally:
         store.close()
     return finish.finished

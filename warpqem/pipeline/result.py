@@ -21,7 +21,7 @@ from warpqem.frames.stream import ArraySink, FrameSink
 from warpqem.mesh.mesh_input import MeshInput
 from warpqem.mesh.rounding import rounding_lines
 from warpqem.pipeline.memory_plan import MemoryPlan
-from warpqem.pipeline.place_frames import Placing, place_frames, place_refitted
+from warpqem.pipeline.place_frames import Placing, Settling, place_frames, place_refitted
 from warpqem.pipeline.prepare import ORDER_END, Prepared
 from warpqem.place.place import Placer
 from warpqem.repair.mended_mesh import MeshRepair
@@ -247,6 +247,7 @@ def with_frames(
     sink: FrameSink | None = None,
     device: str | None = None,
     progress: Progress | None = None,
+    settling: Settling | None = None,
 ) -> SimplifiedMesh:
     """Place all frames, and refit them where that is asked for.
 
@@ -258,6 +259,7 @@ def with_frames(
         sink: takes the frames; None to keep them in an array.
         device: where that array is; None for the host.
         progress: called with the part done and "place".
+        settling: decides which vertices a refit leaves as placed; None for those that the refit does.
     """
     mesh, array = work.mesh, ArraySink() if device is None else DeviceSink(device)
     placed = _place_progress(progress, mesh.frame_count)
@@ -275,6 +277,7 @@ def with_frames(
             error=error,
             recent_error=float(recent[-1]) if len(recent) else 0.0,
             on_disk=on_disk,
+            settling=settling,
         )
     else:
         finished = place_frames(placing)
@@ -292,11 +295,12 @@ def finish(
     sink: FrameSink | None = None,
     device: str | None = None,
     progress: Progress | None = None,
+    settling: Settling | None = None,
 ) -> SimplifiedMesh:
     """The result of a decimated mesh that stays in memory meanwhile: both of the above."""
     placer = work.placer(ordered, refit=refit)
     result = without_frames(work, placer, ordered)
-    return with_frames(result, work, placer, refit, sink=sink, device=device, progress=progress)
+    return with_frames(result, work, placer, refit, sink=sink, device=device, progress=progress, settling=settling)
 
 
 def reached(result: SimplifiedMesh, target_faces: int) -> SimplifiedMesh:

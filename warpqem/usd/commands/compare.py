@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -27,7 +27,9 @@ from warpqem.usd.read.variants import select_variants
 from warpqem.usd.read.visibility import seen_frames
 from warpqem.usd.write.layer_files import check_output_path
 from warpqem.usd.write.stage_report import name_prim
-from warpqem.usd.write.write import OverLayer
+
+if TYPE_CHECKING:
+    from warpqem.usd.write.write import OverLayer
 
 __all__ = ["CompareOptions", "PairReport", "compare_stages"]
 
@@ -151,7 +153,7 @@ def compare_stages(
             reports += [replace(report, level=name) for report in found]
         return reports
     test = _Side(test_path, stages[1], options.prims)
-    layer = None if heatmap is None else OverLayer(stages[1])
+    layer = None if heatmap is None else _heatmap_layer(stages[1])
     comparison = _SideComparison(reference, test, options, layer)
     reports = [replace(report, level=level) for report in comparison.reports(progress)]
     if heatmap is not None and layer is not None and any(report.comparison for report in reports):
@@ -180,6 +182,14 @@ def _original_level(
         )
     stages[1] = original
     return ORIGINAL
+
+
+def _heatmap_layer(stage: Usd.Stage) -> OverLayer:
+    """The layer over the test file that a heat map is authored in."""
+    # What writes meshes needs most of the package, which takes longer to load than most comparisons take.
+    from warpqem.usd.write.write import OverLayer
+
+    return OverLayer(stage)
 
 
 def _part_of(

@@ -8,8 +8,7 @@ import re
 from pxr import Sdf, Usd
 
 from warpqem.errors import OptionError
-from warpqem.usd.commands.lods import VARIANT_SET
-from warpqem.usd.commands.output_names import LEVEL_NAME
+from warpqem.usd.commands.output_names import LEVEL_NAME, VARIANT_SET
 from warpqem.usd.read.open_stage import open_stage
 from warpqem.usd.read.stage_views import copy_stage_metadata
 

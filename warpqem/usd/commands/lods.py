@@ -12,7 +12,7 @@ from pxr import Sdf, Usd
 
 from warpqem.errors import OptionError, StageError
 from warpqem.files.outputs import OutputFile
-from warpqem.usd.commands.output_names import LEVEL_NAME, level_file
+from warpqem.usd.commands.output_names import LEVEL_NAME, VARIANT_SET, level_file
 from warpqem.usd.layers.asset_paths import move_asset_paths, relative_path
 from warpqem.usd.layers.field_order import with_fields_in_order
 from warpqem.usd.read.open_stage import MeshSelection
@@ -24,9 +24,6 @@ from warpqem.usd.write.stage_report import PrimReport
 from warpqem.usd.write.write import OverLayer
 
 __all__ = ["FileLevels", "LevelLayer", "LevelReport", "VariantLevels", "define_root"]
-
-# The variant set that usdview, Omniverse and others show for levels of detail.
-VARIANT_SET = "LOD"
 
 
 @dataclass

@@ -7,10 +7,12 @@ from pathlib import Path
 
 from warpqem.usd.commands.simplify_options import SimplifyOptions
 
-__all__ = ["LEVEL_NAME", "level_file", "output_files"]
+__all__ = ["LEVEL_NAME", "VARIANT_SET", "level_file", "output_files"]
 
 # Levels count up from the original.
 LEVEL_NAME = "LOD"
+# The variant set that usdview, Omniverse and others show for levels of detail, or the prim of UsdLod.
+VARIANT_SET = "LOD"
 
 
 def level_file(output: str | os.PathLike[str], level: int) -> str:

@@ -20,7 +20,8 @@ from warpqem.runtime.device import resolve_device
 from warpqem.usd.checks.input_files import check_stage_outputs
 from warpqem.usd.commands.appearance import stage_looks
 from warpqem.usd.commands.level_stages import level_names, level_root
-from warpqem.usd.commands.lods import VARIANT_SET, LevelReport
+from warpqem.usd.commands.lods import LevelReport
+from warpqem.usd.commands.output_names import VARIANT_SET
 from warpqem.usd.commands.report_rig import rig_curves, size_table
 from warpqem.usd.commands.simplify_options import SimplifyOptions
 from warpqem.usd.read.materials import Materials
