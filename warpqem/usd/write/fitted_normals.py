@@ -11,10 +11,9 @@ from pxr import Usd, UsdGeom, Vt
 
 from warpqem.attribute_fit.material_normals import NormalFrames, tilt_between
 from warpqem.attribute_fit.values import ValueLayout, fit_normals, own_normals, split_normals
+from warpqem.mesh.smooth_normals import corner_groups, vertex_normals
 from warpqem.usd.write.attribute_transfer import AttributeTransfer
 from warpqem.usd.write.fitted_values import spread
-from warpqem.usd.write.hard_edges import corner_groups
-from warpqem.usd.write.smooth_normals import vertex_normals
 
 __all__ = ["write_fitted_normals"]
 
