@@ -1,7 +1,7 @@
 """``images``: how much the shipped scenes look like themselves at 25, 10 and 5 % of their faces.
 
 `warpqem compare --images` of each scene and its simplified file: as `--quality fast` and `best` write it, and as `best`
-does without fitted normals (`--normals keep`).
+does with normals. The scenes have none, and are shaded by their faces; a file that has some gets fitted ones always.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ RATIOS, QUICK_RATIOS = (0.25, 0.1, 0.05), (0.1,)
 QUICK_SIZE = 32
 WAYS: dict[str, dict[str, str]] = {
     "fast": {"quality": "fast"},
-    "best, normals kept": {"quality": "best", "normals": "keep"},
     "best": {"quality": "best"},
+    "best, --normals fit": {"quality": "best", "normals": "fit"},
 }
 
 COLUMNS = (

@@ -9,7 +9,7 @@ from warpqem.mesh.components import lowest_members
 from warpqem.mesh.edges import edge_key
 from warpqem.mesh.mesh_input import is_proper
 
-__all__ = ["corner_groups", "vertex_normals"]
+__all__ = ["corner_groups", "sharp_edges", "vertex_normals"]
 
 # Shorter vectors than this, of sums of unit vectors times angles, have no direction.
 SHORTEST = 1e-12
@@ -44,6 +44,30 @@ def corner_groups(faces: npt.NDArray[np.int32], hard: npt.NDArray[np.int32]) -> 
     )
     _, group = np.unique(lowest_members(faces.size, joined), return_inverse=True)
     return group.reshape(faces.shape).astype(np.int64)
+
+
+def sharp_edges(
+    points: npt.NDArray[np.floating], faces: npt.NDArray[np.int32], degrees: float
+) -> npt.NDArray[np.int32]:
+    """Ends (S, 2) of the edges at which two faces meet at so many degrees or more; faces without area meet at none.
+
+    Args:
+        points: (V, 3).
+        faces: int32, shape (N, 3).
+        degrees: between the normals of the faces.
+    """
+    corner = points[faces].astype(np.float64)
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    normal = np.divide(normal, length, out=np.zeros_like(normal), where=length > 0)
+    ends = np.stack([faces.ravel(), np.roll(faces, -1, axis=1).ravel()], axis=1)
+    key = edge_key(ends[:, 0], ends[:, 1], int(faces.max()) + 1)
+    order = np.argsort(key, kind="stable")
+    pair = np.flatnonzero(key[order[1:]] == key[order[:-1]])
+    first, second = order[pair], order[pair + 1]
+    known = (length[first // 3] > 0)[:, 0] & (length[second // 3] > 0)[:, 0]
+    apart = (normal[first // 3] * normal[second // 3]).sum(axis=1) <= np.cos(np.radians(degrees))
+    return ends[first[known & apart]].astype(np.int32)
 
 
 def vertex_normals(points: npt.NDArray[np.float32], faces: npt.NDArray[np.int32]) -> npt.NDArray[np.float32]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pxr import Usd, UsdGeom
 
-__all__ = ["NORMAL_ATTRIBUTES", "has_normals", "is_creased", "is_shaded_by_subdivision"]
+__all__ = ["NORMAL_ATTRIBUTES", "has_normals", "is_creased", "is_shaded_by_subdivision", "is_smooth_scheme"]
 
 SMOOTH_SCHEMES = (UsdGeom.Tokens.catmullClark, UsdGeom.Tokens.loop)
 
@@ -16,9 +16,12 @@ def is_shaded_by_subdivision(mesh: UsdGeom.Mesh) -> bool:
 
     Sharp corners say where the surface passes, and are smooth beside the point itself.
     """
-    if mesh.GetSubdivisionSchemeAttr().Get() not in SMOOTH_SCHEMES:
-        return False
-    return not has_normals(mesh.GetPrim())
+    return is_smooth_scheme(mesh) and not has_normals(mesh.GetPrim())
+
+
+def is_smooth_scheme(mesh: UsdGeom.Mesh) -> bool:
+    """True for a surface that subdivision makes smooth."""
+    return mesh.GetSubdivisionSchemeAttr().Get() in SMOOTH_SCHEMES
 
 
 def has_normals(prim: Usd.Prim) -> bool:
