@@ -23,6 +23,7 @@ COMMANDS = (
     "stream",
     "articulated",
     "joints",
+    "images",
     "device",
     "registers",
 )
@@ -41,6 +42,7 @@ def parse(arguments: Sequence[str] | None = None) -> tuple[str, Settings]:
         "large frame; kernels: time and floor of each kernel; startup: the command line on a small file; "
         "stream: memory on long clips and a large mesh; articulated: the order of collapses of a skinned mesh by the "
         "error of its skin; joints: errors by the number of joints and influences; "
+        "images: how much the shipped scenes look like themselves; "
         "device: verify and measure a GPU in six minutes, with NumPy and Warp alone; registers: what each kernel takes "
         "of a GPU's thread, by ptxas",
     )
@@ -49,8 +51,10 @@ def parse(arguments: Sequence[str] | None = None) -> tuple[str, Settings]:
     parser.add_argument("--device", help="Warp device; by default the GPU if there is one")
     parser.add_argument("--turns", type=int, help=f"runs of each contender; {TURNS} by default, {QUICK_TURNS} if quick")
     parser.add_argument("--ratio", type=float, default=0.1, help="part of the faces to keep")
-    parser.add_argument("--usd", type=Path, help="peers, articulated, joints: this file instead of a quadruped")
-    parser.add_argument("--prim", help="peers, articulated, joints: the mesh in that file; by default the largest")
+    parser.add_argument("--usd", type=Path, help="peers, articulated, joints, images: this file instead")
+    parser.add_argument(
+        "--prim", help="peers, articulated, joints, images: the mesh in that file; by default the largest"
+    )
     parser.add_argument(
         "--data",
         type=Path,

@@ -23,15 +23,21 @@ from scenes.generate import picture as scenes_picture
 from warpqem.measure import vertex_distances
 from warpqem.measure.heatmap import COLOR_MAP, distance_colors
 from warpqem.picture import View, caption, render, tile, write_gif, write_png
+from warpqem.picture.layers import render_layers
+from warpqem.picture.render import place_scene
 from warpqem.usd import SimplifyOptions, simplify_stage
 from warpqem.usd.commands.motion_features import feature_colors
 from warpqem.usd.commands.report_page import write_simplify_report
+from warpqem.usd.read.materials import Materials
+from warpqem.usd.read.world import WorldMeshes
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
 SIZE = (440, 290)
 # A frame in which the legs of the quadruped are far apart.
 STRIDE = 11
+# Its eyes and mouth, and pictures of three in a row.
+FACE_VIEW, FACE_SIZE = View(16.0, 2.0, (0.0, 0.5, 1.0), 17.0), (300, 300)
 # The face of the head, from the front.
 HEAD_VIEW = View(16.0, 2.0, (0.0, 0.5, 1.0), 27.0)
 
@@ -161,6 +167,23 @@ def morph(path: Path) -> None:
     write_png(tile(pictures, 2), path)
 
 
+def appearance(path: Path) -> None:
+    """Eyes and mouth of the head, and the cape: the input, and a twentieth of it without and with fitted normals."""
+    pictures = []
+    for name, view, time in (("talking_head", FACE_VIEW, 12.0), ("cape_wind", VIEWS["cape_wind"], 30.0)):
+        file = ROOT / "scenes" / f"{name}.usdc"
+        with tempfile.TemporaryDirectory() as folder:
+            drawn = {"input": file}
+            for title, normals in (("5 %, normals of its faces", "keep"), ("5 %, fitted normals", "fit")):
+                drawn[title] = Path(folder) / f"{normals}.usdc"
+                simplify_stage(file, drawn[title], SimplifyOptions(ratio=0.05, normals=normals, measure=False))
+            for title, shown in drawn.items():
+                mesh = WorldMeshes(shown).shown(time, Materials())
+                scene = place_scene(mesh.points, mesh.faces, view, FACE_SIZE, normals=mesh.normals, look=mesh.look)
+                pictures.append(caption(render_layers(scene).gray, title))
+    write_png(tile(pictures, 3), path)
+
+
 def scenes(path: Path) -> None:
     """The shipped scenes."""
     scenes_picture({name: build() for name, build in SCENES.items()}, path)
@@ -201,6 +224,7 @@ FIGURES: dict[str, Callable[[Path], None]] = {
     "metrics.png": metrics,
     "joints.png": joints,
     "morph.png": morph,
+    "appearance.png": appearance,
     "report.png": report,
     "scenes.png": scenes,
 }

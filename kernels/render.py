@@ -32,7 +32,7 @@ class Shading:
     """What a surface looks like."""
 
     color: wp.array[wp.vec3]  # (3N,) linear, at the corners
-    normal: wp.array[wp.vec3]  # (3N,) unit; read where ``smooth`` is 1
+    normal: wp.array[wp.vec3]  # (3N,) unit, 0 for that of the face; read where ``smooth`` is 1
     smooth: wp.int32
     line: wp.float32  # how much darker a line along the edges is, 0 for none to 1 for black
     background: wp.vec3  # linear
@@ -44,13 +44,23 @@ class Shading:
     texture_repeats: wp.array[wp.vec2i]  # (T,) 1 where it repeats beyond its border, across and up
 
 
+@wp.struct
+class Seen:
+    """What a ray meets."""
+
+    color: wp.vec3  # linear, under the light; the background where there is nothing
+    light: wp.float32  # on the surface, 0 where there is none
+    covered: wp.float32  # 1 where there is a surface, else 0
+
+
 @wp.func
-def lighten(normal: wp.vec3, camera: Camera) -> wp.float32:
-    """Light on a surface that faces the viewer, both sides alike."""
+def lighten(normal: wp.vec3, face_normal: wp.vec3, camera: Camera) -> wp.float32:
+    """Light on a surface whose face is seen from either side, both sides alike."""
     toward = wp.cross(camera.right, camera.up)
+    # The face says which side is seen: a normal between corners may point away from the viewer at an outline.
+    if wp.dot(normal, face_normal) * wp.dot(face_normal, toward) < 0.0:
+        normal = -normal
     n = wp.vec3(wp.dot(normal, camera.right), wp.dot(normal, camera.up), wp.dot(normal, toward))
-    if n[2] < 0.0:
-        n = -n
     return AMBIENT + KEY * wp.max(wp.dot(n, KEY_LIGHT), 0.0) + FILL * wp.max(wp.dot(n, FILL_LIGHT), 0.0)
 
 
@@ -102,13 +112,15 @@ def trace_ray(
     shading: Shading,
     x: wp.float32,
     y: wp.float32,
-) -> wp.vec3:
-    """Linear colour seen at ``(x, y)``, in pixels from the middle, y upwards."""
+) -> Seen:
+    """What is seen at ``(x, y)``, in pixels from the middle, y upwards."""
+    seen = Seen()
     toward = wp.cross(camera.right, camera.up)
     start = camera.middle + camera.pixel * (x * camera.right + y * camera.up) + REACH * camera.reach * toward
     hit = wp.mesh_query_ray(mesh, start, -toward, 2.0 * REACH * camera.reach)
     if not hit.result:
-        return shading.background
+        seen.color = shading.background
+        return seen
     i = corner_vertex[3 * hit.face]
     j = corner_vertex[3 * hit.face + 1]
     k = corner_vertex[3 * hit.face + 2]
@@ -121,6 +133,9 @@ def trace_ray(
             + share[1] * shading.normal[corner + 1]
             + share[2] * shading.normal[corner + 2]
         )
+        # Of a face without some, and where they cancel out.
+        if not wp.length_sq(normal) > 0.0:
+            normal = hit.normal
     color = (
         share[0] * shading.color[corner] + share[1] * shading.color[corner + 1] + share[2] * shading.color[corner + 2]
     )
@@ -128,11 +143,27 @@ def trace_ray(
     if texture >= 0:
         uv = share[0] * shading.uv[corner] + share[1] * shading.uv[corner + 1] + share[2] * shading.uv[corner + 2]
         color = wp.cw_mul(color, texture_color(shading, texture, uv))
-    color = color * lighten(normal, camera)
+    light = lighten(normal, hit.normal, camera)
+    color = color * light
     if shading.line > 0.0:
         away = edge_distance(points[i], points[j], points[k], share) / camera.pixel
         color = color * wp.lerp(1.0 - shading.line, 1.0, wp.clamp(away / LINE_HALF_WIDTH - 0.5, 0.0, 1.0))
-    return color
+    seen.color = color
+    seen.light = light
+    seen.covered = 1.0
+    return seen
+
+
+@wp.func
+def ray_column(column: wp.int32, i: wp.int32, samples: wp.int32, width: wp.int32) -> wp.float32:
+    """Where the rays of column ``i`` of a pixel start, in pixels from the middle to the right."""
+    return wp.float32(column) + (wp.float32(i) + 0.5) / wp.float32(samples) - 0.5 * wp.float32(width)
+
+
+@wp.func
+def ray_row(row: wp.int32, j: wp.int32, samples: wp.int32, height: wp.int32) -> wp.float32:
+    """Where those of row ``j`` do, upwards."""
+    return 0.5 * wp.float32(height) - wp.float32(row) - (wp.float32(j) + 0.5) / wp.float32(samples)
 
 
 @wp.kernel
@@ -154,7 +185,42 @@ def render_pixels(
     total = wp.vec3()
     for i in range(samples):
         for j in range(samples):
-            x = wp.float32(column) + (wp.float32(i) + 0.5) / wp.float32(samples) - 0.5 * wp.float32(width)
-            y = 0.5 * wp.float32(height) - wp.float32(row) - (wp.float32(j) + 0.5) / wp.float32(samples)
-            total += trace_ray(mesh, corner_vertex_in, points_in, camera, shading, x, y)
+            x = ray_column(column, i, samples, width)
+            y = ray_row(row, j, samples, height)
+            total += trace_ray(mesh, corner_vertex_in, points_in, camera, shading, x, y).color
     image_out[row, column] = total / wp.float32(samples * samples)
+
+
+@wp.kernel
+def render_layers(
+    # in
+    mesh: wp.uint64,
+    corner_vertex_in: wp.array[wp.int32],
+    points_in: wp.array[wp.vec3],
+    camera: Camera,
+    shading: Shading,
+    samples: wp.int32,
+    # out
+    image_out: wp.array2d[wp.vec3],
+    light_out: wp.array2d[wp.float32],
+    covered_out: wp.array2d[wp.float32],
+):
+    """The same, and besides the mean light on what is seen and the part of each pixel that the surface covers."""
+    row, column = wp.tid()
+    height = image_out.shape[0]
+    width = image_out.shape[1]
+    total = wp.vec3()
+    light = wp.float32(0.0)
+    covered = wp.float32(0.0)
+    for i in range(samples):
+        for j in range(samples):
+            x = ray_column(column, i, samples, width)
+            y = ray_row(row, j, samples, height)
+            seen = trace_ray(mesh, corner_vertex_in, points_in, camera, shading, x, y)
+            total += seen.color
+            light += seen.light
+            covered += seen.covered
+    share = 1.0 / wp.float32(samples * samples)
+    image_out[row, column] = total * share
+    light_out[row, column] = light * share
+    covered_out[row, column] = covered * share

@@ -12,8 +12,8 @@ from warpqem.attribute_fit.partners import SAMPLES, find_partners
 from warpqem.attribute_fit.values import fit_normals, fit_smooth_values, own_normals, split_normals, unit
 from warpqem.measure.appearance import compare_appearance
 from warpqem.measure.surface_values import CornerValues, SurfaceValues
+from warpqem.mesh.smooth_normals import vertex_normals
 from warpqem.runtime import cpu_threads
-from warpqem.usd.write.smooth_normals import vertex_normals
 
 FINITE = st.floats(-100, 100, width=32)
 

@@ -7,6 +7,8 @@ from hypothesis import strategies as st
 
 from tests.support import meshes
 from tests.support.attribute_fit import fitting
+from warpqem.attribute_fit import texture
+from warpqem.attribute_fit.partners import SAMPLES
 from warpqem.attribute_fit.texture import face_signs, fit_texture, reference_signs
 
 
@@ -77,6 +79,38 @@ def test_values_on_a_seam_stay_on_its_line_and_islands_apart(two_islands):
     own_left = two_islands.result.points[0][two_islands.result.faces].mean(axis=1)[:, 0] < 0.5
     assert (found[row[own_left], 0] < 2).all()
     assert (found[row[~own_left], 0] > 2).all()
+
+
+def squared_error(fit, corners, found):
+    """Mean over the samples that have a partner."""
+    partner, weight = fit.layout.partners.face.numpy(), fit.layout.partners.weight.numpy()
+    wanted = np.einsum("nsk,nskc->nsc", weight, corners[partner])
+    own = np.einsum("sk,nkc->nsc", SAMPLES, found[fit.layout.corner_row])
+    return (((wanted - own) ** 2).sum(axis=2) * fit.layout.partners.area[:, None])[partner >= 0].mean()
+
+
+def test_values_on_a_seam_that_bends_move_across_it_by_a_part_of_its_bend(two_islands, monkeypatch):
+    left = two_islands.points[two_islands.faces].mean(axis=1)[:, 0] < 0.5
+    corners = at_corners(two_islands)
+    corners[:, :, 0] += 0.1 * np.cos(3.0 * corners[:, :, 1])
+    corners[~left, :, 0] += 5.0
+    start = two_islands.start(corners)
+    _, found = fitted(two_islands, corners, start)
+    row, places = two_islands.layout.corner_row, own_places(two_islands)
+    on_left = two_islands.result.points[0][two_islands.result.faces].mean(axis=1)[:, 0] < 0.5
+    seam = np.unique(row[on_left][np.isclose(places[row[on_left], 0], 0.5)])
+    seam = seam[np.argsort(places[seam, 1])]
+    inner, along = seam[1:-1], start[seam[2:]] - start[seam[:-2]]
+    normal = np.stack([-along[:, 1], along[:, 0]], axis=1) / np.linalg.norm(along, axis=1, keepdims=True)
+    bend = ((start[inner] - start[seam[:-2]]) * normal).sum(axis=1)
+    moved = ((found[inner] - start[inner]) * normal).sum(axis=1)
+    assert len(inner) > 4
+    assert np.abs(moved).max() > 1e-3
+    assert (np.abs(moved) <= 0.25 * np.abs(bend) + 1e-9).all()
+    monkeypatch.setattr(texture, "MAX_BEND", 0.0)
+    _, held = fitted(two_islands, corners, start)
+    np.testing.assert_allclose(((held[inner] - start[inner]) * normal).sum(axis=1), 0.0, atol=1e-9)
+    assert squared_error(two_islands, corners, found) < 0.95 * squared_error(two_islands, corners, held)
 
 
 @pytest.mark.parametrize(

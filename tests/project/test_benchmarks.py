@@ -11,7 +11,7 @@ import pytest
 import warp as wp
 from pxr import Usd, UsdGeom
 
-from benchmarks import scaling, stream, turns
+from benchmarks import images, scaling, stream, turns
 from benchmarks.__main__ import parse
 from benchmarks.cards import CARDS, H200, card_of
 from benchmarks.figures import log_slope, median, ratio_in_turn
@@ -26,6 +26,7 @@ from benchmarks.report import Column, Report, Table, markdown_table, write_repor
 from benchmarks.settings import Settings
 from benchmarks.simplified import Simplified, load_simplified, save_simplified
 from benchmarks.work import torus_work
+from tests.support.usd_stages import cloth_stage
 from warpqem import simplify
 from warpqem.measure import topology
 
@@ -315,3 +316,11 @@ def test_memory_of_a_process_is_its_own():
 def test_process_that_fails_is_named_with_its_error():
     with pytest.raises(RuntimeError, match=r"exit code 1: .*ZeroDivisionError"):
         stream.run_process([sys.executable, "-c", "1 / 0"], {})
+
+
+def test_pictures_of_a_file_are_compared_with_those_of_its_results(tmp_path):
+    cloth_stage(tmp_path / "cloth.usda").Save()
+    settings = Settings(tmp_path / "out", quick=True, device="cpu", usd=tmp_path / "cloth.usda")
+    [table] = images.run(settings).tables
+    assert [row["way"] for row in table.rows] == list(images.WAYS)
+    assert all(row["scene"] == "cloth" and 0 < row["silhouette"] <= 1 for row in table.rows)

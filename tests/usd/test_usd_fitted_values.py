@@ -8,9 +8,9 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 
 from tests.support import meshes
 from tests.support.usd_stages import FRAMES, cloth_stage, skinned_stage
+from warpqem.mesh.smooth_normals import vertex_normals
 from warpqem.usd import SimplifyOptions, simplify_stage
 from warpqem.usd.write.fitted_values import spread
-from warpqem.usd.write.smooth_normals import vertex_normals
 
 CLOTH, BODY = "/Root/Cloth", "/Char/Body"
 NAMES = Sdf.ValueTypeNames

@@ -10,11 +10,11 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
 
 from tests.support.usd_skin_output import BODY, rms
 from tests.support.usd_stages import FRAMES, skinned_stage
+from warpqem.mesh.smooth_normals import vertex_normals
 from warpqem.usd import SimplifyOptions, simplify_stage
 from warpqem.usd.read.mesh_skin import Influences
 from warpqem.usd.write.attribute_transfer import Rows
 from warpqem.usd.write.skin_output import blend_influences
-from warpqem.usd.write.smooth_normals import vertex_normals
 
 
 def simplified(folder: Path, **options: object) -> tuple[Usd.Stage, list[str]]:

@@ -12,9 +12,8 @@ from pxr import Usd, UsdGeom
 
 from tests.support import meshes
 from tests.support.usd_stages import FRAMES, cloth_stage
+from warpqem.mesh.smooth_normals import corner_groups, vertex_normals
 from warpqem.usd import SimplifyOptions, simplify_stage
-from warpqem.usd.write.hard_edges import corner_groups
-from warpqem.usd.write.smooth_normals import vertex_normals
 
 CLOTH = "/Root/Cloth"
 

@@ -1,8 +1,8 @@
 """Texture coordinates of the output that fit the input's: seams stay on their lines, and no triangle is turned over.
 
-A seam's coordinates are fitted along it only: across it, one side would show what lies beyond its island. None leaves
-the tiles, squares between whole numbers, that the input has there: beyond them another image of a UDIM set shows, or
-nothing.
+A seam's coordinates are fitted along it, and across it by a part of what it bends: further, one side would show what
+lies beyond its island. None leaves the tiles, squares between whole numbers, that the input has there: beyond them
+another image of a UDIM set shows, or nothing.
 """
 
 from __future__ import annotations
@@ -25,6 +25,9 @@ Flags = npt.NDArray[np.bool_]
 # Along a seam a value goes no further than this part of the way between its neighbours on it, so that they keep their
 # order.
 MAX_SLIDE = 0.2
+# Across it no further than this part of its distance from the line between them. Of a circle's chords the best fit lies
+# a sixth of that further out.
+MAX_BEND = 0.25
 # Rounds that halve changes, and that draw values to their neighbours, until no triangle is turned over.
 HALVINGS = 6
 UNTANGLE_ROUNDS = 20
@@ -130,7 +133,10 @@ def _find_outline(faces: Ints, corner_row: Ints, row_count: int) -> _Outline:
 
 
 def _slide(outline: _Outline, layout: ValueLayout, values: Floats, start: Floats) -> Floats:
-    """The start with values of seams moved along them as far as a fit without seams would move them."""
+    """The start with values of seams moved along them as far as a fit without seams would move them.
+
+    Across a seam they go by a part of what it bends, as straight edges cut its bends off; a straight one stays so.
+    """
     row = np.flatnonzero(outline.after >= 0)
     if not len(row):
         return start
@@ -141,6 +147,10 @@ def _slide(outline: _Outline, layout: ValueLayout, values: Floats, start: Floats
     share = np.divide((change * along).sum(axis=1), squared, out=np.zeros(len(row)), where=squared > 0)
     slid = start.copy()
     slid[row] += np.clip(share, -MAX_SLIDE, MAX_SLIDE)[:, None] * along
+    normal = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    normal = np.divide(normal, np.sqrt(squared)[:, None], out=np.zeros_like(normal), where=squared[:, None] > 0)
+    bend = np.abs(((start[row] - start[outline.before[row]]) * normal).sum(axis=1))
+    slid[row] += np.clip((change * normal).sum(axis=1), -MAX_BEND * bend, MAX_BEND * bend)[:, None] * normal
     return slid
 
 

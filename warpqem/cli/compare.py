@@ -9,6 +9,7 @@ import typer
 from warpqem.arguments.limits import ABOVE_0, COUNT
 from warpqem.cli.appearance_table import appearance_table
 from warpqem.cli.console import EXIT_FAILED, load_usd, print_message, quiet_libraries, write_json
+from warpqem.cli.image_table import image_table
 from warpqem.cli.logs import takes_verbosity
 from warpqem.cli.number_parameters import number, whole
 from warpqem.cli.parameters import Device, Frames, JsonReport, Prims, ReportPage, Variants
@@ -17,11 +18,15 @@ from warpqem.cli.tables import PlainTable, error_text, print_table, shortened_pa
 
 if TYPE_CHECKING:
     from warpqem.usd.commands.compare import PairReport
+    from warpqem.usd.commands.compare_images import ImageReport
 
 __all__ = ["EXAMPLES", "compare"]
 
 # Under its help; tests run them.
-EXAMPLES = ("warpqem compare cape_wind.usdc cape.usda --heatmap heat.usdc --report compare.html",)
+EXAMPLES = (
+    "warpqem compare cape_wind.usdc cape.usda --heatmap heat.usdc --report compare.html",
+    "warpqem compare cape_wind.usdc cape.usda --images --image-sheet pictures.png",
+)
 # Meshes that are not good of which the table says why, and characters of their paths.
 MAX_WORST, NOTE_WIDTH = 8, 40
 # Figures that a terminal has no room for are left out from the end of this.
@@ -59,6 +64,22 @@ def compare(
             "(primvars:displayColor); switch materials off to see it.",
         ),
     ] = None,
+    images: Annotated[
+        bool,
+        typer.Option(
+            "--images",
+            help="Draw both files and compare the pictures: PSNR, SSIM and overlap of silhouettes, gray by the shading "
+            "normals and with colours and textures.",
+        ),
+    ] = False,
+    image_sheet: Annotated[
+        str | None,
+        typer.Option(
+            metavar="PNG",
+            rich_help_panel="Output",
+            help="Write the pictures that --images compares, and their difference, to one .png file.",
+        ),
+    ] = None,
     scale: Annotated[
         float | None,
         typer.Option(
@@ -82,7 +103,8 @@ def compare(
     they are bound to; 95 % of the vertices slide no more than "slide 95 %". The verdict is good, look or poor,
     by the limits in docs/glossary.md. simplify gives the same figures under the same names.
 
-    A second table compares what both meshes have of texture coordinates, shading normals and colours.
+    A second table compares what both meshes have of texture coordinates, shading normals and colours. With --images
+    a third one compares pictures of both files, in 3 frames from 4 sides.
 
     Exit codes: 0 all done; 1 an error, or some pair failed; 2 wrong usage; 130 interrupted.
     """
@@ -91,11 +113,14 @@ def compare(
         load_usd()
         from warpqem.files.outputs import named_outputs
         from warpqem.usd import CompareOptions, FrameRange, compare_stages
+        from warpqem.usd.commands.compare_images import check_sheet_path, compare_stage_images
 
         if report is not None:
             from warpqem.report.page import check_page_path
 
             check_page_path(report)
+        if image_sheet is not None:
+            check_sheet_path(image_sheet)
         options = CompareOptions(
             samples=samples,
             frames=FrameRange.parse(frames) if frames else None,
@@ -108,26 +133,41 @@ def compare(
         )
         progress(0.0, "reading")
         others = named_outputs({"--report": report, "--json": json})
-        pairs = compare_stages(reference, test, options, progress, others)
+        images = images or image_sheet is not None
+        sheets = named_outputs({"--image-sheet": image_sheet})
+        pairs = compare_stages(reference, test, options, progress, [*others, *sheets])
+        scores = None
+        if images:
+            heatmaps = named_outputs({"--heatmap": heatmap})
+            scores = compare_stage_images(
+                reference, test, options, progress, sheet=image_sheet, other_outputs=[*others, *heatmaps]
+            )
         if report is not None and any(pair.comparison for pair in pairs):
             from warpqem.usd.commands.report_page import write_compare_report
 
             write_compare_report(report, reference, test, pairs, options, progress)
-    _show(reference, test, pairs, json)
-    if not pairs or any(pair.message is not None for pair in pairs):
+    _show(reference, test, pairs, scores, json)
+    if not pairs or any(found.message is not None for found in (*pairs, *(scores or ()))):
         raise typer.Exit(EXIT_FAILED)
 
 
-def _show(reference: str, test: str, pairs: list[PairReport], json: str | None) -> None:
+def _show(
+    reference: str, test: str, pairs: list[PairReport], scores: list[ImageReport] | None, json: str | None
+) -> None:
     """Print and write what was found."""
-    for pair in pairs:
-        if pair.message is not None:
-            print_message("error", pair.message)
+    for found in (*pairs, *(scores or ())):
+        if found.message is not None:
+            print_message("error", found.message)
     print_table(_table(reference, test, pairs), to_stderr=json == "-")
     if any(pair.appearance for pair in pairs):
         print_table(appearance_table(pairs), to_stderr=json == "-")
+    if scores is not None:
+        print_table(image_table(scores), to_stderr=json == "-")
     if json is not None:
-        write_json(json, {"reference": reference, "test": test, "prims": [pair.to_dict() for pair in pairs]})
+        written = {"reference": reference, "test": test, "prims": [pair.to_dict() for pair in pairs]}
+        if scores is not None:
+            written["images"] = [score.to_dict() for score in scores]
+        write_json(json, written)
     if not pairs:
         print_message("error", f"neither {reference} nor {test} has a mesh")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from warpqem.picture.look import PLAIN, Look, Texture, corner_normals, plain_loo
 from warpqem.runtime.device import on_device, resolve_device
 from warpqem.runtime.part_launches import PerPart, launch_in_parts, rows_of
 
-__all__ = ["View", "decoded_srgb", "encoded_srgb", "fit_view", "render"]
+__all__ = ["PlacedScene", "View", "decoded_srgb", "encoded_srgb", "fit_view", "place_scene", "render"]
 
 # A light grey, linear: dark and bright surfaces both stand out from it.
 BACKGROUND = (0.85, 0.87, 0.89)
@@ -139,6 +139,84 @@ def render(
         MeshShapeError, NonFinitePointError, FaceIndexError, DegenerateMeshError: see :mod:`warpqem.errors`.
         DeviceError: there is no such device.
     """
+    scene = place_scene(points, faces, view, size, colors=colors, smooth=smooth, lines=lines, look=look, device=device)
+    image = wp.empty(scene.shape, dtype=wp.vec3, device=scene.device)
+    scene.launch(kernels.render_pixels, [image])
+    return encoded_srgb(image.numpy())
+
+
+@dataclass(frozen=True)
+class PlacedScene:
+    """A mesh before a camera, on a device.
+
+    Attributes:
+        mesh: what rays are cast at.
+        corner_vertex: (3N,) int32, the vertex at each corner.
+        camera: of the whole picture.
+        shading: what the surface looks like.
+        shape: height and width of the picture in pixels.
+        device: Warp device.
+    """
+
+    mesh: wp.Mesh
+    corner_vertex: Any
+    camera: Any
+    shading: Any
+    shape: tuple[int, int]
+    device: str
+
+    def seen_from(self, view: View) -> PlacedScene:
+        """The same from elsewhere, with the same middle of the picture."""
+        return replace(self, camera=_camera(view, self.shape[0], self.camera.reach))
+
+    def launch(self, kernel: Any, images: Sequence[Any]) -> None:
+        """Run a kernel over all pixels, in strips where they are many; it writes to images (height, width)."""
+
+        def camera_of(part: slice) -> kernels.Camera:
+            # Rows of a strip are counted from the picture's top, so the strip's camera looks as far up or down.
+            strip, whole = kernels.Camera(), self.camera
+            shift = whole.pixel * (0.5 * self.shape[0] - 0.5 * (part.start + part.stop))
+            strip.middle = whole.middle + shift * whole.up
+            strip.right, strip.up, strip.pixel, strip.reach = whole.right, whole.up, whole.pixel, whole.reach
+            return strip
+
+        launch_in_parts(
+            kernel,
+            self.shape,
+            inputs=[self.mesh.id, self.corner_vertex, self.mesh.points, PerPart(camera_of), self.shading, SAMPLES],
+            outputs=[rows_of(image) for image in images],
+            device=self.device,
+        )
+
+
+def place_scene(
+    points: np.ndarray,
+    faces: np.ndarray,
+    view: View,
+    size: tuple[int, int],
+    *,
+    colors: np.ndarray | None = None,
+    smooth: bool = False,
+    lines: bool = False,
+    look: Look | None = None,
+    normals: np.ndarray | None = None,
+    device: str | None = None,
+) -> PlacedScene:
+    """Check a mesh and put it before a camera; arguments and errors of :func:`render`.
+
+    Args:
+        points: see there, as all others.
+        faces: likewise.
+        view: likewise.
+        size: likewise.
+        colors: likewise.
+        smooth: likewise.
+        lines: likewise.
+        look: likewise.
+        normals: (N, 3, 3) shading normals at the corners, which take the place of those by ``smooth``; 0 for those of
+            the face.
+        device: see there.
+    """
     width, height = _checked_size(size)
     if not isinstance(view, View):
         raise OptionError(f"view must be a View, got {shown(view)}")
@@ -152,36 +230,27 @@ def render(
     local = (pose.astype(np.float64) - view.middle).astype(np.float32)
     corner_vertex = wp.array(np.ascontiguousarray(faces, dtype=np.int32).ravel(), device=device)
     mesh = wp.Mesh(points=wp.array(local, dtype=wp.vec3, device=device), indices=corner_vertex)
+    reach = float(max(np.linalg.norm(np.ptp(local, axis=0)), np.linalg.norm(local, axis=1).max(), 1e-30))
+    look = plain_look(len(faces)) if look is None else look
+    if len(look.face_part) != len(faces):
+        raise MeshShapeError(f"look: it is of {len(look.face_part)} faces, and the mesh has {len(faces)}")
+    if normals is None and smooth:
+        normals = corner_normals(local, faces, smoothing_groups(local, faces, look.normals))
+    corners = None if colors is None else colors[faces]
+    camera = _camera(view, height, reach)
+    strength = 0.0 if not lines else LINE_SHADE * min(1.0, _edge_length(local, faces) / (camera.pixel * LINE_LENGTH))
+    shading = _shading(look, corners, normals, strength, device)
+    return PlacedScene(mesh, corner_vertex, camera, shading, (height, width), device)
+
+
+def _camera(view: View, height: int, reach: float) -> Any:
+    """The kernel's camera for a picture of so many rows of points about the view's middle, as far off as ``reach``."""
     axes = view.axes()
     camera = kernels.Camera()
     camera.middle = wp.vec3(0.0, 0.0, 0.0)
     camera.right, camera.up = wp.vec3(*axes[0].tolist()), wp.vec3(*axes[1].tolist())
-    camera.pixel = view.height / height
-    camera.reach = float(max(np.linalg.norm(np.ptp(local, axis=0)), np.linalg.norm(local, axis=1).max(), 1e-30))
-    look = plain_look(len(faces)) if look is None else look
-    if len(look.face_part) != len(faces):
-        raise MeshShapeError(f"look: it is of {len(look.face_part)} faces, and the mesh has {len(faces)}")
-    corners = None if colors is None else colors[faces]
-    strength = 0.0 if not lines else LINE_SHADE * min(1.0, _edge_length(local, faces) / (camera.pixel * LINE_LENGTH))
-    shading = _shading(local, faces, look, corners, smooth, strength, device)
-    image = wp.empty((height, width), dtype=wp.vec3, device=device)
-
-    def camera_of(part: slice) -> kernels.Camera:
-        # Rows of a strip are counted from the picture's top, so the strip's camera looks as far up or down.
-        strip = kernels.Camera()
-        shift = camera.pixel * (0.5 * height - 0.5 * (part.start + part.stop))
-        strip.middle = camera.middle + shift * camera.up
-        strip.right, strip.up, strip.pixel, strip.reach = camera.right, camera.up, camera.pixel, camera.reach
-        return strip
-
-    launch_in_parts(
-        kernels.render_pixels,
-        image.shape,
-        inputs=[mesh.id, corner_vertex, mesh.points, PerPart(camera_of), shading, SAMPLES],
-        outputs=[rows_of(image)],
-        device=device,
-    )
-    return encoded_srgb(image.numpy())
+    camera.pixel, camera.reach = view.height / height, reach
+    return camera
 
 
 def _checked_size(size: Any) -> tuple[int, int]:
@@ -195,25 +264,24 @@ def _checked_size(size: Any) -> tuple[int, int]:
 
 
 def _shading(
-    points: npt.NDArray[np.float32],
-    faces: npt.NDArray[np.integer],
     look: Look,
     colors: npt.NDArray[np.floating] | None,
-    smooth: bool,
+    normals: npt.NDArray[np.floating] | None,
     line: float,
     device: str,
 ) -> Any:
     """What the kernel reads; colours (N, 3, 3) take the place of all that the look has."""
     shading = kernels.Shading()
+    face_count = len(look.face_part)
     textures: Sequence[Texture] = () if colors is not None else look.textures
     if colors is None:
         # Textures are multiplied with their colours, which are white where the look has none.
         textured = np.array([part.texture is not None for part in look.parts])[look.face_part]
-        plain = np.where(textured[:, None, None], 1.0, np.broadcast_to(PLAIN, (len(faces), 3, 3)))
+        plain = np.where(textured[:, None, None], 1.0, np.broadcast_to(PLAIN, (face_count, 3, 3)))
         colors = plain if look.colors is None else look.colors
-    normals = np.zeros((len(faces), 3, 3), dtype=np.float32)
-    if smooth:
-        normals = corner_normals(points, faces, smoothing_groups(points, faces, look.normals))
+    smooth = normals is not None
+    if normals is None:
+        normals = np.zeros((face_count, 3, 3), dtype=np.float32)
     part_texture = np.array([-1 if part.texture is None or not textures else part.texture for part in look.parts])
 
     def at_corners(values: npt.NDArray[np.floating], dtype: Any) -> Any:
@@ -221,7 +289,7 @@ def _shading(
         return wp.array(flat, dtype=dtype, device=device)
 
     shading.color, shading.normal = at_corners(colors, wp.vec3), at_corners(normals, wp.vec3)
-    shading.uv = at_corners(np.zeros((len(faces), 3, 2)) if look.uvs is None else look.uvs, wp.vec2)
+    shading.uv = at_corners(np.zeros((face_count, 3, 2)) if look.uvs is None else look.uvs, wp.vec2)
     shading.face_texture = wp.array(part_texture[look.face_part].astype(np.int32), dtype=wp.int32, device=device)
     # Without a texture there is one texel that nothing reads.
     texels = [decoded_srgb(texture.pixels).reshape(-1, 3) for texture in textures] or [np.zeros((1, 3))]

@@ -32,7 +32,6 @@ from warpqem.pipeline.memory_plan import KEPT_BYTES, stage_frames
 from warpqem.pipeline.place_frames import Settling
 from warpqem.pipeline.prepare import ORDER_END, Prepared
 from warpqem.pipeline.result import SimplifiedMesh, finish, in_input_terms, reached, written_faces
-from warpqem.runtime.device import device_turn
 
 __all__ = ["simplify_within"]
 

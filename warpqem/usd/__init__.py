@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     # What type checkers and editors read; a test holds it against the homes below.
     from warpqem.usd.commands.compare import CompareOptions as CompareOptions
     from warpqem.usd.commands.compare import compare_stages as compare_stages
+    from warpqem.usd.commands.compare_images import compare_stage_images as compare_stage_images
     from warpqem.usd.commands.motion_features import color_features as color_features
     from warpqem.usd.commands.simplify import simplify_stage as simplify_stage
     from warpqem.usd.commands.simplify_options import SimplifyOptions as SimplifyOptions
@@ -23,6 +24,7 @@ _HOMES = {
     "FrameRange": "warpqem.usd.read.time_codes",
     "SimplifyOptions": "warpqem.usd.commands.simplify_options",
     "color_features": "warpqem.usd.commands.motion_features",
+    "compare_stage_images": "warpqem.usd.commands.compare_images",
     "compare_stages": "warpqem.usd.commands.compare",
     "inspect_stage": "warpqem.usd.read.inspect",
     "simplify_stage": "warpqem.usd.commands.simplify",

@@ -28,7 +28,7 @@ from warpqem.usd.read.value_arrays import (
     sample_codes,
 )
 
-__all__ = ["DISPLAY_COLORS", "MeshSeams", "corner_values", "face_values", "find_seams", "is_color"]
+__all__ = ["DISPLAY_COLORS", "MeshSeams", "corner_values", "crease_edges", "face_values", "find_seams", "is_color"]
 
 # Normals on two sides of an edge that differ by less than this angle are one smooth shading (cosine of 15 degrees, half
 # the angle at which modelling tools harden edges by default).
@@ -277,6 +277,11 @@ def _subset_borders(source: MeshSource, edges: _InnerEdges) -> Pairs:
             _, label = np.unique(2 * label + member, return_inverse=True)
     face_label = label[source.topology.triangle_polygons]
     return edges.where(face_label[edges.face[:, 0]] != face_label[edges.face[:, 1]])
+
+
+def crease_edges(source: MeshSource, faces: npt.NDArray[np.int32]) -> Pairs:
+    """The creases of a mesh as ends of its edges, int32, shape (S, 2); arguments as for `find_seams`."""
+    return _creases(source, _InnerEdges.of(faces, faces), faces)
 
 
 def _creases(source: MeshSource, edges: _InnerEdges, faces: npt.NDArray[np.int32]) -> Pairs:

@@ -198,14 +198,14 @@ class MeshPoser:
         query = self.skinning_query
         if not self._lacks_joints:
             return np.array(query.ComputeSkinnedTransform(transforms, time))
-        influences = self._influences(time)
+        influences = self.influences(time)
         return np.array(
             UsdSkel.SkinTransform(
                 query.GetSkinningMethod(), query.GetGeomBindTransform(time), self.ordered(transforms), *influences
             )
         )
 
-    def _influences(self, time: float | Usd.TimeCode) -> tuple[Any, Any]:
+    def influences(self, time: float | Usd.TimeCode) -> tuple[Any, Any]:
         """Joint indices and weights as authored."""
         query = self.skinning_query
         joints, weights = query.GetJointIndicesPrimvar(), query.GetJointWeightsPrimvar()
@@ -214,7 +214,7 @@ class MeshPoser:
     def _skin(self, transforms: Vt.Matrix4dArray, points: Vt.Vec3fArray, time: float | Usd.TimeCode) -> bool:
         """Move points by joints, in place; false where their influences do not fit."""
         query = self.skinning_query
-        influences = self._influences(time)
+        influences = self.influences(time)
         known = isinstance(influences[0], Vt.IntArray) and isinstance(influences[1], Vt.FloatArray)
         if known and not self._lacks_joints:
             return bool(query.ComputeSkinnedPoints(transforms, points, time))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,11 +13,13 @@ import numpy.typing as npt
 from pxr import Sdf, Usd, UsdGeom
 
 from warpqem.errors import StageError, VaryingTopologyError
+from warpqem.picture.images import PosedMesh
 from warpqem.picture.look import Look, joined, plain_look
 from warpqem.usd.read.materials import Materials
 from warpqem.usd.read.mesh_look import mesh_look
 from warpqem.usd.read.open_stage import find_meshes, open_stage
 from warpqem.usd.read.read_mesh import MeshSource, StageMesh
+from warpqem.usd.read.shading_normals import ShadedMesh, shaded_mesh
 from warpqem.usd.read.skeleton_poses import StagePoses
 from warpqem.usd.read.time_codes import FrameRange
 from warpqem.usd.read.topology_runs import TopologyRun, find_runs, open_run
@@ -158,6 +161,28 @@ class WorldMeshes:
                 ]
         return joined(looks)
 
+    def shown(self, time: float | None, materials: Materials) -> PosedMesh:
+        """What of the meshes is visible at a time as one mesh, with shading normals.
+
+        Raises:
+            StageError: a mesh cannot be read.
+        """
+        code = Usd.TimeCode.Default() if time is None else Usd.TimeCode(time)
+        meshes, count = [], 0
+        for item in self._meshes:
+            prims = [self.stage.GetPrimAtPath(place) for place in item.places]
+            seen = [prim for prim in prims if UsdGeom.Imageable(prim).ComputeVisibility(code) != "invisible"]
+            found = item.posed(time, materials) if seen else None
+            if found is None:
+                continue
+            for prim in seen:
+                meshes.append(found.moved(np.array(UsdGeom.XformCache(code).GetLocalToWorldTransform(prim)), count))
+                count += len(found.points)
+        if not meshes:
+            return PosedMesh(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int32))
+        points, faces, normals = (np.concatenate(part) for part in zip(*(mesh[:3] for mesh in meshes), strict=True))
+        return PosedMesh(points, faces, normals, joined([look for *_, look in meshes]))
+
     def _in_world(
         self, points: npt.NDArray[np.float64], place: Sdf.Path, times: Sequence[float] | None
     ) -> npt.NDArray[np.float64]:
@@ -219,18 +244,34 @@ class _WorldMesh:
         mesh = self.read(times)
         return None if mesh is None else plain_look(len(mesh.faces))
 
+    def posed(self, time: float | None, materials: Materials) -> ShadedMesh | None:
+        """The mesh at a time with its shading normals, in local space; None where it shows nothing."""
+        if self.source is not None:
+            return shaded_mesh(self.source, mesh_look(self.source, materials, time), time)
+        with self._opened(None if time is None else [time]) as source:
+            if source is None:
+                return None
+            return shaded_mesh(source, plain_look(len(source.topology.triangles)), time)
+
     def read(self, times: Sequence[float] | None) -> StageMesh | None:
         """The mesh at some times; None where it shows nothing."""
+        with self._opened(times) as source:
+            return None if source is None else source.read(times if source.authored_times else None)
+
+    @contextmanager
+    def _opened(self, times: Sequence[float] | None) -> Iterator[MeshSource | None]:
+        """The mesh with the topology of some times; None where it shows nothing."""
         if self.source is not None:
-            return self.source.read(times if self.source.authored_times else None)
+            yield self.source
+            return
         run = self.run_at(times[0]) if times else None
         if run is None or times is None or not all(run.shows(time) for time in times):
             raise VaryingTopologyError(f"{self.prim.GetPath()}: its topology varies over time; one run can be read")
         if run.is_empty:
-            return None
+            yield None
+            return
         with open_run(self.prim, replace(run, times=tuple(times))) as alone:
-            source = MeshSource(alone, StagePoses(alone.GetStage()))
-            return source.read(times if source.authored_times else None)
+            yield MeshSource(alone, StagePoses(alone.GetStage()))
 
 
 def limit_places(meshes: Sequence[WorldMeshes]) -> bool:

@@ -14,11 +14,13 @@ from warpqem.attribute_fit.partners import Partners, find_partners
 from warpqem.attribute_fit.values import ValueLayout
 from warpqem.mesh.blending import blend
 from warpqem.mesh.mesh_input import is_proper
+from warpqem.mesh.smooth_normals import sharp_edges
 from warpqem.pipeline.surface_transfer import SurfaceTransfer, surface_transfer
 from warpqem.runtime.device import resolve_device
 from warpqem.usd.read.mesh_seams import MeshSeams
 from warpqem.usd.read.read_mesh import MeshSource
 from warpqem.usd.write.feature_subsets import FAMILY
+from warpqem.usd.write.smooth_normals import has_normals, is_smooth_scheme
 from warpqem.usd.write.vertex_colors import fitted_values
 
 if TYPE_CHECKING:
@@ -130,6 +132,15 @@ class AttributeTransfer:
         """Pairs (S, 2) of new points between which the input has `MeshSeams.hard`."""
         pairs: npt.NDArray[np.int32] = self._input[2].vertex_map[self.seams.hard]
         return pairs[(pairs[:, 0] != pairs[:, 1]) & (pairs >= 0).all(axis=1)]
+
+    def sharp_edges(self, degrees: float) -> npt.NDArray[np.int32]:
+        """Pairs (S, 2) of the input's vertices where polygons without normals meet at so many degrees or more.
+
+        Those of the reference pose; none on a subdivision surface, or with normals, which say what is hard.
+        """
+        if has_normals(self.prim) or is_smooth_scheme(UsdGeom.Mesh(self.prim)):
+            return NO_SEAMS
+        return sharp_edges(self._input[0], self._input[1], degrees)
 
     def names_feature_point(self, subset: UsdGeom.Subset) -> bool:
         """True of a point subset that names one of `feature_points`."""

@@ -11,10 +11,10 @@ from pxr import Usd, UsdGeom, Vt
 
 from warpqem.attribute_fit.material_normals import NormalFrames, tilt_between
 from warpqem.attribute_fit.values import ValueLayout, fit_normals, own_normals, split_normals
+from warpqem.mesh.smooth_normals import corner_groups, vertex_normals
+from warpqem.picture.look import CREASE_ANGLE
 from warpqem.usd.write.attribute_transfer import AttributeTransfer
 from warpqem.usd.write.fitted_values import spread
-from warpqem.usd.write.hard_edges import corner_groups
-from warpqem.usd.write.smooth_normals import vertex_normals
 
 __all__ = ["write_fitted_normals"]
 
@@ -36,9 +36,12 @@ class _Shading:
         """``outward`` is -1 where triangles are clockwise seen from the front."""
         self._transfer, self._outward = transfer, outward
         faces, self._hard = transfer.input_faces, transfer.seams.hard
-        self._group = corner_groups(faces, self._hard).astype(np.int32) if len(self._hard) else faces
+        # Polygons without normals are shaded as pictures show them. Where the output has an edge, too, is left to the
+        # fits of its faces: what is sharp now is no line that simplification holds.
+        hard = np.concatenate([self._hard, transfer.sharp_edges(CREASE_ANGLE)])
+        self._group = corner_groups(faces, hard).astype(np.int32) if len(hard) else faces
         _, corner = np.unique(self._group, return_index=True)
-        self._vertex = faces.ravel()[corner] if len(self._hard) else None
+        self._vertex = faces.ravel()[corner] if len(hard) else None
         _, row = np.unique(transfer.sides(self._hard), return_inverse=True)
         self.corner_row = row.reshape(-1, 3).astype(np.int32)
 

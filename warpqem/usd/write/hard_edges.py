@@ -11,43 +11,9 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Usd, UsdGeom, Vt
 
-from warpqem.mesh.components import lowest_members
-from warpqem.mesh.edges import edge_key
-from warpqem.mesh.mesh_input import is_proper
-from warpqem.usd.write.smooth_normals import vertex_normals
+from warpqem.mesh.smooth_normals import corner_groups, vertex_normals
 
-__all__ = ["corner_groups", "write_hard_edged_normals"]
-
-
-def corner_groups(faces: npt.NDArray[np.int32], hard: npt.NDArray[np.int32]) -> npt.NDArray[np.int64]:
-    """Which corners of faces share a normal: those at one vertex that edges join without a hard one between them.
-
-    Args:
-        faces: int32, shape (N, 3).
-        hard: int32, shape (S, 2), pairs of vertices; those that are no edges say nothing.
-
-    Returns:
-        int64, shape (N, 3), numbers from 0 on.
-    """
-    tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
-    count = int(faces.max()) + 1
-    key = edge_key(tail, head, count)
-    soft = ~np.isin(key, edge_key(hard[:, 0], hard[:, 1], count)) & np.repeat(is_proper(faces), 3)
-    order = np.argsort(key, kind="stable")
-    order = order[soft[order]]
-    pair = np.flatnonzero(key[order[1:]] == key[order[:-1]])
-    first, second = order[pair], order[pair + 1]
-    # The corner after each one in its face, at the other end of the edge.
-    after = np.arange(faces.size).reshape(-1, 3)[:, [1, 2, 0]].ravel()
-    same = tail[first] == tail[second]
-    joined = np.concatenate(
-        [
-            np.stack([first, np.where(same, second, after[second])], axis=1),
-            np.stack([after[first], np.where(same, after[second], second)], axis=1),
-        ]
-    )
-    _, group = np.unique(lowest_members(faces.size, joined), return_inverse=True)
-    return group.reshape(faces.shape).astype(np.int64)
+__all__ = ["write_hard_edged_normals"]
 
 
 def write_hard_edged_normals(

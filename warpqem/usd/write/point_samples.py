@@ -9,7 +9,8 @@ import numpy.typing as npt
 from pxr import Sdf, UsdGeom, Vt
 
 from warpqem.errors import StageError
-from warpqem.usd.write.smooth_normals import is_creased, is_shaded_by_subdivision, vertex_normals
+from warpqem.mesh.smooth_normals import vertex_normals
+from warpqem.usd.write.smooth_normals import is_creased, is_shaded_by_subdivision
 
 __all__ = ["PointSamples"]
 

@@ -32,6 +32,7 @@ from warpqem.usd.write.package import is_package
 from warpqem.usd.write.point_samples import PointSamples
 from warpqem.usd.write.primvars import name_arrays, transfer_motion, transfer_normals, transfer_primvars
 from warpqem.usd.write.remove_properties import Dropped, block, drop_skin, drop_subdivision
+from warpqem.usd.write.shape_normals import write_normal_offsets
 from warpqem.usd.write.skin_output import write_skin
 from warpqem.usd.write.smooth_normals import NORMAL_ATTRIBUTES, has_normals
 from warpqem.usd.write.subsets import transfer_subsets
@@ -168,6 +169,8 @@ class OverLayer:
             write_fitted_normals(mesh, transfer, times, self.count_sample)
         elif shaded:
             write_hard_edged_normals(mesh, faces, transfer.hard_edges(), times, self.count_sample)
+        if skin is not None and (shaded or samples.smooth):
+            write_normal_offsets(mesh, faces, skin.shapes)
         return dropped.names
 
     def _transfer_values(
