@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,8 @@ from warpqem.arguments.number_input import real_number, shown, whole_number
 from warpqem.errors import MeshShapeError, OptionError
 from warpqem.kernels import render as kernels
 from warpqem.mesh.mesh_input import finite_points, read_faces, read_points
+from warpqem.normal_maps.maps import MappedNormals, device_maps
+from warpqem.normal_maps.posed import posed_normals
 from warpqem.picture.look import PLAIN, Look, Texture, corner_normals, plain_look, smoothing_groups
 from warpqem.runtime.device import on_device, resolve_device
 from warpqem.runtime.part_launches import PerPart, launch_in_parts, rows_of
@@ -211,9 +213,13 @@ def _shading(
         textured = np.array([part.texture is not None for part in look.parts])[look.face_part]
         plain = np.where(textured[:, None, None], 1.0, np.broadcast_to(PLAIN, (len(faces), 3, 3)))
         colors = plain if look.colors is None else look.colors
-    normals = np.zeros((len(faces), 3, 3), dtype=np.float32)
+    normals, mapped = np.zeros((len(faces), 3, 3), dtype=np.float32), None
     if smooth:
         normals = corner_normals(points, faces, smoothing_groups(points, faces, look.normals))
+        if look.mapped is not None and look.rest_corners is not None:
+            mapped = _posed_maps(look.mapped, look.rest_corners, points[faces], normals)
+            normals = mapped.normals.astype(np.float32)
+    shading.maps = device_maps(mapped, points[faces], device)
     part_texture = np.array([-1 if part.texture is None or not textures else part.texture for part in look.parts])
 
     def at_corners(values: npt.NDArray[np.floating], dtype: Any) -> Any:
@@ -235,6 +241,18 @@ def _shading(
     shading.smooth, shading.line = int(smooth), line
     shading.background = wp.vec3(*BACKGROUND)
     return shading
+
+
+def _posed_maps(
+    mapped: MappedNormals,
+    rest: npt.NDArray[np.floating],
+    corners: npt.NDArray[np.floating],
+    normals: npt.NDArray[np.floating],
+) -> MappedNormals:
+    """The maps of a look in the pose that is drawn; faces without one, or without normals, have these."""
+    posed = posed_normals(rest, mapped.normals, corners)
+    has_own = (np.asarray(mapped.face_map) >= 0)[:, None, None] & posed.any(axis=2, keepdims=True)
+    return replace(mapped, normals=np.where(has_own, posed, normals))
 
 
 def _edge_length(points: npt.NDArray[np.float32], faces: npt.NDArray[np.integer]) -> float:

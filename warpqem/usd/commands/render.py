@@ -18,6 +18,7 @@ from warpqem.picture.look import Look
 from warpqem.usd.checks.input_files import check_stage_outputs
 from warpqem.usd.commands.level_stages import original_of_levels
 from warpqem.usd.read.materials import Materials
+from warpqem.usd.read.normal_textures import NormalTextures
 from warpqem.usd.read.time_codes import FrameRange
 from warpqem.usd.read.variants import open_stages, select_variants
 from warpqem.usd.read.world import WorldMeshes, chosen_times, limit_places
@@ -107,9 +108,9 @@ def render_sheet(
     times = _spread(chosen_times(drawn, options.frames), options)
     # Each time for itself: the topology may be another one.
     meshes = [[item.read(None if times is None else [time]) for time in times or [0.0]] for item in drawn]
-    materials = Materials()
+    materials, textures = Materials(), NormalTextures()
     looks = [
-        [_look(item, None if times is None else [time], options, materials) for time in times or [0.0]]
+        [_look(item, None if times is None else [time], options, materials, textures) for time in times or [0.0]]
         for item in drawn
     ]
     rows, scale = _rows(meshes, looks, [item.name for item in drawn], options)
@@ -122,9 +123,15 @@ def render_sheet(
     return scale
 
 
-def _look(item: WorldMeshes, times: list[float] | None, options: RenderOptions, materials: Materials) -> Look:
+def _look(
+    item: WorldMeshes,
+    times: list[float] | None,
+    options: RenderOptions,
+    materials: Materials,
+    textures: NormalTextures,
+) -> Look:
     """Colours, textures and hard edges at a time; plain ones keep the edges."""
-    look = item.look(times, materials)
+    look = item.look(times, materials, textures)
     if not options.plain:
         return look
     return replace(look, parts=[replace(part, texture=None) for part in look.parts], colors=None, textures=())
