@@ -202,7 +202,9 @@ def baked_normal(output: Output, source: Input, at: Place) -> wp.vec3:
 
 
 @wp.func
-def texel_point(row: wp.int32, column: wp.int32, i: wp.int32, j: wp.int32, samples: wp.int32, size: wp.int32) -> wp.vec2:
+def texel_point(
+    row: wp.int32, column: wp.int32, i: wp.int32, j: wp.int32, samples: wp.int32, size: wp.int32
+) -> wp.vec2:
     """Texture coordinates of sample (i, j) of a texel; row 0 is at the top, where the second coordinate is 1."""
     x = (wp.float32(column) + (wp.float32(i) + 0.5) / wp.float32(samples)) / wp.float32(size)
     y = (wp.float32(row) + (wp.float32(j) + 0.5) / wp.float32(samples)) / wp.float32(size)
@@ -220,9 +222,9 @@ def bake_texels(
     normal_out: wp.array2d[wp.vec3],
     filled_out: wp.array2d[wp.int32],
 ):
-    """Unit normals (size, size) in tangent space, each the mean of ``samples`` x ``samples`` points; 0 where no face is.
+    """Unit normals (size, size) in tangent space, each the mean of ``samples`` x ``samples`` points.
 
-    ``filled_out`` is 1 where there is one.
+    They are 0, and so is ``filled_out``, where there is no face; that is 1 elsewhere.
     """
     i, column = wp.tid()
     row = first_row + i

@@ -27,9 +27,7 @@ def texel_place(place: wp.int32, size: wp.int32, repeats: wp.int32) -> wp.int32:
 
 
 @wp.func
-def blended_texel(
-    texel: wp.array[wp.vec3], start: wp.int32, size: wp.vec2i, repeats: wp.vec2i, uv: wp.vec2
-) -> wp.vec3:
+def blended_texel(texel: wp.array[wp.vec3], start: wp.int32, size: wp.vec2i, repeats: wp.vec2i, uv: wp.vec2) -> wp.vec3:
     """The value of an image between its four nearest texels."""
     x = uv[0] * wp.float32(size[0]) - 0.5
     y = (1.0 - uv[1]) * wp.float32(size[1]) - 0.5
@@ -55,7 +53,7 @@ def blended_tangent(tangent: wp.array[wp.vec4], face: wp.int32, share: wp.vec3) 
 
 @wp.func
 def tangent_frame(tangent: wp.array[wp.vec4], face: wp.int32, share: wp.vec3, normal: wp.vec3) -> wp.mat33:
-    """Tangent, bitangent and normal as columns: as MikkTSpace has them, blended and neither of length one nor upright."""
+    """Tangent, bitangent and normal as columns: blended, and neither of length one nor upright, as of MikkTSpace."""
     t = blended_tangent(tangent, face, share)
     b = tangent[3 * face][3] * wp.cross(normal, t)
     return wp.matrix_from_cols(t, b, normal)

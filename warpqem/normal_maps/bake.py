@@ -15,7 +15,7 @@ from warpqem.normal_maps.tangents import corner_tangents
 from warpqem.runtime.device import on_device
 from warpqem.runtime.part_launches import FIRST_ITEM, launch_in_parts
 
-__all__ = ["BakedMap", "BakeSurface", "bake_normals", "overlap_share"]
+__all__ = ["BakeSurface", "BakedMap", "bake_normals", "overlap_share"]
 
 # Points across a texel, each way: what is finer than a texel becomes its mean.
 SAMPLES = 2
@@ -119,9 +119,7 @@ def dilated(normal: wp.array, filled: wp.array, rounds: int, device: str) -> npt
     """Grow filled texels by some texels; the rest is not tilted."""
     others = wp.empty_like(normal), wp.empty_like(filled)
     for _ in range(rounds):
-        launch_in_parts(
-            kernels.dilate, normal.shape, [FIRST_ITEM, normal, filled], list(others), device=device
-        )
+        launch_in_parts(kernels.dilate, normal.shape, [FIRST_ITEM, normal, filled], list(others), device=device)
         normal, filled, others = *others, (normal, filled)
     flat = np.array([0.0, 0.0, 1.0], dtype=np.float32)
     return np.where(filled.numpy()[..., None] > 0, normal.numpy(), flat)

@@ -37,11 +37,11 @@ def posed_normals(
     # The dual basis of the two edges in their plane.
     first, second = np.cross(other, cross) * inverse, np.cross(cross, edge) * inverse
     moved = sum(
-        part[..., None] * axis[:, None]
-        for part, axis in ((along, first), (across, second), (up, unit_vectors(cross)))
+        part[..., None] * axis[:, None] for part, axis in ((along, first), (across, second), (up, unit_vectors(cross)))
     )
     rows = np.concatenate([rest, normals], axis=2).reshape(-1, 6) + 0.0
     _, group = np.unique(rows, axis=0, return_inverse=True)
     area = np.sqrt(squared)[:, :, None] * unit_vectors(np.asarray(moved))
     sums = [np.bincount(group.ravel(), area[..., axis].ravel()) for axis in range(3)]
-    return unit_vectors(np.stack(sums, axis=1)[group.ravel()].reshape(normals.shape))
+    total: Floats = np.stack(sums, axis=1)
+    return unit_vectors(total[group.ravel()].reshape(normals.shape))

@@ -16,7 +16,9 @@ __all__ = ["corner_tangents", "unit_vectors"]
 Floats = npt.NDArray[np.float64]
 
 
-def corner_tangents(corners: npt.NDArray[np.floating], normals: npt.NDArray[np.floating], uvs: Floats) -> Floats:
+def corner_tangents(
+    corners: npt.NDArray[np.floating], normals: npt.NDArray[np.floating], uvs: npt.NDArray[np.floating]
+) -> Floats:
     """Tangents (N, 3, 4) of N triangles: a unit vector, and the side of the bitangent, 1 or -1.
 
     Args:
@@ -35,7 +37,8 @@ def corner_tangents(corners: npt.NDArray[np.floating], normals: npt.NDArray[np.f
     weighted = _angles(corners.astype(np.float64), normal)[..., None] * upright
     group = _groups(corners, normals, uv, mirrored).ravel()
     sums = [np.bincount(group, weighted[..., axis].ravel()) for axis in range(3)]
-    tangent = unit_vectors(np.stack(sums, axis=1)[group].reshape(normal.shape))
+    total: Floats = np.stack(sums, axis=1)
+    tangent = unit_vectors(total[group].reshape(normal.shape))
     lost = ~tangent.any(axis=2)
     axis = np.eye(3)[np.abs(normal[lost]).argmin(axis=1)]
     tangent[lost] = unit_vectors(axis - (axis * normal[lost]).sum(axis=1, keepdims=True) * normal[lost])

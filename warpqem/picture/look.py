@@ -124,7 +124,8 @@ def _joined_maps(looks: Sequence[Look], counts: Sequence[int]) -> MappedNormals 
         _stack([None if one is None else getattr(one, name) for one in found], counts, (0.0,) * width)
         for name, width in (("uvs", 2), ("frame_uvs", 2), ("normals", 3))
     )
-    assert uvs is not None and normals is not None
+    assert uvs is not None
+    assert normals is not None
     return MappedNormals(maps, np.concatenate(face_map), normals, uvs, frame_uvs)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -26,7 +25,7 @@ from warpqem.usd.write.attribute_transfer import AttributeTransfer
 from warpqem.usd.write.fitted_normals import smooth_input_normals
 from warpqem.usd.write.normal_map_material import add_normal_map, check_material, uv_name_of
 from warpqem.usd.write.smooth_normals import has_normals, is_shaded_by_subdivision
-from warpqem.usd.write.stage_report import PrimReport, name_prim
+from warpqem.usd.write.stage_report import PrimReport
 from warpqem.usd.write.write import OverLayer
 
 __all__ = ["bake_mesh_normals"]

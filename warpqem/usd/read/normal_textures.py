@@ -147,7 +147,9 @@ def _vectors(node: UsdShade.Shader, place: str, start: str) -> npt.NDArray[np.fl
             pixels = np.array(Image.open(file).convert("RGB"))
     except (StageError, *IMAGE_ERRORS) as error:
         raise StageError(f"{start}, {place}, is no image that can be read") from error
-    decode: Callable[[Any], Any] = (lambda p: p / 255.0) if value_of(node, "sourceColorSpace") == "raw" else decoded_srgb
+    decode: Callable[[Any], Any] = (
+        (lambda p: p / 255.0) if value_of(node, "sourceColorSpace") == "raw" else decoded_srgb
+    )
     scale = numbers_of(value_of(node, "scale"), 3) or [1.0] * 3
     bias = numbers_of(value_of(node, "bias"), 3) or [0.0] * 3
     vectors: npt.NDArray[np.float32] = (decode(pixels) * scale + bias).astype(np.float32)

@@ -111,6 +111,5 @@ def _rename(layer: Sdf.Layer, names: dict[str, str]) -> None:
     layer.Traverse(Sdf.Path.absoluteRootPath, found.append)
     for path in found:
         attribute = layer.GetAttributeAtPath(path) if path.IsPropertyPath() else None
-        value = attribute.default if attribute is not None else None
-        if isinstance(value, Sdf.AssetPath) and value.path in names:
-            attribute.default = Sdf.AssetPath(names[value.path])
+        if attribute is not None and isinstance(attribute.default, Sdf.AssetPath) and attribute.default.path in names:
+            attribute.default = Sdf.AssetPath(names[attribute.default.path])

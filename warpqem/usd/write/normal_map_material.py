@@ -60,7 +60,9 @@ def uv_name_of(owner: Usd.Prim, names: Sequence[str]) -> str:
     """The texture coordinates that the material of a mesh or subset uses; else "st", else the first of some names."""
     for material, _ in bound_materials(owner):
         shader = material.ComputeSurfaceSource()[0] if material else None
-        ports = [] if not shader else [shader.GetInput(name) for name in ("normal", "diffuseColor")] + shader.GetInputs()
+        ports = (
+            [] if not shader else [shader.GetInput(name) for name in ("normal", "diffuseColor")] + shader.GetInputs()
+        )
         found = _reader_names([port for port in ports if port])
         for name in found:
             if name in names:
