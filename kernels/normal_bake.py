@@ -18,6 +18,8 @@ STEP = wp.constant(wp.float32(1.0e-6))
 MAX_LAYERS = wp.constant(wp.int32(16))
 # A ray that meets the input so many times further away than its nearest point lies passes along it, not through it.
 MAX_STRETCH = wp.constant(wp.float32(4.0))
+# Everything is nearer than this.
+FAR = wp.constant(wp.float32(1.0e6))
 # Rounding in the square of the texture: a point so little outside of a triangle is on its edge, and one that is this
 # far inside of two is on both.
 ON_EDGE = wp.constant(wp.float32(1.0e-5))
@@ -170,12 +172,12 @@ def find_source(source: Input, p: wp.vec3, normal: wp.vec3, part: wp.int32) -> P
         if nearest.face >= 0:
             return nearest
         return found
-    # A box that grows until it holds a wanted face is searched in full no more than twice.
-    near = wp.mesh_query_point_no_sign(source.mesh, p, 2.0)
-    if near.result:
-        at = wp.mesh_eval_position(source.mesh, near.face, near.u, near.v)
-        radius = wp.max(radius, 1.01 * wp.length(at - p))
-    while radius < 4.0:
+    # A box that begins where the nearest face of all is, and grows until it holds a wanted one, or all of them.
+    near = wp.mesh_query_point_no_sign(source.mesh, p, FAR)
+    at = wp.mesh_eval_position(source.mesh, near.face, near.u, near.v)
+    radius = wp.max(radius, (1.0 + ON_EDGE) * wp.length(at - p))
+    most = 2.0 * (radius + 1.0)
+    while radius < most:
         found = nearest_within(source, p, normal, part, radius)
         if found.face >= 0:
             return found
