@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import re
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from pxr import Ar, Sdf, Usd, UsdGeom, UsdShade, Vt
+from typer.testing import CliRunner
 
 from tests.support.usd_findings import nvidia_findings, usd_findings
 from tests.support.usd_stages import skinned_stage
@@ -27,10 +29,18 @@ from tests.support.usd_textured import (
     wave_normals,
     write_tilted_map,
 )
+from tests.support.usd_topology_runs import capture
 from tests.support.usd_validators import new_findings
+from warpqem.batching.manifest import read_manifest
+from warpqem.cli.main import app
 from warpqem.errors import OptionError
 from warpqem.normal_maps.tangents import corner_tangents
+from warpqem.picture import View, render
 from warpqem.usd import SimplifyOptions, simplify_stage
+from warpqem.usd.commands.simplify_meshes import simplify_mesh_files
+from warpqem.usd.read.materials import Materials
+from warpqem.usd.read.normal_textures import NormalTextures
+from warpqem.usd.read.world import WorldMeshes
 
 SIZE = 32
 
@@ -430,3 +440,63 @@ def test_validators_find_nothing_new(name, find, tmp_path):
     stage.Save()
     baked(tmp_path / "in.usda", tmp_path / name)
     assert new_findings(tmp_path / "in.usda", tmp_path / name, find) == {}
+
+
+def test_mesh_whose_topology_varies_says_so(tmp_path):
+    capture(tmp_path / "in.usda", [8, 12], 2)
+    report = bake(tmp_path / "in.usda", tmp_path / "out.usda", ratio=0.5)
+    lines = [line for prim in report.prims for line in prim.problems if "no normal map" in line]
+    assert [line.partition(": ")[2] for line in lines] == ["no normal map: its topology varies over time"]
+
+
+def test_mesh_that_is_kept_has_no_map(tmp_path):
+    sheet_stage(tmp_path / "in.usda")
+    report = bake(tmp_path / "in.usda", tmp_path / "out.usda", ratio=1.0)
+    assert (report.prims[0].status, report.prims[0].problems, report.prims[0].notes) == ("kept", [], [])
+    assert not (tmp_path / "out_textures").exists()
+
+
+def test_mesh_files_hold_no_map(tmp_path):
+    define = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3\nf 1 3 4\n"
+    (tmp_path / "in.obj").write_text(define)
+    with pytest.raises(OptionError, match="bake_normals"):
+        simplify_mesh_files(
+            tmp_path / "in.obj", tmp_path / "out.obj", SimplifyOptions(ratio=0.5, bake_normals=SIZE, device="cpu")
+        )
+
+
+def test_command_line_and_manifest_take_the_option(tmp_path):
+    sheet_stage(tmp_path / "in.usda")
+    arguments = [str(tmp_path / "in.usda"), "-o", str(tmp_path / "out.usda"), "--ratio", "0.2", "--device", "cpu"]
+    done = CliRunner().invoke(app, ["simplify", *arguments, "--bake-normals", str(SIZE)])
+    assert done.exit_code == 0, done.output
+    assert f"normal map of {SIZE} x {SIZE} texels" in " ".join(done.output.split())
+    (tmp_path / "jobs.jsonl").write_text(json.dumps({"input": "in.usda", "ratio": 0.2, "bake_normals": SIZE}))
+    (job,) = read_manifest(tmp_path / "jobs.jsonl", tmp_path / "out", {})
+    assert job.options.bake_normals == SIZE
+
+
+@pytest.mark.parametrize("size", [0, 7, 20000, 12.5, "big"])
+def test_size_of_a_map_is_checked(size):
+    with pytest.raises(OptionError, match="bake_normals"):
+        SimplifyOptions(ratio=0.5, bake_normals=size)
+
+
+def test_picture_shows_the_map(tmp_path):
+    given = sheet_stage(tmp_path / "in.usda")
+    UsdGeom.Mesh(given.GetPrimAtPath("/Root/Sheet")).CreateDisplayColorAttr([(0.5, 0.5, 0.5)])
+    given.Save()
+    stage = baked(tmp_path / "in.usda", tmp_path / "out.usda", ratio=0.03, normals="none")
+    pictures = []
+    for source, textures in ((stage, NormalTextures()), (stage, None)):
+        drawn = WorldMeshes("out.usda", stage=source)
+        points, faces = drawn.read(None)
+        view = View(10.0, 20.0, (0.5, 0.5, 0.0), 1.2)
+        pictures.append(
+            render(points[0], faces, view, size=(96, 96), smooth=True, look=drawn.look(None, Materials(), textures))
+        )
+    original = WorldMeshes("in.usda", stage=given)
+    points, faces = original.read(None)
+    wanted = render(points[0], faces, view, size=(96, 96), smooth=True, look=original.look(None, Materials()))
+    with_map, without = (np.abs(picture.astype(float) - wanted)[24:72, 24:72].mean() for picture in pictures)
+    assert with_map < 0.5 * without

@@ -157,7 +157,10 @@ def _checked(entry: OptionField, value: Any) -> Any:
         return flag(value, entry.field)
     if entry.kind is int and limits is not None:
         expected = f"a whole number {limits}"
-        return whole_number(value, entry.field, int(limits.low), expected)
+        number = whole_number(value, entry.field, int(limits.low), expected)
+        if number > limits.high:
+            raise OptionError(f"{entry.field} must be {expected}, got {shown(value)}")
+        return number
     if entry.kind is float and limits is not None:
         return real_number(value, entry.field, str(limits), limits.__contains__)
     if entry.literals and (not isinstance(value, str) or value not in entry.literals):

@@ -20,6 +20,8 @@ MATERIAL_NAME = "baked"
 STRONGER, COLLECTIONS = UsdShade.Tokens.strongerThanDescendants, "material:binding:collection"
 # Renderers ask for one of these kinds of binding, and take that for all purposes where there is none of it.
 PURPOSES = (UsdShade.Tokens.allPurpose, UsdShade.Tokens.preview, UsdShade.Tokens.full)
+# Of a mesh without a colour: the default of the surface itself is far darker than renderers show such a mesh.
+PLAIN = Gf.Vec3f(0.5, 0.5, 0.5)
 # Nodes below a surface that are looked through for the texture coordinates it uses.
 MAX_NODES = 64
 
@@ -130,6 +132,7 @@ def _new_material(mesh: UsdGeom.Mesh, owner: Usd.Prim, material: UsdShade.Materi
 def _add_surface(material: UsdShade.Material, mesh: UsdGeom.Mesh) -> None:
     """What renderers give a mesh without a material: its display colour and opacity."""
     surface = _node(material, "surface", "UsdPreviewSurface")
+    surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).Set(PLAIN)
     kinds = {
         "diffuseColor": ("displayColor", Sdf.ValueTypeNames.Color3f, "float3", Sdf.ValueTypeNames.Float3),
         "opacity": ("displayOpacity", Sdf.ValueTypeNames.Float, "float", Sdf.ValueTypeNames.Float),
