@@ -147,7 +147,7 @@ def _problem(group: _Group, values: SurfaceValues, size: int, device: str) -> st
         return f"primvars:{group.uv_name} gives no face an area in the texture"
     share = overlap_share(uvs, size, device=device)
     if share > MAX_OVERLAP:
-        return f"primvars:{group.uv_name} overlaps on {100 * share:.2g} % of its texels"
+        return f"primvars:{group.uv_name} overlaps on {100 * share:.3g} % of its texels"
     return None
 
 

@@ -40,7 +40,7 @@ def check_material(owner: Usd.Prim) -> None:
     """Check that a normal map can be added to what is bound to a mesh or subset.
 
     Raises:
-        StageError: it is no UsdPreviewSurface, its surface is no part of the material, or it is bound in a way that no
+        StageError: it has a surface that is no UsdPreviewSurface, its surface is no part of the material, or it is bound in a way that no
             binding of the mesh's own goes before.
     """
     for material, purpose in bound_materials(owner):
@@ -52,10 +52,17 @@ def check_material(owner: Usd.Prim) -> None:
         if (is_strong and not is_own) or (is_own and binding.GetName().startswith(COLLECTIONS)):
             raise StageError(f"{binding.GetPath()} binds a material that no other binding goes before")
         shader = material.ComputeSurfaceSource()[0]
+        if not shader and not _has_surface(material):
+            continue
         if not shader or shader.GetIdAttr().Get() != "UsdPreviewSurface":
             raise StageError(f"the material {material.GetPath()} has no UsdPreviewSurface")
         if not shader.GetPath().HasPrefix(material.GetPath()):
             raise StageError(f"the surface {shader.GetPath()} is no part of the material {material.GetPath()}")
+
+
+def _has_surface(material: UsdShade.Material) -> bool:
+    """Whether a material has a surface for any renderer."""
+    return any(port.GetBaseName().endswith("surface") and port.HasConnectedSource() for port in material.GetOutputs())
 
 
 def uv_name_of(owner: Usd.Prim, names: Sequence[str]) -> str:
@@ -122,6 +129,8 @@ def _new_material(mesh: UsdGeom.Mesh, owner: Usd.Prim, material: UsdShade.Materi
     if not material:
         _add_surface(new, mesh)
         return new
+    if not material.ComputeSurfaceSource()[0]:
+        _add_surface(new, mesh)
     new.GetPrim().GetInherits().AddInherit(material.GetPath())
     if new.GetPrim().IsInstanceable():
         # What is below an instance cannot be edited.
