@@ -48,8 +48,8 @@ VaryingTopology = Literal["runs", "refuse"]
 Axis = Literal["x", "y", "z", "auto"]
 # A dihedral angle changes by half a turn at most.
 ANGLE = Limits(0.0, 180.0)
-# Texels across a map: fewer hold no island, and a map of more fits in the memory of no card.
-MAP_SIZE = Limits(8, 16384)
+# Texels across a map: fewer hold no island, and more take over 2 GB while they are baked.
+MAP_SIZE = Limits(8, 8192)
 
 
 @dataclass(frozen=True)

@@ -40,8 +40,8 @@ def check_material(owner: Usd.Prim) -> None:
     """Check that a normal map can be added to what is bound to a mesh or subset.
 
     Raises:
-        StageError: it has a surface that is no UsdPreviewSurface, its surface is no part of the material, or it is bound in a way that no
-            binding of the mesh's own goes before.
+        StageError: it has a surface that is no UsdPreviewSurface or no part of the material, or it is bound in a way
+            that no binding of the mesh's own goes before.
     """
     for material, purpose in bound_materials(owner):
         if not material:
