@@ -110,6 +110,21 @@ _STREAMED: dict[str, tuple[tuple[str, float], ...]] = {
         ("change", 2),
         ("direction_out", 1),
     ),
+    # Normal maps: both surfaces once, and the texels.
+    "bake_texels": (
+        ("output.uv", 1),
+        ("output.position", 1),
+        ("output.normal", 1),
+        ("output.tangent", 1),
+        ("output.part", 1),
+        ("source.position", 1),
+        ("source.normal", 1),
+        ("source.part", 1),
+        ("normal_out", 1),
+        ("filled_out", 1),
+    ),
+    "count_faces_at_texels": (("output.uv", 1), ("count_out", 1)),
+    "dilate": (("normal_in", 1), ("filled_in", 1), ("normal_out", 1), ("filled_out", 1)),
     # A vertex that is not corrected needs no frame.
     "move_in_material_frame": (("points_in", 1), ("points_out", 1), ("correction_in", 1)),
     "mark_new_flips": (("points_in", 1), ("moved_in", 1), ("normal_in", 1), ("corner_vertex_in", 1)),

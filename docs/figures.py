@@ -10,6 +10,7 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -22,13 +23,15 @@ from scenes.generate import SCENES, VIEWS
 from scenes.generate import picture as scenes_picture
 from warpqem.measure import vertex_distances
 from warpqem.measure.heatmap import COLOR_MAP, distance_colors
-from warpqem.picture import View, caption, render, tile, write_gif, write_png
+from warpqem.normal_maps.maps import NormalMap
+from warpqem.picture import View, caption, fit_view, render, tile, write_gif, write_png
 from warpqem.picture.layers import render_layers
 from warpqem.picture.render import place_scene
-from warpqem.usd import SimplifyOptions, simplify_stage
+from warpqem.usd import FrameRange, SimplifyOptions, simplify_stage
 from warpqem.usd.commands.motion_features import feature_colors
 from warpqem.usd.commands.report_page import write_simplify_report
 from warpqem.usd.read.materials import Materials
+from warpqem.usd.read.normal_textures import NormalTextures
 from warpqem.usd.read.world import WorldMeshes
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -189,6 +192,33 @@ def scenes(path: Path) -> None:
     scenes_picture({name: build() for name, build in SCENES.items()}, path)
 
 
+def normal_map(path: Path) -> None:
+    """The cape in its first frame, and 5 % of it: shaded by its normals, and with a normal map over them."""
+    scene = ROOT / "scenes" / "cape_wind.usdc"
+    flat = NormalMap(np.array([[[0.0, 0.0, 1.0]]], dtype=np.float32))
+    with tempfile.TemporaryDirectory() as folder:
+        output = Path(folder) / "cape.usdc"
+        # One frame is drawn, and so one is simplified.
+        options = SimplifyOptions(ratio=0.05, bake_normals=512, normals="fit", frames=FrameRange(1.0, 1.0))
+        simplify_stage(scene, output, options)
+        drawn = [WorldMeshes(file) for file in (scene, output)]
+        (points, faces), (fewer_points, fewer) = (mesh.read([1.0]) for mesh in drawn)
+        look = drawn[1].look([1.0], Materials(), NormalTextures())
+    plain = replace(look, colors=None, textures=(), parts=[replace(part, texture=None) for part in look.parts])
+    assert plain.mapped is not None
+    without = replace(plain, mapped=replace(plain.mapped, maps=[flat]))
+    view = fit_view(points, up=drawn[0].up, aspect=SIZE[0] / SIZE[1])
+    pictures = [
+        caption(render(*mesh, view, size=SIZE, smooth=True, look=shown), text)
+        for mesh, shown, text in (
+            ((points[0], faces), None, f"{len(faces):,} faces"),
+            ((fewer_points[0], fewer), without, f"{len(fewer):,} faces"),
+            ((fewer_points[0], fewer), plain, f"{len(fewer):,} faces and a normal map"),
+        )
+    ]
+    write_png(tile(pictures, 3), path)
+
+
 def report(path: Path) -> None:
     """The page of --report, as a browser shows it."""
     chromium = shutil.which("chromium") or shutil.which("google-chrome")
@@ -225,6 +255,7 @@ FIGURES: dict[str, Callable[[Path], None]] = {
     "joints.png": joints,
     "morph.png": morph,
     "appearance.png": appearance,
+    "normal_map.png": normal_map,
     "report.png": report,
     "scenes.png": scenes,
 }

@@ -2,6 +2,8 @@
 
 import warp as wp
 
+from warpqem.kernels.texture import NormalMaps, blended_texel, tilted_normal
+
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
 # Light from over the viewer's left shoulder, and a weaker one from the right that keeps the dark side readable.
@@ -42,6 +44,7 @@ class Shading:
     texture_start: wp.array[wp.int32]  # (T,) first texel
     texture_size: wp.array[wp.vec2i]  # (T,) width and height
     texture_repeats: wp.array[wp.vec2i]  # (T,) 1 where it repeats beyond its border, across and up
+    maps: NormalMaps  # that tilt ``normal``
 
 
 @wp.struct
@@ -75,32 +78,12 @@ def edge_distance(a: wp.vec3, b: wp.vec3, c: wp.vec3, share: wp.vec3) -> wp.floa
 
 
 @wp.func
-def texel_place(place: wp.int32, size: wp.int32, repeats: wp.int32) -> wp.int32:
-    """The texel that stands for a place beyond the border."""
-    if repeats == 1:
-        return (place % size + size) % size
-    return wp.clamp(place, 0, size - 1)
-
-
-@wp.func
 def texture_color(shading: Shading, texture: wp.int32, uv: wp.vec2) -> wp.vec3:
     """The linear colour of a texture, between its four nearest texels."""
     start = shading.texture_start[texture]
     size = shading.texture_size[texture]
     repeats = shading.texture_repeats[texture]
-    x = uv[0] * wp.float32(size[0]) - 0.5
-    y = (1.0 - uv[1]) * wp.float32(size[1]) - 0.5
-    column = wp.int32(wp.floor(x))
-    row = wp.int32(wp.floor(y))
-    across = x - wp.floor(x)
-    down = y - wp.floor(y)
-    left = texel_place(column, size[0], repeats[0])
-    right = texel_place(column + 1, size[0], repeats[0])
-    top = start + texel_place(row, size[1], repeats[1]) * size[0]
-    bottom = start + texel_place(row + 1, size[1], repeats[1]) * size[0]
-    upper = wp.lerp(shading.texel[top + left], shading.texel[top + right], across)
-    lower = wp.lerp(shading.texel[bottom + left], shading.texel[bottom + right], across)
-    return wp.lerp(upper, lower, down)
+    return blended_texel(shading.texel, start, size, repeats, uv)
 
 
 @wp.func
@@ -128,7 +111,7 @@ def trace_ray(
     corner = 3 * hit.face
     normal = hit.normal
     if shading.smooth == 1:
-        normal = wp.normalize(
+        normal = (
             share[0] * shading.normal[corner]
             + share[1] * shading.normal[corner + 1]
             + share[2] * shading.normal[corner + 2]
@@ -136,6 +119,7 @@ def trace_ray(
         # Of a face without some, and where they cancel out.
         if not wp.length_sq(normal) > 0.0:
             normal = hit.normal
+        normal = wp.normalize(tilted_normal(shading.maps, hit.face, share, normal))
     color = (
         share[0] * shading.color[corner] + share[1] * shading.color[corner + 1] + share[2] * shading.color[corner + 2]
     )

@@ -29,6 +29,7 @@ from benchmarks.work import torus_work
 from tests.support.usd_stages import cloth_stage
 from warpqem import simplify
 from warpqem.measure import topology
+from warpqem.normal_maps.bake import BakeSurface, bake_normals, overlap_share
 
 
 @wp.kernel
@@ -216,6 +217,17 @@ def test_every_kernel_of_an_option_has_a_floor_that_is_above_none_and_below_the_
     for name in further:
         assert all(0 <= demand.bytes < most for _, demand in table[name]), name
         assert sum(demand.bytes for _, demand in table[name]) > 0, name
+
+
+def test_every_kernel_of_a_baked_map_has_a_floor():
+    corners = np.array([[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]])
+    surface = BakeSurface(corners, np.broadcast_to([0.0, 0.0, 1.0], (1, 3, 3)), np.zeros(1, int), corners[..., :2])
+    with profile_launches() as taken:
+        overlap_share(corners[..., :2], 16, device="cpu")
+        bake_normals(surface, surface, 16, device="cpu")
+    table = taken.by_kernel()
+    assert set(table) == {"count_faces_at_texels", "bake_texels", "dilate"}
+    assert all(demand.bytes >= 16 * 16 * 4 for launches in table.values() for _, demand in launches)
 
 
 def test_a_launch_without_threads_is_none():

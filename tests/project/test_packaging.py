@@ -198,6 +198,7 @@ FLOORS = [
     "arguments",
     "frames",
     "mesh",
+    "normal_maps",
     "decimation",
     "costs",
     "options",

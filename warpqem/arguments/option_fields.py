@@ -176,9 +176,12 @@ def _checked(entry: OptionField, value: Any, names: Collection[str]) -> Any:
         return flag(value, entry.field)
     if entry.kind in (int, float) and limits is not None:
         try:
-            if entry.kind is int:
-                return whole_number(value, entry.field, int(limits.low), entry.expected)
-            return real_number(value, entry.field, entry.expected, limits.__contains__)
+            if entry.kind is float:
+                return real_number(value, entry.field, entry.expected, limits.__contains__)
+            number = whole_number(value, entry.field, int(limits.low), entry.expected)
+            if number > limits.high:
+                raise OptionError(f"{entry.field} must be {entry.expected}, got {shown(value)}")
+            return number
         except OptionError as error:
             raise OptionError(f"{error.marked}{entry.hint(value, names)}") from None
     if entry.literals and (not isinstance(value, str) or value not in entry.literals):

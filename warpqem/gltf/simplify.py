@@ -58,7 +58,7 @@ def simplify_gltf(
     Args:
         path: A .glb or .gltf file.
         output: A .glb file, in which all but the meshes is as Blender writes what it has read; or a USD file.
-        options: What to do; neither `bake` nor levels where the output is a .glb.
+        options: What to do; neither `bake`, `bake_normals` nor levels where the output is a .glb.
         progress: Called with the part done and what is being done.
         announce: See `warpqem.usd.simplify_stage`.
         other_outputs: See there.
@@ -123,7 +123,7 @@ def _outputs(output: str | os.PathLike[str], options: SimplifyOptions, to_gltf: 
         return [OutputFile("output", file) for file in output_files(output, options)]
     if Path(output).suffix.lower() != ".glb":
         raise OptionError(f"output {os.fspath(output)}: a glTF file is written as .glb, which holds all that it needs")
-    for name in ("bake", "lods"):
+    for name in ("bake", "lods", "bake_normals"):
         if getattr(options, name):
             raise OptionError(f"{name}: needs a USD file as output, not {os.fspath(output)}")
     return [OutputFile("output", output)]

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from warpqem.arguments.array_record import ArrayRecord
 from warpqem.mesh.components import lowest_members
+from warpqem.normal_maps.maps import MappedNormals, NormalMap
 
 __all__ = ["PLAIN", "Look", "Part", "Texture", "corner_normals", "joined", "plain_look", "smoothing_groups"]
 
@@ -62,6 +63,8 @@ class Look(ArrayRecord):
         uvs: (N, 3, 2) texture coordinates at the corners, from the lower left; None without textures.
         normals: (N, 3, 3) authored normals of any pose at the corners, whose directions alone say which edges are hard;
             NaN where there are none. None without any.
+        mapped: normal maps, and the normals that they tilt, in the pose of `rest_corners`; None without any.
+        rest_corners: (N, 3, 3) the corners in that pose; None without maps.
     """
 
     face_part: npt.NDArray[np.integer]
@@ -70,6 +73,8 @@ class Look(ArrayRecord):
     colors: npt.NDArray[np.floating] | None = None
     uvs: npt.NDArray[np.floating] | None = None
     normals: npt.NDArray[np.floating] | None = None
+    mapped: MappedNormals | None = None
+    rest_corners: npt.NDArray[np.floating] | None = None
 
     @property
     def is_plain(self) -> bool:
@@ -100,7 +105,28 @@ def joined(looks: Sequence[Look]) -> Look:
         _stack([look.colors for look in looks], counts, PLAIN),
         _stack([look.uvs for look in looks], counts, (0.0, 0.0)),
         _stack([look.normals for look in looks], counts, (np.nan,) * 3),
+        _joined_maps(looks, counts),
+        _stack([look.rest_corners for look in looks], counts, (0.0, 0.0, 0.0)),
     )
+
+
+def _joined_maps(looks: Sequence[Look], counts: Sequence[int]) -> MappedNormals | None:
+    maps: list[NormalMap] = []
+    face_map = []
+    for look, count in zip(looks, counts, strict=True):
+        own = np.full(count, -1) if look.mapped is None else np.asarray(look.mapped.face_map)
+        face_map.append(np.where(own < 0, own, own + len(maps)))
+        maps += [] if look.mapped is None else look.mapped.maps
+    if not maps:
+        return None
+    found = [look.mapped for look in looks]
+    uvs, frame_uvs, normals = (
+        _stack([None if one is None else getattr(one, name) for one in found], counts, (0.0,) * width)
+        for name, width in (("uvs", 2), ("frame_uvs", 2), ("normals", 3))
+    )
+    assert uvs is not None
+    assert normals is not None
+    return MappedNormals(maps, np.concatenate(face_map), normals, uvs, frame_uvs)
 
 
 def _index_of(texture: Texture, textures: list[Texture]) -> int:

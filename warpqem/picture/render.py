@@ -15,6 +15,8 @@ from warpqem.arguments.number_input import real_number, shown, whole_number
 from warpqem.errors import MeshShapeError, OptionError
 from warpqem.kernels import render as kernels
 from warpqem.mesh.mesh_input import finite_points, read_faces, read_points
+from warpqem.normal_maps.maps import MappedNormals, device_maps
+from warpqem.normal_maps.posed import posed_normals
 from warpqem.picture.look import PLAIN, Look, Texture, corner_normals, plain_look, smoothing_groups
 from warpqem.runtime.device import on_device, resolve_device
 from warpqem.runtime.part_launches import PerPart, launch_in_parts, rows_of
@@ -236,10 +238,15 @@ def place_scene(
         raise MeshShapeError(f"look: it is of {len(look.face_part)} faces, and the mesh has {len(faces)}")
     if normals is None and smooth:
         normals = corner_normals(local, faces, smoothing_groups(local, faces, look.normals))
+    mapped = None
+    if normals is not None and look.mapped is not None and look.rest_corners is not None:
+        mapped = _posed_maps(look.mapped, look.rest_corners, local[faces], normals)
+        normals = mapped.normals.astype(np.float32)
     corners = None if colors is None else colors[faces]
     camera = _camera(view, height, reach)
     strength = 0.0 if not lines else LINE_SHADE * min(1.0, _edge_length(local, faces) / (camera.pixel * LINE_LENGTH))
     shading = _shading(look, corners, normals, strength, device)
+    shading.maps = device_maps(mapped, local[faces], device)
     return PlacedScene(mesh, corner_vertex, camera, shading, (height, width), device)
 
 
@@ -303,6 +310,18 @@ def _shading(
     shading.smooth, shading.line = int(smooth), line
     shading.background = wp.vec3(*BACKGROUND)
     return shading
+
+
+def _posed_maps(
+    mapped: MappedNormals,
+    rest: npt.NDArray[np.floating],
+    corners: npt.NDArray[np.floating],
+    normals: npt.NDArray[np.floating],
+) -> MappedNormals:
+    """The maps of a look in the pose that is drawn; faces without one, or without normals, have these."""
+    posed = posed_normals(rest, mapped.normals, corners)
+    has_own = (np.asarray(mapped.face_map) >= 0)[:, None, None] & posed.any(axis=2, keepdims=True)
+    return replace(mapped, normals=np.where(has_own, posed, normals))
 
 
 def _edge_length(points: npt.NDArray[np.float32], faces: npt.NDArray[np.integer]) -> float:

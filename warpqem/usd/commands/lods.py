@@ -19,6 +19,7 @@ from warpqem.usd.read.open_stage import MeshSelection
 from warpqem.usd.read.stage_views import copy_stage_metadata, layer_name, unopened
 from warpqem.usd.write.layer_files import export_layer
 from warpqem.usd.write.lod_targets import OutsideTargets
+from warpqem.usd.write.map_files import place_maps
 from warpqem.usd.write.package import is_package, write_package_with_layers
 from warpqem.usd.write.stage_report import PrimReport
 from warpqem.usd.write.write import OverLayer
@@ -101,17 +102,19 @@ class LevelLayer(ABC):
         """
         return self._add(edits)
 
-    def save(self, output: Path) -> list[str]:
+    def save(self, output: Path, other_outputs: Sequence[OutputFile] = ()) -> list[str]:
         """Write the layer under a temporary name and rename it.
 
         Args:
             output: Path checked with `check_output_path`; a package holds the layers of the input, too.
+            other_outputs: What else is going to be written: no image may take its place.
 
         Returns:
             What programs may not read; one line each.
 
         Raises:
             StageError: the file cannot be written; nothing is left behind.
+            OptionError: an image would take the place of a file that is read, or of another output.
         """
         for path in self._others:
             self._targets[path].write(self._layer, path, self._on_all_levels)
@@ -121,6 +124,8 @@ class LevelLayer(ABC):
         name = layer_name(self._source)
         if is_package(output):
             return write_package_with_layers(with_fields_in_order(layer), output)
+        sets = [(f"{LEVEL_NAME}{level}_", edits.maps) for level, edits in enumerate(self._edits, start=1)]
+        place_maps(layer, sets, output, self._stage_of_input, other_outputs)
         if os.path.isabs(name):
             layer.UpdateCompositionAssetDependency(name, relative_path(name, output.parent))
         move_asset_paths(layer, self._source, output.parent)
@@ -177,12 +182,11 @@ class FileLevels:
 
     Args:
         flatten: Write self-contained files.
-        other_outputs: What else is going to be written.
 
     """
 
-    def __init__(self, flatten: bool, other_outputs: Sequence[OutputFile]) -> None:
-        self._flatten, self._others = flatten, other_outputs
+    def __init__(self, flatten: bool) -> None:
+        self._flatten = flatten
         self._levels: list[OverLayer] = []
 
     def add(self, edits: OverLayer, share: float) -> str:
@@ -190,11 +194,11 @@ class FileLevels:
         self._levels.append(edits)
         return f"{LEVEL_NAME}{len(self._levels)}"
 
-    def save(self, output: Path) -> list[str]:
+    def save(self, output: Path, other_outputs: Sequence[OutputFile] = ()) -> list[str]:
         """Write the files; see `OverLayer.save`."""
         problems = []
         for level, edits in enumerate(self._levels, start=1):
-            problems += edits.save(Path(level_file(output, level)), self._flatten, self._others)
+            problems += edits.save(Path(level_file(output, level)), self._flatten, other_outputs)
         return problems
 
 

@@ -19,7 +19,7 @@ from warpqem.usd.read.read_mesh import MeshSource, PoseFrames
 from warpqem.usd.read.skeleton_poses import StagePoses
 from warpqem.usd.write.stage_report import PrimReport, name_prim
 
-__all__ = ["measure_written", "written_within"]
+__all__ = ["measure_written", "written_source", "written_within"]
 
 
 def measure_written(job: MeshJob, stage: Usd.Stage, report: PrimReport, device: str | None, progress: Progress) -> None:
@@ -36,7 +36,7 @@ def measure_written(job: MeshJob, stage: Usd.Stage, report: PrimReport, device: 
         progress: Called with the part done.
     """
     try:
-        source = _written(stage, job)
+        source = written_source(stage, job)
         layout = source.layout(job.mesh.times)
         test = PoseFrames(source, job.mesh.times, layout.used_points)
         reference, faces = _reference(job)
@@ -47,7 +47,7 @@ def measure_written(job: MeshJob, stage: Usd.Stage, report: PrimReport, device: 
 
 def written_within(job: MeshJob, stage: Usd.Stage, limit: DistanceLimit, device: str | None) -> bool:
     """Whether a mesh that was written is proved to be within a limit of the mesh as it was read, in all its poses."""
-    source = _written(stage, job)
+    source = written_source(stage, job)
     layout = source.layout(job.mesh.times)
     test = PoseFrames(source, job.mesh.times, layout.used_points)
     reference, faces = _reference(job)
@@ -83,7 +83,8 @@ class _NoPoses(StagePoses):
         self._bindings = {}
 
 
-def _written(stage: Usd.Stage, job: MeshJob) -> MeshSource:
+def written_source(stage: Usd.Stage, job: MeshJob) -> MeshSource:
+    """A mesh as the stage of the edits shows it."""
     poses = _NoPoses() if job.skin is None else StagePoses(stage)
     return MeshSource(stage.GetPrimAtPath(job.mesh.path), poses)
 

@@ -15,6 +15,7 @@ from warpqem.usd.commands.context import Progress
 from warpqem.usd.commands.face_points import points_on_level
 from warpqem.usd.commands.measuring import measure_written, written_within
 from warpqem.usd.commands.mesh_job import MeshJob
+from warpqem.usd.commands.normal_map import bake_mesh_normals
 from warpqem.usd.commands.shape_reduction import ShapeReduction, reduce_mesh_shapes
 from warpqem.usd.commands.simplify_options import SimplifyOptions
 from warpqem.usd.commands.skin_fit import FittedMesh
@@ -82,6 +83,8 @@ class MeshResult:
                 layer.on_discard(job.mesh.path, undo)
         written = UsdGeom.Mesh(layer.stage.GetPrimAtPath(job.mesh.path))
         write_feature_points(written, transfer.feature_points, create=self.face is not None)
+        if options.bake_normals is not None:
+            bake_mesh_normals(job, mesh, transfer, layer, report, options.bake_normals, options.device)
         report.dropped = [*self._explained(dropped, options.bake), *self._left_out()]
         report.components_removed = mesh.components_removed
         report.faces_after = len(mesh.faces)

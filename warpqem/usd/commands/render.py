@@ -20,6 +20,7 @@ from warpqem.usd.checks.input_files import check_stage_outputs
 from warpqem.usd.commands.level_stages import original_of_levels
 from warpqem.usd.read.materials import Materials
 from warpqem.usd.read.missing_textures import missing_lines, missing_textures
+from warpqem.usd.read.normal_textures import NormalTextures
 from warpqem.usd.read.time_codes import FrameRange
 from warpqem.usd.read.variants import open_stages, select_variants
 from warpqem.usd.read.world import WorldMeshes, chosen_times, limit_places
@@ -111,9 +112,9 @@ def render_sheet(
     times = _spread(chosen_times(drawn, options.frames), options)
     # Each time for itself: the topology may be another one.
     meshes = [[item.read(None if times is None else [time]) for time in times or [0.0]] for item in drawn]
-    materials = Materials()
+    materials, textures = Materials(), NormalTextures()
     looks = [
-        [_look(item, None if times is None else [time], options, materials) for time in times or [0.0]]
+        [_look(item, None if times is None else [time], options, materials, textures) for time in times or [0.0]]
         for item in drawn
     ]
     if warn is not None and not options.plain:
@@ -139,9 +140,15 @@ def _not_shown(stages: Sequence[Usd.Stage], materials: Materials) -> list[str]:
     return list(dict.fromkeys([*(line for textures in missing for line in missing_lines(textures)), *others]))
 
 
-def _look(item: WorldMeshes, times: list[float] | None, options: RenderOptions, materials: Materials) -> Look:
+def _look(
+    item: WorldMeshes,
+    times: list[float] | None,
+    options: RenderOptions,
+    materials: Materials,
+    textures: NormalTextures,
+) -> Look:
     """Colours, textures and hard edges at a time; plain ones keep the edges."""
-    look = item.look(times, materials)
+    look = item.look(times, materials, textures)
     if not options.plain:
         return look
     return replace(look, parts=[replace(part, texture=None) for part in look.parts], colors=None, textures=())

@@ -147,7 +147,7 @@ def _checked_output(
     if not isinstance(output_path, Sdf.Layer):
         read = [] if isinstance(input_path, Usd.Stage) else [input_path]
         return check_output_path(output_path, read, packages=True)
-    for name in ("flatten", "lods"):
+    for name in ("flatten", "lods", "bake_normals"):
         if getattr(options, name):
             raise OptionError(f"{name}: needs a file as output, not the layer {output_path.identifier}")
     return output_path
@@ -189,7 +189,7 @@ def _simplify_levels(context: Context, written: Sequence[OutputFile]) -> tuple[S
     options = context.options
     levels: LevelLayer | FileLevels
     if options.lod_files:
-        levels = FileLevels(options.flatten, written)
+        levels = FileLevels(options.flatten)
     else:
         levels = (UsdLodLevels if options.usd_lod else VariantLevels)(context.stage, context.selection)
     alone: dict[str, Any] = {"lods": (), "usd_lod": False, "lod_files": False}
@@ -211,4 +211,4 @@ def _simplify_levels(context: Context, written: Sequence[OutputFile]) -> tuple[S
         name = levels.add(run.layer, report.face_share)
         reports += [LevelReport(**vars(prim), level=name) for prim in report.prims]
     notes = list(dict.fromkeys(note for run in runs for note in run.notes))
-    return StageReport("", None, reports, notes=notes), levels.save
+    return StageReport("", None, reports, notes=notes), lambda output: levels.save(output, written)

@@ -118,6 +118,8 @@ def _outputs(
         check_mesh_output(output)
         if options.lods:
             raise OptionError("`lods`: levels of mesh files need a USD file as output, with `lod_files`, or a package")
+        if options.bake_normals is not None:
+            raise OptionError("`bake_normals`: a map needs a USD file as output, whose material names it")
         return [OutputFile("output", file) for file in numbered_files(output, numbers)]
     check_output_path(output, [], packages=True)
     if options.lods and not options.lod_files and not is_package(output):

@@ -49,6 +49,8 @@ Axis = Literal["x", "y", "z", "auto"]
 ANGLE = Limits(0.0, 180.0)
 # Of feature points, see `warpqem.face.FaceProtection`.
 POINT_WEIGHTS = Limits(1.0, 1e12)
+# Texels across a map: fewer hold no island, and more take over 2 GB while they are baked.
+MAP_SIZE = Limits(8, 8192)
 
 
 @dataclass(frozen=True)
@@ -110,6 +112,9 @@ class SimplifyOptions(RigOptions):
         normals: "fit": normals are fitted to those of the input, see `warpqem.attribute_fit`, and meshes without any
             get those of a smooth surface; "keep": they are blended from the input's nearest points; "none": no mesh
             has any; None: as "fit", but a mesh without any that is not smooth by subdivision gets none.
+        bake_normals: Bake what the input's surface shades with, at rest or in the first frame, into a normal map of so
+            many texels across for each mesh, see `warpqem.normal_maps`; None for none. Images lie in the folder
+            NAME_textures beside the output, or in its package.
         asset_roots: Folders that all files which the input needs must be in, or in its own; empty for anywhere.
         prims: Prim paths; meshes at and below them are simplified. Empty for all.
         bake: Write skinned and blend-shaped meshes as point samples without their skin.
@@ -287,6 +292,14 @@ class SimplifyOptions(RigOptions):
         "Normals fitted to those of IN by least squares, kept from the nearest points of IN, or none. By default they "
         "are fitted where IN has some or is smooth by subdivision; with fit all meshes get some.",
         panel="What to keep",
+    )
+    bake_normals: int | None = option(
+        None,
+        "Bake the normals of IN into a normal map of so many texels across for each mesh whose texture coordinates do "
+        "not overlap, such as 1024: PNG files in NAME_textures beside OUT, or in its package.",
+        "PX",
+        MAP_SIZE,
+        panel="Output",
     )
     asset_roots: tuple[str, ...] = option(
         (),

@@ -18,7 +18,16 @@ from warpqem.errors import StageError
 from warpqem.picture.look import Texture
 from warpqem.usd.read.copy_asset import copy_asset
 
-__all__ = ["Materials", "Surface", "TextureUse"]
+__all__ = [
+    "IMAGE_ERRORS",
+    "Materials",
+    "Surface",
+    "TextureUse",
+    "coordinates_of",
+    "numbers_of",
+    "source_of",
+    "value_of",
+]
 
 # The longer side of textures, in pixels; a page holds them all.
 LARGEST_TEXTURE = 512
@@ -102,7 +111,7 @@ class Materials:
         if not base:
             # What the specification of UsdPreviewSurface has for it.
             return Surface((0.18, 0.18, 0.18))
-        source = _source(base)
+        source = source_of(base)
         if isinstance(source, UsdShade.Shader):
             return self._from_node(source)
         return Surface(_color(source.Get() if source else base.Get()) or (0.18, 0.18, 0.18))
@@ -110,27 +119,28 @@ class Materials:
     def _from_node(self, node: UsdShade.Shader) -> Surface | None:
         kind = str(node.GetIdAttr().Get() or "")
         if kind.startswith("UsdPrimvarReader_float3"):
-            return Surface(None, primvar=_text(_value(node, "varname")))
+            return Surface(None, primvar=_text(value_of(node, "varname")))
         if kind != "UsdUVTexture":
             return None
-        asset = _value(node, "file")
+        asset = value_of(node, "file")
         image = self._image(asset)
         if image is None:
             name = getattr(asset, "path", "") or "none"
             why = "tiles are not shown" if "<UDIM>" in name else "it is missing, or no image that can be read"
-            self._leave_out(f"{node.GetPath().GetParentPath()}: texture {name} is not shown: {why}")
-            fallback = _color(_value(node, "fallback"))
+            self.leave_out(f"{node.GetPath().GetParentPath()}: texture {name} is not shown: {why}")
+            fallback = _color(value_of(node, "fallback"))
             # What the specification has without one is black, in which no shape is to be seen.
             return None if fallback is None else Surface(fallback)
         pixels, content = image
-        repeats = tuple(str(_value(node, name) or "") not in ("clamp", "black") for name in ("wrapS", "wrapT"))
+        repeats = tuple(str(value_of(node, name) or "") not in ("clamp", "black") for name in ("wrapS", "wrapT"))
         texture = self._textures.setdefault(
             (content, (repeats[0], repeats[1])), Texture(pixels, (repeats[0], repeats[1]))
         )
-        primvar, transform = _coordinates(node)
-        return Surface(_color(_value(node, "scale")) or (1.0, 1.0, 1.0), TextureUse(texture, primvar, transform))
+        primvar, transform = coordinates_of(node)
+        return Surface(_color(value_of(node, "scale")) or (1.0, 1.0, 1.0), TextureUse(texture, primvar, transform))
 
-    def _leave_out(self, line: str) -> None:
+    def leave_out(self, line: str) -> None:
+        """Note why something is not shown, once."""
         if line not in self.left_out:
             self.left_out.append(line)
 
@@ -166,7 +176,7 @@ def _decoded(content: bytes) -> npt.NDArray[np.uint8] | None:
         return None
 
 
-def _source(port: UsdShade.Input) -> UsdShade.Shader | UsdShade.Input | None:
+def source_of(port: UsdShade.Input) -> UsdShade.Shader | UsdShade.Input | None:
     """The shader whose output an input is connected to, or the input of the material that has its value."""
     attributes = port.GetValueProducingAttributes()
     if not attributes:
@@ -176,20 +186,20 @@ def _source(port: UsdShade.Input) -> UsdShade.Shader | UsdShade.Input | None:
     return UsdShade.Input(attributes[0])
 
 
-def _value(node: UsdShade.Shader, name: str) -> Any:
+def value_of(node: UsdShade.Shader, name: str) -> Any:
     """The value of an input, of the node itself or of the material's interface."""
     port = node.GetInput(name)
-    source = _source(port) if port else None
+    source = source_of(port) if port else None
     return source.Get() if isinstance(source, UsdShade.Input) else None
 
 
 def _color(value: Any) -> tuple[float, float, float] | None:
     """The first three numbers of a value, 0 and larger; None for what is none."""
-    found = _numbers(value, 3)
+    found = numbers_of(value, 3)
     return None if found is None else (max(found[0], 0.0), max(found[1], 0.0), max(found[2], 0.0))
 
 
-def _numbers(value: Any, count: int) -> list[float] | None:
+def numbers_of(value: Any, count: int) -> list[float] | None:
     """The first numbers of a value of whatever type; None for what has fewer, or one that is not finite."""
     try:
         found = [float(value)] if count == 1 else [float(value[index]) for index in range(count)]
@@ -202,17 +212,17 @@ def _text(value: Any) -> str:
     return "" if value is None else str(value)
 
 
-def _coordinates(node: UsdShade.Shader) -> tuple[str, npt.NDArray[np.float64]]:
+def coordinates_of(node: UsdShade.Shader) -> tuple[str, npt.NDArray[np.float64]]:
     """Name of the primvar that a texture lies on, and the transform of its values."""
     transform = np.eye(3)
     port = node.GetInput("st")
     for _ in range(MAX_NODES):
-        source = _source(port) if port else None
+        source = source_of(port) if port else None
         if not isinstance(source, UsdShade.Shader):
             break
         kind = str(source.GetIdAttr().Get() or "")
         if kind.startswith("UsdPrimvarReader_float2"):
-            return _text(_value(source, "varname")) or "st", transform[:, :2]
+            return _text(value_of(source, "varname")) or "st", transform[:, :2]
         if kind != "UsdTransform2d":
             break
         # The node nearest to the primvar is applied first.
@@ -223,9 +233,9 @@ def _coordinates(node: UsdShade.Shader) -> tuple[str, npt.NDArray[np.float64]]:
 
 def _transform_of(node: UsdShade.Shader) -> npt.NDArray[np.float64]:
     """(3, 3): scale, then rotation counter-clockwise in degrees, then translation, for rows (u, v, 1)."""
-    angle = np.radians((_numbers(_value(node, "rotation"), 1) or [0.0])[0])
+    angle = np.radians((numbers_of(value_of(node, "rotation"), 1) or [0.0])[0])
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     matrix = np.eye(3)
-    matrix[:2, :2] = np.diag(_numbers(_value(node, "scale"), 2) or [1.0, 1.0]) @ turn
-    matrix[2, :2] = _numbers(_value(node, "translation"), 2) or [0.0, 0.0]
+    matrix[:2, :2] = np.diag(numbers_of(value_of(node, "scale"), 2) or [1.0, 1.0]) @ turn
+    matrix[2, :2] = numbers_of(value_of(node, "translation"), 2) or [0.0, 0.0]
     return matrix

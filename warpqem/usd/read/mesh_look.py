@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import numpy.typing as npt
-from pxr import UsdGeom
+from pxr import Usd, UsdGeom
 
+from warpqem.errors import StageError
 from warpqem.measure.surface_values import SurfaceValues
+from warpqem.normal_maps.tangents import unit_vectors
 from warpqem.picture.look import PLAIN, Look, Part, Texture
 from warpqem.usd.read.descendants import subsets_of
 from warpqem.usd.read.materials import Materials, Surface
+from warpqem.usd.read.normal_textures import NormalTextures, mapped_normals
 from warpqem.usd.read.read_mesh import MeshSource
 from warpqem.usd.read.surface_values import surface_values
 
 __all__ = ["mesh_look"]
 
 
-def mesh_look(source: MeshSource, materials: Materials, time: float | None = None) -> Look:
+def mesh_look(
+    source: MeshSource, materials: Materials, time: float | None = None, textures: NormalTextures | None = None
+) -> Look:
     """The look of one mesh, at the corners of its triangles in counter-clockwise winding.
 
     A material of UsdPreviewSurface goes before display colours, and that of a face subset before that of the mesh.
@@ -25,6 +32,7 @@ def mesh_look(source: MeshSource, materials: Materials, time: float | None = Non
         source: The mesh.
         materials: What was read before.
         time: Time code; None for the default time.
+        textures: Normal maps that were read before; None to leave them out.
     """
     normals: npt.NDArray[np.floating] | None
     values = surface_values(source, None if time is None else [time])
@@ -32,7 +40,7 @@ def mesh_look(source: MeshSource, materials: Materials, time: float | None = Non
     count = len(polygons)
     face_surface, surfaces = _surfaces(source, materials, polygons)
     parts: list[Part] = []
-    textures: list[Texture] = []
+    images: list[Texture] = []
     face_part = np.zeros(count, dtype=np.int64)
     colors = np.broadcast_to(np.array(PLAIN, dtype=np.float32), (count, 3, 3)).copy()
     uvs = np.zeros((count, 3, 2), dtype=np.float32)
@@ -43,9 +51,9 @@ def mesh_look(source: MeshSource, materials: Materials, time: float | None = Non
             continue
         face_part[faces] = len(parts)
         texture, coordinates = _texture(surface, values, faces, count)
-        parts.append(Part(source.path, None if texture is None else len(textures)))
+        parts.append(Part(source.path, None if texture is None else len(images)))
         if texture is not None and coordinates is not None:
-            textures.append(texture)
+            images.append(texture)
             uvs[faces] = coordinates
         found = _colors(surface, values, faces, count)
         if found is not None:
@@ -55,14 +63,37 @@ def mesh_look(source: MeshSource, materials: Materials, time: float | None = Non
         normals = np.broadcast_to(np.array([0.0, 0.0, 1.0], dtype=np.float32), (count, 3, 3))
     else:
         normals = None if values.normals is None else values.normals.at(0, count, 3)
-    return Look(
+    look = Look(
         face_part,
         parts or [Part(source.path)],
-        textures,
+        images,
         colors if colored else None,
-        uvs if textures else None,
+        uvs if images else None,
         normals,
     )
+    return look if textures is None else _with_maps(look, source, values, materials, textures)
+
+
+def _with_maps(
+    look: Look, source: MeshSource, values: SurfaceValues, materials: Materials, textures: NormalTextures
+) -> Look:
+    """The look with the normal maps of the mesh, on its normals at the time that these are of."""
+    code = Usd.TimeCode.EarliestTime()
+    points = np.asarray(source.mesh.GetPointsAttr().Get(code), dtype=np.float64)
+    faces = source.topology.triangles
+    corners = points[faces[:, ::-1] if source.left_handed else faces]
+    given = values.normals
+    normals = np.zeros_like(corners) if given is None else unit_vectors(given.at(0, len(corners), 3))
+    if given is None and source.mesh.GetSubdivisionSchemeAttr().Get() == UsdGeom.Tokens.none:
+        # Without normals it is shaded face by face.
+        flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normals = np.broadcast_to(unit_vectors(flat)[:, None], corners.shape)
+    try:
+        mapped = mapped_normals(source, values, normals, textures)
+    except StageError as error:
+        materials.leave_out(f"{source.path}: {error}")
+        return look
+    return look if mapped is None else replace(look, mapped=mapped, rest_corners=corners)
 
 
 def _surfaces(

@@ -17,6 +17,7 @@ from warpqem.picture.images import PosedMesh
 from warpqem.picture.look import Look, joined, plain_look
 from warpqem.usd.read.materials import Materials
 from warpqem.usd.read.mesh_look import mesh_look
+from warpqem.usd.read.normal_textures import NormalTextures
 from warpqem.usd.read.open_stage import find_meshes, open_stage
 from warpqem.usd.read.read_mesh import MeshSource, StageMesh
 from warpqem.usd.read.shading_normals import ShadedMesh, shaded_mesh
@@ -146,14 +147,14 @@ class WorldMeshes:
             return np.zeros((len(times or [0]), 0, 3), dtype=np.float32), np.zeros((0, 3), dtype=np.int32)
         return np.concatenate(points, axis=1).astype(np.float32), np.concatenate(faces).astype(np.int32)
 
-    def look(self, times: Sequence[float] | None, materials: Materials) -> Look:
+    def look(self, times: Sequence[float] | None, materials: Materials, textures: NormalTextures | None = None) -> Look:
         """What the meshes look like at the first of some times, face by face as `read` has them.
 
-        Parts are named by the path at which a mesh shows.
+        Parts are named by the path at which a mesh shows. Normal maps are left out without what was read of them.
         """
         looks = []
         for item in self._meshes:
-            found = item.look(times, materials)
+            found = item.look(times, materials, textures)
             if found is not None:
                 looks += [
                     replace(found, parts=[replace(part, name=str(place)) for part in found.parts])
@@ -236,10 +237,10 @@ class _WorldMesh:
         """The run that a mesh whose topology varies shows at a time."""
         return next(run for run in self.runs if run.shows(time))
 
-    def look(self, times: Sequence[float] | None, materials: Materials) -> Look | None:
+    def look(self, times: Sequence[float] | None, materials: Materials, textures: NormalTextures | None) -> Look | None:
         """What the mesh looks like; None where it shows nothing."""
         if self.source is not None:
-            return mesh_look(self.source, materials, times[0] if times else None)
+            return mesh_look(self.source, materials, times[0] if times else None, textures)
         # A run is opened in a stage of its own, without what is bound to the mesh.
         mesh = self.read(times)
         return None if mesh is None else plain_look(len(mesh.faces))

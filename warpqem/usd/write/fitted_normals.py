@@ -16,7 +16,7 @@ from warpqem.picture.look import CREASE_ANGLE
 from warpqem.usd.write.attribute_transfer import AttributeTransfer
 from warpqem.usd.write.fitted_values import spread
 
-__all__ = ["write_fitted_normals"]
+__all__ = ["smooth_input_normals", "write_fitted_normals"]
 
 Points = npt.NDArray[np.float32]
 
@@ -78,6 +78,11 @@ class _Shading:
             fitted = fit_normals(replace(layout, corner_row=self.corner_row), value, start[row])
             tilts.append(self.frames(placed).tilt_of(fitted))
         return np.stack(tilts)
+
+
+def smooth_input_normals(transfer: AttributeTransfer, pose: Points, outward: float) -> npt.NDArray[np.float64]:
+    """Normals (N, 3, 3) of the input's faces in a pose, smooth but across hard edges; ``outward`` as in `_Shading`."""
+    return _Shading(transfer, outward).of_input(pose).reshape(-1, 3, 3)
 
 
 def write_fitted_normals(

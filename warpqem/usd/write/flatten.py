@@ -14,6 +14,7 @@ from warpqem.usd.read.instances import flat_places
 from warpqem.usd.read.stage_views import open_like, without_edits
 from warpqem.usd.write.collect_files import collect_files, lies_elsewhere, write_collected
 from warpqem.usd.write.layer_files import export_layer
+from warpqem.usd.write.map_files import MapFiles, texture_folder
 from warpqem.usd.write.package import is_package, write_package
 from warpqem.usd.write.remove_properties import Dropped
 
@@ -53,7 +54,9 @@ def flattened(stage: Usd.Stage, edits: Sdf.Layer, classes: Iterable[Sdf.Path], d
     return layer
 
 
-def write_flat(layer: Sdf.Layer, stage: Usd.Stage, output: Path, other_outputs: Sequence[OutputFile]) -> list[str]:
+def write_flat(
+    layer: Sdf.Layer, stage: Usd.Stage, output: Path, other_outputs: Sequence[OutputFile], maps: MapFiles
+) -> list[str]:
     """Write a flat layer, and the files that it names where they lie elsewhere.
 
     Args:
@@ -62,6 +65,7 @@ def write_flat(layer: Sdf.Layer, stage: Usd.Stage, output: Path, other_outputs: 
         output: The file. A package holds all files; pictures and sounds that lie in packages, or outside of the
             output's folder, go into the folder NAME_textures beside another one.
         other_outputs: What else is going to be written: no texture may take its place.
+        maps: Images that were made for its meshes, which are gathered as well.
 
     Returns:
         What was left behind, or programs may not read; one line each.
@@ -76,9 +80,11 @@ def write_flat(layer: Sdf.Layer, stage: Usd.Stage, output: Path, other_outputs: 
         # What is left outside, and is mostly missing, is named as from the input.
         move_asset_paths(layer, source, Path(source.realPath).parent)
         return collection.problems + write_package(layer, collection, output)
-    collection = collect_files(
-        layer, f"{output.stem}_textures", lambda place: lies_elsewhere(place, output.parent), stage
-    )
+
+    def is_gathered(place: str) -> bool:
+        return maps.holds(place) or lies_elsewhere(place, output.parent)
+
+    collection = collect_files(layer, texture_folder(output), is_gathered, stage)
     written = [OutputFile("texture", output.parent / name) for name in collection.files]
     check_stage_outputs([*written, *other_outputs] if written else [], [stage])
     write_collected(collection, output.parent)

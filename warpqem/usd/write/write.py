@@ -28,6 +28,7 @@ from warpqem.usd.write.flatten import flattened, write_flat
 from warpqem.usd.write.hard_edges import write_hard_edged_normals
 from warpqem.usd.write.layer_files import export_layer
 from warpqem.usd.write.layer_output import merge_edits
+from warpqem.usd.write.map_files import MapFiles, place_maps
 from warpqem.usd.write.package import is_package
 from warpqem.usd.write.point_samples import PointSamples
 from warpqem.usd.write.primvars import name_arrays, transfer_motion, transfer_normals, transfer_primvars
@@ -64,6 +65,7 @@ class OverLayer:
         self.count_sample = SampleSaver(self._layer)
         file = Path(self._layer.realPath) if folder is not None else None
         self._remove = weakref.finalize(self, file.unlink, missing_ok=True) if file else None
+        self.maps = MapFiles(folder)
         try:
             self.stage: Usd.Stage = self._start()
         except BaseException:
@@ -87,7 +89,8 @@ class OverLayer:
         return open_like(self._input, self._layer, self._input.GetSessionLayer())
 
     def close(self) -> None:
-        """Remove the temporary file; nothing can be saved any more."""
+        """Remove the temporary files; nothing can be saved any more."""
+        self.maps.close()
         if self._remove is not None:
             self._remove()
 
@@ -270,11 +273,12 @@ class OverLayer:
             return []
         if flatten or is_package(output):
             layer = flattened(self._input, self._layer, self._classes, self.dropped)
-            return write_flat(layer, self._input, output, other_outputs)
+            return write_flat(layer, self._input, output, other_outputs, self.maps)
         # A copy, because an anonymous layer that a stage is open on cannot resolve a relative path.
         layer = Sdf.Layer.CreateAnonymous("save.usda")
         layer.TransferContent(self._layer)
         layer.subLayerPaths[0] = name_from(output, layer_name(self._source))
+        place_maps(layer, [("", self.maps)], output, self._input, other_outputs)
         move_asset_paths(layer, self._source, output.parent)
         export_layer(layer, output)
         return []
