@@ -77,7 +77,7 @@ def write_normal_offsets(mesh: UsdGeom.Mesh, faces: Ints, shapes: Sequence[Shape
 def _write(shape: UsdSkel.BlendShape, rest: _RestNormals) -> None:
     index = np.asarray(shape.GetPointIndicesAttr().Get(), dtype=np.int64)
     arrays: list[tuple[Usd.Attribute, Usd.Attribute]] = [(shape.GetOffsetsAttr(), shape.CreateNormalOffsetsAttr())]
-    arrays += [(between.GetAttr(), between.CreateNormalOffsetsAttr()) for between in shape.GetInbetweens()]
+    arrays += [(between.GetAttr(), between.CreateNormalOffsetsAttr(None)) for between in shape.GetInbetweens()]
     dense = []
     for points, _ in arrays:
         offsets = np.zeros_like(rest.points)
