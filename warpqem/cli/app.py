@@ -29,6 +29,7 @@ COMMANDS = {
     "render": "Draw a contact sheet: the meshes of IN at several times, beside those of a reference, without a "
     "browser.",
     "view": "Look at meshes in motion in the browser, until interrupted.",
+    "warmup": "Compile all kernels ahead of time, on all cores: for an image, a farm, or a first run without a wait.",
     "progressive": "Progressive meshes: every level of one animated mesh in one file, from one run.",
     "face": "Faces: named feature points, levels that keep them, expressions transferred.",
 }
