@@ -26,8 +26,8 @@ import warp as wp
 from warpqem.runtime.compiling import compiling_ahead, cpu_code_path, is_compiled
 from warpqem.runtime.cpu_threads import thread_count
 from warpqem.runtime.device import CPU
+from warpqem.runtime.launches import compile_module
 from warpqem.runtime.precompile import Compiled, kernel_modules
-from warpqem.runtime.warp_messages import quiet_loading
 
 __all__ = ["compile_ahead", "compile_needed", "cpu_modules"]
 
@@ -157,8 +157,7 @@ def _compiled(modules: Sequence[wp.Module], cores: int) -> Iterator[Compiled]:
 def _compile(module: wp.Module) -> Compiled:
     start = time.perf_counter()
     try:
-        with quiet_loading():
-            wp.load_module(module, "cpu", max_workers=0)
+        compile_module(module)
     except Exception as error:  # of any kind: Warp's, the compiler's, or that of a full disk
         return Compiled(module.name, None, time.perf_counter() - start, error)
     return Compiled(module.name, cpu_code_path(module), time.perf_counter() - start)
