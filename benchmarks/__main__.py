@@ -15,7 +15,9 @@ from benchmarks.settings import Settings
 
 # Each is a module of that name with a function `run`; loaded when it is asked for, as each needs something else.
 COMMANDS = (
+    "headline",
     "peers",
+    "props",
     "scaling",
     "static",
     "kernels",
@@ -38,7 +40,8 @@ def parse(arguments: Sequence[str] | None = None) -> tuple[str, Settings]:
         nargs="?",
         choices=COMMANDS,
         default="peers",
-        help="peers (default): an animation through warpqem and its peers; scaling: faces and frames; static: one "
+        help="headline: the shipped gallop through warpqem and its peers; peers (default): an animation through them; "
+        "props: a stage of 1000 small meshes; scaling: faces and frames; static: one "
         "large frame; kernels: time and floor of each kernel; startup: the command line on a small file; "
         "stream: memory on long clips and a large mesh; articulated: the order of collapses of a skinned mesh by the "
         "error of its skin; joints: errors by the number of joints and influences; "

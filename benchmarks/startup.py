@@ -16,7 +16,7 @@ from benchmarks.machine import describe_machine
 from benchmarks.report import Column, Report, Table
 from benchmarks.settings import Settings
 
-__all__ = ["run"]
+__all__ = ["run", "time_process"]
 
 FACES, FRAMES = 2000, 4
 # What the command cannot do without, and does not own: the yardstick beside its time.
@@ -46,7 +46,7 @@ def _write_stage(path: Path) -> None:
     stage.Save()
 
 
-def _time_process(command: Sequence[str]) -> tuple[float, float]:
+def time_process(command: Sequence[str]) -> tuple[float, float]:
     """Wall and CPU seconds of a process that must succeed."""
     start = time.perf_counter()
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
@@ -74,11 +74,11 @@ def run(settings: Settings) -> Report:
             "its libraries alone": [sys.executable, "-c", LIBRARIES],
             "python alone": [sys.executable, "-c", "pass"],
         }
-        _time_process(commands["warpqem simplify"])  # compiles the kernels where that has not been done
+        time_process(commands["warpqem simplify"])  # compiles the kernels where that has not been done
         times: dict[str, list[tuple[float, float]]] = {name: [] for name in commands}
         for _ in range(settings.turns):
             for name, command in commands.items():
-                times[name].append(_time_process(command))
+                times[name].append(time_process(command))
     base = [wall for wall, _ in times["warpqem simplify"]]
     rows = [
         {

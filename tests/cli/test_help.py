@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
 import typing
 
 import pytest
@@ -10,6 +12,7 @@ import typer.main
 
 from tests.support.cli import run
 from warpqem.arguments.option_fields import Panel, named_options
+from warpqem.cli.app import COMMANDS as LISTED
 from warpqem.cli.main import app
 from warpqem.usd import SimplifyOptions
 from warpqem.usd.commands.progressive_options import BuildOptions, LevelChoice
@@ -121,3 +124,22 @@ def test_defaults_are_shown_and_flags_that_are_on_by_name():
         about = re.split(rf"{name}(?:, --no-\w+| [^ ]+) (?=[A-Za-z])", whole, maxsplit=1)[1]
         assert f"[default: {default}]" in re.split(r"\] --", about)[0] + "]", name
     assert "[default: 0]" not in whole
+
+
+def test_the_list_of_all_commands_says_what_each_says_itself():
+    for name, summary in LISTED.items():
+        paragraph = COMMANDS[name,].help.split("\n\n")[0]
+        assert plain(paragraph) == summary
+    assert list(LISTED) == list(typer.main.get_command(app).commands)
+
+
+def test_help_of_all_loads_no_command():
+    code = """
+import sys
+from typer.testing import CliRunner
+from warpqem.cli.app import COMMANDS, app
+assert "simplify" in CliRunner().invoke(app, ["--help"]).output
+print([name for name in COMMANDS if f"warpqem.cli.{name}" in sys.modules], "rich.progress" in sys.modules)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["[]", "False"]

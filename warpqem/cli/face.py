@@ -21,7 +21,10 @@ from warpqem.usd.commands.simplify_options import POINT_WEIGHTS, SimplifyOptions
 __all__ = ["face"]
 
 face = typer.Typer(
-    name="face", cls=Group, help="Faces: named feature points, levels that keep them, expressions transferred."
+    name="face",
+    cls=Group,
+    add_completion=False,
+    help="Faces: named feature points, levels that keep them, expressions transferred.",
 )
 
 # Those of the metric, which the command names itself.

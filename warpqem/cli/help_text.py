@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import re
 import typing
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from enum import Enum
 from typing import Any
 
@@ -89,13 +89,20 @@ def _panels(command: Any, context: Any) -> dict[str, list[tuple[Text, Text]]]:
         head = "Input" if _is_argument(parameter) else parameter.rich_help_panel or OTHERS
         name = Text(_argument_name(parameter), VALUE_STYLE) if _is_argument(parameter) else _option_name(parameter)
         found.setdefault(head, []).append((name, _what(parameter)))
-    for name, other in getattr(command, "commands", {}).items():
-        if not other.hidden:
-            first = next(iter(_paragraphs(other.help or "")), "")
-            found.setdefault(COMMANDS, []).append((Text(name, NAME_STYLE), Text(first)))
+    for other, summary in _summaries(command).items():
+        found.setdefault(COMMANDS, []).append((Text(other, NAME_STYLE), Text(summary)))
     order = {head: rank for rank, head in enumerate(HEADS)}
     heads = sorted(found, key=lambda head: order.get(head, 0 if head == OTHERS else len(HEADS)))
     return {head: found[head] for head in heads}
+
+
+def _summaries(group: Any) -> Mapping[str, str]:
+    """What each command of a group does: the first paragraph of its help, unless the group has a list of them."""
+    listed: Mapping[str, str] | None = getattr(group, "summaries", None)
+    if listed is not None:
+        return listed
+    commands = {name: other for name, other in getattr(group, "commands", {}).items() if not other.hidden}
+    return {name: next(iter(_paragraphs(other.help or "")), "") for name, other in commands.items()}
 
 
 def _is_argument(parameter: Any) -> bool:

@@ -77,5 +77,8 @@ def progress_bar(first_text: str) -> Iterator[Callable[[float, str], None]]:
                 messages.print_message("note", COMPILING)
             progress.update(task, description=f"compiling kernels ({modules}), {shown}" if begins else shown)
 
-        with compile_listener(show_compiling):
+        def show_count(done: int, total: int) -> None:
+            progress.update(task, description=f"compiling kernels ({done} of {total}), {shown}")
+
+        with compile_listener(show_compiling, show_count):
             yield show

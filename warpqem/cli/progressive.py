@@ -25,6 +25,7 @@ __all__ = ["progressive"]
 progressive = typer.Typer(
     name="progressive",
     cls=Group,
+    add_completion=False,
     help="Progressive meshes: every level of one animated mesh in one file, from one run.",
 )
 

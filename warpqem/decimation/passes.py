@@ -152,6 +152,9 @@ class Orderer(Ordering):
         """Leave out the costliest collapses beyond the ``remaining`` faces to remove; the faces the others remove."""
         count = int(launches.selected.count.numpy()[0])
         faces = self.steps.faces_removed[:count].numpy().copy()
+        total = int(faces.sum())
+        if total <= remaining:
+            return total
         # The order of the log, so that what is left is a beginning of it.
         key = wp.empty(count, dtype=wp.int64, device=self.device)
         inputs = [self.state, launches.selected.half_edge]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,7 @@ from warpqem.decimation.adjacency import build_adjacency, classify_vertices
 from warpqem.kernels.clean_topology import find_unclean_vertices
 from warpqem.mesh.components import lowest_members
 from warpqem.repair.face_pairing import EdgePairs, distinct_faces, pair_faces, turned_faces
+from warpqem.runtime.device import device_traits
 from warpqem.runtime.part_launches import FIRST_ITEM, launch_in_parts
 
 __all__ = ["TopologyFindings", "TopologyRepair", "repair_topology"]
@@ -18,6 +20,8 @@ __all__ = ["TopologyFindings", "TopologyRepair", "repair_topology"]
 # Sheets stay joined where no more than this part of the vertices has several, as these then keep their place: of the
 # vertices of a mesh with a tenth of its faces they are a tenth.
 HELD_SHARE = 0.01
+# Faces of meshes that are known again: up to so many, a look at the faces takes longer than to compare them.
+REMEMBERED_FACES = 20000
 
 
 @dataclass(frozen=True)
@@ -115,6 +119,19 @@ def repair_topology(faces: np.ndarray, vertex_count: int, device: str) -> Topolo
 
 def _is_clean(faces: np.ndarray, vertex_count: int, device: str) -> bool:
     """Whether the faces around each vertex are one fan, and no two faces have the same vertices."""
+    if len(faces) > REMEMBERED_FACES or not device_traits(device).splits_launches:
+        return _found_clean(faces, vertex_count, device)
+    return _remembered_clean(faces.tobytes(), faces.dtype, vertex_count, device)
+
+
+@functools.lru_cache(maxsize=4)
+def _remembered_clean(faces: bytes, dtype: np.dtype, vertex_count: int, device: str) -> bool:
+    """The same for a small mesh on a CPU, which is asked for when it is read, planned and simplified."""
+    return _found_clean(np.frombuffer(faces, dtype).reshape(-1, 3), vertex_count, device)
+
+
+def _found_clean(faces: np.ndarray, vertex_count: int, device: str) -> bool:
+    """The same, looked for."""
     corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device)
     flags = wp.zeros(vertex_count, dtype=wp.int32, device=device)
     adjacency = build_adjacency(corner_vertex, vertex_count)

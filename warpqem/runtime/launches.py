@@ -16,7 +16,7 @@ from warpqem.runtime.compiling import compiling
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.warp_messages import quiet_loading
 
-__all__ = ["Recorder", "launch", "load_kernel"]
+__all__ = ["Recorder", "compile_module", "launch", "load_kernel"]
 
 # Modules by device that are compiled and loaded. Threads that came to a module at once would each compile it, and load
 # it under the same name.
@@ -49,6 +49,12 @@ def load_kernel(kernel: wp.Kernel, device: wp.DeviceLike) -> None:
                     _compile_all(kernel.module, wp.get_device(device).arch)
                 wp.load_module(kernel.module, device, max_workers=0)
             _loaded.add(key)
+
+
+def compile_module(module: wp.Module) -> None:
+    """Compile a module for the CPU and load it, where many are: those who listen are not informed of each."""
+    with _loading, quiet_loading():
+        wp.load_module(module, "cpu", max_workers=0)
 
 
 @contextlib.contextmanager

@@ -14,7 +14,7 @@ import os
 import pkgutil
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,7 +25,7 @@ import warpqem.kernels
 from warpqem.errors import OptionError, WarpqemError
 from warpqem.runtime.device import GPU
 
-__all__ = ["Compiled", "binary_path", "compile_modules", "gpu_modules", "main"]
+__all__ = ["Compiled", "binary_path", "compile_modules", "gpu_modules", "kernel_modules", "main", "read_architecture"]
 
 
 @dataclass(frozen=True)
@@ -50,11 +50,20 @@ Report = Callable[[int, int, Compiled], None]
 
 def gpu_modules() -> list[wp.Module]:
     """The Warp modules with the kernels that a GPU runs, by name."""
+    return kernel_modules(GPU.block_width)
+
+
+def kernel_modules(width: int, files: Collection[str] | None = None) -> list[wp.Module]:
+    """The Warp modules with the kernels of a device that has blocks of so many frames, by name.
+
+    ``files`` are the files of kernels to look at; None for all.
+    """
     modules = set()
-    for file in pkgutil.iter_modules(warpqem.kernels.__path__):
-        for value in vars(importlib.import_module(f"{warpqem.kernels.__name__}.{file.name}")).values():
+    every = (file.name for file in pkgutil.iter_modules(warpqem.kernels.__path__))
+    for file in every if files is None else files:
+        for value in vars(importlib.import_module(f"{warpqem.kernels.__name__}.{file}")).values():
             # Kernels of frames in blocks come in one form for each width.
-            kernel = value.get(GPU.block_width) if isinstance(value, dict) else value
+            kernel = value.get(width) if isinstance(value, dict) else value
             if isinstance(kernel, wp.Kernel):
                 modules.add(kernel.module)
     return sorted(modules, key=lambda module: module.name)
@@ -111,11 +120,23 @@ def _core_count() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _architecture(text: str) -> int:
+def read_architecture(text: str) -> int:
+    """The number of an architecture from its name, such as ``sm_90``.
+
+    Raises:
+        ValueError: it is no architecture.
+    """
     try:
         return int(text.lower().removeprefix("sm_").removeprefix("sm"))
     except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is no architecture: expected a number such as 90") from None
+        raise ValueError(f"{text!r} is no architecture: expected a number such as 90") from None
+
+
+def _architecture(text: str) -> int:
+    try:
+        return read_architecture(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def _print(done: int, total: int, module: Compiled) -> None:

@@ -11,6 +11,7 @@ from pxr import UsdGeom
 import warpqem
 from warpqem.arguments.distance_limit import DistanceLimit
 from warpqem.arguments.figures import rounded_up
+from warpqem.runtime.thread_limit import limit_threads, thread_scope, worthwhile_threads
 from warpqem.usd.commands.context import Progress
 from warpqem.usd.commands.face_points import points_on_level
 from warpqem.usd.commands.measuring import measure_written, written_within
@@ -76,7 +77,10 @@ class MeshResult:
             if reduced is not None:
                 skin, report.shapes = reduced.skin, reduced.report
                 report.notes += reduced.notes
-        dropped = layer.replace_mesh(job.mesh.path, self.samples, job.written_times, mesh.faces, transfer, skin)
+        with thread_scope():
+            # On a small mesh other threads take longer to start than the work takes.
+            limit_threads(worthwhile_threads(len(job.faces), job.frames.frame_count))
+            dropped = layer.replace_mesh(job.mesh.path, self.samples, job.written_times, mesh.faces, transfer, skin)
         if reduced is not None:
             undo = reduced.correct_animation(layer.stage, job.source)
             if undo is not None:

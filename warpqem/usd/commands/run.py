@@ -12,6 +12,8 @@ from pxr import Usd
 import warpqem
 from warpqem.errors import CancelledError, DeviceError, OptionError, StageError, VaryingTopologyError, WarpqemError
 from warpqem.options import target_count
+from warpqem.runtime.cpu_kernels import compile_needed
+from warpqem.runtime.device import device_traits, resolve_device
 from warpqem.usd.checks.usd_errors import usd_errors_named
 from warpqem.usd.commands.attributes import check_names
 from warpqem.usd.commands.blend_shape_weights import check_morph
@@ -81,6 +83,9 @@ class Run:
     def simplify(self) -> None:
         """Simplify all meshes into the layer."""
         prims = self.select()
+        device = resolve_device(self.options.device)
+        if prims and device_traits(device).splits_launches:
+            compile_needed(self.options.refits, self.options.measure)
         if self.options.faces is None:
             for index, prim in enumerate(prims):
                 self.simplify_one(prim, self.part(index / len(prims), 1 / len(prims), prim))
