@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from warpqem.cli import messages
 from warpqem.cli.console import EXIT_FAILED, print_message, quiet_libraries
-from warpqem.cli.logs import Quiet
+from warpqem.cli.logs import takes_verbosity
 from warpqem.cli.progress_bar import progress_bar
 from warpqem.errors import OptionError
 
@@ -23,6 +22,7 @@ __all__ = ["EXAMPLES", "warmup"]
 EXAMPLES = ("warpqem warmup", "warpqem warmup --cache /opt/warpqem-kernels --arch 90")
 
 
+@takes_verbosity
 def warmup(
     cache: Annotated[
         str | None,
@@ -44,7 +44,7 @@ def warmup(
     cpu: Annotated[
         bool, typer.Option("--cpu/--no-cpu", rich_help_panel="Machine", help="Compile for processors like this one.")
     ] = True,
-    quiet: Quiet = False,
+    quiet: bool = False,
 ) -> None:
     """Compile all kernels ahead of time, on all cores: for an image, a farm, or a first run without a wait.
 
@@ -53,7 +53,6 @@ def warmup(
 
     Exit codes: 0 done; 1 some do not compile; 2 wrong usage; 130 interrupted.
     """
-    messages.quiet = quiet
     start = time.perf_counter()
     with progress_bar("loading") as progress:
         quiet_libraries()
