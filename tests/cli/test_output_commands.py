@@ -15,6 +15,7 @@ import typer
 from typer.testing import CliRunner, Result
 
 import warpqem
+from tests.support.commands import command_functions
 from tests.support.shots import cloth_text, file_bytes, write_shot
 from warpqem.cli.main import app
 from warpqem.errors import OptionError
@@ -36,7 +37,7 @@ NO_OUTPUTS = {
     "--address", "--asset-root", "--attribute-weight", "--device", "--face-points", "--frames", "--lods",
     "--memory", "--points", "--poses", "--prim", "--reference", "--size", "--source-points",
     "--source-prim", "--symmetry", "--target-points", "--target-prim", "--weight-primvar", "--faces", "--max-distance",
-    "--variant", "--influences", "--joints", "--shapes",
+    "--variant", "--influences", "--joints", "--shapes", "--cache", "--arch",
 }  # fmt: skip
 # Arguments of each command beside its output, which comes last.
 COMMANDS = {
@@ -56,18 +57,9 @@ COMMANDS = {
 SUFFIXES = {"PNG": ".png", "--report": ".html"}
 
 
-def commands(group: typer.Typer, before: tuple[str, ...] = ()) -> Iterator[tuple[str, Callable[..., None]]]:
-    for command in group.registered_commands:
-        assert command.callback is not None
-        yield " ".join((*before, command.name or command.callback.__name__)), command.callback
-    for entry in group.registered_groups:
-        assert entry.typer_instance is not None
-        yield from commands(entry.typer_instance, (*before, str(entry.typer_instance.info.name)))
-
-
 def output_options() -> Iterator[tuple[str, str, str]]:
     """Command, option and suffix of the file of every option that may name an output."""
-    for command, function in commands(app):
+    for command, function in command_functions():
         for name, parameter in inspect.signature(function, eval_str=True).parameters.items():
             kind, info = get_args(parameter.annotation)[:2]
             takes_text = {str, list[str], Path} & {kind, *get_args(kind)}
