@@ -39,6 +39,8 @@ NO_OUTPUTS = {
     "--source-prim", "--symmetry", "--target-points", "--target-prim", "--weight-primvar", "--faces", "--max-distance",
     "--variant", "--influences", "--joints", "--shapes", "--cache", "--arch",
 }  # fmt: skip
+# Numbers, which are text until they are checked.
+UNITS = {"SHARE", "PCT", "FRAMES", "PX", "UNITS", "DEG", "WEIGHT", "EDGES", "FACES"}
 # Arguments of each command beside its output, which comes last.
 COMMANDS = {
     "simplify": "in.usda --ratio 0.5 --device cpu -o new.usda",
@@ -63,7 +65,7 @@ def output_options() -> Iterator[tuple[str, str, str]]:
         for name, parameter in inspect.signature(function, eval_str=True).parameters.items():
             kind, info = get_args(parameter.annotation)[:2]
             takes_text = {str, list[str], Path} & {kind, *get_args(kind)}
-            if not isinstance(info, typer.models.OptionInfo) or not takes_text:
+            if not isinstance(info, typer.models.OptionInfo) or not takes_text or info.metavar in UNITS:
                 continue
             declared = [text for text in info.param_decls or () if text.startswith("--")]
             option = declared[0] if declared else "--" + name.replace("_", "-")
