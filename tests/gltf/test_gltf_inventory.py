@@ -195,7 +195,7 @@ def test_what_blender_says_last_is_in_the_message():
         (["-o", "{folder}/hero.glb", "--ratio", "0.5"], "never overwritten"),
         (["-o", "{folder}/out.gltf", "--ratio", "0.5"], "is written as .glb"),
         (["-o", "{folder}/out.glb", "--lods", "0.5,0.2"], "lods: needs a USD file"),
-        (["-o", "{folder}/out.glb", "--ratio", "0.5", "--bake-normals", "64"], "bake_normals: needs a USD file"),
+        (["-o", "{folder}/out.glb", "--ratio", "0.5", "--bake-normals", "64"], "bake-normals: needs a USD file"),
         (["-o", "{folder}/out.glb", "--ratio", "0.5", "--bake"], "bake: needs a USD file"),
         (["-o", "{folder}/out.glb", "--ratio", "0.5", "--fps", "30"], "--fps is for mesh files"),
         (["-o", "{folder}/out.usdc", "--lods", "0.5,0.2"], "lods: levels are layers over a stage"),
