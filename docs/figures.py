@@ -40,7 +40,7 @@ SIZE = (440, 290)
 # A frame in which the legs of the quadruped are far apart.
 STRIDE = 11
 # Its eyes and mouth, and pictures of three in a row.
-FACE_VIEW, FACE_SIZE = View(16.0, 2.0, (0.0, 0.5, 1.0), 17.0), (300, 300)
+FACE_VIEW, FACE_SIZE = View(16.0, 2.0, (0.0, -5.0, 1.0), 15.0), (300, 300)
 # The face of the head, from the front.
 HEAD_VIEW = View(16.0, 2.0, (0.0, 0.5, 1.0), 27.0)
 

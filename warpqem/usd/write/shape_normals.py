@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
-from pxr import Usd, UsdGeom, UsdSkel, Vt
+from pxr import UsdGeom, UsdSkel, Vt
 
 from warpqem.attribute_fit.material_normals import NormalFrames
 from warpqem.mesh.smooth_normals import vertex_normals
@@ -76,12 +76,11 @@ def write_normal_offsets(mesh: UsdGeom.Mesh, faces: Ints, shapes: Sequence[Shape
 
 def _write(shape: UsdSkel.BlendShape, rest: _RestNormals) -> None:
     index = np.asarray(shape.GetPointIndicesAttr().Get(), dtype=np.int64)
-    arrays: list[tuple[Usd.Attribute, Usd.Attribute]] = [(shape.GetOffsetsAttr(), shape.CreateNormalOffsetsAttr())]
-    arrays += [(between.GetAttr(), between.CreateNormalOffsetsAttr(None)) for between in shape.GetInbetweens()]
+    inbetweens = [between for between in shape.GetInbetweens() if between.GetOffsets()]
     dense = []
-    for points, _ in arrays:
+    for points in (shape.GetOffsetsAttr().Get(), *(between.GetOffsets() for between in inbetweens)):
         offsets = np.zeros_like(rest.points)
-        offsets[index] = np.asarray(points.Get(), dtype=np.float64)
+        offsets[index] = np.asarray(points, dtype=np.float64)
         dense.append((offsets, rest.offsets(rest.points + offsets)))
     # Normals change beside the points that move, too.
     used = np.zeros(len(rest.points), dtype=bool)
@@ -89,7 +88,12 @@ def _write(shape: UsdSkel.BlendShape, rest: _RestNormals) -> None:
     for _, normals in dense:
         used |= (np.abs(normals) > ROUNDING).any(axis=1)
     chosen = np.flatnonzero(used).astype(np.int32)
-    for attributes, values in zip(arrays, dense, strict=True):
-        for attribute, value in zip(attributes, values, strict=True):
-            attribute.Set(Vt.Vec3fArray.FromNumpy(value[chosen].astype(np.float32)))
     shape.CreatePointIndicesAttr(Vt.IntArray.FromNumpy(chosen))
+    for number, both in enumerate(dense):
+        points, normals = (Vt.Vec3fArray.FromNumpy(values[chosen].astype(np.float32)) for values in both)
+        if number == 0:
+            shape.CreateOffsetsAttr(points)
+            shape.CreateNormalOffsetsAttr(normals)
+        else:
+            inbetweens[number - 1].SetOffsets(points)
+            inbetweens[number - 1].SetNormalOffsets(normals)
