@@ -12,9 +12,10 @@ import warpqem
 from tests.support import meshes
 from tests.support.cli import run
 from tests.support.usd_stages import cloth_stage
+from warpqem.batching.jobs import find_files
 from warpqem.cli.flag_names import error_text, flags_of_options, with_flags
 from warpqem.errors import OptionError, StageError
-from warpqem.usd import SimplifyOptions
+from warpqem.usd import SimplifyOptions, inspect_stage
 from warpqem.usd.commands.option_values import read_options
 
 FLAGS = flags_of_options(SimplifyOptions)
@@ -181,6 +182,41 @@ def test_numbers_of_every_command_name_flag_range_and_value(tmp_path, monkeypatc
     done = run(*arguments)
     assert done.exit_code == 2
     assert done.stderr.removesuffix(" (see warpqem --help)\n").removesuffix("\n") == f"error: {message}"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["simplify", "", "-o", "o.usda", "--ratio", "0.5"], "IN: the name is empty"),
+        (["simplify", "in.usda", "-o", "", "--ratio", "0.5"], "--output: the name is empty"),
+        (["simplify", "in.usda", "-o", "o.usda", "--ratio", "0.5", "--json", ""], "--json: the name is empty"),
+        (["simplify", "in.usda", "-o", "o.usda", "--ratio", "0.5", "--poses", ""], "--poses: the name is empty"),
+        (["batch", "", "-o", "out", "--ratio", "0.5"], "INPUT...: the name is empty"),
+        (["batch", "in.usda", "-o", "", "--ratio", "0.5"], "--output: the name is empty"),
+        (["compare", "in.usda", ""], "TEST: the name is empty"),
+        (["info", ""], "IN: the name is empty"),
+        (
+            ["render", "in.usda", "-o", "o.png", "--size", "90000x90000"],
+            "--size: 4 pictures of 90000 x 90000 pixels are",
+        ),
+    ],
+)
+def test_empty_names_and_pictures_beyond_all_memory_are_wrong_usage(tmp_path, monkeypatch, arguments, message):
+    monkeypatch.chdir(tmp_path)
+    cloth_stage(tmp_path / "in.usda")
+    done = run(*arguments)
+    assert done.exit_code == 2
+    assert done.stderr.startswith(f"error: {message}")
+    assert [path.name for path in tmp_path.iterdir()] == ["in.usda"]
+
+
+def test_an_empty_name_stands_for_no_folder_in_python(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    cloth_stage(tmp_path / "in.usda")
+    with pytest.raises(OptionError, match="an empty name: no such file"):
+        find_files([""])
+    with pytest.raises(StageError, match="the name of the file to read is empty"):
+        inspect_stage("")
 
 
 @pytest.mark.parametrize(

@@ -70,9 +70,12 @@ def find_files(inputs: Sequence[str | os.PathLike[str]], leave_out: Path | None 
     """
     found: list[FoundFile] = []
     for text in (os.fspath(given) for given in inputs):
-        files = _files_of(text, leave_out)
+        # Path("") is the folder of the process.
+        files = _files_of(text, leave_out) if text else []
         if not files:
-            raise OptionError(f"{text}: no such file, and no folder or pattern with a USD file in it")
+            raise OptionError(
+                f"{text or 'an empty name'}: no such file, and no folder or pattern with a USD file in it"
+            )
         found += files
     return _each_once(found)
 

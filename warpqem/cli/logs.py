@@ -14,6 +14,7 @@ from typing import Annotated, Any
 import typer
 
 from warpqem.cli import messages
+from warpqem.cli.option_parameters import check_names
 from warpqem.errors import OptionError, StageError
 from warpqem.printable import printable, printable_lines
 
@@ -46,6 +47,7 @@ def takes_verbosity(command: Callable[..., None]) -> Callable[..., None]:
 
     @functools.wraps(command)
     def wrapper(**arguments: Any) -> None:
+        check_names(own.parameters, arguments)
         quiet, verbose = arguments.pop("quiet"), arguments.pop("verbose")
         if quiet and verbose:
             raise OptionError("`quiet` and `verbose` exclude each other")

@@ -5,15 +5,16 @@ from __future__ import annotations
 import functools
 import inspect
 import re
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from enum import Enum
 from typing import Annotated, Any
 
 import typer
 
 from warpqem.arguments.option_fields import OptionField, named_options
+from warpqem.errors import OptionError
 
-__all__ = ["HelpAll", "parameter_of", "takes_options"]
+__all__ = ["HelpAll", "check_names", "parameter_of", "takes_options"]
 
 KIND = inspect.Parameter.POSITIONAL_OR_KEYWORD
 
@@ -78,6 +79,24 @@ def takes_options(
         return wrapper
 
     return decorate
+
+
+# What the help shows for the name of a file or a folder.
+NAMES = ("IN", "OUT", "[OUT]", "FILE", "PNG", "DIR", "INPUT...", "REFERENCE", "TEST", "SOURCE", "TARGET")
+
+
+def check_names(parameters: Mapping[str, inspect.Parameter], values: Mapping[str, Any]) -> None:
+    """Refuse empty names of files, as a variable of a shell that is not set leaves them.
+
+    Raises:
+        OptionError: one is empty; it would stand for the folder of the process.
+    """
+    for name, parameter in parameters.items():
+        about: Any = getattr(parameter.annotation, "__metadata__", (None,))[0]
+        given = values.get(name)
+        if getattr(about, "metavar", None) in NAMES and (given == "" or (isinstance(given, list) and "" in given)):
+            flag = f"`{name}`" if isinstance(about, typer.models.OptionInfo) else about.metavar
+            raise OptionError(f"{flag}: the name is empty")
 
 
 def _is_shown(entry: OptionField, only: Collection[str], hidden: Collection[str]) -> bool:

@@ -189,6 +189,8 @@ def open_layer(place: str) -> Sdf.Layer | None:
 
 
 def _check_name(path: str | os.PathLike[str]) -> None:
+    if not os.fspath(path):
+        raise StageError("the name of the file to read is empty")
     try:
         os.fspath(path).encode("utf-8")
     except UnicodeEncodeError as error:

@@ -30,6 +30,10 @@ __all__ = ["RenderOptions", "render_sheet"]
 Progress = Callable[[float, str], None]
 
 
+# Of all pictures in a row: at some 20 bytes each, what a usual machine has memory for.
+MAX_PIXELS = 2**27
+
+
 @dataclass(frozen=True)
 class RenderOptions:
     """How to draw.
@@ -68,6 +72,9 @@ class RenderOptions:
             raise OptionError(f"pictures {self.pictures}: expected at least 1")
         if min(self.size) < 1:
             raise OptionError(f"size {self.size[0]} x {self.size[1]}: expected at least one pixel")
+        if self.size[0] * self.size[1] * self.pictures > MAX_PIXELS:
+            pixels = f"{self.pictures} pictures of {self.size[0]} x {self.size[1]} pixels"
+            raise OptionError(f"size: {pixels} are more than {MAX_PIXELS // 2**20} million in a row")
 
 
 def render_sheet(
