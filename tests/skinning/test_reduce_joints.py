@@ -224,3 +224,11 @@ def test_steps_lead_from_the_fewest_joints_to_all(result):
         assert len(step.errors) == len(step.joint_counts) == len(step.removed) + 1
     again, _ = reduce_in_steps(given, {"joints": 1, "parents": PARENTS}, device="cpu", plan=plan)
     np.testing.assert_array_equal(again[0].skin.weights, steps[0].skin.weights)
+
+
+def test_a_plan_for_a_mesh_that_fewer_joints_moved_is_gone_on_with(result):
+    given = (POSES, FACES, result, SKIN, TRANSFORMS, None, None, None, None, None, True)
+    plan = RemovalPlan([3], from_leaves=False)
+    steps, _ = reduce_in_steps(given, {"joints": 2, "parents": PARENTS}, device="cpu", plan=plan)
+    assert len(steps[0].used) == 2
+    assert steps[0].removed[0] == 3
