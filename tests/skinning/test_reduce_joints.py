@@ -148,6 +148,7 @@ def test_many_vertices_are_decided_by_some_of_them(result, monkeypatch):
         ({"max_error": -1.0}, OptionError, "max_error must be a percentage of at least 0"),
         ({"joints": 2, "keep": [4]}, MeshShapeError, "keep at 0 is 4, but there are 4 joints"),
         ({"joints": 2, "parents": [-1, 0, 9, 1]}, MeshShapeError, "parents at 2 is 9, but there are 4 joints"),
+        ({"joints": 2, "parents": [1, 0, -1, 2]}, MeshShapeError, "parents at 0 lead to no root, but in a loop"),
     ],
 )
 def test_wrong_arguments_are_named(result, change, raised, message):

@@ -294,4 +294,9 @@ def _read_parents(parents: Any, joint_count: int) -> np.ndarray:
     wrong = np.flatnonzero((above < -1) | (above >= joint_count))
     if len(wrong):
         raise MeshShapeError(f"parents at {wrong[0]} is {above[wrong[0]]}, but there are {joint_count} joints")
+    higher = np.arange(joint_count)
+    for _ in range(joint_count):
+        higher = np.where(higher >= 0, above[higher], -1)
+    if (higher >= 0).any():
+        raise MeshShapeError(f"parents at {int((higher >= 0).argmax())} lead to no root, but in a loop")
     return np.asarray(above)
