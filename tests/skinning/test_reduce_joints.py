@@ -148,6 +148,7 @@ def test_many_vertices_are_decided_by_some_of_them(result, monkeypatch):
         ({"max_error": -1.0}, OptionError, "max_error must be a percentage of at least 0"),
         ({"joints": 2, "keep": [4]}, MeshShapeError, "keep at 0 is 4, but there are 4 joints"),
         ({"joints": 2, "parents": [-1, 0, 9, 1]}, MeshShapeError, "parents at 2 is 9, but there are 4 joints"),
+        ({"joints": 2, "parents": [1, 0, -1, 2]}, MeshShapeError, "parents at 0 lead to no root, but in a loop"),
     ],
 )
 def test_wrong_arguments_are_named(result, change, raised, message):
@@ -224,3 +225,11 @@ def test_steps_lead_from_the_fewest_joints_to_all(result):
         assert len(step.errors) == len(step.joint_counts) == len(step.removed) + 1
     again, _ = reduce_in_steps(given, {"joints": 1, "parents": PARENTS}, device="cpu", plan=plan)
     np.testing.assert_array_equal(again[0].skin.weights, steps[0].skin.weights)
+
+
+def test_a_plan_for_a_mesh_that_fewer_joints_moved_is_gone_on_with(result):
+    given = (POSES, FACES, result, SKIN, TRANSFORMS, None, None, None, None, None, True)
+    plan = RemovalPlan([3], from_leaves=False)
+    steps, _ = reduce_in_steps(given, {"joints": 2, "parents": PARENTS}, device="cpu", plan=plan)
+    assert len(steps[0].used) == 2
+    assert steps[0].removed[0] == 3

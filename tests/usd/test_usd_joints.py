@@ -88,6 +88,27 @@ def test_without_an_animation_a_note_says_so(tmp_path):
     assert "all joints stay" in report.notes[0]
 
 
+def test_influences_without_an_animation_are_the_largest_and_a_note_says_so(tmp_path):
+    rig(tmp_path / "in.usda", animated=False)
+    _, report = simplified(tmp_path, influences=1)
+    assert (
+        "nothing animates it, so that the rest pose alone is known and the largest influences stay" in report.notes[0]
+    )
+    _, report = simplified(tmp_path, influences=3)
+    assert report.notes == []
+
+
+def test_joints_that_move_a_mesh_as_a_whole_stay_with_a_note(tmp_path):
+    stage = rig(tmp_path / "in.usda")
+    for name in ("primvars:skel:jointIndices", "primvars:skel:jointWeights"):
+        stage.GetPrimAtPath(TUBE).RemoveProperty(name)
+    binding(stage).CreateJointIndicesPrimvar(True, 2).Set([1, 2])
+    binding(stage).CreateJointWeightsPrimvar(True, 2).Set([0.25, 0.75])
+    stage.Save()
+    _, report = simplified(tmp_path, joints=1)
+    assert report.notes == [f"{TUBE}: 2 joints stay, as they move the whole mesh as one; asked for: 1"]
+
+
 def test_poses_of_another_file_decide(tmp_path):
     rig(tmp_path / "in.usda", animated=False)
     rig(tmp_path / "clip.usda")
@@ -150,8 +171,18 @@ def test_limit_holds_in_all_frames_and_more_joints_stay_where_it_would_not(tmp_p
     asked = options.get("joints", 1)
     assert report.joints.after >= asked
     if report.joints.after > asked:
-        text = f"{report.joints.after} of 5 joints stay, as max_error {limit:g} % does not hold with fewer"
+        given = "2" if "joints" in options and asked == 2 else "3" if "joints" in options else "joint_error 5 %"
+        text = f"of 5 joints stay, as max_error {limit:g} % does not hold with fewer; asked for: {given}"
         assert any(text in note for note in report.notes)
+
+
+def test_an_error_of_joints_that_leaves_more_than_asked_for_says_so(tmp_path):
+    rig(tmp_path / "in.usda")
+    _, report = simplified(tmp_path, joints=1, joint_error=0.01)
+    assert report.joints.after == 4
+    assert report.notes == [
+        f"{TUBE}: 4 of 5 joints stay, as fewer would make more than joint_error 0.01 %; asked for: 1"
+    ]
 
 
 def test_joints_that_the_limit_allows_go(tmp_path):

@@ -113,8 +113,20 @@ def test_a_share_of_a_limit_never_asks_for_more_than_single_precision_gives(limi
 
 
 def test_a_limit_that_blend_shapes_break_is_said_to_be_broken(tmp_path):
-    shaped_rig(tmp_path / "in.usda")
+    """Of a skin that is not linear it is not calculated what it makes of fewer shapes."""
+    stage = shaped_rig(tmp_path / "in.usda")
+    binding(stage).CreateSkinningMethodAttr("dualQuaternion")
+    stage.Save()
     prim, _ = simplified(tmp_path, ratio=None, max_error=0.01, shapes=1)
     assert prim.measured["hausdorff"] > 0.01
     assert prim.measured["verdict"] != "good"
     assert any("does not hold for the skin as it is written: a point is" in text for text in prim.problems)
+
+
+@pytest.mark.parametrize("options", [{"joints": 1}, {"influences": 1}, {"shapes": 1}])
+def test_a_mesh_of_which_nothing_may_go_within_a_limit_is_left_as_it_is(tmp_path, options):
+    shaped_rig(tmp_path / "in.usda")
+    prim, stage = simplified(tmp_path, ratio=1.0, max_error=1e-5, **options)
+    assert (prim.status, prim.faces_after, prim.problems) == ("kept", prim.faces_before, [])
+    assert any("stay, as max_error 1e-05 %" in n or "a point, as max_error 1e-05 %" in n for n in prim.notes)
+    assert not stage.GetRootLayer().GetPrimAtPath(TUBE)

@@ -237,6 +237,8 @@ def test_shapes_without_an_animation_are_chosen_by_random_weights(tmp_path):
     _, report = simplified(tmp_path, shapes=2)
     assert report.shapes.removed == ["nothing", "both"]
     assert report.shapes.used_error == 0
+    text = "nothing animates its blend shapes, so that random weights alone decide which go"
+    assert report.notes == [f"{TUBE}: {text}"]
 
 
 @pytest.mark.parametrize("animated", [False, True])

@@ -8,7 +8,7 @@ distance, as it is measured on the surface, these go instead. See :mod:`warpqem.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any, TypedDict
 
@@ -204,7 +204,7 @@ def joint_steps(
         chosen = iter(plan.order)
 
         def choose(removal: JointRemoval) -> int | None:
-            return next_leaf(removal, parents, may_go) if from_leaves else next(chosen, None)
+            return next_leaf(removal, parents, may_go) if from_leaves else _next_joint(removal, chosen, may_go)
 
         return _course(prepared, may_go, least, limit, joint_removal(prepared, parents), choose, not from_leaves)
 
@@ -221,6 +221,17 @@ def joint_steps(
     else:
         from_leaves = counts[1] < counts[0]
     return leaves if from_leaves else by_error, replace(plan, from_leaves=from_leaves)
+
+
+def _next_joint(removal: JointRemoval, chosen: Iterator[int], may_go: np.ndarray) -> int | None:
+    """The next of the joints that were chosen, or the one that costs least; None where none may go.
+
+    They may have been chosen for a mesh of fewer vertices, which fewer joints moved.
+    """
+    used = removal.used()
+    used = used[may_go[used]]
+    joint = next((joint for joint in chosen if joint in used), None)
+    return removal.cheapest(used) if joint is None and len(used) else joint
 
 
 def _course(
@@ -283,4 +294,9 @@ def _read_parents(parents: Any, joint_count: int) -> np.ndarray:
     wrong = np.flatnonzero((above < -1) | (above >= joint_count))
     if len(wrong):
         raise MeshShapeError(f"parents at {wrong[0]} is {above[wrong[0]]}, but there are {joint_count} joints")
+    higher = np.arange(joint_count)
+    for _ in range(joint_count):
+        higher = np.where(higher >= 0, above[higher], -1)
+    if (higher >= 0).any():
+        raise MeshShapeError(f"parents at {int((higher >= 0).argmax())} lead to no root, but in a loop")
     return np.asarray(above)

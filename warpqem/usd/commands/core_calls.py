@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,7 +11,7 @@ from pxr import UsdGeom
 import warpqem
 from warpqem.arguments.distance_limit import SINGLE_PRECISION, DistanceLimit
 from warpqem.costs.models import cost_model
-from warpqem.errors import MeshShapeError, OptionError, UnreachableTargetError
+from warpqem.errors import OptionError, UnreachableTargetError
 from warpqem.frames.stream import LaterFrames, NoFrames
 from warpqem.mesh.mesh_input import is_proper
 from warpqem.pipeline.mirror import Mirror, find_mirror
@@ -23,16 +21,13 @@ from warpqem.usd.commands.attributes import weighted_fields
 from warpqem.usd.commands.blend_shape_weights import morph_scale
 from warpqem.usd.commands.context import Context, Progress, SharedOrder
 from warpqem.usd.commands.face_points import FacePoints, face_protection
-from warpqem.usd.commands.joint_bound import fewest_joints, simplify_with_fewer_joints
-from warpqem.usd.commands.kept_mesh import wanted_changes
 from warpqem.usd.commands.mesh_job import MeshJob
-from warpqem.usd.commands.rig_options import single
-from warpqem.usd.commands.skin_bound import Attempt, interpolated, largest_diagonal, simplify_skinned, skin_holds
-from warpqem.usd.commands.skin_fit import FittedMesh, SkinFitter, SkinPoses, simplify_by_pullback, why_not_fitted
+from warpqem.usd.commands.rig_reduction import RigReduction
+from warpqem.usd.commands.skin_bound import Attempt, largest_diagonal
+from warpqem.usd.commands.skin_fit import SkinFitter, has_linear_skin, simplify_by_pullback, skin_poses, why_not_fitted
+from warpqem.usd.commands.skin_goals import make_fitter, whole_joints_stay
 from warpqem.usd.commands.weights import painted_options
 from warpqem.usd.read.lengths import parse_length
-from warpqem.usd.read.skin_poses import repeated_joint
-from warpqem.usd.write.attribute_transfer import AttributeTransfer
 from warpqem.usd.write.point_samples import PointSamples
 from warpqem.usd.write.stage_report import PrimReport
 
@@ -83,7 +78,7 @@ class CoreCalls:
         call = self._call if self._options.strict else self._as_far_as_it_goes
         return call(job, progress, seams, sink, shared, target_faces=target_faces, **limits)
 
-    def simplify_with_skin(
+    def simplify_with_rig(
         self,
         job: MeshJob,
         progress: Progress,
@@ -91,55 +86,26 @@ class CoreCalls:
         samples: PointSamples,
         target_faces: int | None,
         shared: SharedOrder | None,
-    ) -> tuple[warpqem.SimplifiedMesh, FittedMesh | None]:
-        """The simplified mesh and its skin, which holds the limits where it is linear; None for one to interpolate."""
-        limit = self.distance_limit(job)
-        wanted = wanted_changes(job, self._options)
-        poses: SkinPoses | None = None
-        if fitter is not None:
-            poses = fitter.poses
-        elif limit and self._has_linear_skin(job):
-            poses = self._skin_poses(job)
+        others: set[str],
+    ) -> Attempt:
+        """The simplified mesh and what moves it, which holds the limits where that can be known.
+
+        Args:
+            job: The mesh.
+            progress: Called with the part done.
+            fitter: What fits its skin; None for none.
+            samples: What gets its points where they are written in poses.
+            target_faces: Faces to go down to; None for none.
+            shared: What levels share.
+            others: Names of blend shapes that other meshes take from the same animation.
+        """
+        limit, report = self.distance_limit(job), self._reports[job.mesh.path]
+        reduction = RigReduction(job, self._options, fitter, limit, report, others)
 
         def simplify(share: float) -> warpqem.SimplifiedMesh:
             return self.simplify(job, progress, fitter or samples, target_faces, shared, share)
 
-        def skins(result: warpqem.SimplifiedMesh, transfer: AttributeTransfer) -> list[FittedMesh]:
-            if fitter is None:
-                assert poses is not None
-                return [interpolated(poses, result, transfer)] if limit else []
-            try:
-                return fitter.fit_steps(result, transfer, self._options.device)
-            except MeshShapeError as error:
-                # What UsdSkel makes of the skin is not what its arrays say.
-                self._reports[job.mesh.path].skin = f"interpolated: {error}"
-                return []
-
-        def attempt(result: warpqem.SimplifiedMesh) -> Attempt:
-            if poses is None or not (wanted or job.is_simplified_by(result)):
-                return Attempt(result, None)
-            transfer = job.transfer(result, self._options.device)
-            steps = skins(result, transfer)
-            if not steps or not limit:
-                return Attempt(result, steps[0] if steps else None)
-            device, part = self._options.device, limit.relative(largest_diagonal(job))
-            holds = partial(skin_holds, poses, result, transfer=transfer, limit=limit, device=device)
-            return fewest_joints(result, steps, part, lambda skin: holds(fitted=skin))
-
-        if fitter is None or not fitter.reduces:
-            done = simplify_skinned(simplify, attempt)
-        else:
-            done = simplify_with_fewer_joints(simplify, attempt)
-            self._note_joints(job, done, limit)
-        return done.mesh, done.fitted
-
-    def _note_joints(self, job: MeshJob, done: Attempt, limit: DistanceLimit) -> None:
-        """Say why more joints stay than were asked for."""
-        if done.holds and not done.reached and done.fitted is not None and done.fitted.joints is not None:
-            joints = done.fitted.joints
-            self._reports[job.mesh.path].notes.append(
-                f"{job.mesh.path}: {joints.after} of {joints.before} joints stay, as {limit} does not hold with fewer"
-            )
+        return reduction.done(simplify)
 
     def try_out(
         self, job: MeshJob, progress: Progress, shared: SharedOrder, least: int
@@ -157,41 +123,22 @@ class CoreCalls:
 
     def fitter(self, job: MeshJob) -> SkinFitter | None:
         """What fits the skin of a mesh; None if it has none, or it is to be interpolated."""
-        if job.skin is None or not job.skin.influences:
-            return None
         report = self._reports[job.mesh.path]
+        if job.skin is None or not job.skin.influences:
+            report.notes += whole_joints_stay(job, self._options)
+            return None
         reason: str | None = "as asked for"
         if self._options.skin_fit and not self._options.pose_independent:
             reason = why_not_fitted(job.skin, job.examples or job.source)
         if reason is None:
             report.skin = "fitted"
-            return self._joint_fitter(job, report)
+            fitter, notes = make_fitter(job, self._options)
+            report.notes += notes
+            return fitter
         report.skin = f"interpolated: {reason}"
         if self._options.reduces_joints:
             report.notes.append(f"{job.mesh.path}: all joints stay, as {reason}")
         return None
-
-    def _joint_fitter(self, job: MeshJob, report: PrimReport) -> SkinFitter:
-        """What fits a skin, with fewer joints if that is asked for."""
-        poses, options = self._skin_poses(job), self._options
-        if not options.reduces_joints:
-            return SkinFitter(poses)
-        repeated = repeated_joint(poses.poser)
-        if repeated is not None:
-            report.notes.append(
-                f"{job.mesh.path}: its order of joints (skel:joints) stays, as two joints have the name {repeated}"
-            )
-        limit = options.joint_error
-        if np.ptp(poses.transforms()[1:], axis=0).max(initial=0.0) == 0:
-            lost = "joints go from the leaves" if options.joints is not None else "all joints stay"
-            report.notes.append(
-                f"{job.mesh.path}: nothing animates it, so that the rest pose alone is known and {lost}; "
-                "poses (--poses FILE) would say which joints matter"
-            )
-            if options.joints is None:
-                return SkinFitter(poses)
-            limit = None
-        return SkinFitter(poses, single(options.joints), limit)
 
     def face(self, job: MeshJob) -> warpqem.face.FaceProtection | None:
         """How the feature points of a mesh are kept, found once for each mesh; None for other cost models."""
@@ -216,7 +163,7 @@ class CoreCalls:
         if self._is_pulled_back(job):
             options = {name: value for name, value in options.items() if name not in UNUSED_OPTIONS}
             options |= {**self._importance(job), "seams": seams, "progress": progress}
-            return simplify_by_pullback(self._skin_poses(job), **options, **goal)
+            return simplify_by_pullback(skin_poses(job, self._options), **options, **goal)
         mirror = self._mirror(job)
         if mirror is not None:
             options |= {**self._importance(job), "seams": seams, "progress": progress}
@@ -325,18 +272,7 @@ class CoreCalls:
 
     def _is_pulled_back(self, job: MeshJob) -> bool:
         """True of a mesh that is simplified in its rest shape."""
-        return self._options.pose_independent and self._has_linear_skin(job)
-
-    def _has_linear_skin(self, job: MeshJob) -> bool:
-        if job.skin is None or not job.skin.influences:
-            return False
-        return why_not_fitted(job.skin, job.examples or job.source) is None
-
-    def _skin_poses(self, job: MeshJob) -> SkinPoses:
-        """The poses of a mesh with a linear skin."""
-        if job.examples is not None:
-            return SkinPoses(job, job.examples, job.examples.frame_times())
-        return SkinPoses(job, job.source, job.source.frame_times(self._options.frames))
+        return self._options.pose_independent and has_linear_skin(job)
 
 
 def part_of_limit(name: str, limit: float, share: float) -> float:

@@ -32,7 +32,7 @@ def wanted_changes(job: MeshJob, options: SimplifyOptions) -> list[str]:
 def _of_skin(skin: Skin, options: SimplifyOptions) -> list[str]:
     wanted = []
     most, joints, shapes = single(options.influences), single(options.joints), single(options.shapes)
-    if most is not None and any(np.count_nonzero(at.weights, axis=1).max() > most for at in skin.influences.values()):
+    if most is not None and skin.influence_count > most:
         wanted.append("influences")
     used = {int(joint) for at in skin.influences.values() for joint in np.unique(at.joints[at.weights > 0])}
     if joints is not None and len(used) > joints:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -17,11 +17,9 @@ from warpqem.usd.commands.face_points import points_on_level
 from warpqem.usd.commands.measuring import measure_written, written_within
 from warpqem.usd.commands.mesh_job import MeshJob
 from warpqem.usd.commands.normal_map import bake_mesh_normals
-from warpqem.usd.commands.shape_reduction import ShapeReduction, reduce_mesh_shapes
+from warpqem.usd.commands.rig_steps import Rig
 from warpqem.usd.commands.simplify_options import SimplifyOptions
-from warpqem.usd.commands.skin_fit import FittedMesh
 from warpqem.usd.read.mesh_skin import Skin
-from warpqem.usd.write.attribute_transfer import AttributeTransfer
 from warpqem.usd.write.feature_subsets import write_feature_points
 from warpqem.usd.write.point_samples import PointSamples
 from warpqem.usd.write.stage_report import PrimReport
@@ -38,19 +36,17 @@ class MeshResult:
         job: The mesh.
         mesh: What came of it.
         samples: What has its points in the poses already, where these are written.
-        fitted: Its skin; None for a mesh without one, or whose skin is to be interpolated.
+        rig: Its skin and blend shapes.
         limit: How far it may be from the input.
         face: How the feature points of a face were kept; None for other cost models.
-        other_shapes: Names of blend shapes that other meshes take from the same animation.
     """
 
     job: MeshJob
     mesh: warpqem.SimplifiedMesh
     samples: PointSamples
-    fitted: FittedMesh | None
+    rig: Rig
     limit: DistanceLimit
     face: warpqem.face.FaceProtection | None
-    other_shapes: set[str] = field(default_factory=set)
 
     def write(self, layer: OverLayer, report: PrimReport, options: SimplifyOptions, progress: Progress) -> None:
         """Write the mesh, and measure what was written if the options say so.
@@ -66,16 +62,15 @@ class MeshResult:
         transfer.normals, transfer.shades_all = options.normals or "fit", options.normals == "fit"
         transfer.feature_points = points_on_level(job, self.face, mesh.vertex_map)
         skin = job.skin
-        reduced: ShapeReduction | None = None
+        reduced = self.rig.shapes
         if skin is not None:
             skin, rest = self._at_rest(skin)
             if job.rest_fit is not None:
                 transfer.reference = job.rest_fit.apply(rest[0])
             self.samples.begin(1, mesh.points.shape[1], mesh.faces)
             self.samples.write(slice(0, 1), rest)
-            reduced = self._fewer_shapes(skin, rest[0], transfer, options)
             if reduced is not None:
-                skin, report.shapes = reduced.skin, reduced.report
+                report.shapes = reduced.report
                 report.notes += reduced.notes
         with thread_scope():
             # On a small mesh other threads take longer to start than the work takes.
@@ -111,19 +106,11 @@ class MeshResult:
             report.measured = found | {"verdict": "look", "reason": f"the limit {broken}"}
         return f"{start}: {broken}"
 
-    def _fewer_shapes(
-        self, skin: Skin, rest: npt.NDArray[np.float32], transfer: AttributeTransfer, options: SimplifyOptions
-    ) -> ShapeReduction | None:
-        if not options.reduces_shapes:
-            return None
-        rows = transfer.vertices()
-        return reduce_mesh_shapes(self.job, skin, rest, self.mesh.faces, rows, options, self.other_shapes)
-
     def _at_rest(self, skin: Skin) -> tuple[Skin, npt.NDArray[np.float32]]:
         """The skin of the new points and their rest shape (1, V', 3)."""
-        if self.fitted is None:
-            return skin, self.job.rest_shape(self.mesh)
-        return self.fitted.written(skin), self.fitted.rest_points[None]
+        fitted = self.rig.fitted
+        rest = self.job.rest_shape(self.mesh) if fitted is None else fitted.rest_points[None]
+        return self.rig.written(skin), rest
 
     def _explained(self, dropped: list[str], bake: bool) -> list[str]:
         """What was taken off the mesh, with why its skin was."""

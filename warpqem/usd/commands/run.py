@@ -23,6 +23,7 @@ from warpqem.usd.commands.face_points import FacePoints
 from warpqem.usd.commands.kept_mesh import wanted_changes
 from warpqem.usd.commands.mesh_job import MeshJob
 from warpqem.usd.commands.mesh_result import MeshResult
+from warpqem.usd.commands.rig_left import changes_left
 from warpqem.usd.commands.rig_options import single
 from warpqem.usd.commands.stage_budget import simplify_to_budget
 from warpqem.usd.commands.varying import simplify_runs
@@ -49,6 +50,8 @@ STEPS = {
     "write": "writing the simplified mesh",
     "measure": "measuring",
 }
+# Why a mesh is kept as it is.
+NO_MORE_FACES = "the mesh has no more faces than asked for"
 # How much of a mesh's progress is the core's; the rest is for what is transferred, written and measured.
 CORE_SHARE = 0.7
 
@@ -274,7 +277,7 @@ class Run:
         wanted = wanted_changes(job, self.options)
         if target_faces is not None and target_faces >= face_count:
             if not wanted:
-                report.status, report.message = "kept", "the mesh has no more faces than asked for"
+                report.status, report.message = "kept", NO_MORE_FACES
                 return
             target_faces = face_count
         fitter = self.core.fitter(job)
@@ -283,7 +286,9 @@ class Run:
         try:
             with usd_errors_named(job.mesh.path):
                 core = part_of(progress, 0.0, CORE_SHARE)
-                result, fitted = self.core.simplify_with_skin(job, core, fitter, samples, target_faces, shared)
+                others = self.poses.shapes_of_others(prim) if self.options.reduces_shapes else set()
+                done = self.core.simplify_with_rig(job, core, fitter, samples, target_faces, shared, others)
+            result, wanted = done.mesh, changes_left(wanted, done.rig)
             report.stopped = result.stopped
             if wanted and not job.is_simplified_by(result):
                 names = ", ".join(wanted)
@@ -291,16 +296,17 @@ class Run:
             if wanted or job.is_simplified_by(result):
                 progress(CORE_SHARE, "write")
                 limit = self.core.distance_limit(job)
-                others = self.poses.shapes_of_others(prim) if self.options.reduces_shapes else set()
-                done = MeshResult(job, result, samples, fitted, limit, self.core.face(job), others)
-                if fitted is not None:
-                    report.joints = fitted.joints
-                done.write(self.layer, report, self.options, part_of(progress, CORE_SHARE, 1.0 - CORE_SHARE))
+                written = MeshResult(job, result, samples, done.rig, limit, self.core.face(job))
+                if done.rig.fitted is not None:
+                    report.joints = done.rig.fitted.joints
+                written.write(self.layer, report, self.options, part_of(progress, CORE_SHARE, 1.0 - CORE_SHARE))
                 report.dropped += job.seams.released(job.faces, result.face_map)
                 return
             report.status, report.message = "kept", f"nothing could be removed ({report.stopped})"
             if report.stopped == "max_size_error":
                 report.message = self.kept_whole
+            elif report.stopped == "target":
+                report.message = NO_MORE_FACES
             elif report.stopped == "max_error":
                 report.message = f"nothing could be removed within {self.core.distance_limit(job)}"
         except WarpqemError:

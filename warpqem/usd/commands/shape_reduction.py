@@ -10,7 +10,8 @@ import numpy.typing as npt
 from pxr import Sdf, Usd, UsdSkel, Vt
 
 from warpqem.errors import StageError
-from warpqem.skinning.reduce_shapes import ReducedShapes, reduce_shapes, weight_range
+from warpqem.skinning.reduce_shapes import MAX_STEPS, ReducedShapes, ShapeGoals, shape_steps
+from warpqem.skinning.shape_problem import weight_range
 from warpqem.usd.commands.mesh_job import MeshJob
 from warpqem.usd.commands.rig_options import RigOptions, single
 from warpqem.usd.read.blend_shapes import ShapeData
@@ -19,7 +20,7 @@ from warpqem.usd.read.read_mesh import MeshSource
 from warpqem.usd.write.attribute_transfer import Rows
 from warpqem.usd.write.stage_report import ShapesReport
 
-__all__ = ["ShapeReduction", "reduce_mesh_shapes"]
+__all__ = ["MeshShapes", "ShapeReduction", "shape_tokens"]
 
 # Attributes of a BlendShape prim are told apart by their namespace.
 INBETWEEN = "inbetweens:"
@@ -34,7 +35,8 @@ class ShapeReduction:
     """What came of the blend shapes of a mesh.
 
     Attributes:
-        skin: with the shapes that stay.
+        shapes: those that stay.
+        removed_shapes: the BlendShape prims of those that went.
         report: which went.
         done: how weight goes from shape to shape.
         tokens: names of all shapes before.
@@ -43,13 +45,26 @@ class ShapeReduction:
         notes: what is worth knowing about how they were chosen.
     """
 
-    skin: Skin
+    shapes: list[ShapeData]
+    removed_shapes: tuple[Sdf.Path, ...]
     report: ShapesReport
     done: ReducedShapes
     tokens: list[str]
     lower: npt.NDArray[np.float64]
     upper: npt.NDArray[np.float64]
     notes: list[str]
+
+    def written(self, skin: Skin) -> Skin:
+        """The skin of the mesh with the shapes that stay."""
+        order = tuple(self.tokens[index] for index in self.done.kept)
+        return replace(skin, shapes=self.shapes, shape_order=order, removed_shapes=self.removed_shapes)
+
+    def changed(self, weights: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """The weights (S,) of all shapes that move as much as the corrected ones of those that stay, as they are."""
+        found = np.zeros(len(self.tokens))
+        new = self.done.corrected(_padded(weights, len(self.tokens)), self.upper, self.lower)
+        found[self.done.kept] = new * self.done.scales
+        return found
 
     def correct_animation(self, stage: Usd.Stage, source: MeshSource) -> Callable[[], None] | None:
         """Author the weights that shapes take over from others, at the times of the animation.
@@ -99,82 +114,106 @@ class ShapeReduction:
         return undo
 
 
-def reduce_mesh_shapes(
-    job: MeshJob,
-    skin: Skin,
-    rest: npt.NDArray[np.float32],
-    faces: npt.NDArray[np.int32],
-    rows: Rows,
-    options: RigOptions,
-    others: set[str],
-) -> ShapeReduction | None:
-    """Choose the blend shapes that stay; None where the mesh has none.
+class MeshShapes:
+    """The blend shapes of a mesh, of which some are to go.
 
-    Args:
-        job: the mesh.
-        skin: its skin.
-        rest: rest points of the simplified mesh.
-        faces: its faces.
-        rows: its points as blends of the old ones.
-        options: how many stay.
-        others: names of shapes that other meshes take from the same animation: their weights stay as they are.
+    Attributes:
+        tokens: their names.
     """
-    tokens = list(UsdSkel.BindingAPI(job.source.prim).GetBlendShapesAttr().Get() or [])
-    if not skin.shapes or len(tokens) != len(skin.shapes):
-        return None
-    zero = np.zeros((len(skin.rest_points), 3), dtype=np.float32)
-    offsets = np.stack([rows.blend(shape.arrays.get("offsets", zero)) for shape in skin.shapes])
-    stage = job.source.prim.GetStage()
-    places = [_inbetweens(UsdSkel.BlendShape(stage.GetPrimAtPath(shape.path))) for shape in skin.shapes]
-    inbetweens = [
-        {weight: rows.blend(shape.arrays[name]) for name, weight in each.items() if name in shape.arrays}
-        for shape, each in zip(skin.shapes, places, strict=True)
-    ]
-    animation, weights = _animation(job.source), _weights(job.examples or job.source, tokens)
+
+    def __init__(self, job: MeshJob, skin: Skin, rows: Rows, options: RigOptions, others: set[str]) -> None:
+        """Read them.
+
+        Args:
+            job: the mesh.
+            skin: its skin.
+            rows: the points of the simplified mesh as blends of the old ones.
+            options: how many stay.
+            others: names of shapes that other meshes take from the same animation: their weights stay as they are.
+        """
+        self._job, self._skin, self._options = job, skin, options
+        self.tokens = shape_tokens(job)
+        zero = np.zeros((len(skin.rest_points), 3), dtype=np.float32)
+        self._offsets = np.stack([rows.blend(shape.arrays.get("offsets", zero)) for shape in skin.shapes])
+        stage = job.source.prim.GetStage()
+        places = [_inbetweens(UsdSkel.BlendShape(stage.GetPrimAtPath(shape.path))) for shape in skin.shapes]
+        self._inbetweens = [
+            {weight: rows.blend(shape.arrays[name]) for name, weight in each.items() if name in shape.arrays}
+            for shape, each in zip(skin.shapes, places, strict=True)
+        ]
+        self._weights = _weights(job.examples or job.source, self.tokens)
+        self._lower, self._upper = weight_range(self._weights, len(self.tokens))
+        self._heirs, self._notes = _heirs(job, self.tokens, others)
+
+    def steps(
+        self, rest: npt.NDArray[np.float32], faces: npt.NDArray[np.int32], most: int = MAX_STEPS
+    ) -> list[ShapeReduction]:
+        """The shapes along their removal, of the fewest first and of all last.
+
+        Args:
+            rest: rest points of the simplified mesh.
+            faces: its faces.
+            most: steps at most; of one alone that of the fewest shapes.
+        """
+        shading = _normals_only(self._skin, rest, self._offsets, self._inbetweens)
+        notes = list(self._notes)
+        if len(shading):
+            named = ", ".join(self.tokens[index] for index in shading)
+            notes.append(f"{self._job.mesh.path}: these blend shapes move only normals, and stay: {named}")
+        # An inbetween is where it is by the weight of its shape.
+        scalable = np.flatnonzero([not _has_inbetweens(shape) for shape in self._skin.shapes])
+        given = (rest, faces, self._offsets, self._weights, self._inbetweens, self._heirs, scalable)
+        goals: ShapeGoals = {
+            "shapes": single(self._options.shapes),
+            "max_error": self._options.shape_error,
+            "keep": shading,
+        }
+        return [self._reduction(done, notes) for done in shape_steps(given, goals, most=most)]
+
+    def _reduction(self, done: ReducedShapes, notes: list[str]) -> ShapeReduction:
+        shapes, tokens = self._skin.shapes, self.tokens
+        kept = [_scaled(shapes[index], scale) for index, scale in zip(done.kept, done.scales, strict=True)]
+        scales = {
+            tokens[index]: float(scale) for index, scale in zip(done.kept, done.scales, strict=True) if scale != 1
+        }
+        longer = [
+            f"{self._job.mesh.path}: the offsets of blend shape {token} are {scale:.4g} times as long and its weights "
+            "as many times smaller, so that it can take the place of others with weights of 1 at most"
+            for token, scale in scales.items()
+        ]
+        gone = tuple(shapes[index].path for index in sorted(done.removed))
+        lower, upper = self._lower[done.kept], self._upper[done.kept]
+        report = _report(done, tokens, scales)
+        return ShapeReduction(kept, gone, report, done, tokens, lower, upper, [*notes, *longer])
+
+
+def shape_tokens(job: MeshJob) -> list[str]:
+    """The names of the blend shapes of a mesh."""
+    return list(UsdSkel.BindingAPI(job.source.prim).GetBlendShapesAttr().Get() or [])
+
+
+def _heirs(job: MeshJob, tokens: list[str], others: set[str]) -> tuple[npt.NDArray[np.int64], list[str]]:
+    """The shapes that may take over weight of others, and why some may not."""
+    animation = _animation(job.source)
     named: set[str] = set()
     if animation is not None and animation.GetPath().GetPrefixes()[0] == job.source.prim.GetPath().GetPrefixes()[0]:
         named = set(UsdSkel.Animation(animation).GetBlendShapesAttr().Get() or [])
     # What is animated stays so where it cannot be corrected; without an animation nothing has to be.
     heirs = [index for index, token in enumerate(tokens) if token in named and token not in others]
+    notes = []
     if not _is_animated(job.source):
         heirs = list(range(len(tokens)))
-    notes = []
+    if not _is_animated(job.examples or job.source):
+        notes.append(
+            f"{job.mesh.path}: nothing animates its blend shapes, so that random weights alone decide which go"
+        )
     shared = [token for token in tokens if token in named and token in others]
     if animation is not None and shared:
         notes.append(
             f"{job.mesh.path}: the weights of {', '.join(shared)} in {animation.GetPath()} stay as they are, as other "
             f"meshes use them, of this variant or another"
         )
-    shading = _normals_only(skin, rest, offsets, inbetweens)
-    if len(shading):
-        named_shapes = ", ".join(tokens[index] for index in shading)
-        notes.append(f"{job.mesh.path}: these blend shapes move only normals, and stay: {named_shapes}")
-    done = reduce_shapes(
-        rest,
-        faces,
-        offsets,
-        weights,
-        shapes=single(options.shapes),
-        max_error=options.shape_error,
-        inbetweens=inbetweens,
-        keep=shading,
-        heirs=np.array(heirs, dtype=np.int64),
-        # An inbetween is where it is by the weight of its shape.
-        scalable=np.flatnonzero([not _has_inbetweens(shape) for shape in skin.shapes]),
-    )
-    kept = [_scaled(skin.shapes[index], scale) for index, scale in zip(done.kept, done.scales, strict=True)]
-    scales = {tokens[index]: float(scale) for index, scale in zip(done.kept, done.scales, strict=True) if scale != 1}
-    notes += [
-        f"{job.mesh.path}: the offsets of blend shape {token} are {scale:.4g} times as long and its weights as many "
-        "times smaller, so that it can take the place of others with weights of 1 at most"
-        for token, scale in scales.items()
-    ]
-    gone = tuple(skin.shapes[index].path for index in sorted(done.removed))
-    order = tuple(tokens[index] for index in done.kept)
-    lower, upper = weight_range(weights, len(tokens))
-    reduced = replace(skin, shapes=kept, shape_order=order, removed_shapes=gone)
-    report = _report(done, tokens, scales)
-    return ShapeReduction(reduced, report, done, tokens, lower[done.kept], upper[done.kept], notes)
+    return np.array(heirs, dtype=np.int64), notes
 
 
 def _normals_only(

@@ -17,8 +17,9 @@ from warpqem.pipeline.result import SimplifiedMesh
 from warpqem.runtime.device import device_turn
 from warpqem.skinning.linear_skin import LinearSkin, pose_skin
 from warpqem.usd.commands.mesh_job import MeshJob
+from warpqem.usd.commands.rig_steps import Place, Rig
 from warpqem.usd.commands.skin_fit import FittedMesh, SkinPoses
-from warpqem.usd.read.skin_poses import joint_transforms, shape_offsets
+from warpqem.usd.read.skin_poses import joint_transforms, shape_offsets, whole_transforms
 from warpqem.usd.write.attribute_transfer import AttributeTransfer
 from warpqem.usd.write.skin_output import blend_influences
 
@@ -42,41 +43,49 @@ MAX_STEPS = 7
 
 @dataclass(frozen=True)
 class Attempt:
-    """A mesh that was simplified by a share of the limit, and its skin.
+    """A mesh that was simplified by a share of the limit, and what moves it.
 
     Attributes:
         mesh: the mesh.
-        fitted: its skin, of the fewest joints with which the limit holds; else of all. None for one to interpolate.
+        rig: its skin and blend shapes, as little as the limit leaves; all of them where it does not hold.
         holds: whether the limit holds.
-        reached: whether it does with the joints that are asked for.
-        hopeless: whether these are so far off that no mesh holds it with them.
+        place: steps that it takes to that from what is asked for.
+        hopeless: whether that is so far off that no mesh holds it.
     """
 
     mesh: SimplifiedMesh
-    fitted: FittedMesh | None
+    rig: Rig
     holds: bool = True
-    reached: bool = True
+    place: Place = (0, 0, 0)
     hopeless: bool = False
 
     @property
-    def joint_count(self) -> int:
-        """Joints that are left; 0 where it is not known."""
-        return 0 if self.fitted is None or self.fitted.joints is None else self.fitted.joints.after
+    def reached(self) -> bool:
+        """Whether the limit holds with as little as is asked for."""
+        return self.holds and self.place == (0, 0, 0)
 
 
 class SkinnedFrames:
-    """A simplified mesh in all poses, as its skin has it: a :class:`warpqem.FrameSource`.
+    """A simplified mesh in all poses, as its rig has it: a :class:`warpqem.FrameSource`.
 
     Args:
         poses: the mesh in its poses.
-        fitted: the skin.
+        result: the mesh.
+        rig: its skin and blend shapes.
         transfer: where the simplified mesh gets its values from.
     """
 
-    def __init__(self, poses: SkinPoses, fitted: FittedMesh, transfer: AttributeTransfer) -> None:
-        self._poses, self._rows = poses, transfer.vertices()
-        rest = poses.fit.apply(fitted.rest_points.astype(np.float64))
-        self._skin = LinearSkin(rest, fitted.influences.joints, fitted.influences.weights)
+    def __init__(self, poses: SkinPoses, result: SimplifiedMesh, rig: Rig, transfer: AttributeTransfer) -> None:
+        self._poses, self._rows, self._shapes = poses, transfer.vertices(), rig.shapes
+        fitted = rig.fitted
+        points = poses.job.rest_shape(result)[0] if fitted is None else fitted.rest_points
+        rest = poses.fit.apply(points.astype(np.float64))
+        if fitted is None:
+            # One joint moves all.
+            self._skin = LinearSkin(rest, np.zeros((len(rest), 1), dtype=np.int32), np.ones((len(rest), 1)))
+        else:
+            self._skin = LinearSkin(rest, fitted.influences.joints, fitted.influences.weights)
+        self._transforms = whole_transforms if fitted is None else joint_transforms
         self.frame_count, self.vertex_count = len(poses.all_codes), len(rest)
         self.dtype = np.dtype(np.float32)
 
@@ -84,19 +93,19 @@ class SkinnedFrames:
         """Consecutive poses."""
         poses = self._poses
         codes = poses.all_codes[frames]
-        transforms = poses.fit.moved(joint_transforms(poses.poser, codes))
+        transforms = poses.fit.moved(self._transforms(poses.poser, codes))
         assert poses.job.skin is not None
-        shapes = shape_offsets(poses.poser, poses.job.skin.rest_points, codes)
+        changed = None if self._shapes is None else self._shapes.changed
+        shapes = shape_offsets(poses.poser, poses.job.skin.rest_points, codes, changed)
         offsets = None
         if shapes is not None:
             offsets = np.stack([self._rows.blend(shape) for shape in shapes]) * np.float32(poses.fit.scale)
         return pose_skin(self._skin, transforms, offsets).astype(np.float32)
 
 
-def interpolated(poses: SkinPoses, result: SimplifiedMesh, transfer: AttributeTransfer) -> FittedMesh:
-    """The skin whose influences are blended from the input's."""
-    assert poses.job.skin is not None
-    influences = blend_influences(poses.influences, transfer.vertices(), poses.job.skin.influence_limit)
+def interpolated(poses: SkinPoses, result: SimplifiedMesh, transfer: AttributeTransfer, most: int | None) -> FittedMesh:
+    """The skin whose influences are blended from the input's, at most so many a point; None for as many as there."""
+    influences = blend_influences(poses.influences, transfer.vertices(), most)
     return FittedMesh(poses.job.rest_shape(result)[0], influences)
 
 
@@ -131,16 +140,17 @@ def is_within(
 def skin_holds(
     poses: SkinPoses,
     result: SimplifiedMesh,
-    fitted: FittedMesh,
+    rig: Rig,
     transfer: AttributeTransfer,
     limit: DistanceLimit,
+    diagonal: float,
     device: str | None,
 ) -> bool:
-    """Whether a simplified mesh is within a limit of the input in all poses, as its skin has it."""
+    """Whether a simplified mesh is within a limit of the input in all poses, as its rig has it."""
     job = poses.job
     reference = SomeFrames(job.frames, job.pose_start, job.frames.frame_count)
-    test = SkinnedFrames(poses, fitted, transfer)
-    return is_within(reference, job.faces, test, result.faces, limit, largest_diagonal(job), device)
+    test = SkinnedFrames(poses, result, rig, transfer)
+    return is_within(reference, job.faces, test, result.faces, limit, diagonal, device)
 
 
 def simplify_skinned(
@@ -150,7 +160,7 @@ def simplify_skinned(
 
     Args:
         simplify: gets the share.
-        attempt: finds the skin of a result; called once for each.
+        attempt: finds the rig of a result; called once for each.
     """
     share = 1.0
     for _ in range(MAX_STEPS):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from warpqem.skinning.linear_skin import LinearSkin
 from warpqem.skinning.reduce_joints import JointGoals, ReducedJoints, RemovalPlan, reduce_in_steps
 from warpqem.skinning.rest_pose_quadrics import simplify_pulled_back
 from warpqem.usd.commands.mesh_job import MeshJob, RestFit
+from warpqem.usd.commands.simplify_options import SimplifyOptions
 from warpqem.usd.read.mesh_skin import Influences, Skin
 from warpqem.usd.read.read_mesh import MeshSource
 from warpqem.usd.read.skeleton_poses import MeshPoser
@@ -34,7 +36,15 @@ from warpqem.usd.write.attribute_transfer import AttributeTransfer
 from warpqem.usd.write.skin_output import blend_influences
 from warpqem.usd.write.stage_report import JointsReport
 
-__all__ = ["FittedMesh", "SkinFitter", "SkinPoses", "simplify_by_pullback", "why_not_fitted"]
+__all__ = [
+    "FittedMesh",
+    "SkinFitter",
+    "SkinPoses",
+    "has_linear_skin",
+    "simplify_by_pullback",
+    "skin_poses",
+    "why_not_fitted",
+]
 
 # Poses that a skin is fitted to at most, far apart. More of them changed nothing that could be measured.
 MAX_POSES = 32
@@ -94,17 +104,26 @@ class SkinPoses:
         times: Time codes of these poses; None for one at the default time.
 
     Attributes:
-        codes: Time codes of the chosen poses.
-        all_codes: Those of all poses.
-        frames: The frames of `job` that the rest shape and these poses are.
+        all_codes: Time codes of all poses.
     """
 
     def __init__(self, job: MeshJob, poses: MeshSource, times: list[float] | None) -> None:
         self.job, self._poses = job, poses
-        chosen = _choose_poses(job)
         self.all_codes = [Usd.TimeCode.Default()] if times is None else [Usd.TimeCode(time) for time in times]
-        self.codes = [self.all_codes[index] for index in chosen]
-        self.frames = np.concatenate([[0], job.pose_start + chosen])
+
+    @cached_property
+    def _chosen(self) -> npt.NDArray[np.int64]:
+        return _choose_poses(self.job)
+
+    @property
+    def codes(self) -> list[Usd.TimeCode]:
+        """Time codes of the chosen poses."""
+        return [self.all_codes[index] for index in self._chosen]
+
+    @property
+    def frames(self) -> npt.NDArray[np.int64]:
+        """The frames of `job` that the rest shape and these poses are."""
+        return np.concatenate([[0], self.job.pose_start + self._chosen])
 
     @property
     def poser(self) -> MeshPoser:
@@ -154,6 +173,20 @@ class SkinPoses:
         return np.concatenate([np.zeros_like(offsets[:1]), offsets]) * np.float32(self.fit.scale)
 
 
+def has_linear_skin(job: MeshJob) -> bool:
+    """Whether joints of its own move every point of a mesh by a linear skin."""
+    if job.skin is None or not job.skin.influences:
+        return False
+    return why_not_fitted(job.skin, job.examples or job.source) is None
+
+
+def skin_poses(job: MeshJob, options: SimplifyOptions) -> SkinPoses:
+    """The poses of a mesh that a skeleton is bound to."""
+    if job.examples is not None:
+        return SkinPoses(job, job.examples, job.examples.frame_times())
+    return SkinPoses(job, job.source, job.source.frame_times(options.frames))
+
+
 def simplify_by_pullback(poses: SkinPoses, **options: Any) -> SimplifiedMesh:
     """The rest shape simplified by the quadrics of all poses, see `warpqem.skinning.rest_pose_quadrics`."""
     points = poses.points()
@@ -194,25 +227,27 @@ class SkinFitter:
         first, last = np.searchsorted(self._frames, [frames.start, frames.stop])
         self._points[first:last] = points[self._frames[first:last] - frames.start]
 
-    def fit(self, result: SimplifiedMesh, transfer: AttributeTransfer, device: str | None) -> FittedMesh:
-        """Fit the skin, with as few joints as may be.
+    def fit_steps(
+        self,
+        result: SimplifiedMesh,
+        transfer: AttributeTransfer,
+        most: int | None,
+        device: str | None,
+    ) -> list[FittedMesh]:
+        """Fit skins with as few joints as may be, and with more and more up to all.
 
         Args:
             result: The simplified mesh, whose frames went through here.
             transfer: Where it gets its values from.
+            most: Joints that move a point at most; None for as many as in the input.
             device: Warp device; None for the default.
 
         Raises:
             MeshShapeError: the poses are not what joints and blend shapes give.
         """
-        return self.fit_steps(result, transfer, device)[0]
-
-    def fit_steps(self, result: SimplifiedMesh, transfer: AttributeTransfer, device: str | None) -> list[FittedMesh]:
-        """Skins with as few joints as may be, and with more and more up to all; arguments and errors of `fit`."""
         poses, job = self.poses, self.poses.job
-        assert job.skin is not None
         rows = transfer.vertices()
-        start = blend_influences(poses.influences, rows, job.skin.influence_limit)
+        start = blend_influences(poses.influences, rows, most)
         offsets = poses.offsets()
         points = poses.points()
         given: dict[str, Any] = {
@@ -222,7 +257,7 @@ class SkinFitter:
             "skin": poses.skin(points[0]),
             "transforms": poses.transforms(),
             "start": LinearSkin(self._points[0], start.joints, start.weights),
-            "influences": job.skin.influence_limit,
+            "influences": most,
             "offsets": None if offsets is None else offsets[:, poses.vertex_point],
             "start_offsets": None if offsets is None else np.stack([rows.blend(offset) for offset in offsets]),
             "seams": job.seams.hold(),

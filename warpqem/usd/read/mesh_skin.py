@@ -58,6 +58,13 @@ class Skin:
         """Bounding-box diagonal of the rest shape."""
         return float(np.linalg.norm(np.ptp(self.rest_points.astype(np.float64), axis=0)))
 
+    @property
+    def influence_count(self) -> int:
+        """Joints that move an old point at most; 0 where none move single points."""
+        return max(
+            (int(np.count_nonzero(i.weights, axis=1).max(initial=0)) for i in self.influences.values()), default=0
+        )
+
 
 def read_skin(
     source: MeshSource, shape_users: Counter[Sdf.Path], influence_limit: int | None = None

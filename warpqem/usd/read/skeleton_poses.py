@@ -6,6 +6,7 @@ with the geomBindTransform, then from the skeleton's space to the mesh's (UsdSke
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -18,7 +19,10 @@ from warpqem.errors import StageError
 from warpqem.usd.read.descendants import like
 from warpqem.usd.read.hidden_users import shapes_in_proxies, shapes_in_variants
 
-__all__ = ["MeshPoser", "StagePoses"]
+__all__ = ["MeshPoser", "StagePoses", "WeightChange"]
+
+# What weights (S,) of all blend shapes of a mesh become.
+WeightChange = Callable[[npt.NDArray[np.float64]], npt.NDArray[np.float64]]
 
 
 class StagePoses:
@@ -193,6 +197,20 @@ class MeshPoser:
         mapper = self.skinning_query.GetJointMapper()
         return mapper is not None and bool(mapper.IsSparse())
 
+    def whole(self, time: float | Usd.TimeCode) -> npt.NDArray[np.float64]:
+        """The one transform (4, 4) from rest points to local space of a mesh whose joints move it as a whole, if any.
+
+        Raises:
+            StageError: the skeleton has no transforms at this time.
+        """
+        if not self.skinning_query.HasJointInfluences():
+            return np.eye(4)
+        transforms = self.skeleton_query.ComputeSkinningTransforms(time)
+        if transforms is None:
+            raise StageError(f"{self.skeleton_query.GetPrim().GetPath()}: no joint transforms at time {time}")
+        moved: npt.NDArray[np.float64] = self._rigid(transforms, time) @ self._to_local(time)
+        return moved
+
     def _rigid(self, transforms: Vt.Matrix4dArray, time: float | Usd.TimeCode) -> npt.NDArray[np.float64]:
         """The one transform of a mesh that is moved as a whole."""
         query = self.skinning_query
@@ -234,14 +252,24 @@ class MeshPoser:
             )
         )
 
-    def shaped(self, rest_points: Vt.Vec3fArray, time: float | Usd.TimeCode) -> npt.NDArray[np.float32]:
-        """The rest points as blend shapes leave them to the joints, float32, shape (point count, 3)."""
+    def shaped(
+        self, rest_points: Vt.Vec3fArray, time: float | Usd.TimeCode, changed: WeightChange | None = None
+    ) -> npt.NDArray[np.float32]:
+        """The rest points as blend shapes leave them to the joints, float32, shape (point count, 3).
+
+        Args:
+            rest_points: The authored points.
+            time: Time code of the pose.
+            changed: What the weights become before they move anything; None where they stay.
+        """
         points = Vt.Vec3fArray(rest_points)
         if self.blend_shape_query is not None:
-            self._apply_blend_shapes(points, time)
+            self._apply_blend_shapes(points, time, changed)
         return np.array(points, dtype=np.float32).reshape(-1, 3)
 
-    def _apply_blend_shapes(self, points: Vt.Vec3fArray, time: float | Usd.TimeCode) -> None:
+    def _apply_blend_shapes(
+        self, points: Vt.Vec3fArray, time: float | Usd.TimeCode, changed: WeightChange | None = None
+    ) -> None:
         assert self.blend_shape_query is not None
         weights = self.skeleton_query.GetAnimQuery().ComputeBlendShapeWeights(time)
         if weights is None:
@@ -250,6 +278,8 @@ class MeshPoser:
             )
         mapper = self.skinning_query.GetBlendShapeMapper()
         mapped = weights if mapper is None else mapper.Remap(weights)
+        if changed is not None:
+            mapped = Vt.FloatArray.FromNumpy(changed(np.array(mapped, dtype=np.float64)).astype(np.float32))
         sub_weights, shape_indices, sub_indices = self.blend_shape_query.ComputeSubShapeWeights(mapped)
         if not self.blend_shape_query.ComputeDeformedPoints(
             sub_weights, shape_indices, sub_indices, self.point_indices, self.point_offsets, points
@@ -260,11 +290,16 @@ class MeshPoser:
             )
 
     def _to_local_space(self, points: npt.NDArray[np.floating], time: float | Usd.TimeCode) -> npt.NDArray[np.float32]:
-        """From the skeleton's space to the mesh's; USD matrices act on row vectors."""
+        """From the skeleton's space to the mesh's."""
+        return _transform(points, self._to_local(time)).astype(np.float32)
+
+    def _to_local(self, time: float | Usd.TimeCode) -> npt.NDArray[np.float64]:
+        """What takes the skeleton's space to the mesh's; USD matrices act on row vectors."""
         cache = UsdGeom.XformCache(time)
         to_world = np.array(cache.GetLocalToWorldTransform(self.skeleton_query.GetPrim()))
         from_world = np.array(cache.GetLocalToWorldTransform(self.prim).GetInverse())
-        return _transform(points, to_world @ from_world).astype(np.float32)
+        moved: npt.NDArray[np.float64] = to_world @ from_world
+        return moved
 
 
 def _transform(points: npt.NDArray[np.floating], matrix: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

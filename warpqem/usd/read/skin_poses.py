@@ -9,7 +9,7 @@ import numpy.typing as npt
 from pxr import Usd, UsdGeom, UsdSkel, Vt
 
 from warpqem.errors import StageError
-from warpqem.usd.read.skeleton_poses import MeshPoser
+from warpqem.usd.read.skeleton_poses import MeshPoser, WeightChange
 
 __all__ = [
     "first_repeated",
@@ -19,6 +19,7 @@ __all__ = [
     "joint_transforms",
     "repeated_joint",
     "shape_offsets",
+    "whole_transforms",
 ]
 
 
@@ -102,13 +103,34 @@ def first_repeated(names: Iterable[str]) -> str | None:
     return None
 
 
+def whole_transforms(poser: MeshPoser, times: Sequence[Usd.TimeCode]) -> npt.NDArray[np.float64]:
+    """What takes the rest points of a mesh that moves as a whole to its local space, (F, 1, 3, 4) as columns.
+
+    Raises:
+        StageError: the skeleton has no transforms at a time.
+    """
+    stacked = np.stack([poser.whole(time) for time in times])[:, None]
+    columns: npt.NDArray[np.float64] = np.swapaxes(stacked, -1, -2)[..., :3, :]
+    return columns
+
+
 def shape_offsets(
-    poser: MeshPoser, rest_points: npt.NDArray[np.float32], times: Sequence[Usd.TimeCode]
+    poser: MeshPoser,
+    rest_points: npt.NDArray[np.float32],
+    times: Sequence[Usd.TimeCode],
+    changed: WeightChange | None = None,
 ) -> npt.NDArray[np.float32] | None:
-    """What blend shapes add to the authored rest points at each time, (F, P, 3); None without any."""
+    """What blend shapes add to the authored rest points at each time, (F, P, 3); None without any.
+
+    Args:
+        poser: what moves the mesh.
+        rest_points: the authored points.
+        times: time codes.
+        changed: what the weights become first; None where they stay.
+    """
     if poser.blend_shape_query is None:
         return None
     offsets = np.empty((len(times), *rest_points.shape), dtype=np.float32)
     for index, time in enumerate(times):
-        offsets[index] = poser.shaped(Vt.Vec3fArray.FromNumpy(rest_points), time) - rest_points
+        offsets[index] = poser.shaped(Vt.Vec3fArray.FromNumpy(rest_points), time, changed) - rest_points
     return offsets
