@@ -65,9 +65,9 @@ def test_dry_run_writes_nothing(folder):
     [
         (["--ratio", "0.5", "--faces", "9"], "--ratio 0.5 and --faces 9 exclude each other"),
         ([], "one of --ratio"),
-        (["--ratio", "0.5", "--jobs", "0"], "jobs 0"),
-        (["--ratio", "0.5", "--timeout", "-1"], "timeout -1"),
-        (["--ratio", "0.5", "--retries", "-1"], "retries -1"),
+        (["--ratio", "0.5", "--jobs", "0"], "--jobs must be a whole number at least 1, got 0"),
+        (["--ratio", "0.5", "--timeout", "-1"], "--timeout must be a finite number above 0, got -1"),
+        (["--ratio", "0.5", "--retries", "-1"], "--retries must be a whole number at least 0, got -1"),
         (["--ratio", "0.5", "--memory", "much"], "memory 'much'"),
         (["--ratio", "0.5", "--gpus", "0.5"], "need --engine ray"),
         (["--ratio", "0.5", "--format", "obj"], "--format"),

@@ -232,4 +232,4 @@ def test_a_plan_for_a_mesh_that_fewer_joints_moved_is_gone_on_with(result):
     plan = RemovalPlan([3], from_leaves=False)
     steps, _ = reduce_in_steps(given, {"joints": 2, "parents": PARENTS}, device="cpu", plan=plan)
     assert len(steps[0].used) == 2
-    assert steps[0].removed[0] == 3
+    assert 3 in steps[0].removed

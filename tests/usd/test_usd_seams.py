@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from pxr import Gf, Sdf, Usd, UsdGeom
+from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 
 from tests.support.usd_stages import cloth_stage
+from tests.support.usd_stream import CLOTH
+from warpqem.usd import SimplifyOptions, simplify_stage
 from warpqem.usd.read.mesh_seams import MeshSeams, find_seams
 from warpqem.usd.read.read_mesh import MeshSource
 from warpqem.usd.read.skeleton_poses import StagePoses
@@ -122,3 +124,20 @@ def test_mesh_of_one_face_has_no_seams():
     primvars.CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, "faceVarying").Set([(0, 0), (1, 0), (0, 1)])
     mesh.CreateDisplayColorPrimvar("uniform").Set([(1, 0, 0)])
     assert len(seams_of(stage).by_name.get("primvars:st", ())) == 0
+
+
+@pytest.mark.parametrize("element_size", [1, 2, 3])
+def test_normals_of_faces_may_have_several_elements(element_size, tmp_path):
+    stage = cloth_stage(tmp_path / "in.usda")
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath(CLOTH))
+    count = element_size * len(mesh.GetFaceVertexCountsAttr().Get())
+    primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar(
+        "facing", Sdf.ValueTypeNames.Normal3fArray, "uniform", element_size
+    )
+    primvar.Set(Vt.Vec3fArray([(0, 0, 1)] * count))
+    stage.Save()
+    options = SimplifyOptions(ratio=0.5, device="cpu")
+    [prim] = simplify_stage(tmp_path / "in.usda", tmp_path / "out.usda", options).prims
+    assert prim.status == "simplified"
+    after = UsdGeom.PrimvarsAPI(Usd.Stage.Open(str(tmp_path / "out.usda")).GetPrimAtPath(CLOTH)).GetPrimvar("facing")
+    assert len(after.Get()) == element_size * prim.faces_after

@@ -141,12 +141,13 @@ class _InnerEdges:
     def values_differ(self, values: npt.NDArray[Any], normals: bool) -> npt.NDArray[np.bool_]:
         """Where values at corners, (3N, ...), differ between the two faces at either end; normals by their angle."""
         first, second = values[self.corner[:, 0]], values[self.corner[:, 1]]
-        if normals:
-            first, second = first.astype(np.float64), second.astype(np.float64)
-            lengths = np.linalg.norm(first, axis=-1) * np.linalg.norm(second, axis=-1)
-            return np.asarray(((first * second).sum(axis=-1) < SMOOTH_COSINE * lengths).any(axis=1), dtype=bool)
         # A mesh of one face has no inner edge, and an array of none cannot be reshaped to a width of its own.
         axes = tuple(range(1, first.ndim))
+        if normals:
+            # Of values of several elements each is a normal.
+            first, second = first.astype(np.float64), second.astype(np.float64)
+            lengths = np.linalg.norm(first, axis=-1) * np.linalg.norm(second, axis=-1)
+            return np.asarray(((first * second).sum(axis=-1) < SMOOTH_COSINE * lengths).any(axis=axes[:-1]), dtype=bool)
         return np.asarray((first != second).any(axis=axes), dtype=bool)
 
 
