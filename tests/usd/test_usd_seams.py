@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 
+from tests.support.rich_stage import CLOTH
 from tests.support.usd_stages import cloth_stage
-from tests.support.usd_stream import CLOTH
 from warpqem.usd import SimplifyOptions, simplify_stage
 from warpqem.usd.read.mesh_seams import MeshSeams, find_seams
 from warpqem.usd.read.read_mesh import MeshSource
