@@ -139,5 +139,6 @@ def test_normals_of_faces_may_have_several_elements(element_size, tmp_path):
     options = SimplifyOptions(ratio=0.5, device="cpu")
     [prim] = simplify_stage(tmp_path / "in.usda", tmp_path / "out.usda", options).prims
     assert prim.status == "simplified"
-    after = UsdGeom.PrimvarsAPI(Usd.Stage.Open(str(tmp_path / "out.usda")).GetPrimAtPath(CLOTH)).GetPrimvar("facing")
+    result = Usd.Stage.Open(str(tmp_path / "out.usda"))
+    after = UsdGeom.PrimvarsAPI(result.GetPrimAtPath(CLOTH)).GetPrimvar("facing")
     assert len(after.Get()) == element_size * prim.faces_after
