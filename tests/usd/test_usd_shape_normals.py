@@ -9,6 +9,7 @@ import pytest
 from pxr import Usd, UsdGeom, UsdSkel
 
 from tests.support.usd_rig import FRAMES, TUBE, shaped_rig
+from tests.support.usd_stages import skinned_stage
 from warpqem.mesh.smooth_normals import vertex_normals
 from warpqem.usd import SimplifyOptions, simplify_stage
 from warpqem.usd.read.materials import Materials
@@ -49,3 +50,17 @@ def test_new_normals_follow_blend_shapes(tmp_path: Path, scheme, normals):
             assert len(shape.GetNormalOffsetsAttr().Get()) == len(shape.GetPointIndicesAttr().Get())
             shape.GetNormalOffsetsAttr().Block()
     assert followed < 0.5 * angles(result).mean()
+
+
+def test_inbetweens_get_normals_too(tmp_path: Path):
+    stage = skinned_stage(tmp_path / "in.usda")
+    stage.GetPrimAtPath("/Char/Body").GetAttribute("subdivisionScheme").Set("catmullClark")
+    stage.Save()
+    simplify_stage(tmp_path / "in.usda", tmp_path / "out.usda", SimplifyOptions(ratio=0.6, measure=False, device="cpu"))
+    result = Usd.Stage.Open(str(tmp_path / "out.usda"))
+    shape = UsdSkel.BlendShape(result.GetPrimAtPath("/Char/Body/bulge"))
+    count = len(shape.GetPointIndicesAttr().Get())
+    assert len(shape.GetNormalOffsetsAttr().Get()) == len(shape.GetOffsetsAttr().Get()) == count > 2
+    inbetween = shape.GetInbetween("half")
+    assert len(inbetween.GetNormalOffsets()) == len(inbetween.GetOffsets()) == count
+    assert np.abs(np.array(inbetween.GetNormalOffsets())).max() > 1e-3
