@@ -41,6 +41,11 @@ def test_simplifying_prints_nothing():
     assert said(CODE) == ("160\n", "")
 
 
+def test_asking_for_free_memory_prints_nothing():
+    code = "from warpqem.pipeline.memory_plan import available_memory\navailable_memory('cpu')"
+    assert said(code) == ("", "")
+
+
 def test_what_the_caller_has_asked_warp_for_stays():
     assert "Module warpqem.kernels" in said("import warp as wp\nwp.config.log_level = wp.LOG_DEBUG\n" + CODE)[0]
 

@@ -21,7 +21,7 @@ from warpqem.errors import MemoryLimitError, OptionError
 from warpqem.frames.blocks import BLOCK_BYTES, block_width, chunk_frames
 from warpqem.kernels.lanes import WIDE
 from warpqem.pipeline.key_frames import pose_bytes
-from warpqem.runtime.device import device_traits
+from warpqem.runtime.device import device_traits, resolve_device
 
 __all__ = [
     "KEPT_BYTES",
@@ -376,8 +376,9 @@ def format_bytes(count: int) -> str:
 def available_memory(device: str) -> int | None:
     """Bytes that are free on the host, and on the device if it is another; None where the system does not say."""
     found = [free for free in (_system_free(), _group_free()) if free is not None]
-    if wp.get_device(device).is_cuda:
-        found.append(int(wp.get_device(device).free_memory))
+    used = wp.get_device(resolve_device(device))
+    if used.is_cuda:
+        found.append(int(used.free_memory))
     return min(found, default=None)
 
 
