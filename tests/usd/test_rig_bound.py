@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hypothesis import example, given
@@ -9,7 +11,7 @@ from hypothesis import strategies as st
 
 from warpqem.usd.commands.rig_bound import HALF_STEP, fewest_of_rig, fewest_steps, simplify_with_fewer
 from warpqem.usd.commands.rig_steps import RigSteps
-from warpqem.usd.commands.skin_bound import MAX_STEPS, STEP, Attempt
+from warpqem.usd.commands.skin_bound import MAX_STEPS, STEP, Attempt, simplify_skinned
 from warpqem.usd.commands.skin_fit import FittedMesh
 from warpqem.usd.read.mesh_skin import Influences
 from warpqem.usd.write.stage_report import JointsReport
@@ -112,3 +114,18 @@ def test_steps_found_hold_and_no_one_of_them_can_be_less(sizes, weights, limit):
 @pytest.mark.parametrize("sizes", [(1, 1, 1), (4, 16, 16)])
 def test_no_steps_are_found_where_nothing_holds(sizes):
     assert fewest_steps(sizes, lambda place: False) is None
+
+
+@given(st.floats(STEP ** (MAX_STEPS - 1), 1.1))
+def test_the_share_that_a_skin_leaves_is_found_to_a_quarter_of_a_step_and_written_last(most):
+    shares: list[float] = []
+
+    def simplify(share: float) -> SimpleNamespace:
+        shares.append(share)
+        return SimpleNamespace(share=share, faces=range(round(1000 / share)))
+
+    done = simplify_skinned(simplify, lambda mesh: Attempt(mesh, None, holds=mesh.share <= most))
+    assert done.holds
+    assert shares[-1] == done.mesh.share
+    assert min(most, 1.0) - done.mesh.share <= (1 - STEP) / 4 * done.mesh.share / STEP + 1e-9
+    assert len(shares) <= MAX_STEPS + 3
