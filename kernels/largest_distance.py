@@ -16,8 +16,8 @@ from warpqem.kernels.near_faces import (
     Surface,
     corner_point,
     covers,
+    exactly_nearest,
     nearer_face,
-    nearest_of_close_faces,
     squared_distance,
     with_first,
 )
@@ -99,7 +99,7 @@ def near_face(other: Surface, hints: Faces, first: wp.int32, p: wp.vec3d, exact:
                 best_squared = squared
     best = nearer_face(other, best, best_squared, p)
     if exact and best >= 0:
-        best = nearest_of_close_faces(other, best, p)
+        best = exactly_nearest(other, best, squared_distance(other, best, p), p)
     return best
 
 

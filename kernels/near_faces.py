@@ -114,20 +114,21 @@ def nearer_face(other: Surface, best: wp.int32, best_squared: wp.float64, p: wp.
 
 
 @wp.func
-def nearest_of_close_faces(other: Surface, best: wp.int32, p: wp.vec3d) -> wp.int32:
-    """The face nearest to a point in double precision, where ``best`` is as near in single precision."""
-    nearest = best
-    squared = squared_distance(other, best, p)
+def exactly_nearest(other: Surface, near: wp.int32, squared: wp.float64, p: wp.vec3d) -> wp.int32:
+    """The face nearest to a point in double precision, the first of equal ones; one is known at a squared distance."""
+    best = near
+    best_squared = squared
+    centre = wp.vec3(wp.float32(p[0]), wp.float32(p[1]), wp.float32(p[2]))
     reach = wp.float32(wp.sqrt(squared) + SEARCH_MARGIN)
-    at = wp.vec3(wp.float32(p[0]), wp.float32(p[1]), wp.float32(p[2]))
-    query = wp.mesh_query_aabb(other.mesh, at - wp.vec3(reach, reach, reach), at + wp.vec3(reach, reach, reach))
+    extent = wp.vec3(reach, reach, reach)
+    query = wp.mesh_query_aabb(other.mesh, centre - extent, centre + extent)
     face = wp.int32(0)
     while wp.mesh_query_next(query, face):
         found = squared_distance(other, face, p)
-        if found < squared or (found == squared and face < nearest):
-            squared = found
-            nearest = face
-    return nearest
+        if found < best_squared or (found == best_squared and face < best):
+            best = face
+            best_squared = found
+    return best
 
 
 @wp.struct

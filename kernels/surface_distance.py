@@ -5,7 +5,15 @@ The frames of a mesh are cells of one mesh, so far apart that the nearest face o
 
 import warp as wp
 
-from warpqem.kernels.near_faces import ANYWHERE, SEARCH_MARGIN, Surface, corner_point, nearer_face, squared_distance
+from warpqem.kernels.near_faces import (
+    ANYWHERE,
+    SEARCH_MARGIN,
+    Surface,
+    corner_point,
+    exactly_nearest,
+    nearer_face,
+    squared_distance,
+)
 from warpqem.kernels.piece_cuts import Corners
 
 # No gradients are taken. Loops stay loops: unrolled, they take several times as long to compile and run no faster.
@@ -37,24 +45,6 @@ def face_areas(
     """Area of each face."""
     face = wp.tid()
     area_out[face] = wp.float64(0.5) * wp.length(face_normal(surface, face))
-
-
-@wp.func
-def exactly_nearest(other: Surface, near: wp.int32, squared: wp.float64, p: wp.vec3d) -> wp.int32:
-    """The face nearest to a point in double precision, the first of equal ones; one is known at a squared distance."""
-    best = near
-    best_squared = squared
-    centre = wp.vec3(wp.float32(p[0]), wp.float32(p[1]), wp.float32(p[2]))
-    reach = wp.float32(wp.sqrt(squared) + SEARCH_MARGIN)
-    extent = wp.vec3(reach, reach, reach)
-    query = wp.mesh_query_aabb(other.mesh, centre - extent, centre + extent)
-    face = wp.int32(0)
-    while wp.mesh_query_next(query, face):
-        found = squared_distance(other, face, p)
-        if found < best_squared or (found == best_squared and face < best):
-            best = face
-            best_squared = found
-    return best
 
 
 @wp.func

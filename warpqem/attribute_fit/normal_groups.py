@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from warpqem.mesh.components import lowest_members
-from warpqem.mesh.edges import edge_key
+from warpqem.mesh.edges import corner_links, edge_key
 from warpqem.mesh.mesh_input import is_proper
 
 __all__ = ["split_corners"]
@@ -33,19 +33,7 @@ def split_corners(faces: Ints, corner_row: Ints, fits: Iterable[Floats]) -> tupl
     """
     tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     key = edge_key(tail, head, int(faces.max()) + 1)
-    order = np.argsort(key, kind="stable")
-    order = order[np.repeat(is_proper(faces), 3)[order]]
-    pair = np.flatnonzero(key[order[1:]] == key[order[:-1]])
-    first, second = order[pair], order[pair + 1]
-    # The corner after each one in its face, at the other end of the edge.
-    after = np.arange(faces.size).reshape(-1, 3)[:, [1, 2, 0]].ravel()
-    same = tail[first] == tail[second]
-    links = np.concatenate(
-        [
-            np.stack([first, np.where(same, second, after[second])], axis=1),
-            np.stack([after[first], np.where(same, after[second], second)], axis=1),
-        ]
-    )
+    links = corner_links(faces, key, np.repeat(is_proper(faces), 3))
     row = corner_row.ravel()
     links = links[row[links[:, 0]] == row[links[:, 1]]]
     near = np.ones(len(links), dtype=bool)

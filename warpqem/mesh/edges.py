@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["EdgeTable", "edge_key", "edge_table"]
+__all__ = ["EdgeTable", "corner_links", "edge_key", "edge_table"]
 
 
 @dataclass(frozen=True)
@@ -28,6 +28,30 @@ class EdgeTable:
 def edge_key(tail: np.ndarray, head: np.ndarray, vertex_count: int) -> np.ndarray:
     """One int64 for each undirected edge of a mesh of ``vertex_count`` vertices, ascending by its ends."""
     return np.minimum(tail, head).astype(np.int64) * vertex_count + np.maximum(tail, head)
+
+
+def corner_links(faces: np.ndarray, key: np.ndarray, joins: np.ndarray) -> np.ndarray:
+    """Pairs (L, 2) int64 of corners, from 0 to 3N, at one vertex of two faces on either side of an edge.
+
+    Args:
+        faces: (N, 3) int.
+        key: (3N,) int64, :func:`edge_key` of the edges from each corner to the next.
+        joins: (3N,) bool, edges that count.
+    """
+    order = np.argsort(key, kind="stable")
+    order = order[joins[order]]
+    pair = np.flatnonzero(key[order[1:]] == key[order[:-1]])
+    first, second = order[pair], order[pair + 1]
+    # The corner after each one in its face, at the other end of the edge.
+    after = np.arange(faces.size).reshape(-1, 3)[:, [1, 2, 0]].ravel()
+    tail = faces.ravel()
+    same = tail[first] == tail[second]
+    return np.concatenate(
+        [
+            np.stack([first, np.where(same, second, after[second])], axis=1),
+            np.stack([after[first], np.where(same, after[second], second)], axis=1),
+        ]
+    )
 
 
 def edge_table(faces: np.ndarray) -> EdgeTable:

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from warpqem.mesh.components import lowest_members
-from warpqem.mesh.edges import edge_key
+from warpqem.mesh.edges import corner_links, edge_key
 from warpqem.mesh.mesh_input import is_proper
 
 __all__ = ["corner_groups", "sharp_edges", "vertex_normals"]
@@ -29,20 +29,7 @@ def corner_groups(faces: npt.NDArray[np.int32], hard: npt.NDArray[np.int32]) -> 
     count = int(faces.max()) + 1
     key = edge_key(tail, head, count)
     soft = ~np.isin(key, edge_key(hard[:, 0], hard[:, 1], count)) & np.repeat(is_proper(faces), 3)
-    order = np.argsort(key, kind="stable")
-    order = order[soft[order]]
-    pair = np.flatnonzero(key[order[1:]] == key[order[:-1]])
-    first, second = order[pair], order[pair + 1]
-    # The corner after each one in its face, at the other end of the edge.
-    after = np.arange(faces.size).reshape(-1, 3)[:, [1, 2, 0]].ravel()
-    same = tail[first] == tail[second]
-    joined = np.concatenate(
-        [
-            np.stack([first, np.where(same, second, after[second])], axis=1),
-            np.stack([after[first], np.where(same, after[second], second)], axis=1),
-        ]
-    )
-    _, group = np.unique(lowest_members(faces.size, joined), return_inverse=True)
+    _, group = np.unique(lowest_members(faces.size, corner_links(faces, key, soft)), return_inverse=True)
     return group.reshape(faces.shape).astype(np.int64)
 
 
