@@ -1,10 +1,9 @@
-"""Normal maps baked for meshes of a stage: what is written, how it is wired, and where there can be none."""
+"""Normal maps baked for meshes of a stage: what is written, how it is wired, and what goes along."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-import re
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +13,7 @@ from pxr import Ar, Sdf, Usd, UsdGeom, UsdShade, Vt
 from typer.testing import CliRunner
 
 from tests.support.usd_findings import nvidia_findings, usd_findings
+from tests.support.usd_normal_maps import SIZE, bake, baked
 from tests.support.usd_stages import skinned_stage
 from tests.support.usd_textured import (
     SIDE,
@@ -29,31 +29,14 @@ from tests.support.usd_textured import (
     wave_normals,
     write_tilted_map,
 )
-from tests.support.usd_topology_runs import capture
 from tests.support.usd_validators import new_findings
 from warpqem.batching.manifest import read_manifest
 from warpqem.cli.main import app
-from warpqem.errors import OptionError
 from warpqem.normal_maps.tangents import corner_tangents
 from warpqem.picture import View, render
-from warpqem.usd import SimplifyOptions, simplify_stage
-from warpqem.usd.commands.simplify_meshes import simplify_mesh_files
 from warpqem.usd.read.materials import Materials
 from warpqem.usd.read.normal_textures import NormalTextures
 from warpqem.usd.read.world import WorldMeshes
-
-SIZE = 32
-
-
-def bake(source: Path, output: Path, **options: object):
-    given = {"ratio": 0.2, "bake_normals": SIZE, "device": "cpu", **options}
-    return simplify_stage(source, output, SimplifyOptions(**given))
-
-
-def baked(source: Path, output: Path, **options: object) -> Usd.Stage:
-    report = bake(source, output, **options)
-    assert not [line for prim in report.prims for line in prim.problems], report
-    return Usd.Stage.Open(str(output))
 
 
 def angles(stage: Usd.Stage, path: str, file: str) -> np.ndarray:
@@ -195,38 +178,6 @@ def test_subsets_that_lie_on_each_other_have_a_map_each(tmp_path):
     assert files == ["Sheet_normal.png", "Sheet_left_normal.png"]
 
 
-@pytest.mark.parametrize(
-    ("uvs", "text"),
-    [
-        (bumpy_points()[:, :2] * 2, r"primvars:st is not within 0 and 1, but from \(0, 0\) to \(2, 2\)"),
-        (np.abs(bumpy_points()[:, :2] * [2, 1] - [1, 0]), r"primvars:st overlaps on 9\d(\.\d)? % of its texels"),
-        (bumpy_points()[:, :2] * [1, 0], r"primvars:st gives no face an area"),
-    ],
-    ids=["outside", "folded", "flat"],
-)
-def test_coordinates_that_hold_no_map_leave_the_material_alone(uvs, text, tmp_path):
-    stage = sheet_stage(tmp_path / "in.usda", uvs=uvs)
-    bind(stage.GetPrimAtPath("/Root/Sheet"), define_material(stage, "/Root/paint"))
-    stage.Save()
-    report = bake(tmp_path / "in.usda", tmp_path / "out.usda")
-    (line,) = report.prims[0].problems
-    assert line.startswith("/Root/Sheet: no normal map: ")
-    assert re.search(text, line), line
-    assert report.prims[0].status == "simplified"
-    out = Usd.Stage.Open(str(tmp_path / "out.usda"))
-    material = UsdShade.MaterialBindingAPI(out.GetPrimAtPath("/Root/Sheet")).ComputeBoundMaterial()[0]
-    assert material.GetPath() == "/Root/paint"
-    assert not (tmp_path / "out_textures").exists()
-
-
-def test_mesh_without_coordinates_says_so(tmp_path):
-    stage = sheet_stage(tmp_path / "in.usda")
-    stage.GetPrimAtPath("/Root/Sheet").RemoveProperty("primvars:st")
-    stage.Save()
-    report = bake(tmp_path / "in.usda", tmp_path / "out.usda")
-    assert report.prims[0].problems == ["/Root/Sheet: no normal map: it has no texture coordinates"]
-
-
 def test_empty_material_gets_a_surface(tmp_path):
     stage = sheet_stage(tmp_path / "in.usda")
     bind(stage.GetPrimAtPath("/Root/Sheet"), UsdShade.Material.Define(stage, "/Root/paint"))
@@ -235,26 +186,6 @@ def test_empty_material_gets_a_surface(tmp_path):
     material = UsdShade.MaterialBindingAPI(out.GetPrimAtPath("/Root/Sheet")).ComputeBoundMaterial()[0]
     assert material.GetPrim().GetInherits().GetAllDirectInherits() == ["/Root/paint"]
     assert Path(map_file(out, "/Root/Sheet")).is_file()
-
-
-def test_material_that_is_no_preview_surface_says_so(tmp_path):
-    stage = sheet_stage(tmp_path / "in.usda")
-    material = UsdShade.Material.Define(stage, "/Root/paint")
-    shader = UsdShade.Shader.Define(stage, "/Root/paint/omni")
-    material.CreateSurfaceOutput("mdl").ConnectToSource(shader.ConnectableAPI(), "out")
-    bind(stage.GetPrimAtPath("/Root/Sheet"), material)
-    stage.Save()
-    report = bake(tmp_path / "in.usda", tmp_path / "out.usda")
-    assert report.prims[0].problems == ["/Root/Sheet: no normal map: the material /Root/paint has no UsdPreviewSurface"]
-
-
-def test_binding_that_goes_before_all_others_says_so(tmp_path):
-    stage = sheet_stage(tmp_path / "in.usda")
-    binding = UsdShade.MaterialBindingAPI.Apply(stage.GetPrimAtPath("/Root"))
-    binding.Bind(define_material(stage, "/Root/paint"), UsdShade.Tokens.strongerThanDescendants)
-    stage.Save()
-    report = bake(tmp_path / "in.usda", tmp_path / "out.usda")
-    assert "/Root.material:binding binds a material that no other binding goes before" in report.prims[0].problems[0]
 
 
 def test_map_of_the_input_is_in_the_baked_one(tmp_path):
@@ -271,17 +202,6 @@ def test_map_of_the_input_is_in_the_baked_one(tmp_path):
     assert np.abs(vectors.mean(axis=(0, 1)) - wanted).max() < 0.02
     texture = normal_texture(out, "/Root/Sheet")
     assert texture.GetPath() == "/Root/Sheet/paint_baked/normal_map"
-
-
-def test_map_of_the_input_that_is_missing_says_so(tmp_path):
-    stage = sheet_stage(tmp_path / "in.usda")
-    material = define_material(stage, "/Root/paint")
-    add_map(material, "./bumps.png")
-    bind(stage.GetPrimAtPath("/Root/Sheet"), material)
-    stage.Save()
-    report = bake(tmp_path / "in.usda", tmp_path / "out.usda")
-    lines = [line for line in report.prims[0].problems if "no normal map" in line]
-    assert lines == ["/Root/Sheet: no normal map: the normal map of /Root/paint, ./bumps.png, is missing"]
 
 
 def test_map_lies_on_the_coordinates_that_the_material_uses(tmp_path):
@@ -342,26 +262,6 @@ def test_second_run_gives_the_same_bytes_and_replaces_the_first(name, tmp_path):
         return {str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
 
     assert digests() == digests()
-
-
-def test_map_takes_the_place_of_no_file_that_is_read(tmp_path):
-    (tmp_path / "out_textures").mkdir()
-    Image.new("RGB", (4, 4)).save(tmp_path / "out_textures" / "Sheet_normal.png")
-    stage = sheet_stage(tmp_path / "in.usda")
-    material = define_material(stage, "/Root/paint", "./out_textures/Sheet_normal.png")
-    bind(stage.GetPrimAtPath("/Root/Sheet"), material)
-    stage.Save()
-    before = (tmp_path / "out_textures" / "Sheet_normal.png").read_bytes()
-    with pytest.raises(OptionError, match=r"Sheet_normal\.png"):
-        bake(tmp_path / "in.usda", tmp_path / "out.usda")
-    assert (tmp_path / "out_textures" / "Sheet_normal.png").read_bytes() == before
-    assert not (tmp_path / "out.usda").exists()
-
-
-def test_layer_as_output_is_refused(tmp_path):
-    sheet_stage(tmp_path / "in.usda")
-    with pytest.raises(OptionError, match="bake_normals: needs a file as output"):
-        bake(tmp_path / "in.usda", Sdf.Layer.CreateAnonymous())
 
 
 @pytest.mark.parametrize("name", ["out.usda", "out.usdz"])
@@ -454,29 +354,6 @@ def test_validators_find_nothing_new(name, find, tmp_path):
     assert new_findings(tmp_path / "in.usda", tmp_path / name, find) == {}
 
 
-def test_mesh_whose_topology_varies_says_so(tmp_path):
-    capture(tmp_path / "in.usda", [8, 12], 2)
-    report = bake(tmp_path / "in.usda", tmp_path / "out.usda", ratio=0.5)
-    lines = [line for prim in report.prims for line in prim.problems if "no normal map" in line]
-    assert [line.partition(": ")[2] for line in lines] == ["no normal map: its topology varies over time"]
-
-
-def test_mesh_that_is_kept_has_no_map(tmp_path):
-    sheet_stage(tmp_path / "in.usda")
-    report = bake(tmp_path / "in.usda", tmp_path / "out.usda", ratio=1.0)
-    assert (report.prims[0].status, report.prims[0].problems, report.prims[0].notes) == ("kept", [], [])
-    assert not (tmp_path / "out_textures").exists()
-
-
-def test_mesh_files_hold_no_map(tmp_path):
-    define = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3\nf 1 3 4\n"
-    (tmp_path / "in.obj").write_text(define)
-    with pytest.raises(OptionError, match="bake_normals"):
-        simplify_mesh_files(
-            tmp_path / "in.obj", tmp_path / "out.obj", SimplifyOptions(ratio=0.5, bake_normals=SIZE, device="cpu")
-        )
-
-
 def test_command_line_and_manifest_take_the_option(tmp_path):
     sheet_stage(tmp_path / "in.usda")
     arguments = [str(tmp_path / "in.usda"), "-o", str(tmp_path / "out.usda"), "--ratio", "0.2", "--device", "cpu"]
@@ -486,12 +363,6 @@ def test_command_line_and_manifest_take_the_option(tmp_path):
     (tmp_path / "jobs.jsonl").write_text(json.dumps({"input": "in.usda", "ratio": 0.2, "bake_normals": SIZE}))
     (job,) = read_manifest(tmp_path / "jobs.jsonl", tmp_path / "out", {})
     assert job.options.bake_normals == SIZE
-
-
-@pytest.mark.parametrize("size", [0, 7, 20000, 12.5, "big"])
-def test_size_of_a_map_is_checked(size):
-    with pytest.raises(OptionError, match="bake_normals"):
-        SimplifyOptions(ratio=0.5, bake_normals=size)
 
 
 def test_picture_shows_the_map(tmp_path):
