@@ -144,7 +144,7 @@ class _Study:
 
     def _simplified(self, ratio: float) -> SimplifiedMesh:
         try:
-            return warpqem.simplify(self._poses, self._clip.faces, ratio=ratio, quality="fast", device=self._device)
+            return warpqem.simplify(self._poses, self._clip.faces, ratio=ratio, device=self._device)
         except UnreachableTargetError as error:
             # Pieces of a mesh none of which may go.
             return cast(SimplifiedMesh, error.result)

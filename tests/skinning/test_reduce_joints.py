@@ -168,23 +168,28 @@ def test_few_joints_are_exchanged_for_better_ones(result, monkeypatch):
     assert best.errors[-1] <= reduced(result, joints=1).errors[-1] * 1.001
 
 
-def from_leaves(mesh, skin, transforms, poses, parents, joints):
+def from_leaves(mesh, skin, transforms, poses, parents, joints, way):
     """The skin of so many joints that go from the leaves, and that of all ways."""
     given = (poses, FACES, mesh, skin, transforms, None, None, None, None, None, True)
     goals = {"joints": joints, "parents": parents}
-    plans = (RemovalPlan([], from_leaves=True), None)
+    plans = (RemovalPlan([], way), None)
     return [reduce_in_steps(given, goals, device="cpu", plan=plan)[0][0] for plan in plans]
 
 
 @settings(max_examples=6, deadline=None)
-@given(seed=st.integers(0, 2**31), joints=st.integers(1, 3), largest=st.sampled_from([0.5, 1.5, 3.0]))
-def test_result_is_never_further_from_the_input_than_joints_that_go_from_the_leaves(seed, joints, largest):
+@given(
+    seed=st.integers(0, 2**31),
+    joints=st.integers(1, 3),
+    largest=st.sampled_from([0.5, 1.5, 3.0]),
+    way=st.sampled_from(["deepest leaf", "leaf"]),
+)
+def test_result_is_never_further_from_the_input_than_joints_that_go_from_the_leaves(seed, joints, largest, way):
     angles = np.random.default_rng(seed).uniform(-largest, largest, (7, 4))
     angles[0] = 0
     transforms = chain(angles)
     poses = pose_skin(SKIN, transforms).astype(np.float32)
     mesh = warpqem.simplify(poses, FACES, ratio=0.2, device="cpu")
-    leaves, done = from_leaves(mesh, SKIN, transforms, poses, PARENTS, joints)
+    leaves, done = from_leaves(mesh, SKIN, transforms, poses, PARENTS, joints, way)
     assert len(done.used) == len(leaves.used) == joints
     measured = [
         compare(poses[1:], FACES, pose_skin(each.skin, transforms)[1:].astype(np.float32), mesh.faces, device="cpu").rms
@@ -232,7 +237,7 @@ def test_steps_lead_from_the_fewest_joints_to_all(result):
 
 def test_a_plan_for_a_mesh_that_fewer_joints_moved_is_gone_on_with(result):
     given = (POSES, FACES, result, SKIN, TRANSFORMS, None, None, None, None, None, True)
-    plan = RemovalPlan([3], from_leaves=False)
+    plan = RemovalPlan([3], way="any")
     steps, _ = reduce_in_steps(given, {"joints": 2, "parents": PARENTS}, device="cpu", plan=plan)
     assert len(steps[0].used) == 2
     assert 3 in steps[0].removed

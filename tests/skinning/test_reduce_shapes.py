@@ -108,13 +108,35 @@ def test_multiples_of_one_shape_merge_without_error_and_weights_stay_within_thei
         np.testing.assert_allclose(done.weights, done.corrected(used, upper, lower))
 
 
-def test_shapes_are_scaled_only_where_a_limit_asks_for_it_and_they_may_be():
+def test_equal_shapes_merge_without_loss_by_count_too():
+    offsets = np.stack([X, X, Y, X])
+    used = RNG.uniform(0.5, 1.0, (6, 4))
+    done = reduce_shapes(REST, FACES, offsets, used, shapes=2)
+    assert max(done.used_errors[-1], done.random_errors[-1]) < 1e-6
+    moved = np.tensordot(done.weights * done.scales, offsets[done.kept], axes=1)
+    np.testing.assert_allclose(moved, np.tensordot(used, offsets, axes=1), atol=1e-12)
+    assert done.weights.max() <= 1.0
+
+
+def test_shapes_are_not_scaled_by_count_where_that_gains_little():
+    # What goes is unlike what stays: it is lost, scaled or not.
+    done = reduce_shapes(REST, FACES, np.stack([X, 0.3 * Y]), np.ones((1, 2)), shapes=1)
+    assert done.scales.tolist() == [1.0]
+    assert done.random_errors[-1] > 0
+
+
+def test_shapes_are_scaled_only_where_weights_are_cut_off_and_they_may_be():
     offsets = np.stack([X, X, X, X])
-    by_count = reduce_shapes(REST, FACES, offsets, shapes=1)
-    assert by_count.scales.tolist() == [1.0]
+    used = np.ones((1, 4))
+    assert reduce_shapes(REST, FACES, offsets, used, shapes=1).scales.tolist() == [4.0]
+    # Who sets weights without an animation knows the shapes as they are.
+    assert reduce_shapes(REST, FACES, offsets, shapes=1).scales.tolist() == [1.0]
+    unseen = reduce_shapes(REST, FACES, np.stack([X, 1e-3 * X]), used[:, :2], shapes=1)
+    assert unseen.scales.tolist() == [1.0]
     loose = reduce_shapes(REST, FACES, np.stack([X, 0.01 * X]), max_error=0.1)
     assert (loose.removed.tolist(), loose.scales.tolist()) == ([1], [1.0])
     for more in ({"scalable": []}, {"inbetweens": [{0.5: Y}] * 4}):
+        assert reduce_shapes(REST, FACES, offsets, used, shapes=1, **more).scales.tolist() == [1.0]
         done = reduce_shapes(REST, FACES, offsets, max_error=0.01, **more)
         assert len(done.kept) == 4
         assert done.scales.tolist() == [1.0] * 4
@@ -159,7 +181,7 @@ def test_weights_beyond_one_stay_as_they_are_used():
 
 def test_negative_weights_stay_where_nothing_is_merged_and_count_in_what_is():
     used = np.array([[-0.5, 0.2, -0.4, -0.3], [-0.1, 0.1, -0.9, 0.2]])
-    done = reduce_shapes(REST, FACES, np.stack([X, Y, X, Z]), used, shapes=3, heirs=[0])
+    done = reduce_shapes(REST, FACES, np.stack([X, Y, X, Z]), used, shapes=3, heirs=[0], scalable=[])
     assert done.removed.tolist() == [2]
     # The used weights of the first shape go down to -0.5.
     np.testing.assert_allclose(done.weights, [[-0.5, 0.2, -0.3], [-0.5, 0.1, 0.2]], atol=1e-6)

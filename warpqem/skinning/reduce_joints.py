@@ -2,15 +2,16 @@
 
 The error of a skin is that of Landreneau & Schaefer 2009, see :mod:`warpqem.skinning.fit_skin`. Joints go one by one,
 each time the one whose vertices miss their poses least without it, after rest positions and weights are solved for
-again: a greedy backward elimination with exact costs. Where joints that go from the leaves of the skeleton leave less
-distance, as it is measured on the surface, these go instead. See :mod:`warpqem.skinning.joint_removal`.
+again: a greedy backward elimination with exact costs. Where joints that go from the leaves of the skeleton, the deepest
+or the cheapest first, leave less distance, as it is measured on the surface, these go instead. See
+:mod:`warpqem.skinning.joint_removal`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any, TypedDict
+from typing import Any, Literal, TypedDict
 
 import numpy as np
 
@@ -29,11 +30,13 @@ from warpqem.skinning.joint_removal import JointRemoval
 from warpqem.skinning.leaf_order import next_leaf
 from warpqem.skinning.linear_skin import LinearSkin, pose_skin
 
-__all__ = ["JointGoals", "ReducedJoints", "RemovalPlan", "joint_steps", "reduce_in_steps", "reduce_joints"]
+__all__ = ["JointGoals", "ReducedJoints", "RemovalPlan", "Way", "joint_steps", "reduce_in_steps", "reduce_joints"]
 
+#: Which joint goes next: the one that costs least of all, of the deepest leaves of the skeleton, or of all its leaves.
+Way = Literal["any", "deepest leaf", "leaf"]
 # Skins along a removal that are kept, by their numbers of joints.
 MAX_STEPS = 16
-# Poses, and samples on each mesh in each of them, that decide between two ways.
+# Poses, and samples on each mesh in each of them, that decide between the ways.
 MEASURED_POSES, MEASURED_SAMPLES = 16, 2000
 
 
@@ -138,11 +141,11 @@ class RemovalPlan:
 
     Attributes:
         order: what :func:`choose_joints` gives.
-        from_leaves: whether they go from the leaves of the skeleton instead; None where both are to be tried.
+        way: which one goes next; ``order`` is for those that are chosen of all. None where every way is to be tried.
     """
 
     order: list[int]
-    from_leaves: bool | None = None
+    way: Way | None = None
 
 
 @on_device
@@ -200,27 +203,27 @@ def joint_steps(
         plan: which joints go.
     """
 
-    def steps(from_leaves: bool) -> list[ReducedJoints]:
+    def steps(way: Way) -> list[ReducedJoints]:
         chosen = iter(plan.order)
 
         def choose(removal: JointRemoval) -> int | None:
-            return next_leaf(removal, parents, may_go) if from_leaves else _next_joint(removal, chosen, may_go)
+            if way == "any":
+                return _next_joint(removal, chosen, may_go)
+            return next_leaf(removal, parents, may_go, deepest=way == "deepest leaf")
 
-        return _course(prepared, may_go, least, limit, joint_removal(prepared, parents), choose, not from_leaves)
+        return _course(prepared, may_go, least, limit, joint_removal(prepared, parents), choose, way == "any")
 
-    if plan.from_leaves is not None:
-        return steps(plan.from_leaves), plan
-    by_error = steps(False)
-    if (parents < 0).all() or len(by_error[0].removed) == 0:
-        return by_error, plan
-    leaves = steps(True)
-    counts = [len(way[0].used) for way in (by_error, leaves)]
-    if counts[0] == counts[1]:
-        errors = [_measured(prepared, way[0].skin) for way in (by_error, leaves)]
-        from_leaves = errors[1] < errors[0]
-    else:
-        from_leaves = counts[1] < counts[0]
-    return leaves if from_leaves else by_error, replace(plan, from_leaves=from_leaves)
+    if plan.way is not None:
+        return steps(plan.way), plan
+    found: dict[Way, list[ReducedJoints]] = {"any": steps("any")}
+    if (parents >= 0).any() and len(found["any"][0].removed):
+        found |= {"deepest leaf": steps("deepest leaf"), "leaf": steps("leaf")}
+    fewest = min(len(skins[0].used) for skins in found.values())
+    ways = [way for way, skins in found.items() if len(skins[0].used) == fewest]
+    best = ways[0]
+    if len(ways) > 1:
+        best = min(ways, key=lambda way: _measured(prepared, found[way][0].skin))
+    return found[best], replace(plan, way=best)
 
 
 def _next_joint(removal: JointRemoval, chosen: Iterator[int], may_go: np.ndarray) -> int | None:

@@ -2,9 +2,8 @@
 
 What weights ``w`` do is ``sum_s w_s D_s``. A shape that goes is replaced by a sum of few others,
 ``D_s = sum_r M_sr D_r`` with ``M >= 0``, and the weights of those that stay become ``w_r + sum_s w_s M_sr``, within
-[0, 1] or what the used weights reach. Where a limit on the error asks for it, as it does of equal shapes that are used
-together, a shape that takes others over is scaled by the largest sum that it may get, and its weights by the inverse of
-that, so that none is cut off. The mean square of what is left over weights that are used and over random ones,
+[0, 1] or what the used weights reach. Where that cuts too much off, as of equal shapes that are used together, a shape
+that takes others over is scaled by the largest sum that it may get, and its weights by the inverse of that. The mean square of what is left over weights that are used and over random ones,
 ``tr(W (1 - M) Q (1 - M)^T)`` with ``W = mean w w^T`` and the Gram matrix ``Q`` of the shapes, is quadratic in ``M``.
 Shapes go one by one, each time the one that leaves least (greedy backward elimination); rows of ``M`` are found by
 orthogonal matching pursuit without negative terms. ``Q`` measures across the surface of the simplified mesh, and a
@@ -18,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 from typing import Any, TypedDict
 
 import numpy as np
@@ -32,6 +32,9 @@ __all__ = ["MAX_STEPS", "ReducedShapes", "ShapeGoals", "reduce_shapes", "shape_s
 
 # Steps along a removal at most.
 MAX_STEPS = 16
+# Without a limit on the error, shapes are scaled where used weights that are cut off leave more than this part of the
+# diagonal, which would be seen, and where that takes a tenth of it off at least.
+MAX_CUT, MAX_SCALED = 1e-4, 0.9
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -43,7 +46,8 @@ class ReducedShapes(ArrayRecord):
         removed: (R,) int32, those that went, in that order.
         parts: (S, N) float64, how much of the weight of each shape goes to each that stays: 1 for a shape itself.
         scales: (N,) float64, what the offsets of each shape that stays are to be multiplied by, and its weights are
-            divided by: 1, but where it takes over so much that its weights would be cut off beyond ``max_error``.
+            divided by: 1, but where it takes over so much that its weights would be cut off beyond ``max_error`` or,
+            without that, used ones by what would be seen.
         weights: (F, N) float64, the used weights corrected, within [0, 1] or what the used ones reach; None for none.
         inbetweens: for each shape the weights of its inbetweens that stay.
         counts: (R + 1,) int32, shapes at each step.
@@ -155,9 +159,7 @@ def shape_steps(given: tuple[Any, ...], goals: ShapeGoals, *, most: int = MAX_ST
     while costs and problem.count - len(removed) > least:
         shape = problem.cheapest(costs)
         parts = problem.without(shape)
-        found = problem.errors(parts, [*removed, shape])
-        if max(found) > limit:
-            found = problem.scaled_errors(parts, [*removed, shape])
+        found = _scaled_if_needed(problem, parts, [*removed, shape], None if max_error is None else limit)
         if max(found) > limit:
             break
         problem.parts = parts
@@ -172,6 +174,24 @@ def shape_steps(given: tuple[Any, ...], goals: ShapeGoals, *, most: int = MAX_ST
     if len(steps[-1].removed) == len(removed):
         steps.pop()
     return [last, *steps[::-1]][:most]
+
+
+def _scaled_if_needed(
+    problem: ShapeProblem, parts: np.ndarray, shapes: list[int], limit: float | None
+) -> tuple[float, float]:
+    """The errors when some shapes are gone; shapes are scaled where a limit, or else the used weights, ask for it."""
+    # Animators know shapes by what weight 1 does: without a limit, random weights ask for nothing.
+    decides = itemgetter(0) if limit is None else max
+    found = problem.errors(parts, shapes)
+    if decides(found) <= (MAX_CUT if limit is None else limit):
+        return found
+    before = problem.scaled
+    problem.scaled = before | problem.takes_over(parts, shapes)
+    scaled = problem.errors(parts, shapes)
+    if limit is None and decides(scaled) > MAX_SCALED * decides(found):
+        problem.scaled = before
+        return found
+    return scaled
 
 
 def _reduced(problem: ShapeProblem, removed: list[int], errors: list[tuple[float, float]]) -> ReducedShapes:

@@ -184,10 +184,9 @@ class ShapeProblem:
         left = np.eye(len(parts))[rows] - parts[rows]
         return float((self._moment[np.ix_(rows, rows)] * (left @ self._gram @ left.T)).sum())
 
-    def scaled_errors(self, parts: np.ndarray, shapes: list[int]) -> tuple[float, float]:
-        """The errors once shapes that take over weight of some that go are scaled, where they may be."""
-        self.scaled |= self._scalable & (parts[shapes, : self.count] > 0).any(axis=0)
-        return self.errors(parts, shapes)
+    def takes_over(self, parts: np.ndarray, shapes: list[int]) -> np.ndarray:
+        """Shapes that get weight of some that go and may be scaled, (S,) bool."""
+        return np.asarray(self._scalable & (parts[shapes, : self.count] > 0).any(axis=0))
 
     def scales(self, parts: np.ndarray, shapes: list[int]) -> np.ndarray:
         """What each shape is scaled by, (S,), when some go: as far as the sum of weights that it gets may go."""
