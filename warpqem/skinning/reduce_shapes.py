@@ -3,8 +3,9 @@
 What weights ``w`` do is ``sum_s w_s D_s``. A shape that goes is replaced by a sum of few others,
 ``D_s = sum_r M_sr D_r`` with ``M >= 0``, and the weights of those that stay become ``w_r + sum_s w_s M_sr``, within
 [0, 1] or what the used weights reach. Where that cuts too much off, as of equal shapes that are used together, a shape
-that takes others over is scaled by the largest sum that it may get, and its weights by the inverse of that. The mean square of what is left over weights that are used and over random ones,
-``tr(W (1 - M) Q (1 - M)^T)`` with ``W = mean w w^T`` and the Gram matrix ``Q`` of the shapes, is quadratic in ``M``.
+that takes others over is scaled by the largest sum that it may get, and its weights by the inverse of that. The mean
+square of what is left over weights that are used and over random ones, ``tr(W (1 - M) Q (1 - M)^T)`` with
+``W = mean w w^T`` and the Gram matrix ``Q`` of the shapes, is quadratic in ``M``.
 Shapes go one by one, each time the one that leaves least (greedy backward elimination); rows of ``M`` are found by
 orthogonal matching pursuit without negative terms. ``Q`` measures across the surface of the simplified mesh, and a
 little along it.
