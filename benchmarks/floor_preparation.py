@@ -14,14 +14,15 @@ AREA_FLOPS = 41
 
 
 def _begin_members(a: Arguments) -> Demand:
-    # A point read and written, two links.
-    return Demand(a["members"].area.size * (2 * POINT + 2 * INT))
+    # Two links.
+    return Demand(a["members"].area.size * 2 * INT)
 
 
 def _measure_members(a: Arguments) -> Demand:
-    vertices, corners = a["members"].area.size, a["corner_vertex_in"]
-    # Corners and the lists of them; point, list, area and reach of each vertex.
-    return Demand(2 * size_of(corners) + vertices * (POINT + 4 * INT), vertices * VALENCE * AREA_FLOPS)
+    vertices, corners, keys = a["members"].area.size, a["corner_vertex_in"], a["key_count"]
+    # Corners and the lists of them; points, list, area and reach of each vertex.
+    flops = vertices * keys * VALENCE * AREA_FLOPS
+    return Demand(2 * size_of(corners) + vertices * (keys * POINT + 4 * INT), flops)
 
 
 # Arrays that a kernel reads or writes, and how many times.

@@ -4,31 +4,29 @@ from typing import Any
 
 import warp as wp
 
-from warpqem.kernels.lanes import POINTS_ARRAY, lane_kernel
+from warpqem.kernels.lanes import POINTS_ARRAY, lane_cross, lane_dot, lane_kernel
 from warpqem.kernels.mesh_state import Members
 from warpqem.kernels.topology import VertexAdjacency
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
 
-@lane_kernel(position_in=POINTS_ARRAY)
+@wp.kernel
 def begin_members(
-    # in
-    position_in: Any,
     # out
     members: Members,
 ):
-    """Each vertex is the only one of its list, where it is in the first frame."""
+    """Each vertex is the only one of its list."""
     v = wp.tid()
-    p = position_in[v, 0]
-    members.position[v] = wp.vec3(p[0, 0], p[1, 0], p[2, 0])
     members.following[v] = -1
     members.last[v] = v
 
 
-@wp.kernel
+@lane_kernel(position_in=POINTS_ARRAY)
 def measure_members(
     # in
+    position_in: Any,
+    key_count: wp.int32,
     corner_vertex_in: wp.array[wp.int32],
     adjacency_in: VertexAdjacency,
     first_vertex: wp.int32,
@@ -37,7 +35,8 @@ def measure_members(
 ):
     """A third of the area of the faces around each vertex, in the order of their corners, and how far they reach.
 
-    No point of a triangle is further from its nearest corner than its longest edge times 3^-0.5, but of obtuse ones.
+    Both are means over the key frames. No point of a triangle is further from its nearest corner than its longest edge
+    times 3^-0.5, but of obtuse ones.
     """
     v = first_vertex + wp.tid()
     area = wp.float64(0.0)
@@ -45,11 +44,20 @@ def measure_members(
     for i in range(adjacency_in.start[v], adjacency_in.end[v]):
         # From the face's first corner, so that its three vertices see the same area to the bit.
         h = 3 * (adjacency_in.corner[i] // 3)
-        a = members.position[corner_vertex_in[h]]
-        b = members.position[corner_vertex_in[h + 1]]
-        c = members.position[corner_vertex_in[h + 2]]
-        area += wp.float64(wp.length(wp.cross(b - a, c - a)) / 6.0)
-        longest = wp.max(wp.max(wp.length_sq(a - b), wp.length_sq(b - c)), wp.length_sq(c - a))
-        reach = wp.max(reach, longest / 3.0)
-    members.area[v] = wp.float32(area)
+        longest = wp.float32(0.0)
+        for t in range(position_in.shape[1]):
+            a = position_in[corner_vertex_in[h], t]
+            b = position_in[corner_vertex_in[h + 1], t]
+            c = position_in[corner_vertex_in[h + 2], t]
+            cross = lane_cross(b - a, c - a)
+            doubled = lane_dot(cross, cross)
+            first = lane_dot(b - a, b - a)
+            second = lane_dot(c - b, c - b)
+            third = lane_dot(a - c, a - c)
+            # Frames that fill up the last block are points without an extent.
+            for k in range(len(doubled)):
+                area += wp.float64(wp.sqrt(doubled[k]) / 6.0)
+                longest += wp.max(wp.max(first[k], second[k]), third[k])
+        reach = wp.max(reach, longest / (3.0 * wp.float32(key_count)))
+    members.area[v] = wp.float32(area / wp.float64(key_count))
     members.reach_squared[v] = reach

@@ -1,9 +1,9 @@
 """How far the input vertices that a collapse merges would be from the faces that it leaves around their vertex.
 
 Quadrics measure distances from planes, which go on for ever: a tip that is cut off stays near the planes of its sides.
-This measures distances from faces, at the members of both clusters, in the first key frame; and the other way round how
-far the faces left are from the members, as faces that span the hole of a ring leave no member behind. It takes a walk
-over members and faces, so it is done for the edges that are about to collapse, not for all.
+This measures distances from faces, at the members of both clusters; and the other way round how far the faces left are
+from the members, as faces that span the hole of a ring leave no member behind. It takes a walk over members and faces,
+so it is done for the edges that are about to collapse, not for all, and in one key frame.
 """
 
 from typing import Any
@@ -11,23 +11,50 @@ from typing import Any
 import warp as wp
 
 from warpqem.kernels.closest_point import closest_barycentric, offset_squared
+from warpqem.kernels.lanes import lane_dot
 from warpqem.kernels.mesh_state import AnyKeyFrames, MeshState
 from warpqem.kernels.topology import half_edge_target, previous_corner
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
+# An edge is much longer in a frame where its squared length is so many times that in the first one. Distances always
+# measured in the longest frame, or in frames by turns, were no better in the mean of 49 cells, the largest 3 % worse or
+# equal.
+MUCH_LONGER = wp.constant(wp.float32(2.0))
+
 
 @wp.func
-def lead_point(block: Any) -> wp.vec3:
-    """The point of a block's first frame."""
-    return wp.vec3(block[0, 0], block[1, 0], block[2, 0])
+def key_point(position: Any, v: wp.int32, frame: wp.int32) -> wp.vec3:
+    """The point of ``v`` in a key frame, of blocks (V, B)."""
+    width = len(position[v, 0][0])
+    block = position[v, frame // width]
+    lane = frame % width
+    return wp.vec3(block[0, lane], block[1, lane], block[2, lane])
+
+
+@wp.func
+def frame_of_edge(frames: AnyKeyFrames, u: wp.int32, v: wp.int32) -> wp.int32:
+    """The key frame in which distances of an edge are measured: the first, or the longest where that is much longer.
+
+    What grows out of a surface later is nowhere to be seen in the first frame.
+    """
+    frame = wp.int32(0)
+    longest = MUCH_LONGER * wp.length_sq(key_point(frames.position, v, 0) - key_point(frames.position, u, 0))
+    for t in range(frames.position.shape[1]):
+        d = frames.position[v, t] - frames.position[u, t]
+        length = lane_dot(d, d)
+        for k in range(len(length)):
+            if length[k] > longest:
+                longest = length[k]
+                frame = t * len(length) + k
+    return frame
 
 
 @wp.func
 def ring_distance_squared(
-    state: MeshState, frames: AnyKeyFrames, u: wp.int32, v: wp.int32, apex: wp.vec3, p: wp.vec3
+    state: MeshState, frames: AnyKeyFrames, u: wp.int32, v: wp.int32, frame: wp.int32, apex: wp.vec3, p: wp.vec3
 ) -> wp.float32:
-    """Squared distance of ``p`` from the faces around ``u`` and ``v`` once both are at ``apex``."""
+    """Squared distance of ``p`` from the faces around ``u`` and ``v`` once both are at ``apex``, in a key frame."""
     best = wp.length_sq(p - apex)
     for side in range(2):
         a = wp.where(side == 0, u, v)
@@ -37,33 +64,39 @@ def ring_distance_squared(
             x = half_edge_target(state.corner_vertex, h)
             y = state.corner_vertex[previous_corner(h)]
             if x != b and y != b:
-                q = lead_point(frames.position[x, 0])
-                r = lead_point(frames.position[y, 0])
+                q = key_point(frames.position, x, frame)
+                r = key_point(frames.position, y, frame)
                 best = wp.min(best, offset_squared(p, apex, q, r, closest_barycentric(p, apex, q, r)))
     return best
 
 
 @wp.func
-def member_gap(state: MeshState, frames: AnyKeyFrames, u: wp.int32, v: wp.int32, apex: wp.vec3) -> wp.vec2:
-    """Sum over the members of ``u`` and ``v`` of area times squared distance, and of their areas."""
+def member_gap(
+    state: MeshState, frames: AnyKeyFrames, u: wp.int32, v: wp.int32, frame: wp.int32, apex: wp.vec3
+) -> wp.vec2:
+    """Sum over the members of ``u`` and ``v`` of area times squared distance in a key frame, and of their areas."""
     gap = wp.float32(0.0)
     area = wp.float32(0.0)
     for side in range(2):
         m = wp.where(side == 0, u, v)
         while m >= 0:
-            gap += state.members.area[m] * ring_distance_squared(state, frames, u, v, apex, state.members.position[m])
+            p = key_point(frames.input, m, frame)
+            gap += state.members.area[m] * ring_distance_squared(state, frames, u, v, frame, apex, p)
             area += state.members.area[m]
             m = state.members.following[m]
     return wp.vec2(gap, area)
 
 
 @wp.func
-def nearest_member(state: MeshState, vertex: wp.int32, p: wp.vec3, best: wp.float32) -> wp.float32:
+def nearest_member(
+    state: MeshState, frames: AnyKeyFrames, vertex: wp.int32, frame: wp.int32, p: wp.vec3, best: wp.float32
+) -> wp.float32:
     """The least of ``best`` and the squared distances of ``p`` from the surface around the members of a vertex."""
     least = best
     m = vertex
     while m >= 0:
-        least = wp.min(least, wp.length_sq(p - state.members.position[m]) - state.members.reach_squared[m])
+        squared = wp.length_sq(p - key_point(frames.input, m, frame))
+        least = wp.min(least, squared - state.members.reach_squared[m])
         m = state.members.following[m]
     return least
 
@@ -82,23 +115,32 @@ def face_middle(a: wp.vec3, b: wp.vec3, c: wp.vec3) -> wp.vec3:
 
 @wp.func
 def gap_of_face(
-    state: MeshState, frames: AnyKeyFrames, u: wp.int32, v: wp.int32, x: wp.int32, y: wp.int32, apex: wp.vec3
+    state: MeshState,
+    frames: AnyKeyFrames,
+    u: wp.int32,
+    v: wp.int32,
+    x: wp.int32,
+    y: wp.int32,
+    frame: wp.int32,
+    apex: wp.vec3,
 ) -> wp.float32:
     """Area times squared distance of the middle of the face ``apex x y`` from the members of its corners."""
-    q = lead_point(frames.position[x, 0])
-    r = lead_point(frames.position[y, 0])
+    q = key_point(frames.position, x, frame)
+    r = key_point(frames.position, y, frame)
     middle = face_middle(apex, q, r)
-    squared = nearest_member(state, u, middle, wp.float32(wp.inf))
-    squared = nearest_member(state, v, middle, squared)
-    squared = nearest_member(state, x, middle, squared)
-    squared = nearest_member(state, y, middle, squared)
+    squared = nearest_member(state, frames, u, frame, middle, wp.float32(wp.inf))
+    squared = nearest_member(state, frames, v, frame, middle, squared)
+    squared = nearest_member(state, frames, x, frame, middle, squared)
+    squared = nearest_member(state, frames, y, frame, middle, squared)
     return face_area(apex, q, r) * wp.max(squared, 0.0)
 
 
 @wp.func
-def face_gap(state: MeshState, frames: AnyKeyFrames, u: wp.int32, v: wp.int32, apex: wp.vec3) -> wp.float32:
-    """Sum over the faces around ``u`` and ``v``, once both are at ``apex``, of area times squared distance of the
-    middle from the members of the corners, as far as it is beyond what these reach.
+def face_gap(
+    state: MeshState, frames: AnyKeyFrames, u: wp.int32, v: wp.int32, frame: wp.int32, apex: wp.vec3
+) -> wp.float32:
+    """Sum over the faces around ``u`` and ``v``, once both are at ``apex`` in a key frame, of area times squared
+    distance of the middle from the members of the corners, as far as it is beyond what these reach.
     """
     gap = wp.float32(0.0)
     for side in range(2):
@@ -109,7 +151,7 @@ def face_gap(state: MeshState, frames: AnyKeyFrames, u: wp.int32, v: wp.int32, a
             x = half_edge_target(state.corner_vertex, h)
             y = state.corner_vertex[previous_corner(h)]
             if x != b and y != b:
-                gap += gap_of_face(state, frames, u, v, x, y, apex)
+                gap += gap_of_face(state, frames, u, v, x, y, frame, apex)
     return gap
 
 

@@ -35,9 +35,8 @@ class Wedges:
 class Members:
     """The input vertices that each vertex stands for, as linked lists that begin with itself (V vertices)."""
 
-    position: wp.array[wp.vec3]  # (V,) of the input in the first key frame, in diagonals
-    area: wp.array[wp.float32]  # (V,) a third of the faces around, there, in diagonals squared
-    reach_squared: wp.array[wp.float32]  # (V,) how far its faces reach from it, squared
+    area: wp.array[wp.float32]  # (V,) a third of the faces around, mean over the key frames, in diagonals squared
+    reach_squared: wp.array[wp.float32]  # (V,) how far its faces reach from it, squared, likewise
     following: wp.array[wp.int32]  # (V,) -1 for the last one
     last: wp.array[wp.int32]  # (V,)
 
@@ -88,6 +87,7 @@ def _key_frames(width: int) -> type:
         """Position and quadric of each vertex in each block of key frames (V vertices, B blocks)."""
 
         position: POINTS_ARRAY[width]  # (V, B) in units of the bounding-box diagonal
+        input: POINTS_ARRAY[width]  # (V, B) the same before the first collapse: positions of members
         quadric: QUADRIC_ARRAY[width]  # (V, B) origin at the vertex's position in that frame
         kept_sum: QUADRIC_ARRAY[width]  # (R, B) what memoryless quadrics get besides the present faces' planes
 

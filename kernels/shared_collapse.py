@@ -24,7 +24,8 @@ from warpqem.kernels.legality import (
 from warpqem.kernels.member_distance import (
     face_area,
     face_middle,
-    lead_point,
+    frame_of_edge,
+    key_point,
     nearest_member,
     ring_distance_squared,
 )
@@ -141,15 +142,16 @@ def note_face(
     g: wp.int32,
     x: wp.int32,
     y: wp.int32,
+    frame: wp.int32,
     apex: wp.vec3,
 ):
     """Note the area of the face ``apex x y``, and how far its middle is from the members of one of its vertices.
 
     The nearest member of all counts: a least is the same in any order of the threads.
     """
-    q = lead_point(frames.position[x, 0])
-    r = lead_point(frames.position[y, 0])
-    squared = wp.max(nearest_member(state, vertex, face_middle(apex, q, r), wp.float32(wp.inf)), 0.0)
+    q = key_point(frames.position, x, frame)
+    r = key_point(frames.position, y, frame)
+    squared = wp.max(nearest_member(state, frames, vertex, frame, face_middle(apex, q, r), wp.float32(wp.inf)), 0.0)
     # The bits of numbers that are not negative are in their order.
     wp.atomic_min(notes.face_distance, g, wp.cast(squared, wp.int32))
     notes.face_area[g] = face_area(apex, q, r)
@@ -174,7 +176,8 @@ def check_faces(
     """
     u = state.corner_vertex[h]
     v = half_edge_target(state.corner_vertex, h)
-    apex = lead_point(target[i, 0])
+    frame = frame_of_edge(frames, u, v)
+    apex = key_point(target, i, frame)
     own = degree(state, u)
     face_count = own + degree(state, v)
     breaks = wp.bool(False)
@@ -194,7 +197,7 @@ def check_faces(
             if turn == 0 and turns_over(state, frames, g, target, i, flip_tolerance):
                 breaks = True
             vertex = wp.where(turn == 0, u, wp.where(turn == 1, v, wp.where(turn == 2, x, y)))
-            note_face(state, frames, notes, vertex, g, x, y, apex)
+            note_face(state, frames, notes, vertex, g, x, y, frame, apex)
     return breaks
 
 
@@ -230,13 +233,15 @@ def check_slots(
             notes.refused[i] = round_count_in[0]
         u = state.corner_vertex[h]
         v = half_edge_target(state.corner_vertex, h)
-        apex = lead_point(target_in[i, 0])
+        frame = frame_of_edge(frames, u, v)
+        apex = key_point(target_in, i, frame)
         k = wp.int32(0)
         for side in range(2):
             m = wp.where(side == 0, u, v)
             while m >= 0:
                 if k % slot_count == slot:
-                    distance_squared = ring_distance_squared(state, frames, u, v, apex, state.members.position[m])
+                    p = key_point(frames.input, m, frame)
+                    distance_squared = ring_distance_squared(state, frames, u, v, frame, apex, p)
                     notes.member_gap[m] = state.members.area[m] * distance_squared
                 k += 1
                 m = state.members.following[m]

@@ -115,3 +115,21 @@ def test_thin_blade_keeps_its_tip(memoryless, device):
     result = warpqem.simplify(points, faces, ratio=0.05, memoryless=memoryless, device=device)
     distance = compare(points[None], faces, result.points, result.faces, samples=20000, device=device)
     assert distance.hausdorff < 3.0
+
+
+@pytest.mark.parametrize("quality", ["fast", "best"])
+@pytest.mark.parametrize(
+    "growth", [[0, 0, 1, 1], [0, 0, 0, 0, 0, 0, 0, 1], [0] * 8 + [1] * 8], ids=["half", "last", "many"]
+)
+def test_what_grows_out_of_the_surface_after_the_first_frame_keeps_its_tip(growth, quality, device):
+    # With distances in the first frame alone the blade lost 3 to 6 % of the diagonal.
+    points, faces = meshes.icosphere(4)
+    height = np.abs(points[:, 2]).max()
+    outward = np.clip((points[:, 2] / height - 0.8) / 0.2, 0, None)
+    grown = points.copy()
+    grown[:, 2] += 4 * height * outward**1.5
+    grown[:, :2] *= 1 - np.array([0.97, 0.9]) * outward[:, None] ** 0.5
+    frames = np.stack([points + share * (grown - points) for share in growth]).astype(np.float32)
+    result = warpqem.simplify(frames, faces, ratio=0.05, quality=quality, measure=False, device=device)
+    distance = compare(frames, faces, result.points, result.faces, samples=20000, device=device)
+    assert distance.hausdorff < 1.5

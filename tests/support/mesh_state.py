@@ -92,7 +92,7 @@ def build_mesh(
     border = classify_vertices(state.corner_vertex, adjacency, state.vertex_flags)
     position = packed(points, device)
     frames = KEY_FRAMES[width_of(position)]()
-    frames.position = position
+    frames.position, frames.input = position, wp.clone(position)
     ones = wp.ones(vertex_count, dtype=wp.float32, device=device)
     state.seam = wp.zeros(faces.size, dtype=wp.int32, device=device)
     edges = listed_edges(state.corner_vertex, border, state.seam)
@@ -102,7 +102,7 @@ def build_mesh(
     state.quadric_scale = wp.full(vertex_count, 1.0, dtype=wp.float32, device=device)
     state.edge_cost = wp.zeros(faces.size, dtype=wp.float32, device=device)
     state.wedges = build_wedges(state.corner_vertex, position, None, len(points))
-    state.members = build_members(state.corner_vertex, adjacency, position)
+    state.members = build_members(state.corner_vertex, adjacency, position, len(points))
     trajectories = np.ascontiguousarray(points.transpose(1, 0, 2), dtype=np.float32) if with_trajectory else None
     state.trajectory, state.deformation = build_deformation(trajectories, len(faces), device, chunk_frames)
     if with_trajectory:

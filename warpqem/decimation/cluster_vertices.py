@@ -14,20 +14,21 @@ from warpqem.runtime.part_launches import FIRST_ITEM, launch_in_parts
 __all__ = ["build_members"]
 
 
-def build_members(corner_vertex: wp.array, adjacency: Adjacency, key_position: wp.array) -> Members:
-    """Lists of one member each, with its place and area in the first key frame.
+def build_members(corner_vertex: wp.array, adjacency: Adjacency, key_position: wp.array, key_count: int) -> Members:
+    """Lists of one member each, with its area over the key frames.
 
     Args:
         corner_vertex: (3N,) int32.
         adjacency: corners of all vertices.
         key_position: (V, B) blocks of points, in diagonals.
+        key_count: key frames K in these.
     """
     device, vertex_count = key_position.device, len(key_position)
     members = Members()
-    members.position = wp.empty(vertex_count, dtype=wp.vec3, device=device)
     members.area, members.reach_squared = (wp.empty(vertex_count, dtype=wp.float32, device=device) for _ in range(2))
     members.following, members.last = (wp.empty(vertex_count, dtype=wp.int32, device=device) for _ in range(2))
-    launch(kernels.begin_members[width_of(key_position)], vertex_count, [key_position], [members], device=device)
-    inputs = [corner_vertex, adjacency.lists, FIRST_ITEM]
-    launch_in_parts(kernels.measure_members, vertex_count, inputs, [members], device=device)
+    launch(kernels.begin_members, vertex_count, [], [members], device=device)
+    inputs = [key_position, key_count, corner_vertex, adjacency.lists, FIRST_ITEM]
+    measure = kernels.measure_members[width_of(key_position)]
+    launch_in_parts(measure, vertex_count, inputs, [members], device=device)
     return members

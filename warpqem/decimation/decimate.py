@@ -206,10 +206,11 @@ def _on_device(
     """The mesh as kernels see it, rearranged or a copy."""
     state, frames = MeshState(), KEY_FRAMES[width_of(mesh.key_position)]()
     if arrangement is None:
-        corner_vertex, frames.position = wp.clone(input_corners), wp.clone(mesh.key_position)
+        corner_vertex, frames.input = wp.clone(input_corners), mesh.key_position
     else:
         corner_vertex = arrangement.rearrange_faces(input_corners)
-        frames.position = arrangement.rearrange_rows(mesh.key_position)
+        frames.input = arrangement.rearrange_rows(mesh.key_position)
+    frames.position = wp.clone(frames.input)
 
     def of_vertices(values: np.ndarray, dtype: type) -> wp.array:
         uploaded = wp.array(values, dtype=dtype, device=device)
@@ -234,7 +235,7 @@ def _on_device(
     state.edge_cost = wp.empty(len(corner_vertex), dtype=wp.float32, device=device)
     state.trajectory, state.deformation = build_deformation(options.trajectories, len(mesh.faces), device)
     state.wedges = build_wedges(corner_vertex, frames.position, options.attributes, mesh.key_count)
-    state.members = build_members(corner_vertex, adjacency, frames.position)
+    state.members = build_members(corner_vertex, adjacency, frames.position, mesh.key_count)
     return state, frames, adjacency, kinds
 
 

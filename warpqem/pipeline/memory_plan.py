@@ -166,11 +166,11 @@ HELD_FACE, HELD_VERTEX = 60, 80
 READ_FACE = 28
 # Decimation, for each face: corners, one-rings, costs and candidate lists, most of them twice; for each vertex:
 # reservations, masks, flags, one-rings, cluster vertices and the log; for each vertex and key frame: position 12, the
-# same as it was 12, quadric 40, and at first the normals of its two faces 24; for each corner and attribute channel:
-# value, gradient, their fit; for each vertex and frame where the costs need them all: the position, and once more while
-# vertices are permuted; then for each face and chunk of frames: area 4 and steps of the three edges 36, and as much to
-# move them along.
-ORDER_FACE, ORDER_VERTEX, ORDER_KEY, ORDER_CHANNEL, ORDER_TRAJECTORY, ORDER_CHUNK = 350, 174, 88, 200, 24, 80
+# same as it was 12, and that in another order 12, quadric 40, and at first the normals of its two faces 24; for each
+# corner and attribute channel: value, gradient, their fit; for each vertex and frame where the costs need them all: the
+# position, and once more while vertices are permuted; then for each face and chunk of frames: area 4 and steps of the
+# three edges 36, and as much to move them along.
+ORDER_FACE, ORDER_VERTEX, ORDER_KEY, ORDER_CHANNEL, ORDER_TRAJECTORY, ORDER_CHUNK = 350, 174, 100, 200, 24, 80
 # For levels that are placed later, for each vertex and key frame: position and quadric of each merged vertex; and while
 # they are placed what decimation left, position before and after and quadric, and those of the level once more.
 NODE_KEY, LEVEL_KEY = 52, 52 + 64 + 52
