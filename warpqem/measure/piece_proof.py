@@ -220,13 +220,15 @@ class PieceProof:
             are not proved yet.
         """
         here = np.flatnonzero((left[:, frame // self._width] >> (frame % self._width)) & 1)
-        chosen = pieces.chosen(here)
-        frames = np.full(len(here), frame)
-        verdict, parts = self._cut_anew(chosen, frames, effort=SEARCH)
         left, beyond = left.copy(), np.zeros(len(left), dtype=bool)
         left[:, frame // self._width] &= ~np.int32(1 << (frame % self._width))
-        left[here] = self._left_of_parts(left[here], parts, verdict == WITHIN)
-        beyond[here] = verdict != WITHIN
+        # A search looks at all corners first, as most that are searched for alone are beyond; of many, few are.
+        for effort in (WALK, SEARCH) if len(here) > FEW_LOOKS else (SEARCH,):
+            verdict, parts = self._cut_anew(pieces.chosen(here), np.full(len(here), frame), effort=effort)
+            missed = verdict != WITHIN
+            left[here] = self._left_of_parts(left[here], parts, ~missed)
+            here = here[missed]
+        beyond[here] = True
         return beyond, left
 
     def apart_somewhere(self, pieces: PieceArrays) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int32]]:
