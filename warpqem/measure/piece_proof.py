@@ -272,7 +272,8 @@ class PieceProof:
     def _flags(self, left: npt.NDArray[np.int32]) -> npt.NDArray[np.uint8]:
         """Bits (n, B) as numbers 0 and 1 of each frame, (n, F)."""
         lanes = np.unpackbits(left.astype(np.uint8), bitorder="little").reshape(*left.shape, 8)
-        return lanes[..., : self._width].reshape(len(left), -1)
+        # Of no pieces the number of frames cannot be inferred.
+        return lanes[..., : self._width].reshape(len(left), left.shape[1] * self._width)
 
     def _set_bits(self, bits: npt.NDArray[np.int32], row: npt.NDArray[np.int64], frame: npt.NDArray[np.int64]) -> None:
         """Set the bits of frames in rows."""
