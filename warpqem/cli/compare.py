@@ -187,7 +187,7 @@ def _table(reference: str, test: str, pairs: list[PairReport]) -> PlainTable:
         measures = pair.comparison
         cells = [pair.level or "", pair.path] if levels else [pair.path]
         if measures is None:
-            table.add_row(*cells, "failed")
+            table.add_row(*cells, "no faces" if pair.message is None else "failed")
             continue
         distances = (error_text(measures.rms), error_text(measures.mean), upper_text(measures.hausdorff))
         values = (
@@ -211,9 +211,9 @@ def _table(reference: str, test: str, pairs: list[PairReport]) -> PlainTable:
 
 
 def _badness(pair: PairReport) -> tuple[int, tuple[int, float]]:
-    """What pairs are sorted by: those that failed first, then the worst."""
+    """What pairs are sorted by: those that failed first, then the worst, and at last those without faces."""
     from warpqem.measure.verdict import rank
 
     if pair.comparison is None:
-        return 0, (0, 0.0)
+        return 2 if pair.message is None else 0, (0, 0.0)
     return 1, rank(pair.comparison.verdict.word, pair.comparison.hausdorff)

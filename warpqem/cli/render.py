@@ -89,6 +89,6 @@ def render(
 
 def _parse_size(text: str) -> tuple[int, int]:
     parts = text.lower().split("x")
-    if len(parts) != 2 or not all(part.isdecimal() for part in parts):
+    if len(parts) != 2 or not all(part.isascii() and part.isdecimal() for part in parts):
         raise OptionError(f"size '{text}': expected WIDTHxHEIGHT in pixels, such as 480x360")
     return int(parts[0]), int(parts[1])

@@ -248,6 +248,8 @@ class _WorldMesh:
     def posed(self, time: float | None, materials: Materials) -> ShadedMesh | None:
         """The mesh at a time with its shading normals, in local space; None where it shows nothing."""
         if self.source is not None:
+            if not len(self.source.topology.triangles):
+                return None
             return shaded_mesh(self.source, mesh_look(self.source, materials, time), time)
         with self._opened(None if time is None else [time]) as source:
             if source is None:
