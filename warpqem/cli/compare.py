@@ -8,8 +8,9 @@ import typer
 
 from warpqem.arguments.limits import ABOVE_0, COUNT
 from warpqem.cli.appearance_table import appearance_table
-from warpqem.cli.console import EXIT_FAILED, load_usd, print_message, quiet_libraries, write_json
+from warpqem.cli.console import EXIT_FAILED, print_message, write_json
 from warpqem.cli.image_table import image_table
+from warpqem.cli.loading import loading
 from warpqem.cli.logs import takes_verbosity
 from warpqem.cli.number_parameters import number, whole
 from warpqem.cli.parameters import Device, Frames, JsonReport, Prims, ReportPage, Variants
@@ -109,11 +110,10 @@ def compare(
     Exit codes: 0 all done; 1 an error, or some pair failed; 2 wrong usage; 130 interrupted.
     """
     with progress_bar("loading") as progress:
-        quiet_libraries()
-        load_usd()
-        from warpqem.files.outputs import named_outputs
-        from warpqem.usd import CompareOptions, FrameRange, compare_stages
-        from warpqem.usd.commands.compare_images import check_sheet_path, compare_stage_images
+        with loading():
+            from warpqem.files.outputs import named_outputs
+            from warpqem.usd import CompareOptions, FrameRange, compare_stages
+            from warpqem.usd.commands.compare_images import check_sheet_path, compare_stage_images
 
         if report is not None:
             from warpqem.report.page import check_page_path

@@ -42,7 +42,7 @@ class CompareOptions:
     """How to compare.
 
     Attributes:
-        samples: Sample points on each mesh in each frame; None for as many as suit the number of frames.
+        samples: Sample points on each mesh in each frame; None for as many as suit frames and faces.
         frames: Time codes to compare at; None for all that either file has.
         prims: Prim paths; meshes at and below them are compared. Empty for all.
         device: Warp device; None for the default.
