@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-from pxr import UsdGeom
+from pxr import Usd, UsdGeom
 
-from warpqem.attribute_fit.partners import Partners, find_partners
+from warpqem.attribute_fit.partners import Partners, PartnerSearch
 from warpqem.attribute_fit.values import ValueLayout
 from warpqem.mesh.blending import blend
 from warpqem.mesh.mesh_input import is_proper
-from warpqem.mesh.smooth_normals import sharp_edges
 from warpqem.pipeline.surface_transfer import SurfaceTransfer, surface_transfer
 from warpqem.runtime.device import resolve_device
 from warpqem.usd.read.mesh_seams import MeshSeams
@@ -87,7 +86,10 @@ class AttributeTransfer:
         feature_points: Points of it that are feature points of a face, by name.
         normals: How normals come to it: fitted to the input's, blended from the nearest ones, or not at all.
         shades_all: Whether a mesh without normals gets some, too.
+        only_nearer: Whether it gets none if its own faces' shading is nearer to the input's than those would be.
         read_pose: The vertices of the input, float32, shape (V, 3), in each frame that is written, in its space.
+        shown_codes: Time codes of the poses that a skin, which is written at rest, is shown in.
+        read_shown: The vertices of the input, likewise, in each of these.
         reference: float32, shape (V', 3), its points in the pose of `reference_points`.
     """
 
@@ -122,7 +124,10 @@ class AttributeTransfer:
         self.feature_points: dict[str, int] = {}
         self.reference: npt.NDArray[np.float32] = result.points[0]
         self.shades_all = False
+        self.only_nearer = False
         self.read_pose: Callable[[int], npt.NDArray[np.float32]] = lambda _: reference_points
+        self.shown_codes: list[Usd.TimeCode] = []
+        self.read_shown: Callable[[int], npt.NDArray[np.float32]] = lambda _: reference_points
         self.normals: Literal["fit", "keep", "none"] = "fit"
         self._device = device
         self._transfers: dict[bytes, SurfaceTransfer] = {}
@@ -133,14 +138,10 @@ class AttributeTransfer:
         pairs: npt.NDArray[np.int32] = self._input[2].vertex_map[self.seams.hard]
         return pairs[(pairs[:, 0] != pairs[:, 1]) & (pairs >= 0).all(axis=1)]
 
-    def sharp_edges(self, degrees: float) -> npt.NDArray[np.int32]:
-        """Pairs (S, 2) of the input's vertices where polygons without normals meet at so many degrees or more.
-
-        Those of the reference pose; none on a subdivision surface, or with normals, which say what is hard.
-        """
-        if has_normals(self.prim) or is_smooth_scheme(UsdGeom.Mesh(self.prim)):
-            return NO_SEAMS
-        return sharp_edges(self._input[0], self._input[1], degrees)
+    @property
+    def is_plain(self) -> bool:
+        """True for polygons without normals, which nothing says how to shade; else subdivision or normals do."""
+        return not has_normals(self.prim) and not is_smooth_scheme(UsdGeom.Mesh(self.prim))
 
     def names_feature_point(self, subset: UsdGeom.Subset) -> bool:
         """True of a point subset that names one of `feature_points`."""
@@ -222,18 +223,16 @@ class AttributeTransfer:
         """Which corners of the output are on one side of seams (S, 2) of the input: int32, shape (N', 3), by number."""
         return self._transfer(seams).corner_wedge
 
-    def find_partners(
-        self, seams: npt.NDArray[np.int32], points: npt.NDArray[np.floating], placed: npt.NDArray[np.floating]
-    ) -> Partners:
-        """Partners of samples on one side of seams, in a pose of the input (V, 3) and of the output (V', 3)."""
+    def partner_search(self, seams: npt.NDArray[np.int32]) -> PartnerSearch:
+        """What finds partners of samples on one side of seams, in poses of the input and of the output."""
         _, faces, result = self._input
         device, transfer = resolve_device(self._device), self._transfer(seams)
-        return find_partners(points, faces, result, transfer, seams.astype(np.int64), placed, device=device)
+        return PartnerSearch(faces, result, transfer, seams.astype(np.int64), device)
 
     def _reference_partners(self, seams: npt.NDArray[np.int32]) -> Partners:
         key = seams.tobytes()
         if key not in self._partners:
-            self._partners[key] = self.find_partners(seams, self._input[0], self.reference)
+            self._partners[key] = self.partner_search(seams).find(self._input[0], self.reference)
         return self._partners[key]
 
     def _transfer(self, seams: npt.NDArray[np.int32]) -> SurfaceTransfer:

@@ -10,7 +10,8 @@ import numpy.typing as npt
 from pxr import Usd, UsdGeom
 
 from warpqem.attribute_fit.texture import fit_texture, reference_signs
-from warpqem.attribute_fit.values import fit_normals, fit_smooth_values, own_normals, split_normals, unit
+from warpqem.attribute_fit.values import fit_normals, fit_smooth_values, own_normals, split_normals
+from warpqem.mesh.directions import unit_vectors
 from warpqem.usd.read.texture_coordinates import is_uv
 from warpqem.usd.read.value_arrays import Samples, is_continuous, is_normal, is_quaternion
 from warpqem.usd.write.attribute_transfer import AttributeTransfer
@@ -83,11 +84,11 @@ def fit_transferred(
 
         return Samples(list(transferred), fitted), corner_row
     chosen = spread(list(transferred), MAX_SPLIT_SAMPLES)
-    own = (own_normals(layout, _flat(samples[code]), unit(start(code))) for code in chosen)
+    own = (own_normals(layout, _flat(samples[code]), unit_vectors(start(code))) for code in chosen)
     split, row = split_normals(transfer.faces, layout, own)
 
     def fitted_normals(code: Usd.TimeCode) -> npt.NDArray[Any]:
-        return fit_normals(split, _flat(samples[code]), unit(start(code)[row])).astype(transferred[code].dtype)
+        return fit_normals(split, _flat(samples[code]), unit_vectors(start(code)[row])).astype(transferred[code].dtype)
 
     return Samples(list(transferred), fitted_normals), corner_row if split is layout else split.corner_row
 

@@ -21,6 +21,7 @@ from warpqem.usd.read.inheritors import keep_heirs
 from warpqem.usd.read.instances import end_instancing, move_to_classes
 from warpqem.usd.read.mesh_skin import Skin
 from warpqem.usd.read.open_stage import MeshSelection
+from warpqem.usd.read.skeleton_poses import StagePoses
 from warpqem.usd.read.stage_views import copy_stage_metadata, layer_name, open_like
 from warpqem.usd.write.attribute_transfer import AttributeTransfer
 from warpqem.usd.write.fitted_normals import write_fitted_normals
@@ -169,7 +170,8 @@ class OverLayer:
         mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(np.ascontiguousarray(faces.reshape(-1))))
         mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
         if shaded and transfer.normals == "fit" and not transfer.has_backs:
-            write_fitted_normals(mesh, transfer, times, self.count_sample)
+            poser = None if skin is None else StagePoses(self.stage).poser(mesh.GetPrim())
+            shaded = write_fitted_normals(mesh, transfer, times, self.count_sample, poser)
         elif shaded:
             write_hard_edged_normals(mesh, faces, transfer.hard_edges(), times, self.count_sample)
         if skin is not None and (shaded or samples.smooth):
