@@ -9,6 +9,7 @@ import pytest
 from pxr import Gf, Usd, UsdGeom, UsdSkel
 
 from tests.support.usd_rig import ANIMATION, FRAMES, NAMES, TUBE, rig, shaped_rig
+from tests.support.usd_stages import cloth_stage
 from warpqem.mesh.directions import unit_vectors
 from warpqem.usd import CompareOptions, SimplifyOptions, compare_stage_images, simplify_stage
 from warpqem.usd.read.shading_normals import skinned_normals
@@ -77,3 +78,20 @@ def test_joints_that_leave_no_direction_have_no_say():
     nothing = np.zeros((1, 3), dtype=np.float32)
     flat = NormalPose(nothing, nothing, nothing, np.array([np.diag([1.0, 1.0, 0.0])]))
     np.testing.assert_array_equal(flat.unturned(np.array([[0.0, 0.6, 0.8]]), np.zeros(1, dtype=np.int64)), 0.0)
+
+
+def test_sheets_with_two_sides_on_the_same_points_get_none(tmp_path):
+    stage = cloth_stage(tmp_path / "in.usda", times=None)
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/Root/Cloth"))
+    mesh.CreateSubdivisionSchemeAttr("none")
+    index = np.array(mesh.GetFaceVertexIndicesAttr().Get()).reshape(-1, 4)
+    mesh.GetFaceVertexIndicesAttr().Set(np.concatenate([index, index[:, ::-1]]).ravel().tolist())
+    mesh.GetFaceVertexCountsAttr().Set([4] * (2 * len(index)))
+    for primvar in UsdGeom.PrimvarsAPI(mesh).GetPrimvars():
+        mesh.GetPrim().RemoveProperty(primvar.GetName())
+    stage.Save()
+    options = SimplifyOptions(ratio=0.3, normals="fit", measure=False, device="cpu")
+    [report] = simplify_stage(tmp_path / "in.usda", tmp_path / "out.usda", options).prims
+    stage = Usd.Stage.Open(str(tmp_path / "out.usda"))
+    assert report.status == "simplified"
+    assert not UsdGeom.Mesh(stage.GetPrimAtPath("/Root/Cloth")).GetNormalsAttr().HasAuthoredValue()

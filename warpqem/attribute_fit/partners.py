@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,6 +41,26 @@ class Partners:
     weight: wp.array
     area: Floats
     device: str
+
+    @property
+    def samples(self) -> Floats:
+        """Weights (S, 3) of the corners of the output at the samples: those of :data:`SAMPLES` in each pose."""
+        return np.tile(SAMPLES, (self.face.shape[1] // len(SAMPLES), 1))
+
+    @classmethod
+    def over_poses(cls, poses: Sequence[Partners]) -> Partners:
+        """Partners in several poses as more samples of each face; areas are those of the first."""
+        first = poses[0]
+        if len(poses) == 1:
+            return first
+        face = np.concatenate([one.face.numpy() for one in poses], axis=1)
+        weight = np.concatenate([one.weight.numpy() for one in poses], axis=1)
+        with device_turn(first.device):
+            on_device = (
+                wp.array(face, dtype=wp.int32, device=first.device),
+                wp.array(weight, dtype=wp.vec3, device=first.device),
+            )
+        return cls(*on_device, first.area, first.device)
 
 
 class PartnerSearch:

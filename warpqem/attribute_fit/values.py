@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from warpqem.attribute_fit.normal_groups import split_corners
-from warpqem.attribute_fit.partners import SAMPLES, Partners
+from warpqem.attribute_fit.partners import Partners
 from warpqem.attribute_fit.solve import corner_fits, fit_values, misfits
 from warpqem.mesh.directions import unit_vectors
 
@@ -103,7 +103,7 @@ def normal_error(layout: ValueLayout, values: Floats, corners: Floats) -> float:
     face, weight = layout.partners.face.numpy(), layout.partners.weight.numpy()
     known = face >= 0
     wanted = unit_vectors(np.einsum("nk,nkc->nc", weight[known], values[layout.corner_element[face[known]]]))
-    shown = unit_vectors(np.einsum("sk,fkd->fsd", SAMPLES, corners))[known]
+    shown = unit_vectors(np.einsum("sk,fkd->fsd", layout.partners.samples, corners))[known]
     area = np.broadcast_to(layout.partners.area[:, None], face.shape)[known]
     total = float(area.sum())
     return float((area * ((wanted - shown) ** 2).sum(axis=1)).sum()) / total if total > 0 else 0.0

@@ -17,8 +17,8 @@ from warpqem.mesh.smooth_normals import SmoothingGroups, corner_groups, vertex_n
 from warpqem.picture.look import CREASE_ANGLE
 from warpqem.usd.read.skeleton_poses import MeshPoser
 from warpqem.usd.write.attribute_transfer import AttributeTransfer
-from warpqem.usd.write.fitted_values import spread
 from warpqem.usd.write.normal_poses import NormalPose, shown_poses, written_poses
+from warpqem.usd.write.spread import spread
 
 __all__ = ["smooth_input_normals", "write_fitted_normals"]
 

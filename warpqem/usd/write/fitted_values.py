@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -15,8 +14,9 @@ from warpqem.mesh.directions import unit_vectors
 from warpqem.usd.read.texture_coordinates import is_uv
 from warpqem.usd.read.value_arrays import Samples, is_continuous, is_normal, is_quaternion
 from warpqem.usd.write.attribute_transfer import AttributeTransfer
+from warpqem.usd.write.spread import spread
 
-__all__ = ["fit_normal_offsets", "fit_transferred", "kind_of_values", "spread"]
+__all__ = ["fit_normal_offsets", "fit_transferred", "kind_of_values"]
 
 Kind = Literal["normals", "texture", "smooth"]
 CornerRows = npt.NDArray[np.int32]
@@ -64,7 +64,7 @@ def fit_transferred(
     first = next(iter(transferred.values()))
     if first[:1].size not in ((3,) if kind == "normals" else (2,) if kind == "texture" else range(1, 17)):
         return transferred, corner_row
-    layout = transfer.layout(name, interpolation in POINT_INTERPOLATIONS, corner_row)
+    layout = transfer.layout(name, interpolation in POINT_INTERPOLATIONS, corner_row, kind != "normals")
 
     def start(code: Usd.TimeCode) -> npt.NDArray[np.float64]:
         return _flat(transferred[code])
@@ -107,13 +107,6 @@ def fit_normal_offsets(
         return start
     layout = transfer.layout("normalOffsets", True, None)
     return fit_smooth_values(layout, _flat(offsets), start, (start != 0).any(axis=1))
-
-
-def spread(items: Sequence[Any], most: int) -> list[Any]:
-    """At most so many of the items, evenly spread, with the first and the last one."""
-    if len(items) <= most:
-        return list(items)
-    return [items[index] for index in np.linspace(0, len(items) - 1, most).round().astype(int)]
 
 
 def _flat(values: npt.NDArray[Any]) -> npt.NDArray[np.float64]:

@@ -160,7 +160,10 @@ class OverLayer:
         mesh = UsdGeom.Mesh(self.stage.OverridePrim(path))
         dropped = self._transfer_values(mesh, transfer, times, skin, with_normals=not samples.smooth)
         shaded = transfer.normals != "none" and (samples.shaded_later or dropped.rest_normals)
-        shaded |= transfer.shades_all and not has_normals(transfer.prim)
+        # The two sides of a sheet cancel out at its points, where nothing is fitted.
+        shaded |= (
+            transfer.shades_all and not has_normals(transfer.prim) and not (transfer.is_plain and transfer.has_backs)
+        )
         if shaded:
             # They hide what was blocked, and are to be in a flat file.
             normals = mesh.GetNormalsAttr().GetPath()
@@ -194,6 +197,10 @@ class OverLayer:
         else:
             self._shapes[str(prim.GetPath())] = [*(shape.path for shape in skin.shapes), *skin.removed_shapes]
             write_skin(self.stage, prim, skin, transfer)
+        if skin is None and times is not None:
+            points = mesh.GetPointsAttr()
+            transfer.frames = range(len(times))
+            transfer.read_placed = lambda frame: np.asarray(points.Get(times[frame]), dtype=np.float32)
         if transfer.normals == "none":
             for name in NORMAL_ATTRIBUTES:
                 block(prim.GetAttribute(name), dropped)
