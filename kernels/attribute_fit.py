@@ -12,6 +12,8 @@ wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
 # Points whose faces' normals differ by more than 78 degrees belong to different sides of a fold.
 SAME_SIDE = wp.constant(wp.float32(0.2))
+# A partner is near within a tenth of the square root of twice the face's area: further off, a walk may be stuck.
+NEAR = wp.constant(wp.float32(0.01))
 
 
 @wp.func
@@ -56,16 +58,21 @@ def find_partners(
     b = points_in[corner_vertex_in[3 * f + 1]]
     c = points_in[corner_vertex_in[3 * f + 2]]
     x = barycentric[0] * a + barycentric[1] * b + barycentric[2] * c
-    n = wp.normalize(wp.cross(b - a, c - a))
+    cross = wp.cross(b - a, c - a)
+    n = wp.normalize(cross)
     none = wp.vec3i(-1, -1, -1)
     best = Hit()
     best.face = wp.int32(-1)
     if near_in[f, s] >= 0:
         best = nearer_in_front(source, closest_hit(source, 0, none, near_in[f, s], x), n, best)
     if best.face < 0:
-        # From face to face, which gets along slivers that have no vertex near.
-        for k in range(3):
-            best = nearer_in_front(source, closest_hit(source, 0, none, start_in[3 * f + k], x), n, best)
+        # From face to face, which gets along slivers that have no vertex near: from the nearest corner, and from the
+        # others where that did not get near.
+        first = wp.int32(wp.argmax(barycentric))
+        for step in range(3):
+            k = (first + step) % 3
+            if best.face < 0 or best.squared > NEAR * wp.length(cross):
+                best = nearer_in_front(source, closest_hit(source, 0, none, start_in[3 * f + k], x), n, best)
     if best.face < 0:
         # Over vertices, which gets out of folds.
         for k in range(3):
