@@ -131,7 +131,8 @@ class AttributeTransfer:
         self.reference: npt.NDArray[np.float32] = result.points[0]
         self.shades_all = False
         self.frames: range = range(0)
-        self.read_placed: Callable[[int], npt.NDArray[np.float32]] = lambda _: self.reference
+        # Nothing here may hold this object itself: it would keep the stages open until they are collected.
+        self.read_placed: Callable[[int], npt.NDArray[np.float32]] = lambda _: result.points[0]
         self.only_nearer = False
         self.read_pose: Callable[[int], npt.NDArray[np.float32]] = lambda _: reference_points
         self.shown_codes: list[Usd.TimeCode] = []
