@@ -107,8 +107,9 @@ class SimplifyOptions(RigOptions):
             errors of all poses, and interpolate their skin, see `warpqem.skinning.rest_pose_quadrics`: a method to
             compare with.
         normals: "fit": normals are fitted to those of the input, see `warpqem.attribute_fit`, and meshes without any
-            get those of a smooth surface; "keep": they are blended from the input's nearest points; "none": no mesh
-            has any; None: as "fit", but a mesh without any that is not smooth by subdivision gets none.
+            get those of a smooth surface, but where the skin takes these further from the input's shading in its poses
+            than that of its own faces is; "keep": they are blended from the input's nearest points; "none": no mesh has
+            any; None: as "fit", but a mesh without any that is not smooth by subdivision gets none.
         bake_normals: Bake what the input's surface shades with, at rest or in the first frame, into a normal map of so
             many texels across for each mesh, see `warpqem.normal_maps`; None for none. Images lie in the folder
             NAME_textures beside the output, or in its package.
@@ -287,7 +288,8 @@ class SimplifyOptions(RigOptions):
     normals: Literal["fit", "keep", "none"] | None = option(
         None,
         "Normals fitted to those of IN by least squares, kept from the nearest points of IN, or none. By default they "
-        "are fitted where IN has some or is smooth by subdivision; with fit all meshes get some.",
+        "are fitted where IN has some or is smooth by subdivision; with fit others get some where that looks more "
+        "like IN.",
         panel="What to keep",
     )
     bake_normals: int | None = option(
