@@ -79,6 +79,7 @@ _STREAMED: dict[str, tuple[tuple[str, float], ...]] = {
     "find_partners": (
         ("source.points", 1),
         ("start_in", 1),
+        ("near_in", 1),
         ("corner_vertex_in", 1),
         ("points_in", 1),
         ("face_out", 1),

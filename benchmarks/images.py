@@ -32,6 +32,7 @@ COLUMNS = (
     Column("way", "simplified"),
     Column("gray", "gray PSNR dB", ".2f"),
     Column("gray_ssim", "SSIM", ".4f"),
+    Column("shading", "shading PSNR dB", ".2f"),
     Column("textured", "textured PSNR dB", ".2f"),
     Column("textured_ssim", "SSIM", ".4f"),
     Column("silhouette", "silhouettes", ".4f"),
@@ -64,6 +65,7 @@ def _rows(path: Path, settings: Settings) -> list[Row]:
                 raise RuntimeError(f"{path}: {found.message}")
             row: Row = {"scene": path.stem, "percent": round(100 * ratio), "way": way}
             gray, textured = _figures(found.score.gray), _figures(found.score.textured)
+            row["shading"] = _figures(found.score.shading)[0]
             row |= {"gray": gray[0], "gray_ssim": gray[1], "textured": textured[0], "textured_ssim": textured[1]}
             rows.append({**row, "silhouette": found.score.silhouette})
     return rows

@@ -181,7 +181,7 @@ def appearance(path: Path) -> None:
                 drawn[title] = Path(folder) / f"{normals}.usdc"
                 simplify_stage(file, drawn[title], SimplifyOptions(ratio=0.05, normals=normals, measure=False))
             for title, shown in drawn.items():
-                mesh = WorldMeshes(shown).shown(time, Materials())
+                mesh = WorldMeshes(shown).shown(time, Materials(), NormalTextures())
                 scene = place_scene(mesh.points, mesh.faces, view, FACE_SIZE, normals=mesh.normals, look=mesh.look)
                 pictures.append(caption(render_layers(scene).gray, title))
     write_png(tile(pictures, 3), path)

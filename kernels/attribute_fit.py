@@ -6,12 +6,14 @@ one constant 3 x 3 matrix with ``own`` on its diagonal and ``other`` elsewhere: 
 
 import warp as wp
 
-from warpqem.kernels.surface_walk import Surface, closest_hit, face_cross, walk_to_vertex
+from warpqem.kernels.surface_walk import Hit, Surface, closest_hit, face_cross
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
 # Points whose faces' normals differ by more than 78 degrees belong to different sides of a fold.
 SAME_SIDE = wp.constant(wp.float32(0.2))
+# A partner is near within a tenth of the square root of twice the face's area: further off, a walk may be stuck.
+NEAR = wp.constant(wp.float32(0.01))
 
 
 @wp.func
@@ -20,12 +22,23 @@ def blended(barycentric: wp.vec3, a: wp.float64, b: wp.float64, c: wp.float64) -
     return a + wp.float64(barycentric[1]) * (b - a) + wp.float64(barycentric[2]) * (c - a)
 
 
+@wp.func
+def nearer_in_front(source: Surface, hit: Hit, normal: wp.vec3, best: Hit) -> Hit:
+    """``hit`` where it is nearer than ``best``, if that is one, and its face faces the same way; else ``best``."""
+    if hit.face < 0 or (best.face >= 0 and hit.squared >= best.squared):
+        return best
+    if wp.dot(normal, wp.normalize(face_cross(source, 0, hit.face))) > SAME_SIDE:
+        return hit
+    return best
+
+
 @wp.kernel
 def find_partners(
     # in
     first_face: wp.int32,
     source: Surface,
     start_in: wp.array[wp.int32],
+    near_in: wp.array2d[wp.int32],
     corner_vertex_in: wp.array[wp.int32],
     points_in: wp.array[wp.vec3],
     barycentric_in: wp.array[wp.vec3],
@@ -35,7 +48,8 @@ def find_partners(
 ):
     """The nearest point of the input for each sample of a face (f, s), downhill from where the face's corners start.
 
-    ``start_in`` (3N',) is a vertex of the input for each output corner. Face -1 where the input faces another way.
+    ``start_in`` (3N',) is a face of the input for each output corner, ``near_in`` (f, s) one near the sample, -1 for
+    none known. Face -1 where the input faces another way.
     """
     i, s = wp.tid()
     f = first_face + i
@@ -44,23 +58,28 @@ def find_partners(
     b = points_in[corner_vertex_in[3 * f + 1]]
     c = points_in[corner_vertex_in[3 * f + 2]]
     x = barycentric[0] * a + barycentric[1] * b + barycentric[2] * c
-    # Three walks for the middle of a large face, from which no corner is near.
-    start = wp.int32(-1)
-    best = wp.float32(wp.inf)
-    for k in range(3):
-        vertex = walk_to_vertex(source, 0, start_in[3 * f + k], x)
-        distance = wp.length_sq(source.points[0, vertex] - x)
-        if distance < best:
-            best = distance
-            start = vertex
-    hit = closest_hit(source, 0, wp.vec3i(start, -1, -1), -1, x)
-    face_out[f, s] = -1
-    if hit.face < 0:
-        return
-    n = wp.normalize(wp.cross(b - a, c - a))
-    if wp.dot(n, wp.normalize(face_cross(source, 0, hit.face))) > SAME_SIDE:
-        face_out[f, s] = hit.face
-        weight_out[f, s] = hit.barycentric
+    cross = wp.cross(b - a, c - a)
+    n = wp.normalize(cross)
+    none = wp.vec3i(-1, -1, -1)
+    best = Hit()
+    best.face = wp.int32(-1)
+    if near_in[f, s] >= 0:
+        best = nearer_in_front(source, closest_hit(source, 0, none, near_in[f, s], x), n, best)
+    if best.face < 0:
+        # From face to face, which gets along slivers that have no vertex near: from the nearest corner, and from the
+        # others where that did not get near.
+        first = wp.int32(wp.argmax(barycentric))
+        for step in range(3):
+            k = (first + step) % 3
+            if best.face < 0 or best.squared > NEAR * wp.length(cross):
+                best = nearer_in_front(source, closest_hit(source, 0, none, start_in[3 * f + k], x), n, best)
+    if best.face < 0:
+        # Over vertices, which gets out of folds.
+        for k in range(3):
+            start = source.corner_vertex[3 * start_in[3 * f + k]]
+            best = nearer_in_front(source, closest_hit(source, 0, wp.vec3i(start, -1, -1), -1, x), n, best)
+    face_out[f, s] = best.face
+    weight_out[f, s] = best.barycentric
 
 
 @wp.kernel

@@ -8,10 +8,11 @@ from hypothesis import strategies as st
 from tests.support import meshes
 from tests.support.attribute_fit import fitting
 from warpqem.attribute_fit import solve
-from warpqem.attribute_fit.partners import SAMPLES, find_partners
-from warpqem.attribute_fit.values import fit_normals, fit_smooth_values, own_normals, split_normals, unit
+from warpqem.attribute_fit.partners import SAMPLES, PartnerSearch
+from warpqem.attribute_fit.values import fit_normals, fit_smooth_values, normal_error, own_normals, split_normals
 from warpqem.measure.appearance import compare_appearance
 from warpqem.measure.surface_values import CornerValues, SurfaceValues
+from warpqem.mesh.directions import unit_vectors
 from warpqem.mesh.smooth_normals import vertex_normals
 from warpqem.runtime import cpu_threads
 
@@ -133,7 +134,7 @@ def angle(fit, corners, rows):
 
 def test_normals_are_nearer_to_the_input_than_transferred_ones(bumps):
     corners = vertex_normals(bumps.points, bumps.faces)[bumps.faces].astype(np.float64)
-    start = unit(bumps.start(corners))
+    start = unit_vectors(bumps.start(corners))
     found = fit_normals(bumps.layout, corners.reshape(-1, 3), start)
     np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1.0, atol=1e-12)
     assert angle(bumps, corners, found) < 0.8 * angle(bumps, corners, start)
@@ -167,7 +168,7 @@ def test_hard_edges_stay_hard():
     points, faces, ridge = roof()
     fit = fitting(points, faces, seams=ridge, ratio=0.4)
     corners = slope_normals(points, faces)
-    found = fit_normals(fit.layout, corners, unit(fit.start(corners.reshape(-1, 3, 3))))
+    found = fit_normals(fit.layout, corners, unit_vectors(fit.start(corners.reshape(-1, 3, 3))))
     shown = found[fit.layout.corner_row]
     left = fit.result.points[0][fit.result.faces].mean(axis=1)[:, 0] < 0.5
     expected = np.where(left[:, None], [-1.0, 0.0, 1.0], [1.0, 0.0, 1.0]) / np.sqrt(2.0)
@@ -178,7 +179,7 @@ def test_normals_are_split_where_no_seam_says_so_but_the_input_bends():
     points, faces, _ = roof()
     fit = fitting(points, faces, ratio=0.4)
     corners = slope_normals(points, faces)
-    start = unit(fit.start(corners.reshape(-1, 3, 3)))
+    start = unit_vectors(fit.start(corners.reshape(-1, 3, 3)))
     layout, row = split_normals(fit.result.faces, fit.layout, [own_normals(fit.layout, corners, start)])
     assert len(row) > len(np.unique(fit.layout.corner_row))
     found = fit_normals(layout, corners, start[row])
@@ -200,9 +201,8 @@ def test_samples_have_no_partner_where_the_input_faces_away():
     fit = fitting(points, faces, ratio=0.3)
     turned = fit.result.points[0] * np.float32([1, 1, -1]) @ np.diag([1, -1, 1]).astype(np.float32)
     turned[:, 1] += points[:, 1].max()
-    partners = find_partners(
-        points, faces, fit.result, fit.transfer, np.zeros((0, 2), dtype=np.int64), turned, device="cpu"
-    )
+    search = PartnerSearch(faces, fit.result, fit.transfer, np.zeros((0, 2), dtype=np.int64), "cpu")
+    partners = search.find(points, turned)
     assert (partners.face.numpy() == -1).all()
 
 
@@ -215,3 +215,45 @@ def test_bits_do_not_depend_on_the_number_of_threads(threads, monkeypatch):
         monkeypatch.setattr(cpu_threads, "_core_count", lambda count=count: count)
         results.append(fitted(fitting(points, faces), values))
     assert (results[0] == results[1]).all()
+
+
+def test_samples_of_slivers_find_the_face_that_they_lie_on():
+    # A strip of long slivers, whose vertices are all at its ends.
+    ends = np.linspace(0, 1, 41)
+    points = np.concatenate([np.stack([0 * ends + x, ends, 0 * ends], axis=1) for x in (-20.0, 20.0)])
+    points = points.astype(np.float32)
+    low = np.arange(40)
+    faces = np.concatenate([np.stack([low, low + 41, low + 1], 1), np.stack([low + 1, low + 41, low + 42], 1)])
+    fit = fitting(points, faces.astype(np.int32), ratio=0.2)
+    partner, weight = fit.layout.partners.face.numpy(), fit.layout.partners.weight.numpy()
+    assert (partner >= 0).all()
+    found = np.einsum("fsk,fskd->fsd", weight, points[faces[partner]])
+    sample = np.einsum("sk,fkd->fsd", SAMPLES, fit.result.points[0][fit.result.faces])
+    np.testing.assert_allclose(found, sample, atol=1e-3)
+
+
+def test_partners_in_a_pose_are_near_those_of_another():
+    points, faces = terrain()
+    fit = fitting(points, faces)
+    search = PartnerSearch(faces, fit.result, fit.transfer, np.zeros((0, 2), dtype=np.int64), "cpu")
+    again = search.find(points, fit.result.points[0], fit.layout.partners)
+    assert (again.face.numpy() == fit.layout.partners.face.numpy()).all()
+    # Moved as one, each sample stays on its face.
+    moved = search.find(points + np.float32([5, 0, 0]), fit.result.points[0] + np.float32([5, 0, 0]), again)
+    assert (moved.face.numpy() == again.face.numpy()).mean() > 0.99
+
+
+def test_error_of_normals_is_that_of_numpy(hills):
+    rng = np.random.default_rng(7)
+    values = unit_vectors(rng.normal(size=(hills.faces.size, 3)) + np.array([0, 0, 2]))
+    corners = unit_vectors(rng.normal(size=(len(hills.result.faces), 3, 3)) + np.array([0, 0, 2]))
+    partners = hills.layout.partners
+    total = area = 0.0
+    for f, row in enumerate(partners.face.numpy()):
+        for s, g in enumerate(row):
+            if g >= 0:
+                wanted = unit_vectors(partners.weight.numpy()[f, s] @ values[3 * g : 3 * g + 3])
+                shown = unit_vectors(SAMPLES[s] @ corners[f])
+                total += partners.area[f] * ((wanted - shown) ** 2).sum()
+                area += partners.area[f]
+    assert normal_error(hills.layout, values, corners) == pytest.approx(total / area)

@@ -189,6 +189,25 @@ def test_compare_measures_a_result_against_its_input(cloth, tmp_path):
     assert heat.exists()
 
 
+def test_compare_of_meshes_without_faces_is_done(tmp_path):
+    stage = Usd.Stage.CreateNew(str(tmp_path / "in.usda"))
+    UsdGeom.Mesh.Define(stage, "/Empty").CreatePointsAttr([])
+    for create in (UsdGeom.Mesh.CreateFaceVertexCountsAttr, UsdGeom.Mesh.CreateFaceVertexIndicesAttr):
+        create(UsdGeom.Mesh(stage.GetPrimAtPath("/Empty")), [])
+    stage.Save()
+    run("simplify", tmp_path / "in.usda", "-o", tmp_path / "out.usda", "--ratio", 0.5, "--device", "cpu")
+    result = run("compare", tmp_path / "in.usda", tmp_path / "out.usda", "--device", "cpu")
+    assert result.exit_code == 0
+    assert "no faces" in result.output
+
+
+@pytest.mark.parametrize("number", ["1_0", "\u0663"])
+def test_a_number_in_other_than_plain_digits_is_refused(cloth, tmp_path, number):
+    result = run("compare", cloth, cloth, "--samples", number, "--device", "cpu")
+    assert result.exit_code == 2
+    assert f"must be a whole number at least 1, got '{number}'; give" in " ".join(result.output.split())
+
+
 def test_compare_with_a_mesh_missing_gives_exit_code_1(cloth, tmp_path):
     stage = cloth_stage(tmp_path / "two.usda")
     define_cloth(stage, "/Root/Flag")

@@ -8,6 +8,7 @@ import os
 import re
 import subprocess
 import sys
+from importlib.metadata import entry_points
 from pathlib import Path
 
 import numpy as np
@@ -69,6 +70,16 @@ def test_example_has_less_than_50_lines(site):
 
 def test_plug_in_is_listed_after_the_others(site):
     assert cost_model_names() == (*COST_MODELS, "speed")
+
+
+def test_packages_are_looked_through_once(site, monkeypatch):
+    looks = []
+    monkeypatch.setattr(
+        "warpqem.costs.models.entry_points", lambda **group: looks.append(group) or entry_points(**group)
+    )
+    assert cost_model_names() == cost_model_names()
+    assert cost_model("speed").name == "speed"
+    assert len(looks) == 1
 
 
 def test_plug_in_works_in_the_api(site):

@@ -17,8 +17,15 @@ import pytest
 from tests.support.cli import run
 from warpqem.errors import MeshFileError, OptionError
 from warpqem.gltf.blender import BLENDER_VARIABLE, blender_command, run_blender
-from warpqem.gltf.inventory import GltfPart, compare_gltf, frame_rate, gltf_parts, is_animated, read_gltf
-from warpqem.gltf.simplify import is_animated_gltf
+from warpqem.gltf.inventory import (
+    GltfPart,
+    compare_gltf,
+    frame_rate,
+    gltf_parts,
+    is_animated,
+    is_animated_gltf,
+    read_gltf,
+)
 
 FRAME = 1.0 / 24.0
 

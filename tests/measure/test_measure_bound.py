@@ -11,7 +11,10 @@ from warpqem.arguments.distance_limit import DistanceLimit
 from warpqem.frames.stream import NoFrames
 from warpqem.measure import compare
 from warpqem.measure.bound import DistanceBound
+from warpqem.measure.bound_side import BoundSide
 from warpqem.measure.closest_points import ClosestPointSearch
+from warpqem.measure.piece_proof import PieceArrays, PieceProof
+from warpqem.measure.unit_frames import UnitBlock, UnitFrames
 from warpqem.mesh.mesh_input import read_mesh
 from warpqem.pipeline.bound_sink import BoundSink, ExceededError
 
@@ -30,6 +33,16 @@ def sampled_distance(reference, test):
         search = ClosestPointSearch(other[1], "cpu", "other")
         found = max(found, search.closest(other[0].astype(np.float64), samples, 0).distance.max())
     return found
+
+
+def test_of_no_pieces_none_is_unproved(device):
+    points, faces = icosphere(1)
+    frames = UnitFrames(np.zeros((9, 3)), np.ones(9))
+    blocks = [UnitBlock(np.stack([points] * 9), frames, device) for _ in range(2)]
+    sides = [BoundSide(faces, device, None) for _ in range(2)]
+    proof = PieceProof(*sides, *blocks, 0.1, device)
+    rows, bits = proof.unproved(PieceArrays.none(), np.zeros((0, 2), dtype=np.int32))
+    assert len(rows) == len(bits) == 0
 
 
 def test_a_mesh_is_within_any_limit_of_itself(device):

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 import warpqem
+from benchmarks.props import props
 from tests.support.usd_stages import cloth_stage
 from warpqem.arguments.figures import rounded_up
 from warpqem.cli.main import app
@@ -96,7 +97,22 @@ def test_mean_square_over_few_samples_a_frame_is_that_of_many(device):
 
 
 def test_samples_of_all_frames_are_bounded_and_each_frame_has_enough():
-    assert [sample_count(frames) for frames in (1, 48, 5000)] == [20000, 683, 64]
+    assert [sample_count(frames, 100_000) for frames in (1, 48, 5000)] == [20000, 683, 64]
+
+
+def test_samples_of_few_faces_are_fewer_in_few_frames():
+    assert [sample_count(1, faces) for faces in (12, 500, 501, 5000, 5001)] == [2000, 2000, 2004, 20000, 20000]
+    assert [sample_count(frames, 12) for frames in (16, 17, 48)] == [2000, 1928, 683]
+
+
+def test_few_samples_of_small_meshes_say_what_many_say(device):
+    for prop in props(5):
+        small = warpqem.simplify(prop.points, prop.faces, ratio=0.5, device=device)
+        pair = (prop.points, prop.faces, small.points, small.faces)
+        few, many = (compare(*pair, samples=count, device=device) for count in (None, 100_000))
+        assert few.sample_count == 2000
+        assert few.rms == pytest.approx(many.rms, rel=0.03)
+        assert few.mean == pytest.approx(many.mean, rel=0.03)
 
 
 def test_threads_and_blocks_change_no_digit(device, monkeypatch):

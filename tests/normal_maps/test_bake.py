@@ -7,9 +7,10 @@ import pytest
 import warp as wp
 
 from tests.oracles import normal_maps as oracle
+from warpqem.mesh.directions import unit_vectors
 from warpqem.normal_maps.bake import MARGIN, BakeSurface, bake_normals, dilated, overlap_share
 from warpqem.normal_maps.maps import MappedNormals, NormalMap, decoded, encoded
-from warpqem.normal_maps.tangents import corner_tangents, unit_vectors
+from warpqem.normal_maps.tangents import corner_tangents
 
 DEVICE = "cpu"
 FLAT = [128, 128, 255]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from warpqem.mesh.directions import unit_vectors
 from warpqem.normal_maps.posed import posed_normals
-from warpqem.normal_maps.tangents import unit_vectors
 
 
 def patch() -> tuple[np.ndarray, np.ndarray, np.ndarray]:

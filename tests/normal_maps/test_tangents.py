@@ -7,7 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.oracles import normal_maps as oracle
-from warpqem.normal_maps.tangents import corner_tangents, unit_vectors
+from warpqem.mesh.directions import unit_vectors
+from warpqem.normal_maps.tangents import corner_tangents
 
 
 def patch(seed: int, mirrored: bool = False):

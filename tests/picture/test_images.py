@@ -58,6 +58,16 @@ def test_normals_decide_the_shading_and_not_the_silhouette():
     assert found[0].gray.psnr > found[1].gray.psnr + 0.5
     assert found[0].gray.ssim > found[1].gray.ssim
     assert found[0].silhouette == found[1].silhouette
+    assert found[0].shading.psnr > found[1].shading.psnr + 0.5
+
+
+def test_shading_leaves_outlines_out():
+    larger = PosedMesh(1.1 * POINTS, FACES)
+    score = compare(SPHERE, larger)
+    assert score.shading.psnr > score.gray.psnr + 6
+    same = compare(SPHERE, SPHERE).shading
+    assert same.psnr is None
+    assert compare(SPHERE, NOTHING).shading is None
 
 
 def test_colours_change_the_textured_pictures_alone():

@@ -10,6 +10,8 @@ from warpqem.frames.stream import NoFrames
 from warpqem.mesh.mesh_input import read_mesh
 from warpqem.pipeline import place_frames
 from warpqem.pipeline.bound_sink import BoundSink
+from warpqem.pipeline.bounded_frames import SettledFrames
+from warpqem.pipeline.cut_levels import LevelFrames
 
 BAR = meshes.bending_bar(20, 40, frames=6)
 
@@ -24,13 +26,34 @@ def prove(mesh, result, limit, device):
 
 
 def test_a_refit_adds_no_face_and_leaves_vertices_where_it_would_take_them_too_far(device):
-    placed = warpqem.simplify(*BAR, max_error=0.2, refit=False, device=device)
-    fitted = warpqem.simplify(*BAR, max_error=0.2, device=device)
+    # At full coherence a refit softens no cluster.
+    placed = warpqem.simplify(*BAR, max_error=0.2, coherence=1.0, refit=False, device=device)
+    fitted = warpqem.simplify(*BAR, max_error=0.2, coherence=1.0, device=device)
     assert np.array_equal(fitted.faces, placed.faces)
     stays = (fitted.points == placed.points).all(axis=(0, 2))
     assert 0 < stays.sum() < len(stays)
     assert fitted.measured.rms < placed.measured.rms
     prove(BAR, fitted, 0.2, device)
+
+
+def test_vertices_that_a_refit_leaves_are_where_they_were_proved(device, monkeypatch):
+    proved, held = [], []
+    points, is_settled = LevelFrames.points, SettledFrames.is_settled
+
+    def recorded_points(self, level):
+        proved.append(points(self, level))
+        return proved[-1]
+
+    def recorded_held(self):
+        held.append(self.held)
+        return is_settled(self)
+
+    monkeypatch.setattr(LevelFrames, "points", recorded_points)
+    monkeypatch.setattr(SettledFrames, "is_settled", recorded_held)
+    # Here a refit makes all clusters softer.
+    result = warpqem.simplify(*BAR, max_error=0.05, device=device)
+    assert held[-1].any()
+    np.testing.assert_array_equal(result.points[:, held[-1]], proved[-1][:, held[-1]])
 
 
 def test_a_refit_within_a_limit_is_solved_once(device, monkeypatch):

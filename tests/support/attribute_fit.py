@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 import warpqem
-from warpqem.attribute_fit.partners import find_partners
+from warpqem.attribute_fit.partners import PartnerSearch
 from warpqem.attribute_fit.values import ValueLayout
 from warpqem.pipeline.surface_transfer import SurfaceTransfer, surface_transfer
 
@@ -32,6 +32,6 @@ def fitting(points, faces, seams=None, ratio: float = 0.3, device: str = "cpu") 
     ends = np.zeros((0, 2), dtype=np.int64) if seams is None else np.asarray(seams, dtype=np.int64)
     result = warpqem.simplify(points, faces, ratio=ratio, seams=ends, measure=False, device=device)
     transfer = surface_transfer(points, faces, result, seams=ends, device=device)
-    partners = find_partners(points, faces, result, transfer, ends, result.points[0], device=device)
+    partners = PartnerSearch(faces, result, transfer, ends, device).find(points, result.points[0])
     elements = np.arange(faces.size, dtype=np.int32).reshape(-1, 3)
     return Fitting(points, faces, result, transfer, ValueLayout(partners, elements, transfer.corner_wedge))

@@ -37,6 +37,19 @@ def test_equal_meshes_have_no_distance(tmp_path):
     assert pair.comparison.hausdorff == pytest.approx(0, abs=1e-4)
 
 
+def test_meshes_without_faces_have_nothing_to_compare(tmp_path):
+    for name in ("a.usda", "b.usda"):
+        stage = Usd.Stage.CreateNew(str(tmp_path / name))
+        mesh = UsdGeom.Mesh.Define(stage, "/Empty")
+        mesh.CreatePointsAttr([])
+        mesh.CreateFaceVertexCountsAttr([])
+        mesh.CreateFaceVertexIndicesAttr([])
+        stage.Save()
+    [pair] = compare((tmp_path / "a.usda", tmp_path / "b.usda"))
+    assert pair.comparison is None
+    assert pair.message is None
+
+
 def test_lifted_mesh_is_off(tmp_path):
     [pair] = compare(two_files(tmp_path, lift=1.0))
     assert pair.comparison.rms > 1.0

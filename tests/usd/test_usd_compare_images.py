@@ -12,8 +12,10 @@ from pxr import Gf, Usd, UsdGeom, UsdSkel, Vt
 
 from tests.support import meshes
 from tests.support.cli import run
+from tests.support.usd_normal_maps import bake
 from tests.support.usd_rig import FRAMES, TUBE, shaped_rig
 from tests.support.usd_stages import cloth_stage, define_cloth
+from tests.support.usd_textured import sheet_stage
 from warpqem.errors import OptionError, StageError
 from warpqem.mesh.smooth_normals import vertex_normals
 from warpqem.picture.images import IMAGE_VIEWS
@@ -218,3 +220,13 @@ def test_command_line_prints_and_writes_the_score(tmp_path):
     plain = run("compare", tmp_path / "a.usda", tmp_path / "b.usda", "--json", tmp_path / "plain.json")
     assert plain.exit_code == 0
     assert "images" not in json.loads((tmp_path / "plain.json").read_text())
+
+
+def test_normal_maps_are_drawn(tmp_path):
+    sheet_stage(tmp_path / "in.usda")
+    plain, mapped = tmp_path / "plain.usda", tmp_path / "mapped.usda"
+    simplify_stage(tmp_path / "in.usda", plain, SimplifyOptions(ratio=0.05, measure=False, device="cpu"))
+    bake(tmp_path / "in.usda", mapped, ratio=0.05, measure=False)
+    without, with_map = (compare(tmp_path / "in.usda", path, size=96)[0].score for path in (plain, mapped))
+    assert with_map.shading.psnr > without.shading.psnr + 10
+    assert with_map.silhouette == without.silhouette

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
@@ -9,10 +11,13 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 from tests.support import meshes
 from tests.support.usd_stages import FRAMES, cloth_stage, skinned_stage
 from warpqem.mesh.smooth_normals import vertex_normals
-from warpqem.usd import SimplifyOptions, simplify_stage
-from warpqem.usd.write.fitted_values import spread
+from warpqem.usd import FrameRange, SimplifyOptions, simplify_stage
+from warpqem.usd.commands.appearance import stage_looks
+from warpqem.usd.write import attribute_transfer
+from warpqem.usd.write.spread import spread
 
 CLOTH, BODY = "/Root/Cloth", "/Char/Body"
+SCENES = Path(__file__).resolve().parents[2] / "scenes"
 NAMES = Sdf.ValueTypeNames
 
 
@@ -241,3 +246,15 @@ def test_normals_of_a_rest_shape_in_other_units_are_fitted(tmp_path):
     cosine = (corner_normals(mesh) * own).sum(axis=2)
     assert (cosine > 0.5).all()
     assert (cosine < 1 - 1e-6).any()
+
+
+def test_texture_coordinates_fit_all_frames(tmp_path, monkeypatch):
+    scene, frames = SCENES / "cape_wind.usdc", FrameRange(1, 17)
+    found = []
+    for count in (8, 1):
+        monkeypatch.setattr(attribute_transfer, "MAX_FRAMES", count)
+        options = SimplifyOptions(ratio=0.1, frames=frames, measure=False, device="cpu")
+        simplify_stage(scene, tmp_path / f"{count}.usdc", options)
+        stages = (Usd.Stage.Open(str(path)) for path in (scene, tmp_path / f"{count}.usdc"))
+        found.append(stage_looks(*stages, "/Cape/Mesh", frames, "cpu").uvs["st"].error)
+    assert found[0] < 0.9 * found[1]

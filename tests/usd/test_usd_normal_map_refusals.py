@@ -113,10 +113,11 @@ def test_mesh_whose_topology_varies_says_so(tmp_path):
     assert [line.partition(": ")[2] for line in lines] == ["no normal map: its topology varies over time"]
 
 
-def test_mesh_that_is_kept_has_no_map(tmp_path):
+def test_mesh_that_is_kept_has_no_map_and_says_so(tmp_path):
     sheet_stage(tmp_path / "in.usda")
     report = bake(tmp_path / "in.usda", tmp_path / "out.usda", ratio=1.0)
-    assert (report.prims[0].status, report.prims[0].problems, report.prims[0].notes) == ("kept", [], [])
+    assert (report.prims[0].status, report.prims[0].problems) == ("kept", [])
+    assert report.prims[0].notes == ["/Root/Sheet: no normal map, as the mesh keeps its faces and its own shading"]
     assert not (tmp_path / "out_textures").exists()
 
 

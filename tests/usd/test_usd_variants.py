@@ -6,7 +6,7 @@ import importlib.util
 import json
 
 import pytest
-from pxr import Sdf, Usd, UsdGeom
+from pxr import Sdf, Usd, UsdGeom, UsdShade
 from typer.testing import CliRunner
 
 from tests.support.usd_stages import cloth_stage
@@ -15,6 +15,7 @@ from warpqem.errors import OptionError
 from warpqem.usd import CompareOptions, SimplifyOptions, compare_stages, inspect_stage, simplify_stage
 from warpqem.usd.commands.render import RenderOptions, render_sheet
 from warpqem.usd.commands.report_page import stage_report
+from warpqem.usd.read.inspect import inspect_with_problems
 from warpqem.usd.read.variants import VariantChoice, select_variants
 
 CLOTH = "/Root/Cloth"
@@ -91,6 +92,23 @@ def test_set_within_a_variant_can_be_chosen_after_it(tmp_path):
 def test_unknown_variant_is_named_with_those_there_are(folder):
     with pytest.raises(OptionError, match="has the variants LOD0, LOD1, LOD2"):
         inspect_stage(folder / "lods.usda", variants=["LOD=LOD3"])
+
+
+def test_missing_files_are_those_of_the_variant_looked_at(tmp_path):
+    stage = Usd.Stage.CreateNew(str(tmp_path / "in.usda"))
+    prim = stage.DefinePrim("/Root", "Xform")
+    variants = prim.GetVariantSets().AddVariantSet("look")
+    for variant in ("plain", "painted"):
+        variants.AddVariant(variant)
+        variants.SetVariantSelection(variant)
+        with variants.GetVariantEditContext():
+            shader = UsdShade.Shader.Define(stage, "/Root/Shader")
+            shader.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(f"{variant}.png")
+    stage.Save()
+    for variant in ("plain", "painted"):
+        _, problems = inspect_with_problems(tmp_path / "in.usda", variants=[f"look={variant}"])
+        assert len(problems) == 1
+        assert f"{variant}.png" in problems[0]
 
 
 @pytest.mark.parametrize(("level", "count"), [("LOD0", 128), ("LOD1", 64), ("LOD2", 32)])

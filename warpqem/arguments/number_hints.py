@@ -72,7 +72,7 @@ def _parts(value: Any, whole: bool) -> tuple[float | None, str]:
     fraction = re.fullmatch(r"(\d{1,9})\s*/\s*(\d{1,9})", text)
     if fraction and int(fraction[2]):
         return int(fraction[1]) / int(fraction[2]), ""
-    found = re.fullmatch(r"(-?[\d.,]{1,20}(?:[eE][-+]?\d{1,2})?)\s*([^\W\d_]*|[%°])", text)
+    found = re.fullmatch(r"(-?[\d.,_]{1,20}(?:[eE][-+]?\d{1,2})?)\s*([^\W\d_]*|[%°])", text)
     if not found:
         return None, ""
     digits = found[1]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,10 +15,10 @@ from warpqem.kernels import attribute_fit as kernels
 from warpqem.pipeline.result import SimplifiedMesh
 from warpqem.pipeline.surface_transfer import SurfaceTransfer
 from warpqem.refit.matching import OUTPUT_SAMPLES, make_surface
-from warpqem.runtime.device import on_device
+from warpqem.runtime.device import device_turn
 from warpqem.runtime.part_launches import FIRST_ITEM, launch_in_parts
 
-__all__ = ["SAMPLES", "Partners", "find_partners"]
+__all__ = ["SAMPLES", "PartnerSearch", "Partners"]
 
 Floats = npt.NDArray[np.float64]
 
@@ -41,63 +42,99 @@ class Partners:
     area: Floats
     device: str
 
+    @property
+    def samples(self) -> Floats:
+        """Weights (S, 3) of the corners of the output at the samples: those of :data:`SAMPLES` in each pose."""
+        return np.tile(SAMPLES, (self.face.shape[1] // len(SAMPLES), 1))
 
-@on_device
-def find_partners(
-    points: npt.NDArray[np.floating],
-    faces: npt.NDArray[np.int32],
-    result: SimplifiedMesh,
-    transfer: SurfaceTransfer,
-    seams: npt.NDArray[np.int64],
-    placed: npt.NDArray[np.floating],
-    *,
-    device: str,
-) -> Partners:
-    """Find them in one pose, downhill from where the corners of the output get their values.
+    @classmethod
+    def over_poses(cls, poses: Sequence[Partners]) -> Partners:
+        """Partners in several poses as more samples of each face; areas are those of the first."""
+        first = poses[0]
+        if len(poses) == 1:
+            return first
+        face = np.concatenate([one.face.numpy() for one in poses], axis=1)
+        weight = np.concatenate([one.weight.numpy() for one in poses], axis=1)
+        with device_turn(first.device):
+            on_device = (
+                wp.array(face, dtype=wp.int32, device=first.device),
+                wp.array(weight, dtype=wp.vec3, device=first.device),
+            )
+        return cls(*on_device, first.area, first.device)
+
+
+class PartnerSearch:
+    """Finds partners in poses of both meshes.
 
     Args:
-        points: (V, 3), the input's pose.
-        faces: (N, 3) int32, its faces.
+        faces: (N, 3) int32, those of the input.
         result: the simplified mesh.
         transfer: where its corners get their values from.
         seams: (S, 2) int64, the seams of that.
-        placed: (V', 3), the output in that pose.
         device: Warp device.
     """
-    pose, placed = points.astype(np.float64), placed.astype(np.float64)
-    # About the pose's middle, and parts of its size, so that single precision does.
-    low, high = pose.min(axis=0), pose.max(axis=0)
-    middle, size = (low + high) / 2, float(np.linalg.norm(high - low)) or 1.0
-    pose, placed = (pose - middle) / size, (placed - middle) / size
-    cut = cut_surface(faces, seams, None if result.repair is None else result.repair.sheets)
-    used = cut.face
-    corner_vertex = wp.array(cut.corner[used].ravel(), dtype=wp.int32, device=device)
-    surface = make_surface(
-        wp.array(pose[cut.vertex][None], dtype=wp.vec3, device=device),
-        corner_vertex,
-        build_adjacency(corner_vertex, len(cut.vertex)),
-    )
-    # The heaviest corner of the face that each corner of the output lies on.
-    nearest = np.take_along_axis(cut.corner[transfer.wedge_face], transfer.wedge_weight.argmax(axis=1)[:, None], axis=1)
-    shape = (len(result.faces), len(SAMPLES))
-    partner = wp.empty(shape, dtype=wp.int32, device=device)
-    weight = wp.zeros(shape, dtype=wp.vec3, device=device)
-    launch_in_parts(
-        kernels.find_partners,
-        shape,
-        [
-            FIRST_ITEM,
-            surface,
-            wp.array(nearest[:, 0][transfer.corner_wedge].ravel(), dtype=wp.int32, device=device),
-            wp.array(result.faces.ravel(), dtype=wp.int32, device=device),
-            wp.array(placed, dtype=wp.vec3, device=device),
-            wp.array(SAMPLES, dtype=wp.vec3, device=device),
-        ],
-        [partner, weight],
-        device=device,
-    )
-    found = partner.numpy()
-    partner.assign(np.where(found >= 0, used[found], -1).astype(np.int32))
-    corner = placed[result.faces]
-    area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
-    return Partners(partner, weight, area / (area.max(initial=0.0) or 1.0), device)
+
+    def __init__(
+        self,
+        faces: npt.NDArray[np.int32],
+        result: SimplifiedMesh,
+        transfer: SurfaceTransfer,
+        seams: npt.NDArray[np.int64],
+        device: str,
+    ) -> None:
+        self._device, self._faces = device, result.faces
+        cut = cut_surface(faces, seams, None if result.repair is None else result.repair.sheets)
+        self._used, self._vertex = cut.face, cut.vertex
+        # Faces of the cut surface by those of the input; each corner starts on one.
+        self._place = np.full(len(faces) + 1, -1, dtype=np.int32)
+        self._place[self._used] = np.arange(len(self._used), dtype=np.int32)
+        start = self._place[transfer.wedge_face][transfer.corner_wedge]
+        with device_turn(device):
+            corner_vertex = wp.array(cut.corner[self._used].ravel(), dtype=wp.int32, device=device)
+            unknown = wp.zeros((1, len(self._vertex)), dtype=wp.vec3, device=device)
+            self._surface = make_surface(unknown, corner_vertex, build_adjacency(corner_vertex, len(self._vertex)))
+            self._start = wp.array(start.ravel(), dtype=wp.int32, device=device)
+            self._corner_vertex = wp.array(result.faces.ravel(), dtype=wp.int32, device=device)
+            self._samples = wp.array(SAMPLES, dtype=wp.vec3, device=device)
+
+    def find(
+        self, points: npt.NDArray[np.floating], placed: npt.NDArray[np.floating], near: Partners | None = None
+    ) -> Partners:
+        """Find them in one pose, downhill from where the corners of the output get their values.
+
+        Args:
+            points: (V, 3), the input's pose.
+            placed: (V', 3), the output in that pose.
+            near: partners in another pose, which the search starts from.
+        """
+        device, shape = self._device, (len(self._faces), len(SAMPLES))
+        pose, placed = points.astype(np.float64), placed.astype(np.float64)
+        # About the pose's middle, and parts of its size, so that single precision does.
+        low, high = pose.min(axis=0), pose.max(axis=0)
+        middle, size = (low + high) / 2, float(np.linalg.norm(high - low)) or 1.0
+        pose, placed = (pose - middle) / size, (placed - middle) / size
+        known = np.full(shape, -1, dtype=np.int32) if near is None else self._place[near.face.numpy()]
+        with device_turn(device):
+            self._surface.points = wp.array(pose[self._vertex][None], dtype=wp.vec3, device=device)
+            partner = wp.empty(shape, dtype=wp.int32, device=device)
+            weight = wp.zeros(shape, dtype=wp.vec3, device=device)
+            launch_in_parts(
+                kernels.find_partners,
+                shape,
+                [
+                    FIRST_ITEM,
+                    self._surface,
+                    self._start,
+                    wp.array(known, dtype=wp.int32, device=device),
+                    self._corner_vertex,
+                    wp.array(placed, dtype=wp.vec3, device=device),
+                    self._samples,
+                ],
+                [partner, weight],
+                device=device,
+            )
+            found = partner.numpy()
+            partner.assign(np.where(found >= 0, self._used[found], -1).astype(np.int32))
+        corner = placed[self._faces]
+        area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
+        return Partners(partner, weight, area / (area.max(initial=0.0) or 1.0), device)

@@ -54,7 +54,7 @@ def misfits(
                 FIRST_ITEM,
                 partners.face,
                 partners.weight,
-                wp.array(SAMPLES, dtype=wp.vec3, device=partners.device),
+                wp.array(partners.samples, dtype=wp.vec3, device=partners.device),
                 wp.array(corner_element.ravel(), dtype=wp.int32, device=partners.device),
                 wp.array(values, dtype=wp.float64, device=partners.device),
                 wp.array(corner_start.ravel(), dtype=wp.int32, device=partners.device),

@@ -11,8 +11,9 @@ import numpy.typing as npt
 from warpqem.attribute_fit.normal_groups import split_corners
 from warpqem.attribute_fit.partners import Partners
 from warpqem.attribute_fit.solve import corner_fits, fit_values, misfits
+from warpqem.mesh.directions import unit_vectors
 
-__all__ = ["ValueLayout", "fit_normals", "fit_smooth_values", "own_normals", "split_normals", "unit"]
+__all__ = ["ValueLayout", "fit_normals", "fit_smooth_values", "normal_error", "own_normals", "split_normals"]
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int32]
@@ -56,8 +57,8 @@ def fit_smooth_values(
 
 def own_normals(layout: ValueLayout, values: Floats, start: Floats) -> Floats:
     """Unit normals (N', 3, 3) at the corners of each face that fit its own samples best; arguments of `fit_normals`."""
-    misfit = misfits(layout.partners, layout.corner_element, unit(values), layout.corner_row, start)
-    return unit(start[layout.corner_row] + corner_fits(misfit))
+    misfit = misfits(layout.partners, layout.corner_element, unit_vectors(values), layout.corner_row, start)
+    return unit_vectors(start[layout.corner_row] + corner_fits(misfit))
 
 
 def split_normals(faces: Ints, layout: ValueLayout, own: Iterable[Floats]) -> tuple[ValueLayout, Ints]:
@@ -85,15 +86,24 @@ def fit_normals(layout: ValueLayout, values: Floats, start: Floats) -> Floats:
         values: (E, 3) float64, of the input, of any length.
         start: (R, 3) float64, unit vectors, which stay where nothing is known of the input.
     """
-    misfit = misfits(layout.partners, layout.corner_element, unit(values), layout.corner_row, start)
+    misfit = misfits(layout.partners, layout.corner_element, unit_vectors(values), layout.corner_row, start)
     fitted = start + fit_values(layout.partners, misfit, layout.corner_row, np.ones(len(start), dtype=bool))
     length = np.linalg.norm(fitted, axis=1, keepdims=True)
     return np.where(length > SHORTEST, fitted / np.maximum(length, SHORTEST), start)
 
 
-def unit(vectors: npt.NDArray[np.floating]) -> Floats:
-    """Vectors (..., 3) of length one in double precision; those without a finite length become zero."""
-    given = vectors.astype(np.float64)
-    with np.errstate(over="ignore"):
-        length = np.linalg.norm(given, axis=-1, keepdims=True)
-    return np.divide(given, length, out=np.zeros_like(given), where=(length > 0) & np.isfinite(length))
+def normal_error(layout: ValueLayout, values: Floats, corners: Floats) -> float:
+    """Mean squared difference of the unit normals at the samples, by area; 0 where no sample has a partner.
+
+    Args:
+        layout: where the input's normals stand.
+        values: (E, 3) float64, of the input, of length one.
+        corners: (N', 3, 3), at the corners of the output.
+    """
+    face, weight = layout.partners.face.numpy(), layout.partners.weight.numpy()
+    known = face >= 0
+    wanted = unit_vectors(np.einsum("nk,nkc->nc", weight[known], values[layout.corner_element[face[known]]]))
+    shown = unit_vectors(np.einsum("sk,fkd->fsd", layout.partners.samples, corners))[known]
+    area = np.broadcast_to(layout.partners.area[:, None], face.shape)[known]
+    total = float(area.sum())
+    return float((area * ((wanted - shown) ** 2).sum(axis=1)).sum()) / total if total > 0 else 0.0

@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from warpqem.arguments.limits import ABOVE_0, COUNT, Limits
-from warpqem.cli.console import EXIT_FAILED, EXIT_INTERRUPTED, load_usd, print_message, quiet_libraries
+from warpqem.cli.console import EXIT_FAILED, EXIT_INTERRUPTED, print_message
 from warpqem.cli.crash_guard import interruptible
+from warpqem.cli.loading import loading
 from warpqem.cli.logs import LogJson, start_logging, takes_verbosity
 from warpqem.cli.number_parameters import number, whole
 from warpqem.cli.option_parameters import takes_options
@@ -193,16 +194,15 @@ def batch(
 
     Exit codes: 0 all done; 1 an error, or some asset or mesh failed; 2 wrong usage; 130 interrupted.
     """
-    quiet_libraries()
-    load_usd()
-    from warpqem.batching.jobs import check_jobs
-    from warpqem.batching.journal import JOURNAL_NAME
-    from warpqem.batching.output_check import check_batch_outputs
-    from warpqem.batching.run_batch import batch as run_batch
-    from warpqem.cli.batch_display import BatchDisplay, summary_table
-    from warpqem.cli.batch_messages import print_written
-    from warpqem.files.outputs import InputFile, named_outputs
-    from warpqem.report.page import check_page_path
+    with loading():
+        from warpqem.batching.jobs import check_jobs
+        from warpqem.batching.journal import JOURNAL_NAME
+        from warpqem.batching.output_check import check_batch_outputs
+        from warpqem.batching.run_batch import batch as run_batch
+        from warpqem.cli.batch_display import BatchDisplay, summary_table
+        from warpqem.cli.batch_messages import print_written
+        from warpqem.files.outputs import InputFile, named_outputs
+        from warpqem.report.page import check_page_path
 
     if report is not None:
         check_page_path(report)

@@ -24,7 +24,7 @@ from warpqem.cli.tables import PlainTable
 from warpqem.costs.screen_error import ScreenView
 from warpqem.files.file_kinds import kind_of
 from warpqem.printable import printable
-from warpqem.usd.commands.simplify_options import GOALS
+from warpqem.usd.commands.option_conflicts import GOALS
 
 __all__ = ["BatchDisplay", "dry_run_table", "summary_table"]
 

@@ -8,8 +8,9 @@ import typer
 
 from warpqem.arguments.limits import ABOVE_0, COUNT
 from warpqem.cli.appearance_table import appearance_table
-from warpqem.cli.console import EXIT_FAILED, load_usd, print_message, quiet_libraries, write_json
+from warpqem.cli.console import EXIT_FAILED, print_message, write_json
 from warpqem.cli.image_table import image_table
+from warpqem.cli.loading import loading
 from warpqem.cli.logs import takes_verbosity
 from warpqem.cli.number_parameters import number, whole
 from warpqem.cli.parameters import Device, Frames, JsonReport, Prims, ReportPage, Variants
@@ -109,11 +110,10 @@ def compare(
     Exit codes: 0 all done; 1 an error, or some pair failed; 2 wrong usage; 130 interrupted.
     """
     with progress_bar("loading") as progress:
-        quiet_libraries()
-        load_usd()
-        from warpqem.files.outputs import named_outputs
-        from warpqem.usd import CompareOptions, FrameRange, compare_stages
-        from warpqem.usd.commands.compare_images import check_sheet_path, compare_stage_images
+        with loading():
+            from warpqem.files.outputs import named_outputs
+            from warpqem.usd import CompareOptions, FrameRange, compare_stages
+            from warpqem.usd.commands.compare_images import check_sheet_path, compare_stage_images
 
         if report is not None:
             from warpqem.report.page import check_page_path
@@ -187,7 +187,7 @@ def _table(reference: str, test: str, pairs: list[PairReport]) -> PlainTable:
         measures = pair.comparison
         cells = [pair.level or "", pair.path] if levels else [pair.path]
         if measures is None:
-            table.add_row(*cells, "failed")
+            table.add_row(*cells, "no faces" if pair.message is None else "failed")
             continue
         distances = (error_text(measures.rms), error_text(measures.mean), upper_text(measures.hausdorff))
         values = (
@@ -211,9 +211,9 @@ def _table(reference: str, test: str, pairs: list[PairReport]) -> PlainTable:
 
 
 def _badness(pair: PairReport) -> tuple[int, tuple[int, float]]:
-    """What pairs are sorted by: those that failed first, then the worst."""
+    """What pairs are sorted by: those that failed first, then the worst, and at last those without faces."""
     from warpqem.measure.verdict import rank
 
     if pair.comparison is None:
-        return 0, (0, 0.0)
+        return 2 if pair.message is None else 0, (0, 0.0)
     return 1, rank(pair.comparison.verdict.word, pair.comparison.hausdorff)

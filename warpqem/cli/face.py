@@ -7,9 +7,10 @@ from typing import Annotated, Any
 import typer
 
 from warpqem.arguments.limits import Limits
-from warpqem.cli.console import load_usd, quiet_libraries, write_json
+from warpqem.cli.console import write_json
 from warpqem.cli.examples import epilog
 from warpqem.cli.help_option import Command, Group
+from warpqem.cli.loading import loading
 from warpqem.cli.logs import takes_verbosity
 from warpqem.cli.number_parameters import number, whole
 from warpqem.cli.option_parameters import takes_options
@@ -83,11 +84,10 @@ def detect(
 
     Exit codes: 0 done; 1 an error; 2 wrong usage; 130 interrupted.
     """
-    quiet_libraries()
-    load_usd()
-    from warpqem.files.outputs import named_outputs
-    from warpqem.usd import FrameRange
-    from warpqem.usd.commands.face import FaceOptions, check_face_outputs, draw_face, read_face, write_points
+    with loading():
+        from warpqem.files.outputs import named_outputs
+        from warpqem.usd import FrameRange
+        from warpqem.usd.commands.face import FaceOptions, check_face_outputs, draw_face, read_face, write_points
 
     frame_range = FrameRange.parse(frames) if frames else None
     found = read_face(input_file, FaceOptions(prim, frame_range, find_orientation, points))
@@ -200,11 +200,10 @@ def retarget(
 
     Exit codes: 0 done; 1 an error; 2 wrong usage; 130 interrupted.
     """
-    quiet_libraries()
-    load_usd()
-    from warpqem.files.outputs import named_outputs
-    from warpqem.usd import FrameRange
-    from warpqem.usd.commands.face import FaceOptions, read_face, retarget_file
+    with loading():
+        from warpqem.files.outputs import named_outputs
+        from warpqem.usd import FrameRange
+        from warpqem.usd.commands.face import FaceOptions, read_face, retarget_file
 
     frame_range = FrameRange.parse(frames) if frames else None
     source = read_face(source_file, FaceOptions(source_prim, frame_range, points=source_points))

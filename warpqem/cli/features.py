@@ -7,7 +7,8 @@ from typing import Any
 
 import typer
 
-from warpqem.cli.console import EXIT_FAILED, load_usd, print_message, quiet_libraries, write_json
+from warpqem.cli.console import EXIT_FAILED, print_message, write_json
+from warpqem.cli.loading import loading
 from warpqem.cli.logs import takes_verbosity
 from warpqem.cli.option_parameters import takes_options
 from warpqem.cli.parameters import Input, JsonReport, Output
@@ -39,11 +40,10 @@ def features(
     Exit codes: 0 all done; 1 an error, or some mesh failed; 2 wrong usage; 130 interrupted.
     """
     with progress_bar("loading") as progress:
-        quiet_libraries()
-        load_usd()
-        from warpqem.files.outputs import named_outputs
-        from warpqem.usd import color_features
-        from warpqem.usd.commands.option_values import read_options
+        with loading():
+            from warpqem.files.outputs import named_outputs
+            from warpqem.usd import color_features
+            from warpqem.usd.commands.option_values import read_options
 
         # Nothing is simplified.
         asked = read_options({**options, "ratio": 1.0})

@@ -29,13 +29,14 @@ def image_table(reports: list[ImageReport]) -> PlainTable:
             continue
         overlap = "none" if score.silhouette is None else f"{score.silhouette:.4f}"
         table.add_row(*name, "gray", *_cells(score.gray, "nothing is seen"), overlap)
+        table.add_row(*name, "shading", *_cells(score.shading, "none"), "")
         table.add_row(*name, "textured", *_cells(score.textured, "none"), end_section=levels)
     scores = [report.score for report in reports if report.score is not None]
     if scores:
         one = scores[0]
         table.add_note(
             f"{one.frame_count} x {one.view_count} pictures of {one.size} x {one.size} pixels; over the pixels that "
-            "either file covers"
+            "either file covers, of shading those that both do"
         )
     return table
 

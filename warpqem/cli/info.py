@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from warpqem.cli.console import load_usd, print_message, quiet_libraries, write_json
+from warpqem.cli.console import print_message, write_json
+from warpqem.cli.loading import loading
 from warpqem.cli.logs import takes_verbosity
 from warpqem.cli.parameters import Input, JsonReport, Variants
 from warpqem.cli.tables import PlainTable, print_table
@@ -35,10 +36,9 @@ def info(input_file: Input, variant: Variants = None, json: JsonReport = None) -
 
     Exit codes: 0 done, whatever the meshes are like; 1 the file cannot be read; 2 wrong usage; 130 interrupted.
     """
-    quiet_libraries()
-    load_usd()
-    from warpqem.files.outputs import named_outputs
-    from warpqem.usd.read.inspect import inspect_with_problems
+    with loading():
+        from warpqem.files.outputs import named_outputs
+        from warpqem.usd.read.inspect import inspect_with_problems
 
     meshes, problems = inspect_with_problems(input_file, named_outputs({"--json": json}), variant or ())
     print_table(_table(input_file, meshes), to_stderr=json == "-")

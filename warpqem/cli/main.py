@@ -37,6 +37,9 @@ def run() -> None:
 
 def _work() -> None:
     from warpqem.cli.app import app
+    from warpqem.cli.loading import own_process
+
+    own_process()
 
     app(prog_name="warpqem")
 

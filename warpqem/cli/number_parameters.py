@@ -10,6 +10,7 @@ import typer
 
 from warpqem.arguments.limits import Limits
 from warpqem.arguments.number_hints import number_hint
+from warpqem.arguments.number_text import parse_number, parse_whole
 
 __all__ = ["number", "usage_text", "whole"]
 
@@ -43,7 +44,10 @@ def usage_text(message: str) -> str:
 def _read(value: Any, limits: Limits, unit: str | None, is_whole: bool) -> float:
     try:
         # Whole numbers not by way of a float, which rounds large ones.
-        found = int(value) if is_whole else float(value)
+        if isinstance(value, str):
+            found = parse_whole(value) if is_whole else parse_number(value)
+        else:
+            found = int(value) if is_whole else float(value)
     except (ValueError, OverflowError):
         found = None
     if found is None or found not in limits:

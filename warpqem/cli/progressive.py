@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from warpqem.cli.console import load_usd, quiet_libraries, write_json
+from warpqem.cli.console import write_json
 from warpqem.cli.examples import epilog
 from warpqem.cli.help_option import Command, Group
+from warpqem.cli.loading import loading
 from warpqem.cli.logs import takes_verbosity
 from warpqem.cli.option_parameters import takes_options
 from warpqem.cli.parameters import Input, JsonReport, MeshMemory, Output
@@ -56,10 +57,9 @@ def build(
     Exit codes: 0 done; 1 an error; 2 wrong usage; 130 interrupted.
     """
     with progress_bar("loading") as progress:
-        quiet_libraries()
-        load_usd()
-        from warpqem.files.outputs import named_outputs
-        from warpqem.usd.commands.progressive import build_file
+        with loading():
+            from warpqem.files.outputs import named_outputs
+            from warpqem.usd.commands.progressive import build_file
 
         asked = read_options(options, BuildOptions)
         progress(0.0, "reading")
@@ -84,10 +84,9 @@ def extract(
 
     Exit codes: 0 done; 1 an error; 2 wrong usage; 130 interrupted.
     """
-    quiet_libraries()
-    load_usd()
-    from warpqem.files.outputs import named_outputs
-    from warpqem.usd.commands.progressive import extract_level
+    with loading():
+        from warpqem.files.outputs import named_outputs
+        from warpqem.usd.commands.progressive import extract_level
 
     choice = read_options(options, LevelChoice)
     level = extract_level(file, output, choice, memory, named_outputs({"--json": json}))
@@ -117,10 +116,10 @@ def info(file: MeshFile, json: JsonReport = None) -> None:
 
     Exit codes: 0 done; 1 the file cannot be read; 2 wrong usage; 130 interrupted.
     """
-    quiet_libraries()
-    from warpqem.errors import StageError
-    from warpqem.files.outputs import InputFile, check_outputs, named_outputs
-    from warpqem.progressive import read_info
+    with loading(usd=False):
+        from warpqem.errors import StageError
+        from warpqem.files.outputs import InputFile, check_outputs, named_outputs
+        from warpqem.progressive import read_info
 
     check_outputs(named_outputs({"--json": json}), [InputFile(file)])
     try:

@@ -8,7 +8,8 @@ from typing import Annotated
 import typer
 
 from warpqem.arguments.limits import ANY, COUNT
-from warpqem.cli.console import load_usd, print_message, quiet_libraries
+from warpqem.cli.console import print_message
+from warpqem.cli.loading import loading
 from warpqem.cli.logs import takes_verbosity
 from warpqem.cli.number_parameters import number, whole
 from warpqem.cli.parameters import Device, Frames, Input, Prims, Variants
@@ -62,10 +63,9 @@ def render(
     Exit codes: 0 done; 1 an error; 2 wrong usage; 130 interrupted.
     """
     with progress_bar("loading") as progress:
-        quiet_libraries()
-        load_usd()
-        from warpqem.usd import FrameRange
-        from warpqem.usd.commands.render import RenderOptions, render_sheet
+        with loading():
+            from warpqem.usd import FrameRange
+            from warpqem.usd.commands.render import RenderOptions, render_sheet
 
         options = RenderOptions(
             pictures=pictures,
@@ -89,6 +89,6 @@ def render(
 
 def _parse_size(text: str) -> tuple[int, int]:
     parts = text.lower().split("x")
-    if len(parts) != 2 or not all(part.isdecimal() for part in parts):
+    if len(parts) != 2 or not all(part.isascii() and part.isdecimal() for part in parts):
         raise OptionError(f"size '{text}': expected WIDTHxHEIGHT in pixels, such as 480x360")
     return int(parts[0]), int(parts[1])

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from warpqem.arguments.limits import ABOVE_0
-from warpqem.cli.console import EXIT_FAILED, load_usd, print_message, quiet_libraries, write_json
+from warpqem.cli.console import EXIT_FAILED, print_message, write_json
+from warpqem.cli.loading import loading
 from warpqem.cli.logs import takes_verbosity
 from warpqem.cli.message_groups import file_size
 from warpqem.cli.number_parameters import number
@@ -104,19 +105,16 @@ def _simplified(
     progress: Callable[[float, str], None],
 ) -> StageReport:
     """Simplify a file of any kind, and write the page of its report."""
-    quiet_libraries()
-    load_usd()
-    from warpqem.errors import OptionError
-    from warpqem.files.outputs import named_outputs
-    from warpqem.gltf.simplify import is_animated_gltf, simplify_gltf
-    from warpqem.mesh_files.file_names import is_mesh_name
-    from warpqem.pipeline.memory_plan import parse_bytes
-    from warpqem.report.page import check_page_path
-    from warpqem.runtime.process_memory import limited_memory
-    from warpqem.usd import simplify_stage
-    from warpqem.usd.commands.option_values import read_options
-    from warpqem.usd.commands.report_page import write_simplify_report
-    from warpqem.usd.commands.simplify_meshes import DEFAULT_FPS, simplify_mesh_files
+    with loading():
+        from warpqem.errors import OptionError
+        from warpqem.files.outputs import named_outputs
+        from warpqem.gltf.inventory import is_animated_gltf
+        from warpqem.mesh_files.file_names import is_mesh_name
+        from warpqem.pipeline.memory_plan import parse_bytes
+        from warpqem.report.page import check_page_path
+        from warpqem.runtime.process_memory import limited_memory
+        from warpqem.usd import simplify_stage
+        from warpqem.usd.commands.option_values import read_options
 
     asked = read_options(options)
     if page is not None:
@@ -124,6 +122,8 @@ def _simplified(
 
     def write_page(report: StageReport) -> None:
         if page is not None and report.output is not None:
+            from warpqem.usd.commands.report_page import write_simplify_report
+
             write_simplify_report(page, report, asked, progress)
 
     progress(0.0, "reading")
@@ -133,8 +133,12 @@ def _simplified(
         if is_animated_gltf(input_file):
             if fps is not None:
                 raise OptionError("--fps is for mesh files; an animated glTF file has times of its own")
+            from warpqem.gltf.simplify import simplify_gltf
+
             return simplify_gltf(input_file, output, asked, before_end=write_page, **shared)
         if is_mesh_name(input_file):
+            from warpqem.usd.commands.simplify_meshes import DEFAULT_FPS, simplify_mesh_files
+
             rate = DEFAULT_FPS if fps is None else fps
             return simplify_mesh_files(input_file, output, asked, fps=rate, before_end=write_page, **shared)
         if fps is not None:

@@ -11,8 +11,9 @@ import typer
 
 from warpqem.arguments.limits import Limits
 from warpqem.cli import messages
-from warpqem.cli.console import load_usd, print_message, quiet_libraries
+from warpqem.cli.console import print_message
 from warpqem.cli.crash_guard import interruptible
+from warpqem.cli.loading import loading
 from warpqem.cli.logs import takes_verbosity
 from warpqem.cli.number_parameters import whole
 from warpqem.cli.parameters import Device, Frames, MeshMemory, Prims, Variants
@@ -56,9 +57,9 @@ def view(
 
     Exit codes: 0 interrupted while it serves; 1 an error; 2 wrong usage; 130 interrupted before.
     """
-    quiet_libraries()
-    from warpqem.report.page import report_page
-    from warpqem.report.server import PageServer
+    with loading(usd=False):
+        from warpqem.report.page import report_page
+        from warpqem.report.server import PageServer
 
     progressive = input_file.lower().endswith(".wpqm")
     if progressive and other is not None:
@@ -114,10 +115,10 @@ def _stage_data(
     variant: list[str] | None,
     device: str | None,
 ) -> dict[str, Any]:
-    load_usd()
-    from warpqem.report import report_data
-    from warpqem.usd import FrameRange
-    from warpqem.usd.commands.report_page import stage_report
+    with loading():
+        from warpqem.report import report_data
+        from warpqem.usd import FrameRange
+        from warpqem.usd.commands.report_page import stage_report
 
     with progress_bar("reading") as progress:
         chosen = FrameRange.parse(frames) if frames else None

@@ -14,6 +14,8 @@ model, its object a :class:`CostModelSpec`. A name from the table stays what it 
 
 from __future__ import annotations
 
+import functools
+import sys
 from dataclasses import dataclass, replace
 from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, Protocol
@@ -134,4 +136,10 @@ def cost_model(metric: Metric) -> CostModelSpec:
 
 
 def _plug_ins() -> dict[str, EntryPoint]:
+    return _plug_ins_on(tuple(sys.path))
+
+
+# Commands ask for the names several times while they start, and each look goes through all installed packages.
+@functools.lru_cache(maxsize=1)
+def _plug_ins_on(_path: tuple[str, ...]) -> dict[str, EntryPoint]:
     return {point.name: point for point in entry_points(group=ENTRY_POINTS) if point.name not in COST_MODELS}

@@ -112,11 +112,8 @@ class OrderedLevels:
         last = last_collapses(self.log, cut.kept, len(self._vertex_of_row))
         # What is there already need not be shown; input vertices need no state.
         changed = np.flatnonzero((last != self._shown) & (last >= 0))
-        of_pass = np.searchsorted(self._pass_start, last[changed], side="right") - 1
-        for index in np.unique(of_pass).tolist():
-            nodes, wanted = self._passes[index], np.zeros(len(self._vertex_of_row), dtype=bool)
-            wanted[changed[of_pass == index]] = True
-            self._show(nodes, wanted[self._vertex_of_row[nodes.row]])
+        if len(changed):
+            self._show_collapses(np.sort(last[changed]))
         self._shown[changed] = last[changed]
         log = self.log.chosen(cut.kept)
         drops = self._ordered.drops
@@ -170,6 +167,16 @@ class OrderedLevels:
         for array, values in ((self._position, nodes.position), (self._quadric, nodes.quadric)):
             if values is not None:
                 _put_rows(array, nodes.row[wanted], values[wanted])
+
+    def _show_collapses(self, collapse: np.ndarray) -> None:
+        """Put the state after some collapses (n,) in place, all at once: ascending, each of another vertex."""
+        ends = np.searchsorted(collapse, self._pass_start)
+        row = self._ordered.row[self.log.kept[collapse]]
+        parts = [(nodes, slice(a, b)) for nodes, a, b in zip(self._passes, ends[:-1], ends[1:], strict=True) if b > a]
+        places = [np.searchsorted(nodes.row, row[part]) for nodes, part in parts]
+        for array, name in ((self._position, "position"), (self._quadric, "quadric")):
+            values = [getattr(nodes, name).take(place, 0) for (nodes, _), place in zip(parts, places, strict=True)]
+            _put_rows(array, row, np.concatenate(values))
 
     def _show_present(
         self, shown: Sequence[tuple[PassNodes, np.ndarray]], root: np.ndarray, face_map: np.ndarray

@@ -17,8 +17,18 @@ import numpy as np
 
 from warpqem.errors import MeshFileError
 
-__all__ = ["GltfPart", "compare_gltf", "frame_rate", "gltf_parts", "is_animated", "read_gltf"]
+__all__ = [
+    "SUFFIXES",
+    "GltfPart",
+    "compare_gltf",
+    "frame_rate",
+    "gltf_parts",
+    "is_animated",
+    "is_animated_gltf",
+    "read_gltf",
+]
 
+SUFFIXES = (".glb", ".gltf")
 GLB_MAGIC, JSON_CHUNK, BINARY_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
 # Bytes of JSON that are read at most: a scene of 100000 nodes has 30 MB.
 MAX_JSON = 2**28
@@ -94,6 +104,17 @@ def is_animated(file: _File) -> bool:
     found = file.json
     targets = any(part.get("targets") for mesh in found.get("meshes", []) for part in mesh.get("primitives", []))
     return bool(found.get("animations") or found.get("skins") or targets)
+
+
+def is_animated_gltf(path: str | os.PathLike[str]) -> bool:
+    """Whether a path is a glTF file with clips, skins or morph targets; trimesh reads the others."""
+    if Path(path).suffix.lower() not in SUFFIXES or not os.path.isfile(path):
+        return False
+    try:
+        return is_animated(read_gltf(path))
+    except MeshFileError:
+        # The reader of mesh files says what is wrong with it.
+        return False
 
 
 def gltf_parts(file: _File) -> list[GltfPart]:

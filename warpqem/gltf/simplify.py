@@ -16,7 +16,7 @@ from warpqem.errors import MeshFileError, OptionError
 from warpqem.files.outputs import InputFile, OutputFile, check_outputs
 from warpqem.files.temporary import remove_path, temporary_path
 from warpqem.gltf.blender import blender_command, run_blender
-from warpqem.gltf.inventory import compare_gltf, frame_rate, gltf_parts, is_animated, read_gltf
+from warpqem.gltf.inventory import SUFFIXES, compare_gltf, frame_rate, gltf_parts, read_gltf
 from warpqem.usd.commands.context import Announce, Progress
 from warpqem.usd.commands.output_names import output_files
 from warpqem.usd.commands.simplify import simplify_stage
@@ -25,22 +25,10 @@ from warpqem.usd.write.layer_files import check_output_path
 from warpqem.usd.write.package import is_package
 from warpqem.usd.write.stage_report import StageReport
 
-__all__ = ["is_animated_gltf", "simplify_gltf"]
+__all__ = ["simplify_gltf"]
 
-SUFFIXES = (".glb", ".gltf")
 # Parts of the progress that Blender takes before and after.
 OPEN_SHARE, CLOSE_SHARE = 0.15, 0.15
-
-
-def is_animated_gltf(path: str | os.PathLike[str]) -> bool:
-    """Whether a path is a glTF file with clips, skins or morph targets; trimesh reads the others."""
-    if Path(path).suffix.lower() not in SUFFIXES or not os.path.isfile(path):
-        return False
-    try:
-        return is_animated(read_gltf(path))
-    except MeshFileError:
-        # The reader of mesh files says what is wrong with it.
-        return False
 
 
 def simplify_gltf(

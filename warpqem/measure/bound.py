@@ -238,7 +238,8 @@ class DistanceBound:
                 own.failed[pieces.owner[beyond]] = True
             keep = left.any(axis=1) & ~own.failed[pieces.owner]
             pieces, left = pieces.chosen(keep), left[keep]
-        own.rely_on(proof.relied_on)
+        if index == 0:
+            own.rely_on(proof.relied_on)
         return found
 
     def _verdicts(

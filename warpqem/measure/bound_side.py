@@ -57,7 +57,8 @@ class BoundSide:
         self.failed = np.zeros(len(faces), dtype=bool)
         # Faces that are not known to hold nor to fail.
         self.undecided = np.zeros(len(faces), dtype=bool)
-        # Faces (n, 2), of this mesh and of the other one, that in some frame proves it beside those in the pieces.
+        # Faces (n, 2), of this mesh and of the other one, that in some frame proves it beside those in the pieces. Kept
+        # of the mesh whose faces stay: of the other one a face that moves is looked at anyway.
         self.relied_on = np.zeros((0, 2), dtype=np.int32)
 
     @property
@@ -81,25 +82,24 @@ class BoundSide:
         broken = np.zeros(len(old.faces), dtype=bool)
         broken[pieces.owner[(new_face < 0) | (new_owner < 0)]] = True
         whole = old.recorded & ~broken & ~old.failed
-        keep = whole[pieces.owner]
+        keep = np.flatnonzero(whole[pieces.owner])
         self.pieces = PieceArrays(
             pieces.parent[keep],
             new_owner[keep].astype(np.int32),
             new_face[keep].astype(np.int32),
-            pieces.weight[keep],
+            pieces.weight.take(keep, axis=0),
         )
         self.recorded[self.pieces.owner] = True
         proved = whole & ~old.undecided
         if stays is None:
             # No face of the other mesh has moved: those of this one decide.
             self.active[owner[proved & (owner >= 0)]] = False
-            proved &= owner >= 0
         else:
             for own_face, other_face in ((pieces.owner, pieces.face), old.relied_on.T):
                 proved[own_face[~stays[other_face]]] = False
             self.active = ~proved
-        relied_on = old.relied_on[proved[old.relied_on[:, 0]]]
-        self.relied_on = np.stack([owner[relied_on[:, 0]], face[relied_on[:, 1]]], axis=1).astype(np.int32)
+            relied_on = old.relied_on[proved[old.relied_on[:, 0]]]
+            self.relied_on = np.stack([owner[relied_on[:, 0]], face[relied_on[:, 1]]], axis=1).astype(np.int32)
         if self.faces is old.faces:
             self._mesh, self.surface.mesh = old._mesh, old.surface.mesh
 

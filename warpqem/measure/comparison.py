@@ -115,8 +115,8 @@ def compare(
         reference_faces: (N, 3) integers.
         test_points: (F, V', 3) or (V', 3), with as many frames.
         test_faces: (N', 3) integers.
-        samples: samples on each surface in each frame, at least 1; None for as many as suit the number of frames: 20000
-            in one, fewer in more, 64 in 512 and more.
+        samples: samples on each surface in each frame, at least 1; None for as many as suit frames and faces: 20000 in
+            one frame, fewer in more, 64 in 512 and more, and at most four for each face, or 2000 where that is less.
         seed: seed of the samples, at least 0.
         frames: frames to measure distances on: None for all, a number for so many evenly spread, or a list of indices.
             Jitter always takes the middle 24 frames, slide and edge lengths all.

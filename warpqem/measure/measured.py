@@ -130,7 +130,7 @@ def measure_frames(
         test: frames of the test mesh.
         test_faces: (M, 3).
         frames: ascending numbers of the frames to measure.
-        samples: samples on each surface in each frame; None for as many as suit the number of frames.
+        samples: samples on each surface in each frame; None for as many as suit the numbers of frames and faces.
         seed: seed of the samples.
         device: Warp device.
         progress: called with the number of frames done, and of all.
@@ -139,7 +139,8 @@ def measure_frames(
     Raises:
         DegenerateMeshError: no extent or no area in a frame.
     """
-    samples = sample_count(len(frames)) if samples is None else samples
+    if samples is None:
+        samples = sample_count(len(frames), max(len(reference_faces), len(test_faces)))
     comparison = SurfaceComparison(reference_faces, test_faces, len(frames), samples, seed, device, overall=overall)
     for first in range(0, len(frames), comparison.group):
         some = frames[first : first + comparison.group]
@@ -174,9 +175,10 @@ class MeasuringSink:
         """Begin a mesh of so many frames."""
         self._sink.begin(frame_count, vertex_count, faces)
         self._frame_count, self._done, self._waiting = frame_count, 0, None
+        samples = sample_count(frame_count, max(len(self._faces), len(faces)))
         with device_turn(self._device):
             self._comparison = SurfaceComparison(
-                self._faces, faces, frame_count, sample_count(frame_count), 0, self._device, overall=True
+                self._faces, faces, frame_count, samples, 0, self._device, overall=True
             )
 
     def write(self, frames: slice, points: npt.NDArray[np.float32]) -> None:

@@ -91,7 +91,10 @@ class PieceArrays:
 
     def chosen(self, wanted: npt.NDArray[Any]) -> PieceArrays:
         """Some of them, by a mask or indices."""
-        return PieceArrays(self.parent[wanted], self.owner[wanted], self.face[wanted], self.weight[wanted])
+        # Rows are taken by their numbers several times as fast as by a mask.
+        rows = np.flatnonzero(wanted) if wanted.dtype == bool else wanted
+        parent, owner, face = (array.take(rows) for array in (self.parent, self.owner, self.face))
+        return PieceArrays(parent, owner, face, self.weight.take(rows, axis=0))
 
     def part(self, part: slice) -> PieceArrays:
         """Consecutive ones."""
@@ -205,7 +208,7 @@ class PieceProof:
 
     def most_common(self, left: npt.NDArray[np.int32]) -> int:
         """The frame that most of the bits (n, B) are of."""
-        return int(np.bincount(self._frames_of(left)[1]).argmax())
+        return int(self._flags(left).sum(axis=0, dtype=np.int32).argmax())
 
     def search(
         self, pieces: PieceArrays, left: npt.NDArray[np.int32], frame: int
@@ -217,13 +220,15 @@ class PieceProof:
             are not proved yet.
         """
         here = np.flatnonzero((left[:, frame // self._width] >> (frame % self._width)) & 1)
-        chosen = pieces.chosen(here)
-        frames = np.full(len(here), frame)
-        verdict, parts = self._cut_anew(chosen, frames, effort=SEARCH)
         left, beyond = left.copy(), np.zeros(len(left), dtype=bool)
         left[:, frame // self._width] &= ~np.int32(1 << (frame % self._width))
-        left[here] = self._left_of_parts(left[here], parts, verdict == WITHIN)
-        beyond[here] = verdict != WITHIN
+        # A search looks at all corners first, as most that are searched for alone are beyond; of many, few are.
+        for effort in (WALK, SEARCH) if len(here) > FEW_LOOKS else (SEARCH,):
+            verdict, parts = self._cut_anew(pieces.chosen(here), np.full(len(here), frame), effort=effort)
+            missed = verdict != WITHIN
+            left[here] = self._left_of_parts(left[here], parts, ~missed)
+            here = here[missed]
+        beyond[here] = True
         return beyond, left
 
     def apart_somewhere(self, pieces: PieceArrays) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int32]]:
@@ -260,9 +265,15 @@ class PieceProof:
 
     def _frames_of(self, left: npt.NDArray[np.int32]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
         """Rows and frames of bits (n, B)."""
-        row, block = np.nonzero(left)
-        pair, lane = np.nonzero((left[row, block][:, None] >> np.arange(self._width)) & 1)
-        return row[pair], block[pair] * self._width + lane
+        place = np.flatnonzero(self._flags(left))
+        row = place // (left.shape[1] * self._width)
+        return row, place - row * (left.shape[1] * self._width)
+
+    def _flags(self, left: npt.NDArray[np.int32]) -> npt.NDArray[np.uint8]:
+        """Bits (n, B) as numbers 0 and 1 of each frame, (n, F)."""
+        lanes = np.unpackbits(left.astype(np.uint8), bitorder="little").reshape(*left.shape, 8)
+        # Of no pieces the number of frames cannot be inferred.
+        return lanes[..., : self._width].reshape(len(left), left.shape[1] * self._width)
 
     def _set_bits(self, bits: npt.NDArray[np.int32], row: npt.NDArray[np.int64], frame: npt.NDArray[np.int64]) -> None:
         """Set the bits of frames in rows."""

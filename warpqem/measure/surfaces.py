@@ -27,6 +27,12 @@ ALL_SAMPLES = 2**15
 # Samples on each surface in one frame: at most so many, which one frame takes to be known as well; and at least so
 # many, so that the larger of the two directions is known.
 MAX_SAMPLES, MIN_SAMPLES = 20000, 64
+# A mesh of few faces is known from fewer: so many for each face of the larger mesh, and at least so many. On 120 small
+# meshes the root mean square distance is then off by 0.5 % in the middle, and by 2.5 % at most, with three seeds each
+# (`python -m benchmarks samples`).
+FACE_SAMPLES, MIN_MESH_SAMPLES = 4, 2000
+# Multiples of the golden ratio are spread evenly over the numbers from 0 to 1, however many of them are taken.
+GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 # Samples that distinguish the root mean square distances of both directions to about a percent.
 DECIDING_SAMPLES = 8192
 # Frames are put together as cells until they have so many faces, or are so many: a launch then takes long enough to be
@@ -42,9 +48,15 @@ DEGENERATE_AREA = 1e-14
 Doubles = npt.NDArray[np.float64]
 
 
-def sample_count(frame_count: int) -> int:
-    """Samples on each surface in each of so many frames, where none are asked for."""
-    return min(MAX_SAMPLES, max(MIN_SAMPLES, math.ceil(ALL_SAMPLES / frame_count)))
+def sample_count(frame_count: int, face_count: int) -> int:
+    """Samples on each surface in each of so many frames, where none are asked for.
+
+    Args:
+        frame_count: frames that are measured.
+        face_count: faces of the mesh that has more of them.
+    """
+    most = min(MAX_SAMPLES, max(MIN_MESH_SAMPLES, FACE_SAMPLES * face_count))
+    return min(most, max(MIN_SAMPLES, math.ceil(ALL_SAMPLES / frame_count)))
 
 
 @dataclass(frozen=True)
@@ -224,7 +236,9 @@ class SurfaceComparison:
 
         The area before a sample, in the order of the faces, is drawn in as many strata as there are samples. What is
         left of it within the face is the first number of the square-root map of Osada et al., "Shape Distributions"
-        (2002), equation 1, so that the strata go on within the faces.
+        (2002), equation 1, so that the strata go on within the faces. The second goes on by the golden ratio from one
+        sample to the next, from a random start, so that the two fill the faces evenly, as in Roberts, "The unreasonable
+        effectiveness of quasirandom sequences" (2018): 4000 samples then say as much as 20000 with random numbers.
         """
         total = np.cumsum(areas, axis=1)
         face = np.empty((len(areas), self.sample_count), dtype=np.int64)
@@ -238,7 +252,7 @@ class SurfaceComparison:
             face[row] = np.searchsorted(total[row], drawn, side="right").clip(0, last)
             area = areas[row, face[row]]
             first[row] = np.clip(1.0 - (total[row, face[row]] - drawn) / area, 0.0, 1.0)
-            second[row] = random.random(self.sample_count)
+            second[row] = (random.random() + GOLDEN * stratum) % 1.0
         root = np.sqrt(first)
         return face, np.stack([root * (1.0 - second), root * second], axis=-1)
 

@@ -6,10 +6,11 @@ import numpy as np
 import numpy.typing as npt
 
 from warpqem.mesh.components import lowest_members
+from warpqem.mesh.directions import unit_vectors
 from warpqem.mesh.edges import corner_links, edge_key
 from warpqem.mesh.mesh_input import is_proper
 
-__all__ = ["corner_groups", "sharp_edges", "vertex_normals"]
+__all__ = ["SmoothingGroups", "corner_groups", "vertex_normals"]
 
 # Shorter vectors than this, of sums of unit vectors times angles, have no direction.
 SHORTEST = 1e-12
@@ -33,28 +34,32 @@ def corner_groups(faces: npt.NDArray[np.int32], hard: npt.NDArray[np.int32]) -> 
     return group.reshape(faces.shape).astype(np.int64)
 
 
-def sharp_edges(
-    points: npt.NDArray[np.floating], faces: npt.NDArray[np.int32], degrees: float
-) -> npt.NDArray[np.int32]:
-    """Ends (S, 2) of the edges at which two faces meet at so many degrees or more; faces without area meet at none.
+class SmoothingGroups:
+    """Smooth normals of polygons, hard where the faces of a pose meet at an angle or more.
 
     Args:
-        points: (V, 3).
         faces: int32, shape (N, 3).
-        degrees: between the normals of the faces.
+        degrees: between the normals of two faces. Faces without area meet none at an angle.
     """
-    corner = points[faces].astype(np.float64)
-    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    length = np.linalg.norm(normal, axis=1, keepdims=True)
-    normal = np.divide(normal, length, out=np.zeros_like(normal), where=length > 0)
-    ends = np.stack([faces.ravel(), np.roll(faces, -1, axis=1).ravel()], axis=1)
-    key = edge_key(ends[:, 0], ends[:, 1], int(faces.max()) + 1)
-    order = np.argsort(key, kind="stable")
-    pair = np.flatnonzero(key[order[1:]] == key[order[:-1]])
-    first, second = order[pair], order[pair + 1]
-    known = (length[first // 3] > 0)[:, 0] & (length[second // 3] > 0)[:, 0]
-    apart = (normal[first // 3] * normal[second // 3]).sum(axis=1) <= np.cos(np.radians(degrees))
-    return ends[first[known & apart]].astype(np.int32)
+
+    def __init__(self, faces: npt.NDArray[np.int32], degrees: float) -> None:
+        tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+        key = edge_key(tail, head, int(faces.max()) + 1)
+        self._faces, self._cosine = faces, float(np.cos(np.radians(degrees)))
+        self._links = corner_links(faces, key, np.repeat(is_proper(faces), 3))
+
+    def normals(self, points: npt.NDArray[np.floating]) -> npt.NDArray[np.float64]:
+        """Unit normals (N, 3, 3) at the corners in a pose (V, 3): of each group the mean of its faces, by area."""
+        corner = points.astype(np.float64)[self._faces]
+        cross = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+        normal, links = unit_vectors(cross), self._links
+        # Both ends of an edge have the same faces.
+        first, second = (normal[side // 3] for side in links[: len(links) // 2].T)
+        cosine = (first * second).sum(axis=1)
+        joined = (cosine > self._cosine) | ~(first.any(axis=1) & second.any(axis=1))
+        group = lowest_members(self._faces.size, links[np.concatenate([joined, joined])])
+        total = [np.bincount(group, np.repeat(axis, 3), self._faces.size) for axis in cross.T]
+        return unit_vectors(np.stack(total, axis=1))[group].reshape(corner.shape)
 
 
 def vertex_normals(points: npt.NDArray[np.float32], faces: npt.NDArray[np.int32]) -> npt.NDArray[np.float32]:

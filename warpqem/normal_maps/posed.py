@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from warpqem.normal_maps.tangents import unit_vectors
+from warpqem.mesh.directions import unit_vectors
 
 __all__ = ["posed_normals"]
 

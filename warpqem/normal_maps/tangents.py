@@ -11,7 +11,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["corner_tangents", "unit_vectors"]
+from warpqem.mesh.directions import unit_vectors
+
+__all__ = ["corner_tangents"]
 
 Floats = npt.NDArray[np.float64]
 
@@ -76,11 +78,3 @@ def _groups(
     _, group = np.unique(rows.reshape(-1, rows.shape[2]), axis=0, return_inverse=True)
     numbers: npt.NDArray[np.int64] = group.reshape(corners.shape[:2]).astype(np.int64)
     return numbers
-
-
-def unit_vectors(vectors: npt.NDArray[np.floating]) -> Floats:
-    """Vectors (..., 3) of length one in double precision; those without a finite length become zero."""
-    given = vectors.astype(np.float64)
-    with np.errstate(over="ignore", invalid="ignore"):
-        length = np.linalg.norm(given, axis=-1, keepdims=True)
-        return np.divide(given, length, out=np.zeros_like(given), where=(length > 0) & np.isfinite(length))

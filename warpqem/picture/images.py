@@ -54,6 +54,8 @@ class ImageScore:
 
     Attributes:
         gray: of surfaces of one colour, by their shading normals; None where nothing was seen.
+        shading: of the same pictures, but of the pixels alone that both cover wholly: what outlines differ by, which
+            `silhouette` says, is left out. None where there is none.
         textured: of surfaces with their colours and textures; None where neither has any, or nothing was seen.
         silhouette: intersection over union of what both cover, 0 to 1; None where nothing was seen.
         frame_count: frames that were drawn.
@@ -62,6 +64,7 @@ class ImageScore:
     """
 
     gray: Similarity | None
+    shading: Similarity | None
     textured: Similarity | None
     silhouette: float | None
     frame_count: int
@@ -125,7 +128,7 @@ def compare_images(
     pairs = [(_checked(a, f"reference frame {i}"), _checked(b, f"test frame {i}")) for i, (a, b) in enumerate(
         zip(reference, test, strict=True))]  # fmt: skip
     views = _views([a if len(a.faces) else b for a, b in pairs], up)
-    gray, textured, overlap = SimilaritySums(), SimilaritySums(), OverlapSums()
+    gray, shading, textured, overlap = SimilaritySums(), SimilaritySums(), SimilaritySums(), OverlapSums()
     for frame, (meshes, around) in enumerate(zip(pairs, views, strict=True)):
         scenes = [_scene(mesh, around[0], size, device) for mesh in meshes]
         for view in around:
@@ -135,13 +138,14 @@ def compare_images(
             )
             counted = (first.covered > 0) | (second.covered > 0)
             gray.add(first.gray, second.gray, counted)
+            shading.add(first.gray, second.gray, (first.covered == 1) & (second.covered == 1))
             textured.add(first.textured, second.textured, counted)
             overlap.add(first.covered, second.covered)
             if drawn is not None:
                 drawn(ImagePair(frame, view, first, second))
     plain = all(mesh.look is None or mesh.look.is_plain for meshes in pairs for mesh in meshes)
     colored = None if plain else textured.result()
-    return ImageScore(gray.result(), colored, overlap.result(), len(pairs), len(IMAGE_VIEWS), size)
+    return ImageScore(gray.result(), shading.result(), colored, overlap.result(), len(pairs), len(IMAGE_VIEWS), size)
 
 
 def _checked(mesh: PosedMesh, name: str) -> PosedMesh:

@@ -31,7 +31,14 @@ from warpqem.pipeline.cut_levels import Choice, CutLevel, LevelFrames
 from warpqem.pipeline.memory_plan import KEPT_BYTES, stage_frames
 from warpqem.pipeline.place_frames import Settling
 from warpqem.pipeline.prepare import ORDER_END, Prepared
-from warpqem.pipeline.result import SimplifiedMesh, finish, in_input_terms, reached, written_faces
+from warpqem.pipeline.result import (
+    SimplifiedMesh,
+    in_input_terms,
+    reached,
+    with_frames,
+    without_frames,
+    written_faces,
+)
 
 __all__ = ["simplify_within"]
 
@@ -91,7 +98,10 @@ class _Search:
         mesh, steps = self._work.mesh, _Steps(progress)
         loose = np.zeros(len(mesh.used), dtype=bool)
         starts = [max(self._limit / part, NO_ERROR) for part in DISTANCE_PER_ERROR]
-        choice = self._first_choice([Choice(self._forest.within(error), loose) for error in starts])
+        choices = [Choice(self._forest.within(error), loose) for error in starts]
+        if self._refit:
+            self._work = self._softened(choices[0])
+        choice = self._first_choice(choices)
         whole = 12 * mesh.frame_count * mesh.vertex_count <= KEPT_BYTES
         block = self._block(slice(0, mesh.frame_count)) if whole else self._some_frames(stage_frames(mesh.vertex_count))
         choice = self._nearer(choice, block)
@@ -156,7 +166,17 @@ class _Search:
         work = self._work_of(level)
         work = work if mesh is None else replace(work, mesh=mesh)
         refit = refit and self._refit
-        return finish(work, level.ordered, refit, sink=sink, progress=progress, settling=settling)
+        placer = work.placer(level.ordered)
+        result = without_frames(work, placer, level.ordered)
+        return with_frames(result, work, placer, refit, sink=sink, progress=progress, settling=settling)
+
+    def _softened(self, choice: Choice) -> Prepared:
+        """The mesh with clusters that are as soft in all levels as a refit has those of a first one.
+
+        What a refit leaves as placed is then what was proved, and levels share their clusters.
+        """
+        placer = self._work.placer(self._level_of(choice).ordered, refit=True)
+        return replace(self._work, place_settings=replace(self._work.place_settings, softening=placer.softening))
 
     def _work_of(self, level: CutLevel) -> Prepared:
         settings = replace(self._work.place_settings, loose=level.choice.loose)

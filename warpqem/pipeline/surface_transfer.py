@@ -233,7 +233,7 @@ def joined_faces(
     """
     sheets = faces if sheets is None else sheets
     vertex_count = int(faces.max()) + 1
-    key = edge_key(sheets.ravel(), np.roll(sheets, -1, axis=1).ravel(), int(sheets.max()) + 1)
+    key = edge_key(sheets.ravel(), np.roll(sheets, -1, axis=1).ravel(), int(sheets.max(initial=0)) + 1)
     order = np.argsort(key, kind="stable")
     order = order[np.repeat(is_proper(sheets), 3)[order]]
     key = key[order]

@@ -12,6 +12,7 @@ from warpqem.decimation.decimate import DecimatedMesh
 from warpqem.decimation.initial_quadrics import CONSTRAINT_WEIGHT
 from warpqem.decimation.quadric_sums import QuadricSums
 from warpqem.kernels import cluster_rows as kernels
+from warpqem.kernels.placement import STEPS
 from warpqem.mesh.mesh_input import AnimatedMesh
 from warpqem.place.anchors import Clusters, fit_anchors, nearest_anchors
 from warpqem.place.block_placer import BlockPlacer, ClusterData, PlacedBlocks
@@ -43,6 +44,7 @@ class PlaceSettings:
         max_share: soften all clusters until stiffness adds no more than that to the mean squared distance of the whole
             mesh, relative to it. A cluster's place then depends on the others, so that levels of a progressive mesh,
             which share clusters, do without: infinite.
+        softening: halvings of the stiffness that all clusters have at least.
     """
 
     epsilon: float
@@ -50,6 +52,7 @@ class PlaceSettings:
     endpoint: bool
     loose: np.ndarray | None = None
     max_share: float = math.inf
+    softening: int = 0
 
 
 class ClusterPlacer:
@@ -72,6 +75,7 @@ class ClusterPlacer:
             input vertices, are not pinned, and no corner of a seam.
         on_seam: (C,) bool, vertices that stand for one on a seam.
         nearest: (C,) int32, an input vertex of each cluster near to its anchor.
+        softening: halvings of the stiffness that all clusters have at least.
         copied_count: vertices M that are copies of an input vertex.
         copied: (M,) int32 on the device, these vertices.
         clusters: what placing a block of frames takes.
@@ -133,11 +137,13 @@ class ClusterPlacer:
             copied=single,
         )
         self._blocks = BlockPlacer(self.clusters, device)
-        self.copied = self._blocks.copied
+        self.copied, self.softening = self._blocks.copied, settings.softening
         if not settings.endpoint:
             choices = softer_choices(stiffness)
             error, area = self._blocks.measure_stiffness(ordered.key_position, choices)
-            chosen = choose_softness(error, area, recent_errors(ordered.log, kept), settings.max_share)
+            recent = recent_errors(ordered.log, kept)
+            chosen = choose_softness(error, area, recent, settings.max_share, settings.softening)
+            self.softening = int(chosen.min(initial=int(STEPS) - 1))
             self._blocks.set_stiffness(choices[np.arange(len(kept)), chosen])
 
     def place(self, mesh: AnimatedMesh, points: wp.array, packed: wp.array | None = None) -> PlacedBlocks:

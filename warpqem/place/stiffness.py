@@ -96,7 +96,9 @@ def recent_errors(log: CollapseRecord, kept: np.ndarray) -> np.ndarray:
     return recent
 
 
-def choose_softness(error: np.ndarray, area: np.ndarray, recent: np.ndarray, max_share: float) -> np.ndarray:
+def choose_softness(
+    error: np.ndarray, area: np.ndarray, recent: np.ndarray, max_share: float, softening: int = 0
+) -> np.ndarray:
     """(C,) int, the first of the choices of each cluster that adds little to its distance from the input.
 
     Args:
@@ -104,16 +106,17 @@ def choose_softness(error: np.ndarray, area: np.ndarray, recent: np.ndarray, max
         area: (C,) what planes weigh.
         recent: (C,) what the mesh had come to when the cluster came to be, in diagonals.
         max_share: see :class:`warpqem.place.clusters.PlaceSettings`.
+        softening: choices that come before are none.
     """
     bound = np.maximum(MAX_ADDED * recent.astype(np.float64), MIN_ADDED)
     fits = error <= error[:, -1:] + (bound**2 * area)[:, None]
     fits[:, -1] = True
-    chosen: np.ndarray = np.argmax(fits, axis=1)
+    chosen: np.ndarray = np.maximum(np.argmax(fits, axis=1), softening)
     if math.isinf(max_share) or not len(chosen):
         return chosen
     most = (1.0 + max_share) * error[:, -1].sum(dtype=np.float64) + MIN_ADDED**2 * area.sum(dtype=np.float64)
     row = np.arange(len(chosen))
-    for least in range(error.shape[1]):
+    for least in range(softening, error.shape[1]):
         chosen = np.maximum(chosen, least)
         if error[row, chosen].sum(dtype=np.float64) <= most:
             break

@@ -24,7 +24,7 @@ def _core_count() -> int:
     """Cores this process may use, or WARPQEM_THREADS where that is set (for batches with a process per core)."""
     asked = os.environ.get("WARPQEM_THREADS")
     if asked is not None:
-        if not asked.isdecimal() or int(asked) < 1:
+        if not (asked.isascii() and asked.isdecimal()) or int(asked) < 1:
             raise OptionError(f"WARPQEM_THREADS must be a whole number of at least 1, got {asked!r}")
         return int(asked)
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -42,7 +42,7 @@ class CompareOptions:
     """How to compare.
 
     Attributes:
-        samples: Sample points on each mesh in each frame; None for as many as suit the number of frames.
+        samples: Sample points on each mesh in each frame; None for as many as suit frames and faces.
         frames: Time codes to compare at; None for all that either file has.
         prims: Prim paths; meshes at and below them are compared. Empty for all.
         device: Warp device; None for the default.
@@ -78,8 +78,8 @@ class PairReport:
     Attributes:
         path: Prim path of the mesh of the reference; see `warpqem.usd.read.mesh_pairs.MeshPair`.
         times: Time codes compared at; None for one frame at the default time.
-        comparison: The measures; None if the comparison failed.
-        appearance: How texture, shading and colours differ; None if the comparison failed.
+        comparison: The measures; None if the comparison failed, or neither mesh has a face.
+        appearance: How texture, shading and colours differ; None likewise.
         heatmap_scale: Distance of the last colour of the heat map, in % of the diagonal; None without a heat map.
         message: Why it failed.
         level: Name of the level of detail, with `CompareOptions.all_lods`, or of the original in a file with levels as
@@ -297,6 +297,8 @@ class _SideComparison:
     ) -> None:
         options = self.options
         reference, test = (side.varying() for side in sides)
+        if all(run.is_empty for side in (reference, test) for run in side.runs):
+            return
         pairs = pair_runs(reference, test, options.frames)
         report.times = [time for pair in pairs for time in pair.times]
         report.comparison = combine(reference, test, pairs, progress, samples=options.samples, device=options.device)
@@ -317,6 +319,8 @@ class _SideComparison:
                 raise StageError(f"{report.path}.points: no sample in the frame range {options.frames}")
         report.times = times
         reference, test = (source.read(times) for source in sources)
+        if not len(reference.right_handed_faces) and not len(test.right_handed_faces):
+            return
         meshes = (reference.points, reference.right_handed_faces, test.points, test.right_handed_faces)
         half = (lambda done, total: progress(done, 2 * total), lambda done, total: progress(total + done, 2 * total))
         # Poses in which the mesh is invisible do not count.

@@ -18,6 +18,7 @@ from warpqem.usd.checks.input_files import check_stage_outputs
 from warpqem.usd.commands.compare import CompareOptions
 from warpqem.usd.commands.level_stages import level_stages, original_of_levels
 from warpqem.usd.read.materials import Materials
+from warpqem.usd.read.normal_textures import NormalTextures
 from warpqem.usd.read.open_stage import open_stage
 from warpqem.usd.read.variants import select_variants
 from warpqem.usd.read.world import WorldMeshes, chosen_times, limit_places
@@ -138,8 +139,8 @@ def _compare(
         chosen = np.unique(np.linspace(0, len(times) - 1, IMAGE_FRAMES).round().astype(int))
         report.times = [times[index] for index in chosen]
     codes: list[float | None] = [None] if report.times is None else [*report.times]
-    materials = Materials()
-    sides = [[item.shown(code, materials) for code in codes] for item in meshes]
+    materials, textures = Materials(), NormalTextures()
+    sides = [[item.shown(code, materials, textures) for code in codes] for item in meshes]
     name = "" if report.level is None else f"{report.level}, "
     done = 0
 

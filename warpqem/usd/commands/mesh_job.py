@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from pxr import Sdf
+from pxr import Sdf, Usd
 
 from warpqem.frames.blocks import frame_blocks
 from warpqem.frames.stream import ArrayFrames, FrameSource, JoinedFrames, KeptFrames, read_ahead
@@ -188,7 +188,20 @@ class MeshJob:
         reference = self.frames.read(slice(0, 1))[0]
         transfer = AttributeTransfer(self.source, self.faces, reference, result, self.seams, device)
         transfer.read_pose = self._read_written
+        if self.skin is not None:
+            times = [None] if self.mesh.times is None else self.mesh.times
+            transfer.shown_codes = [Usd.TimeCode.Default() if time is None else Usd.TimeCode(time) for time in times]
+            transfer.read_shown = self._read_shown
         return transfer
+
+    def _read_shown(self, pose: int) -> npt.NDArray[np.float32]:
+        """The vertices (V, 3) in one of the mesh's own poses."""
+        if self.has_own_poses:
+            frame = self.pose_start + pose
+            return self.frames.read(slice(frame, frame + 1))[0]
+        point = np.empty(self.frames.vertex_count, dtype=np.int32)
+        point[self.faces] = self.source.topology.triangles
+        return PoseFrames(self.source, self.mesh.times, point).read(slice(pose, pose + 1))[0]
 
     def _read_written(self, pose: int) -> npt.NDArray[np.float32]:
         """The vertices (V, 3) in one of the poses that are written, as large as they are written."""

@@ -22,6 +22,7 @@ from warpqem.usd.commands.simplify_options import SimplifyOptions
 from warpqem.usd.read.mesh_skin import Skin
 from warpqem.usd.write.feature_subsets import write_feature_points
 from warpqem.usd.write.point_samples import PointSamples
+from warpqem.usd.write.smooth_normals import has_normals
 from warpqem.usd.write.stage_report import PrimReport
 from warpqem.usd.write.write import OverLayer
 
@@ -60,6 +61,8 @@ class MeshResult:
         job, mesh = self.job, self.mesh
         transfer = job.transfer(mesh, options.device)
         transfer.normals, transfer.shades_all = options.normals or "fit", options.normals == "fit"
+        # A map needs the normals that it tilts; faces that stay are shaded as they were without any.
+        transfer.only_nearer = options.bake_normals is None and job.is_simplified_by(mesh)
         transfer.feature_points = points_on_level(job, self.face, mesh.vertex_map)
         skin = job.skin
         reduced = self.rig.shapes
@@ -81,6 +84,8 @@ class MeshResult:
             if undo is not None:
                 layer.on_discard(job.mesh.path, undo)
         written = UsdGeom.Mesh(layer.stage.GetPrimAtPath(job.mesh.path))
+        if transfer.shades_all and not has_normals(written.GetPrim()):
+            report.notes.append(f"{job.mesh.path}: no normals, as it is shaded more like the input without them")
         write_feature_points(written, transfer.feature_points, create=self.face is not None)
         if options.bake_normals is not None:
             bake_mesh_normals(job, mesh, transfer, layer, report, options.bake_normals, options.device)

@@ -12,8 +12,8 @@ from pxr import Usd, UsdGeom
 from warpqem.errors import StageError, WarpqemError
 from warpqem.measure.surface_values import SurfaceValues
 from warpqem.mesh.components import lowest_members
+from warpqem.mesh.directions import unit_vectors
 from warpqem.normal_maps.bake import BakeSurface, bake_normals, overlap_share
-from warpqem.normal_maps.tangents import unit_vectors
 from warpqem.pipeline.result import SimplifiedMesh
 from warpqem.runtime.device import resolve_device
 from warpqem.usd.commands.measuring import written_source

@@ -9,6 +9,7 @@ from typing import Any
 
 from warpqem.arguments.limits import COUNT, WEIGHTS, Limits
 from warpqem.arguments.number_hints import number_hint
+from warpqem.arguments.number_text import parse_number
 from warpqem.errors import OptionError
 from warpqem.usd.read.time_codes import FrameRange
 
@@ -50,7 +51,7 @@ def parse_attribute_weight(text: str) -> tuple[str, float]:
     name, _, weight = text.rpartition("=")
     try:
         if name:
-            return bare_name(name), float(weight)
+            return bare_name(name), parse_number(weight)
     except ValueError:
         pass
     raise OptionError(f"`attribute_weight` '{text}': expected NAME=WEIGHT, such as st=0.1")
@@ -79,8 +80,8 @@ def parse_faces(value: object) -> int | str:
         ValueError: it is neither.
     """
     text = str(value).strip()
-    if isinstance(value, bool) or not re.fullmatch(r"-?\d{1,18}(\.0)?|\d+(\.\d+)? ?%", text):
-        if found := re.fullmatch(r"0?\.\d{1,6}", text):
+    if isinstance(value, bool) or not re.fullmatch(r"-?\d{1,18}(\.0)?|\d+(\.\d+)? ?%", text, re.ASCII):
+        if found := re.fullmatch(r"0?\.\d{1,6}", text, re.ASCII):
             hint = f"; for that share give {100 * float(found[0]):g}%"
         else:
             hint = number_hint("", value, COUNT, whole=True)
@@ -119,7 +120,7 @@ def read_ratios(value: Any) -> tuple[float, ...]:
     ratios = []
     for part in text.split(","):
         try:
-            ratios.append(float(part))
+            ratios.append(parse_number(part))
         except ValueError:
             hint = number_hint("", part, LEVEL_SHARE)
             expected = "expected ratios such as 0.5,0.25,0.1"

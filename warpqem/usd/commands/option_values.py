@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping
 from typing import Any, TypeVar, overload
 
+from warpqem.arguments.number_text import parse_number, parse_whole
 from warpqem.arguments.option_fields import OptionField, named_options, option_fields
 from warpqem.errors import OptionError
-from warpqem.usd.commands.simplify_options import GOALS, SimplifyOptions
+from warpqem.usd.commands.option_conflicts import GOALS
+from warpqem.usd.commands.simplify_options import SimplifyOptions
 
 __all__ = ["override_options", "read_options"]
 
@@ -118,14 +120,16 @@ def _boolean(value: Any) -> bool:
 def _integer(value: Any) -> int:
     if isinstance(value, bool) or (isinstance(value, float) and not value.is_integer()):
         raise ValueError
-    return int(value)
+    return parse_whole(value) if isinstance(value, str) else int(value)
 
 
 def _number(value: Any) -> float:
     if isinstance(value, bool):
         raise ValueError
+    if not isinstance(value, str):
+        return float(value)
     # Messages show a number as it was written.
-    return int(value) if isinstance(value, str) and value.lstrip("-").isdecimal() else float(value)
+    return parse_whole(value) if value.lstrip("-").isdecimal() else parse_number(value)
 
 
 def _text(value: Any) -> str:

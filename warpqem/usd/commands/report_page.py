@@ -116,7 +116,7 @@ def write_compare_report(
     Raises:
         OptionError, StageError: as there.
     """
-    failed = [pair.path for pair in pairs if pair.comparison is None]
+    failed = [pair.path for pair in pairs if pair.message is not None]
     if options.all_lods:
         original = WorldMeshes(reference, options.prims, passing=failed)
         opened = [(name, _open_level(test, name, options.prims, failed)) for name in _level_names(test)]

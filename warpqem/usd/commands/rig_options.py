@@ -37,7 +37,7 @@ def read_counts(value: Any) -> int | tuple[int, ...]:
 
 def _count(part: Any) -> int:
     text = str(part).strip()
-    return int(text) if re.fullmatch(r"-?\d{1,9}", text) else _refuse()
+    return int(text) if re.fullmatch(r"-?\d{1,9}", text, re.ASCII) else _refuse()
 
 
 def _refuse() -> int:

@@ -277,7 +277,7 @@ class Run:
         wanted = wanted_changes(job, self.options)
         if target_faces is not None and target_faces >= face_count:
             if not wanted:
-                report.status, report.message = "kept", NO_MORE_FACES
+                self._keep(report, NO_MORE_FACES)
                 return
             target_faces = face_count
         fitter = self.core.fitter(job)
@@ -302,14 +302,21 @@ class Run:
                 written.write(self.layer, report, self.options, part_of(progress, CORE_SHARE, 1.0 - CORE_SHARE))
                 report.dropped += job.seams.released(job.faces, result.face_map)
                 return
-            report.status, report.message = "kept", f"nothing could be removed ({report.stopped})"
+            message = f"nothing could be removed ({report.stopped})"
             if report.stopped == "max_size_error":
-                report.message = self.kept_whole
+                message = self.kept_whole
             elif report.stopped == "target":
-                report.message = NO_MORE_FACES
+                message = NO_MORE_FACES
             elif report.stopped == "max_error":
-                report.message = f"nothing could be removed within {self.core.distance_limit(job)}"
+                message = f"nothing could be removed within {self.core.distance_limit(job)}"
+            self._keep(report, message)
         except WarpqemError:
             samples.discard()
             raise
         samples.discard()
+
+    def _keep(self, report: PrimReport, message: str) -> None:
+        """Leave a mesh as it is."""
+        report.status, report.message = "kept", message
+        if self.options.bake_normals is not None:
+            report.notes.append(f"{report.path}: no normal map, as the mesh keeps its faces and its own shading")

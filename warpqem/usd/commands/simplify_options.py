@@ -12,7 +12,6 @@ from warpqem.arguments.option_fields import check_options, option
 from warpqem.costs.models import Metric as Metric  # read in the signature, as a type of a field that is inherited
 from warpqem.costs.models import cost_model
 from warpqem.costs.screen_error import ScreenView
-from warpqem.errors import OptionError
 from warpqem.usd.commands.option_checks import (
     FRAMES_HELP,
     AttributeWeights,
@@ -27,6 +26,7 @@ from warpqem.usd.commands.option_checks import (
     read_ratios,
     read_weights,
 )
+from warpqem.usd.commands.option_conflicts import check_conflicts, check_goals
 from warpqem.usd.commands.rig_options import RigOptions
 from warpqem.usd.read.lengths import parse_length
 from warpqem.usd.read.time_codes import FrameRange
@@ -35,10 +35,7 @@ if TYPE_CHECKING:
     from warpqem.costs.motion_features import MotionWeighting
     from warpqem.face import FaceProtection, FacialFeatures
 
-__all__ = ["GOALS", "POINT_WEIGHTS", "SimplifyOptions"]
-
-# These say how far to simplify.
-GOALS = ("ratio", "faces", "max_error", "max_distance", "screen", "lods")
+__all__ = ["POINT_WEIGHTS", "SimplifyOptions"]
 
 MorphWeights = Literal["thirds", "rank", "distance", "usage"]
 WeightScales = Literal["cost", "quadrics"]
@@ -110,8 +107,9 @@ class SimplifyOptions(RigOptions):
             errors of all poses, and interpolate their skin, see `warpqem.skinning.rest_pose_quadrics`: a method to
             compare with.
         normals: "fit": normals are fitted to those of the input, see `warpqem.attribute_fit`, and meshes without any
-            get those of a smooth surface; "keep": they are blended from the input's nearest points; "none": no mesh
-            has any; None: as "fit", but a mesh without any that is not smooth by subdivision gets none.
+            get those of a smooth surface, but where the skin takes these further from the input's shading in its poses
+            than that of its own faces is; "keep": they are blended from the input's nearest points; "none": no mesh has
+            any; None: as "fit", but a mesh without any that is not smooth by subdivision gets none.
         bake_normals: Bake what the input's surface shades with, at rest or in the first frame, into a normal map of so
             many texels across for each mesh, see `warpqem.normal_maps`; None for none. Images lie in the folder
             NAME_textures beside the output, or in its package.
@@ -290,7 +288,8 @@ class SimplifyOptions(RigOptions):
     normals: Literal["fit", "keep", "none"] | None = option(
         None,
         "Normals fitted to those of IN by least squares, kept from the nearest points of IN, or none. By default they "
-        "are fitted where IN has some or is smooth by subdivision; with fit all meshes get some.",
+        "are fitted where IN has some or is smooth by subdivision; with fit others get some where that looks more "
+        "like IN.",
         panel="What to keep",
     )
     bake_normals: int | None = option(
@@ -347,7 +346,7 @@ class SimplifyOptions(RigOptions):
 
     def __post_init__(self) -> None:
         """Check the options, and those that need or exclude each other."""
-        self._check_goals()
+        check_goals(self)
         check_options(self)
         if self.faces is not None:
             check_faces(self.faces)
@@ -359,62 +358,7 @@ class SimplifyOptions(RigOptions):
             parse_bytes(self.memory)
         check_lods(self.lods)
         check_weights(self.attribute_weights)
-        self._check_face()
-        # Those of features and cost models check their values when they are made.
-        _ = self.motion
-        self._check_pose_independent()
-        self._check_levels()
-        self.check_rig(len(self.lods))
-        if self.reduces_joints and (self.pose_independent or self.bake or not self.skin_fit):
-            raise OptionError("`joints` and `joint_error` exclude `bake`, `pose_independent` and an interpolated skin")
-        if self.reduces_shapes and self.bake:
-            raise OptionError("`shapes` and `shape_error` exclude `bake`")
-
-    def _check_goals(self) -> None:
-        given = [name for name in GOALS if getattr(self, name) not in (None, ())]
-        if not given:
-            raise OptionError("one of `ratio`, `faces`, `max_error`, `max_distance`, `screen` and `lods` is needed")
-        if given[:2] == ["ratio", "faces"]:
-            raise OptionError(f"`ratio` {self.ratio} and `faces` {self.faces} exclude each other")
-        if "lods" in given and len(given) > 1:
-            raise OptionError(f"`lods` and `{given[0]}` exclude each other: the ratios of the levels say how far to go")
-
-    def _check_levels(self) -> None:
-        if self.lods and self.flatten and not self.lod_files:
-            raise OptionError(
-                "`lods` and `flatten` exclude each other: every level is a layer over the input; with `lod_files` each "
-                "level is a file that can be flat"
-            )
-        for name in ("usd_lod", "lod_files"):
-            if getattr(self, name) and not self.lods:
-                raise OptionError(f"`{name}` needs `lods`: the ratios of the levels")
-        if self.usd_lod and self.lod_files:
-            raise OptionError(
-                "`usd_lod` and `lod_files` exclude each other: all levels in one file, or one file for each"
-            )
-
-    def _check_pose_independent(self) -> None:
-        others = (
-            self.symmetry
-            or self.refit
-            or self.memoryless
-            or self.bake
-            or self.lods
-            or self.metric != "dsd"
-            or self.placement != "optimal"
-            or self.motion is not None
-        )
-        if self.pose_independent and others:
-            raise OptionError(
-                "`pose_independent` excludes `symmetry`, `refit`, `memoryless`, `bake`, `lods`, "
-                "another `metric`, its options and another `placement`"
-            )
-
-    def _check_face(self) -> None:
-        given = [name for name in ("face_points", "face_weight", "face_ring") if getattr(self, name) is not None]
-        given += [] if self.face_keep else ["face_keep"]
-        if given and not cost_model(self.metric).keeps_face:
-            raise OptionError(f"`{given[0]}`: needs `metric` 'face', not {cost_model(self.metric).name!r}")
+        check_conflicts(self)
 
     def face_protection(self, features: FacialFeatures | None = None) -> FaceProtection:
         """How these feature points are kept."""

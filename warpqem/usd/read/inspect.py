@@ -110,9 +110,8 @@ def inspect_with_problems(
     Raises:
         StageError, OptionError: see `inspect_stage`.
     """
-    stage, problems = open_with_problems(path)
+    stage, problems = open_with_problems(path, prepare=lambda stage: select_variants([stage], variants))
     check_stage_outputs(other_outputs, [stage])
-    select_variants([stage], variants)
     with usd_errors_named(path, reading=True):
         poses = StagePoses(stage)
         selection = find_meshes(stage)

@@ -23,7 +23,7 @@ def parse_length(value: float | str, meters_per_unit: float) -> float:
     Raises:
         OptionError: it is none, or not above 0; or it has a unit and the stage has none.
     """
-    found = re.fullmatch(r"\s*([-+.\deE]+?)\s*([a-z]*)\s*", str(value))
+    found = re.fullmatch(r"\s*([-+.\deE]+?)\s*([a-z]*)\s*", str(value), re.ASCII)
     try:
         number = float(found[1]) if found else math.nan
     except ValueError:

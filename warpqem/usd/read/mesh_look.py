@@ -10,7 +10,7 @@ from pxr import Usd, UsdGeom
 
 from warpqem.errors import StageError
 from warpqem.measure.surface_values import SurfaceValues
-from warpqem.normal_maps.tangents import unit_vectors
+from warpqem.mesh.directions import unit_vectors
 from warpqem.picture.look import PLAIN, Look, Part, Texture
 from warpqem.usd.read.descendants import subsets_of
 from warpqem.usd.read.materials import Materials, Surface

@@ -123,7 +123,7 @@ class _InnerEdges:
     def of(cls, faces: npt.NDArray[np.int32], sheets: npt.NDArray[np.int32]) -> _InnerEdges:
         """The edges of all faces but those that welding closed, and between faces that share corners of ``sheets``."""
         tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
-        key = edge_key(sheets.ravel(), np.roll(sheets, -1, axis=1).ravel(), int(sheets.max()) + 1)
+        key = edge_key(sheets.ravel(), np.roll(sheets, -1, axis=1).ravel(), int(sheets.max(initial=0)) + 1)
         proper = np.repeat(is_proper(sheets), 3)
         order = np.argsort(key, kind="stable")
         order = order[proper[order]]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from pxr import Sdf, Tf, Usd, UsdGeom, UsdSkel
@@ -69,22 +69,33 @@ def open_stage(path: str | os.PathLike[str], roots: Sequence[str | os.PathLike[s
         StageError: the file does not exist, USD cannot read it, or could not read it safely; a file it needs lies
             elsewhere; or a layer or prim refers to itself.
     """
-    return _opened(path, roots)[0]
+    return _opened(path, roots, None)[0]
 
 
 def open_with_problems(
-    path: str | os.PathLike[str], roots: Sequence[str | os.PathLike[str]] = ()
+    path: str | os.PathLike[str],
+    roots: Sequence[str | os.PathLike[str]] = (),
+    prepare: Callable[[Usd.Stage], object] | None = None,
 ) -> tuple[Usd.Stage, list[str]]:
     """Open a USD file as `open_stage` does, and say what is wrong with files that it names; one line each.
+
+    Args:
+        path: As there.
+        roots: As there.
+        prepare: Called with the stage before it is looked through, such as to select variants.
 
     Raises:
         StageError: see `open_stage`.
     """
-    stage, problems = _opened(path, roots)
+    stage, problems = _opened(path, roots, prepare)
     return stage, [*problems, *missing_lines(missing_textures(stage))]
 
 
-def _opened(path: str | os.PathLike[str], roots: Sequence[str | os.PathLike[str]]) -> tuple[Usd.Stage, list[str]]:
+def _opened(
+    path: str | os.PathLike[str],
+    roots: Sequence[str | os.PathLike[str]],
+    prepare: Callable[[Usd.Stage], object] | None,
+) -> tuple[Usd.Stage, list[str]]:
     """A stage, and what is wrong with how it is composed and with files that its layers name."""
     _log.info("%s: reading", os.fspath(path))
     opened = open_layers(path, roots)
@@ -94,6 +105,8 @@ def _opened(path: str | os.PathLike[str], roots: Sequence[str | os.PathLike[str]
         raise StageError(f"{path}: USD cannot open it ({first_line(error, path)})") from error
     if stage is None:
         raise StageError(f"{path}: USD cannot open it")
+    if prepare is not None:
+        prepare(stage)
     # The stage holds the layers now.
     return stage, [*check_composition(stage), *opened.problems]
 

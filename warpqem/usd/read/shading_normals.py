@@ -18,7 +18,7 @@ from warpqem.usd.read.read_mesh import MeshSource
 from warpqem.usd.read.skeleton_poses import MeshPoser
 from warpqem.usd.read.surface_values import surface_values
 
-__all__ = ["ShadedMesh", "shaded_mesh"]
+__all__ = ["ShadedMesh", "shaded_mesh", "skinned_normals"]
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.integer]
@@ -83,7 +83,7 @@ def _posed_normals(source: MeshSource, corners: Floats, time: float | None) -> F
     point = source.topology.triangles
     point = point[:, ::-1] if source.left_handed else point
     shaped = corners + _normal_offsets(source.poser, source.point_count, code)[point]
-    return _unit(_skinned(source.poser, shaped.reshape(-1, 3), point.ravel(), code)).reshape(corners.shape)
+    return _unit(skinned_normals(source.poser, shaped.reshape(-1, 3), point.ravel(), code)).reshape(corners.shape)
 
 
 def _normal_offsets(poser: MeshPoser, point_count: int, code: Usd.TimeCode) -> Floats:
@@ -112,8 +112,12 @@ def _normal_offsets(poser: MeshPoser, point_count: int, code: Usd.TimeCode) -> F
     return total
 
 
-def _skinned(poser: MeshPoser, normals: Floats, point: Ints, code: Usd.TimeCode) -> Floats:
-    """Normals (C, 3) at some points turned by the joints, in the mesh's local space."""
+def skinned_normals(poser: MeshPoser, normals: Floats, point: Ints, code: Usd.TimeCode) -> Floats:
+    """Normals (C, 3) at points (C,) turned by the joints, in the mesh's local space.
+
+    Raises:
+        StageError: UsdSkel cannot turn them.
+    """
     query = poser.skinning_query
     if not query.HasJointInfluences():
         return normals

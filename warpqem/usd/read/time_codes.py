@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from warpqem.arguments.number_text import parse_number
 from warpqem.errors import OptionError
 
 __all__ = ["FrameRange"]
@@ -59,7 +60,7 @@ class FrameRange:
         if len(parts) not in (2, 3):
             raise OptionError(f"`frames`: frame range '{text}': expected START:END or START:END:STEP, in time codes")
         try:
-            numbers = [float(part) for part in parts]
+            numbers = [parse_number(part) for part in parts]
         except ValueError:
             raise OptionError(f"`frames`: frame range '{text}': START, END and STEP must be numbers") from None
         return cls(*numbers)

@@ -162,8 +162,8 @@ class WorldMeshes:
                 ]
         return joined(looks)
 
-    def shown(self, time: float | None, materials: Materials) -> PosedMesh:
-        """What of the meshes is visible at a time as one mesh, with shading normals.
+    def shown(self, time: float | None, materials: Materials, textures: NormalTextures) -> PosedMesh:
+        """What of the meshes is visible at a time as one mesh, with shading normals and normal maps.
 
         Raises:
             StageError: a mesh cannot be read.
@@ -173,7 +173,7 @@ class WorldMeshes:
         for item in self._meshes:
             prims = [self.stage.GetPrimAtPath(place) for place in item.places]
             seen = [prim for prim in prims if UsdGeom.Imageable(prim).ComputeVisibility(code) != "invisible"]
-            found = item.posed(time, materials) if seen else None
+            found = item.posed(time, materials, textures) if seen else None
             if found is None:
                 continue
             for prim in seen:
@@ -245,10 +245,12 @@ class _WorldMesh:
         mesh = self.read(times)
         return None if mesh is None else plain_look(len(mesh.faces))
 
-    def posed(self, time: float | None, materials: Materials) -> ShadedMesh | None:
+    def posed(self, time: float | None, materials: Materials, textures: NormalTextures) -> ShadedMesh | None:
         """The mesh at a time with its shading normals, in local space; None where it shows nothing."""
         if self.source is not None:
-            return shaded_mesh(self.source, mesh_look(self.source, materials, time), time)
+            if not len(self.source.topology.triangles):
+                return None
+            return shaded_mesh(self.source, mesh_look(self.source, materials, time, textures), time)
         with self._opened(None if time is None else [time]) as source:
             if source is None:
                 return None

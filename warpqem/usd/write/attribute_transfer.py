@@ -8,19 +8,19 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-from pxr import UsdGeom
+from pxr import Usd, UsdGeom
 
-from warpqem.attribute_fit.partners import Partners, find_partners
+from warpqem.attribute_fit.partners import Partners, PartnerSearch
 from warpqem.attribute_fit.values import ValueLayout
 from warpqem.mesh.blending import blend
 from warpqem.mesh.mesh_input import is_proper
-from warpqem.mesh.smooth_normals import sharp_edges
 from warpqem.pipeline.surface_transfer import SurfaceTransfer, surface_transfer
 from warpqem.runtime.device import resolve_device
 from warpqem.usd.read.mesh_seams import MeshSeams
 from warpqem.usd.read.read_mesh import MeshSource
 from warpqem.usd.write.feature_subsets import FAMILY
 from warpqem.usd.write.smooth_normals import has_normals, is_smooth_scheme
+from warpqem.usd.write.spread import spread
 from warpqem.usd.write.vertex_colors import fitted_values
 
 if TYPE_CHECKING:
@@ -30,6 +30,9 @@ __all__ = ["AttributeTransfer", "Rows"]
 
 # Shorter vectors than this have no direction.
 SHORTEST = 1e-12
+# Frames that values are fitted in at most: with eight the texture of a cape was off by 29 % less than by values of one
+# point, with two by 6 %, with one by 3 %.
+MAX_FRAMES = 8
 NO_SEAMS = np.zeros((0, 2), dtype=np.int32)
 
 
@@ -87,7 +90,12 @@ class AttributeTransfer:
         feature_points: Points of it that are feature points of a face, by name.
         normals: How normals come to it: fitted to the input's, blended from the nearest ones, or not at all.
         shades_all: Whether a mesh without normals gets some, too.
+        only_nearer: Whether it gets none if its own faces' shading is nearer to the input's than those would be.
         read_pose: The vertices of the input, float32, shape (V, 3), in each frame that is written, in its space.
+        frames: The frames that are written, if there are several; set before values are transferred.
+        read_placed: Its points in each of these.
+        shown_codes: Time codes of the poses that a skin, which is written at rest, is shown in.
+        read_shown: The vertices of the input, likewise, in each of these.
         reference: float32, shape (V', 3), its points in the pose of `reference_points`.
     """
 
@@ -122,7 +130,13 @@ class AttributeTransfer:
         self.feature_points: dict[str, int] = {}
         self.reference: npt.NDArray[np.float32] = result.points[0]
         self.shades_all = False
+        self.frames: range = range(0)
+        # Nothing here may hold this object itself: it would keep the stages open until they are collected.
+        self.read_placed: Callable[[int], npt.NDArray[np.float32]] = lambda _: result.points[0]
+        self.only_nearer = False
         self.read_pose: Callable[[int], npt.NDArray[np.float32]] = lambda _: reference_points
+        self.shown_codes: list[Usd.TimeCode] = []
+        self.read_shown: Callable[[int], npt.NDArray[np.float32]] = lambda _: reference_points
         self.normals: Literal["fit", "keep", "none"] = "fit"
         self._device = device
         self._transfers: dict[bytes, SurfaceTransfer] = {}
@@ -133,14 +147,10 @@ class AttributeTransfer:
         pairs: npt.NDArray[np.int32] = self._input[2].vertex_map[self.seams.hard]
         return pairs[(pairs[:, 0] != pairs[:, 1]) & (pairs >= 0).all(axis=1)]
 
-    def sharp_edges(self, degrees: float) -> npt.NDArray[np.int32]:
-        """Pairs (S, 2) of the input's vertices where polygons without normals meet at so many degrees or more.
-
-        Those of the reference pose; none on a subdivision surface, or with normals, which say what is hard.
-        """
-        if has_normals(self.prim) or is_smooth_scheme(UsdGeom.Mesh(self.prim)):
-            return NO_SEAMS
-        return sharp_edges(self._input[0], self._input[1], degrees)
+    @property
+    def is_plain(self) -> bool:
+        """True for polygons without normals, which nothing says how to shade; else subdivision or normals do."""
+        return not has_normals(self.prim) and not is_smooth_scheme(UsdGeom.Mesh(self.prim))
 
     def names_feature_point(self, subset: UsdGeom.Subset) -> bool:
         """True of a point subset that names one of `feature_points`."""
@@ -195,17 +205,21 @@ class AttributeTransfer:
         index = elements[transfer.wedge_face[used]].astype(np.int64)
         return Rows(index, transfer.wedge_weight[used]), row.reshape(-1, 3).astype(np.int32)
 
-    def layout(self, name: str, of_points: bool, corner_row: npt.NDArray[np.int32] | None) -> ValueLayout:
+    def layout(
+        self, name: str, of_points: bool, corner_row: npt.NDArray[np.int32] | None, over_frames: bool = False
+    ) -> ValueLayout:
         """Where the values of an attribute stand, for `warpqem.attribute_fit`.
 
         Args:
             name: The attribute.
             of_points: True if it has a value for each authored point, else for each corner of the authored faces.
             corner_row: What `corners` gives; None for a value for each output vertex.
+            over_frames: True for partners in several of `frames`, False for those in the reference pose.
         """
         seams = NO_SEAMS if corner_row is None else self.seams.by_name[name]
         elements = self.topology.triangles if of_points else self.topology.triangle_corners
-        return ValueLayout(self._reference_partners(seams), elements, self.faces if corner_row is None else corner_row)
+        found = self._partners_over_frames(seams) if over_frames else self._reference_partners(seams)
+        return ValueLayout(found, elements, self.faces if corner_row is None else corner_row)
 
     @property
     def input_faces(self) -> npt.NDArray[np.int32]:
@@ -222,18 +236,28 @@ class AttributeTransfer:
         """Which corners of the output are on one side of seams (S, 2) of the input: int32, shape (N', 3), by number."""
         return self._transfer(seams).corner_wedge
 
-    def find_partners(
-        self, seams: npt.NDArray[np.int32], points: npt.NDArray[np.floating], placed: npt.NDArray[np.floating]
-    ) -> Partners:
-        """Partners of samples on one side of seams, in a pose of the input (V, 3) and of the output (V', 3)."""
+    def partner_search(self, seams: npt.NDArray[np.int32]) -> PartnerSearch:
+        """What finds partners of samples on one side of seams, in poses of the input and of the output."""
         _, faces, result = self._input
         device, transfer = resolve_device(self._device), self._transfer(seams)
-        return find_partners(points, faces, result, transfer, seams.astype(np.int64), placed, device=device)
+        return PartnerSearch(faces, result, transfer, seams.astype(np.int64), device)
 
     def _reference_partners(self, seams: npt.NDArray[np.int32]) -> Partners:
         key = seams.tobytes()
         if key not in self._partners:
-            self._partners[key] = self.find_partners(seams, self._input[0], self.reference)
+            self._partners[key] = self.partner_search(seams).find(self._input[0], self.reference)
+        return self._partners[key]
+
+    def _partners_over_frames(self, seams: npt.NDArray[np.int32]) -> Partners:
+        """Partners in some of the frames that are written: a sample meets other points where the surface slides."""
+        if len(self.frames) < 2:
+            return self._reference_partners(seams)
+        key = b"frames" + seams.tobytes()
+        if key not in self._partners:
+            near, search = self._reference_partners(seams), self.partner_search(seams)
+            chosen = spread(self.frames, MAX_FRAMES)
+            found = [search.find(self.read_pose(frame), self.read_placed(frame), near) for frame in chosen]
+            self._partners[key] = Partners.over_poses(found)
         return self._partners[key]
 
     def _transfer(self, seams: npt.NDArray[np.int32]) -> SurfaceTransfer:

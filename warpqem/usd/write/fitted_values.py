@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -10,12 +9,14 @@ import numpy.typing as npt
 from pxr import Usd, UsdGeom
 
 from warpqem.attribute_fit.texture import fit_texture, reference_signs
-from warpqem.attribute_fit.values import fit_normals, fit_smooth_values, own_normals, split_normals, unit
+from warpqem.attribute_fit.values import fit_normals, fit_smooth_values, own_normals, split_normals
+from warpqem.mesh.directions import unit_vectors
 from warpqem.usd.read.texture_coordinates import is_uv
 from warpqem.usd.read.value_arrays import Samples, is_continuous, is_normal, is_quaternion
 from warpqem.usd.write.attribute_transfer import AttributeTransfer
+from warpqem.usd.write.spread import spread
 
-__all__ = ["fit_normal_offsets", "fit_transferred", "kind_of_values", "spread"]
+__all__ = ["fit_normal_offsets", "fit_transferred", "kind_of_values"]
 
 Kind = Literal["normals", "texture", "smooth"]
 CornerRows = npt.NDArray[np.int32]
@@ -63,7 +64,7 @@ def fit_transferred(
     first = next(iter(transferred.values()))
     if first[:1].size not in ((3,) if kind == "normals" else (2,) if kind == "texture" else range(1, 17)):
         return transferred, corner_row
-    layout = transfer.layout(name, interpolation in POINT_INTERPOLATIONS, corner_row)
+    layout = transfer.layout(name, interpolation in POINT_INTERPOLATIONS, corner_row, kind != "normals")
 
     def start(code: Usd.TimeCode) -> npt.NDArray[np.float64]:
         return _flat(transferred[code])
@@ -83,11 +84,11 @@ def fit_transferred(
 
         return Samples(list(transferred), fitted), corner_row
     chosen = spread(list(transferred), MAX_SPLIT_SAMPLES)
-    own = (own_normals(layout, _flat(samples[code]), unit(start(code))) for code in chosen)
+    own = (own_normals(layout, _flat(samples[code]), unit_vectors(start(code))) for code in chosen)
     split, row = split_normals(transfer.faces, layout, own)
 
     def fitted_normals(code: Usd.TimeCode) -> npt.NDArray[Any]:
-        return fit_normals(split, _flat(samples[code]), unit(start(code)[row])).astype(transferred[code].dtype)
+        return fit_normals(split, _flat(samples[code]), unit_vectors(start(code)[row])).astype(transferred[code].dtype)
 
     return Samples(list(transferred), fitted_normals), corner_row if split is layout else split.corner_row
 
@@ -106,13 +107,6 @@ def fit_normal_offsets(
         return start
     layout = transfer.layout("normalOffsets", True, None)
     return fit_smooth_values(layout, _flat(offsets), start, (start != 0).any(axis=1))
-
-
-def spread(items: Sequence[Any], most: int) -> list[Any]:
-    """At most so many of the items, evenly spread, with the first and the last one."""
-    if len(items) <= most:
-        return list(items)
-    return [items[index] for index in np.linspace(0, len(items) - 1, most).round().astype(int)]
 
 
 def _flat(values: npt.NDArray[Any]) -> npt.NDArray[np.float64]:

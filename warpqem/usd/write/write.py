@@ -21,6 +21,7 @@ from warpqem.usd.read.inheritors import keep_heirs
 from warpqem.usd.read.instances import end_instancing, move_to_classes
 from warpqem.usd.read.mesh_skin import Skin
 from warpqem.usd.read.open_stage import MeshSelection
+from warpqem.usd.read.skeleton_poses import StagePoses
 from warpqem.usd.read.stage_views import copy_stage_metadata, layer_name, open_like
 from warpqem.usd.write.attribute_transfer import AttributeTransfer
 from warpqem.usd.write.fitted_normals import write_fitted_normals
@@ -159,7 +160,10 @@ class OverLayer:
         mesh = UsdGeom.Mesh(self.stage.OverridePrim(path))
         dropped = self._transfer_values(mesh, transfer, times, skin, with_normals=not samples.smooth)
         shaded = transfer.normals != "none" and (samples.shaded_later or dropped.rest_normals)
-        shaded |= transfer.shades_all and not has_normals(transfer.prim)
+        # The two sides of a sheet cancel out at its points, where nothing is fitted.
+        shaded |= (
+            transfer.shades_all and not has_normals(transfer.prim) and not (transfer.is_plain and transfer.has_backs)
+        )
         if shaded:
             # They hide what was blocked, and are to be in a flat file.
             normals = mesh.GetNormalsAttr().GetPath()
@@ -169,7 +173,8 @@ class OverLayer:
         mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(np.ascontiguousarray(faces.reshape(-1))))
         mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
         if shaded and transfer.normals == "fit" and not transfer.has_backs:
-            write_fitted_normals(mesh, transfer, times, self.count_sample)
+            poser = None if skin is None else StagePoses(self.stage).poser(mesh.GetPrim())
+            shaded = write_fitted_normals(mesh, transfer, times, self.count_sample, poser)
         elif shaded:
             write_hard_edged_normals(mesh, faces, transfer.hard_edges(), times, self.count_sample)
         if skin is not None and (shaded or samples.smooth):
@@ -192,6 +197,10 @@ class OverLayer:
         else:
             self._shapes[str(prim.GetPath())] = [*(shape.path for shape in skin.shapes), *skin.removed_shapes]
             write_skin(self.stage, prim, skin, transfer)
+        if skin is None and times is not None:
+            points = mesh.GetPointsAttr()
+            transfer.frames = range(len(times))
+            transfer.read_placed = lambda frame: np.asarray(points.Get(times[frame]), dtype=np.float32)
         if transfer.normals == "none":
             for name in NORMAL_ATTRIBUTES:
                 block(prim.GetAttribute(name), dropped)
