@@ -15,11 +15,11 @@ AREA_FLOPS = 41
 
 def _begin_members(a: Arguments) -> Demand:
     # Two links.
-    return Demand(a["members"].area.size * 2 * INT)
+    return Demand(a["members"].following.size * 2 * INT)
 
 
 def _measure_members(a: Arguments) -> Demand:
-    vertices, corners, keys = a["members"].area.size, a["corner_vertex_in"], a["key_count"]
+    vertices, corners, keys = a["members"].following.size, a["corner_vertex_in"], a["key_count"]
     # Corners and the lists of them; points, list, area and reach of each vertex.
     flops = vertices * keys * VALENCE * AREA_FLOPS
     return Demand(2 * size_of(corners) + vertices * (keys * POINT + 4 * INT), flops)

@@ -35,29 +35,38 @@ def measure_members(
 ):
     """A third of the area of the faces around each vertex, in the order of their corners, and how far they reach.
 
-    Both are means over the key frames. No point of a triangle is further from its nearest corner than its longest edge
-    times 3^-0.5, but of obtuse ones.
+    In the first key frame, and the means of all. No point of a triangle is further from its nearest corner than its
+    longest edge times 3^-0.5, but of obtuse ones.
     """
     v = first_vertex + wp.tid()
     area = wp.float64(0.0)
+    mean_area = wp.float64(0.0)
     reach = wp.float32(0.0)
+    mean_reach = wp.float32(0.0)
     for i in range(adjacency_in.start[v], adjacency_in.end[v]):
         # From the face's first corner, so that its three vertices see the same area to the bit.
         h = 3 * (adjacency_in.corner[i] // 3)
-        longest = wp.float32(0.0)
+        sum_of_longest = wp.float32(0.0)
         for t in range(position_in.shape[1]):
             a = position_in[corner_vertex_in[h], t]
             b = position_in[corner_vertex_in[h + 1], t]
             c = position_in[corner_vertex_in[h + 2], t]
             cross = lane_cross(b - a, c - a)
             doubled = lane_dot(cross, cross)
-            first = lane_dot(b - a, b - a)
-            second = lane_dot(c - b, c - b)
-            third = lane_dot(a - c, a - c)
+            first = lane_dot(a - b, a - b)
+            second = lane_dot(b - c, b - c)
+            third = lane_dot(c - a, c - a)
             # Frames that fill up the last block are points without an extent.
             for k in range(len(doubled)):
-                area += wp.float64(wp.sqrt(doubled[k]) / 6.0)
-                longest += wp.max(wp.max(first[k], second[k]), third[k])
-        reach = wp.max(reach, longest / (3.0 * wp.float32(key_count)))
-    members.area[v] = wp.float32(area / wp.float64(key_count))
-    members.reach_squared[v] = reach
+                size = wp.float64(wp.sqrt(doubled[k]) / 6.0)
+                longest = wp.max(wp.max(first[k], second[k]), third[k])
+                mean_area += size
+                sum_of_longest += longest
+                if t + k == 0:
+                    area += size
+                    reach = wp.max(reach, longest / 3.0)
+        mean_reach = wp.max(mean_reach, sum_of_longest / (3.0 * wp.float32(key_count)))
+    members.area[0, v] = wp.float32(area)
+    members.area[1, v] = wp.float32(mean_area / wp.float64(key_count))
+    members.reach_squared[0, v] = reach
+    members.reach_squared[1, v] = mean_reach

@@ -35,8 +35,8 @@ class Wedges:
 class Members:
     """The input vertices that each vertex stands for, as linked lists that begin with itself (V vertices)."""
 
-    area: wp.array[wp.float32]  # (V,) a third of the faces around, mean over the key frames, in diagonals squared
-    reach_squared: wp.array[wp.float32]  # (V,) how far its faces reach from it, squared, likewise
+    area: wp.array2d[wp.float32]  # (2, V) a third of the faces around, in diagonals squared: first frame, mean of all
+    reach_squared: wp.array2d[wp.float32]  # (2, V) how far its faces reach from it, squared, likewise
     following: wp.array[wp.int32]  # (V,) -1 for the last one
     last: wp.array[wp.int32]  # (V,)
 

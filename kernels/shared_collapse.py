@@ -22,12 +22,13 @@ from warpqem.kernels.legality import (
     turns_over,
 )
 from warpqem.kernels.member_distance import (
+    LongFrame,
     face_area,
     face_middle,
-    frame_of_edge,
+    gap_of_member,
     key_point,
+    long_frame,
     nearest_member,
-    ring_distance_squared,
 )
 from warpqem.kernels.mesh_state import KEY_FRAMES, AnyKeyFrames, CollapseLog, CostModel, MeshState, degree
 from warpqem.kernels.quadric import NO_PLANE
@@ -49,8 +50,8 @@ class CheckNotes:
 
     refused: wp.array[wp.int32]  # a collapse each: the last round that refused the one at this place in the list
     member_gap: wp.array[wp.float32]  # (V,) area times squared distance of a member from the faces left
-    face_area: wp.array[wp.float32]  # (3N,) at the corner that moves: area of a face left
-    face_distance: wp.array[wp.int32]  # (3N,) there: squared distance of its middle from members, the bits of a float
+    face_area: wp.array2d[wp.float32]  # (2, 3N) at the corner that moves: area of a face left, in both frames
+    face_distance: wp.array2d[wp.int32]  # (2, 3N) there: squared distance of its middle from members, bits of a float
 
 
 @wp.func
@@ -151,10 +152,11 @@ def note_face(
     """
     q = key_point(frames.position, x, frame)
     r = key_point(frames.position, y, frame)
+    row = wp.where(frame == 0, 0, 1)
     squared = wp.max(nearest_member(state, frames, vertex, frame, face_middle(apex, q, r), wp.float32(wp.inf)), 0.0)
     # The bits of numbers that are not negative are in their order.
-    wp.atomic_min(notes.face_distance, g, wp.cast(squared, wp.int32))
-    notes.face_area[g] = face_area(apex, q, r)
+    wp.atomic_min(notes.face_distance, row, g, wp.cast(squared, wp.int32))
+    notes.face_area[row, g] = face_area(apex, q, r)
 
 
 @wp.func
@@ -164,6 +166,7 @@ def check_faces(
     h: wp.int32,
     target: Any,
     i: wp.int32,
+    long: LongFrame,
     flip_tolerance: wp.int32,
     slot: wp.int32,
     slot_count: wp.int32,
@@ -176,8 +179,8 @@ def check_faces(
     """
     u = state.corner_vertex[h]
     v = half_edge_target(state.corner_vertex, h)
-    frame = frame_of_edge(frames, u, v)
-    apex = key_point(target, i, frame)
+    apex = key_point(target, i, 0)
+    long_apex = key_point(target, i, long.frame)
     own = degree(state, u)
     face_count = own + degree(state, v)
     breaks = wp.bool(False)
@@ -197,7 +200,9 @@ def check_faces(
             if turn == 0 and turns_over(state, frames, g, target, i, flip_tolerance):
                 breaks = True
             vertex = wp.where(turn == 0, u, wp.where(turn == 1, v, wp.where(turn == 2, x, y)))
-            note_face(state, frames, notes, vertex, g, x, y, frame, apex)
+            note_face(state, frames, notes, vertex, g, x, y, 0, apex)
+            if long.frame > 0:
+                note_face(state, frames, notes, vertex, g, x, y, long.frame, long_apex)
     return breaks
 
 
@@ -212,6 +217,7 @@ def check_slots(
     # in
     frames: AnyKeyFrames,
     state: MeshState,
+    model: CostModel,
     selected: EdgeList,
     target_in: Any,
     flip_tolerance: wp.int32,
@@ -229,20 +235,19 @@ def check_slots(
         i = item // slot_count
         slot = item % slot_count
         h = selected.half_edge[i]
-        if check_faces(state, frames, h, target_in, i, flip_tolerance, slot, slot_count, notes):
-            notes.refused[i] = round_count_in[0]
         u = state.corner_vertex[h]
         v = half_edge_target(state.corner_vertex, h)
-        frame = frame_of_edge(frames, u, v)
-        apex = key_point(target_in, i, frame)
+        long = long_frame(frames, model, u, v)
+        if check_faces(state, frames, h, target_in, i, long, flip_tolerance, slot, slot_count, notes):
+            notes.refused[i] = round_count_in[0]
+        apex = key_point(target_in, i, 0)
+        long_apex = key_point(target_in, i, long.frame)
         k = wp.int32(0)
         for side in range(2):
             m = wp.where(side == 0, u, v)
             while m >= 0:
                 if k % slot_count == slot:
-                    p = key_point(frames.input, m, frame)
-                    distance_squared = ring_distance_squared(state, frames, u, v, frame, apex, p)
-                    notes.member_gap[m] = state.members.area[m] * distance_squared
+                    notes.member_gap[m] = gap_of_member(state, frames, u, v, apex, long, long_apex, m)
                 k += 1
                 m = state.members.following[m]
 
@@ -256,13 +261,13 @@ def noted_member_gap(state: MeshState, notes: CheckNotes, u: wp.int32, v: wp.int
         m = wp.where(side == 0, u, v)
         while m >= 0:
             gap += notes.member_gap[m]
-            area += state.members.area[m]
+            area += state.members.area[0, m]
             m = state.members.following[m]
     return wp.vec2(gap, area)
 
 
 @wp.func
-def take_face_gap(state: MeshState, notes: CheckNotes, u: wp.int32, v: wp.int32) -> wp.float32:
+def take_face_gap(state: MeshState, notes: CheckNotes, u: wp.int32, v: wp.int32, long: LongFrame) -> wp.float32:
     """What :func:`face_gap` measures, of the notes, which are cleared."""
     gap = wp.float32(0.0)
     for side in range(2):
@@ -271,8 +276,13 @@ def take_face_gap(state: MeshState, notes: CheckNotes, u: wp.int32, v: wp.int32)
         for i in range(state.adjacency.start[a], state.adjacency.end[a]):
             g = state.adjacency.corner[i]
             if half_edge_target(state.corner_vertex, g) != b and state.corner_vertex[previous_corner(g)] != b:
-                gap += notes.face_area[g] * wp.cast(notes.face_distance[g], wp.float32)
-                notes.face_distance[g] = FAR_AWAY
+                here = notes.face_area[0, g] * wp.cast(notes.face_distance[0, g], wp.float32)
+                notes.face_distance[0, g] = FAR_AWAY
+                if long.frame > 0:
+                    there = notes.face_area[1, g] * wp.cast(notes.face_distance[1, g], wp.float32)
+                    notes.face_distance[1, g] = FAR_AWAY
+                    here = wp.max(here, long.share * there)
+                gap += here
     return gap
 
 
@@ -297,7 +307,7 @@ def settle_collapses(
         legal = notes.refused[i] != round_count_in[0] and keeps_manifold_ends(state, h)
         u = state.corner_vertex[h]
         v = half_edge_target(state.corner_vertex, h)
-        back = take_face_gap(state, notes, u, v)
+        back = take_face_gap(state, notes, u, v, long_frame(frames, model, u, v))
         gap = wp.vec2(0.0, 0.0)
         if legal:
             gap = noted_member_gap(state, notes, u, v)

@@ -15,7 +15,7 @@ __all__ = ["build_members"]
 
 
 def build_members(corner_vertex: wp.array, adjacency: Adjacency, key_position: wp.array, key_count: int) -> Members:
-    """Lists of one member each, with its area over the key frames.
+    """Lists of one member each, with its size in the key frames.
 
     Args:
         corner_vertex: (3N,) int32.
@@ -25,7 +25,8 @@ def build_members(corner_vertex: wp.array, adjacency: Adjacency, key_position: w
     """
     device, vertex_count = key_position.device, len(key_position)
     members = Members()
-    members.area, members.reach_squared = (wp.empty(vertex_count, dtype=wp.float32, device=device) for _ in range(2))
+    shape = (2, vertex_count)
+    members.area, members.reach_squared = (wp.empty(shape, dtype=wp.float32, device=device) for _ in range(2))
     members.following, members.last = (wp.empty(vertex_count, dtype=wp.int32, device=device) for _ in range(2))
     launch(kernels.begin_members, vertex_count, [], [members], device=device)
     inputs = [key_position, key_count, corner_vertex, adjacency.lists, FIRST_ITEM]

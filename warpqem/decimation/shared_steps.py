@@ -28,10 +28,9 @@ class SharedSteps:
         notes = self._notes = CheckNotes()
         notes.refused = steps.integers(len(steps.faces_removed))
         vertex_count, corner_count = len(steps.state.vertex_flags), len(steps.state.corner_vertex)
-        notes.member_gap, notes.face_area = (
-            wp.empty(count, dtype=wp.float32, device=steps.device) for count in (vertex_count, corner_count)
-        )
-        notes.face_distance = wp.full(corner_count, kernels.FAR_AWAY, dtype=wp.int32, device=steps.device)
+        notes.member_gap = wp.empty(vertex_count, dtype=wp.float32, device=steps.device)
+        notes.face_area = wp.empty((2, corner_count), dtype=wp.float32, device=steps.device)
+        notes.face_distance = wp.full((2, corner_count), kernels.FAR_AWAY, dtype=wp.int32, device=steps.device)
 
     def checking(self, selected: EdgeList) -> list[LaunchGroup]:
         """The faces that each selected collapse removes, and where it puts its vertex."""
@@ -44,7 +43,7 @@ class SharedSteps:
             record_shared(recorder, kernels.sum_anchor_terms[width], terms, work, [steps.anchor])
             placed = [frames, state, model, selected, steps.anchor]
             record_shared(recorder, kernels.place_blocks[width], placed, work, [steps.target])
-            checked = [frames, state, selected, steps.target, steps.flip_tolerance, steps.log.round_count]
+            checked = [frames, state, model, selected, steps.target, steps.flip_tolerance, steps.log.round_count]
             record_shared(recorder, kernels.check_slots[width], checked, work, [self._notes])
             settled = [state, self._notes, frames, model, selected, steps.log.round_count]
             record_shared(recorder, kernels.settle_collapses[width], settled, work, [steps.faces_removed, steps.error])
