@@ -100,8 +100,18 @@ def gap_of_member(
     if long.frame > 0:
         p = key_point(frames.input, m, long.frame)
         distance = ring_distance_squared(state, frames, u, v, long.frame, long_apex, p)
-        gap = wp.max(gap, long.share * state.members.area[1, m] * distance)
+        # The mean area is the one there times the share.
+        gap = wp.max(gap, state.members.area[1, m] * distance)
     return gap
+
+
+@wp.func
+def area_of_member(state: MeshState, long: LongFrame, m: wp.int32) -> wp.float32:
+    """The area that goes with :func:`gap_of_member`: what is small in the first frame counts as it is in the other."""
+    area = state.members.area[0, m]
+    if long.frame > 0:
+        area = wp.max(area, state.members.area[1, m] / long.share)
+    return area
 
 
 @wp.func
@@ -121,22 +131,31 @@ def member_gap(
         m = wp.where(side == 0, u, v)
         while m >= 0:
             gap += gap_of_member(state, frames, u, v, apex, long, long_apex, m)
-            area += state.members.area[0, m]
+            area += area_of_member(state, long, m)
             m = state.members.following[m]
     return wp.vec2(gap, area)
 
 
 @wp.func
 def nearest_member(
-    state: MeshState, frames: AnyKeyFrames, vertex: wp.int32, frame: wp.int32, p: wp.vec3, best: wp.float32
+    state: MeshState,
+    frames: AnyKeyFrames,
+    vertex: wp.int32,
+    frame: wp.int32,
+    share: wp.float32,
+    p: wp.vec3,
+    best: wp.float32,
 ) -> wp.float32:
-    """The least of ``best`` and the squared distances of ``p`` from the surface around the members of a vertex."""
+    """The least of ``best`` and the squared distances of ``p`` from the surface around the members of a vertex.
+
+    ``share`` is what part of the squared lengths in the frame the mean over the key frames has; 1 in the first.
+    """
     least = best
     row = wp.where(frame == 0, 0, 1)
     m = vertex
     while m >= 0:
         squared = wp.length_sq(p - key_point(frames.input, m, frame))
-        least = wp.min(least, squared - state.members.reach_squared[row, m])
+        least = wp.min(least, squared - state.members.reach_squared[row, m] / share)
         m = state.members.following[m]
     return least
 
@@ -162,16 +181,17 @@ def gap_of_face(
     x: wp.int32,
     y: wp.int32,
     frame: wp.int32,
+    share: wp.float32,
     apex: wp.vec3,
 ) -> wp.float32:
     """Area times squared distance of the middle of the face ``apex x y`` from the members of its corners."""
     q = key_point(frames.position, x, frame)
     r = key_point(frames.position, y, frame)
     middle = face_middle(apex, q, r)
-    squared = nearest_member(state, frames, u, frame, middle, wp.float32(wp.inf))
-    squared = nearest_member(state, frames, v, frame, middle, squared)
-    squared = nearest_member(state, frames, x, frame, middle, squared)
-    squared = nearest_member(state, frames, y, frame, middle, squared)
+    squared = nearest_member(state, frames, u, frame, share, middle, wp.float32(wp.inf))
+    squared = nearest_member(state, frames, v, frame, share, middle, squared)
+    squared = nearest_member(state, frames, x, frame, share, middle, squared)
+    squared = nearest_member(state, frames, y, frame, share, middle, squared)
     return face_area(apex, q, r) * wp.max(squared, 0.0)
 
 
@@ -197,9 +217,9 @@ def face_gap(
             x = half_edge_target(state.corner_vertex, h)
             y = state.corner_vertex[previous_corner(h)]
             if x != b and y != b:
-                here = gap_of_face(state, frames, u, v, x, y, 0, apex)
+                here = gap_of_face(state, frames, u, v, x, y, 0, 1.0, apex)
                 if long.frame > 0:
-                    there = gap_of_face(state, frames, u, v, x, y, long.frame, long_apex)
+                    there = gap_of_face(state, frames, u, v, x, y, long.frame, long.share, long_apex)
                     here = wp.max(here, long.share * there)
                 gap += here
     return gap

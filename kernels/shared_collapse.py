@@ -23,6 +23,7 @@ from warpqem.kernels.legality import (
 )
 from warpqem.kernels.member_distance import (
     LongFrame,
+    area_of_member,
     face_area,
     face_middle,
     gap_of_member,
@@ -144,6 +145,7 @@ def note_face(
     x: wp.int32,
     y: wp.int32,
     frame: wp.int32,
+    share: wp.float32,
     apex: wp.vec3,
 ):
     """Note the area of the face ``apex x y``, and how far its middle is from the members of one of its vertices.
@@ -153,7 +155,8 @@ def note_face(
     q = key_point(frames.position, x, frame)
     r = key_point(frames.position, y, frame)
     row = wp.where(frame == 0, 0, 1)
-    squared = wp.max(nearest_member(state, frames, vertex, frame, face_middle(apex, q, r), wp.float32(wp.inf)), 0.0)
+    middle = face_middle(apex, q, r)
+    squared = wp.max(nearest_member(state, frames, vertex, frame, share, middle, wp.float32(wp.inf)), 0.0)
     # The bits of numbers that are not negative are in their order.
     wp.atomic_min(notes.face_distance, row, g, wp.cast(squared, wp.int32))
     notes.face_area[row, g] = face_area(apex, q, r)
@@ -200,9 +203,9 @@ def check_faces(
             if turn == 0 and turns_over(state, frames, g, target, i, flip_tolerance):
                 breaks = True
             vertex = wp.where(turn == 0, u, wp.where(turn == 1, v, wp.where(turn == 2, x, y)))
-            note_face(state, frames, notes, vertex, g, x, y, 0, apex)
+            note_face(state, frames, notes, vertex, g, x, y, 0, 1.0, apex)
             if long.frame > 0:
-                note_face(state, frames, notes, vertex, g, x, y, long.frame, long_apex)
+                note_face(state, frames, notes, vertex, g, x, y, long.frame, long.share, long_apex)
     return breaks
 
 
@@ -253,7 +256,7 @@ def check_slots(
 
 
 @wp.func
-def noted_member_gap(state: MeshState, notes: CheckNotes, u: wp.int32, v: wp.int32) -> wp.vec2:
+def noted_member_gap(state: MeshState, notes: CheckNotes, u: wp.int32, v: wp.int32, long: LongFrame) -> wp.vec2:
     """What :func:`member_gap` measures, of the notes."""
     gap = wp.float32(0.0)
     area = wp.float32(0.0)
@@ -261,7 +264,7 @@ def noted_member_gap(state: MeshState, notes: CheckNotes, u: wp.int32, v: wp.int
         m = wp.where(side == 0, u, v)
         while m >= 0:
             gap += notes.member_gap[m]
-            area += state.members.area[0, m]
+            area += area_of_member(state, long, m)
             m = state.members.following[m]
     return wp.vec2(gap, area)
 
@@ -307,10 +310,11 @@ def settle_collapses(
         legal = notes.refused[i] != round_count_in[0] and keeps_manifold_ends(state, h)
         u = state.corner_vertex[h]
         v = half_edge_target(state.corner_vertex, h)
-        back = take_face_gap(state, notes, u, v, long_frame(frames, model, u, v))
+        long = long_frame(frames, model, u, v)
+        back = take_face_gap(state, notes, u, v, long)
         gap = wp.vec2(0.0, 0.0)
         if legal:
-            gap = noted_member_gap(state, notes, u, v)
+            gap = noted_member_gap(state, notes, u, v, long)
             error_out[i] = gap_error(gap)
         faces_removed_out[i] = settle_collapse(state, frames, model, h, legal, gap, back)
 

@@ -133,3 +133,18 @@ def test_what_grows_out_of_the_surface_after_the_first_frame_keeps_its_tip(growt
     result = warpqem.simplify(frames, faces, ratio=0.05, quality=quality, measure=False, device=device)
     distance = compare(frames, faces, result.points, result.faces, samples=20000, device=device)
     assert distance.hausdorff < 1.5
+
+
+@pytest.mark.parametrize("quality", ["fast", "best"])
+@pytest.mark.parametrize("smallest", [0.0, 0.001, 0.01, 0.1])
+def test_mesh_that_grows_as_a_whole_reaches_its_goal(smallest, quality, device):
+    points, faces = meshes.bumpy_sphere(3)
+    frames = np.stack([share * points for share in np.linspace(smallest, 1, 10)]).astype(np.float32)
+    result = warpqem.simplify(frames, faces, ratio=0.1, quality=quality, measure=False, device=device)
+    assert len(result.faces) == len(faces) // 10
+    alone = warpqem.simplify(points[None], faces, ratio=0.1, quality=quality, measure=False, device=device)
+    distances = [
+        compare(points[None], faces, each[-1:], mesh.faces, samples=20000, device=device).hausdorff
+        for each, mesh in ((result.points, result), (alone.points, alone))
+    ]
+    assert distances[0] < 1.5 * distances[1]
