@@ -26,7 +26,7 @@ from warpqem.kernels.lanes import (
     lane_kernel,
     lane_max,
 )
-from warpqem.kernels.member_distance import face_gap, key_point, long_frame, member_gap
+from warpqem.kernels.member_distance import face_gap, first_pose, key_point, longest_pose, member_gap
 from warpqem.kernels.mesh_state import KEY_FRAMES, AnyKeyFrames, CostModel, MeshState, degree
 from warpqem.kernels.prefetch import prefetch_collapses, prefetch_ends
 from warpqem.kernels.quadric import NO_PLANE
@@ -351,13 +351,13 @@ def check_collapses(
         gap = wp.vec2(0.0, 0.0)
         back = wp.float32(0.0)
         if legal:
-            apex = key_point(target_in, i, 0)
-            long = long_frame(frames, model, u, v)
-            long_apex = key_point(target_in, i, long.frame)
-            gap = member_gap(state, frames, u, v, apex, long, long_apex)
+            first = first_pose(target_in, i)
+            longest = longest_pose(frames, model, u, v)
+            longest.apex = key_point(target_in, i, longest.frame)
+            gap = member_gap(state, frames, u, v, first, longest)
             error_out[i] = gap_error(gap)
             if gap_error(gap) <= model.error_limit:
-                back = face_gap(state, frames, u, v, apex, long, long_apex)
+                back = face_gap(state, frames, u, v, first, longest)
         faces_removed = settle_collapse(state, frames, model, h, legal, gap, back)
         faces_removed_out[i] = faces_removed
         if faces_removed > 0 and legal_count.shape[0] > 0:

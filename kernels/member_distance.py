@@ -3,7 +3,8 @@
 Quadrics measure distances from planes, which go on for ever: a tip that is cut off stays near the planes of its sides.
 This measures distances from faces, at the members of both clusters; and the other way round how far the faces left are
 from the members, as faces that span the hole of a ring leave no member behind. It takes a walk over members and faces,
-so it is done for the edges that are about to collapse, not for all, and in one key frame.
+so it is done for the edges that are about to collapse, not for all, and in the first key frame; where an edge is much
+longer in another one, also there.
 """
 
 from typing import Any
@@ -24,11 +25,12 @@ MUCH_LONGER = wp.constant(wp.float32(4.0))
 
 
 @wp.struct
-class LongFrame:
-    """A key frame in which an edge is much longer than in the first one, 0 for none."""
+class CollapsePose:
+    """A key frame in which distances of a collapse are measured; the first is there always, no other one is frame 0."""
 
     frame: wp.int32
-    share: wp.float32  # what part of the squared distances there the mean over the key frames has
+    share: wp.float32  # what part of squared lengths there the mean over the key frames has; 1 in the first
+    apex: wp.vec3  # where both ends go
 
 
 @wp.func
@@ -41,13 +43,22 @@ def key_point(position: Any, v: wp.int32, frame: wp.int32) -> wp.vec3:
 
 
 @wp.func
-def long_frame(frames: AnyKeyFrames, model: CostModel, u: wp.int32, v: wp.int32) -> LongFrame:
-    """The frame in which an edge is longest, where that is much longer than in the first.
+def first_pose(target: Any, i: wp.int32) -> CollapsePose:
+    """The pose of the first frame, of the collapse that goes to row ``i`` of ``target`` (S, B)."""
+    pose = CollapsePose()
+    pose.share = 1.0
+    pose.apex = key_point(target, i, 0)
+    return pose
+
+
+@wp.func
+def longest_pose(frames: AnyKeyFrames, model: CostModel, u: wp.int32, v: wp.int32) -> CollapsePose:
+    """The pose in which an edge is longest, where that is much longer than in the first; without its apex.
 
     What grows out of a surface later is nowhere to be seen in the first frame. Squared distances are taken to go with
     the squared lengths of the edge.
     """
-    found = LongFrame()
+    found = CollapsePose()
     longest = MUCH_LONGER * wp.length_sq(key_point(frames.position, v, 0) - key_point(frames.position, u, 0))
     total = wp.float32(0.0)
     for t in range(frames.position.shape[1]):
@@ -65,10 +76,10 @@ def long_frame(frames: AnyKeyFrames, model: CostModel, u: wp.int32, v: wp.int32)
 
 @wp.func
 def ring_distance_squared(
-    state: MeshState, frames: AnyKeyFrames, u: wp.int32, v: wp.int32, frame: wp.int32, apex: wp.vec3, p: wp.vec3
+    state: MeshState, frames: AnyKeyFrames, u: wp.int32, v: wp.int32, pose: CollapsePose, p: wp.vec3
 ) -> wp.float32:
-    """Squared distance of ``p`` from the faces around ``u`` and ``v`` once both are at ``apex``, in a key frame."""
-    best = wp.length_sq(p - apex)
+    """Squared distance of ``p`` from the faces around ``u`` and ``v`` once both have collapsed, in a pose."""
+    best = wp.length_sq(p - pose.apex)
     for side in range(2):
         a = wp.where(side == 0, u, v)
         b = wp.where(side == 0, v, u)
@@ -77,9 +88,9 @@ def ring_distance_squared(
             x = half_edge_target(state.corner_vertex, h)
             y = state.corner_vertex[previous_corner(h)]
             if x != b and y != b:
-                q = key_point(frames.position, x, frame)
-                r = key_point(frames.position, y, frame)
-                best = wp.min(best, offset_squared(p, apex, q, r, closest_barycentric(p, apex, q, r)))
+                q = key_point(frames.position, x, pose.frame)
+                r = key_point(frames.position, y, pose.frame)
+                best = wp.min(best, offset_squared(p, pose.apex, q, r, closest_barycentric(p, pose.apex, q, r)))
     return best
 
 
@@ -89,40 +100,32 @@ def gap_of_member(
     frames: AnyKeyFrames,
     u: wp.int32,
     v: wp.int32,
-    apex: wp.vec3,
-    long: LongFrame,
-    long_apex: wp.vec3,
+    first: CollapsePose,
+    longest: CollapsePose,
     m: wp.int32,
 ) -> wp.float32:
-    """Area times squared distance of a member of ``u`` or ``v``: the most of what it is in both frames."""
-    distance = ring_distance_squared(state, frames, u, v, 0, apex, key_point(frames.input, m, 0))
+    """Area times squared distance of a member of ``u`` or ``v``: the most of what it is in both poses."""
+    distance = ring_distance_squared(state, frames, u, v, first, key_point(frames.input, m, 0))
     gap = state.members.area[0, m] * distance
-    if long.frame > 0:
-        p = key_point(frames.input, m, long.frame)
-        distance = ring_distance_squared(state, frames, u, v, long.frame, long_apex, p)
+    if longest.frame > 0:
+        distance = ring_distance_squared(state, frames, u, v, longest, key_point(frames.input, m, longest.frame))
         # The mean area is the one there times the share.
         gap = wp.max(gap, state.members.area[1, m] * distance)
     return gap
 
 
 @wp.func
-def area_of_member(state: MeshState, long: LongFrame, m: wp.int32) -> wp.float32:
+def area_of_member(state: MeshState, longest: CollapsePose, m: wp.int32) -> wp.float32:
     """The area that goes with :func:`gap_of_member`: what is small in the first frame counts as it is in the other."""
     area = state.members.area[0, m]
-    if long.frame > 0:
-        area = wp.max(area, state.members.area[1, m] / long.share)
+    if longest.frame > 0:
+        area = wp.max(area, state.members.area[1, m] / longest.share)
     return area
 
 
 @wp.func
 def member_gap(
-    state: MeshState,
-    frames: AnyKeyFrames,
-    u: wp.int32,
-    v: wp.int32,
-    apex: wp.vec3,
-    long: LongFrame,
-    long_apex: wp.vec3,
+    state: MeshState, frames: AnyKeyFrames, u: wp.int32, v: wp.int32, first: CollapsePose, longest: CollapsePose
 ) -> wp.vec2:
     """Sum over the members of ``u`` and ``v`` of area times squared distance, and of their areas."""
     gap = wp.float32(0.0)
@@ -130,32 +133,23 @@ def member_gap(
     for side in range(2):
         m = wp.where(side == 0, u, v)
         while m >= 0:
-            gap += gap_of_member(state, frames, u, v, apex, long, long_apex, m)
-            area += area_of_member(state, long, m)
+            gap += gap_of_member(state, frames, u, v, first, longest, m)
+            area += area_of_member(state, longest, m)
             m = state.members.following[m]
     return wp.vec2(gap, area)
 
 
 @wp.func
 def nearest_member(
-    state: MeshState,
-    frames: AnyKeyFrames,
-    vertex: wp.int32,
-    frame: wp.int32,
-    share: wp.float32,
-    p: wp.vec3,
-    best: wp.float32,
+    state: MeshState, frames: AnyKeyFrames, vertex: wp.int32, pose: CollapsePose, p: wp.vec3, best: wp.float32
 ) -> wp.float32:
-    """The least of ``best`` and the squared distances of ``p`` from the surface around the members of a vertex.
-
-    ``share`` is what part of the squared lengths in the frame the mean over the key frames has; 1 in the first.
-    """
+    """The least of ``best`` and the squared distances of ``p`` from the surface around the members of a vertex."""
     least = best
-    row = wp.where(frame == 0, 0, 1)
+    row = wp.where(pose.frame == 0, 0, 1)
     m = vertex
     while m >= 0:
-        squared = wp.length_sq(p - key_point(frames.input, m, frame))
-        least = wp.min(least, squared - state.members.reach_squared[row, m] / share)
+        squared = wp.length_sq(p - key_point(frames.input, m, pose.frame))
+        least = wp.min(least, squared - state.members.reach_squared[row, m] / pose.share)
         m = state.members.following[m]
     return least
 
@@ -180,33 +174,25 @@ def gap_of_face(
     v: wp.int32,
     x: wp.int32,
     y: wp.int32,
-    frame: wp.int32,
-    share: wp.float32,
-    apex: wp.vec3,
+    pose: CollapsePose,
 ) -> wp.float32:
     """Area times squared distance of the middle of the face ``apex x y`` from the members of its corners."""
-    q = key_point(frames.position, x, frame)
-    r = key_point(frames.position, y, frame)
-    middle = face_middle(apex, q, r)
-    squared = nearest_member(state, frames, u, frame, share, middle, wp.float32(wp.inf))
-    squared = nearest_member(state, frames, v, frame, share, middle, squared)
-    squared = nearest_member(state, frames, x, frame, share, middle, squared)
-    squared = nearest_member(state, frames, y, frame, share, middle, squared)
-    return face_area(apex, q, r) * wp.max(squared, 0.0)
+    q = key_point(frames.position, x, pose.frame)
+    r = key_point(frames.position, y, pose.frame)
+    middle = face_middle(pose.apex, q, r)
+    squared = nearest_member(state, frames, u, pose, middle, wp.float32(wp.inf))
+    squared = nearest_member(state, frames, v, pose, middle, squared)
+    squared = nearest_member(state, frames, x, pose, middle, squared)
+    squared = nearest_member(state, frames, y, pose, middle, squared)
+    return face_area(pose.apex, q, r) * wp.max(squared, 0.0)
 
 
 @wp.func
 def face_gap(
-    state: MeshState,
-    frames: AnyKeyFrames,
-    u: wp.int32,
-    v: wp.int32,
-    apex: wp.vec3,
-    long: LongFrame,
-    long_apex: wp.vec3,
+    state: MeshState, frames: AnyKeyFrames, u: wp.int32, v: wp.int32, first: CollapsePose, longest: CollapsePose
 ) -> wp.float32:
-    """Sum over the faces around ``u`` and ``v``, once both are at ``apex``, of area times squared distance of the
-    middle from the members of the corners, as far as it is beyond what these reach; the most of both frames.
+    """Sum over the faces around ``u`` and ``v``, once both have collapsed, of area times squared distance of the middle
+    from the members of the corners, as far as it is beyond what these reach; the most of both poses.
     """
     gap = wp.float32(0.0)
     for side in range(2):
@@ -217,10 +203,9 @@ def face_gap(
             x = half_edge_target(state.corner_vertex, h)
             y = state.corner_vertex[previous_corner(h)]
             if x != b and y != b:
-                here = gap_of_face(state, frames, u, v, x, y, 0, 1.0, apex)
-                if long.frame > 0:
-                    there = gap_of_face(state, frames, u, v, x, y, long.frame, long.share, long_apex)
-                    here = wp.max(here, long.share * there)
+                here = gap_of_face(state, frames, u, v, x, y, first)
+                if longest.frame > 0:
+                    here = wp.max(here, longest.share * gap_of_face(state, frames, u, v, x, y, longest))
                 gap += here
     return gap
 

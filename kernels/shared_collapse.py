@@ -22,13 +22,14 @@ from warpqem.kernels.legality import (
     turns_over,
 )
 from warpqem.kernels.member_distance import (
-    LongFrame,
+    CollapsePose,
     area_of_member,
     face_area,
     face_middle,
+    first_pose,
     gap_of_member,
     key_point,
-    long_frame,
+    longest_pose,
     nearest_member,
 )
 from warpqem.kernels.mesh_state import KEY_FRAMES, AnyKeyFrames, CollapseLog, CostModel, MeshState, degree
@@ -51,7 +52,7 @@ class CheckNotes:
 
     refused: wp.array[wp.int32]  # a collapse each: the last round that refused the one at this place in the list
     member_gap: wp.array[wp.float32]  # (V,) area times squared distance of a member from the faces left
-    face_area: wp.array2d[wp.float32]  # (2, 3N) at the corner that moves: area of a face left, in both frames
+    face_area: wp.array2d[wp.float32]  # (2, 3N) at the corner that moves: area of a face left, in both poses
     face_distance: wp.array2d[wp.int32]  # (2, 3N) there: squared distance of its middle from members, bits of a float
 
 
@@ -144,22 +145,20 @@ def note_face(
     g: wp.int32,
     x: wp.int32,
     y: wp.int32,
-    frame: wp.int32,
-    share: wp.float32,
-    apex: wp.vec3,
+    pose: CollapsePose,
 ):
     """Note the area of the face ``apex x y``, and how far its middle is from the members of one of its vertices.
 
     The nearest member of all counts: a least is the same in any order of the threads.
     """
-    q = key_point(frames.position, x, frame)
-    r = key_point(frames.position, y, frame)
-    row = wp.where(frame == 0, 0, 1)
-    middle = face_middle(apex, q, r)
-    squared = wp.max(nearest_member(state, frames, vertex, frame, share, middle, wp.float32(wp.inf)), 0.0)
+    q = key_point(frames.position, x, pose.frame)
+    r = key_point(frames.position, y, pose.frame)
+    row = wp.where(pose.frame == 0, 0, 1)
+    middle = face_middle(pose.apex, q, r)
+    squared = wp.max(nearest_member(state, frames, vertex, pose, middle, wp.float32(wp.inf)), 0.0)
     # The bits of numbers that are not negative are in their order.
     wp.atomic_min(notes.face_distance, row, g, wp.cast(squared, wp.int32))
-    notes.face_area[row, g] = face_area(apex, q, r)
+    notes.face_area[row, g] = face_area(pose.apex, q, r)
 
 
 @wp.func
@@ -169,7 +168,8 @@ def check_faces(
     h: wp.int32,
     target: Any,
     i: wp.int32,
-    long: LongFrame,
+    first: CollapsePose,
+    longest: CollapsePose,
     flip_tolerance: wp.int32,
     slot: wp.int32,
     slot_count: wp.int32,
@@ -182,8 +182,6 @@ def check_faces(
     """
     u = state.corner_vertex[h]
     v = half_edge_target(state.corner_vertex, h)
-    apex = key_point(target, i, 0)
-    long_apex = key_point(target, i, long.frame)
     own = degree(state, u)
     face_count = own + degree(state, v)
     breaks = wp.bool(False)
@@ -203,9 +201,9 @@ def check_faces(
             if turn == 0 and turns_over(state, frames, g, target, i, flip_tolerance):
                 breaks = True
             vertex = wp.where(turn == 0, u, wp.where(turn == 1, v, wp.where(turn == 2, x, y)))
-            note_face(state, frames, notes, vertex, g, x, y, 0, 1.0, apex)
-            if long.frame > 0:
-                note_face(state, frames, notes, vertex, g, x, y, long.frame, long.share, long_apex)
+            note_face(state, frames, notes, vertex, g, x, y, first)
+            if longest.frame > 0:
+                note_face(state, frames, notes, vertex, g, x, y, longest)
     return breaks
 
 
@@ -240,23 +238,23 @@ def check_slots(
         h = selected.half_edge[i]
         u = state.corner_vertex[h]
         v = half_edge_target(state.corner_vertex, h)
-        long = long_frame(frames, model, u, v)
-        if check_faces(state, frames, h, target_in, i, long, flip_tolerance, slot, slot_count, notes):
+        first = first_pose(target_in, i)
+        longest = longest_pose(frames, model, u, v)
+        longest.apex = key_point(target_in, i, longest.frame)
+        if check_faces(state, frames, h, target_in, i, first, longest, flip_tolerance, slot, slot_count, notes):
             notes.refused[i] = round_count_in[0]
-        apex = key_point(target_in, i, 0)
-        long_apex = key_point(target_in, i, long.frame)
         k = wp.int32(0)
         for side in range(2):
             m = wp.where(side == 0, u, v)
             while m >= 0:
                 if k % slot_count == slot:
-                    notes.member_gap[m] = gap_of_member(state, frames, u, v, apex, long, long_apex, m)
+                    notes.member_gap[m] = gap_of_member(state, frames, u, v, first, longest, m)
                 k += 1
                 m = state.members.following[m]
 
 
 @wp.func
-def noted_member_gap(state: MeshState, notes: CheckNotes, u: wp.int32, v: wp.int32, long: LongFrame) -> wp.vec2:
+def noted_member_gap(state: MeshState, notes: CheckNotes, u: wp.int32, v: wp.int32, longest: CollapsePose) -> wp.vec2:
     """What :func:`member_gap` measures, of the notes."""
     gap = wp.float32(0.0)
     area = wp.float32(0.0)
@@ -264,13 +262,13 @@ def noted_member_gap(state: MeshState, notes: CheckNotes, u: wp.int32, v: wp.int
         m = wp.where(side == 0, u, v)
         while m >= 0:
             gap += notes.member_gap[m]
-            area += area_of_member(state, long, m)
+            area += area_of_member(state, longest, m)
             m = state.members.following[m]
     return wp.vec2(gap, area)
 
 
 @wp.func
-def take_face_gap(state: MeshState, notes: CheckNotes, u: wp.int32, v: wp.int32, long: LongFrame) -> wp.float32:
+def take_face_gap(state: MeshState, notes: CheckNotes, u: wp.int32, v: wp.int32, longest: CollapsePose) -> wp.float32:
     """What :func:`face_gap` measures, of the notes, which are cleared."""
     gap = wp.float32(0.0)
     for side in range(2):
@@ -281,10 +279,10 @@ def take_face_gap(state: MeshState, notes: CheckNotes, u: wp.int32, v: wp.int32,
             if half_edge_target(state.corner_vertex, g) != b and state.corner_vertex[previous_corner(g)] != b:
                 here = notes.face_area[0, g] * wp.cast(notes.face_distance[0, g], wp.float32)
                 notes.face_distance[0, g] = FAR_AWAY
-                if long.frame > 0:
+                if longest.frame > 0:
                     there = notes.face_area[1, g] * wp.cast(notes.face_distance[1, g], wp.float32)
                     notes.face_distance[1, g] = FAR_AWAY
-                    here = wp.max(here, long.share * there)
+                    here = wp.max(here, longest.share * there)
                 gap += here
     return gap
 
@@ -310,11 +308,11 @@ def settle_collapses(
         legal = notes.refused[i] != round_count_in[0] and keeps_manifold_ends(state, h)
         u = state.corner_vertex[h]
         v = half_edge_target(state.corner_vertex, h)
-        long = long_frame(frames, model, u, v)
-        back = take_face_gap(state, notes, u, v, long)
+        longest = longest_pose(frames, model, u, v)
+        back = take_face_gap(state, notes, u, v, longest)
         gap = wp.vec2(0.0, 0.0)
         if legal:
-            gap = noted_member_gap(state, notes, u, v, long)
+            gap = noted_member_gap(state, notes, u, v, longest)
             error_out[i] = gap_error(gap)
         faces_removed_out[i] = settle_collapse(state, frames, model, h, legal, gap, back)
 
