@@ -176,7 +176,10 @@ def _turned_back(
         # A neighbour of a triangle that is as before may be turned over by the other one's values.
         share[np.unique(corner_row[bad])] = 0.0
         values = start + share[:, None] * (fitted - start)
-    return _untangled(corner_row, values, signs, free, tiles)
+    # First by the least change, which is most often enough; values of seams only where nothing else helps.
+    values = _folded_back(corner_row, values, signs, free, tiles)
+    values = _untangled(corner_row, values, signs, free, tiles)
+    return _folded_back(corner_row, values, signs, np.ones_like(free), tiles)
 
 
 def _untangled(corner_row: Ints, values: Floats, signs: npt.NDArray[np.int8], free: Flags, tiles: _Tiles) -> Floats:
@@ -203,19 +206,19 @@ def _untangled(corner_row: Ints, values: Floats, signs: npt.NDArray[np.int8], fr
         if after >= left:
             break
         values, left = trial, after
-    return _folded_back(corner_row, values, signs, tiles)
+    return values
 
 
-def _folded_back(corner_row: Ints, values: Floats, signs: npt.NDArray[np.int8], tiles: _Tiles) -> Floats:
-    """The same where the last triangles that are turned over are folded back at one of their edges, one by one.
+def _folded_back(corner_row: Ints, values: Floats, signs: npt.NDArray[np.int8], free: Flags, tiles: _Tiles) -> Floats:
+    """The same where triangles that are turned over are folded back at one of their edges, one by one.
 
-    These are slivers along seams: the corner goes to the other side of the edge, where that turns no other one over.
+    Most are slivers: a free corner goes to the other side of its edge, where that turns no other one over.
     """
     values = values.copy()
     for face in np.flatnonzero(face_signs(values[corner_row]) * signs < 0)[:MAX_FOLDS]:
         rows = corner_row[face]
         best, chosen, shift = np.inf, -1, np.zeros(2)
-        for k in range(3):
+        for k in np.flatnonzero(free[rows]):
             apex, first, second = values[rows[k]], values[rows[k - 2]], values[rows[k - 1]]
             along = second - first
             across = np.array([-along[1], along[0]])
