@@ -296,7 +296,7 @@ def test_errors_of_normals_are_those_of_numpy(hills):
                 squared += partners.area[f] * ((wanted - shown) ** 2).sum()
                 angle += partners.area[f] * np.arccos(wanted @ shown)
                 area += partners.area[f]
-    found = normal_errors(hills.layout, values, corners)
+    [found] = normal_errors(hills.layout, values, corners)
     assert (found.squared, found.angle) == pytest.approx((squared / area, angle / area))
 
 

@@ -123,23 +123,28 @@ class NormalErrors:
         return self.squared <= share * other.squared and self.angle <= other.angle
 
 
-def normal_errors(layout: ValueLayout, values: Floats, corners: Floats) -> NormalErrors:
+def normal_errors(layout: ValueLayout, values: Floats, *shown: Floats) -> list[NormalErrors]:
     """How far normals of the output are from the input's.
 
     Args:
         layout: where the input's normals stand.
         values: (E, 3) float64, of the input, of length one.
-        corners: (N', 3, 3), at the corners of the output.
+        shown: each (N', 3, 3), normals at the corners of the output.
     """
     face, weight = layout.partners.face.numpy(), layout.partners.weight.numpy()
     known = face >= 0
     area = np.broadcast_to(layout.partners.area[:, None], face.shape)[known]
     total = float(area.sum())
     if not total > 0:
-        return NormalErrors(0.0, 0.0)
-    wanted = unit_vectors(np.einsum("nk,nkc->nc", weight[known], values[layout.corner_element[face[known]]]))
-    shown = unit_vectors(np.einsum("sk,fkd->fsd", layout.partners.samples, corners))[known]
-    squared = ((wanted - shown) ** 2).sum(axis=1)
-    # Of a chord of the unit circle; rounding may take it beyond the diameter.
-    angle = 2 * np.arcsin(np.minimum(np.sqrt(squared) / 2, 1.0))
-    return NormalErrors(float((area * squared).sum()) / total, float((area * angle).sum()) / total)
+        return [NormalErrors(0.0, 0.0)] * len(shown)
+    element, weight = layout.corner_element[face[known]], weight[known].astype(np.float64)
+    # One corner after the other takes half the time of an array of all three.
+    wanted = unit_vectors(np.add.reduce([weight[:, k : k + 1] * values[element[:, k]] for k in range(3)]))
+    found = []
+    for corners in shown:
+        normals = unit_vectors((layout.partners.samples @ corners)[known])
+        squared = ((wanted - normals) ** 2).sum(axis=1)
+        # Of a chord of the unit circle; rounding may take it beyond the diameter.
+        angle = 2 * np.arcsin(np.minimum(np.sqrt(squared) / 2, 1.0))
+        found.append(NormalErrors(float((area * squared).sum()) / total, float((area * angle).sum()) / total))
+    return found

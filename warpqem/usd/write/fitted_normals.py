@@ -113,7 +113,7 @@ class _Shading:
     def errors(self, pose: NormalPose, layout: ValueLayout, tilt: npt.NDArray[np.float64]) -> NormalErrors:
         """How far normals of a tilt (R, 3) are from the input's in a pose."""
         normals = pose.turned(self.frames(pose.shaped).tilted(tilt), self.row_vertex)
-        return normal_errors(layout, self.of_input(pose.points), normals[self.corner_row])
+        return normal_errors(layout, self.of_input(pose.points), normals[self.corner_row])[0]
 
     def kept_errors(self, pose: NormalPose, layout: ValueLayout) -> NormalErrors:
         """The same of normals by the output's own faces: as pictures show polygons, else smooth but at hard edges."""
@@ -121,7 +121,7 @@ class _Shading:
             own = self._outward * SmoothingGroups(self._transfer.faces, CREASE_ANGLE).normals(pose.placed)
         else:
             own = self.of_faces(pose.placed)[self.corner_row]
-        return normal_errors(layout, self.of_input(pose.points), own)
+        return normal_errors(layout, self.of_input(pose.points), own)[0]
 
     def fits(
         self, poses: Sequence[NormalPose], layouts: Sequence[ValueLayout], tilts: npt.NDArray[np.float64]

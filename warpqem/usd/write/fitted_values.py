@@ -98,16 +98,20 @@ def fit_transferred(
     def fitted_normals(code: Usd.TimeCode) -> npt.NDArray[Any]:
         return fit_normals(split, _flat(samples[code]), unit_vectors(start(code)[row])).astype(transferred[code].dtype)
 
-    def errors(code: Usd.TimeCode, corners: npt.NDArray[Any]) -> NormalErrors:
-        return normal_errors(layout, unit_vectors(_flat(samples[code])), corners)
-
-    kept = NormalErrors.over_poses(errors(code, unit_vectors(start(code))[layout.corner_row]) for code in chosen)
-    if not NormalErrors.over_poses(errors(code, fitted_normals(code)[split.corner_row]) for code in chosen).is_within(
-        kept
-    ):
+    held = {code: fitted_normals(code) for code in chosen}
+    errors = []
+    for code, normals in held.items():
+        kept = unit_vectors(start(code))[layout.corner_row]
+        errors.append(normal_errors(layout, unit_vectors(_flat(samples[code])), kept, normals[split.corner_row]))
+    before, after = (NormalErrors.over_poses(one) for one in zip(*errors, strict=True))
+    if not after.is_within(before):
         # Of a few faces a fit may be off by more on average, where an edge that went draws all of it aside.
         return transferred, corner_row
-    return Samples(list(transferred), fitted_normals), corner_row if split is layout else split.corner_row
+
+    def held_or_fitted(code: Usd.TimeCode) -> npt.NDArray[Any]:
+        return held[code] if code in held else fitted_normals(code)
+
+    return Samples(list(transferred), held_or_fitted), corner_row if split is layout else split.corner_row
 
 
 def fit_normal_offsets(
