@@ -34,8 +34,8 @@ Points = npt.NDArray[np.float32]
 # Poses that normals are fitted in. Between them they turn with the surface, which is nearly as good as a fit in every
 # frame, and takes a fraction of the time.
 MAX_POSES = 16
-# Part of the faces' own error that normals of polygons may have at most where a skin carries them. Samples are on
-# hidden faces, too: pictures of seven skins got better below 0.73, and some worse from 0.79 on.
+# Part of the faces' own error that normals of polygons may have at most where a skin or blend shapes carry them. Samples
+# are on hidden faces, too: pictures of seven skins got better below 0.73, and some worse from 0.79 on.
 MAX_CARRIED_ERROR = 0.75
 # How often the rest shape counts among the poses of a skin, beyond once: as half of them, as more and more of all.
 MORE_REST = (0, 4, 16, 64)
@@ -144,11 +144,10 @@ def _carried(
     That counts as often as it takes for the rest shape not to be further from the input's normals than it is with
     those of its faces. None with ``only_nearer`` where the mean over the poses is not enough below ``kept`` (K,).
     """
-    most = MAX_CARRIED_ERROR if any(pose.turn is not None for pose in poses) else 1.0
     mean = NormalErrors.over_poses(kept)
 
     def is_nearer(tilt: npt.NDArray[np.float64]) -> bool:
-        return not only_nearer or shading.fits(poses, layouts, tilt).is_within(mean, most)
+        return not only_nearer or shading.fits(poses, layouts, tilt).is_within(mean, MAX_CARRIED_ERROR)
 
     agreed = [unit_vectors(tilts.sum(axis=0) + more * tilts[0])[None] for more in MORE_REST]
     for tilt in [*agreed, tilts[:1]]:
