@@ -34,8 +34,8 @@ Points = npt.NDArray[np.float32]
 # Poses that normals are fitted in. Between them they turn with the surface, which is nearly as good as a fit in every
 # frame, and takes a fraction of the time.
 MAX_POSES = 16
-# Part of the faces' own error that normals of polygons may have at most where a skin or blend shapes carry them. Samples
-# are on hidden faces, too: pictures of seven skins got better below 0.73, and some worse from 0.79 on.
+# Part of the faces' own error that normals of polygons may have at most where a skin or blend shapes carry them.
+# Samples are on hidden faces, too: pictures of seven skins got better below 0.73, and some worse from 0.79 on.
 MAX_CARRIED_ERROR = 0.75
 # How often the rest shape counts among the poses of a skin, beyond once: as half of them, as more and more of all.
 MORE_REST = (0, 4, 16, 64)
