@@ -10,6 +10,7 @@ from typing import Any
 import warp as wp
 
 from warpqem.kernels.work import EdgeList, Work
+from warpqem.runtime import new_arrays
 from warpqem.runtime.cpu_threads import run_parts
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import DirectRecorder, Recorder
@@ -86,6 +87,6 @@ def new_edge_list(storage: wp.array, part_count: int) -> EdgeList:
     """An empty list in ``part_count`` segments of ``storage`` (3N,) int32."""
     edges = EdgeList()
     edges.half_edge = storage
-    edges.count = wp.zeros(part_count, dtype=wp.int32, device=storage.device)
+    edges.count = new_arrays.zeros(part_count, dtype=wp.int32, device=storage.device)
     edges.capacity = len(storage) // part_count
     return edges
