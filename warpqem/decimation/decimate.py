@@ -18,7 +18,6 @@ from warpqem.decimation.collapse_nodes import NodeRecorder
 from warpqem.decimation.component_forest import ComponentForest
 from warpqem.decimation.constrained_edges import ConstrainedEdges, EdgeMarks
 from warpqem.decimation.deformation import build_deformation
-from warpqem.decimation.device_loop import DeviceOrderer
 from warpqem.decimation.faces_left import faces_left
 from warpqem.decimation.initial_quadrics import given_quadrics, initial_quadrics
 from warpqem.decimation.ordering import Ordering
@@ -306,7 +305,12 @@ def _cost_model(mesh: DecimationInput, settings: OrderSettings) -> CostModel:
 
 def _new_ordering(steps: PassSteps) -> Ordering:
     """The loop for a kind of device: a GPU waits too long for the host, and a CPU for dead faces."""
-    return DeviceOrderer(steps) if device_traits(steps.device).captures else Orderer(steps)
+    if not device_traits(steps.device).captures:
+        return Orderer(steps)
+    # Its kernels take a while to load, and a CPU has no use for them.
+    from warpqem.decimation.device_loop import DeviceOrderer
+
+    return DeviceOrderer(steps)
 
 
 def _line_rank(vertex_flags: np.ndarray, edges: ConstrainedEdges) -> np.ndarray:
