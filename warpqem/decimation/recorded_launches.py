@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -69,10 +70,15 @@ def run_once(groups: Sequence[LaunchGroup], device: str) -> None:
 
 
 def part_work(part: int, part_count: int, device: str) -> Work:
-    """The share of one part."""
+    """The share of one part; not to be changed, as others have the same."""
+    return _work(part, part_count, device_traits(device).launch_threads)
+
+
+@functools.cache
+def _work(part: int, part_count: int, thread_count: int) -> Work:
+    """Kept, as every launch of a pass has one, and making one takes longer than the launch."""
     work = Work()
-    work.part, work.part_count = part, part_count
-    work.thread_count = device_traits(device).launch_threads
+    work.part, work.part_count, work.thread_count = part, part_count, thread_count
     return work
 
 
