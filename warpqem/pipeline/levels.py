@@ -14,12 +14,14 @@ from warpqem.arguments.number_input import flag, shown, whole_number
 from warpqem.arguments.progress import CancelToken, Progress, ProgressInput, listener, with_progress_bar
 from warpqem.decimation.collapse_log import CollapseRecord
 from warpqem.decimation.collapse_nodes import NodeRecorder
+from warpqem.decimation.decimate import DecimatedMesh
 from warpqem.decimation.replay import OrderedLevels
 from warpqem.errors import OptionError, UnreachableTargetError
 from warpqem.frames.checked_frames import check_sink
 from warpqem.frames.stream import FrameSink
 from warpqem.mesh.mesh_input import read_mesh
 from warpqem.options import LevelKeywords, check_ratio, read_keywords, target_count
+from warpqem.pipeline.exchange import exchanged, may_exchange, spare_faces
 from warpqem.pipeline.measure_result import ResultMeasure
 from warpqem.pipeline.memory_plan import admit_faces
 from warpqem.pipeline.prepare import ORDER_END, Prepared, prepare
@@ -43,7 +45,10 @@ class LevelOrder:
 
     def __init__(self, work: Prepared, refit: bool, progress: Progress | None) -> None:
         self._refit, recorder = refit, NodeRecorder()
-        self._ordered = work.order(progress, recorder)
+        if refit and may_exchange(work):
+            self._ordered = work.order_to(spare_faces(work.goal.target_faces), progress, recorder)
+        else:
+            self._ordered = work.order(progress, recorder)
         self._levels = OrderedLevels(work.mesh.faces, self._ordered, recorder)
         self._least, self._work = work.goal.target_faces, work.without_input()
 
@@ -105,12 +110,18 @@ class LevelOrder:
         listen = listener(progress, cancel)
         with thread_scope(), device_turn(self._work.device):
             limit_threads(worthwhile_threads(len(self._work.mesh.faces), self._work.mesh.frame_count))
-            ordered = self._levels.at(self._levels.steps_to(self._base_faces(target_faces)))
+            ordered = self._level_of(self._base_faces(target_faces), listen)
             device = self._work.result_device if sink is None else None
             result = finish(self._work, ordered, self._refit, sink=sink, device=device, progress=listen)
         if sink is None:
             result = replace(result, measuring=ResultMeasure.of(self._work.mesh, self._work.device))
         return reached(result, target_faces)
+
+    def _level_of(self, face_count: int, progress: Progress | None) -> DecimatedMesh:
+        """The mesh with so many faces, those on the back of others not counted."""
+        levels, exchange = self._levels, self._refit and may_exchange(self._work)
+        ordered = levels.at(levels.steps_to(spare_faces(face_count) if exchange else face_count))
+        return exchanged(self._work, ordered, face_count, progress) if exchange else ordered
 
     def _base_faces(self, target_faces: int) -> int:
         """The faces to decimate down to, so that with those on their backs there are so many."""
