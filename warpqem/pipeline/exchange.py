@@ -17,17 +17,19 @@ import numpy as np
 
 from warpqem.arguments.progress import Progress
 from warpqem.decimation.cluster_states import ClusterStates
+from warpqem.decimation.collapse_nodes import NodeRecorder
 from warpqem.decimation.decimate import DecimatedMesh
 from warpqem.decimation.forest_cut import CollapseForest, Cut
 from warpqem.frames.device_frames import to_device
 from warpqem.frames.stream import ArrayFrames, ArraySink
 from warpqem.measure.far_points import FacesAround, furthest_from, unique_pairs
 from warpqem.measure.unit_frames import UnitBlock, UnitFrames
+from warpqem.mesh.mesh_input import AnimatedMesh
 from warpqem.pipeline.cut_levels import Choice, CutLevel, LevelFrames, placer_of
 from warpqem.pipeline.prepare import ORDER_END, Prepared
 from warpqem.pipeline.result import with_frames, without_frames
 
-__all__ = ["exchanged", "may_exchange", "order_with_spare", "spare_faces"]
+__all__ = ["exchanged", "order_with_spare", "spare_faces"]
 
 # So large a part of the faces may be exchanged; where that is fewer than so many faces, nothing is. With a tenth, 11
 # cells have as small a largest distance and 0.4 % more RMS.
@@ -45,7 +47,7 @@ MAX_FRAMES = 16
 # Distances below so many times the error of the last collapses are no spots. Above it the largest ones lie at three to
 # ten times that.
 SPOT = 1.5
-# Nor are those below this part of the largest distance at vertices of the input before: hardly a mesh comes as far down.
+# Nor are those below this part of the largest distance at vertices of the input before: hardly a mesh comes so far.
 LEAST_PART = 0.5
 # Points of a face of the result: its middle and those of its edges.
 SAMPLES = np.array([[1, 1, 1], [1.5, 1.5, 0], [0, 1.5, 1.5], [1.5, 0, 1.5]], dtype=np.float32) / 3
@@ -55,23 +57,24 @@ FACES_AT_ONCE = 16384
 PLACED_TIMES = 2
 
 
-def spare_faces(target_faces: int) -> int:
-    """The faces to collapse edges down to before some are exchanged."""
-    spare = int(SPARE * target_faces)
-    return target_faces - spare if spare >= LEAST_SPARE else target_faces
+def spare_faces(work: Prepared, target_faces: int) -> int:
+    """The faces to collapse edges down to before some are exchanged; as many as asked for where none can be.
+
+    That is so where faces stand for two, as counts hang on which of them are left.
+    """
+    repair, spare = work.mesh.repair, int(SPARE * target_faces)
+    if spare < LEAST_SPARE or target_faces >= len(work.mesh.faces) or (repair is not None and repair.is_double.any()):
+        return target_faces
+    return target_faces - spare
 
 
-def may_exchange(work: Prepared) -> bool:
-    """Whether collapses of a mesh can be exchanged: not where faces stand for two, on which counts depend."""
-    repair = work.mesh.repair
-    return repair is None or not repair.is_double.any()
-
-
-def order_with_spare(work: Prepared, progress: Progress | None = None) -> DecimatedMesh:
+def order_with_spare(
+    work: Prepared, progress: Progress | None = None, recorder: NodeRecorder | None = None
+) -> DecimatedMesh:
     """Collapse edges down to the goal and as far beyond it as exchanging takes."""
-    if not may_exchange(work):
-        return work.order(progress)
-    return work.order_to(spare_faces(work.goal.target_faces), progress)
+    target = work.goal.target_faces
+    spare = spare_faces(work, target)
+    return work.order(progress, recorder) if spare == target else work.order_to(spare, progress, recorder)
 
 
 def exchanged(
@@ -81,15 +84,15 @@ def exchanged(
 
     Args:
         work: the mesh; its surface is refitted at the end.
-        ordered: what :func:`order_with_spare` left; it is unchanged where nothing can be exchanged.
+        ordered: what ordering left at :func:`spare_faces`.
         target_faces: faces asked for.
         progress: called now and then.
+
+    Returns:
+        ``ordered`` itself where nothing can be exchanged, or it has more faces.
     """
-    face_count = len(ordered.faces)
-    if not may_exchange(work) or face_count > target_faces or spare_faces(target_faces) == target_faces:
+    if spare_faces(work, target_faces) == target_faces or len(ordered.faces) > target_faces:
         return ordered
-    if face_count == target_faces:
-        return replace(ordered, stopped="target")
     return _Search(work, ordered, target_faces).run(progress)
 
 
@@ -109,13 +112,13 @@ class _Search:
         self._steps = int(np.searchsorted(-left, -target_faces)) + 1
         keys = work.key_frames
         keys = keys[np.unique(np.linspace(0, len(keys) - 1, min(MAX_FRAMES, len(keys))).astype(int))]
-        own = np.concatenate([work.mesh.source.read(slice(frame, frame + 1)) for frame in keys.tolist()])
-        mesh = replace(work.mesh, source=ArrayFrames(own), held=None)
+        mesh = _clip(work.mesh, keys)
         count = len(keys)
         self._work = replace(work, mesh=mesh, key_frames=np.arange(count), order_input=None)
         middle = np.broadcast_to(mesh.centre + mesh.origin, (count, 3))
         self._units = UnitFrames(middle, np.full(count, mesh.diagonal))
-        self._frames = LevelFrames(self._work, mesh.points(slice(0, count)), own, self._units)
+        every = slice(0, count)
+        self._frames = LevelFrames(self._work, mesh.points(every), mesh.source.read(every), self._units)
         self._limit = SPOT * float(log.recent_error[-1])
         vertex_count, face_count = len(ordered.root), len(mesh.faces)
         # How far each input vertex is, and each face of a level, by the input face that it goes on from.
@@ -288,8 +291,15 @@ class _Search:
         level, mesh, device = self._level(cut), self._whole.mesh, self._whole.device
         vertex = self._states.made(level.kept)
         if len(vertex):
-            points = to_device(mesh.chosen_points(self._whole.key_frames), device)
+            clip = _clip(mesh, self._whole.key_frames)
+            points = to_device(clip.points(slice(0, clip.frame_count)), device)
             for _ in range(PLACED_TIMES):
-                placed = placer_of(self._whole, level, vertex).place(mesh, points)
+                placed = placer_of(self._whole, level, vertex).place(clip, points)
                 self._states.move(vertex, placed.points.numpy(), level.ordered)
         return level.ordered
+
+
+def _clip(mesh: AnimatedMesh, frames: np.ndarray) -> AnimatedMesh:
+    """Some frames (n,) of a mesh as a mesh of its own."""
+    points = np.concatenate([mesh.source.read(slice(frame, frame + 1)) for frame in frames.tolist()])
+    return replace(mesh, source=ArrayFrames(points), held=None)

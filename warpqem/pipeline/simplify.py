@@ -115,10 +115,10 @@ def simplify(
     if bounded:
         within = partial(simplify_within, work, asked.refits, sink=sink, progress=listen)
         return with_errors(within, measuring, device)
-    ordered = order_with_spare(work, listen) if asked.refits else work.order(listen)
+    ordered = order_with_spare(work, listen) if asked.exchanges else work.order(listen)
     # What follows needs the memory of decimation.
     work = work.without_input()
-    if asked.refits:
+    if asked.exchanges:
         ordered = exchanged(work, ordered, work.goal.target_faces, listen)
     placer = work.placer(ordered, refit=asked.refits)
     result = without_frames(work, placer, ordered)
