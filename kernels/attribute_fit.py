@@ -6,13 +6,13 @@ one constant 3 x 3 matrix with ``own`` on its diagonal and ``other`` elsewhere: 
 
 import warp as wp
 
-from warpqem.kernels.surface_walk import Hit, Surface, closest_hit, face_cross
+from warpqem.kernels.surface_walk import Hit, Surface, closest_hit, face_cross, hit_face
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
 # Points whose faces' normals differ by more than 78 degrees belong to different sides of a fold.
 SAME_SIDE = wp.constant(wp.float32(0.2))
-# A partner is near within a tenth of the square root of twice the face's area: further off, a walk may be stuck.
+# A partner is near within a tenth of the face's height: further off, a walk may be stuck. Squared.
 NEAR = wp.constant(wp.float32(0.01))
 
 
@@ -23,13 +23,58 @@ def blended(barycentric: wp.vec3, a: wp.float64, b: wp.float64, c: wp.float64) -
 
 
 @wp.func
+def is_in_front(source: Surface, face: wp.int32, normal: wp.vec3) -> wp.bool:
+    """Whether a face faces the same way as a normal."""
+    return wp.dot(normal, wp.normalize(face_cross(source, 0, face))) > SAME_SIDE
+
+
+@wp.func
 def nearer_in_front(source: Surface, hit: Hit, normal: wp.vec3, best: Hit) -> Hit:
     """``hit`` where it is nearer than ``best``, if that is one, and its face faces the same way; else ``best``."""
     if hit.face < 0 or (best.face >= 0 and hit.squared >= best.squared):
         return best
-    if wp.dot(normal, wp.normalize(face_cross(source, 0, hit.face))) > SAME_SIDE:
+    if is_in_front(source, hit.face, normal):
         return hit
     return best
+
+
+@wp.func
+def hit_in_front(source: Surface, start: wp.int32, x: wp.vec3, normal: wp.vec3) -> Hit:
+    """The nearest point downhill from a face.
+
+    Where it is on a face that faces another way, beyond an edge, the walk starts again from the nearest face about the
+    first one that faces the same way, if there is one.
+    """
+    none = wp.vec3i(-1, -1, -1)
+    hit = closest_hit(source, 0, none, start, x)
+    if is_in_front(source, hit.face, normal):
+        return hit
+    beside = Hit()
+    beside.face = wp.int32(-1)
+    for k in range(3):
+        vertex = source.corner_vertex[3 * start + k]
+        for i in range(source.adjacency_start[vertex], source.adjacency_start[vertex + 1]):
+            face = source.adjacent_corner[i] / 3
+            if is_in_front(source, face, normal):
+                other = hit_face(source, 0, face, x)
+                if beside.face < 0 or other.squared < beside.squared:
+                    beside = other
+    if beside.face < 0:
+        return hit
+    further = closest_hit(source, 0, none, beside.face, x)
+    if is_in_front(source, further.face, normal):
+        beside = further
+    # A part that nothing faces as the sample does is gone: what is further off is another one.
+    if beside.squared <= hit.squared:
+        return beside
+    return hit
+
+
+@wp.func
+def squared_height(a: wp.vec3, b: wp.vec3, c: wp.vec3, cross: wp.vec3) -> wp.float32:
+    """Of a triangle, over its longest edge; 0 without one."""
+    longest = wp.max(wp.length_sq(b - a), wp.max(wp.length_sq(c - b), wp.length_sq(a - c)))
+    return wp.where(longest > 0.0, wp.length_sq(cross) / longest, 0.0)
 
 
 @wp.kernel
@@ -61,6 +106,7 @@ def find_partners(
     cross = wp.cross(b - a, c - a)
     n = wp.normalize(cross)
     none = wp.vec3i(-1, -1, -1)
+    near = NEAR * squared_height(a, b, c, cross)
     best = Hit()
     best.face = wp.int32(-1)
     if near_in[f, s] >= 0:
@@ -71,8 +117,8 @@ def find_partners(
         first = wp.int32(wp.argmax(barycentric))
         for step in range(3):
             k = (first + step) % 3
-            if best.face < 0 or best.squared > NEAR * wp.length(cross):
-                best = nearer_in_front(source, closest_hit(source, 0, none, start_in[3 * f + k], x), n, best)
+            if best.face < 0 or best.squared > near:
+                best = nearer_in_front(source, hit_in_front(source, start_in[3 * f + k], x, n), n, best)
     if best.face < 0:
         # Over vertices, which gets out of folds.
         for k in range(3):

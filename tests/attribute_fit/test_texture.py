@@ -118,3 +118,24 @@ def test_values_on_a_seam_that_bends_move_across_it_by_a_part_of_its_bend(two_is
 )
 def test_sign_of_a_triangle(corners, sign):
     assert face_signs(np.array([corners], dtype=np.float64)) == [sign]
+
+
+def test_triangle_that_is_turned_over_is_mended_next_to_its_edge(plane):
+    corners = at_corners(plane)
+    values, places = corners.reshape(-1, 2), own_places(plane)
+    row = plane.layout.corner_row
+    # A corner inside, a little beyond the opposite edge of one of its faces.
+    border = np.isin(places, [0.0, 1.0]).any(axis=1)
+    face, corner = next((f, k) for f in range(len(row)) for k in range(3) if not border[row[f, k]])
+    apex, first, second = (row[face, corner - k] for k in range(3))
+    along = places[second] - places[first]
+    foot = places[first] + along * ((places[apex] - places[first]) @ along) / (along @ along)
+    start = places.copy()
+    start[apex] = foot - 1e-3 * (places[apex] - foot)
+    signs = reference_signs(plane.layout, values)
+    free = np.arange(len(start)) != -1
+    tiles = texture._Tiles(np.zeros_like(start), np.ones_like(start))
+    found = texture._turned_back(row, start, start, signs, free, tiles)
+    assert (face_signs(start[row]) * signs < 0).sum() == 1
+    assert (face_signs(found[row]) * signs >= 0).all()
+    assert np.abs(found - start).max() < 0.2 * np.linalg.norm(places[apex] - foot)

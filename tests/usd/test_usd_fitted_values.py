@@ -31,9 +31,9 @@ def simplified(folder, path, ratio=0.3, **options) -> UsdGeom.Mesh:
     return UsdGeom.Mesh(simplified.stage.GetPrimAtPath(path))
 
 
-def define_bumps(folder, normals=None, interpolation="vertex", orientation="rightHanded") -> UsdGeom.Mesh:
-    """A bumpy sphere as a stage of one mesh, with the normals of its faces by default."""
-    points, faces = meshes.bumpy_sphere(3)
+def define_bumps(folder, normals=None, interpolation="vertex", orientation="rightHanded", shape=None) -> UsdGeom.Mesh:
+    """A bumpy sphere, or another shape, as a stage of one mesh, with the normals of its faces by default."""
+    points, faces = meshes.bumpy_sphere(3) if shape is None else shape
     stage = Usd.Stage.CreateNew(str(folder / "in.usda"))
     define_bumps.stage = stage
     mesh = UsdGeom.Mesh.Define(stage, "/Bumps")
@@ -78,6 +78,17 @@ def test_fitted_normals_are_nearer_than_kept_ones(tmp_path, interpolation, orien
     define_bumps(tmp_path, interpolation=interpolation, orientation=orientation)
     angles = [angle_to_input(simplified(tmp_path, "/Bumps", 0.1, normals=how)) for how in ("fit", "keep")]
     assert angles[0] < 0.9 * angles[1]
+
+
+def test_normals_stay_where_a_fit_would_draw_all_of_them_aside(tmp_path):
+    points, faces = meshes.grid(12, 12)
+    normals = np.tile([0.0, 0.0, 1.0], (len(points), 1))
+    # A dent that the few faces left have no point in.
+    normals[np.abs(points[:, :2] - 0.5).max(axis=1) < 0.15] = [0.8, 0.0, 0.6]
+    define_bumps(tmp_path, normals=normals.astype(np.float32), shape=(points, faces))
+    mesh = simplified(tmp_path, "/Bumps", 0.01, normals="fit")
+    found = corner_normals(mesh).reshape(-1, 3)
+    np.testing.assert_allclose(found, np.tile([0.0, 0.0, 1.0], (len(found), 1)), atol=1e-6)
 
 
 def test_fitted_normals_have_length_one(tmp_path):

@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 from pxr import Gf, Usd, UsdGeom, UsdSkel
 
+from tests.support.skin_fit import FACES, SKIN
 from tests.support.usd_rig import ANIMATION, FRAMES, NAMES, TUBE, rig, shaped_rig
 from tests.support.usd_stages import cloth_stage
+from warpqem.measure import CornerValues, SurfaceValues, compare_appearance
 from warpqem.mesh.directions import unit_vectors
+from warpqem.mesh.smooth_normals import vertex_normals
 from warpqem.usd import CompareOptions, SimplifyOptions, compare_stage_images, simplify_stage
 from warpqem.usd.read.shading_normals import skinned_normals
 from warpqem.usd.read.skeleton_poses import StagePoses
@@ -44,6 +47,35 @@ def test_poses_are_shaded_more_like_the_input_than_by_a_fit_at_rest(tmp_path, mo
     in_poses = shading(tmp_path, "poses")
     monkeypatch.setattr(fitted_normals, "shown_poses", lambda *_: [])
     assert in_poses > shading(tmp_path, "rest") + 0.3
+
+
+def test_rest_shape_is_no_further_from_the_input_than_with_the_normals_of_its_faces(tmp_path):
+    stage = rig(tmp_path / "in.usda")
+    rotations = UsdSkel.Animation(stage.GetPrimAtPath(ANIMATION)).GetRotationsAttr()
+    for number, frame in enumerate(FRAMES):
+        turn = Gf.Quatf(Gf.Rotation(Gf.Vec3d(0, 1, 0), 30.0 + number).GetQuat())
+        rotations.Set([turn] * len(NAMES), frame)
+    smooth(stage)
+    angles = {}
+    for how in ("fit", "keep"):
+        options = SimplifyOptions(ratio=0.3, normals=how, measure=False, device="cpu")
+        simplify_stage(tmp_path / "in.usda", tmp_path / f"{how}.usda", options)
+        angles[how] = rest_angle(tmp_path / f"{how}.usda")
+    assert angles["fit"] <= angles["keep"]
+
+
+def rest_angle(output: Path) -> float:
+    """Mean angle at rest between the normals of a tube and those of the smooth input, both ways."""
+    stage = Usd.Stage.Open(str(output))
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath(TUBE))
+    points, index = np.array(mesh.GetPointsAttr().Get()), np.array(mesh.GetFaceVertexIndicesAttr().Get())
+    normals, rest = np.array(mesh.GetNormalsAttr().Get()), SKIN.rest.astype(np.float32)
+    shown = normals[index] if mesh.GetNormalsInterpolation() == "vertex" else normals
+    values = [vertex_normals(rest, FACES)[FACES], shown.reshape(-1, 3, 3)]
+    one, other = (SurfaceValues(normals=CornerValues.of("normals", value)) for value in values)
+    found = compare_appearance(rest, FACES, one, points, index.reshape(-1, 3), other, device="cpu").normals
+    assert found is not None
+    return found.mean
 
 
 def test_polygons_that_joints_would_shade_worse_get_none_and_a_note(tmp_path):

@@ -56,6 +56,16 @@ def test_edges_where_only_the_index_differs_are_none(stage):
     assert len(seams_of(stage).by_name["primvars:st"]) == 0
 
 
+@pytest.mark.parametrize(("step", "expected"), [(1e-7, []), (1e-5, MIDDLE_LINE)])
+def test_edges_where_values_differ_by_rounding_are_none(stage, step, expected):
+    values = np.ones(CORNERS) + step * in_right_half()
+    # What is infinite is as far from itself as from nothing.
+    values[0] = np.inf
+    corner_primvar(stage, "st", Sdf.ValueTypeNames.FloatArray).Set(values.tolist())
+    found = seams_of(stage).by_name["primvars:st"].tolist()
+    assert [pair for pair in found if pair in MIDDLE_LINE] == expected
+
+
 def test_edges_inside_a_polygon_are_none(stage):
     corner_primvar(stage, "id", Sdf.ValueTypeNames.IntArray).Set(np.repeat(np.arange(SIZE * SIZE), 4).tolist())
     points = np.array(cloth(stage).GetPointsAttr().Get())

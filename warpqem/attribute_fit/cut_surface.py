@@ -46,7 +46,10 @@ def cut_surface(faces: Ints, seams: npt.NDArray[np.int64], sheets: Ints | None =
     used = is_proper(faces) & (topology >= 0).all(axis=1)
     label = topology.astype(np.int64)
     # Beside seams alone are there vertices with several sides.
-    beside = np.isin(faces, seams).any(axis=1) & used if len(seams) else np.zeros(len(faces), dtype=bool)
+    is_seam = np.zeros(int(faces.max(initial=0)) + 1, dtype=bool)
+    # A vertex that no face uses is beside none.
+    is_seam[seams[seams < len(is_seam)]] = True
+    beside = is_seam[faces].any(axis=1) & used
     if beside.any():
         part = np.flatnonzero(beside)
         own = topology[part]
@@ -57,9 +60,12 @@ def cut_surface(faces: Ints, seams: npt.NDArray[np.int64], sheets: Ints | None =
             pair, other = np.nonzero(own[second] == own[first, k][:, None])
             links.append(np.stack([3 * first[pair] + k, 3 * second[pair] + other], axis=1))
         side = lowest_members(own.size, np.concatenate(links)).reshape(-1, 3)
-        on_seam = np.isin(faces[part], seams)
-        label[part] = np.where(on_seam, int(topology.max()) + 1 + side, own)
+        label[part] = np.where(is_seam[faces[part]], int(topology.max()) + 1 + side, own)
     corner = np.full(faces.shape, -1, dtype=np.int32)
-    _, first_corner, number = np.unique(label[used], return_index=True, return_inverse=True)
-    corner[used] = number.reshape(-1, 3)
-    return CutSurface(corner, faces[used].ravel()[first_corner])
+    flat = label[used].ravel()
+    # Labels are few more than corners: a table takes a tenth of the time that sorting them does.
+    first = np.full(int(flat.max(initial=-1)) + 1, -1, dtype=np.int64)
+    first[flat[::-1]] = np.arange(len(flat))[::-1]
+    is_used = first >= 0
+    corner[used] = (np.cumsum(is_used) - 1)[flat].reshape(-1, 3)
+    return CutSurface(corner, faces[used].ravel()[first[is_used]])

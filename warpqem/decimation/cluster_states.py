@@ -18,6 +18,7 @@ from warpqem.decimation.faces_left import faces_left
 from warpqem.decimation.forest_cut import CollapseForest, Cut, last_collapses
 from warpqem.decimation.memoryless_quadrics import MemorylessQuadrics
 from warpqem.decimation.replay import put_rows
+from warpqem.runtime import new_arrays
 
 __all__ = ["ClusterStates"]
 
@@ -39,7 +40,7 @@ class ClusterStates:
         self, input_faces: np.ndarray, ordered: DecimatedMesh, forest: CollapseForest, quadric_scale: np.ndarray
     ) -> None:
         self._ordered, self._forest = ordered, forest
-        self._corner_vertex = wp.array(input_faces.ravel(), dtype=wp.int32, device=ordered.position.device)
+        self._corner_vertex = new_arrays.uploaded(input_faces.ravel(), dtype=wp.int32, device=ordered.position.device)
         self._present = MemorylessQuadrics(input_faces, ordered)
         self._position, self._quadric = wp.clone(ordered.position), wp.clone(ordered.quadric)
         # The last collapse of each cluster that ordering left; there is no state of others, even if nothing took them
@@ -93,13 +94,13 @@ class ClusterStates:
     def _restore(self, vertex: np.ndarray) -> None:
         """Put the state that ordering left back."""
         row = self._ordered.row[vertex]
-        index = wp.array(row, dtype=wp.int32, device=self._position.device)
+        index = new_arrays.uploaded(row, dtype=wp.int32, device=self._position.device)
         for array, source in ((self._position, self._ordered.position), (self._quadric, self._ordered.quadric)):
             put_rows(array, row, read_rows(source, index))
 
     def _put_input(self, vertex: np.ndarray) -> None:
         """Put input vertices (n,) where they are."""
-        index = wp.array(vertex.astype(np.int32), dtype=wp.int32, device=self._position.device)
+        index = new_arrays.uploaded(vertex.astype(np.int32), dtype=wp.int32, device=self._position.device)
         put_rows(self._position, self._ordered.row[vertex], read_rows(self._ordered.key_position, index))
 
     def _make(self, vertex: np.ndarray, root: np.ndarray, face_map: np.ndarray) -> None:
@@ -112,7 +113,7 @@ class ClusterStates:
         member = member[np.argsort(place[root[member]], kind="stable")]
         cluster = place[root[member]]
         first = np.flatnonzero(np.diff(cluster, prepend=-1))
-        index = wp.array(member.astype(np.int32), dtype=wp.int32, device=self._position.device)
+        index = new_arrays.uploaded(member.astype(np.int32), dtype=wp.int32, device=self._position.device)
         points = read_rows(self._ordered.key_position, index)
         count = np.diff(first, append=len(member)).astype(np.float32)
         middle = np.add.reduceat(points, first, axis=0) / count[:, None, None, None]

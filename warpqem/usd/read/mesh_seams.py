@@ -34,6 +34,9 @@ __all__ = ["DISPLAY_COLORS", "MeshSeams", "corner_values", "crease_edges", "face
 # the angle at which modelling tools harden edges by default).
 SMOOTH_COSINE = float(np.cos(np.radians(15.0)))
 
+# Real values that differ by less than this part of the largest are the same, rounded on two ways in single precision.
+ROUNDING = 4 * float(np.finfo(np.float32).eps)
+
 # Values whose seams end or fork at more than this share of the vertices are no islands with borders but values of
 # single faces, as on a flat-shaded mesh. Held closed, such seams would leave next to nothing to simplify.
 DENSE_SHARE = 0.25
@@ -139,7 +142,10 @@ class _InnerEdges:
         return np.unique(self.ends[chosen], axis=0).reshape(-1, 2)
 
     def values_differ(self, values: npt.NDArray[Any], normals: bool) -> npt.NDArray[np.bool_]:
-        """Where values at corners, (3N, ...), differ between the two faces at either end; normals by their angle."""
+        """Where values at corners, (3N, ...), differ between the two faces at either end.
+
+        Normals by their angle, other real values beyond rounding.
+        """
         first, second = values[self.corner[:, 0]], values[self.corner[:, 1]]
         # A mesh of one face has no inner edge, and an array of none cannot be reshaped to a width of its own.
         axes = tuple(range(1, first.ndim))
@@ -148,7 +154,15 @@ class _InnerEdges:
             first, second = first.astype(np.float64), second.astype(np.float64)
             lengths = np.linalg.norm(first, axis=-1) * np.linalg.norm(second, axis=-1)
             return np.asarray(((first * second).sum(axis=-1) < SMOOTH_COSINE * lengths).any(axis=axes[:-1]), dtype=bool)
-        return np.asarray((first != second).any(axis=axes), dtype=bool)
+        differ = np.asarray((first != second).any(axis=axes), dtype=bool)
+        if values.dtype.kind == "f" and differ.any():
+            finite = values[np.isfinite(values)].astype(np.float64)
+            reach = ROUNDING * float(np.abs(finite).max(initial=0.0))
+            # Infinity is as far from itself as from all others, which are equal or not.
+            with np.errstate(invalid="ignore"):
+                offset = np.abs(first[differ].astype(np.float64) - second[differ].astype(np.float64))
+            differ[differ] = (~(offset <= reach) & (first[differ] != second[differ])).any(axis=axes)
+        return differ
 
 
 def find_seams(

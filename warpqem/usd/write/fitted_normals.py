@@ -11,7 +11,14 @@ from pxr import Usd, UsdGeom, Vt
 
 from warpqem.attribute_fit.material_normals import NormalFrames, tilt_between
 from warpqem.attribute_fit.partners import Partners
-from warpqem.attribute_fit.values import ValueLayout, fit_normals, normal_error, own_normals, split_normals
+from warpqem.attribute_fit.values import (
+    NormalErrors,
+    ValueLayout,
+    fit_normals,
+    normal_errors,
+    own_normals,
+    split_normals,
+)
 from warpqem.mesh.directions import unit_vectors
 from warpqem.mesh.smooth_normals import SmoothingGroups, corner_groups, vertex_normals
 from warpqem.picture.look import CREASE_ANGLE
@@ -27,9 +34,11 @@ Points = npt.NDArray[np.float32]
 # Poses that normals are fitted in. Between them they turn with the surface, which is nearly as good as a fit in every
 # frame, and takes a fraction of the time.
 MAX_POSES = 16
-# Part of the faces' own error that normals of polygons may have at most where a skin carries them. Samples are on
-# hidden faces, too: pictures of seven skins got better below 0.73, and some worse from 0.79 on.
+# Part of the faces' own error that normals of polygons may have at most where a skin or blend shapes carry them.
+# Samples are on hidden faces, too: pictures of seven skins got better below 0.73, and some worse from 0.79 on.
 MAX_CARRIED_ERROR = 0.75
+# How often the rest shape counts among the poses of a skin, beyond once: as half of them, as more and more of all.
+MORE_REST = (0, 4, 16, 64)
 # Poses of a skin besides its rest shape: one normal stands for all of them.
 MAX_SHOWN_POSES = 8
 
@@ -101,22 +110,53 @@ class _Shading:
             tilts.append(self.frames(pose.shaped).tilt_of(pose.unturned(fitted, self.row_vertex)))
         return np.stack(tilts)
 
-    def are_nearer(
-        self, poses: Sequence[NormalPose], layouts: Sequence[ValueLayout], tilts: npt.NDArray[np.float64]
-    ) -> bool:
-        """Whether normals of these tilts (K or 1, R, 3) are nearer to the input's over K poses than the faces' own.
+    def errors(self, pose: NormalPose, layout: ValueLayout, tilt: npt.NDArray[np.float64]) -> NormalErrors:
+        """How far normals of a tilt (R, 3) are from the input's in a pose."""
+        normals = pose.turned(self.frames(pose.shaped).tilted(tilt), self.row_vertex)
+        return normal_errors(layout, self.of_input(pose.points), normals[self.corner_row])[0]
 
-        These are those that pictures show of polygons without normals, as of the input.
-        """
-        faces, fitted, plain = self._transfer.faces, 0.0, 0.0
-        own = SmoothingGroups(faces, CREASE_ANGLE)
-        for number, (pose, layout) in enumerate(zip(poses, layouts, strict=True)):
-            values = self.of_input(pose.points)
-            rows = self.frames(pose.shaped).tilted(tilts[number % len(tilts)])
-            fitted += normal_error(layout, values, pose.turned(rows, self.row_vertex)[self.corner_row])
-            plain += normal_error(layout, values, self._outward * own.normals(pose.placed))
-        most = 1.0 if all(pose.turn is None for pose in poses) else MAX_CARRIED_ERROR
-        return fitted < most * plain
+    def kept_errors(self, pose: NormalPose, layout: ValueLayout) -> NormalErrors:
+        """The same of normals by the output's own faces: as pictures show polygons, else smooth but at hard edges."""
+        if self._plain is not None:
+            own = self._outward * SmoothingGroups(self._transfer.faces, CREASE_ANGLE).normals(pose.placed)
+        else:
+            own = self.of_faces(pose.placed)[self.corner_row]
+        return normal_errors(layout, self.of_input(pose.points), own)[0]
+
+    def fits(
+        self, poses: Sequence[NormalPose], layouts: Sequence[ValueLayout], tilts: npt.NDArray[np.float64]
+    ) -> NormalErrors:
+        """The errors of normals of tilts (K or 1, R, 3) over all K poses."""
+        given = zip(poses, layouts, np.broadcast_to(tilts, (len(poses), *tilts.shape[1:])), strict=True)
+        return NormalErrors.over_poses(self.errors(*one) for one in given)
+
+
+def _carried(
+    shading: _Shading,
+    poses: Sequence[NormalPose],
+    layouts: Sequence[ValueLayout],
+    tilts: npt.NDArray[np.float64],
+    kept: Sequence[NormalErrors],
+    only_nearer: bool,
+) -> npt.NDArray[np.float64] | None:
+    """One tilt (1, R, 3) that the poses (K, R, 3) of a skin agree on, the first of which is the rest shape.
+
+    That counts as often as it takes for the rest shape not to be further from the input's normals than it is with
+    those of its faces. None with ``only_nearer`` where the mean over the poses is not enough below ``kept`` (K,).
+    """
+    mean = NormalErrors.over_poses(kept)
+
+    def is_nearer(tilt: npt.NDArray[np.float64]) -> bool:
+        return not only_nearer or shading.fits(poses, layouts, tilt).is_within(mean, MAX_CARRIED_ERROR)
+
+    agreed = [unit_vectors(tilts.sum(axis=0) + more * tilts[0])[None] for more in MORE_REST]
+    for tilt in [*agreed, tilts[:1]]:
+        if shading.errors(poses[0], layouts[0], tilt[0]).is_within(kept[0]) and is_nearer(tilt):
+            return tilt
+    # Then what is seen in the poses decides.
+    if only_nearer:
+        return agreed[0] if is_nearer(agreed[0]) else None
+    return tilts[:1]
 
 
 def smooth_input_normals(transfer: AttributeTransfer, pose: Points, outward: float) -> npt.NDArray[np.float64]:
@@ -154,11 +194,15 @@ def write_fitted_normals(
     if poser is not None:
         poses += shown_poses(mesh, transfer, poser, spread(range(len(transfer.shown_codes)), MAX_SHOWN_POSES))
     layouts = shading.layouts(poses)
+    kept = [shading.kept_errors(*given) for given in zip(poses, layouts, strict=True)]
     tilts = shading.fit_tilts(poses, layouts)
+    only_nearer = transfer.is_plain and transfer.only_nearer
     if poser is not None:
-        # One that all poses agree on.
-        tilts = unit_vectors(tilts.sum(axis=0))[None]
-    if transfer.is_plain and transfer.only_nearer and not shading.are_nearer(poses, layouts, tilts):
+        agreed = _carried(shading, poses, layouts, tilts, kept, only_nearer)
+        if agreed is None:
+            return False
+        tilts = agreed
+    elif only_nearer and not shading.fits(poses, layouts, tilts).is_within(NormalErrors.over_poses(kept)):
         return False
     of_points = tilts.shape[1] == len(np.unique(transfer.faces))
     attribute = mesh.CreateNormalsAttr()
