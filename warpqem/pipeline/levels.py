@@ -1,4 +1,4 @@
-"""Levels of detail that nest, from one decimation."""
+"""Levels of detail from one decimation. They nest, up to the few collapses that each exchanges with a refit."""
 
 from __future__ import annotations
 
