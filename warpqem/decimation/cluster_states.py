@@ -43,10 +43,9 @@ class ClusterStates:
         self._corner_vertex = new_arrays.uploaded(input_faces.ravel(), dtype=wp.int32, device=ordered.position.device)
         self._present = MemorylessQuadrics(input_faces, ordered)
         self._position, self._quadric = wp.clone(ordered.position), wp.clone(ordered.quadric)
-        # The last collapse of each cluster that ordering left; there is no state of others, even if nothing took them
-        # apart.
+        # The last collapse of each cluster that ordering left; there is no state of others, nor of pruned ones.
         left = last_collapses(ordered.log, np.ones(len(ordered.log), dtype=bool), len(ordered.root))
-        is_left = ordered.root == np.arange(len(left))
+        is_left = (ordered.root == np.arange(len(left))) & (ordered.drops.vertex_drop < 0)
         self._left = np.where(is_left, left, NO_STATE)
         # An input vertex has no recorded state, but a place.
         self._put_input(np.flatnonzero(is_left & (left < 0)))

@@ -33,7 +33,7 @@ __all__ = ["exchanged", "order_with_spare", "spare_faces"]
 
 # So large a part of the faces may be exchanged; where that is fewer than so many faces, nothing is. With a tenth, 11
 # cells have as small a largest distance and 0.4 % more RMS.
-SPARE, LEAST_SPARE = 0.05, 8
+SPARE, MIN_SPARE = 0.05, 8
 # The furthest spots of a round are those beyond this part of the largest distance.
 NEAR_LARGEST = 0.8
 # Exchanging a part of the faces must lower the largest distance by so many times that part: over 11 cells the largest
@@ -48,7 +48,7 @@ MAX_FRAMES = 16
 # ten times that.
 SPOT = 1.5
 # Nor are those below this part of the largest distance at vertices of the input before: hardly a mesh comes so far.
-LEAST_PART = 0.5
+MIN_SHARE = 0.5
 # Points of a face of the result: its middle and those of its edges.
 SAMPLES = np.array([[1, 1, 1], [1.5, 1.5, 0], [0, 1.5, 1.5], [1.5, 0, 1.5]], dtype=np.float32) / 3
 # Faces of the result whose points are looked at at once: some 50 MB of them.
@@ -63,7 +63,7 @@ def spare_faces(work: Prepared, target_faces: int) -> int:
     That is so where faces stand for two, as counts hang on which of them are left.
     """
     repair, spare = work.mesh.repair, int(SPARE * target_faces)
-    if spare < LEAST_SPARE or target_faces >= len(work.mesh.faces) or (repair is not None and repair.is_double.any()):
+    if spare < MIN_SPARE or target_faces >= len(work.mesh.faces) or (repair is not None and repair.is_double.any()):
         return target_faces
     return target_faces - spare
 
@@ -144,9 +144,9 @@ class _Search:
             before, level = level, finer
             moved = self._frames.place(level, before)
             largest = self._furthest(level, moved)
-            price = largest * math.exp(WORTH * (self._steps - first) * FACES_PER_COLLAPSE / self._target)
-            if price < least:
-                best, least = level.choice.cut, price
+            weighed = largest * math.exp(WORTH * (self._steps - first) * FACES_PER_COLLAPSE / self._target)
+            if weighed < least:
+                best, least = level.choice.cut, weighed
             if progress:
                 progress(ORDER_END, "order")
         return self._settled(best)
@@ -210,7 +210,7 @@ class _Search:
         vertex = np.flatnonzero(near[ordered.root] & here)
         self._far_vertex[vertex] = self._vertex_distances(level, vertex)
         if moved is None:
-            self._limit = max(self._limit, LEAST_PART * float(self._far_vertex.max()))
+            self._limit = max(self._limit, MIN_SHARE * float(self._far_vertex.max()))
         for start in range(0, len(changed), FACES_AT_ONCE):
             part = changed[start : start + FACES_AT_ONCE]
             self._far_face[face[part]] = self._face_distances(level, part)

@@ -56,9 +56,10 @@ def simplify(
 
     Args:
         points: (F, V, 3) or (V, 3) coordinates in any unit: NumPy, Warp, or anything with the array interface or
-            DLPack; or a :class:`warpqem.FrameSource`, which is read block by block, twice, and once more for the key
-            frames; or a ``trimesh.Trimesh``, or what :func:`warpqem.load` gives, then without ``faces``. An array on a
-            GPU stays there: without ``device`` that is where it is simplified, and where the arrays of the result are.
+            DLPack; or a :class:`warpqem.FrameSource`, which is read block by block, twice, and up to four times more
+            for the key frames; or a ``trimesh.Trimesh``, or what :func:`warpqem.load` gives, then without ``faces``. An
+            array on a GPU stays there: without ``device`` that is where it is simplified, and where the arrays of the
+            result are.
         faces: (N, 3) vertex indices.
         sink: takes the frames of the result, block by block, in place of an array.
         measure: give the result its ``measured`` errors: where it is an array, they are computed when they are first
