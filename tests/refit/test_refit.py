@@ -15,6 +15,7 @@ from tests.support.moving_meshes import BAR, SPHERE, rms
 from warpqem.decimation.adjacency import build_adjacency
 from warpqem.kernels.element_solve import Elements
 from warpqem.measure import compare
+from warpqem.pipeline import exchange
 from warpqem.refit import fit_surface
 from warpqem.refit.matching import OUTPUT_SAMPLES
 from warpqem.refit.solve import solve_elements
