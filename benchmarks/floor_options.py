@@ -76,6 +76,14 @@ _STREAMED: dict[str, tuple[tuple[str, float], ...]] = {
         ("rings.corner_vertex", 1),
         ("rings.reference", 1),
     ),
+    "distances_of_points": (
+        ("own", 1),
+        ("point", 1),
+        ("row", 1),
+        ("face_start", 1),
+        ("face", 1),
+        ("furthest_out", 1),
+    ),
     "find_partners": (
         ("source.points", 1),
         ("start_in", 1),

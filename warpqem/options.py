@@ -75,8 +75,9 @@ class MethodOptions:
             edge collapses whose error, an estimate as in ``SimplifiedMesh.error``, would pass so many % of the diagonal
             of the mesh's bounding box. Nothing is proved or searched for, as it is with ``max_error``. None for no
             limit.
-        quality: "best" orders by quadrics of the present faces and fits the whole surface at the end, see
-            ``memoryless`` and ``refit``: a better shape in two to three times the time of "fast", which does neither.
+        quality: "best" orders by quadrics of the present faces, exchanges collapses where the surface is furthest from
+            the input (:mod:`warpqem.pipeline.exchange`) and fits the whole surface at the end, see ``memoryless`` and
+            ``refit``: a better shape in four to six times the time of "fast", which does none of it.
         metric: cost model: "dsd" (default), "qem", "dod", "aqem", "face", or the name of one of another package; a
             :class:`warpqem.costs.CostModelSpec`; or a function of key frames (K, V, 3) and faces (N, 3) that gives
             factors (V,) on the cost at each vertex. See :mod:`warpqem.costs.models`.
@@ -122,9 +123,10 @@ class MethodOptions:
     )
     quality: Literal["fast", "best"] = option(
         "best",
-        "best orders by the present faces and fits the surface at the end, see --memoryless and --refit; fast does "
-        "neither, in a half to a third of the time and with a worse shape.",
-        brief="fast takes a half to a third of the time, with a worse shape",
+        "best orders by the present faces, exchanges collapses where the surface is furthest from the input, and fits "
+        "it at the end, see --memoryless and --refit; fast does none of it, in a quarter of the time and with a worse "
+        "shape.",
+        brief="fast takes about a quarter of the time, with a worse shape",
         basic=True,
         panel="Quality",
     )
@@ -180,6 +182,11 @@ class MethodOptions:
         """Whether the surface is fitted once more; with endpoints vertices of the input are to stay what they are."""
         wanted = self.quality == "best" if self.refit is None else bool(self.refit)
         return wanted and self.placement != "endpoint"
+
+    @property
+    def exchanges(self) -> bool:
+        """Whether collapses are exchanged before the refit, see :mod:`warpqem.pipeline.exchange`."""
+        return self.refits and self.quality == "best"
 
     @property
     def memoryless_orders(self) -> bool:

@@ -26,7 +26,7 @@ class CollapseRecord(ArrayRecord):
     """Edge collapses in the order of application (C of them): by round, then by cost.
 
     Collapses of one round are independent, so the mesh after any prefix is valid. A higher face count gives a prefix of
-    the log of a lower one, with the same settings.
+    the log of a lower one, with the same settings, where no collapses are exchanged: with quality "fast".
 
     Attributes:
         kept: (C,) int32 input vertex that goes on, at a new position.

@@ -60,15 +60,15 @@ class CollapseForest:
         self.log, self.drops, self._vertex_count = log, drops, vertex_count
         ends = [*np.flatnonzero(np.diff(log.round_index)) + 1, len(log)]
         # Of one round no two collapses share a vertex.
-        self._rounds = [slice(a, b) for a, b in itertools.pairwise([0, *ends])]
+        rounds = [slice(a, b) for a, b in itertools.pairwise([0, *ends])]
         # The collapses that made the two clusters of each one, (C, 2); -1 for an input vertex.
         self._parts = np.empty((len(log), 2), dtype=np.int64)
-        # The collapse that takes the cluster of each one, (C,), and the first one of each input vertex, (V,); -1 for
-        # none.
-        self._next = np.full(len(log), -1, dtype=np.int64)
-        self._first = np.full(vertex_count, -1, dtype=np.int64)
+        # The collapse that takes the cluster of each one, (C+1,), and the first one of each input vertex, (V,); C for
+        # none, later than all, which is followed by itself.
+        self._next = np.full(len(log) + 1, len(log), dtype=np.int64)
+        self._first = np.full(vertex_count, len(log), dtype=np.int64)
         last = np.full(vertex_count, -1, dtype=np.int64)
-        for part in self._rounds:
+        for part in rounds:
             index = np.arange(part.start, part.stop)
             for column, vertex in enumerate((log.kept[part], log.removed[part])):
                 made = last[vertex]
@@ -79,7 +79,8 @@ class CollapseForest:
 
     def within(self, error: float) -> Cut:
         """The furthest level whose collapses and drops have no larger error."""
-        return self._closed(self.log.error <= error, self.drops.error <= error)
+        kept = self.log.error <= error
+        return self._closed(kept, self.drops.error <= error, np.flatnonzero(~kept))
 
     def last_collapses(self, cut: Cut) -> np.ndarray:
         """(V,) int, see :func:`last_collapses`."""
@@ -88,8 +89,9 @@ class CollapseForest:
     def without(self, cut: Cut, collapses: np.ndarray, drops: np.ndarray) -> Cut:
         """A cut without some collapses and drops (indices), and without what needs them."""
         kept, dropped = cut.kept.copy(), cut.dropped.copy()
-        kept[collapses], dropped[drops] = False, False
-        return self._closed(kept, dropped)
+        left_out = np.unique(collapses)
+        kept[left_out], dropped[drops] = False, False
+        return self._closed(kept, dropped, left_out)
 
     def with_parts(self, collapses: np.ndarray, generations: int) -> np.ndarray:
         """Collapses (indices), and so many generations of those that made their clusters."""
@@ -104,37 +106,26 @@ class CollapseForest:
         """Faces of the input that a cut is without."""
         return int(self.log.faces_removed[cut.kept].sum()) + int(self.drops.face_count[cut.dropped].sum())
 
-    def _closed(self, kept: np.ndarray, dropped: np.ndarray) -> Cut:
-        """The largest cut within a choice of collapses and drops."""
-        kept = kept.copy()
-        while True:
-            self._drop_dependent(kept)
-            joined = self._joined_opposites(kept)
-            if not len(joined):
-                break
-            kept[joined] = False
+    def _closed(self, kept: np.ndarray, dropped: np.ndarray, left_out: np.ndarray) -> Cut:
+        """The largest cut within a choice of collapses and drops, of which some collapses (indices) are left out."""
+        while len(left_out):
+            needing = np.unique(np.concatenate([self._next[left_out], self._joins_opposites_of(left_out)]))
+            needing = needing[needing < len(self.log)]
+            left_out = needing[kept[needing]]
+            kept[left_out] = False
         if len(self.drops):
             # What was pruned was a component as far as its collapses went.
             owner = self.drops.vertex_drop[self.log.kept]
-            dropped = dropped.copy()
             dropped[owner[~kept & (owner >= 0)]] = False
         return Cut(kept, dropped)
 
-    def _drop_dependent(self, kept: np.ndarray) -> None:
-        """Take out the collapses of clusters that others would have made."""
-        for part in self._rounds:
-            parts = self._parts[part]
-            kept[part] &= (kept[parts] | (parts < 0)).all(axis=1)
-
-    def _joined_opposites(self, kept: np.ndarray) -> np.ndarray:
-        """Collapses that join the two opposite vertices of one that is left out."""
-        root = self.log.chosen(kept).roots(self._vertex_count)
-        opposites = self.log.opposites[~kept]
+    def _joins_opposites_of(self, collapse: np.ndarray) -> np.ndarray:
+        """The collapses that join the two opposite vertices of some of them."""
+        opposites = self.log.opposites[collapse]
         opposites = opposites[opposites[:, 1] >= 0]
-        opposites = opposites[root[opposites[:, 0]] == root[opposites[:, 1]]]
-        # Collapses come after those that they need: from two vertices of one cluster, the earlier one goes on until
-        # both are the collapse that joins them.
+        # Collapses come after those that they need: from two vertices, the earlier one goes on until both are the
+        # collapse that joins them.
         one, other = self._first[opposites[:, 0]], self._first[opposites[:, 1]]
         while (one != other).any():
             one, other = np.where(one < other, self._next[one], one), np.where(other < one, self._next[other], other)
-        return np.unique(one)
+        return one

@@ -14,7 +14,7 @@ from warpqem.decimation.faces_left import faces_left
 from warpqem.decimation.forest_cut import Cut, last_collapses
 from warpqem.decimation.memoryless_quadrics import MemorylessQuadrics
 
-__all__ = ["MergedClusters", "OrderedLevels"]
+__all__ = ["MergedClusters", "OrderedLevels", "put_rows"]
 
 
 @dataclass(frozen=True)
@@ -166,7 +166,7 @@ class OrderedLevels:
         """Put the recorded state of some vertices in place."""
         for array, values in ((self._position, nodes.position), (self._quadric, nodes.quadric)):
             if values is not None:
-                _put_rows(array, nodes.row[wanted], values[wanted])
+                put_rows(array, nodes.row[wanted], values[wanted])
 
     def _show_collapses(self, collapse: np.ndarray) -> None:
         """Put the state after some collapses (n,) in place, all at once: ascending, each of another vertex."""
@@ -176,7 +176,7 @@ class OrderedLevels:
         places = [np.searchsorted(nodes.row, row[part]) for nodes, part in parts]
         for array, name in ((self._position, "position"), (self._quadric, "quadric")):
             values = [getattr(nodes, name).take(place, 0) for (nodes, _), place in zip(parts, places, strict=True)]
-            _put_rows(array, row, np.concatenate(values))
+            put_rows(array, row, np.concatenate(values))
 
     def _show_present(
         self, shown: Sequence[tuple[PassNodes, np.ndarray]], root: np.ndarray, face_map: np.ndarray
@@ -201,9 +201,10 @@ class OrderedLevels:
         self._present.fill(root, face_map, row, scale[row], self._position, self._quadric)
         for row, values in added:
             index = wp.array(row, dtype=wp.int32, device=self._position.device)
-            _put_rows(self._quadric, row, read_rows(self._quadric, index) + values)
+            put_rows(self._quadric, row, read_rows(self._quadric, index) + values)
 
 
-def _put_rows(array: wp.array, row: np.ndarray, values: np.ndarray) -> None:
+def put_rows(array: wp.array, row: np.ndarray, values: np.ndarray) -> None:
+    """Put values into some rows of an array."""
     index = wp.array(row, dtype=wp.int32, device=array.device)
     wp.copy(wp.indexedarray(array, [index]), wp.array(values, dtype=array.dtype, device=array.device))

@@ -12,7 +12,7 @@ from warpqem.measure.piece_proof import SINGLE_MARGIN
 from warpqem.measure.unit_frames import UnitBlock
 from warpqem.runtime.part_launches import launch_in_parts, rows_of
 
-__all__ = ["FacesAround", "far_points"]
+__all__ = ["FacesAround", "far_points", "furthest_from", "unique_pairs"]
 
 # Points that are worth a thread: some hundred nanoseconds each and block of frames.
 MIN_POINTS = 1024
@@ -42,11 +42,20 @@ class FacesAround:
     def second_ring(self, vertex: npt.NDArray[np.integer]) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
         """The faces at the faces at some vertices, as compressed rows."""
         face, row = self.of(vertex)
-        around = np.unique(np.stack([np.repeat(row, 3), self.corner_vertex.reshape(-1, 3)[face].ravel()]), axis=1)
+        around = unique_pairs(np.repeat(row, 3), self.corner_vertex.reshape(-1, 3)[face].ravel())
         face, of_around = self.of(around[1])
-        pair = np.unique(np.stack([around[0][of_around], face]), axis=1)
+        pair = unique_pairs(around[0][of_around], face)
         start = np.searchsorted(pair[0], np.arange(len(vertex) + 1)).astype(np.int32)
         return start, pair[1].astype(np.int32)
+
+
+def unique_pairs(
+    first: npt.NDArray[np.integer], second: npt.NDArray[np.integer]
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """The different ones of some pairs of numbers from 0 on (n,), ascending; by keys, ten times as fast as by rows."""
+    count = int(second.max(initial=0)) + 1
+    first_found, second_found = np.divmod(np.unique(first.astype(np.int64) * count + second), count)
+    return first_found, second_found
 
 
 def far_points(
@@ -73,17 +82,17 @@ def far_points(
         Indices into ``point`` (m,).
     """
     limit += SINGLE_MARGIN
-    furthest = _furthest(own, other, around, point, vertex, (around.start, around.face), limit, device)
+    furthest = furthest_from(own, other, around, point, vertex, (around.start, around.face), limit, device)
     far = np.flatnonzero(furthest > limit)
     if len(far):
         # The nearest face may be one further on.
         lists = around.second_ring(vertex[far])
-        furthest = _furthest(own, other, around, point[far], np.arange(len(far)), lists, limit, device)
+        furthest = furthest_from(own, other, around, point[far], np.arange(len(far)), lists, limit, device)
         far = far[furthest > limit]
     return far
 
 
-def _furthest(
+def furthest_from(
     own: UnitBlock,
     other: UnitBlock,
     around: FacesAround,
@@ -93,7 +102,21 @@ def _furthest(
     limit: float,
     device: str,
 ) -> npt.NDArray[np.float32]:
-    """The largest distances (n,) of points from the faces of rows of some lists."""
+    """How far points are at most, over the frames, from the nearest of some faces.
+
+    Args:
+        own: frames of one mesh, or of points.
+        other: the same frames of the other mesh.
+        around: its faces.
+        point: (n,) int, points of ``own``.
+        row: (n,) int, the row of the lists with the faces for each.
+        lists: where each row starts, (R+1,) int32, and faces of ``other``, int32.
+        limit: points within it in all frames of a block are looked at no closer.
+        device: Warp device.
+
+    Returns:
+        (n,) float32; of points within the limit anything that is.
+    """
     if not len(point):
         return np.empty(0, dtype=np.float32)
     furthest = wp.empty((len(point), own.lanes.shape[1]), dtype=wp.float32, device=device)

@@ -94,6 +94,16 @@ class LevelFrames:
             self.test.put(moved, points)
         return moved
 
+    def put(self, level: CutLevel, points: np.ndarray) -> None:
+        """Put a level where it is, (n, C, 3) in the caller's coordinates."""
+        self._points[:, level.kept] = points
+        self.test.put(level.kept, points)
+
+    def points_at(self, vertex: np.ndarray) -> np.ndarray:
+        """Some vertices of the level that was placed last, (n, *vertex.shape, 3), in the caller's coordinates."""
+        points: np.ndarray = self._points[:, vertex]
+        return points
+
     def points(self, level: CutLevel) -> np.ndarray:
         """The level, (n, C, 3), in the caller's coordinates."""
         points: np.ndarray = self._points[:, level.kept]

@@ -1,4 +1,4 @@
-"""Levels of detail that nest, from one decimation."""
+"""Levels of detail from one decimation. They nest, up to the few collapses that each exchanges with a refit."""
 
 from __future__ import annotations
 
@@ -14,12 +14,14 @@ from warpqem.arguments.number_input import flag, shown, whole_number
 from warpqem.arguments.progress import CancelToken, Progress, ProgressInput, listener, with_progress_bar
 from warpqem.decimation.collapse_log import CollapseRecord
 from warpqem.decimation.collapse_nodes import NodeRecorder
+from warpqem.decimation.decimate import DecimatedMesh
 from warpqem.decimation.replay import OrderedLevels
 from warpqem.errors import OptionError, UnreachableTargetError
 from warpqem.frames.checked_frames import check_sink
 from warpqem.frames.stream import FrameSink
 from warpqem.mesh.mesh_input import read_mesh
-from warpqem.options import LevelKeywords, check_ratio, read_keywords, target_count
+from warpqem.options import LevelKeywords, MeshOptions, check_ratio, read_keywords, target_count
+from warpqem.pipeline.exchange import exchanged, order_with_spare, spare_faces
 from warpqem.pipeline.measure_result import ResultMeasure
 from warpqem.pipeline.memory_plan import admit_faces
 from warpqem.pipeline.prepare import ORDER_END, Prepared, prepare
@@ -41,9 +43,9 @@ class LevelOrder:
     Made by :func:`order_levels`.
     """
 
-    def __init__(self, work: Prepared, refit: bool, progress: Progress | None) -> None:
-        self._refit, recorder = refit, NodeRecorder()
-        self._ordered = work.order(progress, recorder)
+    def __init__(self, work: Prepared, options: MeshOptions, progress: Progress | None) -> None:
+        self._options, recorder = options, NodeRecorder()
+        self._ordered = (order_with_spare if options.exchanges else Prepared.order)(work, progress, recorder)
         self._levels = OrderedLevels(work.mesh.faces, self._ordered, recorder)
         self._least, self._work = work.goal.target_faces, work.without_input()
 
@@ -105,12 +107,19 @@ class LevelOrder:
         listen = listener(progress, cancel)
         with thread_scope(), device_turn(self._work.device):
             limit_threads(worthwhile_threads(len(self._work.mesh.faces), self._work.mesh.frame_count))
-            ordered = self._levels.at(self._levels.steps_to(self._base_faces(target_faces)))
+            ordered = self._level_of(self._base_faces(target_faces), listen)
             device = self._work.result_device if sink is None else None
-            result = finish(self._work, ordered, self._refit, sink=sink, device=device, progress=listen)
+            result = finish(self._work, ordered, self._options.refits, sink=sink, device=device, progress=listen)
         if sink is None:
             result = replace(result, measuring=ResultMeasure.of(self._work.mesh, self._work.device))
         return reached(result, target_faces)
+
+    def _level_of(self, face_count: int, progress: Progress | None) -> DecimatedMesh:
+        """The mesh with so many faces, those on the back of others not counted."""
+        levels, work = self._levels, self._work
+        if not self._options.exchanges:
+            return levels.at(levels.steps_to(face_count))
+        return exchanged(work, levels.at(levels.steps_to(spare_faces(work, face_count))), face_count, progress)
 
     def _base_faces(self, target_faces: int) -> int:
         """The faces to decimate down to, so that with those on their backs there are so many."""
@@ -164,7 +173,7 @@ def order_levels(
     keep_frames = flag(keep_frames, "keep_frames")
     listen = listener(progress, cancel)
     work = prepare(points, faces, asked, keep_frames=keep_frames, keep_nodes=True, progress=listen)
-    return LevelOrder(work, asked.refits, listen)
+    return LevelOrder(work, asked, listen)
 
 
 @with_progress_bar

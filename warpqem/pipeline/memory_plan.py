@@ -115,6 +115,7 @@ class MemoryNeeds:
         channels: attribute channels that the costs look at.
         trajectories: the costs need all frames of every vertex.
         refit: the result is refitted.
+        exchanges: collapses are exchanged before.
         keep_frames: the result is kept in memory.
         keep_nodes: every vertex on the way down is kept, for levels that are placed later.
         memoryless: the quadrics of such levels are made anew, of their own faces.
@@ -134,6 +135,7 @@ class MemoryNeeds:
     channels: int = 0
     trajectories: bool = False
     refit: bool = False
+    exchanges: bool = False
     keep_frames: bool = True
     keep_nodes: bool = False
     memoryless: bool = False
@@ -187,6 +189,9 @@ FRAME_OUTPUT = 120
 # vertex: pairs, search hierarchies, what lies across its edges; for each output vertex: the pairs of its two faces and
 # their equations, 9 blocks of 36 bytes each.
 REFIT_KEY, REFIT_FACE, REFIT_VERTEX, REFIT_OUTPUT = 24, 170, 160, 1700
+# The exchange of collapses, for each input vertex and key frame: what decimation left once more, and the points as read,
+# about the origin, in blocks, and the level's, also in double precision; for each face: corners, distances, lists.
+EXCHANGE_KEY, EXCHANGE_FACE = 52 + 100, 120
 # The proof of a distance, for each input face: pieces of 60 bytes, some five of both meshes for each, and once more
 # while they are joined; what lies across edges and the search hierarchies. For each frame it looks at, and input
 # vertex: the points as read and about the origin, in double precision, in blocks, and the level's; for each output
@@ -322,6 +327,9 @@ def _place(needs: MemoryNeeds, device: str) -> tuple[int, int]:
         refit = REFIT_KEY * needs.key_frames * needs.vertex_count
         refit += REFIT_FACE * needs.face_count + REFIT_VERTEX * needs.vertex_count
         fixed += refit + REFIT_OUTPUT * needs.output_vertices
+    if needs.exchanges:
+        fixed += EXCHANGE_KEY * _padded(needs.key_frames, device) * needs.vertex_count
+        fixed += EXCHANGE_FACE * needs.face_count
     if needs.bounded:
         bound = BOUND_VERTEX * needs.vertex_count + BOUND_OUTPUT * needs.output_vertices
         bound += BOUND_PIECES * needs.face_count

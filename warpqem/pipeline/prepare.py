@@ -258,6 +258,7 @@ def plan_work(
             channels=channel_count(options.attributes, mesh),
             trajectories=spec.deformation_weight > 0,
             refit=options.refits,
+            exchanges=options.exchanges and not options.bounded,
             keep_frames=keep_frames,
             keep_nodes=keep_nodes,
             memoryless=options.memoryless_orders,

@@ -16,6 +16,7 @@ from warpqem.frames.stream import FrameSink
 from warpqem.mesh.mesh_input import read_mesh
 from warpqem.options import SimplifyKeywords, read_keywords
 from warpqem.pipeline.bounded import simplify_within
+from warpqem.pipeline.exchange import exchanged, order_with_spare
 from warpqem.pipeline.measure_result import ResultMeasure, measured_on_the_way, with_errors
 from warpqem.pipeline.memory_plan import MemoryPlan, admit_faces
 from warpqem.pipeline.prepare import plan_work, prepare
@@ -55,9 +56,10 @@ def simplify(
 
     Args:
         points: (F, V, 3) or (V, 3) coordinates in any unit: NumPy, Warp, or anything with the array interface or
-            DLPack; or a :class:`warpqem.FrameSource`, which is read block by block, twice, and once more for the key
-            frames; or a ``trimesh.Trimesh``, or what :func:`warpqem.load` gives, then without ``faces``. An array on a
-            GPU stays there: without ``device`` that is where it is simplified, and where the arrays of the result are.
+            DLPack; or a :class:`warpqem.FrameSource`, which is read block by block, twice, and up to four times more
+            for the key frames; or a ``trimesh.Trimesh``, or what :func:`warpqem.load` gives, then without ``faces``. An
+            array on a GPU stays there: without ``device`` that is where it is simplified, and where the arrays of the
+            result are.
         faces: (N, 3) vertex indices.
         sink: takes the frames of the result, block by block, in place of an array.
         measure: give the result its ``measured`` errors: where it is an array, they are computed when they are first
@@ -114,11 +116,13 @@ def simplify(
     if bounded:
         within = partial(simplify_within, work, asked.refits, sink=sink, progress=listen)
         return with_errors(within, measuring, device)
-    ordered = work.order(listen)
+    ordered = order_with_spare(work, listen) if asked.exchanges else work.order(listen)
+    # What follows needs the memory of decimation.
+    work = work.without_input()
+    if asked.exchanges:
+        ordered = exchanged(work, ordered, work.goal.target_faces, listen)
     placer = work.placer(ordered, refit=asked.refits)
     result = without_frames(work, placer, ordered)
-    # Placing needs the memory of decimation.
-    work = work.without_input()
     del ordered
     result = with_frames(result, work, placer, asked.refits, sink=sink, device=device, progress=listen)
     return reached(replace(result, measuring=measuring), work.goal.target_faces)

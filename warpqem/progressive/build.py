@@ -58,9 +58,8 @@ def build_progressive(
         progress: called with the part done, 0 to 1, and the stage, "read", "order" or "place"; True for a bar.
         cancel: as for :func:`warpqem.simplify`.
         options: keyword arguments of :func:`warpqem.simplify`, but for its goals, ``refit``, ``keep_components`` and
-            ``sink``. ``quality`` decides the order only, so that levels have the same faces as
-            :func:`warpqem.simplify` gives; "best" fits the surface of a single result, but here a vertex has one place
-            in all levels that it is in, by the quadrics that its collapse had.
+            ``sink``. ``quality`` decides the order only: "best" exchanges collapses of a single result and fits its
+            surface, but here a vertex has one place in all levels that it is in, by the quadrics that its collapse had.
 
     Raises:
         OptionError: also for an option that does not apply.

@@ -61,7 +61,14 @@ ALWAYS = (
 )
 # What more the qualities take, measuring, and values on the surface.
 FAST = ("edge_cost",)
-BEST = ("surface_pairs", "memoryless_quadric.width_8", "refit", "element_solve", "material_frame")
+BEST = (
+    "surface_pairs",
+    "memoryless_quadric.width_8",
+    "refit",
+    "element_solve",
+    "material_frame",
+    "distance_points.width_8",
+)
 MEASURED = ("surface_distance", "largest_distance", "distance_screen.width_8")
 VALUES = ("attribute_fit", "transfer", "surface_walk")
 # A CPU has other kernels for what these do.

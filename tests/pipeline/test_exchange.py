@@ -1,0 +1,86 @@
+"""Exchange of collapses where the surface is furthest from the input."""
+
+import numpy as np
+import pytest
+import trimesh
+
+import warpqem
+from tests.support.moving_meshes import MESHES
+from warpqem.measure import compare
+from warpqem.options import read_keywords
+from warpqem.pipeline import exchange
+from warpqem.pipeline.prepare import prepare
+
+
+def bumpy_ball(seed=0):
+    """A ball with bumps and spikes that swell over six frames."""
+    ball = trimesh.creation.icosphere(subdivisions=4)
+    rng = np.random.default_rng(seed)
+    direction = np.asarray(ball.vertices)
+    phase, wave = rng.uniform(0, 6, 5), rng.normal(size=(5, 3)) * 3
+    bumps = sum(np.sin(direction @ w + p) for w, p in zip(wave, phase, strict=True))
+    spikes = (direction @ rng.normal(size=(3, 12)) > 2.2).sum(axis=1)
+    frames = [direction * (1 + (0.03 + 0.02 * t) * bumps + 0.1 * np.sin(t) * spikes)[:, None] for t in range(6)]
+    return np.stack(frames).astype(np.float32), np.asarray(ball.faces, dtype=np.int32)
+
+
+def largest_distance(points, faces, result):
+    return compare(points, faces, result.points, result.faces).hausdorff
+
+
+def test_the_largest_distance_is_less_than_without_an_exchange(device, monkeypatch):
+    ratios = []
+    for seed in range(4):
+        points, faces = bumpy_ball(seed)
+        options = {"ratio": 0.15, "device": device, "measure": False}
+        exchanged = largest_distance(points, faces, warpqem.simplify(points, faces, **options))
+        with monkeypatch.context() as patch:
+            patch.setattr(exchange, "ROUNDS", 0)
+            ratios.append(exchanged / largest_distance(points, faces, warpqem.simplify(points, faces, **options)))
+    assert np.mean(ratios) < 0.95
+    assert max(ratios) < 1.1
+
+
+@pytest.mark.parametrize("name", list(MESHES))
+def test_faces_are_as_many_as_asked_for_or_one_fewer(name, device):
+    points, faces = MESHES[name]
+    for target in (300, 221):
+        result = warpqem.simplify(points, faces, target_faces=target, keep_components=True, device=device)
+        assert target - 1 <= len(result.faces) <= target
+
+
+def test_a_closed_surface_stays_closed_and_in_one_piece(device):
+    points, faces = bumpy_ball()
+    result = warpqem.simplify(points, faces, ratio=0.15, device=device)
+    mesh = trimesh.Trimesh(result.points[0], result.faces, process=False)
+    assert mesh.is_watertight
+    assert mesh.is_winding_consistent
+    assert mesh.euler_number == 2
+
+
+def test_a_rerun_gives_the_same_bits(device):
+    points, faces = bumpy_ball()
+    first, second = (warpqem.simplify(points, faces, ratio=0.15, device=device) for _ in range(2))
+    assert first.points.tobytes() == second.points.tobytes()
+    assert first.faces.tobytes() == second.faces.tobytes()
+
+
+def test_nothing_is_ordered_beyond_the_goal_where_few_faces_could_be_exchanged(device):
+    points, faces = MESHES["sphere"]
+    work = prepare(points, faces, read_keywords({"target_faces": 100, "device": device}))
+    assert exchange.spare_faces(work, 100) == 100
+    assert exchange.spare_faces(work, 1000) == 950
+    assert exchange.spare_faces(work, len(faces)) == len(faces)
+
+
+def test_distances_at_samples_come_near_the_largest_one_and_hardly_beyond(device):
+    points, faces = bumpy_ball()
+    work = prepare(points, faces, read_keywords({"target_faces": 700, "device": device}))
+    search = exchange._Search(work, exchange.order_with_spare(work), 700)
+    level = search._first_level()
+    found = 100 * search._furthest(level, None)
+    placed = search._frames.points(level)
+    rank = np.searchsorted(level.kept, level.ordered.faces)
+    largest = compare(points, faces, placed, rank).hausdorff
+    # Samples are vertices and four points of each face of the result: between them it may be further off.
+    assert 0.7 * largest < found < 1.02 * largest

@@ -1,0 +1,124 @@
+"""Levels of a forest of collapses near what ordering left, without a record of every vertex on the way.
+
+Ordering leaves the state of its last clusters. Those that a level has instead, as collapses were taken back, get theirs
+from the input: a vertex in the middle of their input vertices, and the quadric of the faces around it. That says which
+input vertices hold the vertex when it is placed; the place itself comes from the planes of the input.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import warp as wp
+
+from warpqem.decimation.collapse_nodes import read_rows
+from warpqem.decimation.decimate import DecimatedMesh
+from warpqem.decimation.faces_left import faces_left
+from warpqem.decimation.forest_cut import CollapseForest, Cut, last_collapses
+from warpqem.decimation.memoryless_quadrics import MemorylessQuadrics
+from warpqem.decimation.replay import put_rows
+
+__all__ = ["ClusterStates"]
+
+# In place of a collapse, the last one of a cluster.
+NO_STATE = -2
+
+
+class ClusterStates:
+    """All that placing needs of any level of a forest.
+
+    Args:
+        input_faces: (N, 3) int32, what was ordered.
+        ordered: what that left.
+        forest: its collapses.
+        quadric_scale: (V,) float32, scale of each input vertex's quadric.
+    """
+
+    def __init__(
+        self, input_faces: np.ndarray, ordered: DecimatedMesh, forest: CollapseForest, quadric_scale: np.ndarray
+    ) -> None:
+        self._ordered, self._forest = ordered, forest
+        self._corner_vertex = wp.array(input_faces.ravel(), dtype=wp.int32, device=ordered.position.device)
+        self._present = MemorylessQuadrics(input_faces, ordered)
+        self._position, self._quadric = wp.clone(ordered.position), wp.clone(ordered.quadric)
+        # The last collapse of each cluster that ordering left; there is no state of others, nor of pruned ones.
+        left = last_collapses(ordered.log, np.ones(len(ordered.log), dtype=bool), len(ordered.root))
+        is_left = (ordered.root == np.arange(len(left))) & (ordered.drops.vertex_drop < 0)
+        self._left = np.where(is_left, left, NO_STATE)
+        # An input vertex has no recorded state, but a place.
+        self._put_input(np.flatnonzero(is_left & (left < 0)))
+        # The last collapse of the cluster whose state each vertex shows.
+        self._shown = self._left.copy()
+        self._scale = quadric_scale
+
+    def at(self, cut: Cut) -> DecimatedMesh:
+        """A level; the arrays of positions and quadrics are shared by all of them."""
+        ordered, log = self._ordered, self._ordered.log.chosen(cut.kept)
+        drops = ordered.drops
+        drops = drops.chosen(cut.dropped, cut.kept) if len(drops) else drops
+        root = log.roots(len(ordered.root))
+        faces, face_map = faces_left(self._corner_vertex, log, root, drops)
+        last = self._forest.last_collapses(cut)
+        is_kept = np.zeros(len(root), dtype=bool)
+        is_kept[faces] = True
+        changed = np.flatnonzero(is_kept & (last != self._shown))
+        self._shown[changed] = last[changed]
+        self._restore(changed[last[changed] == self._left[changed]])
+        self._make(changed[last[changed] != self._left[changed]], root, face_map)
+        return replace(
+            ordered,
+            faces=faces,
+            face_map=face_map,
+            root=root,
+            position=self._position,
+            quadric=self._quadric,
+            stopped="target",
+            log=log,
+            drops=drops,
+        )
+
+    def move(self, vertex: np.ndarray, position: np.ndarray, level: DecimatedMesh) -> None:
+        """Put some kept vertices (n,) of a level elsewhere, (n, B, 3, width), with the quadrics of the faces there."""
+        put_rows(self._position, self._ordered.row[vertex], position)
+        self._renew(vertex, level.root, level.face_map)
+
+    def made(self, vertex: np.ndarray) -> np.ndarray:
+        """Those of some kept vertices whose state is none that ordering left; not those of one input vertex."""
+        shown = self._shown[vertex]
+        own: np.ndarray = vertex[(shown != self._left[vertex]) & (shown >= 0)]
+        return own
+
+    def _restore(self, vertex: np.ndarray) -> None:
+        """Put the state that ordering left back."""
+        row = self._ordered.row[vertex]
+        index = wp.array(row, dtype=wp.int32, device=self._position.device)
+        for array, source in ((self._position, self._ordered.position), (self._quadric, self._ordered.quadric)):
+            put_rows(array, row, read_rows(source, index))
+
+    def _put_input(self, vertex: np.ndarray) -> None:
+        """Put input vertices (n,) where they are."""
+        index = wp.array(vertex.astype(np.int32), dtype=wp.int32, device=self._position.device)
+        put_rows(self._position, self._ordered.row[vertex], read_rows(self._ordered.key_position, index))
+
+    def _make(self, vertex: np.ndarray, root: np.ndarray, face_map: np.ndarray) -> None:
+        """Put some vertices in the middle of their clusters."""
+        if not len(vertex):
+            return
+        place = np.full(len(root), -1, dtype=np.int64)
+        place[vertex] = np.arange(len(vertex))
+        member = np.flatnonzero(place[root] >= 0)
+        member = member[np.argsort(place[root[member]], kind="stable")]
+        cluster = place[root[member]]
+        first = np.flatnonzero(np.diff(cluster, prepend=-1))
+        index = wp.array(member.astype(np.int32), dtype=wp.int32, device=self._position.device)
+        points = read_rows(self._ordered.key_position, index)
+        count = np.diff(first, append=len(member)).astype(np.float32)
+        middle = np.add.reduceat(points, first, axis=0) / count[:, None, None, None]
+        put_rows(self._position, self._ordered.row[vertex], middle)
+        self._renew(vertex, root, face_map)
+
+    def _renew(self, vertex: np.ndarray, root: np.ndarray, face_map: np.ndarray) -> None:
+        """Make the quadrics of some vertices those of the faces around them."""
+        row = self._ordered.row[vertex].astype(np.int32)
+        self._present.fill(root, face_map, row, self._scale[vertex], self._position, self._quadric)
