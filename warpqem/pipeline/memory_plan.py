@@ -189,8 +189,8 @@ FRAME_OUTPUT = 120
 # vertex: pairs, search hierarchies, what lies across its edges; for each output vertex: the pairs of its two faces and
 # their equations, 9 blocks of 36 bytes each.
 REFIT_KEY, REFIT_FACE, REFIT_VERTEX, REFIT_OUTPUT = 24, 170, 160, 1700
-# The exchange of collapses, for each input vertex and key frame: what decimation left once more, and the points as read,
-# about the origin, in blocks, and the level's, also in double precision; for each face: corners, distances, lists.
+# The exchange of collapses, for each input vertex and key frame: what decimation left once more, the points as read,
+# about the origin and in blocks, and the level's, also in double precision; for each face: corners, distances, lists.
 EXCHANGE_KEY, EXCHANGE_FACE = 52 + 100, 120
 # The proof of a distance, for each input face: pieces of 60 bytes, some five of both meshes for each, and once more
 # while they are joined; what lies across edges and the search hierarchies. For each frame it looks at, and input
