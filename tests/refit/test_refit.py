@@ -15,7 +15,7 @@ from tests.support.moving_meshes import BAR, SPHERE, rms
 from warpqem.decimation.adjacency import build_adjacency
 from warpqem.kernels.element_solve import Elements
 from warpqem.measure import compare
-from warpqem.pipeline import exchange
+from warpqem.pipeline import prepare
 from warpqem.refit import fit_surface
 from warpqem.refit.matching import OUTPUT_SAMPLES
 from warpqem.refit.solve import solve_elements
@@ -144,7 +144,7 @@ def bent_tubes(radius: float) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("ratio", [0.03, 0.1, 0.3])
 def test_refit_never_takes_a_part_much_further_from_the_input(quality, radius, ratio, device, monkeypatch):
     # Of the same faces: an exchange takes them from one part to another.
-    monkeypatch.setattr(exchange, "SPARE", 0.0)
+    monkeypatch.setattr(prepare, "SPARE", 0.0)
     points, faces = bent_tubes(radius)
     placed, refitted = (
         warpqem.simplify(points, faces, ratio=ratio, quality=quality, refit=refit, keep_components=True, device=device)

@@ -26,14 +26,11 @@ from warpqem.measure.far_points import FacesAround, furthest_from, unique_pairs
 from warpqem.measure.unit_frames import UnitBlock, UnitFrames
 from warpqem.mesh.mesh_input import AnimatedMesh
 from warpqem.pipeline.cut_levels import Choice, CutLevel, LevelFrames, placer_of
-from warpqem.pipeline.prepare import ORDER_END, Prepared
+from warpqem.pipeline.prepare import ORDER_END, Prepared, spare_count
 from warpqem.pipeline.result import with_frames, without_frames
 
 __all__ = ["exchanged", "order_with_spare", "spare_faces"]
 
-# So large a part of the faces may be exchanged; where that is fewer than so many faces, nothing is. With a tenth, 11
-# cells have as small a largest distance and 0.4 % more RMS.
-SPARE, MIN_SPARE = 0.05, 8
 # The furthest spots of a round are those beyond this part of the largest distance.
 NEAR_LARGEST = 0.8
 # Exchanging a part of the faces must lower the largest distance by so many times that part: over 11 cells the largest
@@ -62,10 +59,10 @@ def spare_faces(work: Prepared, target_faces: int) -> int:
 
     That is so where faces stand for two, as counts hang on which of them are left.
     """
-    repair, spare = work.mesh.repair, int(SPARE * target_faces)
-    if spare < MIN_SPARE or target_faces >= len(work.mesh.faces) or (repair is not None and repair.is_double.any()):
+    repair = work.mesh.repair
+    if repair is not None and repair.is_double.any():
         return target_faces
-    return target_faces - spare
+    return target_faces - spare_count(target_faces, len(work.mesh.faces))
 
 
 def order_with_spare(

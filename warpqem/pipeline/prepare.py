@@ -38,7 +38,15 @@ from warpqem.repair.mended_mesh import faces_for, repaired_mesh, repaired_option
 from warpqem.runtime.device import resolve_device
 from warpqem.runtime.thread_limit import limit_threads, worthwhile_threads
 
-__all__ = ["ORDER_END", "Prepared", "QuadricSource", "check_metric_options", "plan_work", "prepare"]
+__all__ = [
+    "ORDER_END",
+    "Prepared",
+    "QuadricSource",
+    "check_metric_options",
+    "plan_work",
+    "prepare",
+    "spare_count",
+]
 
 # Makes matrices (V, 3, 3) about the vertices of a mesh of one frame, on the mesh of unit diagonal, from the mesh and
 # the scale (V,) of the quadric at each vertex.
@@ -49,6 +57,10 @@ READ_END = 0.05
 ORDER_END = 0.7
 # Decimation follows the material no more stiffly than this: beyond it the order loses shape and gains no steadiness.
 ORDER_EPSILON = 0.05
+
+# So large a part of the faces may be exchanged; where that is fewer than so many faces, nothing is. With a tenth, 11
+# cells have as small a largest distance and 0.4 % more RMS.
+SPARE, MIN_SPARE = 0.05, 8
 
 
 @dataclass(frozen=True)
@@ -227,6 +239,12 @@ def _order_settings(spec: CostModelSpec, goal: Goal, options: MeshOptions) -> Or
     )
 
 
+def spare_count(target_faces: int, face_count: int) -> int:
+    """How many of the faces asked for may be exchanged, see :mod:`warpqem.pipeline.exchange`; 0 for too few."""
+    spare = int(SPARE * target_faces)
+    return spare if spare >= MIN_SPARE and target_faces < face_count else 0
+
+
 def plan_work(
     mesh: MeshInput,
     spec: CostModelSpec,
@@ -258,7 +276,7 @@ def plan_work(
             channels=channel_count(options.attributes, mesh),
             trajectories=spec.deformation_weight > 0,
             refit=options.refits,
-            exchanges=options.exchanges and not options.bounded,
+            exchanges=options.exchanges and not options.bounded and spare_count(goal.target_faces, face_count) > 0,
             keep_frames=keep_frames,
             keep_nodes=keep_nodes,
             memoryless=options.memoryless_orders,
