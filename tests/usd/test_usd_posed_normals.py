@@ -36,13 +36,17 @@ def shading(folder: Path, name: str) -> float:
     return report.score.shading.psnr
 
 
-def test_poses_are_shaded_more_like_the_input_than_by_a_fit_at_rest(tmp_path, monkeypatch):
-    stage = rig(tmp_path / "in.usda")
-    # Always to the same side, and never straight.
+def turn_to_one_side(stage: Usd.Stage) -> None:
+    """Joints that are never straight."""
     rotations = UsdSkel.Animation(stage.GetPrimAtPath(ANIMATION)).GetRotationsAttr()
     for number, frame in enumerate(FRAMES):
         turn = Gf.Quatf(Gf.Rotation(Gf.Vec3d(0, 1, 0), 30.0 + number).GetQuat())
         rotations.Set([turn] * len(NAMES), frame)
+
+
+def test_poses_are_shaded_more_like_the_input_than_by_a_fit_at_rest(tmp_path, monkeypatch):
+    stage = rig(tmp_path / "in.usda")
+    turn_to_one_side(stage)
     smooth(stage)
     in_poses = shading(tmp_path, "poses")
     monkeypatch.setattr(fitted_normals, "shown_poses", lambda *_: [])
@@ -51,10 +55,7 @@ def test_poses_are_shaded_more_like_the_input_than_by_a_fit_at_rest(tmp_path, mo
 
 def test_rest_shape_is_no_further_from_the_input_than_with_the_normals_of_its_faces(tmp_path):
     stage = rig(tmp_path / "in.usda")
-    rotations = UsdSkel.Animation(stage.GetPrimAtPath(ANIMATION)).GetRotationsAttr()
-    for number, frame in enumerate(FRAMES):
-        turn = Gf.Quatf(Gf.Rotation(Gf.Vec3d(0, 1, 0), 30.0 + number).GetQuat())
-        rotations.Set([turn] * len(NAMES), frame)
+    turn_to_one_side(stage)
     smooth(stage)
     angles = {}
     for how in ("fit", "keep"):

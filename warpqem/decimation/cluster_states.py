@@ -32,12 +32,9 @@ class ClusterStates:
         input_faces: (N, 3) int32, what was ordered.
         ordered: what that left.
         forest: its collapses.
-        quadric_scale: (V,) float32, scale of each input vertex's quadric.
     """
 
-    def __init__(
-        self, input_faces: np.ndarray, ordered: DecimatedMesh, forest: CollapseForest, quadric_scale: np.ndarray
-    ) -> None:
+    def __init__(self, input_faces: np.ndarray, ordered: DecimatedMesh, forest: CollapseForest) -> None:
         self._ordered, self._forest = ordered, forest
         self._corner_vertex = wp.array(input_faces.ravel(), dtype=wp.int32, device=ordered.position.device)
         self._present = MemorylessQuadrics(input_faces, ordered)
@@ -50,7 +47,6 @@ class ClusterStates:
         self._put_input(np.flatnonzero(is_left & (left < 0)))
         # The last collapse of the cluster whose state each vertex shows.
         self._shown = self._left.copy()
-        self._scale = quadric_scale
 
     def at(self, cut: Cut) -> DecimatedMesh:
         """A level; the arrays of positions and quadrics are shared by all of them."""
@@ -121,4 +117,6 @@ class ClusterStates:
     def _renew(self, vertex: np.ndarray, root: np.ndarray, face_map: np.ndarray) -> None:
         """Make the quadrics of some vertices those of the faces around them."""
         row = self._ordered.row[vertex].astype(np.int32)
-        self._present.fill(root, face_map, row, self._scale[vertex], self._position, self._quadric)
+        # What planes count does not matter to the weights that hold a vertex.
+        scale = np.ones(len(row), dtype=np.float32)
+        self._present.fill(root, face_map, row, scale, self._position, self._quadric)

@@ -13,6 +13,7 @@ from warpqem.decimation.decimate import DecimatedMesh
 from warpqem.decimation.faces_left import faces_left
 from warpqem.decimation.forest_cut import Cut, last_collapses
 from warpqem.decimation.memoryless_quadrics import MemorylessQuadrics
+from warpqem.decimation.order_steps import OrderSteps
 
 __all__ = ["MergedClusters", "OrderedLevels", "put_rows"]
 
@@ -44,14 +45,12 @@ class OrderedLevels:
     """
 
     def __init__(self, input_faces: np.ndarray, ordered: DecimatedMesh, recorder: NodeRecorder) -> None:
-        self._face_count, self._ordered, self._passes = len(input_faces), ordered, recorder.passes
+        self._ordered, self._passes = ordered, recorder.passes
         self._corner_vertex = wp.array(input_faces.ravel(), dtype=wp.int32, device=ordered.position.device)
         self.log = ordered.log
         self._position, self._quadric = wp.clone(ordered.position), wp.clone(ordered.quadric)
         self._present = MemorylessQuadrics(input_faces, ordered) if recorder.present else None
-        # Collapses and drops in the order they came, the drops counted on from the last collapse.
-        collapse, after = np.arange(len(self.log)), ordered.drops.collapse_count
-        self._event = np.argsort(np.concatenate([2 * collapse + 1, 2 * after]), kind="stable")
+        self._steps = OrderSteps(self.log, ordered.drops, len(input_faces))
         sizes = [len(nodes.row) for nodes in self._passes]
         self._vertex_of_row = np.argsort(ordered.row)
         # The collapse that each vertex's state is that after, of those that a cut asks for.
@@ -68,9 +67,7 @@ class OrderedLevels:
 
     def steps_to(self, target_faces: int) -> int:
         """The least number of collapses and drops that leaves so many faces or fewer; all of them where none does."""
-        counts = np.concatenate([self.log.faces_removed, self._ordered.drops.face_count])[self._event]
-        left = self._face_count - np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])
-        return min(int(np.searchsorted(-left, -target_faces)), len(self._event))
+        return self._steps.to(target_faces)
 
     def at(self, step_count: int) -> DecimatedMesh:
         """What ordering would have left after so many collapses and drops.
@@ -78,8 +75,8 @@ class OrderedLevels:
         The arrays of positions and quadrics are shared by all levels: one level is placed before the next is asked for.
         """
         self._shown[:] = -1
-        collapse_count = int((self._event[:step_count] < len(self.log)).sum())
-        drops = self._ordered.drops.head(step_count - collapse_count)
+        collapse_count, drop_count = self._steps.counts(step_count)
+        drops = self._ordered.drops.head(drop_count)
         log = self.log.head(collapse_count)
         root = log.roots(len(self._ordered.root))
         faces, face_map = faces_left(self._corner_vertex, log, root, drops)
@@ -94,7 +91,7 @@ class OrderedLevels:
             self._show(nodes, wanted)
         if self._present is not None:
             self._show_present(shown, root, face_map)
-        at_end = step_count == len(self._event)
+        at_end = step_count == len(self._steps)
         return replace(
             self._ordered,
             faces=faces,

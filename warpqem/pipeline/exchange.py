@@ -20,6 +20,7 @@ from warpqem.decimation.cluster_states import ClusterStates
 from warpqem.decimation.collapse_nodes import NodeRecorder
 from warpqem.decimation.decimate import DecimatedMesh
 from warpqem.decimation.forest_cut import CollapseForest, Cut
+from warpqem.decimation.order_steps import OrderSteps
 from warpqem.frames.device_frames import to_device
 from warpqem.frames.stream import ArrayFrames, ArraySink
 from warpqem.measure.far_points import FacesAround, furthest_from, unique_pairs
@@ -100,13 +101,9 @@ class _Search:
         self._whole, self._target = work, target_faces
         log, drops = ordered.log, ordered.drops
         self._forest = CollapseForest(log, drops, len(ordered.root))
-        self._states = ClusterStates(work.mesh.faces, ordered, self._forest, work.quadric_scale)
-        # Collapses and prunings in the order they came, the latter counted on from the last collapse.
-        when = np.concatenate([2 * np.arange(len(log)) + 1, 2 * drops.collapse_count])
-        self._event = np.argsort(when, kind="stable")
-        removed = np.concatenate([log.faces_removed, drops.face_count])[self._event]
-        left = len(work.mesh.faces) - np.cumsum(removed, dtype=np.int64)
-        self._steps = int(np.searchsorted(-left, -target_faces)) + 1
+        self._states = ClusterStates(work.mesh.faces, ordered, self._forest)
+        self._steps = OrderSteps(log, drops, len(work.mesh.faces))
+        self._step = self._first_step = self._steps.to(target_faces)
         keys = work.key_frames
         keys = keys[np.unique(np.linspace(0, len(keys) - 1, min(MAX_FRAMES, len(keys))).astype(int))]
         mesh = _clip(work.mesh, keys)
@@ -127,9 +124,9 @@ class _Search:
     def run(self, progress: Progress | None) -> DecimatedMesh:
         """The best of the cuts."""
         left_out = np.empty(0, dtype=np.int64)
-        level = before = self._first_level()
-        best, least = level.choice.cut, self._furthest(level, None)
-        largest, first = least, self._steps
+        level = self._first_level()
+        largest = least = self._furthest(level, None)
+        best = level.choice.cut
         for _ in range(ROUNDS):
             chosen = np.setdiff1d(self._collapses_at_spots(level, largest), left_out)
             if not len(chosen):
@@ -141,7 +138,8 @@ class _Search:
             before, level = level, finer
             moved = self._frames.place(level, before)
             largest = self._furthest(level, moved)
-            weighed = largest * math.exp(WORTH * (self._steps - first) * FACES_PER_COLLAPSE / self._target)
+            share = FACES_PER_COLLAPSE * (self._step - self._first_step) / self._target
+            weighed = largest * math.exp(WORTH * share)
             if weighed < least:
                 best, least = level.choice.cut, weighed
             if progress:
@@ -162,11 +160,9 @@ class _Search:
 
     def _prefix(self) -> Cut:
         """The beginning of the order that is tried now."""
-        event, count = self._event[: self._steps], len(self._forest.log)
-        kept, dropped = np.zeros(count, dtype=bool), np.zeros(len(self._forest.drops), dtype=bool)
-        kept[event[event < count]] = True
-        dropped[event[event >= count] - count] = True
-        return Cut(kept, dropped)
+        collapse_count, drop_count = self._steps.counts(self._step)
+        kept = np.arange(len(self._forest.log)) < collapse_count
+        return Cut(kept, np.arange(len(self._forest.drops)) < drop_count)
 
     def _finer(self, left_out: np.ndarray) -> CutLevel | None:
         """The level of the shortest beginning of the order that has few enough faces without some collapses."""
@@ -180,9 +176,9 @@ class _Search:
                 excess = len(level.ordered.faces) - self._target
                 if excess <= 0:
                     return level
-            if self._steps == len(self._event):
+            if self._step == len(self._steps):
                 return None
-            self._steps = min(self._steps + max(1, excess // 2), len(self._event))
+            self._step = min(self._step + max(1, excess // FACES_PER_COLLAPSE), len(self._steps))
 
     def _level(self, cut: Cut) -> CutLevel:
         """A level whose clusters are placed by their planes, but for those that ordering left."""
