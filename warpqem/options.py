@@ -124,9 +124,9 @@ class MethodOptions:
     quality: Literal["fast", "best"] = option(
         "best",
         "best orders by the present faces, exchanges collapses where the surface is furthest from the input, and fits "
-        "it at the end, see --memoryless and --refit; fast does none of it, in a quarter of the time and with a worse "
+        "it at the end, see --memoryless and --refit; fast does none of it, in a fifth of the time and with a worse "
         "shape.",
-        brief="fast takes about a quarter of the time, with a worse shape",
+        brief="fast takes about a fifth of the time, with a worse shape",
         basic=True,
         panel="Quality",
     )
