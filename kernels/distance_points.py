@@ -1,7 +1,7 @@
 """Points of a moving mesh against some faces of another one, in many frames side by side: how far they are at most.
 
-Faces that are not among those given may be nearer, so that a distance found is no less than the real one. See
-:mod:`warpqem.kernels.lanes` for the layout.
+Faces that are not among those given may be nearer, so that a distance found is no less than the real one. How long
+edges become tells which faces need points between their vertices. See :mod:`warpqem.kernels.lanes` for the layout.
 """
 
 from typing import Any
@@ -9,7 +9,7 @@ from typing import Any
 import warp as wp
 
 from warpqem.kernels.distance_pieces import lane_distance_squared, lane_foot_squared
-from warpqem.kernels.lanes import POINTS_ARRAY, lane_kernel
+from warpqem.kernels.lanes import POINTS_ARRAY, lane_dot, lane_kernel
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
@@ -59,7 +59,26 @@ def distances_of_points(
     furthest_out[i, block] = furthest
 
 
+@lane_kernel(position_in=POINTS_ARRAY)
+def longest_edges(
+    # in
+    position_in: Any,
+    corner_vertex_in: wp.array[wp.int32],
+    # out
+    squared_out: wp.array[wp.float32],
+):
+    """The squared length of the longest edge of each face in any frame: (N,)."""
+    i = wp.tid()
+    longest = wp.float32(0.0)
+    for block in range(position_in.shape[1]):
+        for k in range(3):
+            a = position_in[corner_vertex_in[3 * i + k], block]
+            edge = position_in[corner_vertex_in[3 * i + (k + 1) % 3], block] - a
+            longest = wp.max(longest, wp.max(lane_dot(edge, edge)))
+    squared_out[i] = longest
+
+
 # Loops over corners and faces stay loops: unrolled, they take several times as long to compile and run no faster.
-for _kernel in distances_of_points.values():
+for _kernel in (*distances_of_points.values(), *longest_edges.values()):
     wp.set_module_options({"max_unroll": 1}, _kernel.module)
 del _kernel

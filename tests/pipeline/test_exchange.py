@@ -78,7 +78,7 @@ def test_distances_at_samples_come_near_the_largest_one_and_hardly_beyond(device
     work = prepare(points, faces, read_keywords({"target_faces": 700, "device": device}))
     search = exchange._Search(work, exchange.order_with_spare(work), 700)
     level = search._first_level()
-    found = 100 * search._furthest(level, None)
+    found = 100 * search._distances.renew(level, None)
     placed = search._frames.points(level)
     rank = np.searchsorted(level.kept, level.ordered.faces)
     largest = compare(points, faces, placed, rank).hausdorff
