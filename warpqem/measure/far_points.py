@@ -14,7 +14,7 @@ from warpqem.runtime.part_launches import corners_of, launch_in_parts, rows_of
 
 __all__ = ["FacesAround", "far_points", "furthest_from", "longest_edges", "unique_pairs"]
 
-# Points, or faces, that are worth a thread: some hundred nanoseconds each and block of frames.
+# Points, or faces, that are worth a thread: some hundred nanoseconds each.
 MIN_POINTS = 1024
 
 
@@ -119,7 +119,7 @@ def furthest_from(
     """
     if not len(point):
         return np.empty(0, dtype=np.float32)
-    furthest = wp.empty((len(point), own.lanes.shape[1]), dtype=wp.float32, device=device)
+    furthest = wp.empty(len(point), dtype=wp.float32, device=device)
     corner_vertex, start, face = (
         wp.array(values, dtype=wp.int32, device=device, copy=False) for values in (around.corner_vertex, *lists)
     )
@@ -127,13 +127,13 @@ def furthest_from(
     inputs = [own.lanes, other.lanes, corner_vertex, rows_of(point_device), rows_of(row_device), start, face]
     launch_in_parts(
         kernels.distances_of_points[width_of(own.lanes)],
-        furthest.shape,
+        len(point),
         [*inputs, limit**2],
         [rows_of(furthest)],
         device=device,
         min_items=MIN_POINTS,
     )
-    found: npt.NDArray[np.float32] = np.sqrt(furthest.numpy().max(axis=1, initial=0.0))
+    found: npt.NDArray[np.float32] = np.sqrt(furthest.numpy())
     return found
 
 

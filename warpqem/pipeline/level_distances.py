@@ -82,7 +82,10 @@ class LevelDistances:
         self._corners = np.full((face_count, 3), -1, dtype=np.int32)
 
     def renew(self, level: CutLevel, moved: np.ndarray | None) -> float:
-        """The largest distance of a level, of which some vertices moved since the last one; None for all."""
+        """The largest distance of a level, of which some vertices moved since the last one; None for all.
+
+        At least the limit.
+        """
         ordered = level.ordered
         if moved is None:
             self._choose_large(level)
@@ -106,7 +109,7 @@ class LevelDistances:
         faces, face = ordered.faces[changed], ordered.face_map[changed]
         self._far_face[face] = self._sampled(self._frames.level_points, faces, faces, ordered.faces, around, held)
         found = self._far_vertex[here], self._far_large, self._far_face[ordered.face_map]
-        return max(float(part.max(initial=0.0)) for part in found)
+        return max(self.limit, *(float(part.max(initial=0.0)) for part in found))
 
     def _choose_large(self, level: CutLevel) -> None:
         """The input faces that are larger than those of the first level."""
