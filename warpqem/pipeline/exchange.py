@@ -134,14 +134,14 @@ class _Search:
         return self._settled(best)
 
     def _first_level(self) -> CutLevel:
-        """The order's own level, placed and refitted."""
+        """The order's own level, placed and refitted roughly."""
         level = self._level(self._prefix())
         placer = self._work.placer(level.ordered, refit=True)
         settings = replace(self._work.place_settings, softening=placer.softening)
         self._work = replace(self._work, place_settings=settings)
         array = ArraySink()
         result = without_frames(self._work, placer, level.ordered)
-        with_frames(result, self._work, placer, True, sink=array)
+        with_frames(result, self._work, placer, True, sink=array, roughly=True)
         self._frames.put(level, array.points)
         return level
 
