@@ -306,3 +306,26 @@ def test_errors_of_normals_are_those_of_numpy(hills):
 )
 def test_normals_are_nearer_where_both_errors_say_so(squared, angle, share, expected):
     assert NormalErrors(squared, angle).is_within(NormalErrors(1.0, 1.0), share) is expected
+
+
+def test_faces_that_mending_turned_over_have_partners_at_their_own_places():
+    points, faces = meshes.grid(10, 10)
+    points = points.astype(np.float32)
+    given = faces.copy()
+    given[::3] = given[::3, ::-1]
+    fit = fitting(points, given)
+    assert 0 < fit.result.repair.is_turned.sum() < len(faces)
+    partner, weight = fit.layout.partners.face.numpy(), fit.layout.partners.weight.numpy()
+    assert (partner >= 0).all()
+    found = np.einsum("nsk,nskd->nsd", weight, points[given][partner])
+    own = np.einsum("sk,nkd->nsd", SAMPLES, fit.result.points[0][fit.result.faces])
+    np.testing.assert_allclose(found, own, atol=1e-5)
+
+
+def test_texture_turns_with_faces_that_mending_turned_over():
+    points, faces = meshes.grid(10, 10)
+    given = faces.copy()
+    given[::3] = given[::3, ::-1]
+    fit = fitting(points.astype(np.float32), given)
+    signs = fit.signs(points[given][:, :, :2].reshape(-1, 2).astype(np.float64))
+    assert abs(signs.sum()) == len(fit.result.faces)

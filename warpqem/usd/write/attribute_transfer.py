@@ -227,6 +227,19 @@ class AttributeTransfer:
         return self._input[1]
 
     @property
+    def turned_faces(self) -> npt.NDArray[np.bool_]:
+        """Those of them that the output goes on from the other way round, as mending does: bool, shape (N,)."""
+        _, faces, result = self._input
+        turned = np.zeros(len(faces), dtype=bool) if result.repair is None else result.repair.is_turned
+        return np.asarray(turned, dtype=bool)
+
+    @property
+    def source_faces(self) -> npt.NDArray[np.int32]:
+        """Those that the output's faces go on from, int32, shape (N',)."""
+        found: npt.NDArray[np.int32] = self._input[2].face_map
+        return found
+
+    @property
     def has_backs(self) -> bool:
         """True where faces of the input lie back to back, so that its vertices face both ways."""
         repair = self._input[2].repair

@@ -85,7 +85,8 @@ def fit_transferred(
                 # Painted weights may be infinite, and nothing lies between those and others.
                 return like
             if kind == "texture":
-                found = fit_texture(transfer.faces, layout, values, start(code), reference_signs(layout, values))
+                signs = reference_signs(layout, values, transfer.source_faces, transfer.turned_faces)
+                found = fit_texture(transfer.faces, layout, values, start(code), signs)
             else:
                 found = fit_smooth_values(layout, values, start(code))
             return found.reshape(like.shape).astype(like.dtype)
