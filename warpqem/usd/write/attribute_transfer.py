@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 from pxr import Usd, UsdGeom
 
+from warpqem.attribute_fit.input_samples import InputSamples, find_input_samples
 from warpqem.attribute_fit.partners import Partners, PartnerSearch
 from warpqem.attribute_fit.values import ValueLayout
 from warpqem.mesh.blending import blend
@@ -220,6 +221,20 @@ class AttributeTransfer:
         elements = self.topology.triangles if of_points else self.topology.triangle_corners
         found = self._partners_over_frames(seams) if over_frames else self._reference_partners(seams)
         return ValueLayout(found, elements, self.faces if corner_row is None else corner_row)
+
+    def input_samples(
+        self, pose: npt.NDArray[np.float32] | None = None, placed: npt.NDArray[np.float32] | None = None
+    ) -> InputSamples | None:
+        """Samples of the input in a pose of both, see `find_input_samples`; None for the reference pose."""
+        points = self._input[0] if pose is None else pose
+        faces = np.where(self.turned_faces[:, None], self.input_faces[:, ::-1], self.input_faces)
+        found = find_input_samples(
+            points, faces, self.reference if placed is None else placed, self.faces, resolve_device(self._device)
+        )
+        if found is None or not self.turned_faces.any():
+            return found
+        turned = self.turned_faces[found.face][:, None]
+        return replace(found, weight=np.where(turned, found.weight[:, ::-1], found.weight))
 
     @property
     def input_faces(self) -> npt.NDArray[np.int32]:

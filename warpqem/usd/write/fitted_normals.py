@@ -99,7 +99,8 @@ class _Shading:
         for pose in poses:
             found = search.find(pose.points, pose.placed, first)
             first = found if first is None else first
-            layouts.append(ValueLayout(found, elements, self.corner_row))
+            samples = self._transfer.input_samples(pose.points, pose.placed)
+            layouts.append(ValueLayout(found, elements, self.corner_row, samples))
         return layouts
 
     def fit_tilts(self, poses: Sequence[NormalPose], layouts: Sequence[ValueLayout]) -> npt.NDArray[np.float64]:
