@@ -2,7 +2,7 @@
 
 Ordering prices a collapse by quadrics and by distances in few frames, before vertices are placed and fitted. A handful
 of its collapses leave the surface much further from the input than all others do, in some frame. So edges are
-collapsed a little further than asked for, and the surface is looked at as it comes out, in the key frames: the last
+collapsed a little further than asked for, and the surface is looked at as it comes out, in many frames: the last
 collapse of the largest error at each of the furthest spots is taken back, and for its faces the next ones of the order
 are made. What that leaves is a cut through the forest of collapses (:mod:`warpqem.decimation.forest_cut`) with as many
 faces; of all that were tried, the one with the least largest distance is kept.
