@@ -105,7 +105,8 @@ class _Search:
         every = slice(0, count)
         points = mesh.source.read(every)
         self._frames = LevelFrames(self._work, mesh.points(every), points, units)
-        limit = SPOT * float(log.recent_error[-1])
+        # Where pruning alone led here there are no collapses.
+        limit = SPOT * float(log.recent_error[-1]) if len(log) else 0.0
         self._distances = LevelDistances(self._work, points, self._frames, units, limit)
 
     def run(self, progress: Progress | None) -> DecimatedMesh:

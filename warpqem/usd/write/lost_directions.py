@@ -20,7 +20,7 @@ def with_directions(
     faces: npt.NDArray[np.int32],
     name: str,
     samples: Samples,
-    row: npt.NDArray[np.int32],
+    row: npt.NDArray[np.int32] | None,
     dropped: Dropped,
 ) -> Samples:
     """Normals of which none has the length zero.
@@ -30,7 +30,7 @@ def with_directions(
         faces: int32, shape (N', 3), its triangles.
         name: The attribute.
         samples: Its normals, (R, 3) in each.
-        row: int32, shape (N', 3), which of them each corner has.
+        row: int32, shape (N', 3), which of them each corner has; None where each face has one.
         dropped: Takes how many had no direction in the first sample.
     """
     points = mesh.GetPointsAttr()
@@ -45,9 +45,15 @@ def with_directions(
         if not lost.any():
             return values
         pose = np.asarray(points.Get(code) or points.Get(Usd.TimeCode.EarliestTime()), dtype=np.float32)
-        vertex = np.zeros(len(values), dtype=np.int64)
-        vertex[row] = faces
-        own = outward * vertex_normals(pose[vertex], row)
+        if row is None:
+            # Each face with vertices of its own: the first of them has its normal.
+            own = (
+                outward * vertex_normals(pose[faces.ravel()], np.arange(faces.size, dtype=np.int32).reshape(-1, 3))[::3]
+            )
+        else:
+            vertex = np.zeros(len(values), dtype=np.int64)
+            vertex[row] = faces
+            own = outward * vertex_normals(pose[vertex], row)
         return np.where(lost[:, None], own, values).astype(values.dtype)
 
     first = samples[next(iter(samples))]

@@ -113,8 +113,8 @@ def _transfer_primvar(
             transfer, str(primvar.GetAttr().GetName()), kind, interpolation, samples, transferred, corner_row
         )
     transferred, corner_row = _with_facets(prim, transfer, primvar.GetAttr().GetName(), transferred, corner_row)
-    if name == "normals" and interpolation != UsdGeom.Tokens.uniform:
-        row = transfer.faces if corner_row is None else corner_row
+    if name == "normals":
+        row = _row_of_corners(transfer, interpolation, corner_row)
         title = str(primvar.GetAttr().GetName())
         transferred = with_directions(UsdGeom.Mesh(prim), transfer.faces, title, transferred, row, dropped)
     indices = primvar.GetIndicesAttr()
@@ -163,10 +163,18 @@ def transfer_normals(mesh: UsdGeom.Mesh, transfer: AttributeTransfer, dropped: D
             corner_row = np.arange(corner_row.size, dtype=np.int32).reshape(corner_row.shape)
             mesh.SetNormalsInterpolation(UsdGeom.Tokens.faceVarying)
         transferred, corner_row = _with_facets(mesh.GetPrim(), transfer, "normals", transferred, corner_row)
-        if interpolation != UsdGeom.Tokens.uniform:
-            row = transfer.faces if corner_row is None else corner_row
-            transferred = with_directions(mesh, transfer.faces, "normals", transferred, row, dropped)
+        row = _row_of_corners(transfer, interpolation, corner_row)
+        transferred = with_directions(mesh, transfer.faces, "normals", transferred, row, dropped)
         _write_values(attribute, transferred, saved)
+
+
+def _row_of_corners(
+    transfer: AttributeTransfer, interpolation: str, corner_row: npt.NDArray[np.int32] | None
+) -> npt.NDArray[np.int32] | None:
+    """(N', 3) int32, the value that each corner of the new faces has; None where each face has one."""
+    if corner_row is None and interpolation != UsdGeom.Tokens.uniform:
+        return transfer.faces
+    return corner_row
 
 
 def transfer_motion(
