@@ -10,6 +10,7 @@ from tests.support.mesh_state import blocks, packed
 from warpqem.kernels.cluster_rows import gather_corners, label_corners
 from warpqem.kernels.lanes import width_of
 from warpqem.kernels.placement import (
+    STEPS,
     Clusters,
     copy_vertices,
     count_flips,
@@ -116,7 +117,7 @@ def test_normal_is_the_sum_of_the_faces_cross_products(device):
     np.testing.assert_allclose(normal, cross.sum(axis=1), rtol=1e-4, atol=1e-6)
 
 
-CHOICES = np.float32([0.6, 0.3, 0.1, 0.03, 0.01, 0.003, 0.001])
+CHOICES = np.geomspace(0.6, 0.001, int(STEPS)).astype(np.float32)
 
 
 def measured(points, faces, clusters, device) -> tuple[np.ndarray, float]:
