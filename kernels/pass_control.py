@@ -22,8 +22,6 @@ SAMPLE_STEP = wp.constant(wp.int32(7))
 # The cost threshold is read off all half-edges where a sample has fewer than so many: it need not be exact, only the
 # same on every run.
 MIN_SAMPLE = wp.constant(wp.int32(2048))
-# A component of so many faces has hardly an edge left to collapse: a tetrahedron, or a triangle or two.
-MAX_REMNANT_FACES = wp.constant(wp.int32(4))
 
 # Why a loop of passes ended. FULL_POOL: the adjacency has to be built anew, for want of room. COMPONENTS: some are
 # small enough to be pruned.
@@ -48,7 +46,7 @@ class PassControl:
     pass_collapses: wp.array[wp.int32]  # of the last pass
     pass_threshold: wp.array[wp.float32]  # of the last pass
     overfull: wp.array[wp.int32]  # 1: the adjacency pool may be too small for another pass
-    remnant_count: wp.array[wp.int32]  # components that may be pruned as a whole
+    remnant_count: wp.array[wp.int32]  # components that may be better pruned as a whole
     fraction: wp.array[wp.float64]  # of the edges that the pass may touch
     pass_number: wp.array[wp.int32]
     pass_begin: wp.array[wp.int32]  # length of the log when the pass began
@@ -255,34 +253,3 @@ def note_new_adjacency(
     if control.status[0] == FULL_POOL:
         control.status[0] = RUNNING
         control.running[0] = 1
-
-
-@wp.kernel
-def count_component_faces(
-    # in
-    state: MeshState,
-    component_in: wp.array[wp.int32],
-    work: Work,
-    # out
-    face_count: wp.array[wp.int32],
-):
-    """Live faces of each component (zeroed before the launch); ``component_in`` (V,) is that of each vertex."""
-    for f in range(wp.tid(), state.face_count[0], work.thread_count):
-        v = state.corner_vertex[3 * f]
-        if v >= 0:
-            wp.atomic_add(face_count, component_in[v], 1)
-
-
-@wp.kernel
-def count_remnants(
-    # in
-    face_count: wp.array[wp.int32],
-    may_be_pruned: wp.array[wp.int32],
-    work: Work,
-    # out
-    control: PassControl,
-):
-    """Components that are small enough to be pruned and may be (zeroed before the launch)."""
-    for c in range(wp.tid(), face_count.shape[0], work.thread_count):
-        if face_count[c] > 0 and face_count[c] <= MAX_REMNANT_FACES and may_be_pruned[c] == 1:
-            wp.atomic_add(control.remnant_count, 0, 1)

@@ -1,7 +1,7 @@
 """The parallel pass as a loop on the device: the host launches it once, and looks at it when it has ended.
 
 It makes the collapses that :class:`warpqem.decimation.passes.Orderer` makes without closing gaps: reading dead faces
-costs a GPU less than waiting for the host. Two matters still stop it: components that are small enough to be pruned,
+costs a GPU less than waiting for the host. Two matters still stop it: components that may be pruned,
 and, where a graph holds no branches, a full adjacency pool.
 """
 
@@ -20,6 +20,7 @@ from warpqem.decimation.pruning import Components
 from warpqem.decimation.recorded_launches import LaunchGroup, new_edge_list, part_work, record_shared, run_once
 from warpqem.decimation.shared_steps import SharedSteps
 from warpqem.kernels import pass_control as kernels
+from warpqem.kernels.components import mark_remnants, measure_components
 from warpqem.kernels.pass_control import COMPONENTS, FULL_POOL, RUNNING, STUCK, PassControl
 from warpqem.kernels.work import EdgeList
 from warpqem.runtime.device import device_traits
@@ -184,16 +185,17 @@ class DeviceOrderer(Ordering):
         return [*self.steps.adjacency.launch_groups(1), LaunchGroup(note)]
 
     def _record_remnants(self, recorder: Recorder, components: Components) -> None:
-        """Count the components that are small enough to be pruned."""
+        """Count the components that may be pruned."""
         of_vertex, may_be_pruned = (
             wp.array(values, dtype=wp.int32, device=self.device)
             for values in (components.vertex_component, components.may_be_pruned)
         )
-        face_count = self.steps.integers(len(may_be_pruned))
-        recorder.zero(face_count)
-        recorder.zero(self._control.remnant_count)
-        record_shared(recorder, kernels.count_component_faces, [self.state, of_vertex], self._work, [face_count])
-        record_shared(recorder, kernels.count_remnants, [face_count, may_be_pruned], self._work, [self._control])
+        face_count, cheapness, is_remnant = (self.steps.integers(len(may_be_pruned)) for _ in range(3))
+        for cleared in (face_count, cheapness, self._control.remnant_count):
+            recorder.zero(cleared)
+        record_shared(recorder, measure_components, [self.state, of_vertex], self._work, [face_count, cheapness])
+        inputs = [face_count, cheapness, may_be_pruned, self.steps.cost_threshold]
+        record_shared(recorder, mark_remnants, inputs, self._work, [is_remnant, self._control.remnant_count])
 
 
 def _record(recorder: Recorder, groups: Sequence[LaunchGroup]) -> None:

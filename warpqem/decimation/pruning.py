@@ -1,8 +1,9 @@
 """Pruning of small components: removed where that changes the shape less than the next collapses would.
 
-Collapses take a component no further than to a tetrahedron or a triangle. What is left of it then goes as a whole, once
-the cost of that is below the cost threshold of a pass: the area of the component in the input times the squared
-distance of its surface from the components that stay, which then stand for it
+Collapses take a component no further than to a tetrahedron or a triangle; one with a hole through it, such as a ring,
+not even there. What is left of it then goes as a whole, once the cost of that is below the cost threshold of a pass:
+the area of the component in the input times the squared distance of its surface from the components that stay, which
+then stand for it
 (:mod:`warpqem.decimation.component_distances`). So edges and components are weighed in one currency, whatever the
 quadrics of the present faces still know of the input.
 """
@@ -21,16 +22,14 @@ from warpqem.decimation.component_distances import MAX_FRAMES, ComponentDistance
 from warpqem.decimation.component_forest import ComponentForest
 from warpqem.decimation.recorded_launches import part_work
 from warpqem.kernels import collapse as kernels
-from warpqem.kernels.components import list_component_faces
+from warpqem.kernels.components import list_component_faces, mark_remnants, measure_components
 from warpqem.kernels.lanes import width_of
 from warpqem.kernels.mesh_state import MeshState
-from warpqem.kernels.pass_control import MAX_REMNANT_FACES, count_component_faces
 from warpqem.kernels.topology import LOCKED
 from warpqem.runtime.launches import launch
 
 __all__ = ["ComponentDrop", "Components", "DropRecord"]
 
-MAX_FACES = int(MAX_REMNANT_FACES)
 # A component without area is missed by nobody; below this it has none that float32 could tell.
 NO_AREA = 1e-30
 # Costs of edges sum the quadrics of both ends, in which each face counts once for each of its three corners. The other
@@ -172,8 +171,7 @@ class Components:
             excess: faces beyond those asked for.
             collapse_count: collapses so far.
         """
-        sizes = self._live_sizes()
-        small = np.flatnonzero((sizes > 0) & (sizes <= MAX_FACES) & self._free)
+        sizes, small = self._measured(cost_threshold)
         if not len(small):
             return []
         stays, drops = sizes > 0, []
@@ -218,13 +216,20 @@ class Components:
             np.array([drop.error for drop in drops], dtype=np.float32),
         )
 
-    def _live_sizes(self) -> np.ndarray:
-        """(C,) int32, live faces of each component."""
+    def _measured(self, cost_threshold: float) -> tuple[np.ndarray, np.ndarray]:
+        """(C,) int32, live faces of each component; and which components may be pruned, ascending."""
         device = self._state.corner_vertex.device
-        sizes, work = wp.zeros(len(self._free), dtype=wp.int32, device=device), part_work(0, 1, str(device))
+        work = part_work(0, 1, str(device))
+        sizes, cheapness, marks = (wp.zeros(len(self._free), dtype=wp.int32, device=device) for _ in range(3))
         inputs = [self._state, self._component_of, work]
-        launch(count_component_faces, work.thread_count, inputs, [sizes], device=device)
-        return np.array(sizes.numpy())
+        launch(measure_components, work.thread_count, inputs, [sizes, cheapness], device=device)
+        free = wp.array(self._free, dtype=wp.int32, device=device)
+        threshold = wp.array([cost_threshold], dtype=wp.float32, device=device)
+        inputs = [sizes, cheapness, free, threshold, work]
+        launch(
+            mark_remnants, work.thread_count, inputs, [marks, wp.zeros(1, dtype=wp.int32, device=device)], device=device
+        )
+        return np.array(sizes.numpy()), np.flatnonzero(marks.numpy())
 
     def _live_faces(self, small: np.ndarray, count: int) -> np.ndarray:
         """(count, 3) int32, the live faces of some components, in no order."""
