@@ -24,6 +24,7 @@ COMMANDS = (
     "kernels",
     "startup",
     "stream",
+    "assemblies",
     "articulated",
     "joints",
     "images",
@@ -44,8 +45,9 @@ def parse(arguments: Sequence[str] | None = None) -> tuple[str, Settings]:
         help="headline: the shipped gallop through warpqem and its peers; peers (default): an animation through them; "
         "props: a stage of 1000 small meshes; samples: errors of small meshes by the number of samples; scaling: faces "
         "and frames; static: one large frame; kernels: time and floor of each kernel; startup: the command line on a "
-        "small file; stream: memory on long clips and a large mesh; articulated: the order of collapses of a skinned "
-        "mesh by the error of its skin; joints: errors by the number of joints and influences; "
+        "small file; stream: memory on long clips and a large mesh; assemblies: meshes of many moving parts; "
+        "articulated: the order of collapses of a skinned mesh by the error of its skin; "
+        "joints: errors by the number of joints and influences; "
         "images: how much the shipped scenes look like themselves; "
         "device: verify and measure a GPU in six minutes, with NumPy and Warp alone; registers: what each kernel takes "
         "of a GPU's thread, by ptxas",
