@@ -31,7 +31,12 @@ _STREAMED: dict[str, tuple[tuple[str, float], ...]] = {
     "join_faces": (("corner_vertex_in", 1), ("parent", 2)),
     "close_trees": (("parent", 2), ("is_root_out", 1)),
     "number_components": (("root_in", 1), ("roots_before_in", 1), ("component_out", 1)),
-    "count_component_faces": (("component_in", 1), ("face_count", 1)),
+    "mark_remnants": (
+        ("face_count_in", 1),
+        ("cheapness_in", 1),
+        ("least_loss_in", 1),
+        ("is_remnant_out", 1),
+    ),
     "list_component_faces": (("corner_vertex_in", 1 / 3), ("component_in", 1), ("face_out", 2)),
     "count_non_manifold": (("vertex_flags_in", 1),),
     "invert_order": (("item_in", 1), ("place_out", 1)),

@@ -8,7 +8,7 @@ High-Performance Connected Components Implementation for GPUs", HPDC 2018.)
 
 import warp as wp
 
-from warpqem.kernels.mesh_state import MeshState
+from warpqem.kernels.mesh_state import INFINITE_BITS, MeshState
 from warpqem.kernels.topology import VertexAdjacency
 from warpqem.kernels.work import Work
 
@@ -18,8 +18,6 @@ wp.set_module_options({"enable_backward": False})  # no gradients are taken
 MAX_REMNANT_FACES = wp.constant(wp.int32(4))
 # A component of so many faces may be all that collapses can leave: rings, which have a hole, end with 14 to 24.
 MAX_STUCK_FACES = wp.constant(wp.int32(32))
-# The bits of infinity.
-NO_COST = wp.constant(wp.int32(0x7F800000))
 
 
 @wp.func
@@ -143,17 +141,17 @@ def measure_components(
     """Live faces of each component, and how little its cheapest edge costs that is not known to be illegal.
 
     Both are 0 before the launch; ``component_in`` (V,) is the component of each vertex. Cheapness is the bits of
-    infinity less those of the cost: a most, as the bits of numbers that are not negative are in their order.
+    infinity less those of the cost.
     """
     for f in range(wp.tid(), state.face_count[0], work.thread_count):
         v = state.corner_vertex[3 * f]
         if v >= 0:
             wp.atomic_add(face_count, component_in[v], 1)
             for k in range(3):
-                cost = state.edge_cost[3 * f + k]
-                # A suspended edge has a negative cost.
-                if cost >= 0.0:
-                    wp.atomic_max(cheapness, component_in[v], NO_COST - wp.cast(cost, wp.int32))
+                # A suspended edge has a negative cost, and that has negative bits.
+                bits = wp.cast(state.edge_cost[3 * f + k], wp.int32)
+                if bits >= 0:
+                    wp.atomic_max(cheapness, component_in[v], INFINITE_BITS - bits)
 
 
 @wp.kernel
@@ -161,7 +159,7 @@ def mark_remnants(
     # in
     face_count_in: wp.array[wp.int32],
     cheapness_in: wp.array[wp.int32],
-    may_be_pruned_in: wp.array[wp.int32],
+    least_loss_in: wp.array[wp.float32],
     threshold_in: wp.array[wp.float32],
     work: Work,
     # out
@@ -171,13 +169,13 @@ def mark_remnants(
     """Which components may have nothing better to do than to go as a whole, and how many (0 before the launch).
 
     Those that are as small as any can become, and larger ones all of whose collapses cost at least ``threshold_in``
-    (1,), the most that those of a pass cost.
+    (1,), the most that those of a pass cost; but none whose loss costs more (``least_loss_in`` (C,): the least it can).
     """
     for c in range(wp.tid(), face_count_in.shape[0], work.thread_count):
         faces = face_count_in[c]
-        cheapest = wp.cast(NO_COST - cheapness_in[c], wp.float32)
+        cheapest = wp.cast(INFINITE_BITS - cheapness_in[c], wp.float32)
         small = faces <= MAX_REMNANT_FACES or (faces <= MAX_STUCK_FACES and cheapest >= threshold_in[0])
-        is_remnant = faces > 0 and small and may_be_pruned_in[c] == 1
+        is_remnant = faces > 0 and small and least_loss_in[c] <= threshold_in[0] and least_loss_in[c] < wp.inf
         is_remnant_out[c] = wp.where(is_remnant, 1, 0)
         if is_remnant:
             wp.atomic_add(remnant_count, 0, 1)

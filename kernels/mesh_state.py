@@ -13,6 +13,9 @@ wp.set_module_options({"enable_backward": False})  # no gradients are taken
 Point = POINTS[1]
 Quadric = QUADRIC[1]
 
+# The bits of infinity: floats that are not negative are in the order of their bits.
+INFINITE_BITS = wp.constant(wp.int32(0x7F800000))
+
 
 @wp.struct
 class Wedges:

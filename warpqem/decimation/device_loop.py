@@ -186,15 +186,13 @@ class DeviceOrderer(Ordering):
 
     def _record_remnants(self, recorder: Recorder, components: Components) -> None:
         """Count the components that may be pruned."""
-        of_vertex, may_be_pruned = (
-            wp.array(values, dtype=wp.int32, device=self.device)
-            for values in (components.vertex_component, components.may_be_pruned)
-        )
-        face_count, cheapness, is_remnant = (self.steps.integers(len(may_be_pruned)) for _ in range(3))
+        of_vertex = wp.array(components.vertex_component, dtype=wp.int32, device=self.device)
+        least_loss = components.least_loss
+        face_count, cheapness, is_remnant = (self.steps.integers(len(least_loss)) for _ in range(3))
         for cleared in (face_count, cheapness, self._control.remnant_count):
             recorder.zero(cleared)
         record_shared(recorder, measure_components, [self.state, of_vertex], self._work, [face_count, cheapness])
-        inputs = [face_count, cheapness, may_be_pruned, self.steps.cost_threshold]
+        inputs = [face_count, cheapness, least_loss, self.steps.cost_threshold]
         record_shared(recorder, mark_remnants, inputs, self._work, [is_remnant, self._control.remnant_count])
 
 

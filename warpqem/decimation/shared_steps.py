@@ -8,6 +8,7 @@ from warpqem.decimation.pass_steps import PassSteps
 from warpqem.decimation.recorded_launches import LaunchGroup, part_work, record_shared
 from warpqem.kernels import shared_collapse as kernels
 from warpqem.kernels.lanes import width_of
+from warpqem.kernels.mesh_state import INFINITE_BITS
 from warpqem.kernels.shared_collapse import CheckNotes
 from warpqem.kernels.work import EdgeList
 from warpqem.runtime.launches import Recorder
@@ -30,7 +31,7 @@ class SharedSteps:
         vertex_count, corner_count = len(steps.state.vertex_flags), len(steps.state.corner_vertex)
         notes.member_gap = wp.empty(vertex_count, dtype=wp.float32, device=steps.device)
         notes.face_area = wp.empty((2, corner_count), dtype=wp.float32, device=steps.device)
-        notes.face_distance = wp.full((2, corner_count), kernels.FAR_AWAY, dtype=wp.int32, device=steps.device)
+        notes.face_distance = wp.full((2, corner_count), INFINITE_BITS, dtype=wp.int32, device=steps.device)
 
     def checking(self, selected: EdgeList) -> list[LaunchGroup]:
         """The faces that each selected collapse removes, and where it puts its vertex."""
