@@ -16,8 +16,9 @@ wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
 # A component of so many faces has hardly an edge left to collapse: a tetrahedron, or a triangle or two.
 MAX_REMNANT_FACES = wp.constant(wp.int32(4))
-# A component of so many faces may be all that collapses can leave: rings, which have a hole, end with 14 to 24.
-MAX_STUCK_FACES = wp.constant(wp.int32(32))
+# Larger ones are looked at up to so many faces, if no collapse of theirs is cheap. A ring, which has a hole, cannot get
+# below 14 to 24 faces, a plate with 25 holes not below 360.
+MAX_STUCK_FACES = wp.constant(wp.int32(1024))
 
 
 @wp.func
@@ -154,6 +155,12 @@ def measure_components(
                     wp.atomic_max(cheapness, component_in[v], INFINITE_BITS - bits)
 
 
+@wp.func
+def cost_of_loss(loss: wp.float32, face_count: wp.int32) -> wp.float32:
+    """What a loss costs beside a collapse: more faces that go with it make it worth more."""
+    return loss * wp.min(1.0, wp.float32(MAX_REMNANT_FACES) / wp.float32(wp.max(face_count, 1)))
+
+
 @wp.kernel
 def mark_remnants(
     # in
@@ -169,13 +176,15 @@ def mark_remnants(
     """Which components may have nothing better to do than to go as a whole, and how many (0 before the launch).
 
     Those that are as small as any can become, and larger ones all of whose collapses cost at least ``threshold_in``
-    (1,), the most that those of a pass cost; but none whose loss costs more (``least_loss_in`` (C,): the least it can).
+    (1,), the most that those of a pass cost; but none whose loss costs more (``least_loss_in`` (C,): the least that it
+    can, see :func:`cost_of_loss`).
     """
     for c in range(wp.tid(), face_count_in.shape[0], work.thread_count):
         faces = face_count_in[c]
         cheapest = wp.cast(INFINITE_BITS - cheapness_in[c], wp.float32)
-        small = faces <= MAX_REMNANT_FACES or (faces <= MAX_STUCK_FACES and cheapest >= threshold_in[0])
-        is_remnant = faces > 0 and small and least_loss_in[c] <= threshold_in[0] and least_loss_in[c] < wp.inf
+        is_stuck = faces <= MAX_REMNANT_FACES or (faces <= MAX_STUCK_FACES and cheapest >= threshold_in[0])
+        cost = cost_of_loss(least_loss_in[c], faces)
+        is_remnant = faces > 0 and is_stuck and cost <= threshold_in[0] and cost < wp.inf
         is_remnant_out[c] = wp.where(is_remnant, 1, 0)
         if is_remnant:
             wp.atomic_add(remnant_count, 0, 1)

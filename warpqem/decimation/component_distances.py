@@ -8,7 +8,7 @@ import warp as wp
 from warpqem.kernels import component_distance as kernels
 from warpqem.runtime.part_launches import launch_in_parts, rows_of
 
-__all__ = ["MAX_FRAMES", "ComponentDistances"]
+__all__ = ["MAX_FRAMES", "ComponentDistances", "least_losses"]
 
 # Key frames that distances are taken in, evenly spread: parts that come near to others do so in few of them.
 MAX_FRAMES = 3
@@ -55,7 +55,7 @@ class ComponentDistances:
         for frame, positions in enumerate(points):
             self._area[frame] = _areas(positions, faces, component, weight, len(count))
             size = _sizes(positions[order], start, count)
-            self._min_squared[frame] = (MIN_DISTANCE_PER_SIZE * size) ** 2
+            self._min_squared[frame] = _min_squared(size)
             mesh = wp.Mesh(points=wp.array(positions, dtype=wp.vec3, device=device), indices=indices)
             near = wp.empty(shape[1:], dtype=wp.int32, device=device)
             squared = wp.empty(shape[1:], dtype=wp.float32, device=device)
@@ -86,6 +86,34 @@ class ComponentDistances:
         area = self._area[:, component]
         mean_squared = np.maximum(squared.mean(axis=1), self._min_squared[:, component])
         return float(area.mean()), float((area * mean_squared).mean())
+
+
+def least_losses(
+    points: np.ndarray, faces: np.ndarray, component: np.ndarray, weight: np.ndarray, chosen: np.ndarray
+) -> np.ndarray:
+    """(D,) what the loss of each chosen component (D,) is at least, wherever the others are: without a search.
+
+    The other arguments are those of :class:`ComponentDistances`.
+    """
+    number = np.full(int(component.max(initial=0)) + 1, -1, dtype=np.int64)
+    number[chosen] = np.arange(len(chosen))
+    own = number[component]
+    faces = faces[own[faces[:, 0]] >= 0]
+    vertex = np.unique(faces)
+    order = vertex[np.argsort(own[vertex], kind="stable")]
+    count = np.bincount(own[order], minlength=len(chosen))
+    start = np.cumsum(count) - count
+    losses = [
+        _areas(frame, faces, own, weight, len(chosen)) * _min_squared(_sizes(frame[order], start, count))
+        for frame in points
+    ]
+    least: np.ndarray = np.mean(losses, axis=0)
+    return least
+
+
+def _min_squared(size: np.ndarray) -> np.ndarray:
+    squared: np.ndarray = (MIN_DISTANCE_PER_SIZE * size) ** 2
+    return squared
 
 
 def _areas(points: np.ndarray, faces: np.ndarray, component: np.ndarray, weight: np.ndarray, count: int) -> np.ndarray:

@@ -17,7 +17,7 @@ import numpy as np
 import warp as wp
 
 from warpqem.decimation.collapse_nodes import read_rows
-from warpqem.decimation.component_distances import MAX_FRAMES, ComponentDistances
+from warpqem.decimation.component_distances import MAX_FRAMES, ComponentDistances, least_losses
 from warpqem.decimation.component_forest import ComponentForest
 from warpqem.decimation.recorded_launches import part_work
 from warpqem.kernels import collapse as kernels
@@ -31,6 +31,8 @@ __all__ = ["ComponentDrop", "Components", "DropRecord"]
 
 # A component without area is missed by nobody; below this it has none that float32 could tell.
 NO_AREA = 1e-30
+# What a loss is at least is compared in float32, and is to come out no higher there than what it is.
+ROUNDED_DOWN = 1.0 - 1e-6
 # Costs of edges sum the quadrics of both ends, in which each face counts once for each of its three corners: that is
 # six. The other eight: what goes as a whole shows as a gap and is far off in one place, where collapses spread an error
 # and a refit takes most of it back. Six moving assemblies at 10 and 5 %, beside six: 24, 48, 64 and 96 leave RMS errors
@@ -123,8 +125,8 @@ class Components:
         last_limit: the same where no edge is left to collapse.
 
     Attributes:
-        least_loss: (C,) float32 on the device, the least that each component's loss can cost, as far as that is known;
-            infinite for one with a locked vertex.
+        least_loss: (C,) float32 on the device, the least that each component's loss can come to, as far as that is
+            known, on the scale of edges; infinite for one with a locked vertex.
     """
 
     def __init__(
@@ -136,24 +138,28 @@ class Components:
         error_limit: float,
         last_limit: float,
     ) -> None:
-        self._state, self._key_count = state, key_count
+        self._state, self._scale = state, COST_PER_LOSS * key_count
         self._error_limit, self._last_limit = error_limit, last_limit
         self._component_of = forest.number()
         self._component: np.ndarray = self._component_of.numpy()
-        # A locked vertex stays.
-        self._least = np.zeros(int(self._component.max(initial=0)) + 1, dtype=np.float32)
+        # A locked vertex stays. Of the others nothing is known until one may be pruned.
+        self._least = np.zeros(int(self._component.max(initial=0)) + 1)
         self._least[self._component[(state.vertex_flags.numpy() & int(LOCKED)) != 0]] = np.inf
         self.least_loss = wp.array(self._least, dtype=wp.float32, device=state.corner_vertex.device)
-        self._least_weight = float(state.cost_weight.numpy().min(initial=np.inf))
+        self._least_scale = ROUNDED_DOWN * self._scale * float(state.cost_weight.numpy().min(initial=np.inf))
         # As the input has them: both are changed by collapses.
         self._corner_vertex, self._points = wp.clone(state.corner_vertex), _chosen_frames(key_position, key_count)
 
     @cached_property
     def _distances(self) -> ComponentDistances:
         """Found when a component is small for the first time: many meshes never come to that."""
-        scale, faces = self._state.quadric_scale.numpy(), self._corner_vertex.numpy().reshape(-1, 3)
-        device = str(self._state.corner_vertex.device)
-        return ComponentDistances(self._points, faces, self._component, scale, device)
+        return ComponentDistances(*self._surface, str(self._state.corner_vertex.device))
+
+    @cached_property
+    def _surface(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """The input, as :class:`ComponentDistances` takes it."""
+        faces, scale = self._corner_vertex.numpy().reshape(-1, 3), self._state.quadric_scale.numpy()
+        return self._points, faces, self._component, scale
 
     @property
     def vertex_component(self) -> np.ndarray:
@@ -172,6 +178,11 @@ class Components:
             collapse_count: collapses so far.
         """
         sizes, small = self._measured(cost_threshold)
+        unknown = small[self._least[small] == 0]
+        if len(unknown):
+            self._least[unknown] = self._least_scale * least_losses(*self._surface, unknown)
+            self.least_loss.assign(self._least.astype(np.float32))
+            sizes, small = self._measured(cost_threshold)
         if not len(small):
             return []
         stays, drops = sizes > 0, []
@@ -198,7 +209,7 @@ class Components:
             excess -= remnant.face_count
             stays[remnant.component] = False
             left -= 1
-        self.least_loss.assign(self._least)
+        self.least_loss.assign(self._least.astype(np.float32))
         return drops
 
     def _loss(self, remnant: _Remnant, stays: np.ndarray) -> tuple[float, float]:
@@ -210,10 +221,10 @@ class Components:
         others[remnant.component] = False
         area, lost = self._distances.loss(remnant.component, others)
         error = float(np.sqrt(lost / area)) if area > NO_AREA else 0.0
-        cost = COST_PER_LOSS * self._key_count * lost * min(1.0, int(MAX_REMNANT_FACES) / remnant.face_count)
-        # The more components have gone, the further away is what stays: the loss only grows. The bound is rounded down.
-        self._least[remnant.component] = np.nextafter(np.float32(self._least_weight * cost), np.float32(0.0))
-        return remnant.weight * cost, error
+        # The more components have gone, the further away is what stays: the loss only grows.
+        self._least[remnant.component] = self._least_scale * lost
+        share = min(1.0, int(MAX_REMNANT_FACES) / remnant.face_count)
+        return self._scale * remnant.weight * lost * share, error
 
     def record(self, drops: list[ComponentDrop]) -> DropRecord:
         """The pruned components, by vertex."""
