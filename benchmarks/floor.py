@@ -343,6 +343,7 @@ _MODELS |= OPTION_MODELS | PREPARATION_MODELS | PLACE_MODELS | {"check_slots": _
 _BOOKKEEPING = (
     "begin_pass",
     "begin_round",
+    "note_threshold",
     "end_pass",
     "note_new_adjacency",
     "resume_passes",

@@ -60,6 +60,12 @@ def _find_unclean_vertices(a: Arguments) -> Demand:
     return Demand(3 * size_of(a["vertex_flags_in"]))
 
 
+def _measure_components(a: Arguments) -> Demand:
+    # The first corner of each face, its costs, and two numbers of its component.
+    faces = a["state"].corner_vertex.size // 3
+    return Demand(faces * 4 * INT + 2 * size_of(a["face_count"]), 3 * faces)
+
+
 def _find_bounds(a: Arguments) -> Demand:
     return Demand(a["position_in"].shape[0] * POINT)
 
@@ -72,6 +78,7 @@ PREPARATION_MODELS: dict[str, Callable[[Arguments], Demand]] = {
     **{kernel: partial(_streamed, kernel) for kernel in _STREAMED},
     "begin_members": _begin_members,
     "measure_members": _measure_members,
+    "measure_components": _measure_components,
     "find_unclean_vertices": _find_unclean_vertices,
     "find_bounds": _find_bounds,
     "key_vertices": _key_vertices,

@@ -44,7 +44,7 @@ class PassControl:
     removed_faces: wp.array[wp.int32]  # by the round at work
     candidate_count: wp.array[wp.int32]  # of the last pass
     pass_collapses: wp.array[wp.int32]  # of the last pass
-    pass_threshold: wp.array[wp.float32]  # of the last pass
+    pass_threshold: wp.array[wp.float32]  # what its components may cost; infinite where no edge is left to collapse
     overfull: wp.array[wp.int32]  # 1: the adjacency pool may be too small for another pass
     remnant_count: wp.array[wp.int32]  # components that may be better pruned as a whole
     fraction: wp.array[wp.float64]  # of the edges that the pass may touch
@@ -171,11 +171,17 @@ def has_full_pool(state: MeshState, live: wp.int32) -> wp.bool:
 
 
 @wp.func
+def is_stuck(control: PassControl) -> wp.bool:
+    """Whether a pass over all edges found none that may be legal."""
+    return control.candidate_count[0] == 0 and control.fraction[0] >= wp.float64(1.0)
+
+
+@wp.func
 def close_pass(state: MeshState, control: PassControl, stops_when_full: wp.int32):
     """Whether another pass follows, and how far it looks."""
     fraction = control.fraction[0]
     status = wp.int32(RUNNING)
-    if control.candidate_count[0] == 0 and fraction >= wp.float64(1.0):
+    if is_stuck(control):
         status = STUCK
     # No legal collapse under the threshold: look further, at all edges, until every one has been refused.
     if control.pass_collapses[0] > 0:
@@ -199,11 +205,22 @@ def go_on(state: MeshState, control: PassControl, status: wp.int32, stops_when_f
 
 
 @wp.kernel
+def note_threshold(
+    # in
+    threshold_in: wp.array[wp.float32],
+    # in and out
+    control: PassControl,
+):
+    """Note what components may cost: as much as the edges of the pass, anything where no edge is left."""
+    if control.running[0] == 1:
+        control.pass_threshold[0] = wp.where(is_stuck(control), wp.inf, threshold_in[0])
+
+
+@wp.kernel
 def end_pass(
     # in
     state: MeshState,
     log: CollapseLog,
-    threshold_in: wp.array[wp.float32],
     stops_when_full: wp.int32,
     # in and out
     control: PassControl,
@@ -214,7 +231,6 @@ def end_pass(
     take_off_removed(control)
     control.collapse_count[0] = log.count[0]
     control.pass_collapses[0] = log.count[0] - control.pass_begin[0]
-    control.pass_threshold[0] = threshold_in[0]
     if control.remnant_count[0] > 0 and control.live_faces[0] > control.target_faces[0]:
         # The pass is closed by ``resume_passes``.
         control.status[0] = COMPONENTS

@@ -223,11 +223,11 @@ def _insect(builder: Builder, phase: Points) -> None:
                 builder.add(tube(at + rod[::2] * (tip - at), 0.015 * (1.05 - rod[::2, 0]), 6), joint)
         feel = np.stack([0.95 + rod[:, 0], 0.1 * side + 0.4 * side * rod[:, 0], 0.4 * rod[:, 0] ** 2], axis=1)
         builder.add(tube(feel, 0.02 * (1.2 - rod[:, 0]), 8), bent("y", 0.2 * np.sin(2 * phase), (0.95, 0, 0)))
-        for wing in range(2):
+        for pair in range(2):
             sheet = box((0.7, 1.6, 0.012), (14, 30, 1)).at(0, 0.8, 0)
-            leaf = sheet.mapped(_leaf).turned("z", 0.5 * wing if side > 0 else np.pi - 0.5 * wing)
-            flap = bent("x", 0.7 * side * np.sin(3 * phase + wing), (0, 0.1 * side, 0.3))
-            builder.add(leaf.at(-0.2 * wing, 0.1 * side, 0.3 + 0.03 * wing), flap)
+            leaf = sheet.mapped(_leaf).turned("z", 0.5 * pair if side > 0 else np.pi - 0.5 * pair)
+            flap = bent("x", 0.7 * side * np.sin(3 * phase + pair), (0, 0.1 * side, 0.3))
+            builder.add(leaf.at(-0.2 * pair, 0.1 * side, 0.3 + 0.03 * pair), flap)
 
 
 def _hand(builder: Builder, phase: Points) -> None:

@@ -145,3 +145,37 @@ def test_record_begins_with_the_first_drops():
     assert head.vertex_drop.tolist() == [-1, 0, 0, -1]
     assert len(head) == 1
     assert record.for_vertices(np.array([3, 2, 1, 0])).vertex_drop.tolist() == [1, 0, 0, -1]
+
+
+def rings_on_a_ball(count: int = 6) -> tuple[np.ndarray, np.ndarray]:
+    """A bumpy ball among rings, which have a hole: collapses leave 14 faces of each at least."""
+    rings = []
+    for index in range(count):
+        points, faces = meshes.torus(16, 6)
+        angle = 2 * np.pi * index / count
+        rings.append((points * 0.03 + np.array([1.1 * np.cos(angle), 1.1 * np.sin(angle), 0.1 * index]), faces))
+    return meshes.joined(meshes.bumpy_sphere(3), *rings)
+
+
+@pytest.mark.parametrize("quality", ["fast", "best"])
+@pytest.mark.parametrize("target", [120, 60, 30])
+def test_rings_go_before_the_shape_that_they_lie_on(target, quality, device):
+    points, faces = rings_on_a_ball()
+    result = warpqem.simplify(points, faces, target_faces=target, quality=quality, device=device)
+    assert target - 4 < len(result.faces) <= target
+    # The ball alone, with as many faces as all together.
+    ball = warpqem.simplify(*meshes.bumpy_sphere(3), target_faces=target // 2, quality=quality, device=device)
+    assert result.measured.rms < 2.0 * ball.measured.rms
+
+
+@pytest.mark.parametrize("quality", ["fast", "best"])
+def test_a_count_below_what_a_plate_of_holes_can_give_is_met_without_it(quality, device):
+    plate = meshes.perforated_plate(3)
+    points, faces = meshes.joined(meshes.bumpy_sphere(3), (plate[0] * 0.2 + np.array([1.1, 0, 0]), plate[1]))
+    with pytest.raises(warpqem.errors.UnreachableTargetError):
+        warpqem.simplify(points, faces, target_faces=100, quality=quality, keep_components=True, device=device)
+    result = warpqem.simplify(points, faces, target_faces=100, quality=quality, device=device)
+    assert (result.components_removed, result.stopped) == (1, "target")
+    # Not what was left of the ball when the plate went.
+    assert 96 < len(result.faces) <= 100
+    assert topology(result.faces).components == 1

@@ -47,6 +47,24 @@ def grid(columns: int, rows: int) -> Mesh:
     return _mesh(points, np.stack([lower, upper], axis=1).reshape(-1, 3))
 
 
+def perforated_plate(holes: int = 3) -> Mesh:
+    """A closed plate of side 1 with ``holes`` x ``holes`` square holes through it."""
+    cells = 4 * holes + 1
+    points, faces = grid(cells, cells)
+    middle = points[faces].mean(axis=1)[:, :2] * cells
+    # Each hole is three cells wide, one from the next.
+    solid = (np.floor(middle).astype(int) % 4 == 0).any(axis=1)
+    used, corner = np.unique(faces[solid], return_inverse=True)
+    upper, front = points[used], corner.reshape(-1, 3)
+    edges = np.concatenate([front[:, [0, 1]], front[:, [1, 2]], front[:, [2, 0]]])
+    paired = {(int(b), int(a)) for a, b in edges}
+    a, b = np.array([edge for edge in edges.tolist() if tuple(edge) not in paired]).T
+    count = len(upper)
+    walls = np.concatenate([np.stack([b, a, a + count], axis=1), np.stack([b, a + count, b + count], axis=1)])
+    lower = upper - np.array([0, 0, 0.05], dtype=np.float32)
+    return _mesh(np.concatenate([upper, lower]), np.concatenate([front, front[:, ::-1] + count, walls]))
+
+
 def tube(around: int, along: int, length: float = 1.0, radius: float = 0.15) -> Mesh:
     """An open cylinder along x: ``around`` vertices in each of ``along`` + 1 rings."""
     ring, step = np.divmod(np.arange(around * (along + 1)), around)

@@ -126,10 +126,12 @@ def order_collapses(
     device: str,
     progress: Callable[[int], None] | None = None,
     recorder: NodeRecorder | None = None,
+    gone: np.ndarray | None = None,
 ) -> DecimatedMesh:
     """Collapse edges down to the target.
 
-    ``progress`` is called with the live face count after each pass; ``recorder`` keeps every vertex on the way.
+    ``progress`` is called with the live face count after each pass; ``recorder`` keeps every vertex on the way. The
+    components of ``gone`` (V,) bool are pruned first.
     """
     vertex_count = len(mesh.vertex_flags)
     corner_vertex = wp.array(mesh.faces.ravel(), dtype=wp.int32, device=device)
@@ -137,7 +139,9 @@ def order_collapses(
     state, frames, adjacency, kinds = _on_device(mesh, corner_vertex, arrangement, settings, device)
     edges, non_manifold = kinds.edges, kinds.non_manifold
     steps = PassSteps(state, frames, adjacency, _cost_model(mesh, settings), device, settings.memoryless)
-    stopped, log, drops = _collapse(steps, settings, kinds.forest, progress, recorder)
+    if gone is not None and arrangement is not None:
+        gone = gone[arrangement.host_vertex]
+    stopped, log, drops = _collapse(steps, settings, kinds.forest, gone, progress, recorder)
     if mesh.attributes is not None:
         add_attributes = attribute_kernels.add_attribute_quadrics[width_of(frames.quadric)]
         launch(add_attributes, len(frames.quadric), [state.wedges.quadric], [frames.quadric], device=device)
@@ -175,6 +179,7 @@ def _collapse(
     steps: PassSteps,
     settings: OrderSettings,
     forest: ComponentForest | None,
+    gone: np.ndarray | None,
     progress: Callable[[int], None] | None,
     recorder: NodeRecorder | None,
 ) -> tuple[str, CollapseRecord, DropRecord]:
@@ -185,7 +190,7 @@ def _collapse(
     components = None
     if forest is not None:
         limits = settings.error_limit**2, lowest_limit**2
-        components = Components(forest, state, steps.frames.position, int(steps.model.key_count), *limits)
+        components = Components(forest, state, steps.frames.position, int(steps.model.key_count), *limits, gone)
     if recorder is not None:
         recorder.begin(settings.memoryless)
     stopped = orderer.run(settings.target_faces, progress, recorder, components)

@@ -80,7 +80,7 @@ class DeviceOrderer(Ordering):
         components: Components | None = None,
     ) -> str:
         """See :class:`Ordering`."""
-        self.steps.compute_all_costs()
+        self.begin(components)
         if self.live_faces <= target_faces:
             return "target"
         self._report.assign(np.array([1, int(RUNNING), self.live_faces, 0], dtype=np.int32))
@@ -122,9 +122,7 @@ class DeviceOrderer(Ordering):
 
     def _look_at(self, components: Components, target_faces: int, progress: Callable[[int], None] | None) -> None:
         """Prune components after a pass, and close it."""
-        control = self._control
-        stuck = int(control.candidate_count.numpy()[0]) == 0 and float(control.fraction.numpy()[0]) >= 1.0
-        cost_threshold = np.inf if stuck else float(control.pass_threshold.numpy()[0])
+        cost_threshold = float(self._control.pass_threshold.numpy()[0])
         dropped = self.drop_components(components, target_faces, cost_threshold)
         inputs = [self.state, dropped, self._stops_when_full]
         launch(kernels.resume_passes, 1, inputs, [self._control], device=self.device)
@@ -140,7 +138,7 @@ class DeviceOrderer(Ordering):
         _record(recorder, self._pass_groups())
         if components is not None:
             self._record_remnants(recorder, components)
-        inputs = [self.state, self.log, self.steps.cost_threshold, self._stops_when_full]
+        inputs = [self.state, self.log, self._stops_when_full]
         recorder.launch(kernels.end_pass, 1, inputs, [self._control])
         return recorder
 
@@ -192,7 +190,8 @@ class DeviceOrderer(Ordering):
         for cleared in (face_count, cheapness, self._control.remnant_count):
             recorder.zero(cleared)
         record_shared(recorder, measure_components, [self.state, of_vertex], self._work, [face_count, cheapness])
-        inputs = [face_count, cheapness, least_loss, self.steps.cost_threshold]
+        recorder.launch(kernels.note_threshold, 1, [self.steps.cost_threshold], [self._control])
+        inputs = [face_count, cheapness, least_loss, self._control.pass_threshold]
         record_shared(recorder, mark_remnants, inputs, self._work, [is_remnant, self._control.remnant_count])
 
 

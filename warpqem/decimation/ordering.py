@@ -61,7 +61,16 @@ class Ordering(ABC):
             The faces that went with them.
         """
         excess = self.live_faces - target_faces
-        drops = components.drop(cost_threshold, excess, self.collapse_count())
+        return self._note(components.drop(cost_threshold, excess, self.collapse_count()))
+
+    def begin(self, components: Components | None) -> None:
+        """Compute all costs, and prune the components that go before all else."""
+        self.steps.compute_all_costs()
+        if components is not None:
+            self._note(components.drop_first())
+
+    def _note(self, drops: list[ComponentDrop]) -> int:
+        """Count pruned components; the faces that went with them."""
         self.drops += drops
         dropped = sum(drop.face_count for drop in drops)
         self.live_faces -= dropped

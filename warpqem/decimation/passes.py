@@ -69,7 +69,7 @@ class Orderer(Ordering):
         components: Components | None = None,
     ) -> str:
         """See :class:`Ordering`."""
-        self.steps.compute_all_costs()
+        self.begin(components)
         candidate_fraction = CANDIDATE_FRACTION
         while self.live_faces > target_faces:
             candidate_count, collapsed = self._run_pass(target_faces, candidate_fraction)

@@ -88,6 +88,12 @@ class DropRecord:
         before = np.concatenate([[0], np.cumsum(kept, dtype=np.int64)])[self.collapse_count[dropped]]
         return DropRecord(vertex_drop, before, self.face_count[dropped], self.error[dropped])
 
+    def vertices_of_larger(self, face_count: int) -> np.ndarray:
+        """(V,) bool, input vertices of components that went with more faces than so many."""
+        larger = self.face_count > face_count
+        vertices: np.ndarray = (self.vertex_drop >= 0) & np.append(larger, False)[self.vertex_drop]
+        return vertices
+
     def for_vertices(self, vertex: np.ndarray) -> DropRecord:
         """The same for vertices in another order: ``vertex`` (V,) is the new number of each."""
         if not len(self):
@@ -123,6 +129,7 @@ class Components:
         key_count: key frames.
         error_limit: squared error, in diagonals squared, beyond which none is pruned.
         last_limit: the same where no edge is left to collapse.
+        gone: (V,) bool, vertices whose components go before all else; None for none.
 
     Attributes:
         least_loss: (C,) float32 on the device, the least that each component's loss can come to, as far as that is
@@ -137,11 +144,13 @@ class Components:
         key_count: int,
         error_limit: float,
         last_limit: float,
+        gone: np.ndarray | None = None,
     ) -> None:
         self._state, self._scale = state, COST_PER_LOSS * key_count
         self._error_limit, self._last_limit = error_limit, last_limit
         self._component_of = forest.number()
         self._component: np.ndarray = self._component_of.numpy()
+        self._gone = np.empty(0, dtype=self._component.dtype) if gone is None else np.unique(self._component[gone])
         # A locked vertex stays. Of the others nothing is known until one may be pruned.
         self._least = np.zeros(int(self._component.max(initial=0)) + 1)
         self._least[self._component[(state.vertex_flags.numpy() & int(LOCKED)) != 0]] = np.inf
@@ -165,6 +174,19 @@ class Components:
     def vertex_component(self) -> np.ndarray:
         """(V,) int, the component of each vertex, from 0."""
         return self._component
+
+    def drop_first(self) -> list[ComponentDrop]:
+        """Prune those that go before all else."""
+        if not len(self._gone):
+            return []
+        sizes, _ = self._measured(0.0)
+        stays = sizes > 0
+        stays[self._gone] = False
+        drops = []
+        for remnant in self._remnants(self._gone, sizes):
+            _, error = self._loss(remnant, stays)
+            drops.append(self._removed(remnant, 0, error))
+        return drops
 
     def drop(self, cost_threshold: float, excess: int, collapse_count: int) -> list[ComponentDrop]:
         """Prune components that cost no more than ``cost_threshold``, the cheapest first, while faces are in excess.
@@ -204,8 +226,7 @@ class Components:
                 continue
             if error**2 > (self._last_limit if np.isinf(cost_threshold) else self._error_limit):
                 continue
-            self._remove(remnant.vertex)
-            drops.append(ComponentDrop(int(remnant.vertex[0]), collapse_count, remnant.face_count, error))
+            drops.append(self._removed(remnant, collapse_count, error))
             excess -= remnant.face_count
             stays[remnant.component] = False
             left -= 1
@@ -272,14 +293,16 @@ class Components:
         parts = zip(small.tolist(), np.split(vertex, start[1:]), np.split(weight, start[1:]), strict=True)
         return [_Remnant(c, v, int(sizes[c]), float(w.mean())) for c, v, w in parts]
 
-    def _remove(self, vertex: np.ndarray) -> None:
+    def _removed(self, remnant: _Remnant, collapse_count: int, error: float) -> ComponentDrop:
+        """Take a component off the mesh."""
         device = self._state.corner_vertex.device
         launch(
             kernels.remove_from_adjacency,
-            dim=len(vertex),
-            inputs=[self._state, wp.array(vertex, dtype=wp.int32, device=device)],
+            dim=len(remnant.vertex),
+            inputs=[self._state, wp.array(remnant.vertex, dtype=wp.int32, device=device)],
             device=device,
         )
+        return ComponentDrop(int(remnant.vertex[0]), collapse_count, remnant.face_count, error)
 
 
 def _chosen_frames(key_position: wp.array, key_count: int) -> np.ndarray:
