@@ -15,11 +15,11 @@ from tests.support.moving_meshes import BAR, SPHERE, rms
 from warpqem.decimation.adjacency import build_adjacency
 from warpqem.kernels.element_solve import Elements
 from warpqem.measure import compare
-from warpqem.pipeline import prepare
+from warpqem.pipeline import place_frames, prepare
 from warpqem.place import stiffness
 from warpqem.refit import fit_surface
 from warpqem.refit.matching import OUTPUT_SAMPLES
-from warpqem.refit.solve import solve_elements
+from warpqem.refit.solve import ElementSolver
 
 RATIO = 0.12
 
@@ -296,28 +296,81 @@ def random_system(device):
 
 def test_conjugate_gradients_solve_the_assembled_system(graph_loops, device):
     elements, right, matrix, vector = random_system(device)
-    solution = solve_elements(elements, right).numpy()
+    solution = ElementSolver(elements).solve(right).numpy()
     expected = np.linalg.solve(matrix, vector).reshape(-1, 3)
     assert np.abs(solution - expected).max() <= 2e-3 * np.abs(expected).max()
 
 
 def test_turns_ahead_of_the_host_move_the_solution_no_further(monkeypatch, device):
     elements, right, *_ = random_system(device)
-    once = solve_elements(elements, right).numpy()
+    once = ElementSolver(elements).solve(right).numpy()
     name = "cpu" if wp.get_device(device).is_cpu else "cuda"
     monkeypatch.setitem(
         warpqem.runtime.device._TRAITS, name, replace(warpqem.runtime.device._TRAITS[name], graph_loops=False)
     )
     monkeypatch.setattr("warpqem.runtime.loops.AHEAD", 9)
-    np.testing.assert_array_equal(solve_elements(elements, right).numpy(), once)
+    np.testing.assert_array_equal(ElementSolver(elements).solve(right).numpy(), once)
 
 
 @pytest.mark.skipif("CUDA_SEMANTICS" not in os.environ, reason="needs CUDA_SEMANTICS")
-def test_solving_waits_for_the_device_once():
+def test_solving_does_not_wait_for_the_device():
     elements, right, *_ = random_system("cpu")
     with cuda_semantics.counted() as traffic:
-        solve_elements(elements, right)
-    assert (traffic.graph_launches, traffic.readbacks, traffic.values_read) == (1, 1, 2)
+        ElementSolver(elements).solve(right)
+    assert (traffic.graph_launches, traffic.readbacks) == (1, 0)
+
+
+def test_a_solver_solves_again_after_its_elements_have_changed(device):
+    elements, right, *_ = random_system(device)
+    solver = ElementSolver(elements)
+    solver.solve(right)
+    elements.block.assign(2.0 * elements.block.numpy())
+    np.testing.assert_array_equal(solver.solve(right).numpy(), ElementSolver(elements).solve(right).numpy())
+
+
+@pytest.mark.parametrize("roughly", [False, True], ids=["whole", "rough"])
+@pytest.mark.skipif("CUDA_SEMANTICS" not in os.environ, reason="needs CUDA_SEMANTICS")
+def test_rounds_of_the_fit_wait_for_the_device_once(roughly, monkeypatch):
+    # For the number of half-edges on borders; what follows the rounds looks at marks of vertices and faces.
+    monkeypatch.setattr(fit_surface._Refit, "hold_back", lambda *_: None)
+    monkeypatch.setattr(fit_surface._Refit, "hold_far_places", lambda *_: False)
+    monkeypatch.setattr(prepare, "SPARE", 0.0)
+    waited, fit = [], place_frames.fit_corrections
+
+    def counted(*arguments, **_):
+        with cuda_semantics.counted() as traffic:
+            corrections = fit(*arguments[:-1], roughly)
+        waited.append((traffic.readbacks, traffic.values_read))
+        return corrections
+
+    monkeypatch.setattr(place_frames, "fit_corrections", counted)
+    warpqem.simplify(*meshes.swaying_sphere(3, 4), ratio=0.3, refit=True, device="cpu")
+    assert waited == [(1, 2)]
+
+
+def test_a_component_may_come_as_far_from_the_input_as_its_samples_were(device, monkeypatch):
+    # Of one frame, so that pairs show all distances.
+    points, faces = bent_tubes(0.1)
+    found, improve = [], fit_surface._Refit.improve
+
+    def improved(self, reach, search=False, take_limits=False):
+        improve(self, reach, search, take_limits)
+        if take_limits:
+            samples = self._matching._samples
+            near, own = samples.input_pairs.near.numpy(), np.repeat(np.arange(len(self._faces)), len(OUTPUT_SAMPLES))
+            face = np.concatenate([near, own, samples.vertex_face.numpy()])
+            parts = samples.input_pairs.squared, samples.output_pairs.squared, samples.vertex_squared
+            squared = np.concatenate([part.numpy() for part in parts])
+            largest = np.zeros(6, dtype=np.float32)
+            np.maximum.at(largest, self._component[face[face >= 0]], squared[face >= 0])
+            found.append((largest, self._limits.squared.numpy()))
+
+    monkeypatch.setattr(fit_surface._Refit, "improve", improved)
+    warpqem.simplify(points, faces, ratio=0.1, refit=True, keep_components=True, device=device)
+    assert found
+    for largest, limits in found:
+        assert largest.max() > 0
+        np.testing.assert_array_equal(limits, largest)
 
 
 def test_each_attempt_holds_one_more_ring_around_a_place_that_comes_further_away(device, monkeypatch):
