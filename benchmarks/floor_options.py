@@ -82,7 +82,7 @@ _STREAMED: dict[str, tuple[tuple[str, float], ...]] = {
         ("row", 1),
         ("face_start", 1),
         ("face", 1),
-        ("furthest_out", 1),
+        ("furthest", 1),
     ),
     "longest_edges": (("position_in", 1), ("corner_vertex_in", 1), ("squared_out", 1)),
     "find_partners": (

@@ -25,29 +25,31 @@ def distances_of_points(
     face_start: wp.array[wp.int32],
     face: wp.array[wp.int32],
     squared: wp.float32,
-    # out
-    furthest_out: wp.array[wp.float32],
+    shares: wp.int32,
+    # in and out
+    furthest: wp.array[wp.float32],
 ):
-    """The largest squared distance of each point (n,) from its faces, in all frames: (n,).
+    """Raise ``furthest`` (n,) to the largest squared distance of each point from its faces, in all frames.
 
-    The faces are those of row ``row`` (n,) of the lists ``face_start`` (R+1,), ``face``. Once a point is within
-    ``squared`` in all frames of a block, no further faces are looked at there, and the next block begins with the last
-    one: what is near in some frames is near in others.
+    Each of ``shares`` threads of a point has some of the blocks, one after another. The faces are those of row ``row``
+    (n,) of the lists ``face_start`` (R+1,), ``face``. Once a point is within ``squared`` in all frames of a block, no
+    further faces are looked at there, and the next block begins with the last one: what is near in some frames is near
+    in others.
     """
-    i = wp.tid()
+    i, share = wp.tid()
     first = face_start[row[i]]
     count = face_start[row[i] + 1] - first
     begin = wp.int32(0)
     furthest_of_all = wp.float32(0.0)
-    for block in range(own.shape[1]):
+    for block in range(share * own.shape[1] / shares, (share + 1) * own.shape[1] / shares):
         p = own[point[i], block]
         near = 0.0 * p[0]
         for lane in range(len(near)):
             near[lane] = wp.float32(1.0e30)
-        furthest = wp.float32(1.0e30)
+        here = wp.float32(1.0e30)
         place = begin
         looked = wp.int32(0)
-        while looked < count and furthest > squared:
+        while looked < count and here > squared:
             begin = place
             corner = 3 * face[first + place]
             a = other[other_vertex[corner], block]
@@ -56,16 +58,16 @@ def distances_of_points(
             found = lane_foot_squared(p - a, ab, ac)
             for lane in range(len(near)):
                 near[lane] = wp.min(near[lane], found[lane])
-            furthest = wp.max(near)
-            if furthest > squared:
+            here = wp.max(near)
+            if here > squared:
                 found = lane_distance_squared(p - a, ab, ac)
                 for lane in range(len(near)):
                     near[lane] = wp.min(near[lane], found[lane])
-                furthest = wp.max(near)
+                here = wp.max(near)
             looked += 1
             place = wp.where(place + 1 < count, place + 1, 0)
-        furthest_of_all = wp.max(furthest_of_all, furthest)
-    furthest_out[i] = furthest_of_all
+        furthest_of_all = wp.max(furthest_of_all, here)
+    wp.atomic_max(furthest, i, furthest_of_all)
 
 
 @lane_kernel(position_in=POINTS_ARRAY)

@@ -16,6 +16,7 @@ import numpy as np
 import warp as wp
 
 from warpqem.decimation.adjacency import build_adjacency
+from warpqem.frames.device_frames import to_device
 from warpqem.frames.stream import read_ahead
 from warpqem.kernels import material_frame as frame_kernels
 from warpqem.kernels import refit as kernels
@@ -24,7 +25,7 @@ from warpqem.kernels.element_solve import Elements
 from warpqem.mesh.components import lowest_members
 from warpqem.mesh.mesh_input import AnimatedMesh
 from warpqem.place.block_placer import PlacedFrames
-from warpqem.place.frame_store import FrameStore
+from warpqem.place.frame_store import AnyFrameStore
 from warpqem.place.place import Placer
 from warpqem.refit.matching import Matching, make_surface
 from warpqem.refit.solve import ElementSolver
@@ -84,7 +85,7 @@ MAX_HOLD = 1e6
 def fit_corrections(
     mesh: AnimatedMesh,
     placer: Placer,
-    placed: FrameStore,
+    placed: AnyFrameStore,
     key_frames: np.ndarray,
     error: float,
     recent_error: float,
@@ -147,7 +148,7 @@ class _Refit:
         self,
         mesh: AnimatedMesh,
         placer: Placer,
-        placed: FrameStore,
+        placed: AnyFrameStore,
         key_frames: np.ndarray,
         far: float,
         device: str,
@@ -159,8 +160,7 @@ class _Refit:
         self._adjacency = build_adjacency(self._corner_vertex, self._vertex_count)
         self._rings = self._make_rings(placed.read(slice(0, 1)))
         keys = placed.chosen(key_frames)
-        self._points = wp.array(keys.points, dtype=wp.vec3, device=device)
-        self._normals = wp.array(keys.normals, dtype=wp.vec3, device=device)
+        self._points, self._normals = to_device(keys.points, device), to_device(keys.normals, device)
         self._frames = self._measure_frames(placer.free)
         self._elements = self._make_elements()
         self._solver = ElementSolver(self._elements)
@@ -215,8 +215,9 @@ class _Refit:
         rings = frame_kernels.OneRings()
         rings.corner_vertex = self._corner_vertex
         rings.adjacency_start, rings.adjacent_corner = self._adjacency.start, self._adjacency.corner
-        rings.reference = wp.array(first.points[0], dtype=wp.vec3, device=self._device)
-        rings.reference_normal = wp.array(first.normals[0], dtype=wp.vec3, device=self._device)
+        rings.reference, rings.reference_normal = (
+            to_device(values[0], self._device) for values in (first.points, first.normals)
+        )
         return rings
 
     def _measure_frames(self, free: np.ndarray) -> wp.array:
@@ -301,7 +302,7 @@ class _Refit:
             device=self._device,
         )
 
-    def hold_back(self, placed: FrameStore, blocks: Sequence[slice]) -> None:
+    def hold_back(self, placed: AnyFrameStore, blocks: Sequence[slice]) -> None:
         """Stiffen vertices that turn a face over in some frame, and at last do not move them.
 
         Likewise those that would go further than an edge is long in the mean: no pair is there, and few faces far off
@@ -369,7 +370,7 @@ class _Refit:
         self._shrink(self._component[far], share)
         return len(far) > 0
 
-    def leave_turned_components(self, placed: FrameStore, blocks: Sequence[slice]) -> None:
+    def leave_turned_components(self, placed: AnyFrameStore, blocks: Sequence[slice]) -> None:
         """Leave components as placed in which part of the way turns a face over that the whole way does not."""
         marks = wp.zeros(self._vertex_count, dtype=wp.int32, device=self._device)
         marked = self._turned_over(placed, blocks, marks)
@@ -391,15 +392,15 @@ class _Refit:
 
     def apply(self, placed: PlacedFrames) -> PlacedFrames:
         """Some frames, moved."""
-        points, normals = (wp.array(a, dtype=wp.vec3, device=self._device) for a in (placed.points, placed.normals))
+        points, normals = to_device(placed.points, self._device), to_device(placed.normals, self._device)
         moved = wp.empty_like(points)
         self._move(points, normals, moved)
-        return replace(placed, points=moved.numpy())
+        return replace(placed, points=moved.numpy() if isinstance(placed.points, np.ndarray) else moved)
 
-    def _turned_over(self, placed: FrameStore, blocks: Sequence[slice], marks: wp.array) -> np.ndarray:
+    def _turned_over(self, placed: AnyFrameStore, blocks: Sequence[slice], marks: wp.array) -> np.ndarray:
         """Which vertices (C,) are in ``marks`` or have a part in a face that turns over in some frame."""
         for _, block in read_ahead(placed.read, blocks):
-            points, normals = (wp.array(a, dtype=wp.vec3, device=self._device) for a in (block.points, block.normals))
+            points, normals = to_device(block.points, self._device), to_device(block.normals, self._device)
             moved = wp.empty_like(points)
             self._move(points, normals, moved)
             launch(
@@ -412,9 +413,10 @@ class _Refit:
         return marks.numpy() != 0
 
 
-def _measure_scales(points: np.ndarray, faces: np.ndarray) -> _Scales:
+def _measure_scales(points: np.ndarray | wp.array, faces: np.ndarray) -> _Scales:
     # They hardly change from frame to frame: about eight of them tell enough.
-    corner = points[:: max(1, len(points) // 8), faces]
+    some = points[:: max(1, len(points) // 8)]
+    corner = (some if isinstance(some, np.ndarray) else some.contiguous().numpy())[:, faces]
     edge = np.roll(corner, -1, axis=2) - corner
     area = 0.5 * np.linalg.norm(np.cross(edge[:, :, 0], edge[:, :, 1]), axis=2).sum(axis=1)
     return _Scales(float(area.mean()), float((edge.astype(np.float64) ** 2).sum(axis=-1).mean()))
