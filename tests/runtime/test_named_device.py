@@ -1,4 +1,4 @@
-"""Work goes to the device that is named, never to the one that Warp takes by itself: that is another where there are two."""
+"""Work goes to the device that is named, never to the one that Warp takes by itself."""
 
 import pytest
 import warp as wp
