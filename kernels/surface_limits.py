@@ -42,7 +42,6 @@ class Limits:
 
     component: wp.array[wp.int32]  # (N',) of each output face
     squared: wp.array[wp.float32]  # of each component
-    searched: wp.float32  # where a walk ends further away, squared, the nearest point is searched for
     far: wp.array[wp.int32]  # (N',) 1 at output faces with a place that is further away
 
 
@@ -82,22 +81,21 @@ def paired_sample(samples: Samples, i: wp.int32) -> Sample:
 
 
 @wp.func
-def nearest_squared(samples: Samples, sample: Sample, searched: wp.float32) -> wp.float32:
-    """Squared distance of a sample from the other surface: where its walk ended, or where a search from there does."""
+def nearest_squared(samples: Samples, sample: Sample) -> wp.float32:
+    """Squared distance of a sample from the other surface, to whose nearest point a walk need not have come."""
+    t = samples.input_turns.key
     nearest = sample.squared
-    if sample.squared > searched:
-        t = samples.input_turns.key
-        hit = Hit()
-        hit.face = wp.int32(-1)
-        hit.squared = sample.squared
-        if sample.is_input:
-            hit = search_nearer(samples.target_mesh, sample.point, hit)
-            if hit.face >= 0:
-                nearest = wp.length_sq(sample.point - surface_point(samples.target, t, hit.face, hit.barycentric))
-        else:
-            hit = search_nearer(samples.source_mesh, sample.point, hit)
-            if hit.face >= 0:
-                nearest = wp.length_sq(sample.point - surface_point(samples.source, t, hit.face, hit.barycentric))
+    hit = Hit()
+    hit.face = wp.int32(-1)
+    hit.squared = sample.squared
+    if sample.is_input:
+        hit = search_nearer(samples.target_mesh, sample.point, hit)
+        if hit.face >= 0:
+            nearest = wp.length_sq(sample.point - surface_point(samples.target, t, hit.face, hit.barycentric))
+    else:
+        hit = search_nearer(samples.source_mesh, sample.point, hit)
+        if hit.face >= 0:
+            nearest = wp.length_sq(sample.point - surface_point(samples.source, t, hit.face, hit.barycentric))
     return wp.min(nearest, sample.squared)
 
 
@@ -108,12 +106,15 @@ def raise_limits(
     # in and out
     limits: Limits,
 ):
-    """Raise the limit of each component to the largest squared distance of its samples in a key frame."""
+    """Raise the limit of each component to the largest squared distance of its samples in a key frame.
+
+    Only where a walk ends further away than that a search is needed: at few samples, whatever their order.
+    """
     sample = paired_sample(samples, wp.tid())
     if sample.face >= 0:
         component = limits.component[sample.face]
         if sample.squared > limits.squared[component]:
-            wp.atomic_max(limits.squared, component, nearest_squared(samples, sample, limits.searched))
+            wp.atomic_max(limits.squared, component, nearest_squared(samples, sample))
 
 
 @wp.kernel
@@ -127,5 +128,5 @@ def mark_far_faces(
     sample = paired_sample(samples, wp.tid())
     if sample.face >= 0:
         limit = limits.squared[limits.component[sample.face]]
-        if sample.squared > limit and nearest_squared(samples, sample, limits.searched) > limit:
+        if sample.squared > limit and nearest_squared(samples, sample) > limit:
             limits.far[sample.face] = 1

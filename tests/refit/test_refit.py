@@ -146,7 +146,19 @@ def bent_tubes(radius: float) -> tuple[np.ndarray, np.ndarray]:
 def test_refit_never_takes_a_part_much_further_from_the_input(quality, radius, ratio, device, monkeypatch):
     # Of the same faces: an exchange takes them from one part to another.
     monkeypatch.setattr(prepare, "SPARE", 0.0)
-    points, faces = bent_tubes(radius)
+    check_parts(*bent_tubes(radius), ratio, quality, device)
+
+
+@pytest.mark.parametrize("seed", [4, 5, 7])
+def test_where_walks_end_elsewhere_than_at_the_nearest_point_parts_come_no_further_either(seed, device, monkeypatch):
+    # Moved by so little, collapses of equal costs come in other orders.
+    monkeypatch.setattr(prepare, "SPARE", 0.0)
+    points, faces = bent_tubes(0.1)
+    points = (points + 1e-6 * np.random.default_rng(seed).normal(size=points.shape)).astype(np.float32)
+    check_parts(points, faces, 0.1, "fast", device)
+
+
+def check_parts(points, faces, ratio, quality, device):
     placed, refitted = (
         warpqem.simplify(points, faces, ratio=ratio, quality=quality, refit=refit, keep_components=True, device=device)
         for refit in (False, True)
@@ -349,7 +361,7 @@ def test_rounds_of_the_fit_wait_for_the_device_no_further(roughly, monkeypatch):
 
 
 def test_a_component_may_come_as_far_from_the_input_as_its_samples_were(device, monkeypatch):
-    # Of one frame, so that pairs show all distances.
+    # Of one frame, so that pairs show all distances: walks end there or further away.
     points, faces = bent_tubes(0.1)
     found, improve = [], fit_surface._Refit.improve
 
@@ -369,8 +381,9 @@ def test_a_component_may_come_as_far_from_the_input_as_its_samples_were(device, 
     warpqem.simplify(points, faces, ratio=0.1, refit=True, keep_components=True, device=device)
     assert found
     for largest, limits in found:
-        assert largest.max() > 0
-        np.testing.assert_array_equal(limits, largest)
+        assert (limits > 0.2 * largest).all()
+        assert (limits <= largest).all()
+        assert (limits == largest).any()
 
 
 @pytest.mark.parametrize("locked", [[], [0, 7, 30]], ids=["none copied", "some copied"])

@@ -203,7 +203,6 @@ class _Refit:
         limits.squared = wp.full(
             int(self._component.max(initial=-1)) + 1, SMALLEST_DISTANCE**2, dtype=wp.float32, device=device
         )
-        limits.searched = far**2
         limits.far = wp.zeros(len(self._faces), dtype=wp.int32, device=device)
 
     @property
