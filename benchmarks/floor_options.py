@@ -80,8 +80,9 @@ _STREAMED: dict[str, tuple[tuple[str, float], ...]] = {
         ("own", 1),
         ("point", 1),
         ("row", 1),
-        ("face_start", 1),
-        ("face", 1),
+        ("cluster_start", 1),
+        ("cluster", 1),
+        # Lists are of all clusters, of which a launch may need few.
         ("furthest", 1),
     ),
     "longest_edges": (("position_in", 1), ("corner_vertex_in", 1), ("squared_out", 1)),

@@ -14,6 +14,12 @@ from warpqem.kernels.lanes import POINTS_ARRAY, lane_dot, lane_kernel
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
 
+@wp.func
+def list_length(cluster: wp.array[wp.int32], face_start: wp.array[wp.int32], k: wp.int32) -> wp.int32:
+    """Faces at the ``k``-th cluster."""
+    return face_start[cluster[k] + 1] - face_start[cluster[k]]
+
+
 @lane_kernel(own=POINTS_ARRAY, other=POINTS_ARRAY)
 def distances_of_points(
     # in
@@ -22,6 +28,8 @@ def distances_of_points(
     other_vertex: wp.array[wp.int32],
     point: wp.array[wp.int32],
     row: wp.array[wp.int32],
+    cluster_start: wp.array[wp.int32],
+    cluster: wp.array[wp.int32],
     face_start: wp.array[wp.int32],
     face: wp.array[wp.int32],
     squared: wp.float32,
@@ -31,15 +39,19 @@ def distances_of_points(
 ):
     """Raise ``furthest`` (n,) to the largest squared distance of each point from its faces, in all frames.
 
-    Each of ``shares`` threads of a point has some of the blocks, one after another. The faces are those of row ``row``
-    (n,) of the lists ``face_start`` (R+1,), ``face``. Once a point is within ``squared`` in all frames of a block, no
-    further faces are looked at there, and the next block begins with the last one: what is near in some frames is near
-    in others.
+    Each of ``shares`` threads of a point has some of the blocks, one after another. The faces are those at the clusters
+    of row ``row`` (n,): lists ``face_start`` (C+1,), ``face`` of lists ``cluster_start`` (R+1,), ``cluster``. Once a
+    point is within ``squared`` in all frames of a block, no further faces are looked at there, and the next block
+    begins with the last one: what is near in some frames is near in others.
     """
     i, share = wp.tid()
-    first = face_start[row[i]]
-    count = face_start[row[i] + 1] - first
-    begin = wp.int32(0)
+    first = cluster_start[row[i]]
+    last = cluster_start[row[i] + 1]
+    count = wp.int32(0)
+    for k in range(first, last):
+        count += list_length(cluster, face_start, k)
+    begin = first
+    begin_place = wp.int32(0)
     furthest_of_all = wp.float32(0.0)
     for block in range(share * own.shape[1] / shares, (share + 1) * own.shape[1] / shares):
         p = own[point[i], block]
@@ -47,11 +59,16 @@ def distances_of_points(
         for lane in range(len(near)):
             near[lane] = wp.float32(1.0e30)
         here = wp.float32(1.0e30)
-        place = begin
+        at = begin
+        place = begin_place
         looked = wp.int32(0)
         while looked < count and here > squared:
-            begin = place
-            corner = 3 * face[first + place]
+            while place >= list_length(cluster, face_start, at):
+                at = wp.where(at + 1 < last, at + 1, first)
+                place = 0
+            begin = at
+            begin_place = place
+            corner = 3 * face[face_start[cluster[at]] + place]
             a = other[other_vertex[corner], block]
             ab = other[other_vertex[corner + 1], block] - a
             ac = other[other_vertex[corner + 2], block] - a
@@ -65,7 +82,7 @@ def distances_of_points(
                     near[lane] = wp.min(near[lane], found[lane])
                 here = wp.max(near)
             looked += 1
-            place = wp.where(place + 1 < count, place + 1, 0)
+            place += 1
         furthest_of_all = wp.max(furthest_of_all, here)
     wp.atomic_max(furthest, i, furthest_of_all)
 

@@ -54,7 +54,7 @@ def test_a_vertex_is_far_where_it_is_beyond_the_limit_of_two_rings_in_a_frame(fr
 def test_distances_are_the_same_however_many_threads_have_the_frames_of_a_point(device, monkeypatch):
     *_, reference, test = blocks(np.random.default_rng(0), 21, device)
     around, vertex = FacesAround(FACES, VERTEX_COUNT), np.arange(5)
-    given = PointsAndFaces(reference, test, around, vertex, vertex, (around.start, around.face))
+    given = PointsAndFaces.at(reference, test, around, vertex, vertex, (around.start, around.face))
     name = "cpu" if wp.get_device(device).is_cpu else "cuda"
     found = []
     for threads in (1, 10, 25, 1000):
@@ -71,7 +71,7 @@ def test_points_that_come_one_after_another_are_measured_as_at_once(device):
     around, vertex = FacesAround(FACES, VERTEX_COUNT), np.arange(VERTEX_COUNT)
     lists = around.start, around.face
     whole, *parts = (
-        PointsAndFaces(reference, test, around, some, some, lists)
+        PointsAndFaces.at(reference, test, around, some, some, lists)
         for some in (vertex, vertex[:9], vertex[9:9], vertex[9:])
     )
     found = [furthest_from(given, VERTEX_COUNT, 1e-3, device) for given in ([whole], parts)]

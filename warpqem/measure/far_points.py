@@ -93,13 +93,13 @@ def far_points(
         Indices into ``point`` (m,).
     """
     limit += SINGLE_MARGIN
-    given = PointsAndFaces(own, other, around, point, vertex, (around.start, around.face))
+    given = PointsAndFaces.at(own, other, around, point, vertex, (around.start, around.face))
     furthest = furthest_from([given], len(point), limit, device)
     far = np.flatnonzero(furthest > limit)
     if len(far):
         # The nearest face may be one further on.
         lists = around.second_ring(vertex[far])
-        given = PointsAndFaces(own, other, around, point[far], np.arange(len(far)), lists)
+        given = PointsAndFaces.at(own, other, around, point[far], np.arange(len(far)), lists)
         furthest = furthest_from([given], len(far), limit, device)
         far = far[furthest > limit]
     return far
@@ -114,8 +114,9 @@ class PointsAndFaces:
         other: the same frames of the other mesh.
         around: its faces.
         point: (n,) int, points of ``own``.
-        row: (n,) int, the row of the lists with the faces for each.
-        lists: where each row starts, (R+1,) int32, and faces of ``other``, int32.
+        row: (n,) int, the row of ``clusters`` for each.
+        clusters: where each row starts, (R+1,) int, and clusters, int.
+        lists: where each cluster starts, (C+1,) int32, and faces of ``other``, int32.
     """
 
     own: UnitBlock
@@ -123,7 +124,22 @@ class PointsAndFaces:
     around: FacesAround
     point: npt.NDArray[np.integer]
     row: npt.NDArray[np.integer]
+    clusters: tuple[npt.NDArray[np.integer], npt.NDArray[np.integer]]
     lists: tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]
+
+    @classmethod
+    def at(
+        cls,
+        own: UnitBlock,
+        other: UnitBlock,
+        around: FacesAround,
+        point: npt.NDArray[np.integer],
+        cluster: npt.NDArray[np.integer],
+        lists: tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]],
+    ) -> PointsAndFaces:
+        """Points with one cluster (n,) each."""
+        every = np.arange(len(point) + 1)
+        return cls(own, other, around, point, every[:-1], (every, cluster), lists)
 
 
 def furthest_from(given: Iterable[PointsAndFaces], count: int, limit: float, device: str) -> npt.NDArray[np.float32]:
@@ -155,13 +171,17 @@ def _measure(given: PointsAndFaces, limit: float, furthest: wp.array, device: st
     """Raise the squared distances ``furthest`` (n,), zero before, to those found."""
     own, other, count = given.own.lanes, given.other.lanes, len(given.point)
     start, face = (wp.array(values, dtype=wp.int32, device=device, copy=False) for values in given.lists)
-    point, row = (wp.array(a.astype(np.int32), dtype=wp.int32, device=device) for a in (given.point, given.row))
+    point, row, cluster_start, cluster = (
+        wp.array(values.astype(np.int32), dtype=wp.int32, device=device, copy=False)
+        for values in (given.point, given.row, *given.clusters)
+    )
+    inputs = [own, other, given.around.corners(device), rows_of(point), rows_of(row), cluster_start, cluster]
     # Where points are too few for the device, frames are shared out, too.
     shares = max(1, min(own.shape[1], device_traits(device).launch_threads // count))
     launch_in_parts(
         kernels.distances_of_points[width_of(own)],
         (count, shares),
-        [own, other, given.around.corners(device), rows_of(point), rows_of(row), start, face, limit**2, shares],
+        [*inputs, start, face, limit**2, shares],
         [rows_of(furthest)],
         device=device,
         min_items=MIN_POINTS,

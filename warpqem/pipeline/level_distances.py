@@ -39,19 +39,12 @@ class _Side:
     Attributes:
         block: frames of its points.
         faces: what its faces' corners are.
-        of_cluster: faces at each cluster, in rows.
-        face: the face that each of them is; None where they are the same.
+        lists: where each cluster starts, (V+1,) int32, and its faces, int32.
     """
 
     block: UnitBlock
     faces: FacesAround
-    of_cluster: FacesAround
-    face: np.ndarray | None = None
-
-    def near(self, pair: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-        """The rows, and a face for each, of pairs of a row and a cluster."""
-        found, place = self.of_cluster.of(pair[1])
-        return pair[0][place], found if self.face is None else self.face[found]
+    lists: tuple[np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -71,11 +64,11 @@ class _Vertices:
 
     def around(self, chosen: np.ndarray | None) -> Iterator[PointsAndFaces]:
         """The points and the faces around; with one ring more for those that are ``chosen``, indices (m,)."""
-        faces, point, row = self.side.faces, self.vertex, self.root
-        lists = faces.start, faces.face
+        point, cluster, lists = self.vertex, self.root, self.side.lists
         if chosen is not None:
-            point, row, lists = point[chosen], np.arange(len(chosen)), faces.second_ring(row[chosen])
-        yield PointsAndFaces(self.reference, self.side.block, faces, point, row, lists)
+            lists = self.side.faces.second_ring(cluster[chosen])
+            point, cluster = point[chosen], np.arange(len(chosen))
+        yield PointsAndFaces.at(self.reference, self.side.block, self.side.faces, point, cluster, lists)
 
 
 @dataclass(frozen=True)
@@ -105,24 +98,22 @@ class _Faces:
         rows = np.arange(self.count) if chosen is None else chosen
         for first in range(0, len(rows), FACES_AT_ONCE):
             part = rows[first : first + FACES_AT_ONCE]
-            cluster = self.clusters[part]
-            pair = np.repeat(np.arange(len(cluster)), 3), cluster.ravel()
+            cluster = self.clusters[part].ravel()
+            start = np.arange(0, len(cluster) + 1, 3)
             if chosen is not None:
                 # The nearest face may be at a cluster next to these.
-                face, place = self.level_around.of(pair[1])
-                pair = unique_pairs(np.repeat(place // 3, 3), level_faces[face].ravel())
-            yield self._samples(self.points[:, self.faces[part]], pair)
+                face, place = self.level_around.of(cluster)
+                row, cluster = unique_pairs(np.repeat(place // 3, 3), level_faces[face].ravel())
+                start = np.searchsorted(row, np.arange(len(part) + 1))
+            yield self._samples(self.points[:, self.faces[part]], (start, cluster))
 
-    def _samples(self, corner: np.ndarray, pair: tuple[np.ndarray, np.ndarray]) -> PointsAndFaces:
-        """Points of faces, by their corners (n, m, 3, 3), and the faces at clusters: pairs, by row."""
-        row, near = self.side.near(pair)
-        counts = np.bincount(row, minlength=corner.shape[1])
-        start = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
+    def _samples(self, corner: np.ndarray, clusters: tuple[np.ndarray, np.ndarray]) -> PointsAndFaces:
+        """Points of faces, by their corners (n, m, 3, 3), and the faces at clusters of each: lists."""
         points = np.einsum("sk,fnkc->fnsc", SAMPLES, corner)
         samples = UnitBlock(points.reshape(len(points), -1, 3), self.units, self.device)
         index = np.arange(samples.vertex_count)
-        lists = start, near.astype(np.int32)
-        return PointsAndFaces(samples, self.side.block, self.side.faces, index, index // len(SAMPLES), lists)
+        own = index // len(SAMPLES)
+        return PointsAndFaces(samples, self.side.block, self.side.faces, index, own, clusters, self.side.lists)
 
 
 class LevelDistances:
@@ -167,7 +158,7 @@ class LevelDistances:
         near[ordered.faces[changed]] = True
         is_near, here = near[ordered.root], self._here(level)
         around = FacesAround(ordered.faces, len(ordered.root))
-        side = _Side(self._frames.test, around, around)
+        side = _Side(self._frames.test, around, (around.start, around.face))
         vertex = np.flatnonzero(is_near & here)
         vertices = _Vertices(self._frames.reference, side, vertex, ordered.root[vertex])
         corners = self._mesh.faces[self._large]
@@ -244,7 +235,9 @@ class LevelDistances:
         next_to[ordered.faces[wanted[ordered.faces].any(axis=1)]] = True
         corners = ordered.root[self._mesh.faces]
         face = np.flatnonzero(next_to[corners].any(axis=1))
-        return _Side(self._frames.reference, self._around, FacesAround(corners[face], len(ordered.root)), face)
+        at_clusters = FacesAround(corners[face], len(ordered.root))
+        lists = at_clusters.start, face[at_clusters.face].astype(np.int32)
+        return _Side(self._frames.reference, self._around, lists)
 
     def clusters_at(self, level: CutLevel, limit: float) -> np.ndarray:
         """(m, 3) int32, three clusters at each place that is further away than a limit."""
