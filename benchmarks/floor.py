@@ -378,7 +378,7 @@ def _share(a: Arguments, threads: int) -> float:
     if "first_cluster" in a:
         return threads / a["points_out" if "points_out" in a else "area_out"].size
     if "first_output" in a:
-        return threads / a["squared"].size
+        return threads / a["squared_out"].size
     if "first_vertex" in a:
         return threads / _vertices(a)
     if "turns" in a:

@@ -80,9 +80,10 @@ _STREAMED: dict[str, tuple[tuple[str, float], ...]] = {
         ("own", 1),
         ("point", 1),
         ("row", 1),
-        ("face_start", 1),
-        ("face", 1),
-        ("furthest_out", 1),
+        ("cluster_start", 1),
+        ("cluster", 1),
+        # Lists are of all clusters, of which a launch may need few.
+        ("furthest", 1),
     ),
     "longest_edges": (("position_in", 1), ("corner_vertex_in", 1), ("squared_out", 1)),
     "find_partners": (
@@ -137,6 +138,11 @@ _STREAMED: dict[str, tuple[tuple[str, float], ...]] = {
     "dilate": (("normal_in", 1), ("filled_in", 1), ("normal_out", 1), ("filled_out", 1)),
     # A vertex that is not corrected needs no frame.
     "move_in_material_frame": (("points_in", 1), ("points_out", 1), ("correction_in", 1)),
+    "mark_border": (("opposite_in", 1), ("is_border_out", 1)),
+    # A look at every half-edge; few are listed.
+    "list_border": (("opposite_in", 1), ("half_edge_out", 2)),
+    "mark_long_corrections": (("correction_in", 1), ("marked_out", 1)),
+    "scale_corrections": (("factor_in", 1), ("correction", 2)),
     "mark_new_flips": (("points_in", 1), ("moved_in", 1), ("normal_in", 1), ("corner_vertex_in", 1)),
 }
 
@@ -173,7 +179,7 @@ def _match_border_samples(a: Arguments) -> Demand:
 
 
 def _assemble_elements(a: Arguments) -> Demand:
-    pairs = int(np.count_nonzero(a["output_pairs"].face.numpy() >= 0)) + a["input_order_in"].size
+    pairs = int(np.count_nonzero(a["output_pairs"].face.numpy() >= 0)) + int(a["input_start_in"].numpy()[-1])
     faces, frames = a["block_out"].shape[0], a["points_in"].shape[0]
     arrays = ("corner_vertex_in", "points_in", "frame_in", "block_out", "right_out", "correction_in", "hold_in")
     flops = pairs * PAIR_FLOPS + faces * frames * EDGES_FLOPS
@@ -232,9 +238,16 @@ def _move_deformation(a: Arguments) -> Demand:
 
 def _measure_vertex_distances(a: Arguments) -> Demand:
     # One frame of both surfaces, and a walk from each vertex to the faces around where it ends.
-    vertices = a["squared"].size
+    vertices = a["squared_out"].size
     frame = a["source"].points.shape[1] + a["target"].points.shape[1]
     return Demand(frame * POINT + a["source"].corner_vertex.size * INT + vertices * 3 * INT, vertices * VALENCE * 60)
+
+
+def _look_at_samples(a: Arguments) -> Demand:
+    # Where each sample of a key frame is and how far; next to none needs a search.
+    samples = a["samples"]
+    count = samples.input_turns.per_key + samples.output_turns.per_key
+    return Demand(count * 2 * INT + samples.vertex_squared.size * 2 * INT)
 
 
 OPTION_MODELS: dict[str, Callable[[Arguments], Demand]] = {
@@ -243,6 +256,8 @@ OPTION_MODELS: dict[str, Callable[[Arguments], Demand]] = {
     "match_output_samples": lambda a: _match(a, "source", "target"),
     "match_border_samples": _match_border_samples,
     "measure_vertex_distances": _measure_vertex_distances,
+    "raise_limits": _look_at_samples,
+    "mark_far_faces": _look_at_samples,
     "assemble_elements": _assemble_elements,
     "renew_quadrics": _renew_quadrics,
     "update_neighbourhood_costs": _update_neighbourhood_costs,

@@ -14,6 +14,12 @@ from warpqem.kernels.lanes import POINTS_ARRAY, lane_dot, lane_kernel
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
 
+@wp.func
+def list_length(cluster: wp.array[wp.int32], face_start: wp.array[wp.int32], k: wp.int32) -> wp.int32:
+    """Faces at the ``k``-th cluster."""
+    return face_start[cluster[k] + 1] - face_start[cluster[k]]
+
+
 @lane_kernel(own=POINTS_ARRAY, other=POINTS_ARRAY)
 def distances_of_points(
     # in
@@ -22,50 +28,63 @@ def distances_of_points(
     other_vertex: wp.array[wp.int32],
     point: wp.array[wp.int32],
     row: wp.array[wp.int32],
+    cluster_start: wp.array[wp.int32],
+    cluster: wp.array[wp.int32],
     face_start: wp.array[wp.int32],
     face: wp.array[wp.int32],
     squared: wp.float32,
-    # out
-    furthest_out: wp.array[wp.float32],
+    shares: wp.int32,
+    # in and out
+    furthest: wp.array[wp.float32],
 ):
-    """The largest squared distance of each point (n,) from its faces, in all frames: (n,).
+    """Raise ``furthest`` (n,) to the largest squared distance of each point from its faces, in all frames.
 
-    The faces are those of row ``row`` (n,) of the lists ``face_start`` (R+1,), ``face``. Once a point is within
-    ``squared`` in all frames of a block, no further faces are looked at there, and the next block begins with the last
-    one: what is near in some frames is near in others.
+    Each of ``shares`` threads of a point has some of the blocks, one after another. The faces are those at the clusters
+    of row ``row`` (n,): lists ``face_start`` (C+1,), ``face`` of lists ``cluster_start`` (R+1,), ``cluster``. Once a
+    point is within ``squared`` in all frames of a block, no further faces are looked at there, and the next block
+    begins with the last one: what is near in some frames is near in others.
     """
-    i = wp.tid()
-    first = face_start[row[i]]
-    count = face_start[row[i] + 1] - first
-    begin = wp.int32(0)
+    i, share = wp.tid()
+    first = cluster_start[row[i]]
+    last = cluster_start[row[i] + 1]
+    count = wp.int32(0)
+    for k in range(first, last):
+        count += list_length(cluster, face_start, k)
+    begin = first
+    begin_place = wp.int32(0)
     furthest_of_all = wp.float32(0.0)
-    for block in range(own.shape[1]):
+    for block in range(share * own.shape[1] / shares, (share + 1) * own.shape[1] / shares):
         p = own[point[i], block]
         near = 0.0 * p[0]
         for lane in range(len(near)):
             near[lane] = wp.float32(1.0e30)
-        furthest = wp.float32(1.0e30)
-        place = begin
+        here = wp.float32(1.0e30)
+        at = begin
+        place = begin_place
         looked = wp.int32(0)
-        while looked < count and furthest > squared:
-            begin = place
-            corner = 3 * face[first + place]
+        while looked < count and here > squared:
+            while place >= list_length(cluster, face_start, at):
+                at = wp.where(at + 1 < last, at + 1, first)
+                place = 0
+            begin = at
+            begin_place = place
+            corner = 3 * face[face_start[cluster[at]] + place]
             a = other[other_vertex[corner], block]
             ab = other[other_vertex[corner + 1], block] - a
             ac = other[other_vertex[corner + 2], block] - a
             found = lane_foot_squared(p - a, ab, ac)
             for lane in range(len(near)):
                 near[lane] = wp.min(near[lane], found[lane])
-            furthest = wp.max(near)
-            if furthest > squared:
+            here = wp.max(near)
+            if here > squared:
                 found = lane_distance_squared(p - a, ab, ac)
                 for lane in range(len(near)):
                     near[lane] = wp.min(near[lane], found[lane])
-                furthest = wp.max(near)
+                here = wp.max(near)
             looked += 1
-            place = wp.where(place + 1 < count, place + 1, 0)
-        furthest_of_all = wp.max(furthest_of_all, furthest)
-    furthest_out[i] = furthest_of_all
+            place += 1
+        furthest_of_all = wp.max(furthest_of_all, here)
+    wp.atomic_max(furthest, i, furthest_of_all)
 
 
 @lane_kernel(position_in=POINTS_ARRAY)

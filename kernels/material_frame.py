@@ -125,6 +125,31 @@ def move_in_material_frame(
 
 
 @wp.kernel
+def mark_long_corrections(
+    # in
+    correction_in: wp.array[wp.vec3],
+    largest_squared: wp.float32,
+    # out
+    marked_out: wp.array[wp.int32],
+):
+    """1 at vertices (C,) that go further than a length, given squared."""
+    v = wp.tid()
+    marked_out[v] = wp.where(wp.length_sq(correction_in[v]) > largest_squared, 1, 0)
+
+
+@wp.kernel
+def scale_corrections(
+    # in
+    factor_in: wp.array[wp.float32],
+    # in and out
+    correction: wp.array[wp.vec3],
+):
+    """Multiply what each vertex (C,) does."""
+    v = wp.tid()
+    correction[v] = factor_in[v] * correction[v]
+
+
+@wp.kernel
 def mark_new_flips(
     # in
     points_in: wp.array2d[wp.vec3],

@@ -8,7 +8,6 @@ import warp as wp
 
 from warpqem.kernels.material_frame import first_tangent
 from warpqem.kernels.surface_walk import (
-    Hit,
     Surface,
     closest_border_hit,
     closest_hit,
@@ -36,7 +35,8 @@ VERTEX_SHARE = wp.constant(wp.float32(0.25))
 class Pairs:
     """Pairs of points: the output face and frame, weights in the face, normal, residual, weight, where to walk from.
 
-    ``squared`` is how far a sample is from what the search found, partner or not; zero where it found nothing.
+    ``squared`` is how far a sample is from where its walk ended, partner or not; zero where it ended nowhere. The
+    nearest point may be on another side.
     """
 
     face: wp.array[wp.int32]  # -1: no pair
@@ -108,26 +108,11 @@ def starts(start: wp.array[wp.int32], v: wp.vec3i) -> wp.vec3i:
     return wp.vec3i(start[v[0]], start[v[1]], start[v[2]])
 
 
-@wp.func
-def nearest_squared(
-    s: Surface, t: wp.int32, mesh: wp.uint64, far: wp.float32, x: wp.vec3, hit: Hit, squared: wp.float32
-) -> wp.float32:
-    """Squared distance of ``x`` from a surface: that of the hit, searched again where that is further than ``far``.
-
-    The nearest point may be on another side, and no partner.
-    """
-    if mesh == wp.uint64(0) or squared <= far * far:
-        return squared
-    found = search_nearer(mesh, x, hit)
-    return wp.min(squared, wp.length_sq(x - surface_point(s, t, found.face, found.barycentric)))
-
-
 @wp.kernel
 def match_input_samples(
     # in
     turns: Turns,
     reach: wp.float32,
-    far: wp.float32,
     source: Surface,
     target: Surface,
     start_in: wp.array[wp.int32],
@@ -179,7 +164,7 @@ def match_input_samples(
         n = wp.normalize(face_cross(target, t, hit.face))
         offset = x - surface_point(target, t, hit.face, hit.barycentric)
     pairs.near[pair] = hit.face
-    pairs.squared[pair] = nearest_squared(target, t, mesh, far, x, hit, wp.length_sq(offset))
+    pairs.squared[pair] = wp.length_sq(offset)
     if are_partners(offset, reach, n, wp.normalize(normal)):
         pairs.face[pair] = hit.face
         pairs.key[pair] = t
@@ -194,7 +179,6 @@ def match_output_samples(
     # in
     turns: Turns,
     reach: wp.float32,
-    far: wp.float32,
     source: Surface,
     target: Surface,
     start_in: wp.array[wp.int32],
@@ -232,7 +216,7 @@ def match_output_samples(
         n = wp.normalize(face_cross(source, t, hit.face))
         offset = surface_point(source, t, hit.face, hit.barycentric) - x
     pairs.near[pair] = hit.face
-    pairs.squared[pair] = nearest_squared(source, t, mesh, far, x, hit, wp.length_sq(offset))
+    pairs.squared[pair] = wp.length_sq(offset)
     pairs.face[pair] = face
     pairs.key[pair] = t
     pairs.barycentric[pair] = barycentric
@@ -251,24 +235,23 @@ def measure_vertex_distances(
     # in
     first_output: wp.int32,
     t: wp.int32,
-    far: wp.float32,
     source: Surface,
     target: Surface,
     start_in: wp.array[wp.int32],
-    mesh: wp.uint64,
-    # in and out
-    squared: wp.array[wp.float32],
+    # out
+    squared_out: wp.array[wp.float32],
 ):
-    """Raise the squared distance of each output vertex from the input to that in one key frame.
+    """How far each output vertex is in a key frame from where a walk to the input ends, squared; zero for nowhere.
 
     A vertex that sticks out is further away than any sample of its faces.
     """
     v = first_output + wp.tid()
     x = target.points[t, v]
     hit = closest_hit(source, t, wp.vec3i(start_in[v], -1, -1), -1, x)
+    squared = wp.float32(0.0)
     if hit.face >= 0:
-        offset = surface_point(source, t, hit.face, hit.barycentric) - x
-        squared[v] = wp.max(squared[v], nearest_squared(source, t, mesh, far, x, hit, wp.length_sq(offset)))
+        squared = wp.length_sq(surface_point(source, t, hit.face, hit.barycentric) - x)
+    squared_out[v] = squared
 
 
 @wp.func

@@ -1,11 +1,15 @@
 """Vertices far from the faces around, in many frames at once, against the closest points of trimesh."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
+import warp as wp
 
+import warpqem.runtime.device
 from tests.support import meshes
-from warpqem.measure.far_points import FacesAround, far_points, longest_edges
+from warpqem.measure.far_points import FacesAround, PointsAndFaces, far_points, furthest_from, longest_edges
 from warpqem.measure.unit_frames import ChangingBlock, UnitBlock, UnitFrames
 
 FACES = meshes.grid(6, 6)[1]
@@ -45,6 +49,33 @@ def test_a_vertex_is_far_where_it_is_beyond_the_limit_of_two_rings_in_a_frame(fr
     far = far_points(reference, test, FacesAround(FACES, VERTEX_COUNT), vertex, vertex, limit, device)
     clear = np.abs(largest - limit) > 1e-5
     assert np.array_equal(np.isin(vertex, far)[clear], (largest > limit)[clear])
+
+
+def test_distances_are_the_same_however_many_threads_have_the_frames_of_a_point(device, monkeypatch):
+    *_, reference, test = blocks(np.random.default_rng(0), 21, device)
+    around, vertex = FacesAround(FACES, VERTEX_COUNT), np.arange(5)
+    given = PointsAndFaces.at(reference, test, around, vertex, vertex, (around.start, around.face))
+    name = "cpu" if wp.get_device(device).is_cpu else "cuda"
+    found = []
+    for threads in (1, 10, 25, 1000):
+        traits = replace(warpqem.runtime.device._TRAITS[name], launch_threads=threads)
+        monkeypatch.setitem(warpqem.runtime.device._TRAITS, name, traits)
+        found.append(furthest_from([given], len(vertex), 1e-3, device))
+    assert found[0].min() > 1e-3
+    for other in found[1:]:
+        np.testing.assert_array_equal(other, found[0])
+
+
+def test_points_that_come_one_after_another_are_measured_as_at_once(device):
+    *_, reference, test = blocks(np.random.default_rng(0), 3, device)
+    around, vertex = FacesAround(FACES, VERTEX_COUNT), np.arange(VERTEX_COUNT)
+    lists = around.start, around.face
+    whole, *parts = (
+        PointsAndFaces.at(reference, test, around, some, some, lists)
+        for some in (vertex, vertex[:9], vertex[9:9], vertex[9:])
+    )
+    found = [furthest_from(given, VERTEX_COUNT, 1e-3, device) for given in ([whole], parts)]
+    np.testing.assert_array_equal(*found)
 
 
 def test_faces_around_a_vertex_are_those_with_a_corner_there():

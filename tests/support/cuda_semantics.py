@@ -89,10 +89,11 @@ class AllocationInLoopError(RuntimeError):
 
 @dataclass
 class Traffic:
-    """What passes between the host and the device: times that the host waits, values that it reads, graphs launched."""
+    """What passes between the host and the device: times that the host waits, what it reads, graphs launched."""
 
     readbacks: int = 0
     values_read: int = 0
+    bytes_read: int = 0
     graph_launches: int = 0
 
 
@@ -157,6 +158,7 @@ def _copy_arrays() -> None:
             raise RuntimeError("numpy() while a graph is captured: a GPU cannot synchronise then")
         _traffic.readbacks += 1
         _traffic.values_read += self.size
+        _traffic.bytes_read += self.size * wp.types.type_size_in_bytes(self.dtype)
         return np.array(numpy(self), copy=True)
 
     def made(self: wp.array, data: object = None, *args: object, **kwargs: object) -> None:

@@ -17,7 +17,7 @@ from warpqem.decimation.decimate import DecimatedMesh
 from warpqem.decimation.faces_left import faces_left
 from warpqem.decimation.forest_cut import CollapseForest, Cut, last_collapses
 from warpqem.decimation.memoryless_quadrics import MemorylessQuadrics
-from warpqem.decimation.replay import put_rows
+from warpqem.decimation.replay import copy_rows, put_rows
 
 __all__ = ["ClusterStates"]
 
@@ -74,9 +74,13 @@ class ClusterStates:
             drops=drops,
         )
 
-    def move(self, vertex: np.ndarray, position: np.ndarray, level: DecimatedMesh) -> None:
-        """Put some kept vertices (n,) of a level elsewhere, (n, B, 3, width), with the quadrics of the faces there."""
-        put_rows(self._position, self._ordered.row[vertex], position)
+    def move(self, vertex: np.ndarray, position: wp.array, level: DecimatedMesh) -> None:
+        """Put some kept vertices (n,) of a level elsewhere, (n, B) points, with the quadrics of the faces there."""
+        device = self._position.device
+        every, row = (
+            wp.array(a, dtype=wp.int32, device=device) for a in (np.arange(len(vertex)), self._ordered.row[vertex])
+        )
+        copy_rows(position, every, self._position, row)
         self._renew(vertex, level.root, level.face_map)
 
     def made(self, vertex: np.ndarray) -> np.ndarray:
@@ -87,15 +91,15 @@ class ClusterStates:
 
     def _restore(self, vertex: np.ndarray) -> None:
         """Put the state that ordering left back."""
-        row = self._ordered.row[vertex]
-        index = wp.array(row, dtype=wp.int32, device=self._position.device)
-        for array, source in ((self._position, self._ordered.position), (self._quadric, self._ordered.quadric)):
-            put_rows(array, row, read_rows(source, index))
+        row = wp.array(self._ordered.row[vertex], dtype=wp.int32, device=self._position.device)
+        copy_rows(self._ordered.position, row, self._position, row)
+        copy_rows(self._ordered.quadric, row, self._quadric, row)
 
     def _put_input(self, vertex: np.ndarray) -> None:
         """Put input vertices (n,) where they are."""
-        index = wp.array(vertex.astype(np.int32), dtype=wp.int32, device=self._position.device)
-        put_rows(self._position, self._ordered.row[vertex], read_rows(self._ordered.key_position, index))
+        device = self._position.device
+        index, row = (wp.array(a, dtype=wp.int32, device=device) for a in (vertex, self._ordered.row[vertex]))
+        copy_rows(self._ordered.key_position, index, self._position, row)
 
     def _make(self, vertex: np.ndarray, root: np.ndarray, face_map: np.ndarray) -> None:
         """Put some vertices in the middle of their clusters."""

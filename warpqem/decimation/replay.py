@@ -205,3 +205,8 @@ def put_rows(array: wp.array, row: np.ndarray, values: np.ndarray) -> None:
     """Put values into some rows of an array."""
     index = wp.array(row, dtype=wp.int32, device=array.device)
     wp.copy(wp.indexedarray(array, [index]), wp.array(values, dtype=array.dtype, device=array.device))
+
+
+def copy_rows(source: wp.array, chosen: wp.array, target: wp.array, row: wp.array) -> None:
+    """Copy some rows (n,) int32 of an array into some of another one, all on one device."""
+    wp.copy(wp.indexedarray(target, [row]), wp.indexedarray(source, [chosen]))

@@ -17,8 +17,10 @@ from warpqem.runtime.launches import launch
 __all__ = ["BoundsMeter", "DeviceSink", "HeldFrames", "device_blocks", "take_vertices", "to_device"]
 
 
-def to_device(points: np.ndarray, device: str) -> wp.array:
-    """Points (n, V, 3) float32 as an array (n, V) of the device, which may be a view of them."""
+def to_device(points: np.ndarray | wp.array, device: str) -> wp.array:
+    """Points (n, V, 3) float32 as an array (n, V) of the device, or a view of them; or those there already."""
+    if isinstance(points, wp.array):
+        return points
     return wp.array(points, dtype=wp.vec3, device=device, copy=False)
 
 

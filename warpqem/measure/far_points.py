@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import dataclass
+
 import numpy as np
 import numpy.typing as npt
 import warp as wp
@@ -10,9 +13,10 @@ from warpqem.kernels import distance_points as kernels
 from warpqem.kernels.lanes import width_of
 from warpqem.measure.piece_proof import SINGLE_MARGIN
 from warpqem.measure.unit_frames import UnitBlock
+from warpqem.runtime.device import device_traits
 from warpqem.runtime.part_launches import corners_of, launch_in_parts, rows_of
 
-__all__ = ["FacesAround", "far_points", "furthest_from", "longest_edges", "unique_pairs"]
+__all__ = ["FacesAround", "PointsAndFaces", "far_points", "furthest_from", "longest_edges", "unique_pairs"]
 
 # Points, or faces, that are worth a thread: some hundred nanoseconds each.
 MIN_POINTS = 1024
@@ -31,6 +35,13 @@ class FacesAround:
         self.start = np.zeros(vertex_count + 1, dtype=np.int32)
         np.cumsum(np.bincount(self.corner_vertex, minlength=vertex_count), out=self.start[1:])
         self.face = (np.argsort(self.corner_vertex, kind="stable") // 3).astype(np.int32)
+        self._corners: wp.array | None = None
+
+    def corners(self, device: str) -> wp.array:
+        """(3N,) int32 on the device that it is first asked for, the vertex of each corner."""
+        if self._corners is None:
+            self._corners = wp.array(self.corner_vertex, dtype=wp.int32, device=device, copy=False)
+        return self._corners
 
     def of(self, vertex: npt.NDArray[np.integer]) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int64]]:
         """The faces at some vertices, and of which of them (n,) each is, one after another."""
@@ -82,59 +93,99 @@ def far_points(
         Indices into ``point`` (m,).
     """
     limit += SINGLE_MARGIN
-    furthest = furthest_from(own, other, around, point, vertex, (around.start, around.face), limit, device)
+    given = PointsAndFaces.at(own, other, around, point, vertex, (around.start, around.face))
+    furthest = furthest_from([given], len(point), limit, device)
     far = np.flatnonzero(furthest > limit)
     if len(far):
         # The nearest face may be one further on.
         lists = around.second_ring(vertex[far])
-        furthest = furthest_from(own, other, around, point[far], np.arange(len(far)), lists, limit, device)
+        given = PointsAndFaces.at(own, other, around, point[far], np.arange(len(far)), lists)
+        furthest = furthest_from([given], len(far), limit, device)
         far = far[furthest > limit]
     return far
 
 
-def furthest_from(
-    own: UnitBlock,
-    other: UnitBlock,
-    around: FacesAround,
-    point: npt.NDArray[np.integer],
-    row: npt.NDArray[np.integer],
-    lists: tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]],
-    limit: float,
-    device: str,
-) -> npt.NDArray[np.float32]:
-    """How far points are at most, over the frames, from the nearest of some faces.
+@dataclass(frozen=True)
+class PointsAndFaces:
+    """Points, and the faces that may be nearest to each.
 
-    Args:
+    Attributes:
         own: frames of one mesh, or of points.
         other: the same frames of the other mesh.
         around: its faces.
         point: (n,) int, points of ``own``.
-        row: (n,) int, the row of the lists with the faces for each.
-        lists: where each row starts, (R+1,) int32, and faces of ``other``, int32.
+        row: (n,) int, the row of ``clusters`` for each.
+        clusters: where each row starts, (R+1,) int, and clusters, int.
+        lists: where each cluster starts, (C+1,) int32, and faces of ``other``, int32.
+    """
+
+    own: UnitBlock
+    other: UnitBlock
+    around: FacesAround
+    point: npt.NDArray[np.integer]
+    row: npt.NDArray[np.integer]
+    clusters: tuple[npt.NDArray[np.integer], npt.NDArray[np.integer]]
+    lists: tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]
+
+    @classmethod
+    def at(
+        cls,
+        own: UnitBlock,
+        other: UnitBlock,
+        around: FacesAround,
+        point: npt.NDArray[np.integer],
+        cluster: npt.NDArray[np.integer],
+        lists: tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]],
+    ) -> PointsAndFaces:
+        """Points with one cluster (n,) each."""
+        every = np.arange(len(point) + 1)
+        return cls(own, other, around, point, every[:-1], (every, cluster), lists)
+
+
+def furthest_from(given: Iterable[PointsAndFaces], count: int, limit: float, device: str) -> npt.NDArray[np.float32]:
+    """How far points are at most, over the frames, from the nearest of some faces.
+
+    Args:
+        given: points and faces, one after another; each may go when the next one comes.
+        count: points in all.
         limit: points within it in all frames of a block are looked at no closer.
         device: Warp device.
 
     Returns:
-        (n,) float32; of points within the limit anything that is.
+        (count,) float32, brought to the host at once; of points within the limit anything that is.
     """
-    if not len(point):
+    if not count:
         return np.empty(0, dtype=np.float32)
-    furthest = wp.empty(len(point), dtype=wp.float32, device=device)
-    corner_vertex, start, face = (
-        wp.array(values, dtype=wp.int32, device=device, copy=False) for values in (around.corner_vertex, *lists)
+    furthest = wp.zeros(count, dtype=wp.float32, device=device)
+    first = 0
+    for one in given:
+        last = first + len(one.point)
+        if last > first:
+            _measure(one, limit, furthest[first:last], device)
+        first = last
+    found: npt.NDArray[np.float32] = np.sqrt(furthest.numpy())
+    return found
+
+
+def _measure(given: PointsAndFaces, limit: float, furthest: wp.array, device: str) -> None:
+    """Raise the squared distances ``furthest`` (n,), zero before, to those found."""
+    own, other, count = given.own.lanes, given.other.lanes, len(given.point)
+    start, face = (wp.array(values, dtype=wp.int32, device=device, copy=False) for values in given.lists)
+    point, row, cluster_start, cluster = (
+        wp.array(values.astype(np.int32), dtype=wp.int32, device=device, copy=False)
+        for values in (given.point, given.row, *given.clusters)
     )
-    point_device, row_device = (wp.array(a.astype(np.int32), dtype=wp.int32, device=device) for a in (point, row))
-    inputs = [own.lanes, other.lanes, corner_vertex, rows_of(point_device), rows_of(row_device), start, face]
+    inputs = [own, other, given.around.corners(device), rows_of(point), rows_of(row), cluster_start, cluster]
+    # Where points are too few for the device, frames are shared out, too.
+    shares = max(1, min(own.shape[1], device_traits(device).launch_threads // count))
     launch_in_parts(
-        kernels.distances_of_points[width_of(own.lanes)],
-        len(point),
-        [*inputs, limit**2],
+        kernels.distances_of_points[width_of(own)],
+        (count, shares),
+        [*inputs, start, face, limit**2, shares],
         [rows_of(furthest)],
         device=device,
         min_items=MIN_POINTS,
     )
-    found: npt.NDArray[np.float32] = np.sqrt(furthest.numpy())
-    return found
 
 
 def longest_edges(block: UnitBlock, faces: npt.NDArray[np.integer], device: str) -> npt.NDArray[np.float32]:

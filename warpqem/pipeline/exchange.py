@@ -191,7 +191,7 @@ class _Search:
             points = to_device(clip.points(slice(0, clip.frame_count)), device)
             for _ in range(PLACED_TIMES):
                 placed = placer_of(self._whole, level, vertex).place(clip, points)
-                self._states.move(vertex, placed.points.numpy(), level.ordered)
+                self._states.move(vertex, placed.points, level.ordered)
         return level.ordered
 
 

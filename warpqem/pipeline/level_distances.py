@@ -6,11 +6,13 @@ level's faces.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
-from warpqem.measure.far_points import FacesAround, furthest_from, longest_edges, unique_pairs
+from warpqem.measure.far_points import FacesAround, PointsAndFaces, furthest_from, longest_edges, unique_pairs
 from warpqem.measure.unit_frames import UnitBlock, UnitFrames
 from warpqem.pipeline.cut_levels import CutLevel, LevelFrames
 from warpqem.pipeline.prepare import Prepared
@@ -37,19 +39,81 @@ class _Side:
     Attributes:
         block: frames of its points.
         faces: what its faces' corners are.
-        of_cluster: faces at each cluster, in rows.
-        face: the face that each of them is; None where they are the same.
+        lists: where each cluster starts, (V+1,) int32, and its faces, int32.
     """
 
     block: UnitBlock
     faces: FacesAround
-    of_cluster: FacesAround
-    face: np.ndarray | None = None
+    lists: tuple[np.ndarray, np.ndarray]
 
-    def near(self, pair: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-        """The rows, and a face for each, of pairs of a row and a cluster."""
-        found, place = self.of_cluster.of(pair[1])
-        return pair[0][place], found if self.face is None else self.face[found]
+
+@dataclass(frozen=True)
+class _Vertices:
+    """Input vertices (n,), each with the vertex of the level that it went to, and the faces around that."""
+
+    reference: UnitBlock
+    side: _Side
+    vertex: np.ndarray
+    root: np.ndarray
+    points_of_each: ClassVar[int] = 1
+
+    @property
+    def count(self) -> int:
+        """Vertices n."""
+        return len(self.vertex)
+
+    def around(self, chosen: np.ndarray | None) -> Iterator[PointsAndFaces]:
+        """The points and the faces around; with one ring more for those that are ``chosen``, indices (m,)."""
+        point, cluster, lists = self.vertex, self.root, self.side.lists
+        if chosen is not None:
+            lists = self.side.faces.second_ring(cluster[chosen])
+            point, cluster = point[chosen], np.arange(len(chosen))
+        yield PointsAndFaces.at(self.reference, self.side.block, self.side.faces, point, cluster, lists)
+
+
+@dataclass(frozen=True)
+class _Faces:
+    """Faces (m, 3) of ``points`` (n, V, 3), with the clusters (m, 3) at which a side has what may be nearest.
+
+    ``level_around`` has the faces of the level at each of its clusters; ``units`` bring points to unit size.
+    """
+
+    points: np.ndarray
+    faces: np.ndarray
+    clusters: np.ndarray
+    side: _Side
+    level_around: FacesAround
+    units: UnitFrames
+    device: str
+    points_of_each: ClassVar[int] = len(SAMPLES)
+
+    @property
+    def count(self) -> int:
+        """Faces m."""
+        return len(self.faces)
+
+    def around(self, chosen: np.ndarray | None) -> Iterator[PointsAndFaces]:
+        """The points and the faces around; with one ring more for those that are ``chosen``, indices (m,)."""
+        level_faces = self.level_around.corner_vertex.reshape(-1, 3)
+        rows = np.arange(self.count) if chosen is None else chosen
+        for first in range(0, len(rows), FACES_AT_ONCE):
+            part = rows[first : first + FACES_AT_ONCE]
+            cluster = self.clusters[part].ravel()
+            start = np.arange(0, len(cluster) + 1, 3)
+            if chosen is not None:
+                # The nearest face may be at a cluster next to these.
+                face, place = self.level_around.of(cluster)
+                row, cluster = unique_pairs(np.repeat(place // 3, 3), level_faces[face].ravel())
+                start = np.searchsorted(row, np.arange(len(part) + 1))
+            yield self._samples(self.points[:, self.faces[part]], (start, cluster))
+
+    def _samples(self, corner: np.ndarray, clusters: tuple[np.ndarray, np.ndarray]) -> PointsAndFaces:
+        """Points of faces, by their corners (n, m, 3, 3), and the faces at clusters of each: lists."""
+        points = np.einsum("sk,fnkc->fnsc", SAMPLES, corner)
+        samples = UnitBlock(points.reshape(len(points), -1, 3), self.units, self.device)
+        index = np.arange(samples.vertex_count)
+        own = index // len(SAMPLES)
+        return PointsAndFaces(samples, self.side.block, self.side.faces, index, own, clusters, self.side.lists)
 
 
 class LevelDistances:
@@ -94,20 +158,25 @@ class LevelDistances:
         near[ordered.faces[changed]] = True
         is_near, here = near[ordered.root], self._here(level)
         around = FacesAround(ordered.faces, len(ordered.root))
-        side = _Side(self._frames.test, around, around)
+        side = _Side(self._frames.test, around, (around.start, around.face))
         vertex = np.flatnonzero(is_near & here)
-        self._far_vertex[vertex] = self._vertex_distances(level, side, vertex)
-        if moved is None:
-            self.limit = max(self.limit, MIN_SHARE * float(self._far_vertex.max(initial=0.0)))
+        vertices = _Vertices(self._frames.reference, side, vertex, ordered.root[vertex])
         corners = self._mesh.faces[self._large]
         is_large_here = here[corners].all(axis=1)
         self._far_large[~is_large_here] = 0.0
         row = np.flatnonzero(is_near[corners].any(axis=1) & is_large_here)
         clusters = ordered.root[corners[row]]
-        self._far_large[row] = self._sampled(self._points, corners[row], clusters, around, side)
+        large = _Faces(self._points, corners[row], clusters, side, around, self._units, self._device)
         held = self._held_side(level, near)
         faces, face = ordered.faces[changed], ordered.face_map[changed]
-        self._far_face[face] = self._sampled(self._frames.level_points, faces, faces, around, held)
+        own = _Faces(self._frames.level_points, faces, faces, held, around, self._units, self._device)
+        if moved is None:
+            # How far vertices are decides how closely the rest is looked at.
+            (self._far_vertex[vertex],) = self._distances(vertices)
+            self.limit = max(self.limit, MIN_SHARE * float(self._far_vertex.max(initial=0.0)))
+            self._far_large[row], self._far_face[face] = self._distances(large, own)
+        else:
+            self._far_vertex[vertex], self._far_large[row], self._far_face[face] = self._distances(vertices, large, own)
         found = self._far_vertex[here], self._far_large, self._far_face[ordered.face_map]
         return max(self.limit, *(float(part.max(initial=0.0)) for part in found))
 
@@ -138,18 +207,26 @@ class LevelDistances:
         here: np.ndarray = level.is_kept[level.ordered.root] & self._mesh.used
         return here
 
-    def _vertex_distances(self, level: CutLevel, side: _Side, vertex: np.ndarray) -> np.ndarray:
-        """How far input vertices (n,) are from the faces around those that they went to, two rings of them."""
-        root, around = level.ordered.root[vertex], side.faces
-        blocks = self._frames.reference, side.block
-        lists = (around.start, around.face)
-        found = furthest_from(*blocks, around, vertex, root, lists, self.limit, self._device)
-        far = np.flatnonzero(found > self.limit)
-        if len(far):
-            lists = around.second_ring(root[far])
-            row = np.arange(len(far))
-            found[far] = furthest_from(*blocks, around, vertex[far], row, lists, self.limit, self._device)
+    def _distances(self, *looked: _Vertices | _Faces) -> list[np.ndarray]:
+        """How far each is; the device is waited for twice, whatever is looked at."""
+        found = self._found(looked, [None] * len(looked))
+        far = [np.flatnonzero(distance > self.limit) for distance in found]
+        for distance, index, again in zip(found, far, self._found(looked, far), strict=True):
+            distance[index] = again
         return found
+
+    def _found(self, looked: Sequence[_Vertices | _Faces], chosen: Sequence[np.ndarray | None]) -> list[np.ndarray]:
+        """The distances of those that are chosen, None for all, from the faces around them."""
+        counts = [one.count if index is None else len(index) for one, index in zip(looked, chosen, strict=True)]
+        points = [count * one.points_of_each for one, count in zip(looked, counts, strict=True)]
+        given = (
+            around
+            for one, index, count in zip(looked, chosen, counts, strict=True)
+            if count
+            for around in one.around(index)
+        )
+        found = np.split(furthest_from(given, sum(points), self.limit, self._device), np.cumsum(points)[:-1])
+        return [part.reshape(-1, one.points_of_each).max(axis=1) for part, one in zip(found, looked, strict=True)]
 
     def _held_side(self, level: CutLevel, wanted: np.ndarray) -> _Side:
         """The input, by the faces at the members of clusters that are wanted (V,) or next to these."""
@@ -158,48 +235,9 @@ class LevelDistances:
         next_to[ordered.faces[wanted[ordered.faces].any(axis=1)]] = True
         corners = ordered.root[self._mesh.faces]
         face = np.flatnonzero(next_to[corners].any(axis=1))
-        return _Side(self._frames.reference, self._around, FacesAround(corners[face], len(ordered.root)), face)
-
-    def _sampled(
-        self,
-        points: np.ndarray,
-        faces: np.ndarray,
-        clusters: np.ndarray,
-        around: FacesAround,
-        side: _Side,
-    ) -> np.ndarray:
-        """How far points of faces (m, 3) of (n, V, 3) are from what a side has at their clusters (m, 3).
-
-        ``around`` has the faces of the level at each of its clusters.
-        """
-        level_faces = around.corner_vertex.reshape(-1, 3)
-        found = np.empty(len(faces), dtype=np.float32)
-        for first in range(0, len(faces), FACES_AT_ONCE):
-            part = slice(first, first + FACES_AT_ONCE)
-            corner, cluster = points[:, faces[part]], clusters[part]
-            pair = np.repeat(np.arange(len(cluster)), 3), cluster.ravel()
-            found_here = self._from_near(corner, side, pair)
-            far = np.flatnonzero(found_here > self.limit)
-            if len(far):
-                # The nearest face may be at a cluster next to these.
-                face, place = around.of(cluster[far].ravel())
-                pair = unique_pairs(np.repeat(place // 3, 3), level_faces[face].ravel())
-                found_here[far] = self._from_near(corner[:, far], side, pair)
-            found[part] = found_here
-        return found
-
-    def _from_near(self, corner: np.ndarray, side: _Side, pair: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-        """How far points of faces, by their corners (n, m, 3, 3), are from the faces at clusters: pairs, by row."""
-        row, near = side.near(pair)
-        counts = np.bincount(row, minlength=corner.shape[1])
-        start = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
-        points = np.einsum("sk,fnkc->fnsc", SAMPLES, corner)
-        samples = UnitBlock(points.reshape(len(points), -1, 3), self._units, self._device)
-        index = np.arange(samples.vertex_count)
-        lists = start, near.astype(np.int32)
-        of_face = index // len(SAMPLES)
-        found = furthest_from(samples, side.block, side.faces, index, of_face, lists, self.limit, self._device)
-        return found.reshape(-1, len(SAMPLES)).max(axis=1)
+        at_clusters = FacesAround(corners[face], len(ordered.root))
+        lists = at_clusters.start, face[at_clusters.face].astype(np.int32)
+        return _Side(self._frames.reference, self._around, lists)
 
     def clusters_at(self, level: CutLevel, limit: float) -> np.ndarray:
         """(m, 3) int32, three clusters at each place that is further away than a limit."""

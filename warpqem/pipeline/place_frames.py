@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
@@ -12,9 +13,10 @@ from warpqem.frames.device_frames import DeviceSink
 from warpqem.frames.stream import FrameSink, FrameWriter, read_ahead
 from warpqem.mesh.mesh_input import AnimatedMesh
 from warpqem.place.block_placer import PlacedBlocks
-from warpqem.place.frame_store import FrameStore
+from warpqem.place.frame_store import AnyFrameStore, DeviceFrameStore, FrameStore
 from warpqem.place.place import Placer
 from warpqem.refit.fit_surface import fit_corrections
+from warpqem.runtime.device import device_traits
 
 __all__ = ["FinishedFrames", "Placing", "Settling", "place_frames", "place_refitted"]
 
@@ -129,11 +131,7 @@ def place_refitted(
         roughly: see :func:`warpqem.refit.fit_surface.fit_corrections`.
     """
     placer = work.placer
-    store = FrameStore(work.mesh.frame_count, placer.vertex_count, placer.copied_count, on_disk)
-    try:
-        with FrameWriter(store.write, len(work.blocks)) as keep:
-            for frames, placed in work.placed():
-                keep(frames, placed.fetch())
+    with _stored(work, on_disk, settling is None) as store:
         correct = fit_corrections(
             work.mesh, placer, store, key_frames, error, recent_error, work.blocks, placer.device, roughly
         )
@@ -147,6 +145,25 @@ def place_refitted(
                     finish.take(frames, placer.to_blocks(work.mesh, moved), write)
             if settling is None or settling.is_settled():
                 break
+    return finish.finished
+
+
+@contextlib.contextmanager
+def _stored(work: Placing, on_disk: bool, there: bool) -> Iterator[AnyFrameStore]:
+    """All placed frames within, on the device if they may be ``there`` and it has memory of its own."""
+    placer = work.placer
+    shape = work.mesh.frame_count, placer.vertex_count, placer.copied_count
+    if there and not on_disk and device_traits(placer.device).own_memory:
+        there_store = DeviceFrameStore(*shape, placer.device)
+        for frames, placed in work.placed():
+            placed.fill(there_store.room(frames))
+        yield there_store
+        return
+    store = FrameStore(*shape, on_disk)
+    try:
+        with FrameWriter(store.write, len(work.blocks)) as keep:
+            for frames, placed in work.placed():
+                keep(frames, placed.fetch())
+        yield store
     finally:
         store.close()
-    return finish.finished

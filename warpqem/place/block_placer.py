@@ -28,12 +28,13 @@ class PlacedFrames:
     """Some placed frames: ``points`` (n, C, 3) float32, in diagonals, and area-weighted normals of the input there.
 
     A normal (n, C, 3) is the sum over the faces of the vertex's cluster, twice their area long. ``copied`` (n, M, 3)
-    float32 are the input's points, about its origin, at the vertices that are copied from it.
+    float32 are the input's points, about its origin, at the vertices that are copied from it. Those that stay on a
+    device are arrays (n, ...) of points there.
     """
 
-    points: np.ndarray
-    normals: np.ndarray
-    copied: np.ndarray
+    points: np.ndarray | wp.array
+    normals: np.ndarray | wp.array
+    copied: np.ndarray | wp.array
 
     def to_blocks(self, width: int, copied: wp.array) -> PlacedBlocks:
         """All of it on the device, in blocks of so many frames; ``copied`` (M,) are the vertices that are copies."""
@@ -104,14 +105,19 @@ class PlacedBlocks:
 
     def fetch(self) -> PlacedFrames:
         """All of it on the host, with one copy."""
-        frame_count, vertex_count, device = len(self.source), len(self.points), self.points.device
-        rows = wp.empty((frame_count, 2 * vertex_count + len(self.copied)), dtype=wp.vec3, device=device)
+        size = 2 * len(self.points) + len(self.copied)
+        rows = wp.empty((len(self.source), size), dtype=wp.vec3, device=self.points.device)
+        self.fill(rows)
+        return PlacedFrames.from_rows(rows.numpy(), len(self.points))
+
+    def fill(self, rows: wp.array) -> None:
+        """Put all of it into an array (n, 2C + M) of points there."""
+        vertex_count, device = len(self.points), rows.device
         unpack_frames(self.points, rows[:, :vertex_count])
         unpack_frames(self.normals, rows[:, vertex_count : 2 * vertex_count])
         columns = wp.array(2 * vertex_count + np.arange(len(self.copied)), dtype=wp.int32, device=device)
         # Adding a negative zero changes no bit.
         self._copy(wp.vec3d(-0.0, -0.0, -0.0), columns, rows)
-        return PlacedFrames.from_rows(rows.numpy(), vertex_count)
 
     def _copy(self, offset: wp.vec3d, columns: wp.array, out: wp.array) -> None:
         """The copied vertices plus ``offset`` into some columns (M,) of points (n, ...)."""

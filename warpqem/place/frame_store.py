@@ -1,14 +1,15 @@
-"""Placed frames kept between two passes over them, in memory or in a temporary file."""
+"""Placed frames kept between two passes over them, in memory, in a temporary file or on the device."""
 
 from __future__ import annotations
 
 import tempfile
 
 import numpy as np
+import warp as wp
 
 from warpqem.place.block_placer import PlacedFrames
 
-__all__ = ["FrameStore"]
+__all__ = ["AnyFrameStore", "DeviceFrameStore", "FrameStore"]
 
 
 class FrameStore:
@@ -61,3 +62,43 @@ class FrameStore:
         self._rows = self._rows[:0].copy()
         if self._file is not None:
             self._file.close()
+
+
+class DeviceFrameStore:
+    """The same on a device with memory of its own: what is read stays there.
+
+    Args:
+        frame_count: frames F.
+        vertex_count: output vertices C.
+        copied_count: vertices M that are copied from the input.
+        device: Warp device.
+    """
+
+    def __init__(self, frame_count: int, vertex_count: int, copied_count: int, device: str) -> None:
+        self.frame_count, self.vertex_count = frame_count, vertex_count
+        self._rows = wp.empty((frame_count, 2 * vertex_count + copied_count), dtype=wp.vec3, device=device)
+
+    def room(self, frames: slice) -> wp.array:
+        """Where consecutive frames belong, (n, 2C + M) points, see :meth:`PlacedBlocks.fill`."""
+        return self._rows[frames.start : frames.stop]
+
+    def read(self, frames: slice) -> PlacedFrames:
+        """Consecutive frames."""
+        return self._views(self.room(frames))
+
+    def chosen(self, frames: np.ndarray) -> PlacedFrames:
+        """Any frames."""
+        index = wp.array(frames, dtype=wp.int32, device=self._rows.device)
+        return self._views(wp.indexedarray(self._rows, [index]).contiguous())
+
+    def _views(self, rows: wp.array) -> PlacedFrames:
+        count = self.vertex_count
+        # Warp has no empty slices.
+        copied = rows[:, 2 * count :] if rows.shape[1] > 2 * count else self._none(len(rows))
+        return PlacedFrames(rows[:, :count], rows[:, count : 2 * count], copied)
+
+    def _none(self, frame_count: int) -> wp.array:
+        return wp.empty((frame_count, 0), dtype=wp.vec3, device=self._rows.device)
+
+
+AnyFrameStore = FrameStore | DeviceFrameStore

@@ -9,7 +9,6 @@ every frame were measured too: they gain 2 % more and slide.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -17,17 +16,19 @@ import numpy as np
 import warp as wp
 
 from warpqem.decimation.adjacency import build_adjacency
+from warpqem.frames.device_frames import to_device
 from warpqem.frames.stream import read_ahead
 from warpqem.kernels import material_frame as frame_kernels
 from warpqem.kernels import refit as kernels
+from warpqem.kernels import surface_limits as limit_kernels
 from warpqem.kernels.element_solve import Elements
 from warpqem.mesh.components import lowest_members
 from warpqem.mesh.mesh_input import AnimatedMesh
 from warpqem.place.block_placer import PlacedFrames
-from warpqem.place.frame_store import FrameStore
+from warpqem.place.frame_store import AnyFrameStore
 from warpqem.place.place import Placer
 from warpqem.refit.matching import Matching, make_surface
-from warpqem.refit.solve import solve_elements
+from warpqem.refit.solve import ElementSolver
 from warpqem.runtime.launches import launch
 from warpqem.runtime.part_launches import launch_in_parts, rows_of
 
@@ -61,9 +62,6 @@ SEAM_STIFFNESS = 250.0
 # point got lost. The surfaces themselves are nowhere further apart than about three times that.
 REACH = 4.0
 
-# The largest distance of a component at samples of both surfaces may grow by so much. Nothing, so that it grows by less
-# than 5 % between the samples.
-MAX_GROWTH = 1.0
 # Below this, in diagonals, no distance counts as larger than another: ten times what float32 resolves.
 SMALLEST_DISTANCE = 1e-6
 # Places that come further away are held so often, each time with one more ring of vertices around them.
@@ -87,7 +85,7 @@ MAX_HOLD = 1e6
 def fit_corrections(
     mesh: AnimatedMesh,
     placer: Placer,
-    placed: FrameStore,
+    placed: AnyFrameStore,
     key_frames: np.ndarray,
     error: float,
     recent_error: float,
@@ -117,10 +115,8 @@ def fit_corrections(
     if fit.has_no_area:
         return lambda frames: frames
     reach = REACH * error
-    # Distances decide only whether components come further away; the first pairs need the search in any case.
-    fit.improve(reach, math.inf if roughly else fit.far)
-    if not roughly:
-        fit.take_limits()
+    # The first pairs need the search. Distances decide only whether components come further away.
+    fit.improve(reach, search=True, take_limits=not roughly)
     for _ in range((ROUGH_ROUNDS if roughly else ROUNDS) - 1):
         fit.improve(reach)
     fit.hold_back(placed, blocks)
@@ -152,21 +148,22 @@ class _Refit:
         self,
         mesh: AnimatedMesh,
         placer: Placer,
-        placed: FrameStore,
+        placed: AnyFrameStore,
         key_frames: np.ndarray,
         far: float,
         device: str,
     ) -> None:
-        self._device, self.far = device, far
+        self._device, self._far = device, far
         self._faces = placer.faces
         self._vertex_count = placed.vertex_count
         self._corner_vertex = wp.array(placer.faces.ravel(), dtype=wp.int32, device=device)
         self._adjacency = build_adjacency(self._corner_vertex, self._vertex_count)
         self._rings = self._make_rings(placed.read(slice(0, 1)))
         keys = placed.chosen(key_frames)
-        self._points = wp.array(keys.points, dtype=wp.vec3, device=device)
-        self._normals = wp.array(keys.normals, dtype=wp.vec3, device=device)
+        self._points, self._normals = to_device(keys.points, device), to_device(keys.normals, device)
         self._frames = self._measure_frames(placer.free)
+        self._elements = self._make_elements()
+        self._solver = ElementSolver(self._elements)
         self._scales = _measure_scales(keys.points, placer.faces)
         self._turns = max(1, min(len(key_frames), mesh.frame_count // FRAMES_PER_TURN))
         # Of a pruned component nothing is near to the output.
@@ -194,12 +191,19 @@ class _Refit:
         self._hold = wp.array(self._stiffness, dtype=wp.vec3, device=device)
         self._held = np.ones(self._vertex_count, dtype=np.float32)
         self._correction = wp.zeros(self._vertex_count, dtype=wp.vec3, device=device)
+        # What the surface had when it was paired last.
         self._matched_at = self._correction
         # Of each output face.
         self._component = np.unique(
             lowest_members(self._vertex_count, placer.faces[:, [0, 1, 1, 2]].reshape(-1, 2))[placer.faces[:, 0]],
             return_inverse=True,
         )[1]
+        self._limits = limits = limit_kernels.Limits()
+        limits.component = wp.array(self._component, dtype=wp.int32, device=device)
+        limits.squared = wp.full(
+            int(self._component.max(initial=-1)) + 1, SMALLEST_DISTANCE**2, dtype=wp.float32, device=device
+        )
+        limits.far = wp.zeros(len(self._faces), dtype=wp.int32, device=device)
 
     @property
     def has_no_area(self) -> bool:
@@ -210,8 +214,9 @@ class _Refit:
         rings = frame_kernels.OneRings()
         rings.corner_vertex = self._corner_vertex
         rings.adjacency_start, rings.adjacent_corner = self._adjacency.start, self._adjacency.corner
-        rings.reference = wp.array(first.points[0], dtype=wp.vec3, device=self._device)
-        rings.reference_normal = wp.array(first.normals[0], dtype=wp.vec3, device=self._device)
+        rings.reference, rings.reference_normal = (
+            to_device(values[0], self._device) for values in (first.points, first.normals)
+        )
         return rings
 
     def _measure_frames(self, free: np.ndarray) -> wp.array:
@@ -230,23 +235,32 @@ class _Refit:
         )
         return frames
 
-    def improve(self, reach: float, far: float | None = None) -> None:
-        """One round: pair the surfaces as they lie now, and solve for the corrections; ``far`` as for the pairs.
+    def improve(self, reach: float, search: bool = False, take_limits: bool = False) -> None:
+        """One round: pair the surfaces as they lie now, and solve for the corrections.
 
         A surface without area, such as one that is flattened to a line, stays as it is: it has nothing to fit to.
+
+        Args:
+            reach: points further apart are no pair.
+            search: walks that end at no partner are followed by a search.
+            take_limits: let the distances of each component come to what they are now; this needs the search.
         """
         if not self._scales.area > 0.0:
             return
         self._move(self._points, self._normals, self._moved)
-        self._matching.find(reach, far)
+        self._matching.find(reach, search, limit_kernels.raise_limits if take_limits else None, self._limits)
         self._matched_at = self._correction
-        self._correction = solve_elements(*self._assemble(self._matched_at))
+        self._correction = self._solve()
 
-    def _assemble(self, matched_at: wp.array) -> tuple[Elements, wp.array]:
-        """The normal equations, and their right side at each corner (3N',) vec3.
+    def _make_elements(self) -> Elements:
+        elements = Elements()
+        elements.corner_vertex = self._corner_vertex
+        elements.adjacency_start, elements.adjacent_corner = self._adjacency.start, self._adjacency.corner
+        elements.block = wp.empty((len(self._faces), 9), dtype=wp.mat33, device=self._device)
+        return elements
 
-        ``matched_at`` (C,) vec3 is the correction that the surface had when it was paired.
-        """
+    def _solve(self) -> wp.array:
+        """The corrections (C,) vec3 that the normal equations of the last pairs have."""
         device, face_count = self._device, len(self._faces)
         stiffness = kernels.Stiffness()
         stiffness.tangent, stiffness.normal = TANGENT_STIFFNESS, NORMAL_STIFFNESS
@@ -254,10 +268,6 @@ class _Refit:
         unit = self._vertex_count / (self._scales.area * self._turns)
         stiffness.mass = (1.0 + OUTPUT_SHARE) * self._turns * unit
         edge_weight = EDGE_STIFFNESS / 6.0 / len(self._points)
-        elements = Elements()
-        elements.corner_vertex = self._corner_vertex
-        elements.adjacency_start, elements.adjacent_corner = self._adjacency.start, self._adjacency.corner
-        elements.block = wp.empty((face_count, 9), dtype=wp.mat33, device=device)
         right = wp.empty(3 * face_count, dtype=wp.vec3, device=device)
         launch(
             kernels.assemble_elements,
@@ -273,14 +283,14 @@ class _Refit:
                 stiffness,
                 self._points,
                 self._frames,
-                matched_at,
+                self._matched_at,
                 self._hold,
-                1.0 / self.far**2,
+                1.0 / self._far**2,
             ],
-            outputs=[elements.block, right],
+            outputs=[self._elements.block, right],
             device=device,
         )
-        return elements, right
+        return self._solver.solve(right)
 
     def _move(self, points: wp.array, normals: wp.array, moved: wp.array) -> None:
         launch_in_parts(
@@ -291,7 +301,7 @@ class _Refit:
             device=self._device,
         )
 
-    def hold_back(self, placed: FrameStore, blocks: Sequence[slice]) -> None:
+    def hold_back(self, placed: AnyFrameStore, blocks: Sequence[slice]) -> None:
         """Stiffen vertices that turn a face over in some frame, and at last do not move them.
 
         Likewise those that would go further than an edge is long in the mean: no pair is there, and few faces far off
@@ -301,9 +311,15 @@ class _Refit:
         more than its own share of the fit.
         """
         while True:
-            marked = np.linalg.norm(self._correction.numpy(), axis=1) > self._scales.edge_squared**0.5
-            for _, block in read_ahead(placed.read, blocks):
-                marked |= self._turned_over(block)
+            marks = wp.empty(self._vertex_count, dtype=wp.int32, device=self._device)
+            launch(
+                frame_kernels.mark_long_corrections,
+                dim=self._vertex_count,
+                inputs=[self._correction, self._scales.edge_squared],
+                outputs=[marks],
+                device=self._device,
+            )
+            marked = self._turned_over(placed, blocks, marks)
             if not marked.any():
                 return
             self._stiffen(marked)
@@ -312,17 +328,21 @@ class _Refit:
         """Solve again with more stiffness at some vertices (C,) bool; at those marked before, without moving them."""
         self._held[marked] = np.where(self._held[marked] < HOLD, HOLD * self._held[marked], np.inf)
         self._hold.assign(self._stiffness * np.minimum(self._held, MAX_HOLD)[:, None])
-        solution = solve_elements(*self._assemble(self._matched_at)).numpy()
-        solution[np.isinf(self._held)] = 0.0
-        self._correction = wp.array(solution, dtype=wp.vec3, device=self._device)
+        self._correction = self._solve()
+        self._scale(np.isinf(self._held), 0.0)
 
-    def take_limits(self) -> None:
-        """Let the squared distances of each component come to what those are that were found last."""
-        squared, face = self._matching.distances()
-        limits = np.full(int(self._component.max(initial=-1)) + 1, SMALLEST_DISTANCE**2, dtype=np.float32)
-        found = face >= 0
-        np.maximum.at(limits, self._component[face[found]], squared[found])
-        self._limits = MAX_GROWTH**2 * limits
+    def _scale(self, marked: np.ndarray, share: float) -> None:
+        """Let some vertices (C,) bool go a share of their way."""
+        if marked.any():
+            factor = np.where(marked, np.float32(share), np.float32(1.0))
+            factors = wp.array(factor, dtype=wp.float32, device=self._device)
+            launch(
+                frame_kernels.scale_corrections,
+                dim=self._vertex_count,
+                inputs=[factors],
+                outputs=[self._correction],
+                device=self._device,
+            )
 
     def hold_far_places(self, reach: float, rings: int) -> bool:
         """Stiffen places that have come further away than any of their component was as placed: whether there are some.
@@ -349,54 +369,53 @@ class _Refit:
         self._shrink(self._component[far], share)
         return len(far) > 0
 
-    def leave_turned_components(self, placed: FrameStore, blocks: Sequence[slice]) -> None:
+    def leave_turned_components(self, placed: AnyFrameStore, blocks: Sequence[slice]) -> None:
         """Leave components as placed in which part of the way turns a face over that the whole way does not."""
-        marked = np.zeros(self._vertex_count, dtype=bool)
-        for _, block in read_ahead(placed.read, blocks):
-            marked |= self._turned_over(block)
+        marks = wp.zeros(self._vertex_count, dtype=wp.int32, device=self._device)
+        marked = self._turned_over(placed, blocks, marks)
         self._shrink(self._component[marked[self._faces].any(axis=1)], 0.0)
 
     def _shrink(self, components: np.ndarray, share: float) -> None:
         """Move some components by a share of what they do."""
         if len(components):
-            correction = self._correction.numpy()
-            correction[np.unique(self._faces[np.isin(self._component, components)])] *= share
-            self._correction = wp.array(correction, dtype=wp.vec3, device=self._device)
+            marked = np.zeros(self._vertex_count, dtype=bool)
+            marked[self._faces[np.isin(self._component, components)]] = True
+            self._scale(marked, share)
 
     def _far_faces(self, reach: float) -> np.ndarray:
         """Output faces at places that are further away than any of their component was as placed."""
         self._move(self._points, self._normals, self._moved)
-        self._matching.find(reach, self.far)
-        squared, face = self._matching.distances()
-        found = np.flatnonzero(face >= 0)
-        return np.unique(face[found[squared[found] > self._limits[self._component[face[found]]]]])
+        self._limits.far.zero_()
+        self._matching.find(reach, True, limit_kernels.mark_far_faces, self._limits)
+        return np.flatnonzero(self._limits.far.numpy())
 
     def apply(self, placed: PlacedFrames) -> PlacedFrames:
         """Some frames, moved."""
-        points, normals = (wp.array(a, dtype=wp.vec3, device=self._device) for a in (placed.points, placed.normals))
+        points, normals = to_device(placed.points, self._device), to_device(placed.normals, self._device)
         moved = wp.empty_like(points)
         self._move(points, normals, moved)
-        return replace(placed, points=moved.numpy())
+        return replace(placed, points=moved.numpy() if isinstance(placed.points, np.ndarray) else moved)
 
-    def _turned_over(self, placed: PlacedFrames) -> np.ndarray:
-        """Which vertices (C,) have a part in a face that turns over in some of these frames."""
-        points, normals = (wp.array(a, dtype=wp.vec3, device=self._device) for a in (placed.points, placed.normals))
-        moved = wp.empty_like(points)
-        self._move(points, normals, moved)
-        marked = wp.zeros(self._vertex_count, dtype=wp.int32, device=self._device)
-        launch(
-            frame_kernels.mark_new_flips,
-            dim=(len(points), len(self._faces)),
-            inputs=[points, moved, normals, self._correction, self._corner_vertex],
-            outputs=[marked],
-            device=self._device,
-        )
-        return marked.numpy() != 0
+    def _turned_over(self, placed: AnyFrameStore, blocks: Sequence[slice], marks: wp.array) -> np.ndarray:
+        """Which vertices (C,) are in ``marks`` or have a part in a face that turns over in some frame."""
+        for _, block in read_ahead(placed.read, blocks):
+            points, normals = to_device(block.points, self._device), to_device(block.normals, self._device)
+            moved = wp.empty_like(points)
+            self._move(points, normals, moved)
+            launch(
+                frame_kernels.mark_new_flips,
+                dim=(len(points), len(self._faces)),
+                inputs=[points, moved, normals, self._correction, self._corner_vertex],
+                outputs=[marks],
+                device=self._device,
+            )
+        return marks.numpy() != 0
 
 
-def _measure_scales(points: np.ndarray, faces: np.ndarray) -> _Scales:
+def _measure_scales(points: np.ndarray | wp.array, faces: np.ndarray) -> _Scales:
     # They hardly change from frame to frame: about eight of them tell enough.
-    corner = points[:: max(1, len(points) // 8), faces]
+    some = points[:: max(1, len(points) // 8)]
+    corner = (some if isinstance(some, np.ndarray) else some.contiguous().numpy())[:, faces]
     edge = np.roll(corner, -1, axis=2) - corner
     area = 0.5 * np.linalg.norm(np.cross(edge[:, :, 0], edge[:, :, 1]), axis=2).sum(axis=1)
     return _Scales(float(area.mean()), float((edge.astype(np.float64) ** 2).sum(axis=-1).mean()))

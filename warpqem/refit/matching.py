@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from warpqem.decimation.adjacency import Adjacency
+from warpqem.decimation.adjacency import Adjacency, build_adjacency
 from warpqem.kernels import surface_pairs as kernels
 from warpqem.kernels import surface_walk as walk_kernels
+from warpqem.kernels.surface_limits import Limits, Samples
 from warpqem.kernels.surface_walk import Surface
-from warpqem.place.cluster_rows import group_rows
 from warpqem.runtime.launches import launch
 from warpqem.runtime.part_launches import FIRST_ITEM, PerPart, launch_in_parts
 
@@ -78,7 +78,7 @@ class Matching:
         input_pairs: from points of the input to the output, and those of the borders both ways.
         output_pairs: from points of the output to the input, a fixed number for each face.
         input_start: (N'+1,) int32, first entry of each output face in ``input_order``.
-        input_order: int32, input pairs by output face.
+        input_order: int32, input pairs by output face; what comes after the last one says nothing.
     """
 
     def __init__(
@@ -99,43 +99,42 @@ class Matching:
         self._to_output = wp.array(vertex_map, dtype=wp.int32, device=device)
         self._to_input = wp.array(nearest, dtype=wp.int32, device=device)
         self._hierarchies = _Hierarchy(source), _Hierarchy(target)
-        self._borders = _border_half_edges(source), _border_half_edges(target)
+        self._borders = _border_half_edges(source, target)
         self._sample_count = (len(faces) + len(vertex_map)) * turns
         # Two pairs at each point of a border.
         border_counts = len(self._borders[0]) * INPUT_BORDER_SAMPLES, len(self._borders[1]) * OUTPUT_BORDER_SAMPLES
         self.input_pairs = _empty_pairs(self._sample_count + 2 * turns * sum(border_counts), device)
         self.output_pairs = _empty_pairs(len(OUTPUT_SAMPLES) * len(out_faces) * turns, device)
-        self._vertex_squared = wp.zeros(len(nearest), dtype=wp.float32, device=device)
-        # A face at each output vertex.
-        self._face_of_vertex = np.full(len(nearest), -1, dtype=np.int32)
-        self._face_of_vertex[out_faces.ravel()] = np.repeat(np.arange(len(out_faces), dtype=np.int32), 3)
         self._barycentric = wp.array(OUTPUT_SAMPLES, dtype=wp.vec3, device=device)
+        face_of_vertex = np.full(len(nearest), -1, dtype=np.int32)
+        face_of_vertex[out_faces.ravel()] = np.repeat(np.arange(len(out_faces), dtype=np.int32), 3)
+        self._samples = samples = Samples()
+        samples.source, samples.target, samples.barycentric = source, target, self._barycentric
+        samples.input_pairs, samples.output_pairs = self.input_pairs, self.output_pairs
+        samples.input_count = self._sample_count
+        samples.vertex_squared = wp.empty(len(nearest), dtype=wp.float32, device=device)
+        samples.vertex_face = wp.array(face_of_vertex, dtype=wp.int32, device=device)
 
-    def find(self, reach: float, far: float | None = None) -> None:
+    def find(
+        self, reach: float, search: bool = False, note: wp.Kernel | None = None, limits: Limits | None = None
+    ) -> None:
         """Pair the output as it lies now; points further apart than ``reach`` are no pair.
 
-        With ``far`` a walk that does not end at a partner, or ends further away than that, is followed by a search of
-        the whole surface.
+        With ``search`` a walk that does not end at a partner is followed by a search of the whole surface;
+        ``note``, a kernel of :mod:`warpqem.kernels.surface_limits`, then looks at how far samples are.
         """
         key_count = len(self._target.points)
-        self._vertex_squared.zero_()
-        if far is None:
-            self._find_samples(range(key_count), reach, 0.0, 0, 0)
+        if not search:
+            self._find_samples(range(key_count), reach, 0, 0)
         else:
             for key in range(key_count):
-                source_mesh, target_mesh = self._show(key)
-                self._find_samples(range(key, key + 1), reach, far, source_mesh, target_mesh)
-                inputs = [FIRST_ITEM, key, far, self._source, self._target, self._to_input, source_mesh]
-                count = len(self._vertex_squared)
-                launch_in_parts(
-                    kernels.measure_vertex_distances, count, inputs, [self._vertex_squared], device=self._device
-                )
+                meshes = self._show(key)
+                self._find_samples(range(key, key + 1), reach, *meshes)
+                if note is not None:
+                    self._note(note, key, meshes, limits)
         self._find_borders(reach)
-        face = self.input_pairs.face.numpy()
-        hit = np.flatnonzero(face >= 0)
-        order, start = group_rows(face[hit], self._face_count)
-        self.input_start = wp.array(start, dtype=wp.int32, device=self._device)
-        self.input_order = wp.array(hit[order], dtype=wp.int32, device=self._device)
+        lists = build_adjacency(self.input_pairs.face, self._face_count)
+        self.input_start, self.input_order = lists.start, lists.corner
 
     def _show(self, key: int) -> tuple[int, int]:
         """Hierarchies of both surfaces in a key frame."""
@@ -143,31 +142,22 @@ class Matching:
             hierarchy.show(surface, key)
         return self._hierarchies[0].id, self._hierarchies[1].id
 
-    def distances(self) -> tuple[np.ndarray, np.ndarray]:
-        """How far samples were from the other surface when they were paired last, with ``far``, and where.
+    def _note(self, kernel: wp.Kernel, key: int, meshes: tuple[int, int], limits: Limits | None) -> None:
+        """Look at how far samples are in a key frame."""
+        samples, vertex_squared = self._samples, self._samples.vertex_squared
+        inputs = [FIRST_ITEM, key, self._source, self._target, self._to_input]
+        kernel_of_vertices = kernels.measure_vertex_distances
+        launch_in_parts(kernel_of_vertices, len(vertex_squared), inputs, [vertex_squared], device=self._device)
+        samples.source_mesh, samples.target_mesh = meshes
+        samples.input_turns = self._turns_of(range(key, key + 1), self._sample_count)
+        samples.output_turns = self._turns_of(range(key, key + 1), len(self.output_pairs.face))
+        count = samples.input_turns.per_key + samples.output_turns.per_key + len(vertex_squared)
+        # One thread on a CPU: few samples take more than a look.
+        launch(kernel, count, [samples], [limits], device=self._device)
 
-        Returns:
-            squared: (S,) float32, of the samples of the input, of those of the output and of its vertices; zero where
-                nothing was found.
-            face: (S,) int32, the output face that is nearest to each sample of the input, or has that of the output.
-        """
-        input_count = self._sample_count
-        per_face = len(self.output_pairs.face) // max(self._face_count, 1)
-        squared = (
-            self.input_pairs.squared.numpy()[:input_count],
-            self.output_pairs.squared.numpy(),
-            self._vertex_squared.numpy(),
-        )
-        face = (
-            self.input_pairs.near.numpy()[:input_count],
-            np.repeat(np.arange(self._face_count, dtype=np.int32), per_face),
-            self._face_of_vertex,
-        )
-        return np.concatenate(squared), np.concatenate(face)
-
-    def _find_samples(self, keys: range, reach: float, far: float, source_mesh: int, target_mesh: int) -> None:
+    def _find_samples(self, keys: range, reach: float, source_mesh: int, target_mesh: int) -> None:
         """Pair the samples of both surfaces in some key frames; hierarchies of these are 0 for none."""
-        surfaces = [reach, far, self._source, self._target]
+        surfaces = [reach, self._source, self._target]
         inputs = [*surfaces, self._to_output, target_mesh]
         self._launch(kernels.match_input_samples, keys, self._sample_count, inputs, self.input_pairs)
         inputs = [*surfaces, self._to_input, source_mesh, self._barycentric]
@@ -190,17 +180,21 @@ class Matching:
         self, kernel: wp.Kernel, keys: range, pair_count: int, inputs: list[object], pairs: kernels.Pairs
     ) -> None:
         """Find those of ``pair_count`` pairs whose turn it is in some key frames."""
-        key_count = len(self._source.points)
-        # As many as the first frame has; the kernel leaves out those past the end.
-        per_key = -(-pair_count // (key_count * self._turns)) * self._turns
+        whole = self._turns_of(keys, pair_count)
 
         def turns(part: slice) -> kernels.Turns:
-            own = kernels.Turns()
-            own.first, own.count, own.key, own.key_count = part.start, self._turns, keys.start, key_count
-            own.per_key = per_key
-            return own
+            return self._turns_of(keys, pair_count, part.start)
 
-        launch_in_parts(kernel, len(keys) * per_key, [PerPart(turns), *inputs], [pairs], device=self._device)
+        launch_in_parts(kernel, len(keys) * whole.per_key, [PerPart(turns), *inputs], [pairs], device=self._device)
+
+    def _turns_of(self, keys: range, pair_count: int, first: int = 0) -> kernels.Turns:
+        """Which of ``pair_count`` pairs are found in some key frames, from the ``first`` one on."""
+        key_count = len(self._source.points)
+        turns = kernels.Turns()
+        turns.first, turns.count, turns.key, turns.key_count = first, self._turns, keys.start, key_count
+        # As many as the first frame has; the kernel leaves out those past the end.
+        turns.per_key = -(-pair_count // (key_count * self._turns)) * self._turns
+        return turns
 
 
 class _Hierarchy:
@@ -221,15 +215,30 @@ class _Hierarchy:
         self._mesh.refit()
 
 
-def _border_half_edges(surface: Surface) -> wp.array:
-    """(B,) int32."""
-    half_edge = np.flatnonzero(surface.opposite.numpy() < 0)
-    return wp.array(half_edge, dtype=wp.int32, device=surface.opposite.device)
+def _border_half_edges(*surfaces: Surface) -> list[wp.array]:
+    """(B,) int32 of each; their numbers come to the host together."""
+    device = surfaces[0].opposite.device
+    found = wp.zeros(len(surfaces), dtype=wp.int32, device=device)
+    before = []
+    for number, surface in enumerate(surfaces):
+        marks = wp.empty_like(surface.opposite)
+        launch(walk_kernels.mark_border, len(marks), [surface.opposite], [marks], device=device)
+        wp.utils.array_scan(marks, marks, inclusive=True)
+        if len(marks):
+            wp.copy(found, marks, dest_offset=number, src_offset=len(marks) - 1, count=1)
+        before.append(marks)
+    lists = [wp.empty(int(count), dtype=wp.int32, device=device) for count in found.numpy()]
+    for surface, marks, half_edge in zip(surfaces, before, lists, strict=True):
+        if len(half_edge):
+            inputs = [surface.opposite, marks]
+            launch(walk_kernels.list_border, len(marks), inputs, [half_edge], device=device)
+    return lists
 
 
 def _empty_pairs(count: int, device: str) -> kernels.Pairs:
     pairs = kernels.Pairs()
-    pairs.face = wp.empty(count, dtype=wp.int32, device=device)
+    # Lists by face take them in threes.
+    pairs.face = wp.full(-(-count // 3) * 3, -1, dtype=wp.int32, device=device)
     pairs.key = wp.empty(count, dtype=wp.int32, device=device)
     pairs.barycentric = wp.empty(count, dtype=wp.vec3, device=device)
     pairs.normal = wp.empty(count, dtype=wp.vec3, device=device)

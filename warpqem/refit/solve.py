@@ -8,7 +8,7 @@ from warpqem.kernels import element_solve as kernels
 from warpqem.runtime.launches import Recorder, launch
 from warpqem.runtime.loops import DeviceLoop
 
-__all__ = ["solve_elements"]
+__all__ = ["ElementSolver"]
 
 # The iteration stops where the preconditioned residual has fallen to this part of its start: corrections are a small
 # part of an edge, so three digits are plenty.
@@ -16,33 +16,44 @@ TOLERANCE = 1e-3
 MAX_STEPS = 200
 
 
-def solve_elements(elements: kernels.Elements, corner_right: wp.array) -> wp.array:
-    """The solution (C,) vec3.
+class ElementSolver:
+    """Solves systems of the same elements, one after another, on the device: the host waits for none of them.
 
     Args:
-        elements: symmetric positive definite.
-        corner_right: (3N',) vec3, the right side in parts, one for each corner of each face.
+        elements: symmetric positive definite when they are solved; the blocks may change from one time to the next.
     """
-    device = corner_right.device
-    vertex_count = len(elements.adjacency_start) - 1
-    state = kernels.Solve()
-    state.x, state.residual, state.direction, state.image = (
-        wp.empty(vertex_count, dtype=wp.vec3, device=device) for _ in range(4)
-    )
-    state.inverse = wp.empty(vertex_count, dtype=wp.mat33, device=device)
-    state.slice_sum = wp.empty(kernels.SLICES, dtype=wp.float64, device=device)
-    state.scalar = wp.zeros(4, dtype=wp.float64, device=device)
-    state.report = wp.zeros(2, dtype=wp.int32, device=device)
-    launch(kernels.start_solve, vertex_count, [elements, corner_right, state], device=device)
-    launch(kernels.sum_residual, kernels.SLICES, [state], device=device)
-    launch(kernels.begin_steps, 1, [TOLERANCE**2, state], device=device)
-    step = Recorder(str(device))
-    step.launch(kernels.turn_direction, vertex_count, [state])
-    step.launch(kernels.multiply_direction, vertex_count, [elements, state])
-    step.launch(kernels.sum_curvature, kernels.SLICES, [state])
-    step.launch(kernels.close_curvature, 1, [state])
-    step.launch(kernels.step_forward, vertex_count, [state])
-    step.launch(kernels.sum_residual, kernels.SLICES, [state])
-    step.launch(kernels.end_step, 1, [MAX_STEPS, state])
-    DeviceLoop(step, state.report, str(device)).run()
-    return state.x
+
+    def __init__(self, elements: kernels.Elements) -> None:
+        device = elements.block.device
+        self._elements, self._vertex_count = elements, len(elements.adjacency_start) - 1
+        self._state = state = kernels.Solve()
+        state.x, state.residual, state.direction, state.image = (
+            wp.empty(self._vertex_count, dtype=wp.vec3, device=device) for _ in range(4)
+        )
+        state.inverse = wp.empty(self._vertex_count, dtype=wp.mat33, device=device)
+        state.slice_sum = wp.empty(kernels.SLICES, dtype=wp.float64, device=device)
+        state.scalar = wp.zeros(4, dtype=wp.float64, device=device)
+        state.report = wp.zeros(2, dtype=wp.int32, device=device)
+        step = Recorder(str(device))
+        step.launch(kernels.turn_direction, self._vertex_count, [state])
+        step.launch(kernels.multiply_direction, self._vertex_count, [elements, state])
+        step.launch(kernels.sum_curvature, kernels.SLICES, [state])
+        step.launch(kernels.close_curvature, 1, [state])
+        step.launch(kernels.step_forward, self._vertex_count, [state])
+        step.launch(kernels.sum_residual, kernels.SLICES, [state])
+        step.launch(kernels.end_step, 1, [MAX_STEPS, state])
+        # A graph must not end before its work does, so it is kept for all systems.
+        self._loop = DeviceLoop(step, state.report, str(device))
+
+    def solve(self, corner_right: wp.array) -> wp.array:
+        """The solution (C,) vec3 of the elements as they are now.
+
+        Args:
+            corner_right: (3N',) vec3, the right side in parts, one for each corner of each face.
+        """
+        state, device = self._state, corner_right.device
+        launch(kernels.start_solve, self._vertex_count, [self._elements, corner_right, state], device=device)
+        launch(kernels.sum_residual, kernels.SLICES, [state], device=device)
+        launch(kernels.begin_steps, 1, [TOLERANCE**2, state], device=device)
+        self._loop.complete()
+        return wp.clone(state.x)

@@ -63,6 +63,7 @@ ALWAYS = (
 FAST = ("edge_cost",)
 BEST = (
     "surface_pairs",
+    "surface_limits",
     "memoryless_quadric.width_8",
     "refit",
     "element_solve",

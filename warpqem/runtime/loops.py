@@ -38,12 +38,16 @@ class DeviceLoop:
 
     def run(self) -> np.ndarray:
         """All turns; the last report (n,) int32."""
-        if not self._in_turns:
+        self.complete()
+        return np.array(self._report.numpy())
+
+    def complete(self) -> None:
+        """All turns, without a wait for the last one where the device itself ends them."""
+        if self._in_turns:
+            for _ in self.turns():
+                pass
+        else:
             self._run()
-            return np.array(self._report.numpy())
-        for report in self.turns():
-            last = report
-        return last
 
     def turns(self, ahead: int | None = None) -> Iterator[np.ndarray]:
         """Turn after turn, one at least, of a loop made ``in_turns``; the report (n,) int32 after each.
