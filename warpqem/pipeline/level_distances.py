@@ -1,7 +1,7 @@
 """How far a level and the input are from each other in some frames, as faces around show: anew where the level changed.
 
-Looked at are vertices of the input, points of those of its faces that are larger than the level's, and points of the
-level's faces.
+Looked at are vertices of the input, points of those of its faces that are larger than the level's, points of the
+level's faces, and its vertices.
 """
 
 from __future__ import annotations
@@ -116,6 +116,39 @@ class _Faces:
         return PointsAndFaces(samples, self.side.block, self.side.faces, index, own, clusters, self.side.lists)
 
 
+@dataclass(frozen=True)
+class _LevelVertices:
+    """Vertices (n,) of the level, with the faces of the input at their clusters: one that sticks out of the input is
+    further away than any point inside its faces.
+    """
+
+    frames: UnitBlock
+    side: _Side
+    vertex: np.ndarray
+    level_around: FacesAround
+    points_of_each: ClassVar[int] = 1
+
+    @property
+    def count(self) -> int:
+        """Vertices n."""
+        return len(self.vertex)
+
+    def around(self, chosen: np.ndarray | None) -> Iterator[PointsAndFaces]:
+        """The points and the faces around; with one ring more for those that are ``chosen``, indices (m,)."""
+        side = self.side
+        if chosen is None:
+            yield PointsAndFaces.at(self.frames, side.block, side.faces, self.vertex, self.vertex, side.lists)
+            return
+        point, every = self.vertex[chosen], np.arange(len(chosen) + 1)
+        face, place = self.level_around.of(point)
+        row, cluster = unique_pairs(np.repeat(place, 3), self.level_around.corner_vertex.reshape(-1, 3)[face].ravel())
+        clusters = np.searchsorted(row, every), cluster
+        yield PointsAndFaces(self.frames, side.block, side.faces, point, every[:-1], clusters, side.lists)
+
+
+_Looked = _Vertices | _Faces | _LevelVertices
+
+
 class LevelDistances:
     """The distances between the input and the levels of a search.
 
@@ -137,12 +170,13 @@ class LevelDistances:
         self._points, self._frames, self._units, self.limit = points, frames, units, limit
         vertex_count, face_count = points.shape[1], len(work.mesh.faces)
         self._around = FacesAround(work.mesh.faces, vertex_count)
-        # How far each input vertex is, each large input face, and each face of a level, by the input face that it goes
-        # on from.
+        # How far each input vertex is, each large input face, each face of a level, by the input face that it goes on
+        # from, and each of its vertices.
         self._far_vertex = np.zeros(vertex_count, dtype=np.float32)
         self._large = np.empty(0, dtype=np.int64)
         self._far_large = np.empty(0, dtype=np.float32)
         self._far_face = np.zeros(face_count, dtype=np.float32)
+        self._far_kept = np.zeros(vertex_count, dtype=np.float32)
         self._corners = np.full((face_count, 3), -1, dtype=np.int32)
 
     def renew(self, level: CutLevel, moved: np.ndarray | None) -> float:
@@ -170,15 +204,17 @@ class LevelDistances:
         held = self._held_side(level, near)
         faces, face = ordered.faces[changed], ordered.face_map[changed]
         own = _Faces(self._frames.level_points, faces, faces, held, around, self._units, self._device)
+        kept = _LevelVertices(self._frames.test, held, np.unique(faces), around)
         if moved is None:
             # How far vertices are decides how closely the rest is looked at.
             (self._far_vertex[vertex],) = self._distances(vertices)
             self.limit = max(self.limit, MIN_SHARE * float(self._far_vertex.max(initial=0.0)))
-            self._far_large[row], self._far_face[face] = self._distances(large, own)
+            found = self._distances(large, own, kept)
         else:
-            self._far_vertex[vertex], self._far_large[row], self._far_face[face] = self._distances(vertices, large, own)
-        found = self._far_vertex[here], self._far_large, self._far_face[ordered.face_map]
-        return max(self.limit, *(float(part.max(initial=0.0)) for part in found))
+            self._far_vertex[vertex], *found = self._distances(vertices, large, own, kept)
+        self._far_large[row], self._far_face[face], self._far_kept[kept.vertex] = found
+        parts = self._far_vertex[here], self._far_large, self._far_face[ordered.face_map], self._far_kept[level.kept]
+        return max(self.limit, *(float(part.max(initial=0.0)) for part in parts))
 
     def _choose_large(self, level: CutLevel) -> None:
         """The input faces that are larger than those of the first level."""
@@ -207,7 +243,7 @@ class LevelDistances:
         here: np.ndarray = level.is_kept[level.ordered.root] & self._mesh.used
         return here
 
-    def _distances(self, *looked: _Vertices | _Faces) -> list[np.ndarray]:
+    def _distances(self, *looked: _Looked) -> list[np.ndarray]:
         """How far each is; the device is waited for twice, whatever is looked at."""
         found = self._found(looked, [None] * len(looked))
         far = [np.flatnonzero(distance > self.limit) for distance in found]
@@ -215,7 +251,7 @@ class LevelDistances:
             distance[index] = again
         return found
 
-    def _found(self, looked: Sequence[_Vertices | _Faces], chosen: Sequence[np.ndarray | None]) -> list[np.ndarray]:
+    def _found(self, looked: Sequence[_Looked], chosen: Sequence[np.ndarray | None]) -> list[np.ndarray]:
         """The distances of those that are chosen, None for all, from the faces around them."""
         counts = [one.count if index is None else len(index) for one, index in zip(looked, chosen, strict=True)]
         points = [count * one.points_of_each for one, count in zip(looked, counts, strict=True)]
@@ -245,4 +281,5 @@ class LevelDistances:
         face, _ = self._around.of(np.flatnonzero((self._far_vertex > limit) & self._here(level)))
         large = self._large[self._far_large > limit]
         own = level.ordered.faces[self._far_face[level.ordered.face_map] > limit]
-        return np.concatenate([root[faces[face]], root[faces[large]], own])
+        kept = level.kept[self._far_kept[level.kept] > limit]
+        return np.concatenate([root[faces[face]], root[faces[large]], own, np.repeat(kept[:, None], 3, axis=1)])
