@@ -15,6 +15,7 @@ from warpqem.attribute_fit.values import (
     fit_normals,
     fit_smooth_values,
     normal_errors,
+    normal_misfits,
     own_normals,
     split_normals,
 )
@@ -144,7 +145,8 @@ def angle(fit, corners, rows):
 def test_normals_are_nearer_to_the_input_than_transferred_ones(bumps):
     corners = vertex_normals(bumps.points, bumps.faces)[bumps.faces].astype(np.float64)
     start = unit_vectors(bumps.start(corners))
-    found = fit_normals(bumps.layout, corners.reshape(-1, 3), start)
+    missed = normal_misfits(bumps.layout, corners.reshape(-1, 3), start)
+    found = fit_normals(bumps.layout, missed, start)
     np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1.0, atol=1e-12)
     assert angle(bumps, corners, found) < 0.8 * angle(bumps, corners, start)
 
@@ -152,7 +154,8 @@ def test_normals_are_nearer_to_the_input_than_transferred_ones(bumps):
 def test_normals_of_one_direction_are_not_split(bumps):
     up = np.tile([0.0, 0.0, 1.0], (bumps.faces.size, 1))
     start = bumps.start(up.reshape(-1, 3, 3))
-    layout, row = split_normals(bumps.result.faces, bumps.layout, [own_normals(bumps.layout, up, start)])
+    own = own_normals(bumps.layout, normal_misfits(bumps.layout, up, start), start)
+    layout, row = split_normals(bumps.result.faces, bumps.layout, [own])
     assert layout is bumps.layout
     assert len(row) == len(start)
 
@@ -177,7 +180,8 @@ def test_hard_edges_stay_hard():
     points, faces, ridge = roof()
     fit = fitting(points, faces, seams=ridge, ratio=0.4)
     corners = slope_normals(points, faces)
-    found = fit_normals(fit.layout, corners, unit_vectors(fit.start(corners.reshape(-1, 3, 3))))
+    start = unit_vectors(fit.start(corners.reshape(-1, 3, 3)))
+    found = fit_normals(fit.layout, normal_misfits(fit.layout, corners, start), start)
     shown = found[fit.layout.corner_row]
     left = fit.result.points[0][fit.result.faces].mean(axis=1)[:, 0] < 0.5
     expected = np.where(left[:, None], [-1.0, 0.0, 1.0], [1.0, 0.0, 1.0]) / np.sqrt(2.0)
@@ -189,9 +193,10 @@ def test_normals_are_split_where_no_seam_says_so_but_the_input_bends():
     fit = fitting(points, faces, ratio=0.4)
     corners = slope_normals(points, faces)
     start = unit_vectors(fit.start(corners.reshape(-1, 3, 3)))
-    layout, row = split_normals(fit.result.faces, fit.layout, [own_normals(fit.layout, corners, start)])
+    missed = normal_misfits(fit.layout, corners, start)
+    layout, row = split_normals(fit.result.faces, fit.layout, [own_normals(fit.layout, missed, start)])
     assert len(row) > len(np.unique(fit.layout.corner_row))
-    found = fit_normals(layout, corners, start[row])
+    found = fit_normals(layout, missed, start[row])
     np.testing.assert_allclose(np.abs(found[:, 0]), np.sqrt(0.5), atol=0.05)
 
 

@@ -14,7 +14,7 @@ from warpqem.decimation.adjacency import build_adjacency
 from warpqem.kernels import attribute_fit as kernels
 from warpqem.pipeline.result import SimplifiedMesh
 from warpqem.pipeline.surface_transfer import SurfaceTransfer
-from warpqem.refit.matching import OUTPUT_SAMPLES, make_surface
+from warpqem.refit.matching import make_surface
 from warpqem.runtime.device import device_turn
 from warpqem.runtime.part_launches import FIRST_ITEM, launch_in_parts
 
@@ -22,8 +22,11 @@ __all__ = ["SAMPLES", "PartnerSearch", "Partners"]
 
 Floats = npt.NDArray[np.float64]
 
-# Weights (S, 3) of the corners at the samples of a face, all of one weight in the sums.
-SAMPLES = OUTPUT_SAMPLES
+# Weights (S, 3) of the corners at the samples of a face, all of one weight in the sums: the points of the rule of
+# degree 2 (Strang and Fix 1973), by which sums of squares of linear functions are exact. More of them, nearer to edges,
+# meet what lies beyond an edge that went, and draw the values there: with twelve the normals of CesiumMan at 25 % were
+# off by 2.5 degrees instead of 1.9.
+SAMPLES = np.full((3, 3), 1.0 / 6.0) + 0.5 * np.eye(3)
 
 
 @dataclass(frozen=True)
