@@ -9,7 +9,7 @@ from tests.support import meshes
 from tests.support.attribute_fit import fitting
 from warpqem.attribute_fit import solve
 from warpqem.attribute_fit.input_samples import MAX_FACES, find_input_samples
-from warpqem.attribute_fit.partners import SAMPLES, PartnerSearch
+from warpqem.attribute_fit.partners import FEW_FACES, SAMPLES, SAMPLES_OF_FEW, PartnerSearch
 from warpqem.attribute_fit.values import (
     NormalErrors,
     fit_normals,
@@ -84,7 +84,7 @@ def oracle(fit, corner_values, start):
     face, weight = partners.face.numpy(), partners.weight.numpy()
     rows, wanted = [], []
     for f in range(len(row)):
-        for s, barycentric in enumerate(SAMPLES.astype(np.float32).astype(np.float64)):
+        for s, barycentric in enumerate(partners.samples.astype(np.float32).astype(np.float64)):
             line = np.zeros(len(start))
             np.add.at(line, row[f], barycentric)
             misfit = np.zeros(start.shape[1])
@@ -107,12 +107,21 @@ def test_values_are_the_least_squares_over_the_samples(hills):
     np.testing.assert_allclose(found, oracle(hills, corners.reshape(-1, 3, 2), start), atol=1e-5)
 
 
-def test_own_fit_of_a_face_is_that_of_its_samples_alone():
+@pytest.mark.parametrize("samples", [SAMPLES, SAMPLES_OF_FEW])
+def test_own_fit_of_a_face_is_that_of_its_samples_alone(samples):
     rng = np.random.default_rng(2)
-    values = rng.normal(size=(len(SAMPLES), 3))
-    misfit = np.einsum("sk,sc->kc", SAMPLES, values)[None] / len(SAMPLES)
-    expected, *_ = np.linalg.lstsq(SAMPLES, values, rcond=None)
+    values = rng.normal(size=(len(samples), 3))
+    misfit = np.einsum("sk,sc->kc", samples, values)[None] / len(samples)
+    expected, *_ = np.linalg.lstsq(samples, values, rcond=None)
     np.testing.assert_allclose(solve.corner_fits(misfit)[0], expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("ratio", [0.1, 0.5])
+def test_few_faces_have_more_samples_each(ratio):
+    fit = fitting(*terrain(), ratio=ratio)
+    assert fit.layout.partners.face.shape[1] == (12 if len(fit.result.faces) <= FEW_FACES else 3)
+    np.testing.assert_allclose(fit.layout.partners.samples.sum(axis=1), 1.0)
+    assert (fit.layout.partners.samples > 0).all()
 
 
 def test_held_values_stay_and_the_others_are_fitted_around_them(hills):
@@ -242,7 +251,7 @@ def test_samples_of_slivers_find_the_face_that_they_lie_on():
     partner, weight = fit.layout.partners.face.numpy(), fit.layout.partners.weight.numpy()
     assert (partner >= 0).all()
     found = np.einsum("fsk,fskd->fsd", weight, points[faces[partner]])
-    sample = np.einsum("sk,fkd->fsd", SAMPLES, fit.result.points[0][fit.result.faces])
+    sample = np.einsum("sk,fkd->fsd", fit.layout.partners.samples, fit.result.points[0][fit.result.faces])
     np.testing.assert_allclose(found, sample, atol=1e-3)
 
 
@@ -275,7 +284,7 @@ def test_most_samples_find_the_side_beyond_an_edge_of_one_that_faces_away():
     for f, corners in enumerate(fit.result.points[0][fit.result.faces].astype(np.float64)):
         normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
         same = np.flatnonzero(across @ normal > 0.2 * np.linalg.norm(across, axis=1) * np.linalg.norm(normal))
-        query = SAMPLES @ corners
+        query = fit.layout.partners.samples @ corners
         found = np.einsum("sk,skd->sd", weight[f], fit.points[fit.faces[face[f]]])
         nearest = ClosestPointSearch(fit.faces[same], "cpu", "box").closest(fit.points.astype(np.float64), query, 0)
         is_off.append(np.linalg.norm(found - query, axis=1) > nearest.distance + 1e-5)
@@ -298,7 +307,7 @@ def test_errors_of_normals_are_those_of_numpy(hills):
         for s, g in enumerate(row):
             if g >= 0:
                 wanted = unit_vectors(partners.weight.numpy()[f, s] @ values[3 * g : 3 * g + 3])
-                shown = unit_vectors(SAMPLES[s] @ corners[f])
+                shown = unit_vectors(partners.samples[s] @ corners[f])
                 squared += partners.area[f] * ((wanted - shown) ** 2).sum()
                 angle += partners.area[f] * np.arccos(wanted @ shown)
                 area += partners.area[f]
@@ -361,7 +370,7 @@ def test_faces_that_mending_turned_over_have_partners_at_their_own_places():
     partner, weight = fit.layout.partners.face.numpy(), fit.layout.partners.weight.numpy()
     assert (partner >= 0).all()
     found = np.einsum("nsk,nskd->nsd", weight, points[given][partner])
-    own = np.einsum("sk,nkd->nsd", SAMPLES, fit.result.points[0][fit.result.faces])
+    own = np.einsum("sk,nkd->nsd", fit.layout.partners.samples, fit.result.points[0][fit.result.faces])
     np.testing.assert_allclose(found, own, atol=1e-5)
 
 

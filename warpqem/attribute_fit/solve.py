@@ -23,7 +23,8 @@ __all__ = ["corner_fits", "fit_values", "misfits"]
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int32]
 
-# Means over the samples of the squared weight of a corner, and of the product of those of two.
+# Means over the samples of the squared weight of a corner, and of the product of those of two: the same of all rules
+# that are exact to degree 2.
 OWN = float((SAMPLES[:, 0] ** 2).mean())
 OTHER = float((SAMPLES[:, 0] * SAMPLES[:, 1]).mean())
 # Eigenvalues of an element matrix scaled by its diagonal.
