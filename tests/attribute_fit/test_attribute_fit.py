@@ -9,12 +9,13 @@ from tests.support import meshes
 from tests.support.attribute_fit import fitting
 from warpqem.attribute_fit import solve
 from warpqem.attribute_fit.input_samples import MAX_FACES, find_input_samples
-from warpqem.attribute_fit.partners import SAMPLES, PartnerSearch
+from warpqem.attribute_fit.partners import FEW_FACES, SAMPLES, SAMPLES_OF_FEW, PartnerSearch
 from warpqem.attribute_fit.values import (
     NormalErrors,
     fit_normals,
     fit_smooth_values,
     normal_errors,
+    normal_misfits,
     own_normals,
     split_normals,
 )
@@ -83,7 +84,7 @@ def oracle(fit, corner_values, start):
     face, weight = partners.face.numpy(), partners.weight.numpy()
     rows, wanted = [], []
     for f in range(len(row)):
-        for s, barycentric in enumerate(SAMPLES.astype(np.float32).astype(np.float64)):
+        for s, barycentric in enumerate(partners.samples.astype(np.float32).astype(np.float64)):
             line = np.zeros(len(start))
             np.add.at(line, row[f], barycentric)
             misfit = np.zeros(start.shape[1])
@@ -106,12 +107,21 @@ def test_values_are_the_least_squares_over_the_samples(hills):
     np.testing.assert_allclose(found, oracle(hills, corners.reshape(-1, 3, 2), start), atol=1e-5)
 
 
-def test_own_fit_of_a_face_is_that_of_its_samples_alone():
+@pytest.mark.parametrize("samples", [SAMPLES, SAMPLES_OF_FEW])
+def test_own_fit_of_a_face_is_that_of_its_samples_alone(samples):
     rng = np.random.default_rng(2)
-    values = rng.normal(size=(len(SAMPLES), 3))
-    misfit = np.einsum("sk,sc->kc", SAMPLES, values)[None] / len(SAMPLES)
-    expected, *_ = np.linalg.lstsq(SAMPLES, values, rcond=None)
+    values = rng.normal(size=(len(samples), 3))
+    misfit = np.einsum("sk,sc->kc", samples, values)[None] / len(samples)
+    expected, *_ = np.linalg.lstsq(samples, values, rcond=None)
     np.testing.assert_allclose(solve.corner_fits(misfit)[0], expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("ratio", [0.1, 0.5])
+def test_few_faces_have_more_samples_each(ratio):
+    fit = fitting(*terrain(), ratio=ratio)
+    assert fit.layout.partners.face.shape[1] == (12 if len(fit.result.faces) <= FEW_FACES else 3)
+    np.testing.assert_allclose(fit.layout.partners.samples.sum(axis=1), 1.0)
+    assert (fit.layout.partners.samples > 0).all()
 
 
 def test_held_values_stay_and_the_others_are_fitted_around_them(hills):
@@ -144,7 +154,8 @@ def angle(fit, corners, rows):
 def test_normals_are_nearer_to_the_input_than_transferred_ones(bumps):
     corners = vertex_normals(bumps.points, bumps.faces)[bumps.faces].astype(np.float64)
     start = unit_vectors(bumps.start(corners))
-    found = fit_normals(bumps.layout, corners.reshape(-1, 3), start)
+    missed = normal_misfits(bumps.layout, corners.reshape(-1, 3), start)
+    found = fit_normals(bumps.layout, missed, start)
     np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1.0, atol=1e-12)
     assert angle(bumps, corners, found) < 0.8 * angle(bumps, corners, start)
 
@@ -152,7 +163,8 @@ def test_normals_are_nearer_to_the_input_than_transferred_ones(bumps):
 def test_normals_of_one_direction_are_not_split(bumps):
     up = np.tile([0.0, 0.0, 1.0], (bumps.faces.size, 1))
     start = bumps.start(up.reshape(-1, 3, 3))
-    layout, row = split_normals(bumps.result.faces, bumps.layout, [own_normals(bumps.layout, up, start)])
+    own = own_normals(bumps.layout, normal_misfits(bumps.layout, up, start), start)
+    layout, row = split_normals(bumps.result.faces, bumps.layout, [own])
     assert layout is bumps.layout
     assert len(row) == len(start)
 
@@ -177,7 +189,8 @@ def test_hard_edges_stay_hard():
     points, faces, ridge = roof()
     fit = fitting(points, faces, seams=ridge, ratio=0.4)
     corners = slope_normals(points, faces)
-    found = fit_normals(fit.layout, corners, unit_vectors(fit.start(corners.reshape(-1, 3, 3))))
+    start = unit_vectors(fit.start(corners.reshape(-1, 3, 3)))
+    found = fit_normals(fit.layout, normal_misfits(fit.layout, corners, start), start)
     shown = found[fit.layout.corner_row]
     left = fit.result.points[0][fit.result.faces].mean(axis=1)[:, 0] < 0.5
     expected = np.where(left[:, None], [-1.0, 0.0, 1.0], [1.0, 0.0, 1.0]) / np.sqrt(2.0)
@@ -189,9 +202,10 @@ def test_normals_are_split_where_no_seam_says_so_but_the_input_bends():
     fit = fitting(points, faces, ratio=0.4)
     corners = slope_normals(points, faces)
     start = unit_vectors(fit.start(corners.reshape(-1, 3, 3)))
-    layout, row = split_normals(fit.result.faces, fit.layout, [own_normals(fit.layout, corners, start)])
+    missed = normal_misfits(fit.layout, corners, start)
+    layout, row = split_normals(fit.result.faces, fit.layout, [own_normals(fit.layout, missed, start)])
     assert len(row) > len(np.unique(fit.layout.corner_row))
-    found = fit_normals(layout, corners, start[row])
+    found = fit_normals(layout, missed, start[row])
     np.testing.assert_allclose(np.abs(found[:, 0]), np.sqrt(0.5), atol=0.05)
 
 
@@ -237,7 +251,7 @@ def test_samples_of_slivers_find_the_face_that_they_lie_on():
     partner, weight = fit.layout.partners.face.numpy(), fit.layout.partners.weight.numpy()
     assert (partner >= 0).all()
     found = np.einsum("fsk,fskd->fsd", weight, points[faces[partner]])
-    sample = np.einsum("sk,fkd->fsd", SAMPLES, fit.result.points[0][fit.result.faces])
+    sample = np.einsum("sk,fkd->fsd", fit.layout.partners.samples, fit.result.points[0][fit.result.faces])
     np.testing.assert_allclose(found, sample, atol=1e-3)
 
 
@@ -270,7 +284,7 @@ def test_most_samples_find_the_side_beyond_an_edge_of_one_that_faces_away():
     for f, corners in enumerate(fit.result.points[0][fit.result.faces].astype(np.float64)):
         normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
         same = np.flatnonzero(across @ normal > 0.2 * np.linalg.norm(across, axis=1) * np.linalg.norm(normal))
-        query = SAMPLES @ corners
+        query = fit.layout.partners.samples @ corners
         found = np.einsum("sk,skd->sd", weight[f], fit.points[fit.faces[face[f]]])
         nearest = ClosestPointSearch(fit.faces[same], "cpu", "box").closest(fit.points.astype(np.float64), query, 0)
         is_off.append(np.linalg.norm(found - query, axis=1) > nearest.distance + 1e-5)
@@ -293,7 +307,7 @@ def test_errors_of_normals_are_those_of_numpy(hills):
         for s, g in enumerate(row):
             if g >= 0:
                 wanted = unit_vectors(partners.weight.numpy()[f, s] @ values[3 * g : 3 * g + 3])
-                shown = unit_vectors(SAMPLES[s] @ corners[f])
+                shown = unit_vectors(partners.samples[s] @ corners[f])
                 squared += partners.area[f] * ((wanted - shown) ** 2).sum()
                 angle += partners.area[f] * np.arccos(wanted @ shown)
                 area += partners.area[f]
@@ -356,7 +370,7 @@ def test_faces_that_mending_turned_over_have_partners_at_their_own_places():
     partner, weight = fit.layout.partners.face.numpy(), fit.layout.partners.weight.numpy()
     assert (partner >= 0).all()
     found = np.einsum("nsk,nskd->nsd", weight, points[given][partner])
-    own = np.einsum("sk,nkd->nsd", SAMPLES, fit.result.points[0][fit.result.faces])
+    own = np.einsum("sk,nkd->nsd", fit.layout.partners.samples, fit.result.points[0][fit.result.faces])
     np.testing.assert_allclose(found, own, atol=1e-5)
 
 

@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 from tests.support import meshes
 from tests.support.attribute_fit import fitting
 from warpqem.attribute_fit import texture
-from warpqem.attribute_fit.partners import SAMPLES
 from warpqem.attribute_fit.texture import fit_texture
 from warpqem.attribute_fit.turned_triangles import face_signs, turned_back
 
@@ -86,7 +85,7 @@ def squared_error(fit, corners, found):
     """Mean over the samples that have a partner."""
     partner, weight = fit.layout.partners.face.numpy(), fit.layout.partners.weight.numpy()
     wanted = np.einsum("nsk,nskc->nsc", weight, corners[partner])
-    own = np.einsum("sk,nkc->nsc", SAMPLES, found[fit.layout.corner_row])
+    own = np.einsum("sk,nkc->nsc", fit.layout.partners.samples, found[fit.layout.corner_row])
     return (((wanted - own) ** 2).sum(axis=2) * fit.layout.partners.area[:, None])[partner >= 0].mean()
 
 

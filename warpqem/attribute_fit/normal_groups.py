@@ -16,8 +16,9 @@ __all__ = ["split_corners"]
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int32]
 
-# Cosine of 40 degrees: normals further apart than that are an edge, as on a bevel that became one.
-SPLIT_COSINE = float(np.cos(np.radians(40.0)))
+# Cosine of 30 degrees: normals further apart than that are an edge, as on a bevel that became one. At 20 pictures are
+# nearer to the input once more, by 0.4 dB, for twice as many new vertices.
+SPLIT_COSINE = float(np.cos(np.radians(30.0)))
 
 
 def split_corners(faces: Ints, corner_row: Ints, fits: Iterable[Floats]) -> tuple[Ints, Ints]:

@@ -14,16 +14,31 @@ from warpqem.decimation.adjacency import build_adjacency
 from warpqem.kernels import attribute_fit as kernels
 from warpqem.pipeline.result import SimplifiedMesh
 from warpqem.pipeline.surface_transfer import SurfaceTransfer
-from warpqem.refit.matching import OUTPUT_SAMPLES, make_surface
+from warpqem.refit.matching import make_surface
 from warpqem.runtime.device import device_turn
 from warpqem.runtime.part_launches import FIRST_ITEM, launch_in_parts
 
-__all__ = ["SAMPLES", "PartnerSearch", "Partners"]
+__all__ = ["FEW_FACES", "SAMPLES", "SAMPLES_OF_FEW", "PartnerSearch", "Partners"]
 
 Floats = npt.NDArray[np.float64]
 
-# Weights (S, 3) of the corners at the samples of a face, all of one weight in the sums.
-SAMPLES = OUTPUT_SAMPLES
+# Weights (S, 3) of the corners at the samples of a face, all of one weight in the sums: the points of the rule of
+# degree 2 (Strang and Fix 1973), by which sums of squares of linear functions are exact. More of them, nearer to edges,
+# meet what lies beyond an edge that went, and draw the values there: with twelve the normals of CesiumMan at 25 % were
+# off by 2.5 degrees instead of 1.9.
+SAMPLES = np.full((3, 3), 1.0 / 6.0) + 0.5 * np.eye(3)
+
+
+def _quartered(rule: Floats) -> Floats:
+    """A rule on the four triangles between the corners and the middles of the edges."""
+    corners = np.eye(3)
+    middles = (corners + np.roll(corners, -1, axis=0)) / 2
+    parts = [np.stack([corners[k], middles[k], middles[k - 1]]) for k in range(3)]
+    return np.concatenate([rule @ part for part in [*parts, middles]])
+
+
+# One of a few faces stands for many parts of the input, which three points miss: there are four times as many on each.
+FEW_FACES, SAMPLES_OF_FEW = 100, _quartered(SAMPLES)
 
 
 @dataclass(frozen=True)
@@ -34,18 +49,15 @@ class Partners:
         face: (N', S) int32, face of the input; -1 for none.
         weight: (N', S) vec3, weights of its corners.
         area: (N',) float64, areas of the output faces in the reference pose, parts of the largest.
+        samples: (S, 3) float64, weights of the corners of the output at the samples, in each pose the same ones.
         device: Warp device.
     """
 
     face: wp.array
     weight: wp.array
     area: Floats
+    samples: Floats
     device: str
-
-    @property
-    def samples(self) -> Floats:
-        """Weights (S, 3) of the corners of the output at the samples: those of :data:`SAMPLES` in each pose."""
-        return np.tile(SAMPLES, (self.face.shape[1] // len(SAMPLES), 1))
 
     @classmethod
     def over_poses(cls, poses: Sequence[Partners]) -> Partners:
@@ -60,7 +72,7 @@ class Partners:
                 wp.array(face, dtype=wp.int32, device=first.device),
                 wp.array(weight, dtype=wp.vec3, device=first.device),
             )
-        return cls(*on_device, first.area, first.device)
+        return cls(*on_device, first.area, np.tile(first.samples, (len(poses), 1)), first.device)
 
 
 class PartnerSearch:
@@ -83,6 +95,7 @@ class PartnerSearch:
         device: str,
     ) -> None:
         self._device, self._faces = device, result.faces
+        self._weights = SAMPLES_OF_FEW if len(result.faces) <= FEW_FACES else SAMPLES
         cut = cut_surface(faces, seams, None if result.repair is None else result.repair.sheets)
         self._used, self._vertex = cut.face, cut.vertex
         # Faces of the cut surface by those of the input; each corner starts on one.
@@ -98,7 +111,7 @@ class PartnerSearch:
             self._surface = make_surface(unknown, corner_vertex, build_adjacency(corner_vertex, len(self._vertex)))
             self._start = wp.array(start.ravel(), dtype=wp.int32, device=device)
             self._corner_vertex = wp.array(result.faces.ravel(), dtype=wp.int32, device=device)
-            self._samples = wp.array(SAMPLES, dtype=wp.vec3, device=device)
+            self._samples = wp.array(self._weights, dtype=wp.vec3, device=device)
 
     def find(
         self, points: npt.NDArray[np.floating], placed: npt.NDArray[np.floating], near: Partners | None = None
@@ -110,7 +123,7 @@ class PartnerSearch:
             placed: (V', 3), the output in that pose.
             near: partners in another pose, which the search starts from.
         """
-        device, shape = self._device, (len(self._faces), len(SAMPLES))
+        device, shape = self._device, (len(self._faces), len(self._weights))
         pose, placed = points.astype(np.float64), placed.astype(np.float64)
         # About the pose's middle, and parts of its size, so that single precision does.
         low, high = pose.min(axis=0), pose.max(axis=0)
@@ -144,4 +157,4 @@ class PartnerSearch:
                 weight.assign(np.where(self._turned[found][..., None], of_corner[..., ::-1], of_corner))
         corner = placed[self._faces]
         area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
-        return Partners(partner, weight, area / (area.max(initial=0.0) or 1.0), device)
+        return Partners(partner, weight, area / (area.max(initial=0.0) or 1.0), self._weights, device)

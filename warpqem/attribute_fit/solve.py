@@ -13,8 +13,8 @@ import numpy.typing as npt
 import warp as wp
 
 from warpqem.attribute_fit.partners import SAMPLES, Partners
-from warpqem.decimation.adjacency import build_adjacency
 from warpqem.kernels import attribute_fit as kernels
+from warpqem.place.cluster_rows import group_rows
 from warpqem.runtime.device import device_turn
 from warpqem.runtime.part_launches import FIRST_ITEM, launch_in_parts
 
@@ -23,13 +23,14 @@ __all__ = ["corner_fits", "fit_values", "misfits"]
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int32]
 
-# Means over the samples of the squared weight of a corner, and of the product of those of two.
+# Means over the samples of the squared weight of a corner, and of the product of those of two: the same of all rules
+# that are exact to degree 2.
 OWN = float((SAMPLES[:, 0] ** 2).mean())
 OTHER = float((SAMPLES[:, 0] * SAMPLES[:, 1]).mean())
 # Eigenvalues of an element matrix scaled by its diagonal.
 LOW, HIGH = (OWN - OTHER) / OWN, (OWN + 2 * OTHER) / OWN
-# Each step divides the error by three: this many leave six millionths of it.
-STEPS = 11
+# Each step divides the error by three: this many leave two millionths of it.
+STEPS = 12
 
 
 def misfits(
@@ -87,8 +88,9 @@ def fit_values(partners: Partners, misfit: Floats, corner_row: Ints, free: npt.N
     with device_turn(device):
         unknowns = kernels.Unknowns()
         unknowns.corner = wp.array(corner_row.ravel(), dtype=wp.int32, device=device)
-        adjacency = build_adjacency(unknowns.corner, row_count)
-        unknowns.adjacency_start, unknowns.adjacent_corner = adjacency.start, adjacency.corner
+        corner, first = group_rows(corner_row.ravel(), row_count)
+        unknowns.adjacency_start = wp.array(first, dtype=wp.int32, device=device)
+        unknowns.adjacent_corner = wp.array(corner, dtype=wp.int32, device=device)
         unknowns.area = wp.array(partners.area, dtype=wp.float64, device=device)
         unknowns.free = wp.array(free.astype(np.int32), dtype=wp.int32, device=device)
         unknowns.own, unknowns.other = OWN, OTHER

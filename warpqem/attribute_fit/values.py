@@ -20,6 +20,7 @@ __all__ = [
     "fit_normals",
     "fit_smooth_values",
     "normal_errors",
+    "normal_misfits",
     "own_normals",
     "split_normals",
 ]
@@ -66,9 +67,19 @@ def fit_smooth_values(
     return np.where(free[:, None], fitted, start)
 
 
-def own_normals(layout: ValueLayout, values: Floats, start: Floats) -> Floats:
+def normal_misfits(layout: ValueLayout, values: Floats, start: Floats) -> Floats:
+    """What start normals miss of those of the input, (N', 3, 3), see :func:`warpqem.attribute_fit.solve.misfits`.
+
+    Args:
+        layout: where they stand.
+        values: (E, 3) float64, of the input, of any length.
+        start: (R, 3) float64, unit vectors.
+    """
+    return misfits(layout.partners, layout.corner_element, unit_vectors(values), layout.corner_row, start)
+
+
+def own_normals(layout: ValueLayout, misfit: Floats, start: Floats) -> Floats:
     """Unit normals (N', 3, 3) at the corners of each face that fit its own samples best; arguments of `fit_normals`."""
-    misfit = misfits(layout.partners, layout.corner_element, unit_vectors(values), layout.corner_row, start)
     return unit_vectors(start[layout.corner_row] + corner_fits(misfit))
 
 
@@ -89,15 +100,14 @@ def split_normals(faces: Ints, layout: ValueLayout, own: Iterable[Floats]) -> tu
     return replace(layout, corner_row=group), row
 
 
-def fit_normals(layout: ValueLayout, values: Floats, start: Floats) -> Floats:
+def fit_normals(layout: ValueLayout, misfit: Floats, start: Floats) -> Floats:
     """Unit normals (R, 3) for the output that fit those of the input best.
 
     Args:
-        layout: where they stand.
-        values: (E, 3) float64, of the input, of any length.
+        layout: where they stand; corners that are split go on from the same start, and miss as much.
+        misfit: (N', 3, 3), what the start misses by `normal_misfits`.
         start: (R, 3) float64, unit vectors, which stay where nothing is known of the input.
     """
-    misfit = misfits(layout.partners, layout.corner_element, unit_vectors(values), layout.corner_row, start)
     fitted = start + fit_values(layout.partners, misfit, layout.corner_row, np.ones(len(start), dtype=bool))
     length = np.linalg.norm(fitted, axis=1, keepdims=True)
     return np.where(length > SHORTEST, fitted / np.maximum(length, SHORTEST), start)

@@ -20,7 +20,10 @@ __all__ = [
 
 def group_rows(row: np.ndarray, row_count: int) -> tuple[np.ndarray, np.ndarray]:
     """Order that groups items by row, keeping their order within one, and where each row starts, (R+1,) int32."""
-    order = np.argsort(row, kind="stable")
+    # By 16 bits at a time: NumPy sorts those by their digits, in a tenth of the time.
+    order = np.argsort(row.astype(np.uint16), kind="stable")
+    if row_count > 1 << 16:
+        order = order[np.argsort((row[order] >> 16).astype(np.uint16), kind="stable")]
     start = np.zeros(row_count + 1, dtype=np.int32)
     np.cumsum(np.bincount(row, minlength=row_count), out=start[1:])
     return order, start

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -217,7 +218,8 @@ class AttributeTransfer:
             corner_row: What `corners` gives; None for a value for each output vertex.
             over_frames: True for partners in several of `frames`, False for those in the reference pose.
         """
-        seams = NO_SEAMS if corner_row is None else self.seams.by_name[name]
+        # Nothing is cut along seams that are too many; all else goes by one search.
+        seams = self.seams.by_name[name] if name in self.seams.dense else self._held_seams
         elements = self.topology.triangles if of_points else self.topology.triangle_corners
         found = self._partners_over_frames(seams) if over_frames else self._reference_partners(seams)
         return ValueLayout(found, elements, self.faces if corner_row is None else corner_row)
@@ -235,6 +237,11 @@ class AttributeTransfer:
             return found
         turned = self.turned_faces[found.face][:, None]
         return replace(found, weight=np.where(turned, found.weight[:, ::-1], found.weight))
+
+    @cached_property
+    def _held_seams(self) -> npt.NDArray[np.int32]:
+        """The seams of all attributes, borders of subsets and creases: samples stay on their side of every one."""
+        return self.seams.hold().astype(np.int32)
 
     @property
     def input_faces(self) -> npt.NDArray[np.int32]:

@@ -16,6 +16,7 @@ from warpqem.attribute_fit.values import (
     ValueLayout,
     fit_normals,
     normal_errors,
+    normal_misfits,
     own_normals,
     split_normals,
 )
@@ -107,12 +108,13 @@ class _Shading:
         """The tilts (K, R, 3) of the output's normals in K poses, 0 where there is none; splits `corner_row`."""
         values = [self.of_input(pose.points) for pose in poses]
         starts = [self.of_faces(pose.placed) for pose in poses]
-        own = [own_normals(*given) for given in zip(layouts, values, starts, strict=True)]
+        missed = [normal_misfits(*given) for given in zip(layouts, values, starts, strict=True)]
+        own = (own_normals(*given) for given in zip(layouts, missed, starts, strict=True))
         split, row = split_normals(self._transfer.faces, layouts[0], own)
         self.corner_row = split.corner_row
         tilts = []
-        for layout, value, start, pose in zip(layouts, values, starts, poses, strict=True):
-            fitted = fit_normals(replace(layout, corner_row=self.corner_row), value, start[row])
+        for layout, misfit, start, pose in zip(layouts, missed, starts, poses, strict=True):
+            fitted = fit_normals(replace(layout, corner_row=self.corner_row), misfit, start[row])
             tilts.append(self.frames(pose.shaped).tilt_of(pose.unturned(fitted, self.row_vertex)))
         return np.stack(tilts)
 

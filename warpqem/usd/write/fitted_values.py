@@ -15,6 +15,7 @@ from warpqem.attribute_fit.values import (
     fit_normals,
     fit_smooth_values,
     normal_errors,
+    normal_misfits,
     own_normals,
     split_normals,
 )
@@ -94,13 +95,18 @@ def fit_transferred(
 
         return Samples(list(transferred), fitted), corner_row
     chosen = spread(list(transferred), MAX_SPLIT_SAMPLES)
-    own = (own_normals(layout, _flat(samples[code]), unit_vectors(start(code))) for code in chosen)
+
+    def missed(code: Usd.TimeCode) -> npt.NDArray[np.float64]:
+        return normal_misfits(layout, _flat(samples[code]), unit_vectors(start(code)))
+
+    misfits = {code: missed(code) for code in chosen}
+    own = (own_normals(layout, misfit, unit_vectors(start(code))) for code, misfit in misfits.items())
     split, row = split_normals(transfer.faces, layout, own)
 
-    def fitted_normals(code: Usd.TimeCode) -> npt.NDArray[Any]:
-        return fit_normals(split, _flat(samples[code]), unit_vectors(start(code)[row])).astype(transferred[code].dtype)
+    def fitted_normals(code: Usd.TimeCode, misfit: npt.NDArray[np.float64]) -> npt.NDArray[Any]:
+        return fit_normals(split, misfit, unit_vectors(start(code)[row])).astype(transferred[code].dtype)
 
-    held = {code: fitted_normals(code) for code in chosen}
+    held = {code: fitted_normals(code, misfit) for code, misfit in misfits.items()}
     errors, both_ways = [], replace(layout, input_samples=transfer.input_samples())
     for code, normals in held.items():
         kept = unit_vectors(start(code))[layout.corner_row]
@@ -111,7 +117,7 @@ def fit_transferred(
         return transferred, corner_row
 
     def held_or_fitted(code: Usd.TimeCode) -> npt.NDArray[Any]:
-        return held[code] if code in held else fitted_normals(code)
+        return held[code] if code in held else fitted_normals(code, missed(code))
 
     return Samples(list(transferred), held_or_fitted), corner_row if split is layout else split.corner_row
 
