@@ -137,7 +137,7 @@ _STREAMED: dict[str, tuple[tuple[str, float], ...]] = {
     "count_faces_at_texels": (("output.uv", 1), ("count_out", 1)),
     "dilate": (("normal_in", 1), ("filled_in", 1), ("normal_out", 1), ("filled_out", 1)),
     # A vertex that is not corrected needs no frame.
-    "move_in_material_frame": (("points_in", 1), ("points_out", 1), ("correction_in", 1)),
+    "move_by_corrections": (("points_in", 1), ("points_out", 1), ("correction_in", 1)),
     "mark_border": (("opposite_in", 1), ("is_border_out", 1)),
     # A look at every half-edge; few are listed.
     "list_border": (("opposite_in", 1), ("half_edge_out", 2)),
