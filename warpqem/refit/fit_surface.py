@@ -133,6 +133,23 @@ def fit_corrections(
 
 
 @dataclass(frozen=True)
+class _Equations:
+    """Normal equations, but for how far vertices are held; the arrays take those of one pairing after the other.
+
+    Attributes:
+        elements: their blocks; those on the diagonal are filled in when they are solved.
+        diagonal: (N', 3) mat33, these.
+        share: (N',) float32, of each face by how much its corners are held.
+        right: (3N',) vec3, the right side at each corner.
+    """
+
+    elements: Elements
+    diagonal: wp.array
+    share: wp.array
+    right: wp.array
+
+
+@dataclass(frozen=True)
 class _Scales:
     """Mean sizes over the key frames, in diagonals."""
 
@@ -162,8 +179,8 @@ class _Refit:
         self._all_frames = MaterialFrames(rings, placer.free, placed, blocks, device)
         keys = placed.chosen(key_frames)
         self._keys = self._all_frames.of(keys)
-        self._elements = self._make_elements()
-        self._solver = ElementSolver(self._elements)
+        self._equations = self._make_equations()
+        self._solver = ElementSolver(self._equations.elements)
         self._scales = _measure_scales(keys.points, placer.faces)
         self._turns = max(1, min(len(key_frames), mesh.frame_count // FRAMES_PER_TURN))
         # Of a pruned component nothing is near to the output.
@@ -191,8 +208,6 @@ class _Refit:
         self._hold = wp.array(self._stiffness, dtype=wp.vec3, device=device)
         self._held = np.ones(self._vertex_count, dtype=np.float32)
         self._correction = wp.zeros(self._vertex_count, dtype=wp.vec3, device=device)
-        # What the surface had when it was paired last.
-        self._matched_at = self._correction
         # Of each output face.
         self._component = np.unique(
             lowest_members(self._vertex_count, placer.faces[:, [0, 1, 1, 2]].reshape(-1, 2))[placer.faces[:, 0]],
@@ -233,29 +248,31 @@ class _Refit:
             return
         self._keys.move(self._correction, self._moved)
         self._matching.find(reach, search, limit_kernels.raise_limits if take_limits else None, self._limits)
-        self._matched_at = self._correction
+        self._assemble()
         self._correction = self._solve()
 
-    def _make_elements(self) -> Elements:
-        elements = Elements()
+    def _make_equations(self) -> _Equations:
+        elements, device, face_count = Elements(), self._device, len(self._faces)
         elements.corner_vertex = self._corner_vertex
         elements.adjacency_start, elements.adjacent_corner = self._adjacency.start, self._adjacency.corner
-        elements.block = wp.empty((len(self._faces), 9), dtype=wp.mat33, device=self._device)
-        return elements
+        elements.block = wp.empty((face_count, 9), dtype=wp.mat33, device=device)
+        return _Equations(
+            elements,
+            wp.empty((face_count, 3), dtype=wp.mat33, device=device),
+            wp.empty(face_count, dtype=wp.float32, device=device),
+            wp.empty(3 * face_count, dtype=wp.vec3, device=device),
+        )
 
-    def _solve(self) -> wp.array:
-        """The corrections (C,) vec3 that the normal equations of the last pairs have."""
-        device, face_count = self._device, len(self._faces)
-        stiffness = kernels.Stiffness()
-        stiffness.tangent, stiffness.normal = TANGENT_STIFFNESS, NORMAL_STIFFNESS
+    def _assemble(self) -> None:
+        """Make the normal equations of the last pairs, found on the surface as it is corrected now."""
         # One for a vertex's share of the area.
         unit = self._vertex_count / (self._scales.area * self._turns)
-        stiffness.mass = (1.0 + OUTPUT_SHARE) * self._turns * unit
+        mass = (1.0 + OUTPUT_SHARE) * self._turns * unit
         edge_weight = EDGE_STIFFNESS / 6.0 / len(self._keys.points)
-        right = wp.empty(3 * face_count, dtype=wp.vec3, device=device)
+        equations = self._equations
         launch(
             kernels.assemble_elements,
-            dim=face_count,
+            dim=len(self._faces),
             inputs=[
                 self._corner_vertex,
                 self._matching.input_pairs,
@@ -264,17 +281,28 @@ class _Refit:
                 self._matching.output_pairs,
                 wp.vec3(unit, OUTPUT_SHARE * unit, edge_weight),
                 self._scales.edge_squared,
-                stiffness,
+                mass,
                 self._keys.points,
                 self._keys.frames,
-                self._matched_at,
-                self._hold,
+                self._correction,
                 1.0 / self._far**2,
             ],
-            outputs=[self._elements.block, right],
-            device=device,
+            outputs=[equations.elements.block, equations.diagonal, equations.share, equations.right],
+            device=self._device,
         )
-        return self._solver.solve(right)
+
+    def _solve(self) -> wp.array:
+        """What solves the equations with vertices held as far as they are now: (C,) vec3."""
+        equations = self._equations
+        stiffness = wp.vec3(TANGENT_STIFFNESS, TANGENT_STIFFNESS, NORMAL_STIFFNESS)
+        launch(
+            kernels.hold_elements,
+            dim=len(self._faces),
+            inputs=[self._corner_vertex, equations.diagonal, equations.share, stiffness, self._hold],
+            outputs=[equations.elements.block],
+            device=self._device,
+        )
+        return self._solver.solve(equations.right)
 
     def hold_back(self) -> None:
         """Stiffen vertices that turn a face over in some frame, and at last do not move them.
@@ -327,7 +355,7 @@ class _Refit:
         """
         far = self._far_faces(reach)
         if len(far):
-            self._matched_at = self._correction
+            self._assemble()
             marked = np.zeros(self._vertex_count, dtype=bool)
             marked[self._faces[far].ravel()] = True
             for _ in range(rings):
