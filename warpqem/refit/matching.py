@@ -10,6 +10,7 @@ from warpqem.kernels import surface_pairs as kernels
 from warpqem.kernels import surface_walk as walk_kernels
 from warpqem.kernels.surface_limits import Limits, Samples
 from warpqem.kernels.surface_walk import Surface
+from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import launch
 from warpqem.runtime.part_launches import FIRST_ITEM, PerPart, launch_in_parts
 
@@ -49,7 +50,9 @@ def make_surface(points: wp.array, corner_vertex: wp.array, adjacency: Adjacency
     surface.corner_vertex = corner_vertex
     surface.adjacency_start, surface.adjacent_corner = adjacency.start, adjacency.corner
     surface.opposite = wp.empty_like(corner_vertex)
-    surface.border_out, surface.border_in = (wp.full(vertex_count, -1, dtype=wp.int32, device=device) for _ in range(2))
+    surface.border_out, surface.border_in = (
+        wp.full(vertex_count, -1, dtype=wp.int32, device=device) for _ in range(2)
+    )
     launch(
         walk_kernels.link_half_edges,
         dim=len(corner_vertex),
@@ -194,6 +197,7 @@ class Matching:
         turns.first, turns.count, turns.key, turns.key_count = first, self._turns, keys.start, key_count
         # As many as the first frame has; the kernel leaves out those past the end.
         turns.per_key = -(-pair_count // (key_count * self._turns)) * self._turns
+        turns.prefetches = int(device_traits(self._device).in_order)
         return turns
 
 
