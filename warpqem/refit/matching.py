@@ -50,9 +50,7 @@ def make_surface(points: wp.array, corner_vertex: wp.array, adjacency: Adjacency
     surface.corner_vertex = corner_vertex
     surface.adjacency_start, surface.adjacent_corner = adjacency.start, adjacency.corner
     surface.opposite = wp.empty_like(corner_vertex)
-    surface.border_out, surface.border_in = (
-        wp.full(vertex_count, -1, dtype=wp.int32, device=device) for _ in range(2)
-    )
+    surface.border_out, surface.border_in = (wp.full(vertex_count, -1, dtype=wp.int32, device=device) for _ in range(2))
     launch(
         walk_kernels.link_half_edges,
         dim=len(corner_vertex),
