@@ -63,6 +63,9 @@ ORDER_EPSILON = 0.05
 # cells have as small a largest distance and 0.4 % more RMS.
 SPARE, MIN_SPARE = 0.05, 8
 
+# How often a mesh is ordered again at most, each time without one component more.
+MAX_REPEATS = 4
+
 
 @dataclass(frozen=True)
 class Prepared:
@@ -111,19 +114,25 @@ class Prepared:
         """Collapse edges down to so many faces, those on the back of others not counted.
 
         Where a component of many faces goes at last, of which collapses could not get rid, the others have been
-        collapsed too far by then. Then the mesh is ordered once more, without it, unless the order is for other counts,
-        too (with a ``recorder``).
+        collapsed too far by then. Then the mesh is ordered again, without it, unless the order is for other counts, too
+        (with a ``recorder``).
         """
         assert self.order_input is not None
         listener = _order_progress(progress, len(self.mesh.faces), face_count)
         settings = replace(self.order_settings, target_faces=face_count)
         ordered = order_collapses(self.order_input, settings, self.device, listener, recorder)
-        gone = ordered.drops.vertices_of_larger(int(MAX_REMNANT_FACES))
-        if recorder is not None or len(ordered.faces) + int(MAX_REMNANT_FACES) > face_count or not gone.any():
-            return ordered
         waits = None if progress is None else lambda _: progress(ORDER_END, "order")
-        again = order_collapses(self.order_input, settings, self.device, waits, gone=gone)
-        return again if again.stopped == "target" else ordered
+        gone = np.zeros(self.mesh.vertex_count, dtype=bool)
+        for _ in range(0 if recorder is not None else MAX_REPEATS):
+            largest = ordered.drops.vertices_of_largest(int(MAX_REMNANT_FACES))
+            if len(ordered.faces) + int(MAX_REMNANT_FACES) > face_count or not largest.any():
+                break
+            gone |= largest
+            again = order_collapses(self.order_input, settings, self.device, waits, gone=gone)
+            if again.stopped != "target":
+                break
+            ordered = again
+        return ordered
 
     def placer(self, ordered: DecimatedMesh, *, refit: bool = False) -> Placer:
         """What places the vertices that decimation left, to be refitted or not."""
