@@ -22,7 +22,6 @@ from warpqem.frames.blocks import BLOCK_BYTES, block_width, chunk_frames
 from warpqem.kernels.lanes import WIDE
 from warpqem.pipeline.key_frames import MAX_LOOKED_FRAMES, pose_bytes
 from warpqem.refit.material_frames import FRAME_BYTES
-from warpqem.refit.material_frames import KEPT_BYTES as KEPT_FRAMES
 from warpqem.runtime.device import device_traits, resolve_device
 
 __all__ = [
@@ -330,7 +329,6 @@ def _place(needs: MemoryNeeds, device: str) -> tuple[int, int]:
         refit = REFIT_KEY * needs.key_frames * needs.vertex_count
         refit += REFIT_FACE * needs.face_count + REFIT_VERTEX * needs.vertex_count
         fixed += refit + REFIT_OUTPUT * needs.output_vertices
-        fixed += min(FRAME_BYTES * needs.frame_count * needs.output_vertices, KEPT_FRAMES)
         per_frame += FRAME_BYTES * needs.output_vertices
     if needs.exchanges:
         looked = min(MAX_LOOKED_FRAMES, needs.frame_count)

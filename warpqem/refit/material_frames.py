@@ -15,12 +15,10 @@ from warpqem.place.block_placer import PlacedFrames
 from warpqem.place.frame_store import AnyFrameStore
 from warpqem.runtime.part_launches import launch_in_parts, rows_of
 
-__all__ = ["FRAME_BYTES", "KEPT_BYTES", "MaterialBlock", "MaterialFrames"]
+__all__ = ["FRAME_BYTES", "MaterialBlock", "MaterialFrames"]
 
 # A vertex in a frame: point, normal, material frame.
 FRAME_BYTES = 12 + 12 + 36
-# All frames are kept where they take no more: a fit looks through them some ten times.
-KEPT_BYTES = 16 * 2**20
 
 
 @dataclass(frozen=True)
@@ -65,7 +63,7 @@ class MaterialBlock:
 
 
 class MaterialFrames:
-    """The frames of a mesh, kept on the device where they are small.
+    """The frames of a mesh, kept on the device where they are one block: a fit looks through them some ten times.
 
     Args:
         rings: the faces about its vertices, and the pose that material frames start from.
@@ -80,7 +78,7 @@ class MaterialFrames:
     ) -> None:
         self._rings, self._placed, self._blocks, self._device = rings, placed, blocks, device
         self._free = wp.array(free.astype(np.int32), dtype=wp.int32, device=device)
-        self._keeps = FRAME_BYTES * placed.frame_count * placed.vertex_count <= KEPT_BYTES
+        self._keeps = len(blocks) == 1
         self._kept: list[MaterialBlock] = []
 
     def of(self, placed: PlacedFrames) -> MaterialBlock:
