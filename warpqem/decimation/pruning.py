@@ -209,7 +209,7 @@ class Components:
             sizes, small = self._measured(cost_threshold)
         if not len(small):
             return []
-        stays, drops = sizes > 0, []
+        stays, drops, is_due = sizes > 0, [], not np.isinf(cost_threshold)
         left = int(np.count_nonzero(stays))
         remnants = self._remnants(small, sizes)
         waiting = [(*self._loss(remnant, stays), i) for i, remnant in enumerate(remnants)]
@@ -223,7 +223,7 @@ class Components:
                 continue
             if cost > cost_threshold:
                 break
-            is_due, is_small = not np.isinf(cost_threshold), remnant.face_count <= int(MAX_REMNANT_FACES)
+            is_small = remnant.face_count <= int(MAX_REMNANT_FACES)
             # What is larger than the excess would leave the mesh short of faces that edges can still give.
             if remnant.face_count >= excess + int(MAX_REMNANT_FACES) and is_due:
                 continue
@@ -247,6 +247,7 @@ class Components:
         error = float(np.sqrt(lost / area)) if area > NO_AREA else 0.0
         # The more components have gone, the further away is what stays: the loss only grows.
         self._least[remnant.component] = self._least_scale * lost
+        # As warpqem.kernels.components.cost_of_loss has it for the device.
         share = min(1.0, int(MAX_REMNANT_FACES) / remnant.face_count)
         return self._scale * remnant.weight * lost * share, error
 
