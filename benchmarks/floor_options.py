@@ -83,8 +83,10 @@ _STREAMED: dict[str, tuple[tuple[str, float], ...]] = {
         ("cluster_start", 1),
         ("cluster", 1),
         # Lists are of all clusters, of which a launch may need few.
+        ("squared", 1),
         ("furthest", 1),
     ),
+    "points_of_faces": (("position_in", 1), ("corner_vertex_in", 1), ("point_out", 1)),
     "longest_edges": (("position_in", 1), ("corner_vertex_in", 1), ("squared_out", 1)),
     "find_partners": (
         ("source.points", 1),

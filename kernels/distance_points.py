@@ -32,7 +32,7 @@ def distances_of_points(
     cluster: wp.array[wp.int32],
     face_start: wp.array[wp.int32],
     face: wp.array[wp.int32],
-    squared: wp.float32,
+    squared: wp.array[wp.float32],
     shares: wp.int32,
     # in and out
     furthest: wp.array[wp.float32],
@@ -41,8 +41,8 @@ def distances_of_points(
 
     Each of ``shares`` threads of a point has some of the blocks, one after another. The faces are those at the clusters
     of row ``row`` (n,): lists ``face_start`` (C+1,), ``face`` of lists ``cluster_start`` (R+1,), ``cluster``. Once a
-    point is within ``squared`` in all frames of a block, no further faces are looked at there, and the next block
-    begins with the last one: what is near in some frames is near in others.
+    point is within its ``squared`` (n,) in all frames of a block, no further faces are looked at there, and the next
+    block begins with the last one: what is near in some frames is near in others.
     """
     i, share = wp.tid()
     first = cluster_start[row[i]]
@@ -53,6 +53,7 @@ def distances_of_points(
     begin = first
     begin_place = wp.int32(0)
     furthest_of_all = wp.float32(0.0)
+    within = squared[i]
     for block in range(share * own.shape[1] / shares, (share + 1) * own.shape[1] / shares):
         p = own[point[i], block]
         near = 0.0 * p[0]
@@ -62,7 +63,7 @@ def distances_of_points(
         at = begin
         place = begin_place
         looked = wp.int32(0)
-        while looked < count and here > squared:
+        while looked < count and here > within:
             while place >= list_length(cluster, face_start, at):
                 at = wp.where(at + 1 < last, at + 1, first)
                 place = 0
@@ -76,7 +77,7 @@ def distances_of_points(
             for lane in range(len(near)):
                 near[lane] = wp.min(near[lane], found[lane])
             here = wp.max(near)
-            if here > squared:
+            if here > within:
                 found = lane_distance_squared(p - a, ab, ac)
                 for lane in range(len(near)):
                     near[lane] = wp.min(near[lane], found[lane])
@@ -85,6 +86,24 @@ def distances_of_points(
             place += 1
         furthest_of_all = wp.max(furthest_of_all, here)
     wp.atomic_max(furthest, i, furthest_of_all)
+
+
+@lane_kernel(position_in=POINTS_ARRAY, point_out=POINTS_ARRAY)
+def points_of_faces(
+    # in
+    position_in: Any,
+    corner_vertex_in: wp.array[wp.int32],
+    weights_in: wp.array[wp.vec3],
+    # out
+    point_out: Any,
+):
+    """Points of faces, by S weights of their corners (3n,): (n, S B), the blocks of one point after another."""
+    i, sample, block = wp.tid()
+    weights = weights_in[sample]
+    point = weights[0] * position_in[corner_vertex_in[3 * i], block]
+    point += weights[1] * position_in[corner_vertex_in[3 * i + 1], block]
+    place = sample * position_in.shape[1] + block
+    point_out[i, place] = point + weights[2] * position_in[corner_vertex_in[3 * i + 2], block]
 
 
 @lane_kernel(position_in=POINTS_ARRAY)

@@ -42,6 +42,7 @@ class Limits:
 
     component: wp.array[wp.int32]  # (N',) of each output face
     squared: wp.array[wp.float32]  # of each component
+    output_squared: wp.array[wp.float32]  # of each component, by samples on itself alone
     far: wp.array[wp.int32]  # (N',) 1 at output faces with a place that is further away
 
 
@@ -114,7 +115,10 @@ def raise_limits(
     if sample.face >= 0:
         component = limits.component[sample.face]
         if sample.squared > limits.squared[component]:
-            wp.atomic_max(limits.squared, component, nearest_squared(samples, sample))
+            squared = nearest_squared(samples, sample)
+            wp.atomic_max(limits.squared, component, squared)
+            if not sample.is_input:
+                wp.atomic_max(limits.output_squared, component, squared)
 
 
 @wp.kernel

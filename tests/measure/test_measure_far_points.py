@@ -9,7 +9,16 @@ import warp as wp
 
 import warpqem.runtime.device
 from tests.support import meshes
-from warpqem.measure.far_points import FacesAround, PointsAndFaces, far_points, furthest_from, longest_edges
+from warpqem.measure.far_points import FacesAround, PointsAndFaces, furthest_from, longest_edges
+from warpqem.measure.surface_places import (
+    SAMPLES,
+    FacePoints,
+    InputVertices,
+    Side,
+    SimplifiedVertices,
+    furthest_of,
+    input_side,
+)
 from warpqem.measure.unit_frames import ChangingBlock, UnitBlock, UnitFrames
 
 FACES = meshes.grid(6, 6)[1]
@@ -17,12 +26,12 @@ VERTEX_COUNT = 49
 
 
 def blocks(rng, frame_count, device):
-    """Points (F, V, 3) around a wavy grid, that grid, and both as blocks."""
+    """Points (F, V, 3) around a wavy grid, that grid, and both in lanes."""
     other = np.repeat(meshes.grid(6, 6)[0][None], frame_count, axis=0).astype(np.float32)
     other += rng.normal(scale=0.02, size=other.shape).astype(np.float32)
     own = other + rng.normal(scale=0.05, size=other.shape).astype(np.float32)
     units = UnitFrames(np.zeros((frame_count, 3)), np.ones(frame_count))
-    return own, other, UnitBlock(own, units, device), UnitBlock(other, units, device)
+    return own, other, UnitBlock(own, units, device).lanes, UnitBlock(other, units, device).lanes
 
 
 def distances(own, other, faces):
@@ -40,15 +49,56 @@ def second_ring(vertex):
     return FACES[np.isin(FACES, ring).any(axis=1)]
 
 
+def every_place(reference, test, device):
+    """Places of one grid and of another one with the same faces, each vertex of which is a cluster of its own."""
+    around, vertex = FacesAround(FACES, VERTEX_COUNT), np.arange(VERTEX_COUNT)
+    simplified = Side(test, around, (around.start, around.face))
+    given = input_side(reference, around, vertex, np.arange(len(FACES)), VERTEX_COUNT)
+    return {
+        "input vertices": InputVertices(reference, simplified, vertex, vertex),
+        "input faces": FacePoints(reference, FACES, FACES, simplified, around),
+        "faces": FacePoints(test, FACES, FACES, given, around),
+        "vertices": SimplifiedVertices(test, given, vertex, around),
+    }
+
+
+def two_rings(clusters):
+    """The faces around some clusters and around those next to them."""
+    return np.unique(np.concatenate([second_ring(cluster) for cluster in clusters]), axis=0)
+
+
+@pytest.mark.parametrize("name", ["input vertices", "input faces", "faces", "vertices"])
 @pytest.mark.parametrize("frame_count", [1, 3, 21])
-def test_a_vertex_is_far_where_it_is_beyond_the_limit_of_two_rings_in_a_frame(frame_count, device):
+def test_a_place_is_as_far_as_two_rings_of_faces_around_its_clusters_show(frame_count, name, device):
     own, other, reference, test = blocks(np.random.default_rng(frame_count), frame_count, device)
-    vertex = np.arange(VERTEX_COUNT)
-    largest = np.array([distances(own[:, v], other, second_ring(v)).max() for v in vertex])
-    limit = float(np.median(largest))
-    far = far_points(reference, test, FacesAround(FACES, VERTEX_COUNT), vertex, vertex, limit, device)
-    clear = np.abs(largest - limit) > 1e-5
-    assert np.array_equal(np.isin(vertex, far)[clear], (largest > limit)[clear])
+    place = every_place(reference, test, device)[name]
+    here, there = (own, other) if name.startswith("input") else (other, own)
+    largest = np.zeros(place.count)
+    for index, clusters in enumerate(place.clusters):
+        points = here[:, clusters]
+        if isinstance(place, FacePoints):
+            points = np.einsum("sk,fkc->fsc", SAMPLES, points)
+        faces = two_rings(clusters)
+        largest[index] = max(distances(points[:, k], there, faces).max() for k in range(points.shape[1]))
+    (found,) = furthest_of([place], [np.zeros(place.count)], device)
+    np.testing.assert_allclose(found, largest, atol=1e-5)
+    # Each with a limit of its own: beyond it the distance is the same, within it no more than the limit.
+    limits = np.median(largest) * np.linspace(0.5, 1.5, place.count)
+    (within,) = furthest_of([place], [limits], device)
+    clear = np.abs(largest - limits) > 1e-5
+    is_far = largest > limits
+    np.testing.assert_allclose(within[clear & is_far], largest[clear & is_far], atol=1e-5)
+    assert (within[clear & ~is_far] <= limits[clear & ~is_far] + 1e-5).all()
+    assert 0 < is_far.sum() < place.count
+
+
+def test_places_that_are_looked_at_together_are_as_far_as_each_alone(device):
+    *_, reference, test = blocks(np.random.default_rng(2), 3, device)
+    places = list(every_place(reference, test, device).values())
+    limits = [np.full(place.count, 0.05) for place in places]
+    for place, limit, found in zip(places, limits, furthest_of(places, limits, device), strict=True):
+        (alone,) = furthest_of([place], [limit], device)
+        np.testing.assert_array_equal(found, alone)
 
 
 def test_distances_are_the_same_however_many_threads_have_the_frames_of_a_point(device, monkeypatch):
@@ -60,7 +110,7 @@ def test_distances_are_the_same_however_many_threads_have_the_frames_of_a_point(
     for threads in (1, 10, 25, 1000):
         traits = replace(warpqem.runtime.device._TRAITS[name], launch_threads=threads)
         monkeypatch.setitem(warpqem.runtime.device._TRAITS, name, traits)
-        found.append(furthest_from([given], len(vertex), 1e-3, device))
+        found.append(furthest_from([given], np.full(len(vertex), 1e-3), device))
     assert found[0].min() > 1e-3
     for other in found[1:]:
         np.testing.assert_array_equal(other, found[0])
@@ -74,7 +124,7 @@ def test_points_that_come_one_after_another_are_measured_as_at_once(device):
         PointsAndFaces.at(reference, test, around, some, some, lists)
         for some in (vertex, vertex[:9], vertex[9:9], vertex[9:])
     )
-    found = [furthest_from(given, VERTEX_COUNT, 1e-3, device) for given in ([whole], parts)]
+    found = [furthest_from(given, np.full(VERTEX_COUNT, 1e-3), device) for given in ([whole], parts)]
     np.testing.assert_array_equal(*found)
 
 

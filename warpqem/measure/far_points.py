@@ -1,4 +1,4 @@
-"""Vertices of a mesh that are far from another one in some frame, as faces around show: found fast, and not proved."""
+"""Points of a mesh that are far from another one in some frame, as faces around show: found fast, and not proved."""
 
 from __future__ import annotations
 
@@ -11,13 +11,11 @@ import warp as wp
 
 from warpqem.kernels import distance_points as kernels
 from warpqem.kernels.lanes import width_of
-from warpqem.measure.piece_proof import SINGLE_MARGIN
-from warpqem.measure.unit_frames import UnitBlock
 from warpqem.mesh.grouping import order_by
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.part_launches import corners_of, launch_in_parts, rows_of
 
-__all__ = ["FacesAround", "PointsAndFaces", "far_points", "furthest_from", "longest_edges", "unique_pairs"]
+__all__ = ["FacesAround", "PointsAndFaces", "furthest_from", "longest_edges", "unique_pairs"]
 
 # Points, or faces, that are worth a thread: some hundred nanoseconds each.
 MIN_POINTS = 1024
@@ -70,49 +68,13 @@ def unique_pairs(
     return first_found, second_found
 
 
-def far_points(
-    own: UnitBlock,
-    other: UnitBlock,
-    around: FacesAround,
-    point: npt.NDArray[np.integer],
-    vertex: npt.NDArray[np.integer],
-    limit: float,
-    device: str,
-) -> npt.NDArray[np.int64]:
-    """Points of ``own`` that in some frame are beyond the limit of the faces of ``other`` around one of its vertices.
-
-    Args:
-        own: frames of one mesh.
-        other: the same frames of the other one.
-        around: its faces.
-        point: (n,) int, vertices of ``own``.
-        vertex: (n,) int, a vertex of ``other`` near each.
-        limit: distance.
-        device: Warp device.
-
-    Returns:
-        Indices into ``point`` (m,).
-    """
-    limit += SINGLE_MARGIN
-    given = PointsAndFaces.at(own, other, around, point, vertex, (around.start, around.face))
-    furthest = furthest_from([given], len(point), limit, device)
-    far = np.flatnonzero(furthest > limit)
-    if len(far):
-        # The nearest face may be one further on.
-        lists = around.second_ring(vertex[far])
-        given = PointsAndFaces.at(own, other, around, point[far], np.arange(len(far)), lists)
-        furthest = furthest_from([given], len(far), limit, device)
-        far = far[furthest > limit]
-    return far
-
-
 @dataclass(frozen=True)
 class PointsAndFaces:
     """Points, and the faces that may be nearest to each.
 
     Attributes:
-        own: frames of one mesh, or of points.
-        other: the same frames of the other mesh.
+        own: (P, B) blocks of points.
+        other: (V, B) blocks of the same frames of the other mesh.
         around: its faces.
         point: (n,) int, points of ``own``.
         row: (n,) int, the row of ``clusters`` for each.
@@ -120,8 +82,8 @@ class PointsAndFaces:
         lists: where each cluster starts, (C+1,) int32, and faces of ``other``, int32.
     """
 
-    own: UnitBlock
-    other: UnitBlock
+    own: wp.array
+    other: wp.array
     around: FacesAround
     point: npt.NDArray[np.integer]
     row: npt.NDArray[np.integer]
@@ -131,8 +93,8 @@ class PointsAndFaces:
     @classmethod
     def at(
         cls,
-        own: UnitBlock,
-        other: UnitBlock,
+        own: wp.array,
+        other: wp.array,
         around: FacesAround,
         point: npt.NDArray[np.integer],
         cluster: npt.NDArray[np.integer],
@@ -143,34 +105,36 @@ class PointsAndFaces:
         return cls(own, other, around, point, every[:-1], (every, cluster), lists)
 
 
-def furthest_from(given: Iterable[PointsAndFaces], count: int, limit: float, device: str) -> npt.NDArray[np.float32]:
+def furthest_from(
+    given: Iterable[PointsAndFaces], limits: npt.NDArray[np.floating], device: str
+) -> npt.NDArray[np.float32]:
     """How far points are at most, over the frames, from the nearest of some faces.
 
     Args:
         given: points and faces, one after another; each may go when the next one comes.
-        count: points in all.
-        limit: points within it in all frames of a block are looked at no closer.
+        limits: (n,) of all points: within its own in all frames of a block, a point is looked at no closer.
         device: Warp device.
 
     Returns:
-        (count,) float32, brought to the host at once; of points within the limit anything that is.
+        (n,) float32, brought to the host at once; of points within the limit anything that is.
     """
-    if not count:
+    if not len(limits):
         return np.empty(0, dtype=np.float32)
-    furthest = wp.zeros(count, dtype=wp.float32, device=device)
+    furthest = wp.zeros(len(limits), dtype=wp.float32, device=device)
+    within = wp.array(np.square(limits, dtype=np.float32), dtype=wp.float32, device=device)
     first = 0
     for one in given:
         last = first + len(one.point)
         if last > first:
-            _measure(one, limit, furthest[first:last], device)
+            _measure(one, within[first:last], furthest[first:last], device)
         first = last
     found: npt.NDArray[np.float32] = np.sqrt(furthest.numpy())
     return found
 
 
-def _measure(given: PointsAndFaces, limit: float, furthest: wp.array, device: str) -> None:
+def _measure(given: PointsAndFaces, within: wp.array, furthest: wp.array, device: str) -> None:
     """Raise the squared distances ``furthest`` (n,), zero before, to those found."""
-    own, other, count = given.own.lanes, given.other.lanes, len(given.point)
+    own, other, count = given.own, given.other, len(given.point)
     start, face = (wp.array(values, dtype=wp.int32, device=device, copy=False) for values in given.lists)
     point, row, cluster_start, cluster = (
         wp.array(values.astype(np.int32), dtype=wp.int32, device=device, copy=False)
@@ -182,21 +146,21 @@ def _measure(given: PointsAndFaces, limit: float, furthest: wp.array, device: st
     launch_in_parts(
         kernels.distances_of_points[width_of(own)],
         (count, shares),
-        [*inputs, start, face, limit**2, shares],
+        [*inputs, start, face, rows_of(within), shares],
         [rows_of(furthest)],
         device=device,
         min_items=MIN_POINTS,
     )
 
 
-def longest_edges(block: UnitBlock, faces: npt.NDArray[np.integer], device: str) -> npt.NDArray[np.float32]:
-    """The length of the longest edge of each face (N, 3) in any frame of a block, (N,), in its units."""
+def longest_edges(lanes: wp.array, faces: npt.NDArray[np.integer], device: str) -> npt.NDArray[np.float32]:
+    """The length of the longest edge of each face (N, 3) in any frame of blocks (V, B): (N,)."""
     corner_vertex = wp.array(np.ascontiguousarray(faces).ravel(), dtype=wp.int32, device=device)
     squared = wp.empty(len(faces), dtype=wp.float32, device=device)
     launch_in_parts(
-        kernels.longest_edges[width_of(block.lanes)],
+        kernels.longest_edges[width_of(lanes)],
         len(faces),
-        [block.lanes, corners_of(corner_vertex)],
+        [lanes, corners_of(corner_vertex)],
         [rows_of(squared)],
         device=device,
         min_items=MIN_POINTS,

@@ -23,7 +23,9 @@ from warpqem.decimation.replay import OrderedLevels
 from warpqem.errors import OptionError
 from warpqem.frames.stream import ArraySink, FrameSink, NoFrames, SharedFrames
 from warpqem.measure.bound import DistanceBound, Excess
-from warpqem.measure.far_points import FacesAround, far_points
+from warpqem.measure.far_points import FacesAround
+from warpqem.measure.piece_proof import SINGLE_MARGIN
+from warpqem.measure.surface_places import InputVertices, Side, furthest_of
 from warpqem.mesh.mesh_input import AnimatedMesh
 from warpqem.pipeline.bound_sink import LimitFrames
 from warpqem.pipeline.bounded_frames import BoundedFrames, HeldVertices, SettledFrames
@@ -233,8 +235,11 @@ class _Search:
         # A vertex on its own stays where it is.
         vertex = np.flatnonzero(around[root] & (level.last[root] >= 0))
         near = FacesAround(faces, len(root))
-        far = far_points(block.reference, block.test, near, vertex, root[vertex], self._limit, self._work.device)
-        return vertex[far], len(vertex)
+        side = Side(block.test.lanes, near, (near.start, near.face))
+        limit = self._limit + SINGLE_MARGIN
+        places = InputVertices(block.reference.lanes, side, vertex, root[vertex])
+        (found,) = furthest_of([places], [np.full(len(vertex), limit)], self._work.device)
+        return vertex[found > limit], len(vertex)
 
     def _within(self, choice: Choice, block: LevelFrames, enough: int) -> Choice:
         """The level that holds in some frames, before it is refitted, but for so many faces."""

@@ -107,7 +107,7 @@ class _Search:
         self._frames = LevelFrames(self._work, mesh.points(every), points, units)
         # Where pruning alone led here there are no collapses.
         limit = SPOT * float(log.recent_error[-1]) if len(log) else 0.0
-        self._distances = LevelDistances(self._work, points, self._frames, units, limit)
+        self._distances = LevelDistances(self._work, self._frames, limit)
 
     def run(self, progress: Progress | None) -> DecimatedMesh:
         """The best of the cuts."""

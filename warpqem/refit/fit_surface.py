@@ -19,13 +19,13 @@ from warpqem.decimation.adjacency import build_adjacency
 from warpqem.frames.device_frames import to_device
 from warpqem.kernels import material_frame as frame_kernels
 from warpqem.kernels import refit as kernels
-from warpqem.kernels import surface_limits as limit_kernels
 from warpqem.kernels.element_solve import Elements
-from warpqem.mesh.components import lowest_members
+from warpqem.kernels.surface_limits import raise_limits
 from warpqem.mesh.mesh_input import AnimatedMesh
 from warpqem.place.block_placer import PlacedFrames
 from warpqem.place.frame_store import AnyFrameStore
 from warpqem.place.place import Placer
+from warpqem.refit.component_limits import ComponentLimits
 from warpqem.refit.matching import Matching, make_surface
 from warpqem.refit.material_frames import MaterialFrames
 from warpqem.refit.solve import ElementSolver
@@ -61,12 +61,10 @@ SEAM_STIFFNESS = 250.0
 # point got lost. The surfaces themselves are nowhere further apart than about three times that.
 REACH = 4.0
 
-# Below this, in diagonals, no distance counts as larger than another: ten times what float32 resolves.
-SMALLEST_DISTANCE = 1e-6
 # Places that come further away are held so often, each time with one more ring of vertices around them.
 ATTEMPTS = 5
 # Then their whole component moves by these shares of what is left, and stays as placed in the end.
-SHARES = (0.5, 0.5, 0.0)
+SHARES = (0.75, 0.67, 0.5, 0.5, 0.0)
 
 # A pair that lies so many times further apart than what the mesh has come to counts half. Such pairs are where the
 # search went to another side or the surface ends, and draw vertices along it: without this slide is 6 % more, edges 2 %
@@ -122,12 +120,16 @@ def fit_corrections(
     if roughly:
         return fit.apply
     for attempt in range(ATTEMPTS):
-        if not fit.hold_far_places(reach, attempt):
+        far = fit.far_vertices(reach)
+        if not far.any():
             return fit.apply
+        fit.hold_places(far, attempt)
         fit.hold_back()
     for share in SHARES:
-        if not fit.shrink_far_components(reach, share):
+        far = fit.far_vertices(reach)
+        if not far.any():
             break
+        fit.shrink_components(far, share)
     fit.leave_turned_components()
     return fit.apply
 
@@ -208,17 +210,9 @@ class _Refit:
         self._hold = wp.array(self._stiffness, dtype=wp.vec3, device=device)
         self._held = np.ones(self._vertex_count, dtype=np.float32)
         self._correction = wp.zeros(self._vertex_count, dtype=wp.vec3, device=device)
-        # Of each output face.
-        self._component = np.unique(
-            lowest_members(self._vertex_count, placer.faces[:, [0, 1, 1, 2]].reshape(-1, 2))[placer.faces[:, 0]],
-            return_inverse=True,
-        )[1]
-        self._limits = limits = limit_kernels.Limits()
-        limits.component = wp.array(self._component, dtype=wp.int32, device=device)
-        limits.squared = wp.full(
-            int(self._component.max(initial=-1)) + 1, SMALLEST_DISTANCE**2, dtype=wp.float32, device=device
+        self._limits = ComponentLimits(
+            self._matching, source.points, self._keys.points, faces, placer.vertex_map, self._faces, device
         )
-        limits.far = wp.zeros(len(self._faces), dtype=wp.int32, device=device)
 
     @property
     def has_no_area(self) -> bool:
@@ -247,7 +241,7 @@ class _Refit:
         if not self._scales.area > 0.0:
             return
         self._keys.move(self._correction, self._moved)
-        self._matching.find(reach, search, limit_kernels.raise_limits if take_limits else None, self._limits)
+        self._matching.find(reach, search, raise_limits if take_limits else None, self._limits.sampled)
         self._assemble()
         self._correction = self._solve()
 
@@ -347,50 +341,29 @@ class _Refit:
                 device=self._device,
             )
 
-    def hold_far_places(self, reach: float, rings: int) -> bool:
-        """Stiffen places that have come further away than any of their component was as placed: whether there are some.
+    def far_vertices(self, reach: float) -> np.ndarray:
+        """(C,) bool, vertices at places that are further away than any of their component was as placed.
 
-        And so many rings of vertices around them. The surfaces are paired anew, so that all corrections are found once
-        more.
+        The surfaces are paired anew.
         """
-        far = self._far_faces(reach)
-        if len(far):
-            self._assemble()
-            marked = np.zeros(self._vertex_count, dtype=bool)
-            marked[self._faces[far].ravel()] = True
-            for _ in range(rings):
-                marked[self._faces[marked[self._faces].any(axis=1)].ravel()] = True
-            self._stiffen(marked)
-        return len(far) > 0
+        self._keys.move(self._correction, self._moved)
+        return self._limits.far_vertices(self._moved, reach)
 
-    def shrink_far_components(self, reach: float, share: float) -> bool:
-        """Move components by a share of what they do, of which a place is further away than any was as placed.
+    def hold_places(self, marked: np.ndarray, rings: int) -> None:
+        """Stiffen vertices (C,) bool and so many rings around them, as the surfaces were paired last."""
+        for _ in range(rings):
+            marked[self._faces[marked[self._faces].any(axis=1)].ravel()] = True
+        self._assemble()
+        self._stiffen(marked)
 
-        Whether there are some.
-        """
-        far = self._far_faces(reach)
-        self._shrink(self._component[far], share)
-        return len(far) > 0
+    def shrink_components(self, marked: np.ndarray, share: float) -> None:
+        """Move the components that some vertices (C,) bool are of by a share of what they do."""
+        self._scale(self._limits.whole_components(marked), share)
 
     def leave_turned_components(self) -> None:
         """Leave components as placed in which part of the way turns a face over that the whole way does not."""
         marks = wp.zeros(self._vertex_count, dtype=wp.int32, device=self._device)
-        marked = self._turned_over(marks)
-        self._shrink(self._component[marked[self._faces].any(axis=1)], 0.0)
-
-    def _shrink(self, components: np.ndarray, share: float) -> None:
-        """Move some components by a share of what they do."""
-        if len(components):
-            marked = np.zeros(self._vertex_count, dtype=bool)
-            marked[self._faces[np.isin(self._component, components)]] = True
-            self._scale(marked, share)
-
-    def _far_faces(self, reach: float) -> np.ndarray:
-        """Output faces at places that are further away than any of their component was as placed."""
-        self._keys.move(self._correction, self._moved)
-        self._limits.far.zero_()
-        self._matching.find(reach, True, limit_kernels.mark_far_faces, self._limits)
-        return np.flatnonzero(self._limits.far.numpy())
+        self.shrink_components(self._turned_over(marks), 0.0)
 
     def apply(self, placed: PlacedFrames) -> PlacedFrames:
         """Some frames, moved."""
