@@ -215,25 +215,35 @@ def _folded_back(corner_row: Ints, values: Floats, signs: npt.NDArray[np.int8], 
     Most are slivers: a free corner goes to the other side of its edge, where that turns no other one over.
     """
     values = values.copy()
-    for face in np.flatnonzero(face_signs(values[corner_row]) * signs < 0)[:MAX_FOLDS]:
+    bad = np.flatnonzero(face_signs(values[corner_row]) * signs < 0)[:MAX_FOLDS]
+    faces_at = _faces_at(corner_row, corner_row[bad])
+    for face in bad:
         rows = corner_row[face]
         best, chosen, shift = np.inf, -1, np.zeros(2)
         for k in np.flatnonzero(free[rows]):
             apex, first, second = values[rows[k]], values[rows[k - 2]], values[rows[k - 1]]
             along = second - first
             across = np.array([-along[1], along[0]])
-            squared = (along**2).sum()
+            squared = along[0] * along[0] + along[1] * along[1]
             move = -(1 + BEYOND) * ((apex - first) @ across) / squared * across if squared > 0 else along
             # On the border of its tile, where the fold would take it out.
-            goal = np.clip(apex + move, tiles.lower[rows[k]], tiles.upper[rows[k]])
+            goal = np.minimum(np.maximum(apex + move, tiles.lower[rows[k]]), tiles.upper[rows[k]])
             move = goal - apex
-            around = corner_row[(corner_row == rows[k]).any(axis=1)]
-            signs_around = signs[(corner_row == rows[k]).any(axis=1)]
-            before = (face_signs(values[around]) * signs_around < 0).sum()
-            trial = values[around] + np.where(around == rows[k], 1.0, 0.0)[:, :, None] * move
-            better = (face_signs(trial) * signs_around < 0).sum() < before
-            if better and float(np.linalg.norm(move)) < best:
-                best, chosen, shift = float(np.linalg.norm(move)), rows[k], move
+            length = float(np.linalg.norm(move))
+            if not length < best:
+                continue
+            near = faces_at[rows[k]]
+            around, signs_around = corner_row[near], signs[near]
+            corners = values[around]
+            before = np.count_nonzero(face_signs(corners) * signs_around < 0)
+            trial = corners + np.where(around == rows[k], 1.0, 0.0)[:, :, None] * move
+            if np.count_nonzero(face_signs(trial) * signs_around < 0) < before:
+                best, chosen, shift = length, rows[k], move
         if chosen >= 0:
             values[chosen] += shift
     return values
+
+
+def _faces_at(corner_row: Ints, rows: Ints) -> dict[int, npt.NDArray[np.int64]]:
+    """The triangles (n,) at each of some values, ascending."""
+    return {int(row): np.flatnonzero((corner_row == row).any(axis=1)) for row in np.unique(rows)}

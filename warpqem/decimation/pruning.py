@@ -26,6 +26,7 @@ from warpqem.kernels.lanes import width_of
 from warpqem.kernels.mesh_state import MeshState
 from warpqem.kernels.pass_control import MAX_REMNANT_FACES, count_component_faces
 from warpqem.kernels.topology import LOCKED
+from warpqem.runtime import new_arrays
 from warpqem.runtime.launches import launch
 
 __all__ = ["ComponentDrop", "Components", "DropRecord"]
@@ -221,7 +222,7 @@ class Components:
     def _live_sizes(self) -> np.ndarray:
         """(C,) int32, live faces of each component."""
         device = self._state.corner_vertex.device
-        sizes, work = wp.zeros(len(self._free), dtype=wp.int32, device=device), part_work(0, 1, str(device))
+        sizes, work = new_arrays.zeros(len(self._free), dtype=wp.int32, device=device), part_work(0, 1, str(device))
         inputs = [self._state, self._component_of, work]
         launch(count_component_faces, work.thread_count, inputs, [sizes], device=device)
         return np.array(sizes.numpy())
@@ -231,7 +232,7 @@ class Components:
         device = self._state.corner_vertex.device
         chosen = np.zeros(len(self._free), dtype=np.int32)
         chosen[small] = 1
-        listed, faces = (wp.zeros(n, dtype=t, device=device) for n, t in ((1, wp.int32), (count, wp.vec3i)))
+        listed, faces = (new_arrays.zeros(n, dtype=t, device=device) for n, t in ((1, wp.int32), (count, wp.vec3i)))
         work, of_component = part_work(0, 1, str(device)), wp.array(chosen, device=device)
         inputs = [self._state.corner_vertex, self._state.face_count, self._component_of, of_component, work]
         launch(list_component_faces, work.thread_count, inputs, [listed, faces], device=device)
@@ -252,7 +253,7 @@ class Components:
         launch(
             kernels.remove_from_adjacency,
             dim=len(vertex),
-            inputs=[self._state, wp.array(vertex, dtype=wp.int32, device=device)],
+            inputs=[self._state, new_arrays.uploaded(vertex, dtype=wp.int32, device=device)],
             device=device,
         )
 

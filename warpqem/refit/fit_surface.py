@@ -27,6 +27,7 @@ from warpqem.place.frame_store import FrameStore
 from warpqem.place.place import Placer
 from warpqem.refit.matching import Matching, make_surface
 from warpqem.refit.solve import solve_elements
+from warpqem.runtime import new_arrays
 from warpqem.runtime.launches import launch
 from warpqem.runtime.part_launches import launch_in_parts, rows_of
 
@@ -149,20 +150,20 @@ class _Refit:
         self._device, self._far = device, far
         self._faces = placer.faces
         self._vertex_count = placed.vertex_count
-        self._corner_vertex = wp.array(placer.faces.ravel(), dtype=wp.int32, device=device)
+        self._corner_vertex = new_arrays.uploaded(placer.faces.ravel(), dtype=wp.int32, device=device)
         self._adjacency = build_adjacency(self._corner_vertex, self._vertex_count)
         self._rings = self._make_rings(placed.read(slice(0, 1)))
         keys = placed.chosen(key_frames)
-        self._points = wp.array(keys.points, dtype=wp.vec3, device=device)
-        self._normals = wp.array(keys.normals, dtype=wp.vec3, device=device)
+        self._points = new_arrays.uploaded(keys.points, dtype=wp.vec3, device=device)
+        self._normals = new_arrays.uploaded(keys.normals, dtype=wp.vec3, device=device)
         self._frames = self._measure_frames(placer.free)
         self._scales = _measure_scales(keys.points, placer.faces)
         self._turns = max(1, min(len(key_frames), mesh.frame_count // FRAMES_PER_TURN))
         # Of a pruned component nothing is near to the output.
         faces = mesh.faces[placer.vertex_map[mesh.faces[:, 0]] >= 0]
-        corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device)
+        corner_vertex = new_arrays.uploaded(faces.ravel(), dtype=wp.int32, device=device)
         source = make_surface(
-            wp.array(mesh.to_unit(mesh.chosen_points(key_frames)), dtype=wp.vec3, device=device),
+            new_arrays.uploaded(mesh.to_unit(mesh.chosen_points(key_frames)), dtype=wp.vec3, device=device),
             corner_vertex,
             build_adjacency(corner_vertex, mesh.vertex_count),
         )
@@ -180,9 +181,9 @@ class _Refit:
         )
         self._stiffness = np.ones((self._vertex_count, 3), dtype=np.float32)
         self._stiffness[placer.on_seam, :2] = SEAM_STIFFNESS
-        self._hold = wp.array(self._stiffness, dtype=wp.vec3, device=device)
+        self._hold = new_arrays.uploaded(self._stiffness, dtype=wp.vec3, device=device)
         self._held = np.ones(self._vertex_count, dtype=np.float32)
-        self._correction = wp.zeros(self._vertex_count, dtype=wp.vec3, device=device)
+        self._correction = new_arrays.zeros(self._vertex_count, dtype=wp.vec3, device=device)
         self._matched_at = self._correction
         # Of each output face.
         self._component = np.unique(
@@ -199,12 +200,12 @@ class _Refit:
         rings = frame_kernels.OneRings()
         rings.corner_vertex = self._corner_vertex
         rings.adjacency_start, rings.adjacent_corner = self._adjacency.start, self._adjacency.corner
-        rings.reference = wp.array(first.points[0], dtype=wp.vec3, device=self._device)
-        rings.reference_normal = wp.array(first.normals[0], dtype=wp.vec3, device=self._device)
+        rings.reference = new_arrays.uploaded(first.points[0], dtype=wp.vec3, device=self._device)
+        rings.reference_normal = new_arrays.uploaded(first.normals[0], dtype=wp.vec3, device=self._device)
         return rings
 
     def _measure_frames(self, free: np.ndarray) -> wp.array:
-        frames = wp.empty(self._points.shape, dtype=wp.mat33, device=self._device)
+        frames = new_arrays.empty(self._points.shape, dtype=wp.mat33, device=self._device)
         launch(
             frame_kernels.measure_material_frames,
             dim=self._points.shape,
@@ -212,7 +213,7 @@ class _Refit:
                 self._rings,
                 self._points,
                 self._normals,
-                wp.array(free.astype(np.int32), dtype=wp.int32, device=self._device),
+                new_arrays.uploaded(free.astype(np.int32), dtype=wp.int32, device=self._device),
             ],
             outputs=[frames],
             device=self._device,
@@ -248,8 +249,8 @@ class _Refit:
         elements = Elements()
         elements.corner_vertex = self._corner_vertex
         elements.adjacency_start, elements.adjacent_corner = self._adjacency.start, self._adjacency.corner
-        elements.block = wp.empty((face_count, 9), dtype=wp.mat33, device=device)
-        right = wp.empty(3 * face_count, dtype=wp.vec3, device=device)
+        elements.block = new_arrays.empty((face_count, 9), dtype=wp.mat33, device=device)
+        right = new_arrays.empty(3 * face_count, dtype=wp.vec3, device=device)
         launch(
             kernels.assemble_elements,
             dim=face_count,
@@ -305,7 +306,7 @@ class _Refit:
         self._hold.assign(self._stiffness * np.minimum(self._held, MAX_HOLD)[:, None])
         solution = solve_elements(*self._assemble(self._matched_at)).numpy()
         solution[np.isinf(self._held)] = 0.0
-        self._correction = wp.array(solution, dtype=wp.vec3, device=self._device)
+        self._correction = new_arrays.uploaded(solution, dtype=wp.vec3, device=self._device)
 
     def _component_limits(self) -> np.ndarray:
         """(M,) float32, what squared distances of each component may come to, by those of the surface as placed."""
@@ -352,7 +353,7 @@ class _Refit:
         if len(components):
             correction = self._correction.numpy()
             correction[np.unique(self._faces[np.isin(self._component, components)])] *= share
-            self._correction = wp.array(correction, dtype=wp.vec3, device=self._device)
+            self._correction = new_arrays.uploaded(correction, dtype=wp.vec3, device=self._device)
 
     def _far_faces(self, reach: float) -> np.ndarray:
         """Output faces at places that are further away than any of their component was as placed."""
@@ -364,17 +365,21 @@ class _Refit:
 
     def apply(self, placed: PlacedFrames) -> PlacedFrames:
         """Some frames, moved."""
-        points, normals = (wp.array(a, dtype=wp.vec3, device=self._device) for a in (placed.points, placed.normals))
+        points, normals = (
+            new_arrays.uploaded(a, dtype=wp.vec3, device=self._device) for a in (placed.points, placed.normals)
+        )
         moved = wp.empty_like(points)
         self._move(points, normals, moved)
         return replace(placed, points=moved.numpy())
 
     def _turned_over(self, placed: PlacedFrames) -> np.ndarray:
         """Which vertices (C,) have a part in a face that turns over in some of these frames."""
-        points, normals = (wp.array(a, dtype=wp.vec3, device=self._device) for a in (placed.points, placed.normals))
+        points, normals = (
+            new_arrays.uploaded(a, dtype=wp.vec3, device=self._device) for a in (placed.points, placed.normals)
+        )
         moved = wp.empty_like(points)
         self._move(points, normals, moved)
-        marked = wp.zeros(self._vertex_count, dtype=wp.int32, device=self._device)
+        marked = new_arrays.zeros(self._vertex_count, dtype=wp.int32, device=self._device)
         launch(
             frame_kernels.mark_new_flips,
             dim=(len(points), len(self._faces)),

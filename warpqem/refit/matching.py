@@ -10,6 +10,7 @@ from warpqem.kernels import surface_pairs as kernels
 from warpqem.kernels import surface_walk as walk_kernels
 from warpqem.kernels.surface_walk import Surface
 from warpqem.place.cluster_rows import group_rows
+from warpqem.runtime import new_arrays
 from warpqem.runtime.launches import launch
 from warpqem.runtime.part_launches import FIRST_ITEM, PerPart, launch_in_parts
 
@@ -49,7 +50,9 @@ def make_surface(points: wp.array, corner_vertex: wp.array, adjacency: Adjacency
     surface.corner_vertex = corner_vertex
     surface.adjacency_start, surface.adjacent_corner = adjacency.start, adjacency.corner
     surface.opposite = wp.empty_like(corner_vertex)
-    surface.border_out, surface.border_in = (wp.full(vertex_count, -1, dtype=wp.int32, device=device) for _ in range(2))
+    surface.border_out, surface.border_in = (
+        new_arrays.full(vertex_count, -1, dtype=wp.int32, device=device) for _ in range(2)
+    )
     launch(
         walk_kernels.link_half_edges,
         dim=len(corner_vertex),
@@ -96,8 +99,8 @@ class Matching:
         self._source, self._target, self._turns, self._device = source, target, turns, device
         self._border_width = border_width
         self._face_count = len(out_faces)
-        self._to_output = wp.array(vertex_map, dtype=wp.int32, device=device)
-        self._to_input = wp.array(nearest, dtype=wp.int32, device=device)
+        self._to_output = new_arrays.uploaded(vertex_map, dtype=wp.int32, device=device)
+        self._to_input = new_arrays.uploaded(nearest, dtype=wp.int32, device=device)
         self._hierarchies = _Hierarchy(source), _Hierarchy(target)
         self._borders = _border_half_edges(source), _border_half_edges(target)
         self._sample_count = (len(faces) + len(vertex_map)) * turns
@@ -105,11 +108,11 @@ class Matching:
         border_counts = len(self._borders[0]) * INPUT_BORDER_SAMPLES, len(self._borders[1]) * OUTPUT_BORDER_SAMPLES
         self.input_pairs = _empty_pairs(self._sample_count + 2 * turns * sum(border_counts), device)
         self.output_pairs = _empty_pairs(len(OUTPUT_SAMPLES) * len(out_faces) * turns, device)
-        self._vertex_squared = wp.zeros(len(nearest), dtype=wp.float32, device=device)
+        self._vertex_squared = new_arrays.zeros(len(nearest), dtype=wp.float32, device=device)
         # A face at each output vertex.
         self._face_of_vertex = np.full(len(nearest), -1, dtype=np.int32)
         self._face_of_vertex[out_faces.ravel()] = np.repeat(np.arange(len(out_faces), dtype=np.int32), 3)
-        self._barycentric = wp.array(OUTPUT_SAMPLES, dtype=wp.vec3, device=device)
+        self._barycentric = new_arrays.uploaded(OUTPUT_SAMPLES, dtype=wp.vec3, device=device)
 
     def find(self, reach: float, far: float | None = None) -> None:
         """Pair the output as it lies now; points further apart than ``reach`` are no pair.
@@ -134,8 +137,8 @@ class Matching:
         face = self.input_pairs.face.numpy()
         hit = np.flatnonzero(face >= 0)
         order, start = group_rows(face[hit], self._face_count)
-        self.input_start = wp.array(start, dtype=wp.int32, device=self._device)
-        self.input_order = wp.array(hit[order], dtype=wp.int32, device=self._device)
+        self.input_start = new_arrays.uploaded(start, dtype=wp.int32, device=self._device)
+        self.input_order = new_arrays.uploaded(hit[order], dtype=wp.int32, device=self._device)
 
     def _show(self, key: int) -> tuple[int, int]:
         """Hierarchies of both surfaces in a key frame."""
@@ -224,17 +227,17 @@ class _Hierarchy:
 def _border_half_edges(surface: Surface) -> wp.array:
     """(B,) int32."""
     half_edge = np.flatnonzero(surface.opposite.numpy() < 0)
-    return wp.array(half_edge, dtype=wp.int32, device=surface.opposite.device)
+    return new_arrays.uploaded(half_edge, dtype=wp.int32, device=surface.opposite.device)
 
 
 def _empty_pairs(count: int, device: str) -> kernels.Pairs:
     pairs = kernels.Pairs()
-    pairs.face = wp.empty(count, dtype=wp.int32, device=device)
-    pairs.key = wp.empty(count, dtype=wp.int32, device=device)
-    pairs.barycentric = wp.empty(count, dtype=wp.vec3, device=device)
-    pairs.normal = wp.empty(count, dtype=wp.vec3, device=device)
-    pairs.residual = wp.empty(count, dtype=wp.float32, device=device)
-    pairs.weight = wp.empty(count, dtype=wp.float32, device=device)
-    pairs.near = wp.full(count, -1, dtype=wp.int32, device=device)
-    pairs.squared = wp.zeros(count, dtype=wp.float32, device=device)
+    pairs.face = new_arrays.empty(count, dtype=wp.int32, device=device)
+    pairs.key = new_arrays.empty(count, dtype=wp.int32, device=device)
+    pairs.barycentric = new_arrays.empty(count, dtype=wp.vec3, device=device)
+    pairs.normal = new_arrays.empty(count, dtype=wp.vec3, device=device)
+    pairs.residual = new_arrays.empty(count, dtype=wp.float32, device=device)
+    pairs.weight = new_arrays.empty(count, dtype=wp.float32, device=device)
+    pairs.near = new_arrays.full(count, -1, dtype=wp.int32, device=device)
+    pairs.squared = new_arrays.zeros(count, dtype=wp.float32, device=device)
     return pairs

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warp as wp
 
 from warpqem.kernels import element_solve as kernels
+from warpqem.runtime import new_arrays
 from warpqem.runtime.launches import Recorder, launch
 from warpqem.runtime.loops import DeviceLoop
 
@@ -27,12 +28,12 @@ def solve_elements(elements: kernels.Elements, corner_right: wp.array) -> wp.arr
     vertex_count = len(elements.adjacency_start) - 1
     state = kernels.Solve()
     state.x, state.residual, state.direction, state.image = (
-        wp.empty(vertex_count, dtype=wp.vec3, device=device) for _ in range(4)
+        new_arrays.empty(vertex_count, dtype=wp.vec3, device=device) for _ in range(4)
     )
-    state.inverse = wp.empty(vertex_count, dtype=wp.mat33, device=device)
-    state.slice_sum = wp.empty(kernels.SLICES, dtype=wp.float64, device=device)
-    state.scalar = wp.zeros(4, dtype=wp.float64, device=device)
-    state.report = wp.zeros(2, dtype=wp.int32, device=device)
+    state.inverse = new_arrays.empty(vertex_count, dtype=wp.mat33, device=device)
+    state.slice_sum = new_arrays.empty(kernels.SLICES, dtype=wp.float64, device=device)
+    state.scalar = new_arrays.zeros(4, dtype=wp.float64, device=device)
+    state.report = new_arrays.zeros(2, dtype=wp.int32, device=device)
     launch(kernels.start_solve, vertex_count, [elements, corner_right, state], device=device)
     launch(kernels.sum_residual, kernels.SLICES, [state], device=device)
     launch(kernels.begin_steps, 1, [TOLERANCE**2, state], device=device)
