@@ -7,6 +7,7 @@ import pytest
 import warp as wp
 
 from warpqem.kernels.work import Work
+from warpqem.runtime.cpu_calls import prepared_call
 from warpqem.runtime.launches import Recorder, launch
 
 
@@ -76,3 +77,20 @@ def test_recorded_operations_hold_their_arrays():
     assert total.numpy().tolist() == [[1.0] * 3] * 4
     assert copied.numpy().tolist() == [[1.0] * 3] * 2 + [[0.0] * 3]
     assert len(others) == 100
+
+
+def test_a_module_that_has_changed_is_compiled_anew():
+    def one_more(values: wp.array[wp.int32]):
+        values[wp.tid()] += 1
+
+    module = wp.get_module("tests.runtime.changing")
+    kernel = wp.kernel(one_more, module=module)
+    values = wp.zeros(4, dtype=wp.int32, device="cpu")
+    launch(kernel, 4, [], [values], device="cpu")
+    assert prepared_call(kernel, 4, [values]) is not None
+    wp.set_module_options({"enable_backward": False}, module)
+    assert prepared_call(kernel, 4, [values]) is None
+    launch(kernel, 4, [], [values], device="cpu")
+    assert prepared_call(kernel, 4, [values]) is not None
+    launch(kernel, 4, [], [values], device="cpu")
+    assert values.numpy().tolist() == [3] * 4

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 import warp as wp
 
+import warpqem
+from tests.support.meshes import waving_grid
 from warpqem.runtime import new_arrays
 
 # Of elements: small arrays and large ones are made in other ways.
@@ -56,3 +58,27 @@ def test_views_hold_the_memory():
     assert view.numpy().tolist() == [2, 3, 4, 5, 6, 7]
     assert values.tolist() == [5] * 8
     assert len(others) == 100
+
+
+class Filled:
+    """NumPy, whose new memory is full of one byte."""
+
+    def __init__(self, byte):
+        self._byte = byte
+
+    def __getattr__(self, name):
+        return getattr(np, name)
+
+    def empty(self, size, dtype):
+        return np.full(size, self._byte, dtype=dtype)
+
+
+@pytest.mark.parametrize("options", [{}, {"quality": "fast"}, {"metric": "dod"}], ids=["best", "fast", "dod"])
+def test_what_was_in_the_memory_before_changes_no_bit(options, monkeypatch):
+    mesh, found = waving_grid(12, 6), set()
+    # Zeros, numbers that are none, small whole numbers, and large ones below zero.
+    for byte in (0x00, 0xFF, 0x01, 0xAB):
+        monkeypatch.setattr(new_arrays, "np", Filled(byte))
+        result = warpqem.simplify(*mesh, ratio=0.3, device="cpu", **options)
+        found.add((result.points.tobytes(), result.faces.tobytes(), result.measured.hausdorff))
+    assert len(found) == 1

@@ -24,6 +24,9 @@ MAX_THREADS = 2**31
 # What a kernel gets of an array.
 ARRAY = type(wp.array(dtype=wp.int32).__ctype__())
 
+# Where a module keeps its code for a CPU: that of blocks of one thread.
+CPU_CODE = (None, 1)
+
 # None for kernels whose arguments need Warp's own look at them.
 _calls: dict[wp.Kernel, _Call | None] = {}
 
@@ -47,7 +50,15 @@ class _Call:
         self._function, self._bounds = command.hooks.forward, type(command.bounds)
         self._axes = len(command.bounds.shape)
         # Holds the code.
-        self._module = command.module_exec
+        self._module, self.code = command.kernel.module, command.module_exec
+
+    @property
+    def is_current(self) -> bool:
+        """Whether the code is what Warp would run: a module that has changed since is compiled anew.
+
+        Warp forgets the hashes of a module when it changes, and has others when its code is loaded.
+        """
+        return bool(self._module.hashers) and self._module.execs.get(CPU_CODE) is self.code
 
     def prepared(self, dim: tuple[int, ...], arguments: Sequence[Any]) -> Callable[[], object] | None:
         """What launches the kernel; None where Warp has to look at the arguments.
@@ -91,16 +102,19 @@ def _is_plain(command: wp.Launch) -> bool:
 def prepared_call(kernel: wp.Kernel, dim: int | Sequence[int], arguments: Sequence[Any]) -> Callable[[], object] | None:
     """What launches a kernel on a CPU that does not capture, as often as it is called; whoever keeps it keeps arrays.
 
-    None where Warp has to look at it: of a kernel that is not known yet, for arguments that are not just what it
-    takes, or for no threads.
+    None where Warp has to look at it: of a kernel that is not known yet or has changed, for arguments that are not just
+    what it takes, or for no threads.
     """
     call = _calls.get(kernel)
-    return None if call is None else call.prepared((dim,) if isinstance(dim, int) else tuple(dim), arguments)
+    if call is None or not call.is_current:
+        return None
+    return call.prepared((dim,) if isinstance(dim, int) else tuple(dim), arguments)
 
 
 def know_call(kernel: wp.Kernel, command: wp.Launch) -> None:
     """Take what later launches of a kernel need from one that Warp has recorded."""
-    if kernel not in _calls:
+    known = _calls.get(kernel)
+    if kernel not in _calls or (known is not None and known.code is not command.module_exec):
         _calls[kernel] = _Call(command) if _is_plain(command) and not kernel.is_generic else None
 
 
