@@ -84,6 +84,7 @@ _STREAMED: dict[str, tuple[tuple[str, float], ...]] = {
         ("face", 1),
         ("furthest_out", 1),
     ),
+    "longest_edges": (("position_in", 1), ("corner_vertex_in", 1), ("squared_out", 1)),
     "find_partners": (
         ("source.points", 1),
         ("start_in", 1),

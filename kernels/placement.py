@@ -25,8 +25,8 @@ from warpqem.kernels.quadric import (
 from warpqem.kernels.topology import half_edge_target, next_corner, previous_corner
 
 # Stiffnesses that are tried at a cluster.
-STEPS = wp.constant(wp.int32(7))
-Steps = wp.types.vector(length=7, dtype=wp.float32)
+STEPS = wp.constant(wp.int32(9))
+Steps = wp.types.vector(length=int(STEPS), dtype=wp.float32)
 
 
 @wp.struct

@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from tests.support import meshes
-from warpqem.measure.far_points import FacesAround, far_points
+from warpqem.measure.far_points import FacesAround, far_points, longest_edges
 from warpqem.measure.unit_frames import ChangingBlock, UnitBlock, UnitFrames
 
 FACES = meshes.grid(6, 6)[1]
@@ -73,3 +73,12 @@ def test_vertices_put_in_place_some_at_a_time_are_those_put_there_at_once(frame_
         changing.put(vertex, points[:, vertex])
     assert np.array_equal(changing.double.numpy(), whole.double.numpy())
     assert np.array_equal(changing.lanes.numpy(), whole.lanes.numpy())
+
+
+@pytest.mark.parametrize("frame_count", [1, 3, 21])
+def test_the_longest_edge_of_a_face_is_that_of_the_frame_in_which_it_is_longest(frame_count, device):
+    rng = np.random.default_rng(5)
+    own, _, block, _ = blocks(rng, frame_count, device)
+    corner = own[:, FACES].astype(np.float64)
+    expected = np.linalg.norm(corner - np.roll(corner, 1, axis=2), axis=3).max(axis=(0, 2))
+    np.testing.assert_allclose(longest_edges(block, FACES, device), expected, rtol=1e-5)

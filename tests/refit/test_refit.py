@@ -307,6 +307,7 @@ def test_solving_waits_for_the_device_once():
 def test_each_attempt_holds_one_more_ring_around_a_place_that_comes_further_away(device, monkeypatch):
     # The face stays too far: all attempts are made, and at last its component stays as placed.
     held, stiffen = [], fit_surface._Refit._stiffen
+    monkeypatch.setattr(prepare, "SPARE", 0.0)
     monkeypatch.setattr(fit_surface._Refit, "_far_faces", lambda self, reach: np.array([7]))
     monkeypatch.setattr(
         fit_surface._Refit, "_stiffen", lambda self, marked: (held.append(marked.copy()), stiffen(self, marked))[1]

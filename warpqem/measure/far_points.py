@@ -6,15 +6,15 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from warpqem.kernels.distance_points import distances_of_points
+from warpqem.kernels import distance_points as kernels
 from warpqem.kernels.lanes import width_of
 from warpqem.measure.piece_proof import SINGLE_MARGIN
 from warpqem.measure.unit_frames import UnitBlock
-from warpqem.runtime.part_launches import launch_in_parts, rows_of
+from warpqem.runtime.part_launches import corners_of, launch_in_parts, rows_of
 
-__all__ = ["FacesAround", "far_points", "furthest_from", "unique_pairs"]
+__all__ = ["FacesAround", "far_points", "furthest_from", "longest_edges", "unique_pairs"]
 
-# Points that are worth a thread: some hundred nanoseconds each and block of frames.
+# Points, or faces, that are worth a thread: some hundred nanoseconds each.
 MIN_POINTS = 1024
 
 
@@ -119,19 +119,35 @@ def furthest_from(
     """
     if not len(point):
         return np.empty(0, dtype=np.float32)
-    furthest = wp.empty((len(point), own.lanes.shape[1]), dtype=wp.float32, device=device)
+    furthest = wp.empty(len(point), dtype=wp.float32, device=device)
     corner_vertex, start, face = (
         wp.array(values, dtype=wp.int32, device=device, copy=False) for values in (around.corner_vertex, *lists)
     )
     point_device, row_device = (wp.array(a.astype(np.int32), dtype=wp.int32, device=device) for a in (point, row))
     inputs = [own.lanes, other.lanes, corner_vertex, rows_of(point_device), rows_of(row_device), start, face]
     launch_in_parts(
-        distances_of_points[width_of(own.lanes)],
-        furthest.shape,
+        kernels.distances_of_points[width_of(own.lanes)],
+        len(point),
         [*inputs, limit**2],
         [rows_of(furthest)],
         device=device,
         min_items=MIN_POINTS,
     )
-    found: npt.NDArray[np.float32] = np.sqrt(furthest.numpy().max(axis=1, initial=0.0))
+    found: npt.NDArray[np.float32] = np.sqrt(furthest.numpy())
     return found
+
+
+def longest_edges(block: UnitBlock, faces: npt.NDArray[np.integer], device: str) -> npt.NDArray[np.float32]:
+    """The length of the longest edge of each face (N, 3) in any frame of a block, (N,), in its units."""
+    corner_vertex = wp.array(np.ascontiguousarray(faces).ravel(), dtype=wp.int32, device=device)
+    squared = wp.empty(len(faces), dtype=wp.float32, device=device)
+    launch_in_parts(
+        kernels.longest_edges[width_of(block.lanes)],
+        len(faces),
+        [block.lanes, corners_of(corner_vertex)],
+        [rows_of(squared)],
+        device=device,
+        min_items=MIN_POINTS,
+    )
+    length: npt.NDArray[np.float32] = np.sqrt(squared.numpy())
+    return length

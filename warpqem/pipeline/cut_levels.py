@@ -67,6 +67,7 @@ class LevelFrames:
     Attributes:
         reference: the input at unit size.
         test: the level that was placed last.
+        level_points: (n, V, 3) float32, the same in the caller's coordinates.
     """
 
     def __init__(self, work: Prepared, about: np.ndarray, own: np.ndarray, units: UnitFrames) -> None:
@@ -74,10 +75,10 @@ class LevelFrames:
         self._packed = pack_block(work.mesh, self._about, work.device)
         self.reference = UnitBlock(own, units, work.device)
         self.test = ChangingBlock(about.shape[:2], units, work.device)
-        self._points = np.empty(about.shape, dtype=np.float32)
+        self.level_points = np.empty(about.shape, dtype=np.float32)
 
     def __len__(self) -> int:
-        return len(self._points)
+        return len(self.level_points)
 
     def place(self, level: CutLevel, before: CutLevel | None) -> np.ndarray:
         """Place a level where it is not as the one before, None for none.
@@ -90,23 +91,18 @@ class LevelFrames:
         if len(moved):
             placer = placer_of(self._work, level, moved)
             points = placer.place(mesh, self._about, self._packed).original_points(mesh)
-            self._points[:, moved] = points
+            self.level_points[:, moved] = points
             self.test.put(moved, points)
         return moved
 
     def put(self, level: CutLevel, points: np.ndarray) -> None:
         """Put a level where it is, (n, C, 3) in the caller's coordinates."""
-        self._points[:, level.kept] = points
+        self.level_points[:, level.kept] = points
         self.test.put(level.kept, points)
-
-    def points_at(self, vertex: np.ndarray) -> np.ndarray:
-        """Some vertices of the level that was placed last, (n, *vertex.shape, 3), in the caller's coordinates."""
-        points: np.ndarray = self._points[:, vertex]
-        return points
 
     def points(self, level: CutLevel) -> np.ndarray:
         """The level, (n, C, 3), in the caller's coordinates."""
-        points: np.ndarray = self._points[:, level.kept]
+        points: np.ndarray = self.level_points[:, level.kept]
         return points
 
 

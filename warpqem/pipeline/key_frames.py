@@ -1,4 +1,4 @@
-"""Choose the frames that decide the order of collapses."""
+"""Choose the frames that decide the order of collapses, and those in which its result is looked at."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from warpqem.frames.device_frames import take_vertices
 from warpqem.frames.stream import counted_frames
 from warpqem.mesh.mesh_input import MeshInput
 
-__all__ = ["KeyFrameChoice", "pose_bytes"]
+__all__ = ["MAX_LOOKED_FRAMES", "KeyFrameChoice", "looked_frames", "pose_bytes"]
 
 # Poses are compared at about so many vertices, spread over the index range: enough to see every limb of a character.
 SAMPLED_VERTICES = 1024
@@ -18,6 +18,11 @@ POSE_BYTES = 16 * 2**20
 MIN_VERTICES = 64
 # Distances are taken so many frames at a time, so that no second copy of all poses is made.
 FRAMES_AT_ONCE = 256
+# Before collapses are exchanged the surface is refitted in so many key frames at most, and looked at in so many frames:
+# also in others, as what ordering has seen nothing of is where it is far from the input. With key frames alone, of 63
+# cells one more has a largest distance 1.2 times that of others, and jitter is 1 % more, for a tenth less time.
+MAX_FITTED_FRAMES = 16
+MAX_LOOKED_FRAMES = 32
 
 
 class KeyFrameChoice:
@@ -75,6 +80,23 @@ class KeyFrameChoice:
             chosen.append(int(distance.argmax()))
         # A repeated frame (a still animation) adds nothing.
         return np.unique(chosen)
+
+
+def looked_frames(key_frames: np.ndarray, counted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The frames that levels are looked at in, and the key frames among them that they are refitted in, both ascending.
+
+    Args:
+        key_frames: (K,) int, ascending.
+        counted: int, all frames that count, ascending.
+    """
+    fitted = _spread(key_frames, MAX_FITTED_FRAMES)
+    others = _spread(np.setdiff1d(counted, fitted), MAX_LOOKED_FRAMES - len(fitted))
+    return np.union1d(fitted, others), fitted
+
+
+def _spread(frames: np.ndarray, count: int) -> np.ndarray:
+    """So many of some frames, evenly spread; all where there are fewer."""
+    return frames[np.linspace(0, len(frames) - 1, min(count, len(frames))).astype(int)]
 
 
 def pose_bytes(frame_count: int, vertex_count: int) -> int:

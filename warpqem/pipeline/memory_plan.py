@@ -20,7 +20,7 @@ from warpqem.arguments.json_types import Json
 from warpqem.errors import MemoryLimitError, OptionError
 from warpqem.frames.blocks import BLOCK_BYTES, block_width, chunk_frames
 from warpqem.kernels.lanes import WIDE
-from warpqem.pipeline.key_frames import pose_bytes
+from warpqem.pipeline.key_frames import MAX_LOOKED_FRAMES, pose_bytes
 from warpqem.runtime.device import device_traits, resolve_device
 
 __all__ = [
@@ -189,9 +189,10 @@ FRAME_OUTPUT = 120
 # vertex: pairs, search hierarchies, what lies across its edges; for each output vertex: the pairs of its two faces and
 # their equations, 9 blocks of 36 bytes each.
 REFIT_KEY, REFIT_FACE, REFIT_VERTEX, REFIT_OUTPUT = 24, 170, 160, 1700
-# The exchange of collapses, for each input vertex and key frame: what decimation left once more, the points as read,
-# about the origin and in blocks, and the level's, also in double precision; for each face: corners, distances, lists.
-EXCHANGE_KEY, EXCHANGE_FACE = 52 + 100, 120
+# The exchange of collapses, for each input vertex and key frame: what decimation left once more; and frame looked at:
+# the points as read, about the origin and in blocks, and the level's, also in double precision; for each face: corners,
+# distances, lists.
+EXCHANGE_KEY, EXCHANGE_FRAME, EXCHANGE_FACE = 52, 100, 120
 # The proof of a distance, for each input face: pieces of 60 bytes, some five of both meshes for each, and once more
 # while they are joined; what lies across edges and the search hierarchies. For each frame it looks at, and input
 # vertex: the points as read and about the origin, in double precision, in blocks, and the level's; for each output
@@ -328,7 +329,9 @@ def _place(needs: MemoryNeeds, device: str) -> tuple[int, int]:
         refit += REFIT_FACE * needs.face_count + REFIT_VERTEX * needs.vertex_count
         fixed += refit + REFIT_OUTPUT * needs.output_vertices
     if needs.exchanges:
-        fixed += EXCHANGE_KEY * _padded(needs.key_frames, device) * needs.vertex_count
+        looked = min(MAX_LOOKED_FRAMES, needs.frame_count)
+        frames = EXCHANGE_KEY * _padded(needs.key_frames, device) + EXCHANGE_FRAME * _padded(looked, device)
+        fixed += frames * needs.vertex_count
         fixed += EXCHANGE_FACE * needs.face_count
     if needs.bounded:
         bound = BOUND_VERTEX * needs.vertex_count + BOUND_OUTPUT * needs.output_vertices
