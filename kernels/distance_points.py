@@ -1,7 +1,7 @@
 """Points of a moving mesh against some faces of another one, in many frames side by side: how far they are at most.
 
-Faces that are not among those given may be nearer, so that a distance found is no less than the real one. How long
-edges become tells which faces need points between their vertices. See :mod:`warpqem.kernels.lanes` for the layout.
+Faces that are not among those given may be nearer, so that a distance found is no less than the real one. Faces whose
+edges become long need points between their vertices, too. See :mod:`warpqem.kernels.lanes` for the layout.
 """
 
 from typing import Any

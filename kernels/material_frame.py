@@ -10,9 +10,9 @@ from warpqem.kernels.topology import half_edge_target
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
-# Regularisation of the tangents towards a plain rotation, relative to the spread of the ring's edges. A ring that is
-# nearly a line in the reference frame says nothing about stretch across it.
-ROTATION_REGULARISATION = wp.constant(wp.float32(0.05))
+# Regularisation of the tangents towards the similarity that fits best, relative to the spread of the ring's edges. A
+# ring that is nearly a line in the reference frame says nothing about stretch across it.
+SIMILARITY_REGULARISATION = wp.constant(wp.float32(0.05))
 
 # A normal or a ring smaller than this (areas and squared lengths on a mesh of unit diagonal) has no direction.
 NO_EXTENT = wp.constant(wp.float32(1.0e-30))
@@ -49,7 +49,8 @@ def material_frame(
 
     The tangents follow the map of the tangent plane that fits the ring's edges best, from the reference frame to frame
     ``t``: ``B = (M + r R) (G + r I)^-1``, with ``M = sum u u0^T``, ``G = sum u0 u0^T`` over edges ``u0`` that become
-    ``u``, ``R`` the best rotation alone and ``r`` a small part of ``tr G``.
+    ``u``, ``R`` the best similarity, rotation and growth, and ``r`` a small part of ``tr G``. A surface that only turns
+    and grows has frames that do the same, whatever its rings.
     """
     if wp.length(normals[t, c]) < NO_EXTENT or wp.length(rings.reference_normal[c]) < NO_EXTENT:
         return wp.mat33()
@@ -76,9 +77,9 @@ def material_frame(
     b = wp.identity(n=2, dtype=wp.float32)
     if length > NO_EXTENT and spread > NO_EXTENT:
         # Divided by the spread, so that the determinant stays far from the smallest floats.
-        rotation = wp.mat22(cosine, -sine, sine, cosine) / length
-        b = (m / spread + ROTATION_REGULARISATION * rotation) * wp.inverse(
-            g / spread + ROTATION_REGULARISATION * wp.identity(n=2, dtype=wp.float32)
+        similarity = wp.mat22(cosine, -sine, sine, cosine) / spread
+        b = (m / spread + SIMILARITY_REGULARISATION * similarity) * wp.inverse(
+            g / spread + SIMILARITY_REGULARISATION * wp.identity(n=2, dtype=wp.float32)
         )
     e = b[0, 0] * x + b[1, 0] * y
     f = b[0, 1] * x + b[1, 1] * y

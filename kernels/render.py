@@ -139,15 +139,33 @@ def trace_ray(
 
 
 @wp.func
-def ray_column(column: wp.int32, i: wp.int32, samples: wp.int32, width: wp.int32) -> wp.float32:
-    """Where the rays of column ``i`` of a pixel start, in pixels from the middle to the right."""
-    return wp.float32(column) + (wp.float32(i) + 0.5) / wp.float32(samples) - 0.5 * wp.float32(width)
-
-
-@wp.func
-def ray_row(row: wp.int32, j: wp.int32, samples: wp.int32, height: wp.int32) -> wp.float32:
-    """Where those of row ``j`` do, upwards."""
-    return 0.5 * wp.float32(height) - wp.float32(row) - (wp.float32(j) + 0.5) / wp.float32(samples)
+def pixel_mean(
+    mesh: wp.uint64,
+    corner_vertex: wp.array[wp.int32],
+    points: wp.array[wp.vec3],
+    camera: Camera,
+    shading: Shading,
+    samples: wp.int32,
+    height: wp.int32,
+    width: wp.int32,
+    row: wp.int32,
+    column: wp.int32,
+) -> Seen:
+    """The mean of what ``samples`` x ``samples`` rays of a pixel see."""
+    mean = Seen()
+    for i in range(samples):
+        x = wp.float32(column) + (wp.float32(i) + 0.5) / wp.float32(samples) - 0.5 * wp.float32(width)
+        for j in range(samples):
+            y = 0.5 * wp.float32(height) - wp.float32(row) - (wp.float32(j) + 0.5) / wp.float32(samples)
+            seen = trace_ray(mesh, corner_vertex, points, camera, shading, x, y)
+            mean.color += seen.color
+            mean.light += seen.light
+            mean.covered += seen.covered
+    count = wp.float32(samples * samples)
+    mean.color = mean.color / count
+    mean.light = mean.light / count
+    mean.covered = mean.covered / count
+    return mean
 
 
 @wp.kernel
@@ -166,13 +184,8 @@ def render_pixels(
     row, column = wp.tid()
     height = image_out.shape[0]
     width = image_out.shape[1]
-    total = wp.vec3()
-    for i in range(samples):
-        for j in range(samples):
-            x = ray_column(column, i, samples, width)
-            y = ray_row(row, j, samples, height)
-            total += trace_ray(mesh, corner_vertex_in, points_in, camera, shading, x, y).color
-    image_out[row, column] = total / wp.float32(samples * samples)
+    mean = pixel_mean(mesh, corner_vertex_in, points_in, camera, shading, samples, height, width, row, column)
+    image_out[row, column] = mean.color
 
 
 @wp.kernel
@@ -193,18 +206,7 @@ def render_layers(
     row, column = wp.tid()
     height = image_out.shape[0]
     width = image_out.shape[1]
-    total = wp.vec3()
-    light = wp.float32(0.0)
-    covered = wp.float32(0.0)
-    for i in range(samples):
-        for j in range(samples):
-            x = ray_column(column, i, samples, width)
-            y = ray_row(row, j, samples, height)
-            seen = trace_ray(mesh, corner_vertex_in, points_in, camera, shading, x, y)
-            total += seen.color
-            light += seen.light
-            covered += seen.covered
-    share = 1.0 / wp.float32(samples * samples)
-    image_out[row, column] = total * share
-    light_out[row, column] = light * share
-    covered_out[row, column] = covered * share
+    mean = pixel_mean(mesh, corner_vertex_in, points_in, camera, shading, samples, height, width, row, column)
+    image_out[row, column] = mean.color
+    light_out[row, column] = mean.light
+    covered_out[row, column] = mean.covered

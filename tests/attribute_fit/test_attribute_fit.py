@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from tests.support import meshes
 from tests.support.attribute_fit import fitting
 from warpqem.attribute_fit import solve
+from warpqem.attribute_fit.input_samples import MAX_FACES, find_input_samples
 from warpqem.attribute_fit.partners import SAMPLES, PartnerSearch
 from warpqem.attribute_fit.values import (
     NormalErrors,
@@ -298,6 +299,8 @@ def test_errors_of_normals_are_those_of_numpy(hills):
                 area += partners.area[f]
     [found] = normal_errors(hills.layout, values, corners)
     assert (found.squared, found.angle) == pytest.approx((squared / area, angle / area))
+    # Without samples of the input one way is both.
+    assert (found.both_squared, found.both_angle) == (found.squared, found.angle)
 
 
 @pytest.mark.parametrize(
@@ -305,4 +308,62 @@ def test_errors_of_normals_are_those_of_numpy(hills):
     [(1.0, 1.0, 1.0, True), (0.9, 1.1, 1.0, False), (1.1, 0.9, 1.0, False), (0.9, 0.9, 0.75, False)],
 )
 def test_normals_are_nearer_where_both_errors_say_so(squared, angle, share, expected):
-    assert NormalErrors(squared, angle).is_within(NormalErrors(1.0, 1.0), share) is expected
+    assert NormalErrors(squared, angle, 1.0, 1.0).is_within(NormalErrors(1.0, 1.0, 1.0, 1.0), share) is expected
+
+
+@pytest.mark.parametrize("both", [(1.1, 0.9), (0.9, 1.1)])
+def test_normals_that_miss_more_of_the_input_are_not_nearer(both):
+    assert not NormalErrors(0.5, 0.5, *both).is_within(NormalErrors(1.0, 1.0, 1.0, 1.0))
+
+
+# A floor and a wall of the same size.
+CORNER_POINTS = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [0, 1, 1]], dtype=np.float32)
+FLOOR = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
+WALL = np.array([[0, 3, 5], [0, 5, 4]], dtype=np.int32)
+
+
+def test_samples_of_the_input_see_what_has_no_sample_of_the_output_near():
+    faces = np.concatenate([FLOOR, WALL])
+    samples = find_input_samples(CORNER_POINTS, faces, CORNER_POINTS, FLOOR, "cpu")
+    normals = np.repeat([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]], 6, axis=0).reshape(4, 3, 3)
+    wanted, shown = samples.normals_of_input(normals), samples.normals_of_output(normals[:2])
+    assert (shown == [0, 0, 1]).all()
+    assert (wanted != shown).any(axis=1).mean() == pytest.approx(0.5, abs=0.01)
+
+
+def test_samples_of_the_input_have_the_nearest_point_of_the_output():
+    samples = find_input_samples(CORNER_POINTS, FLOOR, CORNER_POINTS, FLOOR[:, [1, 2, 0]], "cpu")
+    there = np.einsum("sk,skd->sd", samples.weight, CORNER_POINTS[FLOOR[samples.face]])
+    here = np.einsum("sk,skd->sd", samples.nearest_weight, CORNER_POINTS[FLOOR[:, [1, 2, 0]][samples.nearest]])
+    np.testing.assert_allclose(here, there, atol=1e-6)
+
+
+def test_outputs_of_many_faces_or_without_area_need_no_samples_of_the_input():
+    points, faces = meshes.grid(10, 10)
+    assert len(faces) > MAX_FACES
+    assert find_input_samples(points, faces, points, faces, "cpu") is None
+    flat = np.zeros_like(CORNER_POINTS)
+    assert find_input_samples(CORNER_POINTS, FLOOR, flat, FLOOR, "cpu") is None
+
+
+def test_faces_that_mending_turned_over_have_partners_at_their_own_places():
+    points, faces = meshes.grid(10, 10)
+    points = points.astype(np.float32)
+    given = faces.copy()
+    given[::3] = given[::3, ::-1]
+    fit = fitting(points, given)
+    assert 0 < fit.result.repair.is_turned.sum() < len(faces)
+    partner, weight = fit.layout.partners.face.numpy(), fit.layout.partners.weight.numpy()
+    assert (partner >= 0).all()
+    found = np.einsum("nsk,nskd->nsd", weight, points[given][partner])
+    own = np.einsum("sk,nkd->nsd", SAMPLES, fit.result.points[0][fit.result.faces])
+    np.testing.assert_allclose(found, own, atol=1e-5)
+
+
+def test_texture_turns_with_faces_that_mending_turned_over():
+    points, faces = meshes.grid(10, 10)
+    given = faces.copy()
+    given[::3] = given[::3, ::-1]
+    fit = fitting(points.astype(np.float32), given)
+    signs = fit.signs(points[given][:, :, :2].reshape(-1, 2).astype(np.float64))
+    assert abs(signs.sum()) == len(fit.result.faces)

@@ -9,7 +9,8 @@ from tests.support import meshes
 from tests.support.attribute_fit import fitting
 from warpqem.attribute_fit import texture
 from warpqem.attribute_fit.partners import SAMPLES
-from warpqem.attribute_fit.texture import face_signs, fit_texture, reference_signs
+from warpqem.attribute_fit.texture import fit_texture
+from warpqem.attribute_fit.turned_triangles import face_signs, turned_back
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +33,7 @@ def at_corners(fit):
 
 def fitted(fit, corners, start):
     values = corners.reshape(-1, 2)
-    signs = reference_signs(fit.layout, values)
+    signs = fit.signs(values)
     return signs, fit_texture(fit.result.faces, fit.layout, values, start, signs)
 
 
@@ -121,8 +122,7 @@ def test_sign_of_a_triangle(corners, sign):
 
 
 def test_triangle_that_is_turned_over_is_mended_next_to_its_edge(plane):
-    corners = at_corners(plane)
-    values, places = corners.reshape(-1, 2), own_places(plane)
+    places = own_places(plane)
     row = plane.layout.corner_row
     # A corner inside, a little beyond the opposite edge of one of its faces.
     border = np.isin(places, [0.0, 1.0]).any(axis=1)
@@ -132,10 +132,58 @@ def test_triangle_that_is_turned_over_is_mended_next_to_its_edge(plane):
     foot = places[first] + along * ((places[apex] - places[first]) @ along) / (along @ along)
     start = places.copy()
     start[apex] = foot - 1e-3 * (places[apex] - foot)
-    signs = reference_signs(plane.layout, values)
-    free = np.arange(len(start)) != -1
-    tiles = texture._Tiles(np.zeros_like(start), np.ones_like(start))
-    found = texture._turned_back(row, start, start, signs, free, tiles)
+    signs = plane.signs(at_corners(plane).reshape(-1, 2))
+    found = turned_back(row, start, signs, lambda values: values)
     assert (face_signs(start[row]) * signs < 0).sum() == 1
     assert (face_signs(found[row]) * signs >= 0).all()
     assert np.abs(found - start).max() < 0.2 * np.linalg.norm(places[apex] - foot)
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 2**31))
+def test_triangles_that_are_turned_over_side_by_side_are_all_mended(plane, seed):
+    places, row = own_places(plane), plane.layout.corner_row
+    random = np.random.default_rng(seed)
+    # All around a corner, which itself is where another one inside is.
+    inside = np.flatnonzero(~np.isin(places, [0.0, 1.0]).any(axis=1))
+    start = places.copy()
+    start[random.choice(inside, 3, replace=False)] += random.normal(scale=0.15, size=(3, 2))
+    signs = plane.signs(at_corners(plane).reshape(-1, 2))
+    found = turned_back(row, start, signs, lambda values: np.clip(values, 0, 1))
+    assert (face_signs(found[row]) * signs >= 0).all()
+
+
+def test_chart_that_gets_no_better_stays_as_it_is(two_islands):
+    corners = at_corners(two_islands)
+    left = two_islands.points[two_islands.faces].mean(axis=1)[:, 0] < 0.5
+    # One is exact; the other gets better.
+    corners[~left, :, 0] += 5.0 + 0.1 * np.sin(7 * corners[~left, :, 1])
+    start = two_islands.start(corners)
+    _, best = fitted(two_islands, corners, start)
+    row = two_islands.layout.corner_row
+    on_left = two_islands.result.points[0][two_islands.result.faces].mean(axis=1)[:, 0] < 0.5
+    worse = best.copy()
+    worse[np.unique(row[on_left])] += 0.01
+    found = texture._where_better(two_islands.layout, corners.reshape(-1, 2), start, worse)
+    assert (found[row[on_left]] == start[row[on_left]]).all()
+    assert (found[row[~on_left]] == best[row[~on_left]]).all()
+    assert (best[row[~on_left]] != start[row[~on_left]]).any()
+
+
+def test_forks_of_seams_move_along_their_lines_too():
+    """Four islands about a corner."""
+    points, faces = meshes.grid(12, 12)
+    points = points.astype(np.float32)
+    middle = points[faces].mean(axis=1)[:, :2] > 0.5
+    ridges = [np.flatnonzero(points[:, k] == 0.5) for k in (0, 1)]
+    fit = fitting(points, faces, np.concatenate([np.stack([r[:-1], r[1:]], axis=1) for r in ridges]), ratio=0.3)
+    corners = at_corners(fit)
+    corners += 5.0 * middle[:, None]
+    # Not linear along the line between the islands at the fork.
+    corners[..., 1] += 0.2 * (corners[..., 1] % 5 - 0.5) ** 2
+    start = fit.start(corners)
+    _, found = fitted(fit, corners, start)
+    row, places = fit.layout.corner_row, own_places(fit)
+    fork = np.unique(row[(places[row] == 0.5).all(axis=2)])
+    assert len(fork) == 4
+    assert (np.abs(found - start)[fork].max(axis=1) > 1e-4).all()

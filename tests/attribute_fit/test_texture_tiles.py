@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from tests.support import meshes
 from tests.support.attribute_fit import Fitting, fitting
-from warpqem.attribute_fit.texture import fit_texture, reference_signs
+from warpqem.attribute_fit.texture import fit_texture
 
 
 @functools.cache
@@ -29,7 +29,7 @@ def mirrored(x: np.ndarray) -> np.ndarray:
 
 def fitted(fit: Fitting, corners: np.ndarray) -> np.ndarray:
     values = corners.reshape(-1, 2)
-    found = fit_texture(fit.result.faces, fit.layout, values, fit.start(corners), reference_signs(fit.layout, values))
+    found = fit_texture(fit.result.faces, fit.layout, values, fit.start(corners), fit.signs(values))
     return found[fit.layout.corner_row]
 
 

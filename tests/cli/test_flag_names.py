@@ -68,6 +68,10 @@ FLAGS = flags_of_options(SimplifyOptions)
             "--lods '50%,25%': '50%' is no number; expected ratios such as 0.5,0.25,0.1; give 0.5\n",
         ),
         (
+            ["--faces", "12345678901234567890"],
+            "--faces '12345678901234567890': expected a whole number, or a share of all faces such as 25%\n",
+        ),
+        (
             ["--faces", "1,000"],
             "--faces '1,000': expected a whole number, or a share of all faces such as 25%; give 1000\n",
         ),

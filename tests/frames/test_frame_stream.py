@@ -228,7 +228,9 @@ def test_the_plan_of_the_result_is_the_one_announced():
     assert warpqem.simplify(POINTS, FACES, **options).plan == warpqem.plan(POINTS, FACES, **options)
 
 
-@pytest.mark.parametrize(("text", "count"), [("8G", 8 * 2**30), ("1.5 MiB", 3 * 2**19), ("500m", 500 * 2**20), (7, 7)])
+@pytest.mark.parametrize(
+    ("text", "count"), [("8G", 8 * 2**30), ("1.5 MiB", 3 * 2**19), ("500m", 500 * 2**20), ("+2G", 2**31), (7, 7)]
+)
 def test_bytes_are_read(text, count):
     assert parse_bytes(text) == count
 

@@ -10,6 +10,7 @@ from tests.support.mesh_state import blocks, packed
 from warpqem.kernels.cluster_rows import gather_corners, label_corners
 from warpqem.kernels.lanes import width_of
 from warpqem.kernels.placement import (
+    STEPS,
     Clusters,
     copy_vertices,
     count_flips,
@@ -116,15 +117,15 @@ def test_normal_is_the_sum_of_the_faces_cross_products(device):
     np.testing.assert_allclose(normal, cross.sum(axis=1), rtol=1e-4, atol=1e-6)
 
 
-CHOICES = np.float32([0.6, 0.3, 0.1, 0.03, 0.01, 0.003, 0.001])
+CHOICES = np.geomspace(0.6, 0.001, int(STEPS)).astype(np.float32)
 
 
-def measured(points, faces, clusters, device) -> tuple[np.ndarray, float]:
-    """(errors with each of ``CHOICES``, area) of the one cluster."""
+def measured(points, faces, clusters, device, choices=CHOICES) -> tuple[np.ndarray, float]:
+    """(errors with each choice, area) of the one cluster."""
     position = packed(points, device)
     clusters.stiffness = wp.full(1, EPSILON, dtype=wp.float32, device=device)
     data = ClusterData(wp.array(faces.ravel(), dtype=wp.int32, device=device), rows_of(clusters), *2 * [np.empty(0)])
-    error, area = BlockPlacer(data, device).measure_stiffness(position, CHOICES[None])
+    error, area = BlockPlacer(data, device).measure_stiffness(position, choices[None])
     return error[0], float(area[0])
 
 
@@ -148,6 +149,12 @@ def test_error_of_a_stiffness_is_that_of_the_quadrics_where_it_leaves_the_vertex
     found = measured(points, faces, gathered(faces, members, device), device)
     np.testing.assert_allclose(found[0], error, rtol=1e-3, atol=1e-6)
     np.testing.assert_allclose(found[1], area, rtol=1e-5)
+
+
+def test_other_numbers_of_choices_than_the_kernel_has_room_for_are_refused(device):
+    points, faces = MESHES["closed"]
+    with pytest.raises(ValueError, match="8 stiffnesses of each cluster, 9 are tried"):
+        measured(points, faces, gathered(faces, [0, 1], device), device, CHOICES[:-1])
 
 
 def test_a_vertex_that_is_not_solved_has_no_error_by_stiffness(device):

@@ -116,7 +116,8 @@ def test_memoryless_order_fits_a_waving_cloth_better(device):
     cloth[:, :, 2] += waves
     error = {}
     for memoryless in (False, True):
-        result = warpqem.simplify(cloth, faces, ratio=0.1, memoryless=memoryless, device=device)
+        # Without a refit, so that nothing but the order differs.
+        result = warpqem.simplify(cloth, faces, ratio=0.1, memoryless=memoryless, refit=False, device=device)
         error[memoryless] = compare(cloth, faces, result.points, result.faces, samples=3000, device=device).rms
     assert error[True] < 0.97 * error[False]
 

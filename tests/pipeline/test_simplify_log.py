@@ -78,7 +78,8 @@ def test_every_prefix_of_the_log_is_a_valid_mesh(name, device):
 def test_opposites_of_the_log_are_opposite_the_edge(device):
     points, faces = CLOTH
     live = faces
-    log = warpqem.simplify(points, faces, ratio=0.5, device=device).log
+    # Where collapses are exchanged they are those that the order found.
+    log = warpqem.simplify(points, faces, ratio=0.5, quality="fast", device=device).log
     for kept, removed, opposites in zip(log.kept, log.removed, log.opposites, strict=True):
         at_edge = live[(live == kept).any(axis=1) & (live == removed).any(axis=1)]
         assert set(at_edge.ravel()) - {kept, removed} == set(opposites) - {-1}

@@ -8,6 +8,7 @@ import numpy as np
 
 import warpqem
 from warpqem.attribute_fit.partners import PartnerSearch
+from warpqem.attribute_fit.texture import reference_signs
 from warpqem.attribute_fit.values import ValueLayout
 from warpqem.pipeline.surface_transfer import SurfaceTransfer, surface_transfer
 
@@ -25,6 +26,12 @@ class Fitting:
     def start(self, corner_values: np.ndarray) -> np.ndarray:
         """Transferred values (R, C) of those at the corners of the input (N, 3, C)."""
         return self.transfer.wedges_from_corners(corner_values)
+
+    def signs(self, values: np.ndarray) -> np.ndarray:
+        """Which way each triangle of the output is to turn by texture coordinates (3N, 2)."""
+        repair = self.result.repair
+        turned = np.zeros(len(self.faces), dtype=bool) if repair is None else repair.is_turned
+        return reference_signs(self.layout, values, self.result.face_map, turned)
 
 
 def fitting(points, faces, seams=None, ratio: float = 0.3, device: str = "cpu") -> Fitting:

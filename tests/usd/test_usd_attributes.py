@@ -12,7 +12,7 @@ from tests.support.usd_stages import cloth_stage, define_cloth
 from warpqem.errors import OptionError
 from warpqem.usd import SimplifyOptions, simplify_stage
 from warpqem.usd.commands.attributes import weighted_fields
-from warpqem.usd.commands.option_checks import parse_attribute_weight
+from warpqem.usd.commands.option_checks import parse_attribute_weight, parse_faces
 from warpqem.usd.read.read_mesh import MeshSource
 from warpqem.usd.read.skeleton_poses import StagePoses
 
@@ -126,3 +126,10 @@ def test_weight_of_a_name_is_read():
 def test_weight_of_a_name_in_another_form_is_refused(text):
     with pytest.raises(OptionError, match="expected NAME=WEIGHT"):
         parse_attribute_weight(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "faces"), [("50", 50), ("+50", 50), ("50.0", 50), ("25 %", "25%"), ("+2.5%", "+2.5%")]
+)
+def test_a_number_of_faces_is_a_count_or_a_share(text, faces):
+    assert parse_faces(text) == faces

@@ -97,6 +97,40 @@ def test_fitted_normals_have_length_one(tmp_path):
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-6)
 
 
+@pytest.mark.parametrize("how", ["fit", "keep"])
+@pytest.mark.parametrize("orientation", ["rightHanded", "leftHanded"])
+def test_normals_of_length_zero_become_those_of_the_new_faces(tmp_path, how, orientation):
+    mesh = define_bumps(tmp_path, orientation=orientation)
+    own = np.array(mesh.GetNormalsAttr().Get())
+    lost = np.array(mesh.GetPointsAttr().Get())[:, 0] > 0
+    mesh.GetNormalsAttr().Set(Vt.Vec3fArray.FromNumpy(np.where(lost[:, None], 0, own).astype(np.float32)))
+    define_bumps.stage.Save()
+    report = simplify_stage(tmp_path / "in.usda", tmp_path / "out.usda", SimplifyOptions(ratio=0.1, normals=how))
+    stage = Usd.Stage.Open(str(tmp_path / "out.usda"))
+    written = UsdGeom.Mesh(stage.GetPrimAtPath("/Bumps"))
+    np.testing.assert_allclose(np.linalg.norm(np.array(written.GetNormalsAttr().Get()), axis=1), 1.0, atol=1e-5)
+    # Still to the outside.
+    assert angle_to_input(written) < 45
+    assert any("normals of length 0: those of the new faces stand" in name for name in report.prims[0].dropped)
+
+
+@pytest.mark.parametrize("orientation", ["rightHanded", "leftHanded"])
+def test_normals_of_faces_of_length_zero_become_those_of_the_new_faces(tmp_path, orientation):
+    mesh = define_bumps(tmp_path, orientation=orientation)
+    count = len(mesh.GetFaceVertexCountsAttr().Get())
+    mesh.GetNormalsAttr().Set(Vt.Vec3fArray.FromNumpy(np.zeros((count, 3), dtype=np.float32)))
+    mesh.SetNormalsInterpolation(UsdGeom.Tokens.uniform)
+    define_bumps.stage.Save()
+    simplify_stage(tmp_path / "in.usda", tmp_path / "out.usda", SimplifyOptions(ratio=0.1))
+    stage = Usd.Stage.Open(str(tmp_path / "out.usda"))
+    written = UsdGeom.Mesh(stage.GetPrimAtPath("/Bumps"))
+    normals = np.array(written.GetNormalsAttr().Get())
+    corners = np.array(written.GetPointsAttr().Get())[np.array(written.GetFaceVertexIndicesAttr().Get()).reshape(-1, 3)]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    outward = -1.0 if orientation == "leftHanded" else 1.0
+    np.testing.assert_allclose(normals, outward * cross / np.linalg.norm(cross, axis=1, keepdims=True), atol=1e-4)
+
+
 def test_normals_are_fitted_by_default(tmp_path):
     define_bumps(tmp_path)
     fitted, default = (

@@ -15,6 +15,8 @@ LENGTH_UNITS = ("mm", "cm", "dm", "m", "km", "in", "ft")
 SUFFIXES = {"PX": ("px", "pixel", "pixels"), "DEG": ("deg", "degree", "degrees", "°"), "SECONDS": ("s", "sec")}
 # Options that count the faces to keep.
 FACE_COUNTS = ("faces", "target_faces")
+# Numbers from here on would be shown with an exponent, which nobody meant.
+MAX_SHOWN = 1e12
 
 
 def number_hint(
@@ -52,7 +54,7 @@ def number_hint(
         return f"; for {number:g} % give {number / 100:g}"
     if name in FACE_COUNTS and 0.0 < number < 1.0 and "ratio" in names:
         return f"; for a share give `ratio` {number:g}"
-    fits = (limits is None or number in limits) and (not whole or number.is_integer())
+    fits = (limits is None or number in limits) and (not whole or number.is_integer()) and abs(number) < MAX_SHOWN
     return f"; give {number:.12g}" if isinstance(value, str) and fits else ""
 
 

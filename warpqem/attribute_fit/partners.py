@@ -89,9 +89,12 @@ class PartnerSearch:
         # Faces of the cut surface by those of the input; each corner starts on one.
         self._place = np.full(len(faces) + 1, -1, dtype=np.int32)
         self._place[self._used] = np.arange(len(self._used), dtype=np.int32)
+        # A mended mesh has some faces the other way round, and so has the output.
+        self._turned = np.zeros(len(faces), dtype=bool) if result.repair is None else result.repair.is_turned
+        corner = np.where(self._turned[:, None], cut.corner[:, ::-1], cut.corner)[self._used]
         start = self._place[transfer.wedge_face][transfer.corner_wedge]
         with device_turn(device):
-            corner_vertex = new_arrays.uploaded(cut.corner[self._used].ravel(), dtype=wp.int32, device=device)
+            corner_vertex = new_arrays.uploaded(corner.ravel(), dtype=wp.int32, device=device)
             unknown = new_arrays.zeros((1, len(self._vertex)), dtype=wp.vec3, device=device)
             self._surface = make_surface(unknown, corner_vertex, build_adjacency(corner_vertex, len(self._vertex)))
             self._start = new_arrays.uploaded(start.ravel(), dtype=wp.int32, device=device)
@@ -135,7 +138,11 @@ class PartnerSearch:
                 device=device,
             )
             found = partner.numpy()
-            partner.assign(np.where(found >= 0, self._used[found], -1).astype(np.int32))
+            found = np.where(found >= 0, self._used[found], -1).astype(np.int32)
+            partner.assign(found)
+            if self._turned.any():
+                of_corner = weight.numpy()
+                weight.assign(np.where(self._turned[found][..., None], of_corner[..., ::-1], of_corner))
         corner = placed[self._faces]
         area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
         return Partners(partner, weight, area / (area.max(initial=0.0) or 1.0), device)

@@ -29,8 +29,8 @@ OWN = float((SAMPLES[:, 0] ** 2).mean())
 OTHER = float((SAMPLES[:, 0] * SAMPLES[:, 1]).mean())
 # Eigenvalues of an element matrix scaled by its diagonal.
 LOW, HIGH = (OWN - OTHER) / OWN, (OWN + 2 * OTHER) / OWN
-# Each step divides the error by three: this many leave a millionth of it.
-STEPS = 13
+# Each step divides the error by three: this many leave six millionths of it.
+STEPS = 11
 
 
 def misfits(

@@ -13,27 +13,23 @@ import numpy as np
 import numpy.typing as npt
 
 from warpqem.attribute_fit.solve import fit_values, misfits
+from warpqem.attribute_fit.turned_triangles import face_signs, turned_back
 from warpqem.attribute_fit.values import ValueLayout, fit_smooth_values
+from warpqem.mesh.components import lowest_members
+from warpqem.mesh.directions import unit_vectors
 from warpqem.mesh.edges import edge_key
 
-__all__ = ["face_signs", "fit_texture", "reference_signs"]
+__all__ = ["fit_texture", "reference_signs"]
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int32]
 Flags = npt.NDArray[np.bool_]
 
-# Along a seam a value goes no further than this part of the way between its neighbours on it, so that they keep their
-# order.
-MAX_SLIDE = 0.2
+# Along a seam a value goes no further than this part of the way to its neighbour on it, so that they keep their order.
+MAX_SLIDE = 0.4
 # Across it no further than this part of its distance from the line between them. Of a circle's chords the best fit lies
 # a sixth of that further out.
 MAX_BEND = 0.25
-# Rounds that halve changes, and that draw values to their neighbours, until no triangle is turned over.
-HALVINGS = 6
-UNTANGLE_ROUNDS = 20
-# Triangles that are looked at one by one at last, and how far beyond its edge a corner goes, in parts of its height.
-MAX_FOLDS = 1000
-BEYOND = 0.1
 # Values so near to the border of a tile are on it: means of values there are in single precision.
 ON_BORDER = 1e-6
 
@@ -61,7 +57,7 @@ class _Outline:
 
     Attributes:
         on_seam: (R,) bool, values with a seam on one side.
-        before: (R,) the value before on the seam, -1 where the seam ends, forks or meets a border.
+        before: (R,) the value before on the seam, -1 where the seam ends or meets a border.
         after: (R,) the one after.
     """
 
@@ -83,50 +79,57 @@ def fit_texture(faces: Ints, layout: ValueLayout, values: Floats, start: Floats,
     outline, tiles = _find_outline(faces, layout.corner_row, len(start)), _find_tiles(layout, values, start)
     slid = _slide(outline, layout, values, start)
     fitted = tiles.clip(fit_smooth_values(layout, values, slid, ~outline.on_seam))
-    return tiles.clip(_turned_back(layout.corner_row, fitted, start, signs, ~outline.on_seam, tiles))
+    better = _where_better(layout, values, start, fitted)
+    return turned_back(layout.corner_row, better, signs, tiles.clip)
 
 
-def face_signs(corners: Floats) -> npt.NDArray[np.int8]:
-    """Which way triangles (N, 3, 2) turn: 1 counter-clockwise, -1 clockwise, 0 without area."""
-    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    return np.sign(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]).astype(np.int8)
+def reference_signs(
+    layout: ValueLayout, values: Floats, source_face: Ints, is_turned: npt.NDArray[np.bool_]
+) -> npt.NDArray[np.int8]:
+    """Which way each triangle of the output is to turn, (N',): 0 for either.
 
+    As most of the input does at its samples; where that says nothing, as the face does that it goes on from.
 
-def reference_signs(layout: ValueLayout, values: Floats) -> npt.NDArray[np.int8]:
-    """Which way each triangle of the output is to turn: as most of the input does at its samples; 0 for either."""
-    sign = face_signs(values[layout.corner_element])
+    Args:
+        layout: where values stand.
+        values: (E, 2) float64, of the input.
+        source_face: (N',) int32, the input's face that each face of the output goes on from.
+        is_turned: (N,) bool, faces of the input that the output has the other way round.
+    """
+    sign = np.where(is_turned, np.int8(-1), np.int8(1)) * face_signs(values[layout.corner_element])
     partner = layout.partners.face.numpy()
-    return np.sign(np.where(partner >= 0, sign[partner], 0).sum(axis=1)).astype(np.int8)
+    most = np.sign(np.where(partner >= 0, sign[partner], 0).sum(axis=1))
+    return np.where(most != 0, most, sign[source_face]).astype(np.int8)
 
 
 def _find_tiles(layout: ValueLayout, values: Floats, start: Floats) -> _Tiles:
     """The tiles of the start and of the input's faces at the samples of the faces that have a value."""
     lower, upper = np.floor(start + ON_BORDER), np.ceil(start - ON_BORDER)
-    partner = layout.partners.face.numpy()
-    has_partner, corner = (partner >= 0)[..., None], values[layout.corner_element]
-    row = layout.corner_row.ravel()
-    lowest = np.where(has_partner, np.floor(corner.min(axis=1))[partner], np.inf).min(axis=1)
-    np.minimum.at(lower, row, np.repeat(lowest, 3, axis=0))
-    highest = np.where(has_partner, np.ceil(corner.max(axis=1))[partner], -np.inf).max(axis=1)
-    np.maximum.at(upper, row, np.repeat(highest, 3, axis=0))
+    partner, row = layout.partners.face.numpy(), layout.corner_row.ravel()
+    first, second, third = (values[layout.corner_element[:, k]] for k in range(3))
+    lowest = np.floor(np.minimum(np.minimum(first, second), third))
+    highest = np.ceil(np.maximum(np.maximum(first, second), third))
+    for k in (0, 1):
+        # What is last stands for no partner, which is -1.
+        low, high = np.append(lowest[:, k], np.inf)[partner], np.append(highest[:, k], -np.inf)[partner]
+        # `at` is fast on whole arrays of one axis.
+        column = lower[:, k].copy(), upper[:, k].copy()
+        np.minimum.at(column[0], row, np.repeat(low.min(axis=1), 3))
+        np.maximum.at(column[1], row, np.repeat(high.max(axis=1), 3))
+        lower[:, k], upper[:, k] = column
     return _Tiles(lower, upper)
 
 
 def _find_outline(faces: Ints, corner_row: Ints, row_count: int) -> _Outline:
     tail, head = corner_row.ravel().astype(np.int64), np.roll(corner_row, -1, axis=1).ravel().astype(np.int64)
     is_open = ~np.isin(tail * row_count + head, head * row_count + tail)
-    vertex = faces.ravel().astype(np.int64)
-    key = edge_key(vertex, np.roll(faces, -1, axis=1).ravel(), int(vertex.max()) + 1)
+    key = edge_key(faces.ravel(), np.roll(faces, -1, axis=1).ravel(), int(faces.max()) + 1)
     _, edge, count = np.unique(key, return_inverse=True, return_counts=True)
     seam = is_open & (count[edge.ravel()] > 1)
     leaving, arriving = (np.bincount(end[is_open], minlength=row_count) for end in (tail, head))
     before, after = np.full(row_count, -1), np.full(row_count, -1)
     before[head[seam]], after[tail[seam]] = tail[seam], head[seam]
-    # A vertex in the middle of a seam has a value on either side of it.
-    owner = np.zeros(row_count, dtype=np.int64)
-    owner[tail] = vertex
-    sides = np.bincount(owner[np.unique(tail)], minlength=int(vertex.max()) + 1)[owner]
-    through = (leaving == 1) & (arriving == 1) & (before >= 0) & (after >= 0) & (sides <= 2)
+    through = (leaving == 1) & (arriving == 1) & (before >= 0) & (after >= 0)
     on_seam = np.zeros(row_count, dtype=bool)
     on_seam[tail[seam]] = on_seam[head[seam]] = True
     return _Outline(on_seam, np.where(through, before, -1), np.where(through, after, -1))
@@ -142,108 +145,35 @@ def _slide(outline: _Outline, layout: ValueLayout, values: Floats, start: Floats
         return start
     misfit = misfits(layout.partners, layout.corner_element, values, layout.corner_row, start)
     change = fit_values(layout.partners, misfit, layout.corner_row, np.ones(len(start), dtype=bool))[row]
-    along = start[outline.after[row]] - start[outline.before[row]]
-    squared = (along**2).sum(axis=1)
-    share = np.divide((change * along).sum(axis=1), squared, out=np.zeros(len(row)), where=squared > 0)
+    back, forth = start[outline.before[row]] - start[row], start[outline.after[row]] - start[row]
+    along = unit_vectors(forth - back)
+    way, reach = (change * along).sum(axis=1), [MAX_SLIDE * np.linalg.norm(to, axis=1) for to in (back, forth)]
+    across = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    out, bend = (change * across).sum(axis=1), MAX_BEND * np.abs((back * across).sum(axis=1))
     slid = start.copy()
-    slid[row] += np.clip(share, -MAX_SLIDE, MAX_SLIDE)[:, None] * along
-    normal = np.stack([-along[:, 1], along[:, 0]], axis=1)
-    normal = np.divide(normal, np.sqrt(squared)[:, None], out=np.zeros_like(normal), where=squared[:, None] > 0)
-    bend = np.abs(((start[row] - start[outline.before[row]]) * normal).sum(axis=1))
-    slid[row] += np.clip((change * normal).sum(axis=1), -MAX_BEND * bend, MAX_BEND * bend)[:, None] * normal
+    slid[row] += np.clip(way, -reach[0], reach[1])[:, None] * along + np.clip(out, -bend, bend)[:, None] * across
     return slid
 
 
-def _turned_back(
-    corner_row: Ints, fitted: Floats, start: Floats, signs: npt.NDArray[np.int8], free: Flags, tiles: _Tiles
-) -> Floats:
-    """Fitted values with less change, or none, where a triangle would be turned over by it."""
+def _where_better(layout: ValueLayout, values: Floats, start: Floats, fitted: Floats) -> Floats:
+    """The fitted values of charts that they bring nearer to the input at the samples; those of others stay as they are.
 
-    def turned(values: Floats) -> Flags:
-        return np.asarray(face_signs(values[corner_row]) * signs < 0, dtype=bool)
-
-    was = turned(start)
-    share = np.ones(len(start))
-    values = fitted
-    for last in [*[False] * HALVINGS, True]:
-        bad = turned(values) & ~was
-        if not bad.any():
-            break
-        rows = np.unique(corner_row[bad])
-        share[rows] = 0.0 if last else share[rows] / 2
-        values = start + share[:, None] * (fitted - start)
-    while (bad := turned(values) & ~was).any() and share.any():
-        # A neighbour of a triangle that is as before may be turned over by the other one's values.
-        share[np.unique(corner_row[bad])] = 0.0
-        values = start + share[:, None] * (fitted - start)
-    # First by the least change, which is most often enough; values of seams only where nothing else helps.
-    values = _folded_back(corner_row, values, signs, free, tiles)
-    values = _untangled(corner_row, values, signs, free, tiles)
-    return _folded_back(corner_row, values, signs, np.ones_like(free), tiles)
-
-
-def _untangled(corner_row: Ints, values: Floats, signs: npt.NDArray[np.int8], free: Flags, tiles: _Tiles) -> Floats:
-    """The same with fewer triangles turned over: their values are drawn to the middle of their neighbours'."""
-    tail, head = corner_row.ravel(), np.roll(corner_row, -1, axis=1).ravel()
-    ends, others = np.concatenate([tail, head]), np.concatenate([head, tail])
-
-    def count(trial: Floats) -> int:
-        return int((face_signs(trial[corner_row]) * signs < 0).sum())
-
-    left = count(values)
-    for _ in range(UNTANGLE_ROUNDS):
-        if not left:
-            break
-        bad = face_signs(values[corner_row]) * signs < 0
-        moved = np.zeros(len(values), dtype=bool)
-        moved[corner_row[bad]] = True
-        moved &= free
-        near = moved[ends]
-        degree = np.bincount(ends[near], minlength=len(values))
-        middle = np.stack([np.bincount(ends[near], values[others[near], k], len(values)) for k in (0, 1)], axis=1)
-        trial = np.where(moved[:, None], tiles.clip(middle / np.maximum(degree, 1)[:, None]), values)
-        after = count(trial)
-        if after >= left:
-            break
-        values, left = trial, after
-    return values
-
-
-def _folded_back(corner_row: Ints, values: Floats, signs: npt.NDArray[np.int8], free: Flags, tiles: _Tiles) -> Floats:
-    """The same where triangles that are turned over are folded back at one of their edges, one by one.
-
-    Most are slivers: a free corner goes to the other side of its edge, where that turns no other one over.
+    Both the mean error and the mean square count: a few samples on an island that went decide the latter alone.
     """
-    values = values.copy()
-    bad = np.flatnonzero(face_signs(values[corner_row]) * signs < 0)[:MAX_FOLDS]
-    faces_at = _faces_at(corner_row, corner_row[bad])
-    for face in bad:
-        rows = corner_row[face]
-        best, chosen, shift = np.inf, -1, np.zeros(2)
-        for k in np.flatnonzero(free[rows]):
-            apex, first, second = values[rows[k]], values[rows[k - 2]], values[rows[k - 1]]
-            along = second - first
-            across = np.array([-along[1], along[0]])
-            squared = along[0] * along[0] + along[1] * along[1]
-            move = -(1 + BEYOND) * ((apex - first) @ across) / squared * across if squared > 0 else along
-            # On the border of its tile, where the fold would take it out.
-            goal = np.minimum(np.maximum(apex + move, tiles.lower[rows[k]]), tiles.upper[rows[k]])
-            move = goal - apex
-            length = float(np.linalg.norm(move))
-            if not length < best:
-                continue
-            near = faces_at[rows[k]]
-            around, signs_around = corner_row[near], signs[near]
-            corners = values[around]
-            before = np.count_nonzero(face_signs(corners) * signs_around < 0)
-            trial = corners + np.where(around == rows[k], 1.0, 0.0)[:, :, None] * move
-            if np.count_nonzero(face_signs(trial) * signs_around < 0) < before:
-                best, chosen, shift = length, rows[k], move
-        if chosen >= 0:
-            values[chosen] += shift
-    return values
-
-
-def _faces_at(corner_row: Ints, rows: Ints) -> dict[int, npt.NDArray[np.int64]]:
-    """The triangles (n,) at each of some values, ascending."""
-    return {int(row): np.flatnonzero((corner_row == row).any(axis=1)) for row in np.unique(rows)}
+    row, partner = layout.corner_row, layout.partners.face.numpy()
+    chart = lowest_members(len(start), np.concatenate([row[:, :2], row[:, 1:]]))
+    area = np.where(partner >= 0, layout.partners.area[:, None], 0.0)
+    samples, owner = layout.partners.samples.T, chart[row[:, 0]]
+    element, weight = layout.corner_element[partner], layout.partners.weight.numpy()
+    squared = [np.zeros(partner.shape) for _ in range(2)]
+    # One channel and one corner after the other takes a third of the time of arrays of all of them.
+    for k in range(values.shape[1]):
+        channel = values[:, k]
+        wanted = np.add.reduce([weight[..., j] * channel[element[..., j]] for j in range(3)])
+        for total, found in zip(squared, (start, fitted), strict=True):
+            total += (wanted - found[row, k] @ samples) ** 2
+    better = np.ones(len(start), dtype=bool)
+    for was, now in (squared, np.sqrt(squared)):
+        before, after = (np.bincount(owner, (area * error).sum(axis=1), len(start)) for error in (was, now))
+        better &= after <= before
+    return np.where(better[chart][:, None], fitted, start)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
+from warpqem.attribute_fit.input_samples import InputSamples
 from warpqem.attribute_fit.normal_groups import split_corners
 from warpqem.attribute_fit.partners import Partners
 from warpqem.attribute_fit.solve import corner_fits, fit_values, misfits
@@ -38,11 +39,13 @@ class ValueLayout:
         partners: of the samples.
         corner_element: (N, 3) int32, which value each corner of the input has.
         corner_row: (N', 3) int32, which of R values each corner of the output has.
+        input_samples: samples of the input that errors are taken at, too; None for none.
     """
 
     partners: Partners
     corner_element: Ints
     corner_row: Ints
+    input_samples: InputSamples | None = None
 
 
 def fit_smooth_values(
@@ -107,24 +110,29 @@ class NormalErrors:
     Attributes:
         squared: squared difference of the unit normals: what pictures of the shading show.
         angle: angle between them, in radians. A few samples beyond an edge that went decide the other one alone.
+        both_squared: mean of that and of the same at samples of the input, where there are some.
+        both_angle: likewise.
     """
 
     squared: float
     angle: float
+    both_squared: float
+    both_angle: float
 
     @classmethod
     def over_poses(cls, poses: Iterable[NormalErrors]) -> NormalErrors:
         """The mean over poses, at least one."""
-        found = list(poses)
-        return cls(sum(one.squared for one in found) / len(found), sum(one.angle for one in found) / len(found))
+        squared, angle, both_squared, both_angle = np.mean([astuple(one) for one in poses], axis=0).tolist()
+        return cls(squared, angle, both_squared, both_angle)
 
     def is_within(self, other: NormalErrors, share: float = 1.0) -> bool:
-        """Whether neither is larger than that of ``other``, the squared one than so large a part of it."""
-        return self.squared <= share * other.squared and self.angle <= other.angle
+        """Whether none is larger than that of ``other``, the squared one than so large a part of it."""
+        both = self.both_squared <= other.both_squared and self.both_angle <= other.both_angle
+        return both and self.squared <= share * other.squared and self.angle <= other.angle
 
 
 def normal_errors(layout: ValueLayout, values: Floats, *shown: Floats) -> list[NormalErrors]:
-    """How far normals of the output are from the input's.
+    """How far normals of the output are from the input's, both ways where there are samples of the input.
 
     Args:
         layout: where the input's normals stand.
@@ -136,15 +144,27 @@ def normal_errors(layout: ValueLayout, values: Floats, *shown: Floats) -> list[N
     area = np.broadcast_to(layout.partners.area[:, None], face.shape)[known]
     total = float(area.sum())
     if not total > 0:
-        return [NormalErrors(0.0, 0.0)] * len(shown)
+        return [NormalErrors(0.0, 0.0, 0.0, 0.0)] * len(shown)
     element, weight = layout.corner_element[face[known]], weight[known].astype(np.float64)
     # One corner after the other takes half the time of an array of all three.
     wanted = unit_vectors(np.add.reduce([weight[:, k : k + 1] * values[element[:, k]] for k in range(3)]))
     found = []
     for corners in shown:
         normals = unit_vectors((layout.partners.samples @ corners)[known])
-        squared = ((wanted - normals) ** 2).sum(axis=1)
-        # Of a chord of the unit circle; rounding may take it beyond the diameter.
-        angle = 2 * np.arcsin(np.minimum(np.sqrt(squared) / 2, 1.0))
-        found.append(NormalErrors(float((area * squared).sum()) / total, float((area * angle).sum()) / total))
+        ways = [_mean_errors(wanted, normals, area / total)]
+        samples = layout.input_samples
+        if samples is not None:
+            there = samples.normals_of_input(values[layout.corner_element])
+            even = np.full(len(there), 1.0 / len(there))
+            ways.append(_mean_errors(there, samples.normals_of_output(corners), even))
+        both_squared, both_angle = np.mean(ways, axis=0).tolist()
+        found.append(NormalErrors(*ways[0], both_squared, both_angle))
     return found
+
+
+def _mean_errors(wanted: Floats, normals: Floats, weight: Floats) -> tuple[float, float]:
+    """Squared difference and angle of unit normals (S, 3) with weights (S,) that sum to one."""
+    squared = ((wanted - normals) ** 2).sum(axis=1)
+    # Of a chord of the unit circle; rounding may take it beyond the diameter.
+    angle = 2 * np.arcsin(np.minimum(np.sqrt(squared) / 2, 1.0))
+    return float((weight * squared).sum()), float((weight * angle).sum())

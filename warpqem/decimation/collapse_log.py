@@ -32,7 +32,8 @@ class CollapseRecord(ArrayRecord):
     Attributes:
         kept: (C,) int32 input vertex that goes on, at a new position.
         removed: (C,) int32 input vertex that ends.
-        opposites: (C, 2) int32, the vertices opposite the edge; the second is -1 at a border.
+        opposites: (C, 2) int32, the vertices opposite the edge, as the order found them: where collapses around it were
+            exchanged, others may be there. The second is -1 at a border.
         faces_removed: (C,) int32, 1 at a border, else 2.
         cost: (C,) float32, sum over key frames of area x squared distance on a mesh of unit diagonal, weighted.
         error: (C,) float32, RMS distance over key frames, in diagonals, of the vertex from its cluster's planes.

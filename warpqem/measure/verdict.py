@@ -95,6 +95,10 @@ def verdict_of(errors: Measured) -> Verdict:
         beyond = [(limit.value(errors) / getattr(limit, word), limit) for limit in LIMITS]
         worst, limit = max(beyond, key=lambda pair: pair[0])
         if worst > 1.0:
-            value = rounded_up(limit.value(errors))
+            # As tables show it; a value that would be rounded down to its limit is shown above it.
+            exact = limit.value(errors)
+            value = rounded_up(exact) if limit.name == "Hausdorff" else f"{exact:.4g}"
+            if float(value) <= getattr(limit, word):
+                value = rounded_up(exact)
             return Verdict(word, f"{limit.name} {value} {limit.unit} is above {getattr(limit, word):g}")
     return Verdict(GOOD, "")

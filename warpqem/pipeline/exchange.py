@@ -2,7 +2,7 @@
 
 Ordering prices a collapse by quadrics and by distances in few frames, before vertices are placed and fitted. A handful
 of its collapses leave the surface much further from the input than all others do, in some frame. So edges are
-collapsed a little further than asked for, and the surface is looked at as it comes out, in the key frames: the last
+collapsed a little further than asked for, and the surface is looked at as it comes out, in many frames: the last
 collapse of the largest error at each of the furthest spots is taken back, and for its faces the next ones of the order
 are made. What that leaves is a cut through the forest of collapses (:mod:`warpqem.decimation.forest_cut`) with as many
 faces; of all that were tried, the one with the least largest distance is kept.
@@ -105,7 +105,8 @@ class _Search:
         every = slice(0, count)
         points = mesh.source.read(every)
         self._frames = LevelFrames(self._work, mesh.points(every), points, units)
-        limit = SPOT * float(log.recent_error[-1])
+        # Where pruning alone led here there are no collapses.
+        limit = SPOT * float(log.recent_error[-1]) if len(log) else 0.0
         self._distances = LevelDistances(self._work, points, self._frames, units, limit)
 
     def run(self, progress: Progress | None) -> DecimatedMesh:
@@ -134,14 +135,14 @@ class _Search:
         return self._settled(best)
 
     def _first_level(self) -> CutLevel:
-        """The order's own level, placed and refitted."""
+        """The order's own level, placed and refitted roughly."""
         level = self._level(self._prefix())
         placer = self._work.placer(level.ordered, refit=True)
         settings = replace(self._work.place_settings, softening=placer.softening)
         self._work = replace(self._work, place_settings=settings)
         array = ArraySink()
         result = without_frames(self._work, placer, level.ordered)
-        with_frames(result, self._work, placer, True, sink=array)
+        with_frames(result, self._work, placer, True, sink=array, roughly=True)
         self._frames.put(level, array.points)
         return level
 

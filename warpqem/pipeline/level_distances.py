@@ -104,10 +104,10 @@ class LevelDistances:
         self._far_large[~is_large_here] = 0.0
         row = np.flatnonzero(is_near[corners].any(axis=1) & is_large_here)
         clusters = ordered.root[corners[row]]
-        self._far_large[row] = self._sampled(self._points, corners[row], clusters, ordered.faces, around, side)
+        self._far_large[row] = self._sampled(self._points, corners[row], clusters, around, side)
         held = self._held_side(level, near)
         faces, face = ordered.faces[changed], ordered.face_map[changed]
-        self._far_face[face] = self._sampled(self._frames.level_points, faces, faces, ordered.faces, around, held)
+        self._far_face[face] = self._sampled(self._frames.level_points, faces, faces, around, held)
         found = self._far_vertex[here], self._far_large, self._far_face[ordered.face_map]
         return max(self.limit, *(float(part.max(initial=0.0)) for part in found))
 
@@ -165,11 +165,14 @@ class LevelDistances:
         points: np.ndarray,
         faces: np.ndarray,
         clusters: np.ndarray,
-        level_faces: np.ndarray,
         around: FacesAround,
         side: _Side,
     ) -> np.ndarray:
-        """How far points of faces (m, 3) of (n, V, 3) are from what a side has at their clusters (m, 3)."""
+        """How far points of faces (m, 3) of (n, V, 3) are from what a side has at their clusters (m, 3).
+
+        ``around`` has the faces of the level at each of its clusters.
+        """
+        level_faces = around.corner_vertex.reshape(-1, 3)
         found = np.empty(len(faces), dtype=np.float32)
         for first in range(0, len(faces), FACES_AT_ONCE):
             part = slice(first, first + FACES_AT_ONCE)

@@ -367,7 +367,7 @@ def parse_bytes(value: int | str) -> int:
     Raises:
         OptionError: it is no positive number of bytes.
     """
-    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?\s*", str(value), re.ASCII | re.IGNORECASE)
+    found = re.fullmatch(r"\s*\+?(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?\s*", str(value), re.ASCII | re.IGNORECASE)
     size = float(found[1]) * UNITS[found[2].upper()] if found else 0.0
     count = int(size) if math.isfinite(size) else 0
     if count < 1:

@@ -115,6 +115,7 @@ def place_refitted(
     recent_error: float,
     on_disk: bool,
     settling: Settling | None = None,
+    roughly: bool = False,
 ) -> FinishedFrames:
     """Place all frames into a store, fit the corrections, and hand the corrected frames to the sink.
 
@@ -125,6 +126,7 @@ def place_refitted(
         recent_error: the root mean square of the errors of the last collapses, in diagonals.
         on_disk: keep the placed frames in a temporary file.
         settling: leaves vertices as placed; the sink begins anew each time that there are more.
+        roughly: see :func:`warpqem.refit.fit_surface.fit_corrections`.
     """
     placer = work.placer
     store = FrameStore(work.mesh.frame_count, placer.vertex_count, placer.copied_count, on_disk)
@@ -132,7 +134,9 @@ def place_refitted(
         with FrameWriter(store.write, len(work.blocks)) as keep:
             for frames, placed in work.placed():
                 keep(frames, placed.fetch())
-        correct = fit_corrections(work.mesh, placer, store, key_frames, error, recent_error, work.blocks, placer.device)
+        correct = fit_corrections(
+            work.mesh, placer, store, key_frames, error, recent_error, work.blocks, placer.device, roughly
+        )
         while True:
             finish = _Finish(work)
             with FrameWriter(work.sink.write, len(work.blocks)) as write:

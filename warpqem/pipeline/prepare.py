@@ -382,7 +382,7 @@ def _regularisation(coherence: float) -> float:
 def _read_progress(progress: Progress | None, frame_count: int) -> Callable[[int], None] | None:
     if progress is None:
         return None
-    return lambda done: progress(READ_END * done / frame_count, "read")
+    return lambda done: progress(READ_END * (done / frame_count), "read")
 
 
 def _order_progress(progress: Progress | None, face_count: int, target: int) -> Callable[[int], None] | None:

@@ -248,6 +248,7 @@ def with_frames(
     device: str | None = None,
     progress: Progress | None = None,
     settling: Settling | None = None,
+    roughly: bool = False,
 ) -> SimplifiedMesh:
     """Place all frames, and refit them where that is asked for.
 
@@ -260,6 +261,7 @@ def with_frames(
         device: where that array is; None for the host.
         progress: called with the part done and "place".
         settling: decides which vertices a refit leaves as placed; None for those that the refit does.
+        roughly: refit roughly, for a look at where the surface is far from the input.
     """
     mesh, array = work.mesh, ArraySink() if device is None else DeviceSink(device)
     placed = _place_progress(progress, mesh.frame_count)
@@ -278,6 +280,7 @@ def with_frames(
             recent_error=float(recent[-1]) if len(recent) else 0.0,
             on_disk=on_disk,
             settling=settling,
+            roughly=roughly,
         )
     else:
         finished = place_frames(placing)

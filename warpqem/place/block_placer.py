@@ -189,8 +189,14 @@ class BlockPlacer:
         Returns:
             error: (C, STEPS) float32, sums over the key frames, in diagonals^4.
             area: (C,) float32, sum of what the planes weigh, in diagonals squared.
+
+        Raises:
+            ValueError: more or fewer stiffnesses are given.
         """
         (count, steps), block_count, device = stiffness.shape, key_position.shape[1], self._device
+        if steps != int(kernels.STEPS):
+            # The kernel would write past the end.
+            raise ValueError(f"{steps} stiffnesses of each cluster, {int(kernels.STEPS)} are tried")
         errors = new_arrays.empty((count, block_count, steps), dtype=wp.float32, device=device)
         areas = new_arrays.empty((count, block_count), dtype=wp.float32, device=device)
         choices = wp.array(stiffness, dtype=wp.float32, device=device, copy=False)

@@ -43,11 +43,11 @@ MAX_ADDED = 1.5
 MIN_ADDED = 1e-6
 # Stiffness may add so much to the mean squared distance of a whole mesh. It mostly adds 6 to 20 %, and up to 74 % where
 # deformation travels over the surface, as wrinkles do: there vertices have to go along. With 0.2, slide is 0.7 of what
-# it is, and the error 2.6 % more.
-MAX_ADDED_SHARE = 0.1
+# it is, and the error 2.4 % more.
+MAX_ADDED_SHARE = 0.09
 # The stiffness at coherence one half, which that is for. Who asks for more gets it: the share grows with a power of the
 # stiffness, so that at coherence 1 nothing is softened (there stiffness adds two to three times the squared distance,
-# and the share is 4.2).
+# and the share is 3.8).
 SHARED_STIFFNESS = 0.5
 SHARE_POWER = 0.6
 

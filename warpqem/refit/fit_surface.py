@@ -9,6 +9,7 @@ every frame were measured too: they gain 2 % more and slide.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -35,6 +36,8 @@ __all__ = ["fit_corrections"]
 
 # Pairs are found and the system is solved so often: the third round gains 0.5 % for a tenth of the job's time.
 ROUNDS = 3
+# For a rough fit: where such a surface is far from the input, that of three rounds is too.
+ROUGH_ROUNDS = 2
 
 # Each sample is paired in one key frame, and in one more for so many frames of the animation, so that the refit costs
 # no more than the rest of the job. One frame for each sample gives away 0.5 % of the error, as samples take turns.
@@ -91,6 +94,7 @@ def fit_corrections(
     recent_error: float,
     blocks: Sequence[slice],
     device: str,
+    roughly: bool = False,
 ) -> Callable[[PlacedFrames], PlacedFrames]:
     """What moves placed frames, so that the surface as a whole is nearest to the input.
 
@@ -108,14 +112,21 @@ def fit_corrections(
         recent_error: the root mean square of the errors of the last collapses, in diagonals.
         blocks: frames to look at at once, when all are looked through for faces that turn over.
         device: Warp device.
+        roughly: with fewer rounds, and components may come further from the input than they were.
     """
     fit = _Refit(mesh, placer, placed, key_frames, max(DOUBTED * recent_error, MIN_DOUBTED), device)
     if fit.has_no_area:
         return lambda frames: frames
     reach = REACH * error
-    for round_index in range(ROUNDS):
-        fit.improve(reach, first=round_index == 0)
+    # Distances decide only whether components come further away; the first pairs need the search in any case.
+    fit.improve(reach, math.inf if roughly else fit.far)
+    if not roughly:
+        fit.take_limits()
+    for _ in range((ROUGH_ROUNDS if roughly else ROUNDS) - 1):
+        fit.improve(reach)
     fit.hold_back(placed, blocks)
+    if roughly:
+        return fit.apply
     for attempt in range(ATTEMPTS):
         if not fit.hold_far_places(reach, attempt):
             return fit.apply
@@ -147,7 +158,7 @@ class _Refit:
         far: float,
         device: str,
     ) -> None:
-        self._device, self._far = device, far
+        self._device, self.far = device, far
         self._faces = placer.faces
         self._vertex_count = placed.vertex_count
         self._corner_vertex = new_arrays.uploaded(placer.faces.ravel(), dtype=wp.int32, device=device)
@@ -220,17 +231,15 @@ class _Refit:
         )
         return frames
 
-    def improve(self, reach: float, *, first: bool) -> None:
-        """One round: pair the surfaces as they lie now, and solve for the corrections.
+    def improve(self, reach: float, far: float | None = None) -> None:
+        """One round: pair the surfaces as they lie now, and solve for the corrections; ``far`` as for the pairs.
 
         A surface without area, such as one that is flattened to a line, stays as it is: it has nothing to fit to.
         """
         if not self._scales.area > 0.0:
             return
         self._move(self._points, self._normals, self._moved)
-        self._matching.find(reach, self._far if first else None)
-        if first:
-            self._limits = self._component_limits()
+        self._matching.find(reach, far)
         self._matched_at = self._correction
         self._correction = solve_elements(*self._assemble(self._matched_at))
 
@@ -267,7 +276,7 @@ class _Refit:
                 self._frames,
                 matched_at,
                 self._hold,
-                1.0 / self._far**2,
+                1.0 / self.far**2,
             ],
             outputs=[elements.block, right],
             device=device,
@@ -308,13 +317,13 @@ class _Refit:
         solution[np.isinf(self._held)] = 0.0
         self._correction = new_arrays.uploaded(solution, dtype=wp.vec3, device=self._device)
 
-    def _component_limits(self) -> np.ndarray:
-        """(M,) float32, what squared distances of each component may come to, by those of the surface as placed."""
+    def take_limits(self) -> None:
+        """Let the squared distances of each component come to what those are that were found last."""
         squared, face = self._matching.distances()
         limits = np.full(int(self._component.max(initial=-1)) + 1, SMALLEST_DISTANCE**2, dtype=np.float32)
         found = face >= 0
         np.maximum.at(limits, self._component[face[found]], squared[found])
-        return MAX_GROWTH**2 * limits
+        self._limits = MAX_GROWTH**2 * limits
 
     def hold_far_places(self, reach: float, rings: int) -> bool:
         """Stiffen places that have come further away than any of their component was as placed: whether there are some.
@@ -358,7 +367,7 @@ class _Refit:
     def _far_faces(self, reach: float) -> np.ndarray:
         """Output faces at places that are further away than any of their component was as placed."""
         self._move(self._points, self._normals, self._moved)
-        self._matching.find(reach, self._far)
+        self._matching.find(reach, self.far)
         squared, face = self._matching.distances()
         found = np.flatnonzero(face >= 0)
         return np.unique(face[found[squared[found] > self._limits[self._component[face[found]]]]])

@@ -59,6 +59,13 @@ class MeshRepair(ArrayRecord):
         """(M,) bool, faces with a back."""
         return np.asarray(self.back >= 0)
 
+    @cached_property
+    def is_turned(self) -> np.ndarray:
+        """(N,) bool, those of the caller's faces whose corners are in the reverse order in the mended mesh."""
+        found = np.zeros(len(self.sheets), dtype=bool)
+        found[self.face_index[self.turned]] = True
+        return found
+
     @property
     def faces(self) -> np.ndarray:
         """(M, 3) int32, the corners of each face."""

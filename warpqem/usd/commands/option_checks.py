@@ -80,7 +80,7 @@ def parse_faces(value: object) -> int | str:
         ValueError: it is neither.
     """
     text = str(value).strip()
-    if isinstance(value, bool) or not re.fullmatch(r"-?\d{1,18}(\.0)?|\d+(\.\d+)? ?%", text, re.ASCII):
+    if isinstance(value, bool) or not re.fullmatch(r"[-+]?\d{1,18}(\.0)?|\+?\d+(\.\d+)? ?%", text, re.ASCII):
         if found := re.fullmatch(r"0?\.\d{1,6}", text, re.ASCII):
             hint = f"; for that share give {100 * float(found[0]):g}%"
         else:

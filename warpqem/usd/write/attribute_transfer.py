@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 from pxr import Usd, UsdGeom
 
+from warpqem.attribute_fit.input_samples import InputSamples, find_input_samples
 from warpqem.attribute_fit.partners import Partners, PartnerSearch
 from warpqem.attribute_fit.values import ValueLayout
 from warpqem.mesh.blending import blend
@@ -221,10 +222,37 @@ class AttributeTransfer:
         found = self._partners_over_frames(seams) if over_frames else self._reference_partners(seams)
         return ValueLayout(found, elements, self.faces if corner_row is None else corner_row)
 
+    def input_samples(
+        self, pose: npt.NDArray[np.float32] | None = None, placed: npt.NDArray[np.float32] | None = None
+    ) -> InputSamples | None:
+        """Samples of the input in a pose of both, see `find_input_samples`; None for the reference pose."""
+        points = self._input[0] if pose is None else pose
+        faces = np.where(self.turned_faces[:, None], self.input_faces[:, ::-1], self.input_faces)
+        found = find_input_samples(
+            points, faces, self.reference if placed is None else placed, self.faces, resolve_device(self._device)
+        )
+        if found is None or not self.turned_faces.any():
+            return found
+        turned = self.turned_faces[found.face][:, None]
+        return replace(found, weight=np.where(turned, found.weight[:, ::-1], found.weight))
+
     @property
     def input_faces(self) -> npt.NDArray[np.int32]:
         """The triangles of the input on its vertices, int32, shape (N, 3)."""
         return self._input[1]
+
+    @property
+    def turned_faces(self) -> npt.NDArray[np.bool_]:
+        """Those of them that the output goes on from the other way round, as mending does: bool, shape (N,)."""
+        _, faces, result = self._input
+        turned = np.zeros(len(faces), dtype=bool) if result.repair is None else result.repair.is_turned
+        return np.asarray(turned, dtype=bool)
+
+    @property
+    def source_faces(self) -> npt.NDArray[np.int32]:
+        """Those that the output's faces go on from, int32, shape (N',)."""
+        found: npt.NDArray[np.int32] = self._input[2].face_map
+        return found
 
     @property
     def has_backs(self) -> bool:

@@ -53,7 +53,11 @@ class _Shading:
     def __init__(self, transfer: AttributeTransfer, outward: float) -> None:
         """``outward`` is -1 where triangles are clockwise seen from the front."""
         self._transfer, self._outward = transfer, outward
-        faces, hard = transfer.input_faces, transfer.seams.hard
+        hard, turned = transfer.seams.hard, transfer.turned_faces[:, None]
+        # Turned over where those of the output are.
+        faces = np.where(turned, transfer.input_faces[:, ::-1], transfer.input_faces)
+        corners = np.arange(faces.size).reshape(-1, 3)
+        self._corner = np.where(turned, corners[:, ::-1], corners).ravel()
         # Polygons without normals are shaded as pictures show them. Where the output has an edge, too, is left to the
         # fits of its faces: what is sharp now is no line that simplification holds.
         self._plain = SmoothingGroups(faces, CREASE_ANGLE) if transfer.is_plain else None
@@ -66,9 +70,10 @@ class _Shading:
     def of_input(self, pose: Points) -> npt.NDArray[np.float64]:
         """(3N, 3) in a pose of the input."""
         if self._plain is not None:
-            return self._outward * self._plain.normals(pose).reshape(-1, 3)
+            return self._outward * self._plain.normals(pose).reshape(-1, 3)[self._corner]
         points = pose if self._vertex is None else pose[self._vertex]
-        return self._outward * vertex_normals(points, self._group)[self._group].reshape(-1, 3).astype(np.float64)
+        row = self._group.ravel()[self._corner]
+        return self._outward * vertex_normals(points, self._group)[row].astype(np.float64)
 
     @property
     def row_vertex(self) -> npt.NDArray[np.int64]:
@@ -94,7 +99,8 @@ class _Shading:
         for pose in poses:
             found = search.find(pose.points, pose.placed, first)
             first = found if first is None else first
-            layouts.append(ValueLayout(found, elements, self.corner_row))
+            samples = self._transfer.input_samples(pose.points, pose.placed)
+            layouts.append(ValueLayout(found, elements, self.corner_row, samples))
         return layouts
 
     def fit_tilts(self, poses: Sequence[NormalPose], layouts: Sequence[ValueLayout]) -> npt.NDArray[np.float64]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -85,7 +86,8 @@ def fit_transferred(
                 # Painted weights may be infinite, and nothing lies between those and others.
                 return like
             if kind == "texture":
-                found = fit_texture(transfer.faces, layout, values, start(code), reference_signs(layout, values))
+                signs = reference_signs(layout, values, transfer.source_faces, transfer.turned_faces)
+                found = fit_texture(transfer.faces, layout, values, start(code), signs)
             else:
                 found = fit_smooth_values(layout, values, start(code))
             return found.reshape(like.shape).astype(like.dtype)
@@ -99,10 +101,10 @@ def fit_transferred(
         return fit_normals(split, _flat(samples[code]), unit_vectors(start(code)[row])).astype(transferred[code].dtype)
 
     held = {code: fitted_normals(code) for code in chosen}
-    errors = []
+    errors, both_ways = [], replace(layout, input_samples=transfer.input_samples())
     for code, normals in held.items():
         kept = unit_vectors(start(code))[layout.corner_row]
-        errors.append(normal_errors(layout, unit_vectors(_flat(samples[code])), kept, normals[split.corner_row]))
+        errors.append(normal_errors(both_ways, unit_vectors(_flat(samples[code])), kept, normals[split.corner_row]))
     before, after = (NormalErrors.over_poses(one) for one in zip(*errors, strict=True))
     if not after.is_within(before):
         # Of a few faces a fit may be off by more on average, where an edge that went draws all of it aside.

@@ -31,6 +31,7 @@ from warpqem.usd.read.value_arrays import (
 )
 from warpqem.usd.write.attribute_transfer import AttributeTransfer, Rows
 from warpqem.usd.write.fitted_values import fit_transferred, kind_of_values
+from warpqem.usd.write.lost_directions import with_directions
 from warpqem.usd.write.remove_properties import Dropped, block
 
 __all__ = ["name_arrays", "transfer_motion", "transfer_normals", "transfer_primvars"]
@@ -112,6 +113,10 @@ def _transfer_primvar(
             transfer, str(primvar.GetAttr().GetName()), kind, interpolation, samples, transferred, corner_row
         )
     transferred, corner_row = _with_facets(prim, transfer, primvar.GetAttr().GetName(), transferred, corner_row)
+    if name == "normals":
+        row = _row_of_corners(transfer, interpolation, corner_row)
+        title = str(primvar.GetAttr().GetName())
+        transferred = with_directions(UsdGeom.Mesh(prim), transfer.faces, title, transferred, row, dropped)
     indices = primvar.GetIndicesAttr()
     if corner_row is not None and indices and not reads_as_indices(indices):
         # Indices of another type can be none of USD's.
@@ -157,7 +162,19 @@ def transfer_normals(mesh: UsdGeom.Mesh, transfer: AttributeTransfer, dropped: D
             transferred = transferred.map(itemgetter(corner_row.ravel()))
             corner_row = np.arange(corner_row.size, dtype=np.int32).reshape(corner_row.shape)
             mesh.SetNormalsInterpolation(UsdGeom.Tokens.faceVarying)
-        _write_values(attribute, _with_facets(mesh.GetPrim(), transfer, "normals", transferred, corner_row)[0], saved)
+        transferred, corner_row = _with_facets(mesh.GetPrim(), transfer, "normals", transferred, corner_row)
+        row = _row_of_corners(transfer, interpolation, corner_row)
+        transferred = with_directions(mesh, transfer.faces, "normals", transferred, row, dropped)
+        _write_values(attribute, transferred, saved)
+
+
+def _row_of_corners(
+    transfer: AttributeTransfer, interpolation: str, corner_row: npt.NDArray[np.int32] | None
+) -> npt.NDArray[np.int32] | None:
+    """(N', 3) int32, the value that each corner of the new faces has; None where each face has one."""
+    if corner_row is None and interpolation != UsdGeom.Tokens.uniform:
+        return transfer.faces
+    return corner_row
 
 
 def transfer_motion(
