@@ -29,6 +29,7 @@ from warpqem.place.frame_store import AnyFrameStore
 from warpqem.place.place import Placer
 from warpqem.refit.matching import Matching, make_surface
 from warpqem.refit.solve import ElementSolver
+from warpqem.runtime import new_arrays
 from warpqem.runtime.launches import launch
 from warpqem.runtime.part_launches import launch_in_parts, rows_of
 
@@ -156,7 +157,7 @@ class _Refit:
         self._device, self._far = device, far
         self._faces = placer.faces
         self._vertex_count = placed.vertex_count
-        self._corner_vertex = wp.array(placer.faces.ravel(), dtype=wp.int32, device=device)
+        self._corner_vertex = new_arrays.uploaded(placer.faces.ravel(), dtype=wp.int32, device=device)
         self._adjacency = build_adjacency(self._corner_vertex, self._vertex_count)
         self._rings = self._make_rings(placed.read(slice(0, 1)))
         keys = placed.chosen(key_frames)
@@ -168,9 +169,9 @@ class _Refit:
         self._turns = max(1, min(len(key_frames), mesh.frame_count // FRAMES_PER_TURN))
         # Of a pruned component nothing is near to the output.
         faces = mesh.faces[placer.vertex_map[mesh.faces[:, 0]] >= 0]
-        corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device)
+        corner_vertex = new_arrays.uploaded(faces.ravel(), dtype=wp.int32, device=device)
         source = make_surface(
-            wp.array(mesh.to_unit(mesh.chosen_points(key_frames)), dtype=wp.vec3, device=device),
+            new_arrays.uploaded(mesh.to_unit(mesh.chosen_points(key_frames)), dtype=wp.vec3, device=device),
             corner_vertex,
             build_adjacency(corner_vertex, mesh.vertex_count),
         )
@@ -188,9 +189,9 @@ class _Refit:
         )
         self._stiffness = np.ones((self._vertex_count, 3), dtype=np.float32)
         self._stiffness[placer.on_seam, :2] = SEAM_STIFFNESS
-        self._hold = wp.array(self._stiffness, dtype=wp.vec3, device=device)
+        self._hold = new_arrays.uploaded(self._stiffness, dtype=wp.vec3, device=device)
         self._held = np.ones(self._vertex_count, dtype=np.float32)
-        self._correction = wp.zeros(self._vertex_count, dtype=wp.vec3, device=device)
+        self._correction = new_arrays.zeros(self._vertex_count, dtype=wp.vec3, device=device)
         # What the surface had when it was paired last.
         self._matched_at = self._correction
         # Of each output face.
@@ -220,7 +221,7 @@ class _Refit:
         return rings
 
     def _measure_frames(self, free: np.ndarray) -> wp.array:
-        frames = wp.empty(self._points.shape, dtype=wp.mat33, device=self._device)
+        frames = new_arrays.empty(self._points.shape, dtype=wp.mat33, device=self._device)
         launch(
             frame_kernels.measure_material_frames,
             dim=self._points.shape,
@@ -228,7 +229,7 @@ class _Refit:
                 self._rings,
                 self._points,
                 self._normals,
-                wp.array(free.astype(np.int32), dtype=wp.int32, device=self._device),
+                new_arrays.uploaded(free.astype(np.int32), dtype=wp.int32, device=self._device),
             ],
             outputs=[frames],
             device=self._device,
@@ -268,7 +269,7 @@ class _Refit:
         unit = self._vertex_count / (self._scales.area * self._turns)
         stiffness.mass = (1.0 + OUTPUT_SHARE) * self._turns * unit
         edge_weight = EDGE_STIFFNESS / 6.0 / len(self._points)
-        right = wp.empty(3 * face_count, dtype=wp.vec3, device=device)
+        right = new_arrays.empty(3 * face_count, dtype=wp.vec3, device=device)
         launch(
             kernels.assemble_elements,
             dim=face_count,
