@@ -18,6 +18,12 @@ EXACT_BELOW = wp.constant(wp.float64(1.0e-3))
 # Added to the box of the second search: several times the rounding of the single-precision boxes of the hierarchy.
 BOX_MARGIN = wp.constant(1.0e-6)
 
+# The foot of a perpendicular is the nearest point for certain where its squared distance from every edge is more than
+# this part of the squared lengths at work: eight times what single precision rounds squared distances by, of 6e-8.
+INSIDE_MARGIN = wp.constant(wp.float32(2.0e-5))
+# So flat a triangle (a squared sine) rounds the foot itself.
+SLIVER = wp.constant(wp.float32(1.0e-4))
+
 
 @wp.func
 def double_point(p: wp.vec3) -> wp.vec3d:
@@ -50,6 +56,29 @@ def offset_squared(p: Any, a: Any, b: Any, c: Any, barycentric: Any):
 
 
 @wp.func
+def is_well_inside(ab: Any, ac: Any, ap: Any, normal_squared: Any, foot: Any) -> wp.bool:
+    """Whether the foot of a perpendicular, by its barycentric coordinates, is so far inside that no edge is as near.
+
+    That is, by more than single precision rounds distances; never so for a sliver.
+    """
+    ab_squared = wp.dot(ab, ab)
+    ac_squared = wp.dot(ac, ac)
+    bc = ac - ab
+    rounding = type(normal_squared)(INSIDE_MARGIN) * (ab_squared + ac_squared + wp.dot(ap, ap))
+    zero = type(normal_squared)(0.0)
+    # Squared distances of the foot from the edges are these parts of the heights.
+    return (
+        foot[0] > zero
+        and foot[1] > zero
+        and foot[2] > zero
+        and normal_squared > type(normal_squared)(SLIVER) * ab_squared * ac_squared
+        and foot[2] * foot[2] * normal_squared > rounding * ab_squared
+        and foot[1] * foot[1] * normal_squared > rounding * ac_squared
+        and foot[0] * foot[0] * normal_squared > rounding * wp.dot(bc, bc)
+    )
+
+
+@wp.func
 def closest_barycentric(p: Any, a: Any, b: Any, c: Any):
     """Barycentric coordinates of the point of triangle abc closest to p; right for degenerate triangles too.
 
@@ -58,6 +87,19 @@ def closest_barycentric(p: Any, a: Any, b: Any, c: Any):
     """
     zero = type(p[0])(0.0)
     one = type(p[0])(1.0)
+    ab = b - a
+    ac = c - a
+    ap = p - a
+    normal = wp.cross(ab, ac)
+    normal_squared = wp.dot(normal, normal)
+    foot = wp.vector(zero, zero, zero)
+    if normal_squared > zero:
+        v = wp.dot(wp.cross(ap, ac), normal) / normal_squared
+        w = wp.dot(wp.cross(ab, ap), normal) / normal_squared
+        foot = wp.vector(one - v - w, v, w)
+        if is_well_inside(ab, ac, ap, normal_squared, foot):
+            return foot
+
     t = segment_parameter(p, a, b)
     best = wp.vector(one - t, t, zero)
     best_squared = offset_squared(p, a, b, c, best)
@@ -76,17 +118,10 @@ def closest_barycentric(p: Any, a: Any, b: Any, c: Any):
         best = candidate
         best_squared = candidate_squared
 
-    ab = b - a
-    ac = c - a
-    ap = p - a
-    normal = wp.cross(ab, ac)
-    normal_squared = wp.dot(normal, normal)
     if normal_squared > zero:
-        v = wp.dot(wp.cross(ap, ac), normal) / normal_squared
-        w = wp.dot(wp.cross(ab, ap), normal) / normal_squared
-        candidate = wp.vector(one - v - w, v, w)
-        if v >= zero and w >= zero and v + w <= one and offset_squared(p, a, b, c, candidate) < best_squared:
-            best = candidate
+        inside = foot[1] >= zero and foot[2] >= zero and foot[1] + foot[2] <= one
+        if inside and offset_squared(p, a, b, c, foot) < best_squared:
+            best = foot
     return best
 
 
