@@ -85,15 +85,22 @@ def _improved(
             break
         rows = watched[flat]
         corner = trial[rows]
-        opposite = np.roll(corner, -1, axis=1) - np.roll(corner, -2, axis=1)
-        gradient = np.stack([opposite[:, :, 1], -opposite[:, :, 0]], axis=2)
-        gradient *= (wanted[flat, None] * movable[rows])[:, :, None]
+        opposite = corner.take((1, 2, 0), axis=1) - corner.take((2, 0, 1), axis=1)
+        turn = wanted[flat, None] * movable[rows]
+        gradient = np.empty_like(opposite)
+        np.multiply(opposite[:, :, 1], turn, out=gradient[:, :, 0])
+        np.multiply(-opposite[:, :, 0], turn, out=gradient[:, :, 1])
         missing = margin * (opposite**2).sum(axis=2).max(axis=1) - areas[flat]
         squared = (gradient**2).sum(axis=(1, 2))
         share = np.divide(missing, squared, out=np.zeros_like(missing), where=squared > 0)
-        move, asked = share[:, None, None] * gradient, np.bincount(rows.ravel(), minlength=len(values))
-        total = np.stack([np.bincount(rows.ravel(), move[:, :, k].ravel(), len(values)) for k in (0, 1)], axis=1)
-        trial = clip(trial + total / np.maximum(asked, 1)[:, None])
+        move, row = share[:, None, None] * gradient, rows.ravel()
+        if not move.any() and np.array_equal(clip(trial), trial):
+            # Nothing that may move puts any of them right.
+            break
+        asked, total = np.maximum(np.bincount(row, minlength=len(values)), 1), np.empty_like(trial)
+        for k in (0, 1):
+            np.divide(np.bincount(row, move[:, :, k].ravel(), len(values)), asked, out=total[:, k])
+        trial = clip(trial + total)
     return best
 
 
