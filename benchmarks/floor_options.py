@@ -137,7 +137,9 @@ _STREAMED: dict[str, tuple[tuple[str, float], ...]] = {
     "count_faces_at_texels": (("output.uv", 1), ("count_out", 1)),
     "dilate": (("normal_in", 1), ("filled_in", 1), ("normal_out", 1), ("filled_out", 1)),
     # A vertex that is not corrected needs no frame.
-    "move_in_material_frame": (("points_in", 1), ("points_out", 1), ("correction_in", 1)),
+    "move_by_corrections": (("points_in", 1), ("points_out", 1), ("correction_in", 1)),
+    # What is written are as many blocks as are read.
+    "hold_elements": (("diagonal_in", 2), ("share_in", 1), ("hold_in", 1), ("corner_vertex_in", 1)),
     "mark_border": (("opposite_in", 1), ("is_border_out", 1)),
     # A look at every half-edge; few are listed.
     "list_border": (("opposite_in", 1), ("half_edge_out", 2)),
@@ -181,7 +183,7 @@ def _match_border_samples(a: Arguments) -> Demand:
 def _assemble_elements(a: Arguments) -> Demand:
     pairs = int(np.count_nonzero(a["output_pairs"].face.numpy() >= 0)) + int(a["input_start_in"].numpy()[-1])
     faces, frames = a["block_out"].shape[0], a["points_in"].shape[0]
-    arrays = ("corner_vertex_in", "points_in", "frame_in", "block_out", "right_out", "correction_in", "hold_in")
+    arrays = ("corner_vertex_in", "points_in", "frame_in", "block_out", "right_out", "correction_in", "share_out")
     flops = pairs * PAIR_FLOPS + faces * frames * EDGES_FLOPS
     return Demand(pairs * PAIR + sum(size_of(a[name]) for name in arrays), flops)
 

@@ -106,11 +106,10 @@ def measure_material_frames(
 
 
 @wp.kernel
-def move_in_material_frame(
+def move_by_corrections(
     # in
-    rings: OneRings,
     points_in: wp.array2d[wp.vec3],
-    normal_in: wp.array2d[wp.vec3],
+    frame_in: wp.array2d[wp.mat33],
     correction_in: wp.array[wp.vec3],
     # out
     points_out: wp.array2d[wp.vec3],
@@ -120,7 +119,7 @@ def move_in_material_frame(
     x = points_in[t, c]
     d = correction_in[c]
     if wp.dot(d, d) > 0.0:
-        x += material_frame(rings, points_in, normal_in, t, c) * d
+        x += frame_in[t, c] * d
     points_out[t, c] = x
 
 

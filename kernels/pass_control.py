@@ -46,7 +46,7 @@ class PassControl:
     pass_collapses: wp.array[wp.int32]  # of the last pass
     pass_threshold: wp.array[wp.float32]  # what its components may cost; infinite where no edge is left to collapse
     overfull: wp.array[wp.int32]  # 1: the adjacency pool may be too small for another pass
-    remnant_count: wp.array[wp.int32]  # components that may be better pruned as a whole
+    remnant_count: wp.array[wp.int32]  # components that may be pruned as a whole
     fraction: wp.array[wp.float64]  # of the edges that the pass may touch
     pass_number: wp.array[wp.int32]
     pass_begin: wp.array[wp.int32]  # length of the log when the pass began

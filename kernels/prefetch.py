@@ -47,6 +47,16 @@ def prefetch_row(rows: Any, i: wp.int32):
     ...
 
 
+@wp.func_native("""
+#if !defined(__CUDA_ARCH__)
+    __builtin_prefetch(&wp::index(rows, i, j));
+#endif
+""")
+def prefetch_item(rows: Any, i: wp.int32, j: wp.int32):
+    """The line of one value of a row."""
+    ...
+
+
 @wp.func
 def prefetch_faces(state: MeshState, v: wp.int32):
     """The faces around a vertex."""

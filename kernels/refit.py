@@ -23,15 +23,6 @@ MIN_STIFFNESS = wp.constant(wp.float32(1.0e-6))
 
 
 @wp.struct
-class Stiffness:
-    """Regularisation weights of corrections, relative to the area a vertex stands for."""
-
-    tangent: wp.float32
-    normal: wp.float32
-    mass: wp.float32  # what all pairs of a unit of area weigh
-
-
-@wp.struct
 class Element:
     """Normal equations of one face: the blocks on and above the diagonal, and the right side."""
 
@@ -101,17 +92,22 @@ def assemble_elements(
     output_pairs: Pairs,
     weights: wp.vec3,
     mean_edge_squared: wp.float32,
-    stiffness: Stiffness,
+    mass: wp.float32,
     points_in: wp.array2d[wp.vec3],
     frame_in: wp.array2d[wp.mat33],
     correction_in: wp.array[wp.vec3],
-    hold_in: wp.array[wp.vec3],
     doubt: wp.float32,
     # out
     block_out: wp.array2d[wp.mat33],
+    diagonal_out: wp.array2d[wp.mat33],
+    share_out: wp.array[wp.float32],
     right_out: wp.array[wp.vec3],
 ):
-    """The nine blocks and three right sides of each face; ``weights`` scale input pairs, output pairs and edges."""
+    """The nine blocks and three right sides of each face; ``weights`` scale input pairs, output pairs and edges.
+
+    Those on the diagonal stand apart, as how far vertices are held is added to them (:func:`hold_elements`), by the
+    share of the area that a corner of the face has; all pairs of a unit of area weigh ``mass``.
+    """
     f = wp.tid()
     v = wp.vec3i(corner_vertex_in[3 * f], corner_vertex_in[3 * f + 1], corner_vertex_in[3 * f + 2])
     e = Element()
@@ -143,18 +139,36 @@ def assemble_elements(
             else:
                 e = include_row(e, jb, none, ja, 0.0, weight)
     # By area and not by the pairs found: where there is none, the regularisation alone determines a vertex.
-    share = area * stiffness.mass / (3.0 * wp.float32(points_in.shape[0]))
-    along = share * wp.vec3(stiffness.tangent, stiffness.tangent, stiffness.normal)
-    nothing = MIN_STIFFNESS * wp.vec3(1.0, 1.0, 1.0)
-    block_out[f, 0] = e.m00 + wp.diag(wp.cw_mul(along, hold_in[v[0]]) + nothing)
+    share_out[f] = area * mass / (3.0 * wp.float32(points_in.shape[0]))
+    diagonal_out[f, 0] = e.m00
+    diagonal_out[f, 1] = e.m11
+    diagonal_out[f, 2] = e.m22
     block_out[f, 1] = e.m01
     block_out[f, 2] = e.m02
     block_out[f, 3] = wp.transpose(e.m01)
-    block_out[f, 4] = e.m11 + wp.diag(wp.cw_mul(along, hold_in[v[1]]) + nothing)
     block_out[f, 5] = e.m12
     block_out[f, 6] = wp.transpose(e.m02)
     block_out[f, 7] = wp.transpose(e.m12)
-    block_out[f, 8] = e.m22 + wp.diag(wp.cw_mul(along, hold_in[v[2]]) + nothing)
     right_out[3 * f] = e.r0
     right_out[3 * f + 1] = e.r1
     right_out[3 * f + 2] = e.r2
+
+
+@wp.kernel
+def hold_elements(
+    # in
+    corner_vertex_in: wp.array[wp.int32],
+    diagonal_in: wp.array2d[wp.mat33],
+    share_in: wp.array[wp.float32],
+    stiffness: wp.vec3,
+    hold_in: wp.array[wp.vec3],
+    # out
+    block_out: wp.array2d[wp.mat33],
+):
+    """The blocks on the diagonal with ``stiffness`` of a correction's coordinates, times how far a vertex is held."""
+    f = wp.tid()
+    along = share_in[f] * stiffness
+    nothing = MIN_STIFFNESS * wp.vec3(1.0, 1.0, 1.0)
+    for k in range(3):
+        hold = hold_in[corner_vertex_in[3 * f + k]]
+        block_out[f, 4 * k] = diagonal_in[f, k] + wp.diag(wp.cw_mul(along, hold) + nothing)

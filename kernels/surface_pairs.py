@@ -7,6 +7,7 @@ residual: how far the input lies ahead along the normal (point-to-plane). :mod:`
 import warp as wp
 
 from warpqem.kernels.material_frame import first_tangent
+from warpqem.kernels.prefetch import prefetch, prefetch_item
 from warpqem.kernels.surface_walk import (
     Surface,
     closest_border_hit,
@@ -29,6 +30,11 @@ AHEAD = wp.constant(wp.float32(0.08))
 # Share of the input's area that its vertices stand for; the middles of its faces stand for the rest. Three quarters
 # for the middles: a triangle's quadrature that is exact for quadratic functions weighs them like this.
 VERTEX_SHARE = wp.constant(wp.float32(0.25))
+
+# How many samples of a frame ahead of its use each link of the chain is asked for.
+PAIRS_AHEAD = wp.constant(wp.int32(24))
+FACES_AHEAD = wp.constant(wp.int32(12))
+POINTS_AHEAD = wp.constant(wp.int32(4))
 
 
 @wp.struct
@@ -58,6 +64,7 @@ class Turns:
     key: wp.int32  # the first of the frames
     key_count: wp.int32
     per_key: wp.int32  # pairs that a frame may have
+    prefetches: wp.int32  # 1 where a thread takes them one after another
 
 
 @wp.func
@@ -108,6 +115,34 @@ def starts(start: wp.array[wp.int32], v: wp.vec3i) -> wp.vec3i:
     return wp.vec3i(start[v[0]], start[v[1]], start[v[2]])
 
 
+@wp.func
+def prefetch_face_points(s: Surface, t: wp.int32, face: wp.int32):
+    """The corners of a face in frame ``t``."""
+    for k in range(3):
+        prefetch_item(s.points, t, s.corner_vertex[3 * face + k])
+
+
+@wp.func
+def prefetch_partners(turns: Turns, pairs: Pairs, other: Surface, t: wp.int32, pair: wp.int32):
+    """What samples that come after one need of the surface that they were near to."""
+    if turns.prefetches == 0:
+        return
+    stride = turns.key_count * turns.count
+    later = pair + PAIRS_AHEAD * stride
+    if later < pairs.near.shape[0]:
+        prefetch(pairs.near, later)
+    later = pair + FACES_AHEAD * stride
+    if later < pairs.near.shape[0]:
+        near = pairs.near[later]
+        if near >= 0:
+            prefetch(other.corner_vertex, 3 * near)
+    later = pair + POINTS_AHEAD * stride
+    if later < pairs.near.shape[0]:
+        near = pairs.near[later]
+        if near >= 0:
+            prefetch_face_points(other, t, near)
+
+
 @wp.kernel
 def match_input_samples(
     # in
@@ -131,6 +166,10 @@ def match_input_samples(
         return
     sample = pair / turns.count
     face_count = source.corner_vertex.shape[0] / 3
+    prefetch_partners(turns, pairs, target, t, pair)
+    later = sample + FACES_AHEAD * turns.key_count
+    if turns.prefetches == 1 and later < face_count:
+        prefetch_face_points(source, t, later)
     if sample >= face_count + source.adjacency_start.shape[0] - 1:
         return
     pairs.face[pair] = -1
@@ -198,6 +237,7 @@ def match_output_samples(
     if pair >= pairs.face.shape[0]:
         return
     sample = pair / turns.count
+    prefetch_partners(turns, pairs, source, t, pair)
     per_face = barycentric_in.shape[0]
     face = sample / per_face
     barycentric = barycentric_in[sample % per_face]

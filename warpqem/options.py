@@ -91,10 +91,10 @@ class MethodOptions:
         placement: "optimal", or "endpoint" to use vertices of the input only.
         key_frames: how many frames decide the order, chosen by their pose; None for all.
         lock_borders: lock the vertices at edges with one face too.
-        keep_components: no component is pruned. Otherwise small ones are, as a whole, once collapses have left four
-            faces of them or fewer, where the shape misses that less than the next collapses, and where no other
-            collapse is legal; the result may then have up to three faces fewer than asked for. A locked vertex keeps
-            its component.
+        keep_components: no component is pruned. Otherwise those are, as a whole, of which collapses have left four
+            faces or fewer, or that have no cheap collapse left, such as rings, where the shape misses that less than
+            the next collapses, and where no other collapse is legal; the result may then have fewer faces than asked
+            for, by up to three or by those of such a ring. A locked vertex keeps its component.
         memory: bytes that the work may take, beside what the process holds already, or text such as "8G"; None for
             most of what is free. It decides how many frames are in memory at once, and no bit of the result.
         device: Warp device; None takes cuda:0 if present, else cpu.

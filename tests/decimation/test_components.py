@@ -179,3 +179,31 @@ def test_a_count_below_what_a_plate_of_holes_can_give_is_met_without_it(quality,
     # Not what was left of the ball when the plate went.
     assert 96 < len(result.faces) <= 100
     assert topology(result.faces).components == 1
+
+
+@pytest.mark.parametrize("quality", ["fast", "best"])
+@pytest.mark.parametrize("part", [meshes.torus(16, 6), meshes.icosphere(2)])
+def test_of_two_parts_far_from_all_else_one_stays(part, quality, device):
+    ball = meshes.icosphere(3)
+    points, faces = part
+    parts = [(points * 0.03 * (1 + 0.02 * i) + np.array([2.0, 0, 0]), faces) for i in range(2)]
+    result = warpqem.simplify(*meshes.joined(ball, *parts), target_faces=250, quality=quality, device=device)
+    # Each is near to the other alone: once one has gone, the other is as far from all else as it lies.
+    assert result.components_removed <= 1
+    assert result.measured.hausdorff < 2.0
+
+
+def test_a_mesh_ordered_again_loses_only_what_had_to_go(device):
+    ring, plate = meshes.torus(16, 6), meshes.perforated_plate(3)
+    far = [(ring[0] * 0.06 + np.array([0, 1.6, 0.8 * i]), ring[1]) for i in range(3)]
+    points, faces = meshes.joined(meshes.bumpy_sphere(3), *far, (plate[0] * 0.2 + np.array([1.1, 0, 0]), plate[1]))
+    result = warpqem.simplify(points, faces, target_faces=100, quality="fast", device=device)
+    assert (result.components_removed, result.stopped) == (1, "target")
+    assert 96 < len(result.faces) <= 100
+
+
+def test_a_size_limit_keeps_parts_that_are_no_remnants(device):
+    points, faces = rings_on_a_ball()
+    assert warpqem.simplify(points, faces, target_faces=30, device=device).components_removed == 6
+    limited = warpqem.simplify(points, faces, target_faces=30, max_size_error=1.0, device=device)
+    assert (limited.components_removed, limited.stopped) == (0, "max_size_error")

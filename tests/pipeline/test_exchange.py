@@ -54,9 +54,9 @@ def largest_distance(points, faces, result):
 
 
 def test_the_largest_distance_is_less_than_without_an_exchange(device, monkeypatch):
-    # Over 14 balls the mean is 0.89, and 0.92 in the order of a GPU; single ones depend on the order of equal costs.
+    # Single balls depend on the order of equal costs, which a GPU has in another way.
     ratios = []
-    for seed in range(4, 8):
+    for seed in range(8):
         points, faces = bumpy_ball(seed)
         options = {"ratio": 0.15, "device": device, "measure": False}
         exchanged = largest_distance(points, faces, warpqem.simplify(points, faces, **options))

@@ -17,7 +17,7 @@ from warpqem.kernels.element_solve import Elements
 from warpqem.measure import compare
 from warpqem.pipeline import place_frames, prepare
 from warpqem.place import stiffness
-from warpqem.refit import fit_surface
+from warpqem.refit import fit_surface, material_frames
 from warpqem.refit.matching import OUTPUT_SAMPLES
 from warpqem.refit.solve import ElementSolver
 
@@ -240,6 +240,14 @@ def test_refit_leaves_locked_vertices_where_they_are(device):
 
 
 def test_refit_is_the_same_on_every_run(both, device):
+    mesh, _, refitted = both
+    again = warpqem.simplify(*mesh, ratio=RATIO, refit=True, device=device)
+    np.testing.assert_array_equal(again.points, refitted.points)
+
+
+def test_refit_is_the_same_where_its_frames_are_not_kept(both, device, monkeypatch):
+    never = property(lambda self: False, lambda self, keeps: None)
+    monkeypatch.setattr(material_frames.MaterialFrames, "_keeps", never, raising=False)
     mesh, _, refitted = both
     again = warpqem.simplify(*mesh, ratio=RATIO, refit=True, device=device)
     np.testing.assert_array_equal(again.points, refitted.points)

@@ -17,6 +17,8 @@ MAX_FRAMES = 3
 MAX_SAMPLES = 16
 # What lies on another component, such as a label, shows by itself: it counts as if it were off by so much of its size.
 MIN_DISTANCE_PER_SIZE = 0.05
+# Vertices of other components that are looked at where none of those stays that were found near: evenly spread.
+MAX_OTHERS = 20000
 # The first box of a search reaches so many times the size of the component, in each direction.
 FIRST_BOX = 0.125
 
@@ -47,6 +49,7 @@ class ComponentDistances:
         number = np.arange(self._first[-1]) - np.repeat(self._first[:-1], np.diff(self._first))
         step = np.repeat(count / np.maximum(1, np.minimum(count, MAX_SAMPLES)), np.diff(self._first))
         sample = order[np.repeat(start, np.diff(self._first)) + (number * step).astype(np.int64)]
+        self._points, self._component, self._used, self._sample = points, component, order, sample
         shape = (len(points), len(sample), int(kernels.NEAR_COMPONENTS))
         self._near, self._squared = np.empty(shape, dtype=np.int32), np.empty(shape, dtype=np.float32)
         self._area, self._min_squared = np.empty((len(points), len(count))), np.empty((len(points), len(count)))
@@ -75,18 +78,29 @@ class ComponentDistances:
 
         The distance is at least a part of its size.
 
-        ``stays`` (C,) bool are the components that are left. Beyond the components that were found near, what stays is
-        as far as the furthest of them.
+        ``stays`` (C,) bool are the components that are left. Where none of those that were found near a sample stays,
+        it is as far as the nearest vertex of the others.
         """
         rows = slice(self._first[component], self._first[component + 1])
         near, squared = self._near[:, rows], self._squared[:, rows]
-        left = (near >= 0) & stays[near]
-        squared = np.where(left, squared, np.inf).min(axis=2)
-        known = np.where(self._near[:, rows] >= 0, self._squared[:, rows], 0.0).max(axis=2)
-        squared = np.where(np.isfinite(squared), squared, np.where(known > 0.0, known, 1.0))
+        squared = np.where((near >= 0) & stays[near], squared, np.inf).min(axis=2)
+        if np.isinf(squared).any():
+            squared = np.where(np.isinf(squared), self._from_vertices(rows, stays), squared)
         area = self._area[:, component]
         mean_squared = np.maximum(squared.mean(axis=1), self._min_squared[:, component])
         return float(area.mean()), float((area * mean_squared).mean())
+
+    def _from_vertices(self, rows: slice, stays: np.ndarray) -> np.ndarray:
+        """(K', S) squared distances of samples from vertices of components that stay."""
+        left = self._used[stays[self._component[self._used]]]
+        left = left[:: max(1, len(left) // MAX_OTHERS)]
+        others, samples = self._points[:, left], self._points[:, self._sample[rows]]
+        # Where nothing stays, it is as far as the mesh is large.
+        squared = np.ones(samples.shape[:2])
+        for i, own in enumerate(samples.swapaxes(0, 1)):
+            offset = others - own[:, None]
+            squared[:, i] = (offset**2).sum(axis=-1).min(axis=1, initial=np.inf if len(left) else 1.0)
+        return squared
 
 
 def least_losses(

@@ -89,10 +89,12 @@ class DropRecord:
         before = np.concatenate([[0], np.cumsum(kept, dtype=np.int64)])[self.collapse_count[dropped]]
         return DropRecord(vertex_drop, before, self.face_count[dropped], self.error[dropped])
 
-    def vertices_of_larger(self, face_count: int) -> np.ndarray:
-        """(V,) bool, input vertices of components that went with more faces than so many."""
-        larger = self.face_count > face_count
-        vertices: np.ndarray = (self.vertex_drop >= 0) & np.append(larger, False)[self.vertex_drop]
+    def vertices_of_largest(self, face_count: int) -> np.ndarray:
+        """(V,) bool, input vertices of the component that went with most faces after a collapse, more than so many."""
+        size = np.where(self.collapse_count > 0, self.face_count, 0)
+        if size.max(initial=0) <= face_count:
+            return np.zeros(len(self.vertex_drop), dtype=bool)
+        vertices: np.ndarray = self.vertex_drop == size.argmax()
         return vertices
 
     def for_vertices(self, vertex: np.ndarray) -> DropRecord:
@@ -129,7 +131,7 @@ class Components:
         key_position: (V, B) blocks of points of the key frames, as the input has them.
         key_count: key frames.
         error_limit: squared error, in diagonals squared, beyond which none is pruned.
-        last_limit: the same where no edge is left to collapse.
+        last_limit: the same where no edge is left to collapse, and of parts that are no remnants.
         gone: (V,) bool, vertices whose components go before all else; None for none.
 
     Attributes:
@@ -208,7 +210,7 @@ class Components:
             sizes, small = self._measured(cost_threshold)
         if not len(small):
             return []
-        stays, drops = sizes > 0, []
+        stays, drops, is_due = sizes > 0, [], not np.isinf(cost_threshold)
         left = int(np.count_nonzero(stays))
         remnants = self._remnants(small, sizes)
         waiting = [(*self._loss(remnant, stays), i) for i, remnant in enumerate(remnants)]
@@ -222,10 +224,11 @@ class Components:
                 continue
             if cost > cost_threshold:
                 break
+            is_small = remnant.face_count <= int(MAX_REMNANT_FACES)
             # What is larger than the excess would leave the mesh short of faces that edges can still give.
-            if remnant.face_count >= excess + int(MAX_REMNANT_FACES) and not np.isinf(cost_threshold):
+            if remnant.face_count >= excess + int(MAX_REMNANT_FACES) and is_due:
                 continue
-            if error**2 > (self._last_limit if np.isinf(cost_threshold) else self._error_limit):
+            if error**2 > (self._error_limit if is_due and is_small else self._last_limit):
                 continue
             drops.append(self._removed(remnant, collapse_count, error))
             excess -= remnant.face_count
@@ -245,6 +248,7 @@ class Components:
         error = float(np.sqrt(lost / area)) if area > NO_AREA else 0.0
         # The more components have gone, the further away is what stays: the loss only grows.
         self._least[remnant.component] = self._least_scale * lost
+        # As warpqem.kernels.components.cost_of_loss has it for the device.
         share = min(1.0, int(MAX_REMNANT_FACES) / remnant.face_count)
         return self._scale * remnant.weight * lost * share, error
 

@@ -13,6 +13,7 @@ from warpqem.kernels import distance_points as kernels
 from warpqem.kernels.lanes import width_of
 from warpqem.measure.piece_proof import SINGLE_MARGIN
 from warpqem.measure.unit_frames import UnitBlock
+from warpqem.mesh.grouping import order_by
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.part_launches import corners_of, launch_in_parts, rows_of
 
@@ -34,7 +35,7 @@ class FacesAround:
         self.corner_vertex = np.ascontiguousarray(faces, dtype=np.int32).ravel()
         self.start = np.zeros(vertex_count + 1, dtype=np.int32)
         np.cumsum(np.bincount(self.corner_vertex, minlength=vertex_count), out=self.start[1:])
-        self.face = (np.argsort(self.corner_vertex, kind="stable") // 3).astype(np.int32)
+        self.face = (order_by(self.corner_vertex, vertex_count) // 3).astype(np.int32)
         self._corners: wp.array | None = None
 
     def corners(self, device: str) -> wp.array:

@@ -88,7 +88,10 @@ class LevelOrder:
         progress: ProgressInput = None,
         cancel: CancelToken | None = None,
     ) -> SimplifiedMesh:
-        """What :func:`warpqem.simplify` gives for so many faces, to the bit.
+        """What :func:`warpqem.simplify` gives for so many faces, to the bit, unless that orders the mesh again.
+
+        It does where a part of many faces, which collapses cannot make small, had to go at last. Levels share one
+        order, and those after it may then have far fewer faces than asked for.
 
         Args:
             target_faces: at least as many as were asked for at first, where decimation ended.
@@ -189,7 +192,8 @@ def simplify_levels(
 ) -> list[SimplifiedMesh]:
     """Simplify an animated mesh to several levels that nest: edges are collapsed once, each level is placed on its own.
 
-    Every level has the bits of :func:`simplify` with its ratio. Where no legal collapse leads to a level, it is the
+    Every level has the bits of :func:`simplify` with its ratio, unless that orders the mesh again, see
+    :meth:`LevelOrder.level`. Where no legal collapse leads to a level, it is the
     coarsest mesh there is, and its ``stopped`` says so. For any level at all see :func:`warpqem.build_progressive`.
 
     Args:

@@ -21,6 +21,7 @@ from warpqem.errors import MemoryLimitError, OptionError
 from warpqem.frames.blocks import BLOCK_BYTES, block_width, chunk_frames
 from warpqem.kernels.lanes import WIDE
 from warpqem.pipeline.key_frames import MAX_LOOKED_FRAMES, pose_bytes
+from warpqem.refit.material_frames import FRAME_BYTES
 from warpqem.runtime.device import device_traits, resolve_device
 
 __all__ = [
@@ -328,6 +329,7 @@ def _place(needs: MemoryNeeds, device: str) -> tuple[int, int]:
         refit = REFIT_KEY * needs.key_frames * needs.vertex_count
         refit += REFIT_FACE * needs.face_count + REFIT_VERTEX * needs.vertex_count
         fixed += refit + REFIT_OUTPUT * needs.output_vertices
+        per_frame += FRAME_BYTES * needs.output_vertices
     if needs.exchanges:
         looked = min(MAX_LOOKED_FRAMES, needs.frame_count)
         frames = EXCHANGE_KEY * _padded(needs.key_frames, device) + EXCHANGE_FRAME * _padded(looked, device)

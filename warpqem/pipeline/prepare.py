@@ -19,12 +19,12 @@ from warpqem.costs.motion_features import MotionWatch, MotionWeighting
 from warpqem.costs.weights import border_vertices, check_factors, lock_mask, read_quadric_scale, read_weights
 from warpqem.decimation.collapse_nodes import NodeRecorder
 from warpqem.decimation.decimate import DecimatedMesh, DecimationInput, OrderSettings, order_collapses
+from warpqem.decimation.late_parts import without_late_parts
 from warpqem.decimation.quadric_sums import QuadricSums
 from warpqem.errors import OptionError
 from warpqem.frames.blocks import frame_blocks, pack_frames
 from warpqem.frames.device_source import DeviceFrames
 from warpqem.frames.stream import held_bytes, read_ahead
-from warpqem.kernels.components import MAX_REMNANT_FACES
 from warpqem.kernels.topology import CORNER, LOCKED, SEAM
 from warpqem.mesh.mesh_input import AnimatedMesh, FrameObserver, MeshInput, measure_mesh, read_mesh
 from warpqem.mesh.rounding import warn_of_rounding
@@ -110,20 +110,18 @@ class Prepared:
     ) -> DecimatedMesh:
         """Collapse edges down to so many faces, those on the back of others not counted.
 
-        Where a component of many faces goes at last, of which collapses could not get rid, the others have been
-        collapsed too far by then. Then the mesh is ordered once more, without it, unless the order is for other counts,
-        too (with a ``recorder``).
+        Parts that collapses cannot make small go first where others would be collapsed too far for them, unless the
+        order is for other counts, too (with a ``recorder``).
         """
         assert self.order_input is not None
         listener = _order_progress(progress, len(self.mesh.faces), face_count)
         settings = replace(self.order_settings, target_faces=face_count)
         ordered = order_collapses(self.order_input, settings, self.device, listener, recorder)
-        gone = ordered.drops.vertices_of_larger(int(MAX_REMNANT_FACES))
-        if recorder is not None or len(ordered.faces) + int(MAX_REMNANT_FACES) > face_count or not gone.any():
+        if recorder is not None:
             return ordered
         waits = None if progress is None else lambda _: progress(ORDER_END, "order")
-        again = order_collapses(self.order_input, settings, self.device, waits, gone=gone)
-        return again if again.stopped == "target" else ordered
+        again = partial(order_collapses, self.order_input, settings, self.device, waits, None)
+        return without_late_parts(ordered, face_count, again)
 
     def placer(self, ordered: DecimatedMesh, *, refit: bool = False) -> Placer:
         """What places the vertices that decimation left, to be refitted or not."""

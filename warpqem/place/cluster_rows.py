@@ -7,6 +7,7 @@ import warp as wp
 
 from warpqem.decimation.adjacency import build_adjacency
 from warpqem.kernels import cluster_rows as kernels
+from warpqem.mesh.grouping import order_by
 from warpqem.runtime import new_arrays
 from warpqem.runtime.part_launches import launch_in_parts, rows_of, starts_of
 
@@ -21,10 +22,7 @@ __all__ = [
 
 def group_rows(row: np.ndarray, row_count: int) -> tuple[np.ndarray, np.ndarray]:
     """Order that groups items by row, keeping their order within one, and where each row starts, (R+1,) int32."""
-    # By 16 bits at a time: NumPy sorts those by their digits, in a tenth of the time.
-    order = np.argsort(row.astype(np.uint16), kind="stable")
-    if row_count > 1 << 16:
-        order = order[np.argsort((row[order] >> 16).astype(np.uint16), kind="stable")]
+    order = order_by(row, row_count)
     start = np.zeros(row_count + 1, dtype=np.int32)
     np.cumsum(np.bincount(row, minlength=row_count), out=start[1:])
     return order, start

@@ -17,7 +17,6 @@ import warp as wp
 
 from warpqem.decimation.adjacency import build_adjacency
 from warpqem.frames.device_frames import to_device
-from warpqem.frames.stream import read_ahead
 from warpqem.kernels import material_frame as frame_kernels
 from warpqem.kernels import refit as kernels
 from warpqem.kernels import surface_limits as limit_kernels
@@ -28,10 +27,10 @@ from warpqem.place.block_placer import PlacedFrames
 from warpqem.place.frame_store import AnyFrameStore
 from warpqem.place.place import Placer
 from warpqem.refit.matching import Matching, make_surface
+from warpqem.refit.material_frames import MaterialFrames
 from warpqem.refit.solve import ElementSolver
 from warpqem.runtime import new_arrays
 from warpqem.runtime.launches import launch
-from warpqem.runtime.part_launches import launch_in_parts, rows_of
 
 __all__ = ["fit_corrections"]
 
@@ -112,7 +111,7 @@ def fit_corrections(
         device: Warp device.
         roughly: with fewer rounds, and components may come further from the input than they were.
     """
-    fit = _Refit(mesh, placer, placed, key_frames, max(DOUBTED * recent_error, MIN_DOUBTED), device)
+    fit = _Refit(mesh, placer, placed, key_frames, max(DOUBTED * recent_error, MIN_DOUBTED), blocks, device)
     if fit.has_no_area:
         return lambda frames: frames
     reach = REACH * error
@@ -120,18 +119,35 @@ def fit_corrections(
     fit.improve(reach, search=True, take_limits=not roughly)
     for _ in range((ROUGH_ROUNDS if roughly else ROUNDS) - 1):
         fit.improve(reach)
-    fit.hold_back(placed, blocks)
+    fit.hold_back()
     if roughly:
         return fit.apply
     for attempt in range(ATTEMPTS):
         if not fit.hold_far_places(reach, attempt):
             return fit.apply
-        fit.hold_back(placed, blocks)
+        fit.hold_back()
     for share in SHARES:
         if not fit.shrink_far_components(reach, share):
             break
-    fit.leave_turned_components(placed, blocks)
+    fit.leave_turned_components()
     return fit.apply
+
+
+@dataclass(frozen=True)
+class _Equations:
+    """Normal equations, but for how far vertices are held; the arrays take those of one pairing after the other.
+
+    Attributes:
+        elements: their blocks; those on the diagonal are filled in when they are solved.
+        diagonal: (N', 3) mat33, these.
+        share: (N',) float32, of each face by how much its corners are held.
+        right: (3N',) vec3, the right side at each corner.
+    """
+
+    elements: Elements
+    diagonal: wp.array
+    share: wp.array
+    right: wp.array
 
 
 @dataclass(frozen=True)
@@ -152,6 +168,7 @@ class _Refit:
         placed: AnyFrameStore,
         key_frames: np.ndarray,
         far: float,
+        blocks: Sequence[slice],
         device: str,
     ) -> None:
         self._device, self._far = device, far
@@ -159,12 +176,12 @@ class _Refit:
         self._vertex_count = placed.vertex_count
         self._corner_vertex = new_arrays.uploaded(placer.faces.ravel(), dtype=wp.int32, device=device)
         self._adjacency = build_adjacency(self._corner_vertex, self._vertex_count)
-        self._rings = self._make_rings(placed.read(slice(0, 1)))
+        rings = self._make_rings(placed.read(slice(0, 1)))
+        self._all_frames = MaterialFrames(rings, placer.free, placed, blocks, device)
         keys = placed.chosen(key_frames)
-        self._points, self._normals = to_device(keys.points, device), to_device(keys.normals, device)
-        self._frames = self._measure_frames(placer.free)
-        self._elements = self._make_elements()
-        self._solver = ElementSolver(self._elements)
+        self._keys = self._all_frames.of(keys)
+        self._equations = self._make_equations()
+        self._solver = ElementSolver(self._equations.elements)
         self._scales = _measure_scales(keys.points, placer.faces)
         self._turns = max(1, min(len(key_frames), mesh.frame_count // FRAMES_PER_TURN))
         # Of a pruned component nothing is near to the output.
@@ -175,7 +192,7 @@ class _Refit:
             corner_vertex,
             build_adjacency(corner_vertex, mesh.vertex_count),
         )
-        self._moved = wp.clone(self._points)
+        self._moved = wp.clone(self._keys.points)
         self._matching = Matching(
             source,
             make_surface(self._moved, self._corner_vertex, self._adjacency),
@@ -192,8 +209,6 @@ class _Refit:
         self._hold = new_arrays.uploaded(self._stiffness, dtype=wp.vec3, device=device)
         self._held = np.ones(self._vertex_count, dtype=np.float32)
         self._correction = new_arrays.zeros(self._vertex_count, dtype=wp.vec3, device=device)
-        # What the surface had when it was paired last.
-        self._matched_at = self._correction
         # Of each output face.
         self._component = np.unique(
             lowest_members(self._vertex_count, placer.faces[:, [0, 1, 1, 2]].reshape(-1, 2))[placer.faces[:, 0]],
@@ -220,22 +235,6 @@ class _Refit:
         )
         return rings
 
-    def _measure_frames(self, free: np.ndarray) -> wp.array:
-        frames = new_arrays.empty(self._points.shape, dtype=wp.mat33, device=self._device)
-        launch(
-            frame_kernels.measure_material_frames,
-            dim=self._points.shape,
-            inputs=[
-                self._rings,
-                self._points,
-                self._normals,
-                new_arrays.uploaded(free.astype(np.int32), dtype=wp.int32, device=self._device),
-            ],
-            outputs=[frames],
-            device=self._device,
-        )
-        return frames
-
     def improve(self, reach: float, search: bool = False, take_limits: bool = False) -> None:
         """One round: pair the surfaces as they lie now, and solve for the corrections.
 
@@ -248,31 +247,33 @@ class _Refit:
         """
         if not self._scales.area > 0.0:
             return
-        self._move(self._points, self._normals, self._moved)
+        self._keys.move(self._correction, self._moved)
         self._matching.find(reach, search, limit_kernels.raise_limits if take_limits else None, self._limits)
-        self._matched_at = self._correction
+        self._assemble()
         self._correction = self._solve()
 
-    def _make_elements(self) -> Elements:
-        elements = Elements()
+    def _make_equations(self) -> _Equations:
+        elements, device, face_count = Elements(), self._device, len(self._faces)
         elements.corner_vertex = self._corner_vertex
         elements.adjacency_start, elements.adjacent_corner = self._adjacency.start, self._adjacency.corner
-        elements.block = wp.empty((len(self._faces), 9), dtype=wp.mat33, device=self._device)
-        return elements
+        elements.block = wp.empty((face_count, 9), dtype=wp.mat33, device=device)
+        return _Equations(
+            elements,
+            wp.empty((face_count, 3), dtype=wp.mat33, device=device),
+            wp.empty(face_count, dtype=wp.float32, device=device),
+            wp.empty(3 * face_count, dtype=wp.vec3, device=device),
+        )
 
-    def _solve(self) -> wp.array:
-        """The corrections (C,) vec3 that the normal equations of the last pairs have."""
-        device, face_count = self._device, len(self._faces)
-        stiffness = kernels.Stiffness()
-        stiffness.tangent, stiffness.normal = TANGENT_STIFFNESS, NORMAL_STIFFNESS
+    def _assemble(self) -> None:
+        """Make the normal equations of the last pairs, found on the surface as it is corrected now."""
         # One for a vertex's share of the area.
         unit = self._vertex_count / (self._scales.area * self._turns)
-        stiffness.mass = (1.0 + OUTPUT_SHARE) * self._turns * unit
-        edge_weight = EDGE_STIFFNESS / 6.0 / len(self._points)
-        right = new_arrays.empty(3 * face_count, dtype=wp.vec3, device=device)
+        mass = (1.0 + OUTPUT_SHARE) * self._turns * unit
+        edge_weight = EDGE_STIFFNESS / 6.0 / len(self._keys.points)
+        equations = self._equations
         launch(
             kernels.assemble_elements,
-            dim=face_count,
+            dim=len(self._faces),
             inputs=[
                 self._corner_vertex,
                 self._matching.input_pairs,
@@ -281,28 +282,30 @@ class _Refit:
                 self._matching.output_pairs,
                 wp.vec3(unit, OUTPUT_SHARE * unit, edge_weight),
                 self._scales.edge_squared,
-                stiffness,
-                self._points,
-                self._frames,
-                self._matched_at,
-                self._hold,
+                mass,
+                self._keys.points,
+                self._keys.frames,
+                self._correction,
                 1.0 / self._far**2,
             ],
-            outputs=[self._elements.block, right],
-            device=device,
-        )
-        return self._solver.solve(right)
-
-    def _move(self, points: wp.array, normals: wp.array, moved: wp.array) -> None:
-        launch_in_parts(
-            frame_kernels.move_in_material_frame,
-            (len(points), self._vertex_count),
-            [self._rings, rows_of(points), rows_of(normals), self._correction],
-            [rows_of(moved)],
+            outputs=[equations.elements.block, equations.diagonal, equations.share, equations.right],
             device=self._device,
         )
 
-    def hold_back(self, placed: AnyFrameStore, blocks: Sequence[slice]) -> None:
+    def _solve(self) -> wp.array:
+        """What solves the equations with vertices held as far as they are now: (C,) vec3."""
+        equations = self._equations
+        stiffness = wp.vec3(TANGENT_STIFFNESS, TANGENT_STIFFNESS, NORMAL_STIFFNESS)
+        launch(
+            kernels.hold_elements,
+            dim=len(self._faces),
+            inputs=[self._corner_vertex, equations.diagonal, equations.share, stiffness, self._hold],
+            outputs=[equations.elements.block],
+            device=self._device,
+        )
+        return self._solver.solve(equations.right)
+
+    def hold_back(self) -> None:
         """Stiffen vertices that turn a face over in some frame, and at last do not move them.
 
         Likewise those that would go further than an edge is long in the mean: no pair is there, and few faces far off
@@ -320,7 +323,7 @@ class _Refit:
                 outputs=[marks],
                 device=self._device,
             )
-            marked = self._turned_over(placed, blocks, marks)
+            marked = self._turned_over(marks)
             if not marked.any():
                 return
             self._stiffen(marked)
@@ -353,7 +356,7 @@ class _Refit:
         """
         far = self._far_faces(reach)
         if len(far):
-            self._matched_at = self._correction
+            self._assemble()
             marked = np.zeros(self._vertex_count, dtype=bool)
             marked[self._faces[far].ravel()] = True
             for _ in range(rings):
@@ -370,10 +373,10 @@ class _Refit:
         self._shrink(self._component[far], share)
         return len(far) > 0
 
-    def leave_turned_components(self, placed: AnyFrameStore, blocks: Sequence[slice]) -> None:
+    def leave_turned_components(self) -> None:
         """Leave components as placed in which part of the way turns a face over that the whole way does not."""
         marks = wp.zeros(self._vertex_count, dtype=wp.int32, device=self._device)
-        marked = self._turned_over(placed, blocks, marks)
+        marked = self._turned_over(marks)
         self._shrink(self._component[marked[self._faces].any(axis=1)], 0.0)
 
     def _shrink(self, components: np.ndarray, share: float) -> None:
@@ -385,31 +388,20 @@ class _Refit:
 
     def _far_faces(self, reach: float) -> np.ndarray:
         """Output faces at places that are further away than any of their component was as placed."""
-        self._move(self._points, self._normals, self._moved)
+        self._keys.move(self._correction, self._moved)
         self._limits.far.zero_()
         self._matching.find(reach, True, limit_kernels.mark_far_faces, self._limits)
         return np.flatnonzero(self._limits.far.numpy())
 
     def apply(self, placed: PlacedFrames) -> PlacedFrames:
         """Some frames, moved."""
-        points, normals = to_device(placed.points, self._device), to_device(placed.normals, self._device)
-        moved = wp.empty_like(points)
-        self._move(points, normals, moved)
+        moved = self._all_frames.of(placed).moved(self._correction)
         return replace(placed, points=moved.numpy() if isinstance(placed.points, np.ndarray) else moved)
 
-    def _turned_over(self, placed: AnyFrameStore, blocks: Sequence[slice], marks: wp.array) -> np.ndarray:
+    def _turned_over(self, marks: wp.array) -> np.ndarray:
         """Which vertices (C,) are in ``marks`` or have a part in a face that turns over in some frame."""
-        for _, block in read_ahead(placed.read, blocks):
-            points, normals = to_device(block.points, self._device), to_device(block.normals, self._device)
-            moved = wp.empty_like(points)
-            self._move(points, normals, moved)
-            launch(
-                frame_kernels.mark_new_flips,
-                dim=(len(points), len(self._faces)),
-                inputs=[points, moved, normals, self._correction, self._corner_vertex],
-                outputs=[marks],
-                device=self._device,
-            )
+        for block in self._all_frames.all():
+            block.mark_new_flips(self._correction, self._corner_vertex, marks)
         return marks.numpy() != 0
 
 

@@ -11,6 +11,7 @@ from warpqem.kernels import surface_walk as walk_kernels
 from warpqem.kernels.surface_limits import Limits, Samples
 from warpqem.kernels.surface_walk import Surface
 from warpqem.runtime import new_arrays
+from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import launch
 from warpqem.runtime.part_launches import FIRST_ITEM, PerPart, launch_in_parts
 
@@ -197,6 +198,7 @@ class Matching:
         turns.first, turns.count, turns.key, turns.key_count = first, self._turns, keys.start, key_count
         # As many as the first frame has; the kernel leaves out those past the end.
         turns.per_key = -(-pair_count // (key_count * self._turns)) * self._turns
+        turns.prefetches = int(device_traits(self._device).in_order)
         return turns
 
 
