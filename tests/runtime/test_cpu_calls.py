@@ -7,6 +7,7 @@ import pytest
 import warp as wp
 
 from warpqem.kernels.work import Work
+from warpqem.runtime.compiling import is_compiled
 from warpqem.runtime.cpu_calls import prepared_call
 from warpqem.runtime.launches import Recorder, launch
 
@@ -79,16 +80,19 @@ def test_recorded_operations_hold_their_arrays():
     assert len(others) == 100
 
 
-def test_a_module_that_has_changed_is_compiled_anew():
+@pytest.mark.parametrize("hashed", [False, True], ids=["", "and looked at"])
+def test_a_module_that_has_changed_is_compiled_anew(hashed):
     def one_more(values: wp.array[wp.int32]):
         values[wp.tid()] += 1
 
-    module = wp.get_module("tests.runtime.changing")
+    module = wp.get_module(f"tests.runtime.changing_{hashed}")
     kernel = wp.kernel(one_more, module=module)
     values = wp.zeros(4, dtype=wp.int32, device="cpu")
     launch(kernel, 4, [], [values], device="cpu")
     assert prepared_call(kernel, 4, [values]) is not None
     wp.set_module_options({"enable_backward": False}, module)
+    if hashed:
+        is_compiled(module, "cpu")
     assert prepared_call(kernel, 4, [values]) is None
     launch(kernel, 4, [], [values], device="cpu")
     assert prepared_call(kernel, 4, [values]) is not None

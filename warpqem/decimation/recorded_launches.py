@@ -69,17 +69,27 @@ def run_once(groups: Sequence[LaunchGroup], device: str) -> None:
             group.record(recorder, part)
 
 
+class _SharedWork(type(Work())):  # type: ignore[misc]
+    """A share of work that many launches have in common: whoever changed it would change what all of them do."""
+
+    def __init__(self, **values: int) -> None:
+        super().__init__()
+        for name, value in values.items():
+            super().__setattr__(name, value)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        raise AttributeError(f"{name} of a share that other launches have too cannot be changed")
+
+
 def part_work(part: int, part_count: int, device: str) -> Work:
-    """The share of one part; not to be changed, as others have the same."""
+    """The share of one part."""
     return _work(part, part_count, device_traits(device).launch_threads)
 
 
 @functools.cache
 def _work(part: int, part_count: int, thread_count: int) -> Work:
     """Kept, as every launch of a pass has one, and making one takes longer than the launch."""
-    work = Work()
-    work.part, work.part_count, work.thread_count = part, part_count, thread_count
-    return work
+    return _SharedWork(part=part, part_count=part_count, thread_count=thread_count)
 
 
 def record_shared(

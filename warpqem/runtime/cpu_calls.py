@@ -24,8 +24,9 @@ MAX_THREADS = 2**31
 # What a kernel gets of an array.
 ARRAY = type(wp.array(dtype=wp.int32).__ctype__())
 
-# Where a module keeps its code for a CPU: that of blocks of one thread.
-CPU_CODE = (None, 1)
+# On a CPU blocks have one thread. Where a module keeps the code of such blocks.
+BLOCK_THREADS = 1
+CPU_CODE = (None, BLOCK_THREADS)
 
 # None for kernels whose arguments need Warp's own look at them.
 _calls: dict[wp.Kernel, _Call | None] = {}
@@ -49,16 +50,23 @@ class _Call:
         ]
         self._function, self._bounds = command.hooks.forward, type(command.bounds)
         self._axes = len(command.bounds.shape)
-        # Holds the code.
-        self._module, self.code = command.kernel.module, command.module_exec
+        # Holds the code, and the hashes that Warp looked at for it.
+        self._module, self._code = command.kernel.module, command.module_exec
+        self._hashes = self._module.hashers.get(BLOCK_THREADS)
 
     @property
     def is_current(self) -> bool:
         """Whether the code is what Warp would run: a module that has changed since is compiled anew.
 
-        Warp forgets the hashes of a module when it changes, and has others when its code is loaded.
+        Warp forgets the hashes of a module when it changes; those that are taken then are others, even if no code has
+        been loaded for them yet.
         """
-        return bool(self._module.hashers) and self._module.execs.get(CPU_CODE) is self.code
+        module, hashes = self._module, self._hashes
+        return (
+            hashes is not None
+            and module.hashers.get(BLOCK_THREADS) is hashes
+            and module.execs.get(CPU_CODE) is self._code
+        )
 
     def prepared(self, dim: tuple[int, ...], arguments: Sequence[Any]) -> Callable[[], object] | None:
         """What launches the kernel; None where Warp has to look at the arguments.
@@ -114,7 +122,7 @@ def prepared_call(kernel: wp.Kernel, dim: int | Sequence[int], arguments: Sequen
 def know_call(kernel: wp.Kernel, command: wp.Launch) -> None:
     """Take what later launches of a kernel need from one that Warp has recorded."""
     known = _calls.get(kernel)
-    if kernel not in _calls or (known is not None and known.code is not command.module_exec):
+    if kernel not in _calls or (known is not None and not known.is_current):
         _calls[kernel] = _Call(command) if _is_plain(command) and not kernel.is_generic else None
 
 
