@@ -1,6 +1,7 @@
 """Launches on a CPU that are prepared once for each kernel."""
 
 import gc
+import weakref
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import warp as wp
 
 from warpqem.kernels.work import Work
 from warpqem.runtime.compiling import is_compiled
-from warpqem.runtime.cpu_calls import prepared_call
+from warpqem.runtime.cpu_calls import CPU_CODE, prepared_call
 from warpqem.runtime.launches import Recorder, launch
 
 
@@ -37,6 +38,13 @@ def test_fewer_threads_do_less(arguments):
     for threads in (4, 1):
         launch(add_scaled, threads, arguments[:4], [arguments[4]], device="cpu")
     assert arguments[4].numpy()[:, 0].tolist() == [6.0, 9.0, 15.0, 21.0]
+
+
+def test_numpys_numbers_of_threads_are_taken(arguments):
+    for threads in (np.int64(4), (np.int32(1),)):
+        launch(add_scaled, threads, arguments[:4], [arguments[4]], device="cpu")
+        launch(add_scaled, threads, arguments[:4], [arguments[4]], device="cpu")
+    assert arguments[4].numpy()[:, 0].tolist() == [12.0, 18.0, 30.0, 42.0]
 
 
 def test_numbers_of_other_types_are_converted(arguments):
@@ -98,3 +106,27 @@ def test_a_module_that_has_changed_is_compiled_anew(hashed):
     assert prepared_call(kernel, 4, [values]) is not None
     launch(kernel, 4, [], [values], device="cpu")
     assert values.numpy().tolist() == [3] * 4
+
+
+def test_recorded_operations_hold_their_code():
+    def add_two(values: wp.array[wp.int32]):
+        values[wp.tid()] += 2
+
+    module = wp.get_module("tests.runtime.replaced")
+    kernel = wp.kernel(add_two, module=module)
+    values = wp.zeros(4, dtype=wp.int32, device="cpu")
+    launch(kernel, 4, [], [values], device="cpu")
+    recorder = Recorder("cpu")
+    recorder.launch(kernel, 4, [], [values])
+    run, code = recorder.finish(), weakref.ref(module.execs[CPU_CODE])
+    del recorder
+    wp.set_module_options({"enable_backward": False}, module)
+    launch(kernel, 4, [], [values], device="cpu")
+    gc.collect()
+    assert code() is not None
+    assert module.execs[CPU_CODE] is not code()
+    run()
+    assert values.numpy().tolist() == [6] * 4
+    del run
+    gc.collect()
+    assert code() is None

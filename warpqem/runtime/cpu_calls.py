@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
+import numpy as np
 import warp as wp
 
 __all__ = ["know_call", "prepared_call", "prepared_copy", "prepared_zero"]
@@ -23,6 +24,9 @@ MAX_THREADS = 2**31
 
 # What a kernel gets of an array.
 ARRAY = type(wp.array(dtype=wp.int32).__ctype__())
+
+# A compiled kernel.
+FUNCTION = ctypes.CFUNCTYPE(None)
 
 # On a CPU blocks have one thread. Where a module keeps the code of such blocks.
 BLOCK_THREADS = 1
@@ -48,11 +52,15 @@ class _Call:
             (one.type.dtype, one.type.ndim) if packed is ARRAY else (_is_struct(one.type), 0)
             for one, (_, packed) in zip(arguments, fields, strict=True)
         ]
-        self._function, self._bounds = command.hooks.forward, type(command.bounds)
-        self._axes = len(command.bounds.shape)
-        # Holds the code, and the hashes that Warp looked at for it.
+        self._bounds, self._axes = type(command.bounds), len(command.bounds.shape)
+        # The code, and the hashes that Warp looked at for it.
         self._module, self._code = command.kernel.module, command.module_exec
         self._hashes = self._module.hashers.get(BLOCK_THREADS)
+        # One of its own, which holds the code: Warp's does not, and a recorded call may outlive the module's code.
+        address = ctypes.cast(command.hooks.forward, ctypes.c_void_p).value
+        assert address is not None
+        self._function = FUNCTION(address)
+        self._function.code = self._code  # type: ignore[attr-defined]
 
     @property
     def is_current(self) -> bool:
@@ -71,7 +79,7 @@ class _Call:
     def prepared(self, dim: tuple[int, ...], arguments: Sequence[Any]) -> Callable[[], object] | None:
         """What launches the kernel; None where Warp has to look at the arguments.
 
-        It holds no array.
+        It holds the code, and no array.
         """
         size = 1
         for extent in dim:
@@ -116,7 +124,7 @@ def prepared_call(kernel: wp.Kernel, dim: int | Sequence[int], arguments: Sequen
     call = _calls.get(kernel)
     if call is None or not call.is_current:
         return None
-    return call.prepared((dim,) if isinstance(dim, int) else tuple(dim), arguments)
+    return call.prepared((dim,) if isinstance(dim, (int, np.integer)) else tuple(dim), arguments)
 
 
 def know_call(kernel: wp.Kernel, command: wp.Launch) -> None:
