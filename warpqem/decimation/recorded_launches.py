@@ -69,7 +69,7 @@ def run_once(groups: Sequence[LaunchGroup], device: str) -> None:
             group.record(recorder, part)
 
 
-class _SharedWork(type(Work())):  # type: ignore[misc]
+class _SharedWork(type(Work())):  # type: ignore[misc]  # made by Warp
     """A share of work that many launches have in common: whoever changed it would change what all of them do."""
 
     def __init__(self, **values: int) -> None:

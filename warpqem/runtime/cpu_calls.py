@@ -60,7 +60,7 @@ class _Call:
         address = ctypes.cast(command.hooks.forward, ctypes.c_void_p).value
         assert address is not None
         self._function = FUNCTION(address)
-        self._function.code = self._code  # type: ignore[attr-defined]
+        self._function.code = self._code  # type: ignore[attr-defined]  # any may be set
 
     @property
     def is_current(self) -> bool:
