@@ -1,4 +1,4 @@
-"""Times of kernel launches, by standing in for ``warp.launch`` while a profile is taken.
+"""Times of kernel launches, by standing in for ``warp.launch`` and prepared calls while a profile is taken.
 
 A replayed graph does not tell its kernels apart, so steps and loops make their launches one by one meanwhile, part
 after part on one thread.
@@ -19,6 +19,7 @@ import warp as wp
 
 from benchmarks.floor import Demand, count_demand
 from warpqem.decimation.recorded_launches import LaunchGroup, RecordedLaunches
+from warpqem.runtime import launches
 from warpqem.runtime.launches import DirectRecorder, Recorder
 
 __all__ = ["LaunchProfile", "profile_launches"]
@@ -76,7 +77,7 @@ def _thread_count(dim: int | Sequence[int]) -> int:
 
 @contextmanager
 def profile_launches() -> Iterator[LaunchProfile]:
-    """Time every launch made through ``warp.launch`` until the block ends.
+    """Time every launch until the block ends.
 
     On a CPU the parts of a launch that threads would share come one after another: their times add up to core time.
     """
@@ -101,8 +102,12 @@ def profile_launches() -> Iterator[LaunchProfile]:
     def record(self: Any, kernel: wp.Kernel, dim: int, inputs: Sequence, outputs: Sequence = ()) -> None:
         self._add(partial(launch, kernel, dim, list(inputs), list(outputs), device=self._device), *inputs, *outputs)
 
+    def prepare(kernel: wp.Kernel, dim: Any, arguments: Sequence, device: wp.DeviceLike) -> Any:
+        return partial(launch, kernel, dim, arguments, device=device)
+
     stand_ins = (
         patch.object(wp, "launch", launch),
+        patch.object(launches, "_cpu_call", prepare),
         patch.object(Recorder, "launch", record),
         patch.object(Recorder, "_finish", lambda self, run: run),
         patch.object(RecordedLaunches, "__init__", keep_groups),

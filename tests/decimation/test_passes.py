@@ -10,6 +10,7 @@ from tests.support.mesh_state import build_mesh, cost_model
 from warpqem.decimation.adjacency import build_adjacency
 from warpqem.decimation.pass_steps import PassSteps
 from warpqem.decimation.passes import CANDIDATE_FRACTION, Orderer
+from warpqem.decimation.recorded_launches import part_work
 
 
 @pytest.fixture
@@ -83,3 +84,13 @@ def test_adjacency_is_that_of_the_faces_after_every_pass(
         orderer._run_pass(200, CANDIDATE_FRACTION)
         fresh = build_adjacency(mesh.state.corner_vertex, vertex_count, mesh.state.face_count)
         assert lists_of(mesh.state.adjacency, vertex_count) == lists_of(fresh.lists, vertex_count)
+
+
+def test_no_caller_changes_the_share_of_work_that_others_get():
+    work = part_work(0, 2, "cpu")
+    with pytest.raises(AttributeError, match="thread_count of a share"):
+        work.thread_count = work.thread_count + 999
+    later = part_work(0, 2, "cpu")
+    assert (later.part, later.part_count, later.thread_count) == (0, 2, work.thread_count)
+    assert (later._ctype.part, later._ctype.part_count, later._ctype.thread_count) == (0, 2, work.thread_count)
+    assert later.thread_count < 999

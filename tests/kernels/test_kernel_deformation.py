@@ -8,11 +8,10 @@ from tests.oracles import edge_cost as cost_oracle
 from tests.oracles import motion as oracle
 from tests.oracles.quadrics import unpack
 from tests.support import meshes
-from tests.support.mesh_state import build_mesh, cost_model
+from tests.support.mesh_state import build_mesh, cost_model, one_part
 from warpqem.decimation.deformation import build_deformation
 from warpqem.decimation.pass_steps import PassSteps
 from warpqem.decimation.passes import CANDIDATE_FRACTION, Orderer
-from warpqem.decimation.recorded_launches import part_work
 from warpqem.frames.blocks import CHUNK_FRAMES
 from warpqem.kernels.deformation import length_deformation, measure_all_deformation
 from warpqem.kernels.mesh_state import MeshState
@@ -63,7 +62,7 @@ def test_threads_share_the_chunks_whatever_their_number(threads, device):
     expected = [state.deformation.face_area.numpy().copy(), state.deformation.steps.numpy().copy()]
     state.deformation.face_area.fill_(-1.0)
     state.deformation.steps.fill_(-1.0)
-    work = part_work(0, 1, device)
+    work = one_part(device)
     work.thread_count = threads
     wp.launch(measure_all_deformation, dim=threads, inputs=[state, work], device=device)
     canonical = ~np.isnan(deformation(points, faces, device))

@@ -15,6 +15,7 @@ from warpqem.kernels import attribute_fit as kernels
 from warpqem.pipeline.result import SimplifiedMesh
 from warpqem.pipeline.surface_transfer import SurfaceTransfer
 from warpqem.refit.matching import make_surface
+from warpqem.runtime import new_arrays
 from warpqem.runtime.device import device_turn
 from warpqem.runtime.part_launches import FIRST_ITEM, launch_in_parts
 
@@ -69,8 +70,8 @@ class Partners:
         weight = np.concatenate([one.weight.numpy() for one in poses], axis=1)
         with device_turn(first.device):
             on_device = (
-                wp.array(face, dtype=wp.int32, device=first.device),
-                wp.array(weight, dtype=wp.vec3, device=first.device),
+                new_arrays.uploaded(face, dtype=wp.int32, device=first.device),
+                new_arrays.uploaded(weight, dtype=wp.vec3, device=first.device),
             )
         return cls(*on_device, first.area, np.tile(first.samples, (len(poses), 1)), first.device)
 
@@ -106,12 +107,12 @@ class PartnerSearch:
         corner = np.where(self._turned[:, None], cut.corner[:, ::-1], cut.corner)[self._used]
         start = self._place[transfer.wedge_face][transfer.corner_wedge]
         with device_turn(device):
-            corner_vertex = wp.array(corner.ravel(), dtype=wp.int32, device=device)
-            unknown = wp.zeros((1, len(self._vertex)), dtype=wp.vec3, device=device)
+            corner_vertex = new_arrays.uploaded(corner.ravel(), dtype=wp.int32, device=device)
+            unknown = new_arrays.zeros((1, len(self._vertex)), dtype=wp.vec3, device=device)
             self._surface = make_surface(unknown, corner_vertex, build_adjacency(corner_vertex, len(self._vertex)))
-            self._start = wp.array(start.ravel(), dtype=wp.int32, device=device)
-            self._corner_vertex = wp.array(result.faces.ravel(), dtype=wp.int32, device=device)
-            self._samples = wp.array(self._weights, dtype=wp.vec3, device=device)
+            self._start = new_arrays.uploaded(start.ravel(), dtype=wp.int32, device=device)
+            self._corner_vertex = new_arrays.uploaded(result.faces.ravel(), dtype=wp.int32, device=device)
+            self._samples = new_arrays.uploaded(self._weights, dtype=wp.vec3, device=device)
 
     def find(
         self, points: npt.NDArray[np.floating], placed: npt.NDArray[np.floating], near: Partners | None = None
@@ -131,9 +132,9 @@ class PartnerSearch:
         pose, placed = (pose - middle) / size, (placed - middle) / size
         known = np.full(shape, -1, dtype=np.int32) if near is None else self._place[near.face.numpy()]
         with device_turn(device):
-            self._surface.points = wp.array(pose[self._vertex][None], dtype=wp.vec3, device=device)
-            partner = wp.empty(shape, dtype=wp.int32, device=device)
-            weight = wp.zeros(shape, dtype=wp.vec3, device=device)
+            self._surface.points = new_arrays.uploaded(pose[self._vertex][None], dtype=wp.vec3, device=device)
+            partner = new_arrays.empty(shape, dtype=wp.int32, device=device)
+            weight = new_arrays.zeros(shape, dtype=wp.vec3, device=device)
             launch_in_parts(
                 kernels.find_partners,
                 shape,
@@ -141,9 +142,9 @@ class PartnerSearch:
                     FIRST_ITEM,
                     self._surface,
                     self._start,
-                    wp.array(known, dtype=wp.int32, device=device),
+                    new_arrays.uploaded(known, dtype=wp.int32, device=device),
                     self._corner_vertex,
-                    wp.array(placed, dtype=wp.vec3, device=device),
+                    new_arrays.uploaded(placed, dtype=wp.vec3, device=device),
                     self._samples,
                 ],
                 [partner, weight],

@@ -15,6 +15,7 @@ import warp as wp
 from warpqem.attribute_fit.partners import SAMPLES, Partners
 from warpqem.kernels import attribute_fit as kernels
 from warpqem.place.cluster_rows import group_rows
+from warpqem.runtime import new_arrays
 from warpqem.runtime.device import device_turn
 from warpqem.runtime.part_launches import FIRST_ITEM, launch_in_parts
 
@@ -47,7 +48,7 @@ def misfits(
     """
     face_count, channels = len(corner_start), values.shape[1]
     with device_turn(partners.device):
-        misfit = wp.zeros((3 * face_count, channels), dtype=wp.float64, device=partners.device)
+        misfit = new_arrays.zeros((3 * face_count, channels), dtype=wp.float64, device=partners.device)
         launch_in_parts(
             kernels.sum_misfits,
             (face_count, channels),
@@ -55,11 +56,11 @@ def misfits(
                 FIRST_ITEM,
                 partners.face,
                 partners.weight,
-                wp.array(partners.samples, dtype=wp.vec3, device=partners.device),
-                wp.array(corner_element.ravel(), dtype=wp.int32, device=partners.device),
-                wp.array(values, dtype=wp.float64, device=partners.device),
-                wp.array(corner_start.ravel(), dtype=wp.int32, device=partners.device),
-                wp.array(start, dtype=wp.float64, device=partners.device),
+                new_arrays.uploaded(partners.samples, dtype=wp.vec3, device=partners.device),
+                new_arrays.uploaded(corner_element.ravel(), dtype=wp.int32, device=partners.device),
+                new_arrays.uploaded(values, dtype=wp.float64, device=partners.device),
+                new_arrays.uploaded(corner_start.ravel(), dtype=wp.int32, device=partners.device),
+                new_arrays.uploaded(start, dtype=wp.float64, device=partners.device),
             ],
             [misfit],
             device=partners.device,
@@ -87,21 +88,21 @@ def fit_values(partners: Partners, misfit: Floats, corner_row: Ints, free: npt.N
     device, channels, row_count = partners.device, misfit.shape[2], len(free)
     with device_turn(device):
         unknowns = kernels.Unknowns()
-        unknowns.corner = wp.array(corner_row.ravel(), dtype=wp.int32, device=device)
+        unknowns.corner = new_arrays.uploaded(corner_row.ravel(), dtype=wp.int32, device=device)
         corner, first = group_rows(corner_row.ravel(), row_count)
-        unknowns.adjacency_start = wp.array(first, dtype=wp.int32, device=device)
-        unknowns.adjacent_corner = wp.array(corner, dtype=wp.int32, device=device)
-        unknowns.area = wp.array(partners.area, dtype=wp.float64, device=device)
-        unknowns.free = wp.array(free.astype(np.int32), dtype=wp.int32, device=device)
+        unknowns.adjacency_start = new_arrays.uploaded(first, dtype=wp.int32, device=device)
+        unknowns.adjacent_corner = new_arrays.uploaded(corner, dtype=wp.int32, device=device)
+        unknowns.area = new_arrays.uploaded(partners.area, dtype=wp.float64, device=device)
+        unknowns.free = new_arrays.uploaded(free.astype(np.int32), dtype=wp.int32, device=device)
         unknowns.own, unknowns.other = OWN, OTHER
         residual, change, direction, following = (
-            wp.empty((row_count, channels), dtype=wp.float64, device=device) for _ in range(4)
+            new_arrays.empty((row_count, channels), dtype=wp.float64, device=device) for _ in range(4)
         )
         # Saad 2003, "Iterative methods for sparse linear systems", algorithm 12.1.
         middle, half = (HIGH + LOW) / 2, (HIGH - LOW) / 2
         ratio = half / middle
         shape = (row_count, channels)
-        right = wp.array(misfit.reshape(-1, channels), dtype=wp.float64, device=device)
+        right = new_arrays.uploaded(misfit.reshape(-1, channels), dtype=wp.float64, device=device)
         launch_in_parts(
             kernels.start_solution,
             shape,

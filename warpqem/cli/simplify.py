@@ -111,13 +111,15 @@ def _simplified(
         from warpqem.gltf.inventory import is_animated_gltf
         from warpqem.mesh_files.file_names import is_mesh_name
         from warpqem.pipeline.memory_plan import parse_bytes
-        from warpqem.report.page import check_page_path
         from warpqem.runtime.process_memory import limited_memory
         from warpqem.usd import simplify_stage
         from warpqem.usd.commands.option_values import read_options
 
     asked = read_options(options)
     if page is not None:
+        with loading():
+            from warpqem.report.page import check_page_path
+
         check_page_path(page)
 
     def write_page(report: StageReport) -> None:

@@ -9,6 +9,7 @@ import warp as wp
 from warpqem.decimation.recorded_launches import LaunchGroup, part_work, record_shared, run_once
 from warpqem.kernels import topology as kernels
 from warpqem.kernels.topology import VertexAdjacency
+from warpqem.runtime import new_arrays
 from warpqem.runtime.cpu_threads import thread_count
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import Recorder
@@ -34,20 +35,20 @@ class Adjacency:
 
     def __init__(self, corner_vertex: wp.array, face_count: wp.array, vertex_count: int, spare: int = 0) -> None:
         self._corner_vertex, self._face_count, self._device = corner_vertex, face_count, corner_vertex.device
-        self.start = wp.zeros(vertex_count + 1, dtype=wp.int32, device=self._device)
-        self.corner = wp.empty(len(corner_vertex) + spare, dtype=wp.int32, device=self._device)
+        self.start = new_arrays.zeros(vertex_count + 1, dtype=wp.int32, device=self._device)
+        self.corner = new_arrays.empty(len(corner_vertex) + spare, dtype=wp.int32, device=self._device)
         self.lists = VertexAdjacency()
         self.lists.start, self.lists.end = (
-            wp.empty(vertex_count, dtype=wp.int32, device=self._device) for _ in range(2)
+            new_arrays.empty(vertex_count, dtype=wp.int32, device=self._device) for _ in range(2)
         )
-        self.lists.corner, self.lists.used = self.corner, wp.zeros(1, dtype=wp.int32, device=self._device)
+        self.lists.corner, self.lists.used = self.corner, new_arrays.zeros(1, dtype=wp.int32, device=self._device)
         self._in_order = device_traits(self._device).in_order
         if self._in_order:
-            self._cursor = wp.zeros(vertex_count + 1, dtype=wp.int32, device=self._device)
+            self._cursor = new_arrays.zeros(vertex_count + 1, dtype=wp.int32, device=self._device)
         else:
             # A sort works between the two halves.
             self._keys, self._sorted = (
-                wp.empty(2 * len(corner_vertex), dtype=wp.int32, device=self._device) for _ in range(2)
+                new_arrays.empty(2 * len(corner_vertex), dtype=wp.int32, device=self._device) for _ in range(2)
             )
 
     def launch_groups(self, part_count: int) -> list[LaunchGroup]:
@@ -103,7 +104,7 @@ def build_adjacency(
     """Adjacency of a mesh given as ``corner_vertex`` (3N,) int32: of all faces, or of the first ``face_count`` (1,)."""
     device = corner_vertex.device
     if face_count is None:
-        face_count = wp.array([len(corner_vertex) // 3], dtype=wp.int32, device=device)
+        face_count = new_arrays.uploaded([len(corner_vertex) // 3], dtype=wp.int32, device=device)
     adjacency = Adjacency(corner_vertex, face_count, vertex_count, spare)
     run_once(adjacency.launch_groups(thread_count(device)), device)
     return adjacency
@@ -112,7 +113,7 @@ def build_adjacency(
 def classify_vertices(corner_vertex: wp.array, adjacency: Adjacency, vertex_flags: wp.array) -> wp.array:
     """Add BORDER and NON_MANIFOLD to ``vertex_flags`` (V,) int32; return (3N,) int32, 1 at each border half-edge."""
     device = corner_vertex.device
-    border = wp.zeros(len(corner_vertex), dtype=wp.int32, device=device)
+    border = new_arrays.zeros(len(corner_vertex), dtype=wp.int32, device=device)
     inputs = [corner_vertex, adjacency.lists, FIRST_ITEM]
     launch_in_parts(kernels.classify_vertices, len(vertex_flags), inputs, [vertex_flags, border], device=device)
     return border

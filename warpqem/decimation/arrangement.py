@@ -13,9 +13,11 @@ import numpy as np
 import warp as wp
 
 from warpqem.decimation.collapse_log import CollapseRecord
-from warpqem.decimation.recorded_launches import part_work
 from warpqem.kernels import arrangement as kernels
 from warpqem.kernels.lanes import width_of
+from warpqem.kernels.work import Work
+from warpqem.runtime import new_arrays
+from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import launch
 from warpqem.runtime.part_launches import corners_of, launch_in_parts, rows_of
 
@@ -109,9 +111,11 @@ def arrange(corner_vertex: wp.array, position: wp.array) -> Arrangement:
     """
     device, vertex_count, face_count = position.device, len(position), len(corner_vertex) // 3
     width, bounds = width_of(position), kernels.Bounds()
-    bounds.low, bounds.high = (wp.full(3, end, dtype=wp.float32, device=device) for end in (np.inf, -np.inf))
-    work = part_work(0, 1, str(device))
-    work.thread_count = max(1, min(work.thread_count, vertex_count // VERTICES_PER_THREAD))
+    bounds.low, bounds.high = (new_arrays.full(3, end, dtype=wp.float32, device=device) for end in (np.inf, -np.inf))
+    work = Work()
+    work.part, work.part_count = 0, 1
+    most = device_traits(str(device)).launch_threads
+    work.thread_count = max(1, min(most, vertex_count // VERTICES_PER_THREAD))
     launch(kernels.find_bounds[width], work.thread_count, [position, work], [bounds], device=device)
     keys, items = _sorting_room(vertex_count, device)
     launch(kernels.key_vertices[width], vertex_count, [position, bounds], [keys, items], device=device)
@@ -125,7 +129,7 @@ def arrange(corner_vertex: wp.array, position: wp.array) -> Arrangement:
 
 def _sorting_room(count: int, device: wp.DeviceLike) -> tuple[wp.array, wp.array]:
     """Keys and items: a sort works between the two halves."""
-    keys, items = (wp.empty(2 * count, dtype=wp.int32, device=device) for _ in range(2))
+    keys, items = (new_arrays.empty(2 * count, dtype=wp.int32, device=device) for _ in range(2))
     return keys, items
 
 

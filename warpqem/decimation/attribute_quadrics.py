@@ -6,6 +6,7 @@ import numpy as np
 import warp as wp
 
 from warpqem.kernels.mesh_state import Point, Quadric, Wedges
+from warpqem.runtime import new_arrays
 
 __all__ = ["build_wedges", "face_gradients"]
 
@@ -28,7 +29,7 @@ def build_wedges(corner_vertex: wp.array, key_position: wp.array, values: np.nda
     wedges, device = Wedges(), key_position.device
     if values is None:
         wedges.channel_count = 0
-        wedges.corner_wedge = wp.empty(0, dtype=wp.int32, device=device)
+        wedges.corner_wedge = new_arrays.empty(0, dtype=wp.int32, device=device)
         return wedges
     vertex_count, faces = len(key_position), corner_vertex.numpy().reshape(-1, 3)
     points = key_position[:, :1].numpy()[:, 0, :, 0].astype(np.float64)
@@ -48,10 +49,10 @@ def build_wedges(corner_vertex: wp.array, key_position: wp.array, values: np.nda
     quadric = np.zeros((vertex_count, 10), dtype=np.float32)
     quadric[:, :6] = _sum_rows(faces.ravel(), matrix, vertex_count)
     wedges.channel_count = corner_value.shape[1]
-    wedges.corner_wedge = wp.array(corner_wedge, dtype=wp.int32, device=device)
-    wedges.area = wp.array(wedge_area, dtype=wp.float32, device=device)
+    wedges.corner_wedge = new_arrays.uploaded(corner_wedge, dtype=wp.int32, device=device)
+    wedges.area = new_arrays.uploaded(wedge_area, dtype=wp.float32, device=device)
     wedges.origin = _columns(points[faces.ravel()[first]], Point, device)
-    wedges.value = wp.array(corner_value[first], dtype=wp.float32, device=device)
+    wedges.value = new_arrays.uploaded(corner_value[first], dtype=wp.float32, device=device)
     wedges.gradient = _columns(mean, Point, device)
     wedges.position = _columns(points, Point, device)
     wedges.quadric = _columns(quadric, Quadric, device)
@@ -60,7 +61,7 @@ def build_wedges(corner_vertex: wp.array, key_position: wp.array, values: np.nda
 
 def _columns(values: np.ndarray, dtype: type, device: str) -> wp.array:
     """Blocks of one frame: (...) of (D, 1) matrices from (..., D)."""
-    return wp.array(values[..., None].astype(np.float32), dtype=dtype, device=device)
+    return new_arrays.uploaded(values[..., None].astype(np.float32), dtype=dtype, device=device)
 
 
 def _share_values(corner_vertex: np.ndarray, corner_value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -8,6 +8,7 @@ from warpqem.decimation.adjacency import Adjacency
 from warpqem.kernels import initial_members as kernels
 from warpqem.kernels.lanes import width_of
 from warpqem.kernels.mesh_state import Members
+from warpqem.runtime import new_arrays
 from warpqem.runtime.launches import launch
 from warpqem.runtime.part_launches import FIRST_ITEM, launch_in_parts
 
@@ -26,8 +27,8 @@ def build_members(corner_vertex: wp.array, adjacency: Adjacency, key_position: w
     device, vertex_count = key_position.device, len(key_position)
     members = Members()
     shape = (2, vertex_count)
-    members.area, members.reach_squared = (wp.empty(shape, dtype=wp.float32, device=device) for _ in range(2))
-    members.following, members.last = (wp.empty(vertex_count, dtype=wp.int32, device=device) for _ in range(2))
+    members.area, members.reach_squared = (new_arrays.empty(shape, dtype=wp.float32, device=device) for _ in range(2))
+    members.following, members.last = (new_arrays.empty(vertex_count, dtype=wp.int32, device=device) for _ in range(2))
     launch(kernels.begin_members, vertex_count, [], [members], device=device)
     inputs = [key_position, key_count, corner_vertex, adjacency.lists, FIRST_ITEM]
     measure = kernels.measure_members[width_of(key_position)]

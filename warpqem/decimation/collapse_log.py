@@ -11,6 +11,7 @@ import warp as wp
 from warpqem.arguments.array_record import ArrayRecord
 from warpqem.kernels import collapse_order as kernels
 from warpqem.kernels.mesh_state import CollapseLog
+from warpqem.runtime import new_arrays
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import launch
 
@@ -79,8 +80,11 @@ _NUMBERS = ("cost", "error")
 
 def new_log(capacity: int, device: str) -> tuple[CollapseLog, wp.array]:
     """An empty log on the device, and the rows (8, capacity) int32 that its arrays are."""
-    log, rows = CollapseLog(), wp.empty((len(_INTEGERS) + len(_NUMBERS), capacity), dtype=wp.int32, device=device)
-    log.count, log.round_count = (wp.zeros(1, dtype=wp.int32, device=device) for _ in range(2))
+    log, rows = (
+        CollapseLog(),
+        new_arrays.empty((len(_INTEGERS) + len(_NUMBERS), capacity), dtype=wp.int32, device=device),
+    )
+    log.count, log.round_count = (new_arrays.zeros(1, dtype=wp.int32, device=device) for _ in range(2))
     for index, name in enumerate(_INTEGERS):
         setattr(log, name, rows[index])
     for index, name in enumerate(_NUMBERS, len(_INTEGERS)):
@@ -95,7 +99,7 @@ def read_log(rows: wp.array, count: int) -> CollapseRecord:
         values = np.empty((len(rows), 0), dtype=np.int32)
     else:
         slot = _order_on_host(rows, count) if device_traits(str(device)).in_order else _order_by_sorts(rows, count)
-        ordered = wp.empty(len(rows) * count, dtype=wp.int32, device=device)
+        ordered = new_arrays.empty(len(rows) * count, dtype=wp.int32, device=device)
         launch(kernels.gather_log, count, [rows, slot], [ordered], device=device)
         values = ordered.numpy().reshape(len(rows), count)
     by_name = dict(zip(_INTEGERS, values, strict=False))
@@ -117,7 +121,7 @@ def _order_on_host(rows: wp.array, count: int) -> wp.array:
     values = rows.numpy()[:, :count]
     removed, cost = values[_INTEGERS.index("removed")], values[len(_INTEGERS)].view(np.float32)
     order = _sorted_rounds(values[_INTEGERS.index("round_index")], cost, removed, rows.shape[1])
-    return wp.array(order, dtype=wp.int32, device=rows.device)
+    return new_arrays.uploaded(order, dtype=wp.int32, device=rows.device)
 
 
 def _order_by_sorts(rows: wp.array, count: int) -> wp.array:
@@ -125,7 +129,7 @@ def _order_by_sorts(rows: wp.array, count: int) -> wp.array:
     device, removed, rounds = rows.device, rows[_INTEGERS.index("removed")], rows[_INTEGERS.index("round_index")]
     # A sort works between the two halves.
     keys, round_keys, slots = (
-        wp.empty(2 * count, dtype=dtype, device=device) for dtype in (wp.int64, wp.int32, wp.int32)
+        new_arrays.empty(2 * count, dtype=dtype, device=device) for dtype in (wp.int64, wp.int32, wp.int32)
     )
     cost = rows[len(_INTEGERS)].view(wp.float32)
     launch(kernels.key_collapses, count, [cost, removed], [keys, slots], device=device)

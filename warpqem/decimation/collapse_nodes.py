@@ -9,6 +9,7 @@ import warp as wp
 
 from warpqem.kernels.lanes import width_of
 from warpqem.kernels.mesh_state import AnyKeyFrames, CollapseLog, MeshState
+from warpqem.runtime import new_arrays
 
 __all__ = ["NodeRecorder", "PassNodes", "read_rows"]
 
@@ -64,7 +65,7 @@ class NodeRecorder:
     def record(self, state: MeshState, frames: AnyKeyFrames, log: CollapseLog, begin: int, end: int) -> None:
         """Keep the vertices of the collapses that stand in the log from ``begin`` to ``end``."""
         row = np.sort(log.kept[begin:end].numpy())
-        chosen = wp.array(row, dtype=wp.int32, device=frames.position.device)
+        chosen = new_arrays.uploaded(row, dtype=wp.int32, device=frames.position.device)
         position = read_rows(frames.position, chosen)
         # As order_collapses adds it for the vertices that are left at the end.
         attribute = read_rows(state.wedges.quadric, chosen)[:, :, 0] if state.wedges.channel_count > 0 else None
@@ -86,7 +87,7 @@ class NodeRecorder:
         if state.sum_row is not None and len(state.sum_row) > 0:
             sum_row = read_rows(state.sum_row, row)
             place = np.flatnonzero(sum_row >= 0)
-            chosen = wp.array(sum_row[place], dtype=wp.int32, device=frames.position.device)
+            chosen = new_arrays.uploaded(sum_row[place], dtype=wp.int32, device=frames.position.device)
             added.append((place, read_rows(frames.kept_sum, chosen)))
         if attribute is not None:
             blocks, width = frames.quadric.shape[1], width_of(frames.position)

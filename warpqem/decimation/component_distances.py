@@ -6,6 +6,7 @@ import numpy as np
 import warp as wp
 
 from warpqem.kernels import component_distance as kernels
+from warpqem.runtime import new_arrays
 from warpqem.runtime.part_launches import launch_in_parts, rows_of
 
 __all__ = ["MAX_FRAMES", "ComponentDistances", "least_losses"]
@@ -52,21 +53,21 @@ class ComponentDistances:
         shape = (len(points), len(sample), int(kernels.NEAR_COMPONENTS))
         self._near, self._squared = np.empty(shape, dtype=np.int32), np.empty(shape, dtype=np.float32)
         self._area, self._min_squared = np.empty((len(points), len(count))), np.empty((len(points), len(count)))
-        indices = wp.array(faces.ravel(), dtype=wp.int32, device=device)
-        own = wp.array(component.astype(np.int32), dtype=wp.int32, device=device)
-        chosen = wp.array(sample.astype(np.int32), dtype=wp.int32, device=device)
+        indices = new_arrays.uploaded(faces.ravel(), dtype=wp.int32, device=device)
+        own = new_arrays.uploaded(component.astype(np.int32), dtype=wp.int32, device=device)
+        chosen = new_arrays.uploaded(sample.astype(np.int32), dtype=wp.int32, device=device)
         for frame, positions in enumerate(points):
             self._area[frame] = _areas(positions, faces, component, weight, len(count))
             size = _sizes(positions[order], start, count)
             self._min_squared[frame] = _min_squared(size)
-            mesh = wp.Mesh(points=wp.array(positions, dtype=wp.vec3, device=device), indices=indices)
-            near = wp.empty(shape[1:], dtype=wp.int32, device=device)
-            squared = wp.empty(shape[1:], dtype=wp.float32, device=device)
+            mesh = wp.Mesh(points=new_arrays.uploaded(positions, dtype=wp.vec3, device=device), indices=indices)
+            near = new_arrays.empty(shape[1:], dtype=wp.int32, device=device)
+            squared = new_arrays.empty(shape[1:], dtype=wp.float32, device=device)
             radius = FIRST_BOX * np.maximum(size, np.finfo(np.float32).eps)[component[sample]]
             launch_in_parts(
                 kernels.find_near_components,
                 len(sample),
-                [mesh.id, own, rows_of(chosen), rows_of(wp.array(radius, dtype=wp.float32, device=device))],
+                [mesh.id, own, rows_of(chosen), rows_of(new_arrays.uploaded(radius, dtype=wp.float32, device=device))],
                 [rows_of(near), rows_of(squared)],
                 device=device,
             )

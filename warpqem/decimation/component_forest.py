@@ -6,6 +6,7 @@ import warp as wp
 
 from warpqem.kernels import components as kernels
 from warpqem.kernels.topology import VertexAdjacency
+from warpqem.runtime import new_arrays
 from warpqem.runtime.launches import launch
 
 __all__ = ["ComponentForest"]
@@ -25,7 +26,9 @@ class ComponentForest:
 
     def __init__(self, corner_vertex: wp.array, adjacency: VertexAdjacency, count: wp.array) -> None:
         self._device, vertex_count = corner_vertex.device, len(adjacency.start)
-        self.lowest, self._is_root = (wp.empty(vertex_count, dtype=wp.int32, device=self._device) for _ in range(2))
+        self.lowest, self._is_root = (
+            new_arrays.empty(vertex_count, dtype=wp.int32, device=self._device) for _ in range(2)
+        )
         launch(kernels.begin_trees, vertex_count, [], [self.lowest], device=self._device)
         launch(kernels.join_faces, len(corner_vertex) // 3, [corner_vertex], [self.lowest], device=self._device)
         outputs = [self.lowest, count, self._is_root]

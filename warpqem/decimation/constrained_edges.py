@@ -8,6 +8,7 @@ import numpy as np
 import warp as wp
 
 from warpqem.kernels import constrained_edges as kernels
+from warpqem.runtime import new_arrays
 from warpqem.runtime.launches import launch
 
 __all__ = ["ConstrainedEdges", "EdgeMarks"]
@@ -77,7 +78,7 @@ class EdgeMarks:
         """The half-edges; ``count`` is their number."""
         device, edges = self._corner_vertex.device, np.zeros((0, 4), dtype=np.int32)
         if count:
-            found = wp.empty(count, dtype=wp.vec4i, device=device)
+            found = new_arrays.empty(count, dtype=wp.vec4i, device=device)
             inputs = [self._corner_vertex, self._marks, self._before]
             launch(kernels.list_constrained, len(self._marks), inputs, [found], device=device)
             edges = np.array(found.numpy())

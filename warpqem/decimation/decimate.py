@@ -18,7 +18,6 @@ from warpqem.decimation.collapse_nodes import NodeRecorder
 from warpqem.decimation.component_forest import ComponentForest
 from warpqem.decimation.constrained_edges import ConstrainedEdges, EdgeMarks
 from warpqem.decimation.deformation import build_deformation
-from warpqem.decimation.device_loop import DeviceOrderer
 from warpqem.decimation.faces_left import faces_left
 from warpqem.decimation.initial_quadrics import given_quadrics, initial_quadrics
 from warpqem.decimation.ordering import Ordering
@@ -31,6 +30,7 @@ from warpqem.kernels.clean_topology import count_non_manifold
 from warpqem.kernels.lanes import width_of
 from warpqem.kernels.mesh_state import KEY_FRAMES, AnyKeyFrames, CostModel, MeshState
 from warpqem.kernels.topology import CORNER, NON_MANIFOLD
+from warpqem.runtime import new_arrays
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import launch
 
@@ -134,7 +134,7 @@ def order_collapses(
     components of ``gone`` (V,) bool are pruned first.
     """
     vertex_count = len(mesh.vertex_flags)
-    corner_vertex = wp.array(mesh.faces.ravel(), dtype=wp.int32, device=device)
+    corner_vertex = new_arrays.uploaded(mesh.faces.ravel(), dtype=wp.int32, device=device)
     arrangement = arrange(corner_vertex, mesh.key_position) if len(mesh.faces) >= ARRANGED_FACES else None
     state, frames, adjacency, kinds = _on_device(mesh, corner_vertex, arrangement, settings, device)
     edges, non_manifold = kinds.edges, kinds.non_manifold
@@ -218,10 +218,10 @@ def _on_device(
     frames.position = wp.clone(frames.input)
 
     def of_vertices(values: np.ndarray, dtype: type) -> wp.array:
-        uploaded = wp.array(values, dtype=dtype, device=device)
+        uploaded = new_arrays.uploaded(values, dtype=dtype, device=device)
         return uploaded if arrangement is None else arrangement.rearrange_vertices(uploaded)
 
-    state.face_count = wp.array([len(mesh.faces)], dtype=wp.int32, device=device)
+    state.face_count = new_arrays.uploaded([len(mesh.faces)], dtype=wp.int32, device=device)
     adjacency = build_adjacency(corner_vertex, len(mesh.vertex_flags), state.face_count, spare=len(corner_vertex))
     state.corner_vertex, state.adjacency = corner_vertex, adjacency.lists
     state.vertex_flags = of_vertices(mesh.vertex_flags, wp.int32)
@@ -237,7 +237,7 @@ def _on_device(
         frames.quadric = given_quadrics(options.matrices, device)
     if options.sums is not None:
         _add_sums(options.sums, state, frames, settings.memoryless)
-    state.edge_cost = wp.empty(len(corner_vertex), dtype=wp.float32, device=device)
+    state.edge_cost = new_arrays.empty(len(corner_vertex), dtype=wp.float32, device=device)
     state.trajectory, state.deformation = build_deformation(options.trajectories, len(mesh.faces), device)
     state.wedges = build_wedges(corner_vertex, frames.position, options.attributes, mesh.key_count)
     state.members = build_members(corner_vertex, adjacency, frames.position, mesh.key_count)
@@ -256,7 +256,7 @@ class _Kinds:
 def _find_kinds(state: MeshState, border: wp.array, keep_components: bool) -> _Kinds:
     """Look for edges of borders and seams, non-manifold vertices and components: the host waits once for the counts."""
     device, flags = border.device, state.vertex_flags
-    counts = wp.zeros(3, dtype=wp.int32, device=device)
+    counts = new_arrays.zeros(3, dtype=wp.int32, device=device)
     marks = EdgeMarks(state.corner_vertex, border, state.seam, counts[:1])
     forest = None if keep_components else ComponentForest(state.corner_vertex, state.adjacency, counts[1:2])
     launch(count_non_manifold, len(flags), [flags], [counts[2:]], device=device)
@@ -271,8 +271,8 @@ def _find_kinds(state: MeshState, border: wp.array, keep_components: bool) -> _K
 def _seam_marks(seam: np.ndarray, arrangement: Arrangement | None, device: str) -> wp.array:
     """(3N,) int32, 1 at both half-edges of a seam edge."""
     if not seam.any():
-        return wp.zeros(len(seam), dtype=wp.int32, device=device)
-    marks = wp.array(seam, dtype=wp.int32, device=device)
+        return new_arrays.zeros(len(seam), dtype=wp.int32, device=device)
+    marks = new_arrays.uploaded(seam, dtype=wp.int32, device=device)
     return marks if arrangement is None else arrangement.rearrange_corners(marks)
 
 
@@ -310,7 +310,12 @@ def _cost_model(mesh: DecimationInput, settings: OrderSettings) -> CostModel:
 
 def _new_ordering(steps: PassSteps) -> Ordering:
     """The loop for a kind of device: a GPU waits too long for the host, and a CPU for dead faces."""
-    return DeviceOrderer(steps) if device_traits(steps.device).captures else Orderer(steps)
+    if not device_traits(steps.device).captures:
+        return Orderer(steps)
+    # Its kernels take a while to load, and a CPU has no use for them.
+    from warpqem.decimation.device_loop import DeviceOrderer
+
+    return DeviceOrderer(steps)
 
 
 def _line_rank(vertex_flags: np.ndarray, edges: ConstrainedEdges) -> np.ndarray:

@@ -7,6 +7,7 @@ import warp as wp
 
 from warpqem.frames.blocks import chunk_frames
 from warpqem.kernels.mesh_state import Deformation
+from warpqem.runtime import new_arrays
 
 __all__ = ["build_deformation"]
 
@@ -28,7 +29,7 @@ def build_deformation(
     measured.chunk_frames = chunk_frames(frame_count, device) if size is None else size
     chunk_count = -(-frame_count // measured.chunk_frames)
     rows = face_count if chunk_count else 0
-    measured.face_area = wp.empty((rows, chunk_count), dtype=wp.float32, device=device)
-    measured.steps = wp.empty((3 * rows, chunk_count), dtype=wp.vec3, device=device)
-    measured.anchor = wp.zeros((len(given), chunk_count), dtype=wp.float32, device=device)
+    measured.face_area = new_arrays.empty((rows, chunk_count), dtype=wp.float32, device=device)
+    measured.steps = new_arrays.empty((3 * rows, chunk_count), dtype=wp.vec3, device=device)
+    measured.anchor = new_arrays.zeros((len(given), chunk_count), dtype=wp.float32, device=device)
     return wp.array(given, dtype=wp.vec3, device=device, copy=False), measured

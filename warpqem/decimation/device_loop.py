@@ -23,6 +23,7 @@ from warpqem.kernels import pass_control as kernels
 from warpqem.kernels.components import mark_remnants, measure_components
 from warpqem.kernels.pass_control import COMPONENTS, FULL_POOL, RUNNING, STUCK, PassControl
 from warpqem.kernels.work import EdgeList
+from warpqem.runtime import new_arrays
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import Recorder, launch
 from warpqem.runtime.loops import DeviceLoop
@@ -68,8 +69,8 @@ class DeviceOrderer(Ordering):
             setattr(control, name, steps.integers(1))
         for name in ("pass_number", "pass_begin", "wanted", "sample_step"):
             setattr(control, name, getattr(steps, name))
-        control.pass_threshold = wp.zeros(1, dtype=wp.float32, device=self.device)
-        control.fraction = wp.full(1, float(kernels.CANDIDATE_FRACTION), dtype=wp.float64, device=self.device)
+        control.pass_threshold = new_arrays.zeros(1, dtype=wp.float32, device=self.device)
+        control.fraction = new_arrays.full(1, float(kernels.CANDIDATE_FRACTION), dtype=wp.float64, device=self.device)
         return control
 
     def run(
@@ -146,7 +147,7 @@ class DeviceOrderer(Ordering):
         steps, control = self.steps, self._control
         lists = [new_edge_list(storage, 1) for storage in steps.lists]
         selected = lists.pop()
-        histogram = wp.zeros((1, HISTOGRAM_BINS), dtype=wp.int32, device=self.device)
+        histogram = new_arrays.zeros((1, HISTOGRAM_BINS), dtype=wp.int32, device=self.device)
         kept, shared = steps.integers(len(steps.faces_removed)), SharedSteps(steps)
 
         def begin(recorder: Recorder, _: int) -> None:
@@ -184,7 +185,7 @@ class DeviceOrderer(Ordering):
 
     def _record_remnants(self, recorder: Recorder, components: Components) -> None:
         """Count the components that may be pruned."""
-        of_vertex = wp.array(components.vertex_component, dtype=wp.int32, device=self.device)
+        of_vertex = new_arrays.uploaded(components.vertex_component, dtype=wp.int32, device=self.device)
         least_loss = components.least_loss
         face_count, cheapness, is_remnant = (self.steps.integers(len(least_loss)) for _ in range(3))
         for cleared in (face_count, cheapness, self._control.remnant_count):

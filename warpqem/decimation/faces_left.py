@@ -8,6 +8,7 @@ import warp as wp
 from warpqem.decimation.collapse_log import CollapseRecord
 from warpqem.decimation.pruning import DropRecord
 from warpqem.kernels import faces_left as kernels
+from warpqem.runtime import new_arrays
 from warpqem.runtime.launches import launch
 
 __all__ = ["faces_left"]
@@ -30,14 +31,14 @@ def faces_left(
         ``faces`` (N', 3) int32 over the kept vertices, ``face_map`` (N',) int32 ascending, the input face of each.
     """
     device, count = corner_vertex.device, len(corner_vertex) // 3
-    roots = wp.array(root, dtype=wp.int32, device=device)
-    dropped = wp.array(drops.vertex_drop if len(drops) else [], dtype=wp.int32, device=device)
-    before = wp.empty(count, dtype=wp.int32, device=device)
+    roots = new_arrays.uploaded(root, dtype=wp.int32, device=device)
+    dropped = new_arrays.uploaded(drops.vertex_drop if len(drops) else [], dtype=wp.int32, device=device)
+    before = new_arrays.empty(count, dtype=wp.int32, device=device)
     launch(kernels.mark_faces_left, count, [corner_vertex, roots, dropped], [before], device=device)
     wp.utils.array_scan(before, before, inclusive=True)
 
     def list_rows(room: int) -> np.ndarray:
-        rows = wp.empty(1 + room, dtype=wp.vec4i, device=device)
+        rows = new_arrays.empty(1 + room, dtype=wp.vec4i, device=device)
         launch(kernels.list_faces_left, count, [corner_vertex, roots, before], [rows], device=device)
         return np.array(rows.numpy())
 

@@ -9,6 +9,7 @@ from warpqem.decimation.adjacency import Adjacency
 from warpqem.decimation.constrained_edges import ConstrainedEdges
 from warpqem.kernels import plane_quadrics as kernels
 from warpqem.kernels.lanes import POINTS, QUADRIC, width_of
+from warpqem.runtime import new_arrays
 from warpqem.runtime.launches import launch
 from warpqem.runtime.part_launches import corners_of, launch_in_parts, rows_of, starts_of
 
@@ -39,8 +40,8 @@ def initial_quadrics(
     vertex_count, block_count = position.shape
     width = width_of(position)
     face_count = len(corner_vertex) // 3
-    normal = wp.empty((face_count, block_count), dtype=POINTS[width], device=device)
-    quadric = wp.empty((vertex_count, block_count), dtype=QUADRIC[width], device=device)
+    normal = new_arrays.empty((face_count, block_count), dtype=POINTS[width], device=device)
+    quadric = new_arrays.empty((vertex_count, block_count), dtype=QUADRIC[width], device=device)
     launch_in_parts(
         kernels.weigh_face_normals[width],
         (face_count, block_count),
@@ -82,4 +83,4 @@ def given_quadrics(matrices: np.ndarray, device: str) -> wp.array:
     """Quadrics (V, 1) of one key frame with these symmetric matrices (V, 3, 3), each with its least at the vertex."""
     values = np.zeros((len(matrices), 1, 10, 1), dtype=np.float32)
     values[:, 0, :6, 0] = matrices[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
-    return wp.array(values, dtype=QUADRIC[1], device=device)
+    return new_arrays.uploaded(values, dtype=QUADRIC[1], device=device)

@@ -19,6 +19,7 @@ from warpqem.kernels import memoryless_quadric as kernels
 from warpqem.kernels.lanes import width_of
 from warpqem.kernels.mesh_state import KEY_FRAMES, MeshState
 from warpqem.kernels.topology import BORDER, SEAM
+from warpqem.runtime import new_arrays
 from warpqem.runtime.cpu_threads import thread_count
 from warpqem.runtime.launches import Recorder
 
@@ -77,7 +78,7 @@ class MemorylessQuadrics:
         frames.position, frames.quadric = position, quadric
         weights = kernels.LineWeights()
         weights.border, weights.seam = CONSTRAINT_WEIGHT[1], CONSTRAINT_WEIGHT[2]
-        chosen, one = wp.array(mask, device=device), wp.array([1], dtype=wp.int32, device=device)
+        chosen, one = wp.array(mask, device=device), new_arrays.uploaded([1], dtype=wp.int32, device=device)
         part_count = thread_count(str(device))
 
         def renew(recorder: Recorder, part: int) -> None:

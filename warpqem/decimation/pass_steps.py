@@ -28,6 +28,7 @@ from warpqem.kernels import memoryless_quadric as memoryless_kernels
 from warpqem.kernels.lanes import width_of
 from warpqem.kernels.mesh_state import AnyKeyFrames, CostModel, MeshState
 from warpqem.kernels.work import EdgeList
+from warpqem.runtime import new_arrays
 from warpqem.runtime.cpu_threads import thread_count
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import Recorder
@@ -98,21 +99,21 @@ class PassSteps:
         self.threads = thread_count(device)
         self.log, self.log_rows = new_log(vertex_count, device)
         self.pass_number, self.pass_begin, self.wanted, self.sample_step = (self.integers(1) for _ in range(4))
-        self.cost_threshold = wp.zeros(1, dtype=wp.float32, device=device)
-        self._reservation = wp.full(vertex_count, set_kernels.UNRESERVED, dtype=wp.int64, device=device)
+        self.cost_threshold = new_arrays.zeros(1, dtype=wp.float32, device=device)
+        self._reservation = new_arrays.full(vertex_count, set_kernels.UNRESERVED, dtype=wp.int64, device=device)
         self.mask, self._updated = self.integers(vertex_count), self.integers(vertex_count)
         # Selected edges share no vertex, so there are V / 2 at most; an edge stands at one of its two half-edges.
         max_selected = vertex_count // 2 + 1
-        self.lists = [wp.empty(3 * face_count, dtype=wp.int32, device=device) for _ in range(3)]
+        self.lists = [new_arrays.empty(3 * face_count, dtype=wp.int32, device=device) for _ in range(3)]
         self.faces_removed = self.integers(max_selected)
         shape = (max_selected, frames.position.shape[1])
-        self.target = wp.empty(shape, dtype=frames.position.dtype, device=device)
-        self.anchor, self.error = (wp.empty(max_selected, dtype=wp.float32, device=device) for _ in range(2))
+        self.target = new_arrays.empty(shape, dtype=frames.position.dtype, device=device)
+        self.anchor, self.error = (new_arrays.empty(max_selected, dtype=wp.float32, device=device) for _ in range(2))
         self._launches: dict[int, PassLaunches] = {}
 
     def integers(self, count: int) -> wp.array:
         """(count,) int32 zeros."""
-        return wp.zeros(count, dtype=wp.int32, device=self.device)
+        return new_arrays.zeros(count, dtype=wp.int32, device=self.device)
 
     def compute_all_costs(self) -> None:
         """Compute all costs by the model as it is now."""
@@ -157,7 +158,7 @@ class PassSteps:
                         *self.shrinking(now, left, part_count),
                     ]
                 )
-            histogram = wp.zeros((part_count, HISTOGRAM_BINS), dtype=wp.int32, device=self.device)
+            histogram = new_arrays.zeros((part_count, HISTOGRAM_BINS), dtype=wp.int32, device=self.device)
             self._launches[part_count] = PassLaunches(
                 collect=self._recorded(
                     [

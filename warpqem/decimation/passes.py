@@ -21,6 +21,7 @@ from warpqem.kernels import attribute as attribute_kernels
 from warpqem.kernels import collapse as collapse_kernels
 from warpqem.kernels import deformation as deformation_kernels
 from warpqem.kernels import pass_control as control_kernels
+from warpqem.runtime import new_arrays
 from warpqem.runtime.launches import launch
 from warpqem.runtime.part_launches import corners_of, launch_in_parts, rows_of
 
@@ -53,7 +54,7 @@ class Orderer(Ordering):
         if not compacts:
             return
         state, device, face_count = self.state, self.device, self.face_slots
-        self._live_rank = wp.empty(face_count, dtype=wp.int32, device=device)
+        self._live_rank = new_arrays.empty(face_count, dtype=wp.int32, device=device)
         self._spare_corner_vertex = wp.empty_like(state.corner_vertex)
         self._spare_edge_cost = wp.empty_like(state.edge_cost)
         self._spare_seam = wp.empty_like(state.seam)
@@ -156,7 +157,7 @@ class Orderer(Ordering):
         if total <= remaining:
             return total
         # The order of the log, so that what is left is a beginning of it.
-        key = wp.empty(count, dtype=wp.int64, device=self.device)
+        key = new_arrays.empty(count, dtype=wp.int64, device=self.device)
         inputs = [self.state, launches.selected.half_edge]
         launch(control_kernels.list_log_keys, count, inputs, [key], device=self.device)
         order = np.argsort(key.numpy(), kind="stable")

@@ -25,6 +25,7 @@ from warpqem.kernels.components import MAX_REMNANT_FACES, list_component_faces, 
 from warpqem.kernels.lanes import width_of
 from warpqem.kernels.mesh_state import MeshState
 from warpqem.kernels.topology import LOCKED
+from warpqem.runtime import new_arrays
 from warpqem.runtime.launches import launch
 
 __all__ = ["ComponentDrop", "Components", "DropRecord"]
@@ -266,7 +267,7 @@ class Components:
         """(C,) int32, live faces of each component; and which components may be pruned, ascending."""
         device = self._state.corner_vertex.device
         work = part_work(0, 1, str(device))
-        sizes, cheapness, marks = (wp.zeros(len(self._least), dtype=wp.int32, device=device) for _ in range(3))
+        sizes, cheapness, marks = (new_arrays.zeros(len(self._least), dtype=wp.int32, device=device) for _ in range(3))
         inputs = [self._state, self._component_of, work]
         launch(measure_components, work.thread_count, inputs, [sizes, cheapness], device=device)
         threshold = wp.array([cost_threshold], dtype=wp.float32, device=device)
@@ -281,7 +282,7 @@ class Components:
         device = self._state.corner_vertex.device
         chosen = np.zeros(len(self._least), dtype=np.int32)
         chosen[small] = 1
-        listed, faces = (wp.zeros(n, dtype=t, device=device) for n, t in ((1, wp.int32), (count, wp.vec3i)))
+        listed, faces = (new_arrays.zeros(n, dtype=t, device=device) for n, t in ((1, wp.int32), (count, wp.vec3i)))
         work, of_component = part_work(0, 1, str(device)), wp.array(chosen, device=device)
         inputs = [self._state.corner_vertex, self._state.face_count, self._component_of, of_component, work]
         launch(list_component_faces, work.thread_count, inputs, [listed, faces], device=device)
@@ -303,7 +304,7 @@ class Components:
         launch(
             kernels.remove_from_adjacency,
             dim=len(remnant.vertex),
-            inputs=[self._state, wp.array(remnant.vertex, dtype=wp.int32, device=device)],
+            inputs=[self._state, new_arrays.uploaded(remnant.vertex, dtype=wp.int32, device=device)],
             device=device,
         )
         return ComponentDrop(int(remnant.vertex[0]), collapse_count, remnant.face_count, error)

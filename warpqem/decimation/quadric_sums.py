@@ -9,6 +9,7 @@ import warp as wp
 
 from warpqem.kernels import quadric_sums as kernels
 from warpqem.kernels.lanes import width_of
+from warpqem.runtime import new_arrays
 from warpqem.runtime.launches import launch
 
 __all__ = ["QuadricSums", "add_quadric_sums"]
@@ -64,7 +65,7 @@ def add_quadric_sums(sums: QuadricSums, position: wp.array, quadric: wp.array) -
     """
     device, width = quadric.device, width_of(position)
     row, start, vertex = (wp.array(a, device=device) for a in (sums.row, sums.start, sums.vertex))
-    added = wp.empty((len(sums.row), position.shape[1]), dtype=quadric.dtype, device=device)
+    added = new_arrays.empty((len(sums.row), position.shape[1]), dtype=quadric.dtype, device=device)
     launch(
         kernels.gather_sums[width],
         dim=added.shape,

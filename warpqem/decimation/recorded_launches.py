@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ from typing import Any
 import warp as wp
 
 from warpqem.kernels.work import EdgeList, Work
+from warpqem.runtime import new_arrays
 from warpqem.runtime.cpu_threads import run_parts
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import DirectRecorder, Recorder
@@ -67,12 +69,27 @@ def run_once(groups: Sequence[LaunchGroup], device: str) -> None:
             group.record(recorder, part)
 
 
+class _SharedWork(type(Work())):  # type: ignore[misc]  # made by Warp
+    """A share of work that many launches have in common: whoever changed it would change what all of them do."""
+
+    def __init__(self, **values: int) -> None:
+        super().__init__()
+        for name, value in values.items():
+            super().__setattr__(name, value)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        raise AttributeError(f"{name} of a share that other launches have too cannot be changed")
+
+
 def part_work(part: int, part_count: int, device: str) -> Work:
     """The share of one part."""
-    work = Work()
-    work.part, work.part_count = part, part_count
-    work.thread_count = device_traits(device).launch_threads
-    return work
+    return _work(part, part_count, device_traits(device).launch_threads)
+
+
+@functools.cache
+def _work(part: int, part_count: int, thread_count: int) -> Work:
+    """Kept, as every launch of a pass has one, and making one takes longer than the launch."""
+    return _SharedWork(part=part, part_count=part_count, thread_count=thread_count)
 
 
 def record_shared(
@@ -86,6 +103,6 @@ def new_edge_list(storage: wp.array, part_count: int) -> EdgeList:
     """An empty list in ``part_count`` segments of ``storage`` (3N,) int32."""
     edges = EdgeList()
     edges.half_edge = storage
-    edges.count = wp.zeros(part_count, dtype=wp.int32, device=storage.device)
+    edges.count = new_arrays.zeros(part_count, dtype=wp.int32, device=storage.device)
     edges.capacity = len(storage) // part_count
     return edges

@@ -14,6 +14,7 @@ from warpqem.decimation.faces_left import faces_left
 from warpqem.decimation.forest_cut import Cut, last_collapses
 from warpqem.decimation.memoryless_quadrics import MemorylessQuadrics
 from warpqem.decimation.order_steps import OrderSteps
+from warpqem.runtime import new_arrays
 
 __all__ = ["MergedClusters", "OrderedLevels", "put_rows"]
 
@@ -46,7 +47,7 @@ class OrderedLevels:
 
     def __init__(self, input_faces: np.ndarray, ordered: DecimatedMesh, recorder: NodeRecorder) -> None:
         self._ordered, self._passes = ordered, recorder.passes
-        self._corner_vertex = wp.array(input_faces.ravel(), dtype=wp.int32, device=ordered.position.device)
+        self._corner_vertex = new_arrays.uploaded(input_faces.ravel(), dtype=wp.int32, device=ordered.position.device)
         self.log = ordered.log
         self._position, self._quadric = wp.clone(ordered.position), wp.clone(ordered.quadric)
         self._present = MemorylessQuadrics(input_faces, ordered) if recorder.present else None
@@ -156,7 +157,7 @@ class OrderedLevels:
     def _start_over(self) -> None:
         """Put every vertex where the input has it, where quadrics are made of the faces around."""
         if self._present is not None:
-            row = wp.array(self._ordered.row, dtype=wp.int32, device=self._position.device)
+            row = new_arrays.uploaded(self._ordered.row, dtype=wp.int32, device=self._position.device)
             wp.copy(wp.indexedarray(self._position, [row]), self._ordered.key_position)
 
     def _show(self, nodes: PassNodes, wanted: np.ndarray) -> None:
@@ -197,14 +198,14 @@ class OrderedLevels:
         row = np.flatnonzero(seen).astype(np.int32)
         self._present.fill(root, face_map, row, scale[row], self._position, self._quadric)
         for row, values in added:
-            index = wp.array(row, dtype=wp.int32, device=self._position.device)
+            index = new_arrays.uploaded(row, dtype=wp.int32, device=self._position.device)
             put_rows(self._quadric, row, read_rows(self._quadric, index) + values)
 
 
 def put_rows(array: wp.array, row: np.ndarray, values: np.ndarray) -> None:
     """Put values into some rows of an array."""
-    index = wp.array(row, dtype=wp.int32, device=array.device)
-    wp.copy(wp.indexedarray(array, [index]), wp.array(values, dtype=array.dtype, device=array.device))
+    index = new_arrays.uploaded(row, dtype=wp.int32, device=array.device)
+    wp.copy(wp.indexedarray(array, [index]), new_arrays.uploaded(values, dtype=array.dtype, device=array.device))
 
 
 def copy_rows(source: wp.array, chosen: wp.array, target: wp.array, row: wp.array) -> None:

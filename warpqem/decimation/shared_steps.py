@@ -11,6 +11,7 @@ from warpqem.kernels.lanes import width_of
 from warpqem.kernels.mesh_state import INFINITE_BITS
 from warpqem.kernels.shared_collapse import CheckNotes
 from warpqem.kernels.work import EdgeList
+from warpqem.runtime import new_arrays
 from warpqem.runtime.launches import Recorder
 
 __all__ = ["SharedSteps"]
@@ -29,9 +30,9 @@ class SharedSteps:
         notes = self._notes = CheckNotes()
         notes.refused = steps.integers(len(steps.faces_removed))
         vertex_count, corner_count = len(steps.state.vertex_flags), len(steps.state.corner_vertex)
-        notes.member_gap = wp.empty(vertex_count, dtype=wp.float32, device=steps.device)
-        notes.face_area = wp.empty((2, corner_count), dtype=wp.float32, device=steps.device)
-        notes.face_distance = wp.full((2, corner_count), INFINITE_BITS, dtype=wp.int32, device=steps.device)
+        notes.member_gap = new_arrays.empty(vertex_count, dtype=wp.float32, device=steps.device)
+        notes.face_area = new_arrays.empty((2, corner_count), dtype=wp.float32, device=steps.device)
+        notes.face_distance = new_arrays.full((2, corner_count), INFINITE_BITS, dtype=wp.int32, device=steps.device)
 
     def checking(self, selected: EdgeList) -> list[LaunchGroup]:
         """The faces that each selected collapse removes, and where it puts its vertex."""

@@ -6,6 +6,7 @@ import numpy as np
 import warp as wp
 
 from warpqem.kernels import lanes as kernels
+from warpqem.runtime import new_arrays
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.part_launches import columns_of, launch_in_parts, rows_of
 
@@ -71,10 +72,10 @@ def pack_frames(
     source = wp.array(points, dtype=wp.vec3, device=device, copy=False) if isinstance(points, np.ndarray) else points
     vertex_count = source.shape[1]
     # An empty list stands for all frames.
-    rows = wp.array(() if frames is None else frames, dtype=wp.int32, device=device)
+    rows = new_arrays.uploaded(() if frames is None else frames, dtype=wp.int32, device=device)
     frame_count = len(source) if frames is None else len(rows)
     width = block_width(frame_count, device) if width is None else width
-    blocks = wp.empty((vertex_count, -(-frame_count // width)), dtype=kernels.POINTS[width], device=device)
+    blocks = new_arrays.empty((vertex_count, -(-frame_count // width)), dtype=kernels.POINTS[width], device=device)
     launch_in_parts(
         kernels.pack_frames[width],
         blocks.shape,

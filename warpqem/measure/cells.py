@@ -11,6 +11,7 @@ import warp as wp
 from warpqem.kernels import surface_distance as kernels
 from warpqem.kernels.near_faces import Surface
 from warpqem.measure.winding import Winding, read_winding
+from warpqem.runtime import new_arrays
 from warpqem.runtime.launches import launch
 
 __all__ = ["Cells", "cell_places"]
@@ -45,12 +46,12 @@ class Cells:
         self.used = np.unique(faces)
         self.faces = np.searchsorted(self.used, faces).astype(np.int32)
         self.face_count = len(faces)
-        self.corner_vertex = wp.array(self.faces.ravel(), dtype=wp.int32, device=device)
+        self.corner_vertex = new_arrays.uploaded(self.faces.ravel(), dtype=wp.int32, device=device)
         first_point = len(self.used) * np.arange(group, dtype=np.int32)
         corners = (self.faces.ravel() + first_point[:, None]).ravel()
         self.surface = Surface()
-        self.surface.corner_vertex = wp.array(corners, dtype=wp.int32, device=device)
-        self.nearest = wp.full(self.face_count, -1, dtype=wp.int32, device=device)
+        self.surface.corner_vertex = new_arrays.uploaded(corners, dtype=wp.int32, device=device)
+        self.nearest = new_arrays.full(self.face_count, -1, dtype=wp.int32, device=device)
         self._mesh: wp.Mesh | None = None
         self._first: Doubles | None = None
         self._winding: Winding | None = None
@@ -67,8 +68,8 @@ class Cells:
         if missing:
             points = np.concatenate([points, np.repeat(points[-1:], missing, axis=0)])
         flat = (points + places[:, None]).reshape(-1, 3) if len(places) > 1 else points[0]
-        self.surface.points = wp.array(flat, dtype=wp.vec3d, device=self._device)
-        single = wp.array(flat.astype(np.float32), dtype=wp.vec3, device=self._device)
+        self.surface.points = new_arrays.uploaded(flat, dtype=wp.vec3d, device=self._device)
+        single = new_arrays.uploaded(flat.astype(np.float32), dtype=wp.vec3, device=self._device)
         if self._mesh is None:
             self._mesh = wp.Mesh(points=single, indices=self.surface.corner_vertex, bvh_leaf_size=LEAF_FACES)
         else:
@@ -86,7 +87,7 @@ class Cells:
 
     def areas(self) -> Doubles:
         """Face areas (G, N)."""
-        area = wp.empty(self._group * self.face_count, dtype=wp.float64, device=self._device)
+        area = new_arrays.empty(self._group * self.face_count, dtype=wp.float64, device=self._device)
         launch(kernels.face_areas, dim=len(area), inputs=[self.surface], outputs=[area], device=self._device)
         found: Doubles = area.numpy().reshape(self._group, -1)
         return found

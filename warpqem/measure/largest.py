@@ -10,6 +10,7 @@ import warp as wp
 
 from warpqem.measure.cells import Cells
 from warpqem.measure.patches import Found, Patches, bound_frames, pack_points, search_patches, vertex_distances
+from warpqem.runtime import new_arrays
 
 __all__ = ["LargestDistance"]
 
@@ -44,7 +45,7 @@ class _Direction:
         self._most = 0
         # The least that was known in a frame of the block before.
         self.enough = 0.0
-        self.near_face = wp.full(own.face_count, -1, dtype=wp.int32, device=device)
+        self.near_face = new_arrays.full(own.face_count, -1, dtype=wp.int32, device=device)
 
     def search_all(self, floor: Doubles, *, cut: bool) -> Found:
         """Search all patches in the first cell."""
@@ -81,7 +82,7 @@ class _Direction:
         face, row = np.unique(self._patches.face[: self._count], return_index=True)
         near = np.full(self.own.face_count, -1, dtype=np.int32)
         near[face] = self._patches.hint[row, 0]
-        self.near_face = wp.array(near, dtype=wp.int32, device=self._device)
+        self.near_face = new_arrays.uploaded(near, dtype=wp.int32, device=self._device)
         # (F, P): 0 where a patch was searched.
         self._bound = self._bounded(self._patches.rows(slice(self._count)))
 

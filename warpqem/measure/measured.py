@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import Any, Protocol
 
 import numpy as np
@@ -15,7 +15,7 @@ from warpqem.measure.surfaces import SurfaceComparison, sample_count
 from warpqem.measure.verdict import Verdict, verdict_of
 from warpqem.runtime.device import device_turn
 
-__all__ = ["FrameReader", "Measured", "MeasuringSink", "measure_frames", "measured_errors"]
+__all__ = ["ERRORS", "FrameReader", "Measured", "MeasuringSink", "measure_frames", "measured_errors"]
 
 
 @dataclass(frozen=True)
@@ -63,6 +63,10 @@ class Measured:
     def to_dict(self) -> dict[str, Json]:
         """Plain dictionaries, numbers and text, ready for JSON."""
         return {**asdict(self), "verdict": self.verdict.word, "reason": self.verdict.reason}
+
+
+# What is measured of any mesh.
+ERRORS = tuple(entry.name for entry in fields(Measured))
 
 
 def joined_errors(parts: Sequence[Measured]) -> Measured:

@@ -15,6 +15,7 @@ from warpqem.kernels import surface_distance
 from warpqem.kernels.distance_screen import SCREEN_HINTS, ScreenPatches, bound_patches
 from warpqem.kernels.near_faces import HINTS
 from warpqem.measure.cells import Cells
+from warpqem.runtime import new_arrays
 from warpqem.runtime.cpu_threads import run_parts, split_range, thread_count
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import launch
@@ -111,12 +112,12 @@ def bound_frames(
     """
     width = device_traits(device).block_width
     screen = ScreenPatches()
-    screen.face = wp.array(patches.face, dtype=wp.int32, device=device)
-    screen.place = wp.array(patches.place, dtype=wp.float32, device=device)
+    screen.face = new_arrays.uploaded(patches.face, dtype=wp.int32, device=device)
+    screen.place = new_arrays.uploaded(patches.place, dtype=wp.float32, device=device)
     hint = np.ascontiguousarray(patches.hint[:, : int(SCREEN_HINTS)])
-    screen.hint = wp.array(hint, dtype=wp.int32, device=device)
+    screen.hint = new_arrays.uploaded(hint, dtype=wp.int32, device=device)
     block_count = points[0].shape[1]
-    bound = wp.empty((len(patches), block_count * width), dtype=wp.float32, device=device)
+    bound = new_arrays.empty((len(patches), block_count * width), dtype=wp.float32, device=device)
     launch_in_parts(
         bound_patches[width],
         (len(patches), block_count),
@@ -135,11 +136,11 @@ def vertex_distances(own: Cells, other: Cells, device: str) -> tuple[Doubles, In
     _, corner = np.unique(own.faces, return_index=True)
     # Barycentric coordinates of the second and third corner.
     place = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])[corner % 3]
-    distance, angle = (wp.empty(len(corner), dtype=wp.float64, device=device) for _ in range(2))
-    face = wp.array(corner // 3, dtype=wp.int32, device=device)
-    inputs = [own.surface, other.surface, face, wp.array(place, dtype=wp.vec2d, device=device)]
-    inputs += [own.face_count, other.face_count, wp.full(own.face_count, -1, dtype=wp.int32, device=device)]
-    near = wp.empty(len(corner), dtype=wp.int32, device=device)
+    distance, angle = (new_arrays.empty(len(corner), dtype=wp.float64, device=device) for _ in range(2))
+    face = new_arrays.uploaded(corner // 3, dtype=wp.int32, device=device)
+    inputs = [own.surface, other.surface, face, new_arrays.uploaded(place, dtype=wp.vec2d, device=device)]
+    inputs += [own.face_count, other.face_count, new_arrays.full(own.face_count, -1, dtype=wp.int32, device=device)]
+    near = new_arrays.empty(len(corner), dtype=wp.int32, device=device)
     launch_in_parts(
         surface_distance.sample_distances,
         len(corner),
@@ -168,14 +169,14 @@ def search_patches(
     runs = -(-len(patches) // int(kernels.RUN))
     parts = split_range(runs, min(thread_count(device), max(1, len(patches) // MIN_PART)))
     items = kernels.SearchItems()
-    items.face = wp.array(patches.face, dtype=wp.int32, device=device)
-    items.place = wp.array(patches.place, dtype=wp.float64, device=device)
-    items.hint = wp.array(patches.hint, dtype=wp.int32, device=device)
-    items.frame = wp.array(frame, dtype=wp.int32, device=device)
+    items.face = new_arrays.uploaded(patches.face, dtype=wp.int32, device=device)
+    items.place = new_arrays.uploaded(patches.place, dtype=wp.float64, device=device)
+    items.hint = new_arrays.uploaded(patches.hint, dtype=wp.int32, device=device)
+    items.frame = new_arrays.uploaded(frame, dtype=wp.int32, device=device)
     inputs = [own.surface, other.surface, own.face_count, other.face_count]
-    inputs += [wp.array(floor, dtype=wp.float64, device=device), items]
-    low, high = (wp.empty(len(patches), dtype=wp.float64, device=device) for _ in range(2))
-    hint = wp.empty(patches.hint.shape, dtype=wp.int32, device=device)
+    inputs += [new_arrays.uploaded(floor, dtype=wp.float64, device=device), items]
+    low, high = (new_arrays.empty(len(patches), dtype=wp.float64, device=device) for _ in range(2))
+    hint = new_arrays.empty(patches.hint.shape, dtype=wp.int32, device=device)
     room = max(1, PIECES_PER_FACE * (len(patches) + other.face_count)) if cut else 0
     while True:
         pieces = _piece_room(len(parts), room, device)
@@ -201,10 +202,10 @@ def _piece_room(part_count: int, room: int, device: str) -> kernels.FoundPieces:
     """Room for so many pieces of each part."""
     count = part_count * room
     pieces = kernels.FoundPieces()
-    pieces.count = wp.zeros(part_count, dtype=wp.int32, device=device)
-    pieces.item = wp.empty(count, dtype=wp.int32, device=device)
-    pieces.place = wp.empty((count, 6), dtype=wp.float64, device=device)
-    pieces.hint = wp.empty((count, int(HINTS)), dtype=wp.int32, device=device)
+    pieces.count = new_arrays.zeros(part_count, dtype=wp.int32, device=device)
+    pieces.item = new_arrays.empty(count, dtype=wp.int32, device=device)
+    pieces.place = new_arrays.empty((count, 6), dtype=wp.float64, device=device)
+    pieces.hint = new_arrays.empty((count, int(HINTS)), dtype=wp.int32, device=device)
     return pieces
 
 

@@ -18,6 +18,7 @@ from warpqem.measure.cells import Cells, cell_places
 from warpqem.measure.largest import LargestDistance
 from warpqem.measure.per_frame import FrameErrors
 from warpqem.measure.sample_draws import Draws, SampleDraws
+from warpqem.runtime import new_arrays
 from warpqem.runtime.part_launches import FIRST_ITEM, launch_in_parts
 
 __all__ = ["SurfaceComparison", "sample_count"]
@@ -254,14 +255,14 @@ class SurfaceComparison:
         inputs = [
             own.surface,
             other.surface,
-            wp.array(face.ravel(), dtype=wp.int32, device=self._device),
-            wp.array(place.reshape(-1, 2), dtype=wp.vec2d, device=self._device),
+            new_arrays.uploaded(face.ravel(), dtype=wp.int32, device=self._device),
+            new_arrays.uploaded(place.reshape(-1, 2), dtype=wp.vec2d, device=self._device),
             own.face_count,
             other.face_count,
             self._largest.near_faces(side),
         ]
-        distance, angle = (wp.empty(face.size, dtype=wp.float64, device=self._device) for _ in range(2))
-        near = wp.empty(face.size, dtype=wp.int32, device=self._device)
+        distance, angle = (new_arrays.empty(face.size, dtype=wp.float64, device=self._device) for _ in range(2))
+        near = new_arrays.empty(face.size, dtype=wp.int32, device=self._device)
         self._launch(kernels.sample_distances, face.size, inputs, [distance, angle, near])
         degrees = angle.numpy()
         against = degrees > 90.0
@@ -280,7 +281,7 @@ class SurfaceComparison:
     def _flips(self, count: int) -> npt.NDArray[np.int64]:
         """Faces (n,) that oppose the reference in the frames shown."""
         test, reference = self._test, self._reference
-        opposed = wp.empty((count, test.face_count), dtype=wp.int32, device=self._device)
+        opposed = new_arrays.empty((count, test.face_count), dtype=wp.int32, device=self._device)
         sizes = [test.face_count, reference.face_count, count]
         inputs = [test.surface, reference.surface, *sizes, DEGENERATE_AREA, test.nearest]
         self._launch(kernels.find_flips, test.face_count, inputs, [opposed])

@@ -28,6 +28,7 @@ from warpqem.frames.stream import ArrayFrames, FrameSource, counted_frames
 from warpqem.kernels.face_check import mark_used_vertices
 from warpqem.mesh.first_reading import FirstReading, about_origin
 from warpqem.mesh.rounding import rounding_of
+from warpqem.runtime import new_arrays
 from warpqem.runtime.device import array_device
 from warpqem.runtime.launches import launch
 
@@ -198,7 +199,7 @@ def _used_vertices(faces: np.ndarray, vertex_count: int, device: str) -> np.ndar
     if faces.dtype != np.int32 or not faces.flags.c_contiguous or not len(faces):
         return None
     # The vertices, and whether a face is unfit: the host waits once.
-    marks = wp.zeros(vertex_count + 1, dtype=wp.bool, device=device)
+    marks = new_arrays.zeros(vertex_count + 1, dtype=wp.bool, device=device)
     corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device, copy=False)
     outputs = [marks[:vertex_count], marks[vertex_count:]]
     launch(mark_used_vertices, len(faces), [corner_vertex], outputs, device=device)

@@ -22,6 +22,7 @@ from warpqem.mesh.edges import edge_key
 from warpqem.mesh.mesh_input import finite_points, is_proper, read_faces, read_points
 from warpqem.mesh.seams import seam_ends
 from warpqem.place.cluster_rows import group_rows, list_faces_at
+from warpqem.runtime import new_arrays
 from warpqem.runtime.device import on_device, resolve_device
 from warpqem.runtime.launches import launch
 
@@ -152,17 +153,17 @@ def _wedge_sources(
     """
     # Nearness is that about the pose's middle, where float32 is finest.
     middle = (pose.min(axis=0) + pose.max(axis=0)) / 2
-    source = wp.empty(len(placed), dtype=wp.int32, device=device)
-    weight = wp.empty(len(placed), dtype=wp.vec3, device=device)
+    source = new_arrays.empty(len(placed), dtype=wp.int32, device=device)
+    weight = new_arrays.empty(len(placed), dtype=wp.vec3, device=device)
     launch(
         kernels.find_wedge_sources,
         dim=len(placed),
         inputs=[
             wp.array(start, device=device),
-            wp.array(face, dtype=wp.int32, device=device),
-            wp.array((placed - middle).astype(np.float32), dtype=wp.vec3, device=device),
+            new_arrays.uploaded(face, dtype=wp.int32, device=device),
+            new_arrays.uploaded((placed - middle).astype(np.float32), dtype=wp.vec3, device=device),
             wp.array(faces.ravel(), device=device),
-            wp.array((pose - middle).astype(np.float32), dtype=wp.vec3, device=device),
+            new_arrays.uploaded((pose - middle).astype(np.float32), dtype=wp.vec3, device=device),
         ],
         outputs=[source, weight],
         device=device,

@@ -12,6 +12,7 @@ from warpqem.decimation.decimate import DecimatedMesh
 from warpqem.kernels import anchor as kernels
 from warpqem.kernels import cluster_rows as row_kernels
 from warpqem.kernels.lanes import width_of
+from warpqem.runtime import new_arrays
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import launch
 from warpqem.runtime.part_launches import launch_in_parts, rows_of, starts_of
@@ -50,8 +51,8 @@ class Clusters:
         """Count the vertices (V,) of each."""
         count = len(cluster)
         given = [wp.array(values, dtype=wp.int32, device=device, copy=False) for values in (cluster, line_rank)]
-        holder = wp.full(-(-count // 3) * 3, -1, dtype=wp.int32, device=device)
-        found = wp.zeros((3, cluster_count), dtype=wp.int32, device=device)
+        holder = new_arrays.full(-(-count // 3) * 3, -1, dtype=wp.int32, device=device)
+        found = new_arrays.zeros((3, cluster_count), dtype=wp.int32, device=device)
         size, highest_rank, holder_count = (found[row] for row in range(3))
         launch(row_kernels.count_members, count, given, [size, highest_rank], device=device)
         launch(row_kernels.mark_highest, count, [*given, highest_rank], [holder_count, holder], device=device)
@@ -84,13 +85,17 @@ class Anchors:
             The member of each with the largest weight, (C,) int32, the nearest of equal ones; that weight; the number.
         """
         device, count = self.start.device, len(kept)
-        flags = wp.array(pinned, dtype=wp.int32, device=device)
-        found = wp.empty(2 * count + 1, dtype=wp.int32, device=device)
+        flags = new_arrays.uploaded(pinned, dtype=wp.int32, device=device)
+        found = new_arrays.empty(2 * count + 1, dtype=wp.int32, device=device)
         heaviest, largest = found[:count], found[count : 2 * count].view(wp.float32)
         launch_in_parts(
             kernels.finish_anchors,
             count,
-            inputs=[starts_of(self.start), rows_of(wp.array(kept, dtype=wp.int32, device=device)), rows_of(flags)],
+            inputs=[
+                starts_of(self.start),
+                rows_of(new_arrays.uploaded(kept, dtype=wp.int32, device=device)),
+                rows_of(flags),
+            ],
             outputs=[self.vertex, self.weight, rows_of(heaviest), rows_of(largest)],
             device=device,
         )
@@ -109,7 +114,7 @@ def nearest_members(ordered: DecimatedMesh, clusters: Clusters, most: int) -> tu
     distance = _cluster_distances(ordered, device)
     size = np.minimum(clusters.holder_count, most)
     starts = _starts(size)
-    start, vertex = wp.array(starts, device=device), wp.empty(int(starts[-1]), dtype=wp.int32, device=device)
+    start, vertex = wp.array(starts, device=device), new_arrays.empty(int(starts[-1]), dtype=wp.int32, device=device)
     if device_traits(str(device)).in_order:
         _find_in_order(clusters.holder, distance, start, vertex)
     else:
@@ -146,7 +151,7 @@ def _find_by_sort(holder: wp.array, distance: wp.array, first: wp.array, start: 
     """
     device, count, cluster_count = distance.device, len(distance), len(start) - 1
     # A sort works between the two halves.
-    keys, vertices = (wp.empty(2 * count, dtype=dtype, device=device) for dtype in (wp.int64, wp.int32))
+    keys, vertices = (new_arrays.empty(2 * count, dtype=dtype, device=device) for dtype in (wp.int64, wp.int32))
     launch(row_kernels.key_members, count, [holder, distance, cluster_count], [keys, vertices], device=device)
     wp.utils.radix_sort_pairs(keys, vertices, count, 0, 32 + cluster_count.bit_length())
     launch(row_kernels.take_nearest, count, [keys, vertices, first, start], [vertex_out], device=device)
@@ -156,7 +161,7 @@ def _cluster_distances(ordered: DecimatedMesh, device: str) -> wp.array:
     """(V,) float32, squared distance over the key frames of each input vertex from where its cluster's vertex went."""
     kernel = kernels.measure_cluster_distances[width_of(ordered.position)]
     row = wp.array(ordered.row[ordered.root], device=device)
-    distance = wp.empty(len(row), dtype=wp.float32, device=device)
+    distance = new_arrays.empty(len(row), dtype=wp.float32, device=device)
     inputs = [rows_of(row), rows_of(ordered.key_position), ordered.position]
     launch_in_parts(kernel, len(row), inputs, [rows_of(distance)], device=device)
     return distance
@@ -185,10 +190,10 @@ def fit_anchors(
     device = ordered.position.device
     size, member_start, member = nearest_members(ordered, clusters, MAX_MEMBERS)
     first_entry = _starts(size * (size + 1) // 2)
-    row = wp.array(ordered.row[kept], dtype=wp.int32, device=device)
-    matrix = wp.zeros(int(first_entry[-1]), dtype=wp.float32, device=device)
-    stiffness = wp.array(regularisation, dtype=wp.float32, device=device)
-    weight = wp.empty(len(member), dtype=wp.float32, device=device)
+    row = new_arrays.uploaded(ordered.row[kept], dtype=wp.int32, device=device)
+    matrix = new_arrays.zeros(int(first_entry[-1]), dtype=wp.float32, device=device)
+    stiffness = new_arrays.uploaded(regularisation, dtype=wp.float32, device=device)
+    weight = new_arrays.empty(len(member), dtype=wp.float32, device=device)
     starts = wp.array(first_entry, device=device)
     fit_weights(ordered, row, Anchors(member_start, member, weight), starts, stiffness, matrix)
     return Anchors(member_start, member, weight)
@@ -220,8 +225,8 @@ def fit_weights(
     launch_in_parts(fill, (count, lanes), [*inputs, lanes], [matrix], device=device)
     solved = [matrix, anchors.weight]
     launch_in_parts(solve, (count, lanes), [*inputs, rows_of(regularisation)], solved, device=device)
-    reach = wp.empty((count, block_count * width), dtype=wp.float32, device=device)
-    moved = wp.empty((count, block_count), dtype=wp.float32, device=device)
+    reach = new_arrays.empty((count, block_count * width), dtype=wp.float32, device=device)
+    moved = new_arrays.empty((count, block_count), dtype=wp.float32, device=device)
     lists, distances = [starts_of(anchors.start), anchors.vertex], [rows_of(reach), rows_of(moved)]
     inputs = [*lists, ordered.key_position, anchors.weight]
     launch_in_parts(kernels.measure_reach[width], moved.shape, inputs, distances, device=device)

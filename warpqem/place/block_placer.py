@@ -18,6 +18,7 @@ from warpqem.frames.device_frames import to_device
 from warpqem.kernels import placement as kernels
 from warpqem.kernels.lanes import width_of
 from warpqem.mesh.mesh_input import AnimatedMesh
+from warpqem.runtime import new_arrays
 from warpqem.runtime.part_launches import FIRST_ITEM, columns_of, launch_in_parts, rows_of
 
 __all__ = ["BlockPlacer", "ClusterData", "PlacedBlocks", "PlacedFrames", "pack_block"]
@@ -40,7 +41,7 @@ class PlacedFrames:
         """All of it on the device, in blocks of so many frames; ``copied`` (M,) are the vertices that are copies."""
         device = copied.device
         points, normals = (pack_frames(values, device, width=width) for values in (self.points, self.normals))
-        copied_from = wp.array(np.arange(len(copied)), dtype=wp.int32, device=device)
+        copied_from = new_arrays.uploaded(np.arange(len(copied)), dtype=wp.int32, device=device)
         return PlacedBlocks(points, normals, to_device(self.copied, device), copied_from, copied)
 
     def to_rows(self) -> np.ndarray:
@@ -81,7 +82,7 @@ class PlacedBlocks:
         """The same, and ``number`` (n,) int32 of the device, by one copy to the host."""
         shape = (len(self.source), len(self.points), 3)
         size = math.prod(shape)
-        rows = wp.empty(size + len(number), dtype=wp.float32, device=self.points.device)
+        rows = new_arrays.empty(size + len(number), dtype=wp.float32, device=self.points.device)
         self.restored(mesh, rows[:size].reshape(shape).view(wp.vec3))
         wp.copy(rows[size:].view(wp.int32), number)
         brought = rows.numpy()
@@ -91,7 +92,7 @@ class PlacedBlocks:
         """The same on the device, (n, C) points, in ``out`` if that is given."""
         device = self.points.device
         if out is None:
-            out = wp.empty((len(self.source), len(self.points)), dtype=wp.vec3, device=device)
+            out = new_arrays.empty((len(self.source), len(self.points)), dtype=wp.vec3, device=device)
         offset = wp.vec3d(*map(float, mesh.centre + mesh.origin))
         launch_in_parts(
             kernels.restore_points[width_of(self.points)],
@@ -106,7 +107,7 @@ class PlacedBlocks:
     def fetch(self) -> PlacedFrames:
         """All of it on the host, with one copy."""
         size = 2 * len(self.points) + len(self.copied)
-        rows = wp.empty((len(self.source), size), dtype=wp.vec3, device=self.points.device)
+        rows = new_arrays.empty((len(self.source), size), dtype=wp.vec3, device=self.points.device)
         self.fill(rows)
         return PlacedFrames.from_rows(rows.numpy(), len(self.points))
 
@@ -115,7 +116,7 @@ class PlacedBlocks:
         vertex_count, device = len(self.points), rows.device
         unpack_frames(self.points, rows[:, :vertex_count])
         unpack_frames(self.normals, rows[:, vertex_count : 2 * vertex_count])
-        columns = wp.array(2 * vertex_count + np.arange(len(self.copied)), dtype=wp.int32, device=device)
+        columns = new_arrays.uploaded(2 * vertex_count + np.arange(len(self.copied)), dtype=wp.int32, device=device)
         # Adding a negative zero changes no bit.
         self._copy(wp.vec3d(-0.0, -0.0, -0.0), columns, rows)
 
@@ -180,7 +181,9 @@ class BlockPlacer:
                 values = wp.array(values, dtype=kernels.Clusters.vars[name].type.dtype, device=device, copy=False)
             setattr(self._clusters, name, values)
         copies = (data.copied_from, data.copied)
-        self.copied_from, self.copied = (wp.array(values, dtype=wp.int32, device=device) for values in copies)
+        self.copied_from, self.copied = (
+            new_arrays.uploaded(values, dtype=wp.int32, device=device) for values in copies
+        )
 
     def measure_stiffness(self, key_position: wp.array, stiffness: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What clusters would have of area times squared distance from their planes, by stiffness; nothing is changed.
@@ -200,8 +203,8 @@ class BlockPlacer:
         if steps != int(kernels.STEPS):
             # The kernel would write past the end.
             raise ValueError(f"{steps} stiffnesses of each cluster, {int(kernels.STEPS)} are tried")
-        errors = wp.empty((count, block_count, steps), dtype=wp.float32, device=device)
-        areas = wp.empty((count, block_count), dtype=wp.float32, device=device)
+        errors = new_arrays.empty((count, block_count, steps), dtype=wp.float32, device=device)
+        areas = new_arrays.empty((count, block_count), dtype=wp.float32, device=device)
         choices = wp.array(stiffness, dtype=wp.float32, device=device, copy=False)
         launch_in_parts(
             kernels.measure_stiffness[width_of(key_position)],
@@ -210,7 +213,7 @@ class BlockPlacer:
             outputs=[errors, areas],
             device=device,
         )
-        sums = wp.empty((count, steps + 1), dtype=wp.float32, device=device)
+        sums = new_arrays.empty((count, steps + 1), dtype=wp.float32, device=device)
         inputs, outputs = [rows_of(errors), rows_of(areas)], [rows_of(sums)]
         launch_in_parts(kernels.sum_stiffness, count, inputs, outputs, device=device)
         found = sums.numpy()
@@ -219,7 +222,7 @@ class BlockPlacer:
     def set_stiffness(self, stiffness: np.ndarray) -> None:
         """Hold clusters to their anchors from now on with this stiffness (C,), relative to their quadrics."""
         self._data.rows["stiffness"] = stiffness
-        self._clusters.stiffness = wp.array(stiffness, dtype=wp.float32, device=self._device)
+        self._clusters.stiffness = new_arrays.uploaded(stiffness, dtype=wp.float32, device=self._device)
 
     def place(self, mesh: AnimatedMesh, points: wp.array, packed: wp.array | None = None) -> PlacedBlocks:
         """Place some frames of the mesh, given about its origin: (n, V) points on the device.
@@ -229,7 +232,7 @@ class BlockPlacer:
         device, width, vertex_count = self._device, block_width(mesh.frame_count, self._device), self._data.vertex_count
         packed = pack_block(mesh, points, device) if packed is None else packed
         block_count = packed.shape[1]
-        out = wp.empty((vertex_count, block_count), dtype=packed.dtype, device=device)
+        out = new_arrays.empty((vertex_count, block_count), dtype=packed.dtype, device=device)
         normal = wp.empty_like(out)
         launch_in_parts(
             kernels.place_vertices[width],

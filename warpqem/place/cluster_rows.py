@@ -8,6 +8,7 @@ import warp as wp
 from warpqem.decimation.adjacency import build_adjacency
 from warpqem.kernels import cluster_rows as kernels
 from warpqem.mesh.grouping import order_by
+from warpqem.runtime import new_arrays
 from warpqem.runtime.part_launches import launch_in_parts, rows_of, starts_of
 
 __all__ = [
@@ -78,7 +79,7 @@ class ClusterFaces:
     def __init__(self, corner_cluster: wp.array, corner_weight: wp.array, cluster_count: int) -> None:
         device = corner_cluster.device
         adjacency = build_adjacency(corner_cluster, cluster_count)
-        count = wp.zeros(cluster_count + 1, dtype=wp.int32, device=device)
+        count = new_arrays.zeros(cluster_count + 1, dtype=wp.int32, device=device)
         self._lists, self._corner_weight = [starts_of(adjacency.start), adjacency.corner], corner_weight
         launch_in_parts(kernels.count_faces, cluster_count, self._lists, [rows_of(count)], device=device)
         self.start = wp.empty_like(count)
@@ -88,8 +89,8 @@ class ClusterFaces:
     def listed(self, total: int) -> tuple[wp.array, wp.array]:
         """``face`` int32, ascending within a cluster, and ``weight`` float32, the sum over its corners; so many."""
         device = self.start.device
-        face = wp.empty(total, dtype=wp.int32, device=device)
-        weight = wp.empty(total, dtype=wp.float32, device=device)
+        face = new_arrays.empty(total, dtype=wp.int32, device=device)
+        weight = new_arrays.empty(total, dtype=wp.float32, device=device)
         inputs = [*self._lists, self._corner_weight, starts_of(self.start)]
         launch_in_parts(kernels.list_faces, len(self.start) - 1, inputs, [face, weight], device=device)
         return face, weight
@@ -97,8 +98,8 @@ class ClusterFaces:
 
 def list_faces_at(corner_cluster: np.ndarray, cluster_count: int, device: str) -> tuple[np.ndarray, np.ndarray]:
     """The faces that have a corner (3N,) int in each cluster, see :class:`ClusterFaces`: ``start`` and ``face``."""
-    cluster = wp.array(corner_cluster, dtype=wp.int32, device=device)
-    weight = wp.zeros(len(cluster), dtype=wp.float32, device=device)
+    cluster = new_arrays.uploaded(corner_cluster, dtype=wp.int32, device=device)
+    weight = new_arrays.zeros(len(cluster), dtype=wp.float32, device=device)
     faces = ClusterFaces(cluster, weight, cluster_count)
     start = faces.start.numpy()
     face, _ = faces.listed(int(start[-1]))

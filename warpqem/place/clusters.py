@@ -25,6 +25,7 @@ from warpqem.place.stiffness import (
     softer_choices,
     stiffness_by_size,
 )
+from warpqem.runtime import new_arrays
 from warpqem.runtime.part_launches import launch_in_parts, rows_of
 
 __all__ = ["ClusterPlacer", "PlaceSettings"]
@@ -164,8 +165,8 @@ def _own_faces(
 ) -> ClusterFaces:
     """Faces of each cluster, each once, weighted by its corners there."""
     device, corner_count = corner_vertex.device, len(corner_vertex)
-    corner_cluster = wp.empty(corner_count, dtype=wp.int32, device=device)
-    corner_weight = wp.empty(corner_count, dtype=wp.float32, device=device)
+    corner_cluster = new_arrays.empty(corner_count, dtype=wp.int32, device=device)
+    corner_weight = new_arrays.empty(corner_count, dtype=wp.float32, device=device)
     scale = wp.array(quadric_scale, dtype=wp.float32, device=device, copy=False)
     inputs, outputs = [rows_of(corner_vertex), cluster, scale], [rows_of(corner_cluster), rows_of(corner_weight)]
     launch_in_parts(kernels.label_corners, corner_count, inputs, outputs, device=device)
@@ -175,7 +176,7 @@ def _own_faces(
 def _face_rows(faces: ClusterFaces, corner_vertex: wp.array, count: int) -> dict[str, wp.array]:
     """What the rows of the faces of clusters are, which are so many."""
     face, weight = faces.listed(count)
-    corners = wp.empty(count, dtype=wp.vec3i, device=corner_vertex.device)
+    corners = new_arrays.empty(count, dtype=wp.vec3i, device=corner_vertex.device)
     if count:
         inputs = [rows_of(face), corner_vertex]
         launch_in_parts(kernels.gather_corners, count, inputs, [rows_of(corners)], device=corner_vertex.device)

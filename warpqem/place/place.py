@@ -13,6 +13,7 @@ from warpqem.kernels.lanes import width_of
 from warpqem.mesh.mesh_input import AnimatedMesh
 from warpqem.place.block_placer import PlacedBlocks, PlacedFrames
 from warpqem.place.clusters import ClusterPlacer, PlaceSettings
+from warpqem.runtime import new_arrays
 from warpqem.runtime.launches import launch
 
 __all__ = ["Placer"]
@@ -54,12 +55,12 @@ class Placer(ClusterPlacer):
         self.vertex_map = index[ordered.root]
         self.faces = index[ordered.faces]
         super().__init__(faces, ordered, kept, self.vertex_map, quadric_scale, pinned, settings, device, sums)
-        self._out_corner_vertex = wp.array(self.faces.ravel(), dtype=wp.int32, device=device)
+        self._out_corner_vertex = new_arrays.uploaded(self.faces.ravel(), dtype=wp.int32, device=device)
 
     def count_flips(self, placed: PlacedBlocks) -> wp.array:
         """Faces of each frame that face away from the input, (n,) int32 on the device."""
         block_count, width = placed.points.shape[1], width_of(placed.points)
-        count = wp.zeros(block_count * width, dtype=wp.int32, device=self.device)
+        count = new_arrays.zeros(block_count * width, dtype=wp.int32, device=self.device)
         launch(
             kernels.count_flips[width],
             dim=(len(self.faces), block_count),

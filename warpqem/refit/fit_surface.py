@@ -29,6 +29,7 @@ from warpqem.refit.component_limits import ComponentLimits
 from warpqem.refit.matching import Matching, make_surface
 from warpqem.refit.material_frames import MaterialFrames
 from warpqem.refit.solve import ElementSolver
+from warpqem.runtime import new_arrays
 from warpqem.runtime.launches import launch
 
 __all__ = ["fit_corrections"]
@@ -175,7 +176,7 @@ class _Refit:
         self._device, self._far = device, far
         self._faces = placer.faces
         self._vertex_count = placed.vertex_count
-        self._corner_vertex = wp.array(placer.faces.ravel(), dtype=wp.int32, device=device)
+        self._corner_vertex = new_arrays.uploaded(placer.faces.ravel(), dtype=wp.int32, device=device)
         self._adjacency = build_adjacency(self._corner_vertex, self._vertex_count)
         rings = self._make_rings(placed.read(slice(0, 1)))
         self._all_frames = MaterialFrames(rings, placer.free, placed, blocks, device)
@@ -187,9 +188,9 @@ class _Refit:
         self._turns = max(1, min(len(key_frames), mesh.frame_count // FRAMES_PER_TURN))
         # Of a pruned component nothing is near to the output.
         faces = mesh.faces[placer.vertex_map[mesh.faces[:, 0]] >= 0]
-        corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device)
+        corner_vertex = new_arrays.uploaded(faces.ravel(), dtype=wp.int32, device=device)
         source = make_surface(
-            wp.array(mesh.to_unit(mesh.chosen_points(key_frames)), dtype=wp.vec3, device=device),
+            new_arrays.uploaded(mesh.to_unit(mesh.chosen_points(key_frames)), dtype=wp.vec3, device=device),
             corner_vertex,
             build_adjacency(corner_vertex, mesh.vertex_count),
         )
@@ -207,9 +208,9 @@ class _Refit:
         )
         self._stiffness = np.ones((self._vertex_count, 3), dtype=np.float32)
         self._stiffness[placer.on_seam, :2] = SEAM_STIFFNESS
-        self._hold = wp.array(self._stiffness, dtype=wp.vec3, device=device)
+        self._hold = new_arrays.uploaded(self._stiffness, dtype=wp.vec3, device=device)
         self._held = np.ones(self._vertex_count, dtype=np.float32)
-        self._correction = wp.zeros(self._vertex_count, dtype=wp.vec3, device=device)
+        self._correction = new_arrays.zeros(self._vertex_count, dtype=wp.vec3, device=device)
         self._limits = ComponentLimits(
             self._matching, source.points, self._keys.points, faces, placer.vertex_map, self._faces, device
         )

@@ -10,6 +10,7 @@ from warpqem.kernels import surface_pairs as kernels
 from warpqem.kernels import surface_walk as walk_kernels
 from warpqem.kernels.surface_limits import Limits, Samples
 from warpqem.kernels.surface_walk import Surface
+from warpqem.runtime import new_arrays
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import launch
 from warpqem.runtime.part_launches import FIRST_ITEM, PerPart, launch_in_parts
@@ -50,7 +51,9 @@ def make_surface(points: wp.array, corner_vertex: wp.array, adjacency: Adjacency
     surface.corner_vertex = corner_vertex
     surface.adjacency_start, surface.adjacent_corner = adjacency.start, adjacency.corner
     surface.opposite = wp.empty_like(corner_vertex)
-    surface.border_out, surface.border_in = (wp.full(vertex_count, -1, dtype=wp.int32, device=device) for _ in range(2))
+    surface.border_out, surface.border_in = (
+        new_arrays.full(vertex_count, -1, dtype=wp.int32, device=device) for _ in range(2)
+    )
     launch(
         walk_kernels.link_half_edges,
         dim=len(corner_vertex),
@@ -97,8 +100,8 @@ class Matching:
         self._source, self._target, self._turns, self._device = source, target, turns, device
         self._border_width = border_width
         self._face_count = len(out_faces)
-        self._to_output = wp.array(vertex_map, dtype=wp.int32, device=device)
-        self._to_input = wp.array(nearest, dtype=wp.int32, device=device)
+        self._to_output = new_arrays.uploaded(vertex_map, dtype=wp.int32, device=device)
+        self._to_input = new_arrays.uploaded(nearest, dtype=wp.int32, device=device)
         self._hierarchies = _Hierarchy(source), _Hierarchy(target)
         self._borders = _border_half_edges(source, target)
         self._sample_count = (len(faces) + len(vertex_map)) * turns
@@ -106,15 +109,15 @@ class Matching:
         border_counts = len(self._borders[0]) * INPUT_BORDER_SAMPLES, len(self._borders[1]) * OUTPUT_BORDER_SAMPLES
         self.input_pairs = _empty_pairs(self._sample_count + 2 * turns * sum(border_counts), device)
         self.output_pairs = _empty_pairs(len(OUTPUT_SAMPLES) * len(out_faces) * turns, device)
-        self._barycentric = wp.array(OUTPUT_SAMPLES, dtype=wp.vec3, device=device)
+        self._barycentric = new_arrays.uploaded(OUTPUT_SAMPLES, dtype=wp.vec3, device=device)
         face_of_vertex = np.full(len(nearest), -1, dtype=np.int32)
         face_of_vertex[out_faces.ravel()] = np.repeat(np.arange(len(out_faces), dtype=np.int32), 3)
         self._samples = samples = Samples()
         samples.source, samples.target, samples.barycentric = source, target, self._barycentric
         samples.input_pairs, samples.output_pairs = self.input_pairs, self.output_pairs
         samples.input_count = self._sample_count
-        samples.vertex_squared = wp.empty(len(nearest), dtype=wp.float32, device=device)
-        samples.vertex_face = wp.array(face_of_vertex, dtype=wp.int32, device=device)
+        samples.vertex_squared = new_arrays.empty(len(nearest), dtype=wp.float32, device=device)
+        samples.vertex_face = new_arrays.uploaded(face_of_vertex, dtype=wp.int32, device=device)
 
     def find(
         self, reach: float, search: bool = False, note: wp.Kernel | None = None, limits: Limits | None = None
@@ -220,7 +223,7 @@ class _Hierarchy:
 def _border_half_edges(*surfaces: Surface) -> list[wp.array]:
     """(B,) int32 of each; their numbers come to the host together."""
     device = surfaces[0].opposite.device
-    found = wp.zeros(len(surfaces), dtype=wp.int32, device=device)
+    found = new_arrays.zeros(len(surfaces), dtype=wp.int32, device=device)
     before = []
     for number, surface in enumerate(surfaces):
         marks = wp.empty_like(surface.opposite)
@@ -229,7 +232,7 @@ def _border_half_edges(*surfaces: Surface) -> list[wp.array]:
         if len(marks):
             wp.copy(found, marks, dest_offset=number, src_offset=len(marks) - 1, count=1)
         before.append(marks)
-    lists = [wp.empty(int(count), dtype=wp.int32, device=device) for count in found.numpy()]
+    lists = [new_arrays.empty(int(count), dtype=wp.int32, device=device) for count in found.numpy()]
     for surface, marks, half_edge in zip(surfaces, before, lists, strict=True):
         if len(half_edge):
             inputs = [surface.opposite, marks]
@@ -240,12 +243,12 @@ def _border_half_edges(*surfaces: Surface) -> list[wp.array]:
 def _empty_pairs(count: int, device: str) -> kernels.Pairs:
     pairs = kernels.Pairs()
     # Lists by face take them in threes.
-    pairs.face = wp.full(-(-count // 3) * 3, -1, dtype=wp.int32, device=device)
-    pairs.key = wp.empty(count, dtype=wp.int32, device=device)
-    pairs.barycentric = wp.empty(count, dtype=wp.vec3, device=device)
-    pairs.normal = wp.empty(count, dtype=wp.vec3, device=device)
-    pairs.residual = wp.empty(count, dtype=wp.float32, device=device)
-    pairs.weight = wp.empty(count, dtype=wp.float32, device=device)
-    pairs.near = wp.full(count, -1, dtype=wp.int32, device=device)
-    pairs.squared = wp.zeros(count, dtype=wp.float32, device=device)
+    pairs.face = new_arrays.full(-(-count // 3) * 3, -1, dtype=wp.int32, device=device)
+    pairs.key = new_arrays.empty(count, dtype=wp.int32, device=device)
+    pairs.barycentric = new_arrays.empty(count, dtype=wp.vec3, device=device)
+    pairs.normal = new_arrays.empty(count, dtype=wp.vec3, device=device)
+    pairs.residual = new_arrays.empty(count, dtype=wp.float32, device=device)
+    pairs.weight = new_arrays.empty(count, dtype=wp.float32, device=device)
+    pairs.near = new_arrays.full(count, -1, dtype=wp.int32, device=device)
+    pairs.squared = new_arrays.zeros(count, dtype=wp.float32, device=device)
     return pairs

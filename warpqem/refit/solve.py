@@ -5,6 +5,7 @@ from __future__ import annotations
 import warp as wp
 
 from warpqem.kernels import element_solve as kernels
+from warpqem.runtime import new_arrays
 from warpqem.runtime.launches import Recorder, launch
 from warpqem.runtime.loops import DeviceLoop
 
@@ -28,12 +29,12 @@ class ElementSolver:
         self._elements, self._vertex_count = elements, len(elements.adjacency_start) - 1
         self._state = state = kernels.Solve()
         state.x, state.residual, state.direction, state.image = (
-            wp.empty(self._vertex_count, dtype=wp.vec3, device=device) for _ in range(4)
+            new_arrays.empty(self._vertex_count, dtype=wp.vec3, device=device) for _ in range(4)
         )
-        state.inverse = wp.empty(self._vertex_count, dtype=wp.mat33, device=device)
-        state.slice_sum = wp.empty(kernels.SLICES, dtype=wp.float64, device=device)
-        state.scalar = wp.zeros(4, dtype=wp.float64, device=device)
-        state.report = wp.zeros(2, dtype=wp.int32, device=device)
+        state.inverse = new_arrays.empty(self._vertex_count, dtype=wp.mat33, device=device)
+        state.slice_sum = new_arrays.empty(kernels.SLICES, dtype=wp.float64, device=device)
+        state.scalar = new_arrays.zeros(4, dtype=wp.float64, device=device)
+        state.report = new_arrays.zeros(2, dtype=wp.int32, device=device)
         step = Recorder(str(device))
         step.launch(kernels.turn_direction, self._vertex_count, [state])
         step.launch(kernels.multiply_direction, self._vertex_count, [elements, state])

@@ -12,6 +12,7 @@ from warpqem.decimation.adjacency import build_adjacency, classify_vertices
 from warpqem.kernels.clean_topology import find_unclean_vertices
 from warpqem.mesh.components import lowest_members
 from warpqem.repair.face_pairing import EdgePairs, distinct_faces, pair_faces, turned_faces
+from warpqem.runtime import new_arrays
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.part_launches import FIRST_ITEM, launch_in_parts
 
@@ -132,11 +133,11 @@ def _remembered_clean(faces: bytes, dtype: np.dtype, vertex_count: int, device: 
 
 def _found_clean(faces: np.ndarray, vertex_count: int, device: str) -> bool:
     """The same, looked for."""
-    corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device)
-    flags = wp.zeros(vertex_count, dtype=wp.int32, device=device)
+    corner_vertex = new_arrays.uploaded(faces.ravel(), dtype=wp.int32, device=device)
+    flags = new_arrays.zeros(vertex_count, dtype=wp.int32, device=device)
     adjacency = build_adjacency(corner_vertex, vertex_count)
     classify_vertices(corner_vertex, adjacency, flags)
-    is_unclean = wp.zeros(1, dtype=wp.int32, device=device)
+    is_unclean = new_arrays.zeros(1, dtype=wp.int32, device=device)
     inputs = [corner_vertex, adjacency.lists, flags, FIRST_ITEM]
     launch_in_parts(find_unclean_vertices, vertex_count, inputs, [is_unclean], device=device)
     return not is_unclean.numpy()[0]

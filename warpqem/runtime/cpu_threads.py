@@ -16,7 +16,7 @@ from warpqem.errors import OptionError
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.thread_limit import thread_limit
 
-__all__ = ["launch_parts", "run_parts", "split_range", "thread_count"]
+__all__ = ["launch_parts", "part_count", "run_parts", "split_range", "thread_count"]
 
 
 @functools.cache
@@ -71,7 +71,12 @@ def run_parts(parts: Sequence[Callable[[], object]]) -> None:
             raise error
 
 
+def part_count(count: int, device: str, least: int = 1) -> int:
+    """Parts that ``count`` items are worked on in: one for each thread of the device, of ``least`` items or more."""
+    most = count // least
+    return 1 if most <= 1 else min(thread_count(device), most)
+
+
 def launch_parts(launch: Callable[[slice], object], count: int, device: str, least: int = 1) -> None:
     """Call ``launch`` for slices of ``count`` items, one for each thread of the device, of ``least`` items or more."""
-    parts = max(1, min(thread_count(device), count // least))
-    run_parts([partial(launch, part) for part in split_range(count, parts)])
+    run_parts([partial(launch, part) for part in split_range(count, part_count(count, device, least))])

@@ -109,7 +109,7 @@ def _start_warp() -> None:
 def device_traits(device: str) -> DeviceTraits:
     """How launches work on a Warp device."""
     _start_warp()
-    if wp.get_device(device).is_cpu:
+    if device == "cpu" or wp.get_device(device).is_cpu:
         return _TRAITS["cpu"]
     traits = _TRAITS["cuda"]
     return traits if wp.is_conditional_graph_supported() else replace(traits, graph_loops=False)

@@ -13,6 +13,7 @@ from typing import Any
 import warp as wp
 
 from warpqem.runtime.compiling import compiling
+from warpqem.runtime.cpu_calls import know_call, prepared_call, prepared_copy, prepared_zero
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.warp_messages import quiet_loading
 
@@ -103,7 +104,27 @@ def launch(
 ) -> None:
     """Launch a kernel, from any thread."""
     load_kernel(kernel, device)
-    wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=device)
+    if device_traits(str(device)).captures:
+        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=device)
+        return
+    call = _cpu_call(kernel, dim, [*inputs, *outputs], device)
+    if call is not None:
+        call()
+
+
+def _cpu_call(
+    kernel: wp.Kernel, dim: int | Sequence[int], arguments: Sequence[Any], device: wp.DeviceLike
+) -> Callable[[], object] | None:
+    """What launches a loaded kernel on a CPU; None for no threads."""
+    ready = prepared_call(kernel, dim, arguments)
+    if ready is not None:
+        return ready
+    command = wp.launch(kernel, dim=dim, inputs=arguments, device=device, record_cmd=True)
+    if command is None:
+        return None
+    know_call(kernel, command)
+    recorded: Callable[[], object] = command.launch
+    return recorded
 
 
 class Recorder:
@@ -121,19 +142,26 @@ class Recorder:
     def launch(self, kernel: wp.Kernel, dim: int, inputs: Sequence[Any], outputs: Sequence[Any] = ()) -> None:
         """Launch a kernel. Structs must not be changed afterwards: devices differ in whether a launch sees it."""
         load_kernel(kernel, self._device)
-        command = wp.launch(
-            kernel, dim=dim, inputs=list(inputs), outputs=list(outputs), device=self._device, record_cmd=True
-        )
-        self._add(command.launch, *inputs, *outputs)
+        arguments = [*inputs, *outputs]
+        if device_traits(self._device).captures:
+            call = wp.launch(kernel, dim=dim, inputs=arguments, device=self._device, record_cmd=True).launch
+        else:
+            call = _cpu_call(kernel, dim, arguments, self._device)
+        if call is not None:
+            self._add(call, *arguments)
 
     def copy(self, target: wp.array, source: wp.array, *, source_offset: int = 0, count: int | None = None) -> None:
         """Copy ``count`` items, or all."""
         count = len(source) if count is None else count
-        self._add(partial(wp.copy, target, source, 0, source_offset, count), target, source)
+        if device_traits(self._device).captures:
+            operation: Callable[[], object] = partial(wp.copy, target, source, 0, source_offset, count)
+        else:
+            operation = prepared_copy(target, source, source_offset, count)
+        self._add(operation, target, source)
 
     def zero(self, array: wp.array) -> None:
         """Fill with zeros."""
-        self._add(array.zero_, array)
+        self._add(array.zero_ if device_traits(self._device).captures else prepared_zero(array), array)
 
     def scan(self, target: wp.array, source: wp.array) -> None:
         """Sums of the items before each one."""
@@ -153,7 +181,7 @@ class Recorder:
 
     def finish(self) -> Callable[[], None]:
         """What runs the operations; on a device that captures, as one graph."""
-        return self._finish(partial(_run_all, tuple(self._operations)))
+        return self._finish(partial(_run_all, tuple(self._operations), tuple(self._held)))
 
     def finish_loop(self, running: wp.array) -> Callable[[], None]:
         """What runs the operations again and again as long as ``running`` (1,) int32 is not zero.
@@ -161,7 +189,9 @@ class Recorder:
         Nothing may be allocated in between; :meth:`scan` does so. A device that captures needs ``graph_loops``.
         """
         self._held.append(running)
-        return self._finish(partial(wp.capture_while, running, partial(_run_all, tuple(self._operations))))
+        return self._finish(
+            partial(wp.capture_while, running, partial(_run_all, tuple(self._operations), tuple(self._held)))
+        )
 
     def _finish(self, run: Callable[[], None]) -> Callable[[], None]:
         if not device_traits(self._device).captures:
@@ -213,7 +243,8 @@ def _unique(arrays: Sequence[wp.array]) -> tuple[wp.array, ...]:
     return tuple({id(array): array for array in arrays}.values())
 
 
-def _run_all(operations: Sequence[Callable[[], object]]) -> None:
+def _run_all(operations: Sequence[Callable[[], object]], arrays: Sequence[Any] = ()) -> None:
+    """Run operations; ``arrays`` are what they use, held as long as they can be run."""
     for operation in operations:
         operation()
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import warp as wp
 
-from warpqem.runtime.cpu_threads import launch_parts
+from warpqem.runtime.cpu_threads import launch_parts, part_count
 from warpqem.runtime.launches import launch
 
 __all__ = ["FIRST_ITEM", "PerPart", "columns_of", "corners_of", "launch_in_parts", "rows_of", "starts_of"]
@@ -79,13 +79,17 @@ def launch_in_parts(
         min_items: items that are worth a thread.
     """
     count, *rest = (dim,) if isinstance(dim, int) else dim
+    if part_count(count, device, min_items) == 1:
+        whole = slice(0, count)
+        launch(kernel, dim, _of_part(inputs, whole), _of_part(outputs, whole), device=device)
+        return
 
     def launch_part(part: slice) -> None:
-        given = [[_of_part(argument, part) for argument in arguments] for arguments in (inputs, outputs)]
+        given = _of_part(inputs, part), _of_part(outputs, part)
         launch(kernel, (part.stop - part.start, *rest), *given, device=device)
 
     launch_parts(launch_part, count, device, min_items)
 
 
-def _of_part(argument: Any, part: slice) -> Any:
-    return argument.of(part) if isinstance(argument, PerPart) else argument
+def _of_part(arguments: Sequence[Any], part: slice) -> list[Any]:
+    return [argument.of(part) if type(argument) is PerPart else argument for argument in arguments]

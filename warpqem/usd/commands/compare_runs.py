@@ -14,16 +14,13 @@ from pxr import Usd, UsdGeom
 from warpqem.errors import StageError
 from warpqem.measure import Comparison, Measured, compare, distance_colors
 from warpqem.measure.comparison import FrameErrors
-from warpqem.measure.measured import joined_errors
+from warpqem.measure.measured import ERRORS, joined_errors
 from warpqem.usd.read.read_mesh import MeshSource
 from warpqem.usd.read.skeleton_poses import StagePoses
 from warpqem.usd.read.time_codes import FrameRange
 from warpqem.usd.read.topology_runs import TopologyRun, find_runs, open_run
 
 __all__ = ["RunPair", "VaryingMesh", "combine", "pair_runs", "run_colors"]
-
-# What is measured of any mesh.
-ERRORS = tuple(entry.name for entry in fields(Measured))
 
 
 @dataclass(frozen=True)

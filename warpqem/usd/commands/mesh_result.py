@@ -16,7 +16,6 @@ from warpqem.usd.commands.context import Progress
 from warpqem.usd.commands.face_points import points_on_level
 from warpqem.usd.commands.measuring import measure_written, written_within
 from warpqem.usd.commands.mesh_job import MeshJob
-from warpqem.usd.commands.normal_map import bake_mesh_normals
 from warpqem.usd.commands.rig_steps import Rig
 from warpqem.usd.commands.simplify_options import SimplifyOptions
 from warpqem.usd.read.mesh_skin import Skin
@@ -88,6 +87,9 @@ class MeshResult:
             report.notes.append(f"{job.mesh.path}: no normals, as it is shaded more like the input without them")
         write_feature_points(written, transfer.feature_points, create=self.face is not None)
         if options.bake_normals is not None:
+            # Loaded for those who ask for it: its kernels take a while.
+            from warpqem.usd.commands.normal_map import bake_mesh_normals
+
             bake_mesh_normals(job, mesh, transfer, layer, report, options.bake_normals, options.device)
         report.dropped = [*self._explained(dropped, options.bake), *self._left_out()]
         report.components_removed = mesh.components_removed

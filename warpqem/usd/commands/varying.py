@@ -11,8 +11,7 @@ from pxr import Usd, UsdGeom
 
 from warpqem.errors import CancelledError, DeviceError, OptionError, StageError, WarpqemError
 from warpqem.measure import Measured
-from warpqem.measure.measured import joined_errors
-from warpqem.usd.commands.compare_runs import ERRORS
+from warpqem.measure.measured import ERRORS, joined_errors
 from warpqem.usd.commands.context import Progress
 from warpqem.usd.commands.simplify_options import SimplifyOptions
 from warpqem.usd.read.time_codes import FrameRange

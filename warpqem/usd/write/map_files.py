@@ -13,7 +13,6 @@ from pxr import Sdf, Usd
 from warpqem.errors import StageError
 from warpqem.files.outputs import OutputFile
 from warpqem.files.temporary import remove_path, replacing, temporary_path
-from warpqem.picture.sheet import write_png
 from warpqem.usd.checks.input_files import check_stage_outputs
 
 __all__ = ["MapFiles", "place_maps", "texture_folder"]
@@ -46,6 +45,9 @@ class MapFiles:
         Raises:
             StageError: it cannot be written.
         """
+        # Loaded where there are maps: pictures take a while to load.
+        from warpqem.picture.sheet import write_png
+
         assert self._parent is not None
         taken = {path.name.casefold() for path in self.files}
         file, count = f"{name}.png", 1

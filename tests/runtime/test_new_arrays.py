@@ -1,0 +1,84 @@
+"""New arrays, small and large, are what Warp makes."""
+
+import gc
+
+import numpy as np
+import pytest
+import warp as wp
+
+import warpqem
+from tests.support.meshes import waving_grid
+from warpqem.runtime import new_arrays
+
+# Of elements: small arrays and large ones are made in other ways.
+COUNTS = (0, 5, 100_000)
+
+
+def alike(one: wp.array, other: wp.array) -> None:
+    assert type(one) is type(other)
+    for name in ("dtype", "ndim", "size", "capacity", "shape", "strides", "device", "is_contiguous", "pinned"):
+        assert getattr(one, name) == getattr(other, name), name
+
+
+@pytest.mark.parametrize("count", COUNTS)
+@pytest.mark.parametrize("dtype", [wp.int32, wp.float64, wp.vec3, wp.mat33d, wp.bool])
+def test_uploaded_values_are_a_copy(count, dtype):
+    values = np.random.default_rng(0).integers(0, 2, (count, *getattr(dtype, "_shape_", ())))
+    made = new_arrays.uploaded(values, dtype=dtype, device="cpu")
+    alike(made, wp.array(values, dtype=dtype, device="cpu"))
+    np.testing.assert_array_equal(made.numpy(), values)
+    values += 1
+    assert count == 0 or not np.array_equal(made.numpy(), values)
+
+
+@pytest.mark.parametrize("shape", [*COUNTS, (3, 4), [2, 3, 4], (300, 400)])
+def test_new_arrays_have_the_shape_of_warps(shape):
+    alike(new_arrays.empty(shape, dtype=wp.vec3, device="cpu"), wp.empty(shape, dtype=wp.vec3, device="cpu"))
+    made = new_arrays.zeros(shape, dtype=wp.vec3, device="cpu")
+    alike(made, wp.zeros(shape, dtype=wp.vec3, device="cpu"))
+    assert not made.numpy().any()
+    made = new_arrays.full(shape, -1, dtype=wp.int32, device="cpu")
+    alike(made, wp.full(shape, -1, dtype=wp.int32, device="cpu"))
+    assert (made.numpy() == -1).all()
+
+
+def test_values_in_another_arrangement_are_left_to_warp():
+    flat = new_arrays.uploaded(np.arange(6.0), dtype=wp.vec3, device="cpu")
+    assert flat.numpy().tolist() == [[0.0, 1.0, 2.0], [3.0, 4.0, 5.0]]
+    turned = new_arrays.uploaded(np.arange(6).reshape(2, 3).T, dtype=wp.int32, device="cpu")
+    assert turned.numpy().tolist() == [[0, 3], [1, 4], [2, 5]]
+    assert turned.is_contiguous
+
+
+def test_views_hold_the_memory():
+    view = new_arrays.uploaded(np.arange(8), dtype=wp.int32, device="cpu")[2:]
+    values = new_arrays.full(8, 5, dtype=wp.int32, device="cpu").numpy()
+    gc.collect()
+    others = [new_arrays.zeros(8, dtype=wp.int32, device="cpu") for _ in range(100)]
+    assert view.numpy().tolist() == [2, 3, 4, 5, 6, 7]
+    assert values.tolist() == [5] * 8
+    assert len(others) == 100
+
+
+class Filled:
+    """NumPy, whose new memory is full of one byte."""
+
+    def __init__(self, byte):
+        self._byte = byte
+
+    def __getattr__(self, name):
+        return getattr(np, name)
+
+    def empty(self, size, dtype):
+        return np.full(size, self._byte, dtype=dtype)
+
+
+@pytest.mark.parametrize("options", [{}, {"quality": "fast"}, {"metric": "dod"}], ids=["best", "fast", "dod"])
+def test_what_was_in_the_memory_before_changes_no_bit(options, monkeypatch):
+    mesh, found = waving_grid(12, 6), set()
+    # Zeros, numbers that are none, small whole numbers, and large ones below zero.
+    for byte in (0x00, 0xFF, 0x01, 0xAB):
+        monkeypatch.setattr(new_arrays, "np", Filled(byte))
+        result = warpqem.simplify(*mesh, ratio=0.3, device="cpu", **options)
+        found.add((result.points.tobytes(), result.faces.tobytes(), result.measured.hausdorff))
+    assert len(found) == 1

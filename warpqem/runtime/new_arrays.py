@@ -1,0 +1,130 @@
+"""New arrays, made in next to no time where they are small and on a CPU.
+
+Warp takes 5 to 20 microseconds to make one, and a mesh of some hundred faces needs hundreds. On a CPU a small array
+here is a copy of one that Warp made of the same type, over memory of NumPy's.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import warp as wp
+
+from warpqem.runtime.device import device_traits
+
+__all__ = ["empty", "full", "uploaded", "zeros"]
+
+Shape = int | tuple[int, ...] | list[int]
+
+# Bytes from which on the time is that of the memory.
+SMALL = 2**16
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """Arrays of one type and number of axes.
+
+    Attributes:
+        attributes: of an array of Warp's of this kind.
+        item: NumPy's type of an element, or of its components.
+        inner: the shape of an element, () of a number.
+        item_bytes: bytes of an element.
+    """
+
+    attributes: dict[str, Any]
+    item: np.dtype[Any]
+    inner: tuple[int, ...]
+    item_bytes: int
+
+    def over(self, memory: Any, shape: tuple[int, ...]) -> wp.array:
+        """An array of this kind over memory of NumPy's, as large and contiguous, which it holds."""
+        size, stride = shape[0], self.item_bytes
+        strides: tuple[int, ...] = ()
+        for extent in shape[:0:-1]:
+            strides = (stride, *strides)
+            stride *= extent
+            size *= extent
+        made: wp.array = object.__new__(wp.array)
+        values = made.__dict__
+        values.update(self.attributes)
+        values["ptr"] = ctypes.addressof(ctypes.c_char.from_buffer(memory))
+        values["shape"], values["strides"] = shape, (stride, *strides)
+        values["size"], values["capacity"] = size, size * self.item_bytes
+        # Not Warp's: as long as the array or a view of it lives, its memory does.
+        values["memory"] = memory
+        return made
+
+
+_kinds: dict[tuple[Any, int], _Kind] = {}
+
+
+def _kind(dtype: Any, axes: int) -> _Kind:
+    key = (dtype, axes)
+    kind = _kinds.get(key)
+    if kind is None:
+        shape = (1,) * axes
+        one = wp.empty(shape, dtype=dtype, device="cpu")
+        values = one.numpy()
+        # Of one that does not free its memory.
+        attributes = dict(vars(wp.array(ptr=one.ptr, dtype=dtype, shape=shape, device="cpu")))
+        kind = _kinds[key] = _Kind(attributes, values.dtype, values.shape[axes:], values.nbytes)
+    return kind
+
+
+def _shape(shape: Shape) -> tuple[int, ...]:
+    return tuple(map(int, shape)) if isinstance(shape, (tuple, list)) else (int(shape),)
+
+
+def _is_quick(device: wp.DeviceLike) -> bool:
+    return not device_traits(str(device)).own_memory
+
+
+def empty(shape: Shape, dtype: Any, device: wp.DeviceLike) -> wp.array:
+    """What ``wp.empty`` gives."""
+    if _is_quick(device):
+        extents = _shape(shape)
+        kind = _kind(dtype, len(extents))
+        size = math.prod(extents) * kind.item_bytes
+        if 0 < size <= SMALL:
+            return kind.over(np.empty(size, dtype=np.uint8), extents)
+    return wp.empty(shape, dtype=dtype, device=device)
+
+
+def zeros(shape: Shape, dtype: Any, device: wp.DeviceLike) -> wp.array:
+    """What ``wp.zeros`` gives."""
+    if _is_quick(device):
+        extents = _shape(shape)
+        kind = _kind(dtype, len(extents))
+        size = math.prod(extents) * kind.item_bytes
+        if 0 < size <= SMALL:
+            return kind.over(np.zeros(size, dtype=np.uint8), extents)
+    return wp.zeros(shape, dtype=dtype, device=device)
+
+
+def full(shape: Shape, value: float, dtype: Any, device: wp.DeviceLike) -> wp.array:
+    """What ``wp.full`` gives; an element is a number."""
+    if _is_quick(device):
+        extents = _shape(shape)
+        kind = _kind(dtype, len(extents))
+        size = math.prod(extents) * kind.item_bytes
+        if 0 < size <= SMALL and not kind.inner:
+            return kind.over(np.full(extents, value, dtype=kind.item), extents)
+    return wp.full(shape, value, dtype=dtype, device=device)
+
+
+def uploaded(values: npt.ArrayLike, dtype: Any, device: wp.DeviceLike) -> wp.array:
+    """What ``wp.array`` gives for values (..., shape of an element): a copy of them."""
+    if _is_quick(device):
+        given = np.shape(values)
+        inner = _kind(dtype, 1).inner
+        axes = len(given) - len(inner)
+        if axes > 0 and given[axes:] == inner:
+            kind = _kind(dtype, axes)
+            if 0 < math.prod(given[:axes]) * kind.item_bytes <= SMALL:
+                return kind.over(np.array(values, dtype=kind.item, order="C"), given[:axes])
+    return wp.array(values, dtype=dtype, device=device)
