@@ -58,7 +58,8 @@ class ToleratedOutput:
         Args:
             quiet: An error has been printed already.
         """
-        code = EXIT_SIGNAL + signal.SIGPIPE if any(stream.is_closed_by_reader for stream in self._streams.values()) else 0
+        is_closed = any(stream.is_closed_by_reader for stream in self._streams.values())
+        code = EXIT_SIGNAL + signal.SIGPIPE if is_closed else 0
         for name, raw in self._streams.items():
             getattr(sys, name).flush()
             if raw.failure is not None:
