@@ -228,13 +228,16 @@ def test_output_that_nobody_reads_does_not_stop_the_work(tmp_path, code):
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no device that is full")
-def test_output_to_a_full_disk_is_an_error():
-    command = [sys.executable, "-c", PROGRAM.format(setup="", work="    print('x')")]
+@pytest.mark.parametrize("flush", [False, True])
+def test_output_to_a_full_disk_is_an_error_once_the_work_is_done(tmp_path, flush):
+    work = f"    print('x', flush={flush})\n    open({str(tmp_path / 'done')!r}, 'w').close()"
+    command = [sys.executable, "-c", PROGRAM.format(setup="", work=work)]
     buffered = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
     with open("/dev/full", "w") as full:
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, env=buffered)
     assert done.returncode == 1
     assert done.stderr == "error: standard output: cannot be written (No space left on device)\n"
+    assert (tmp_path / "done").exists()
 
 
 def test_work_ends_with_its_watcher():

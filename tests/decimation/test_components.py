@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 import trimesh
@@ -117,6 +120,33 @@ def test_what_stays_is_measured_to_faces_and_without_parts_that_went(device):
     area = float(np.ptp(square, axis=0)[:2].prod())
     for stays, distance in (((True, True, True), 0.1), ((False, True, True), 0.2)):
         assert distances.loss(1, np.array(stays)) == pytest.approx((area, area * distance**2), rel=1e-4)
+
+
+def test_search_among_all_vertices_takes_half_the_time_of_one_vertex_after_another(device):
+    """A row of small squares of which only the last ones stay: none that was found near the first one is left."""
+    square, face = meshes.grid(1, 1)
+    count = 6000
+    points = (square * 1e-5 + np.arange(count)[:, None, None] * np.array([1e-4, 0, 0])).reshape(1, -1, 3)
+    points = np.repeat(points, 3, axis=0).astype(np.float32)
+    faces = (face + 4 * np.arange(count)[:, None, None]).reshape(-1, 3)
+    component = np.repeat(np.arange(count), 4)
+    distances = ComponentDistances(points, faces, component, np.ones(4 * count, dtype=np.float32), device)
+    stays = np.arange(count) >= 10
+
+    def naive() -> np.ndarray:
+        others = points[:, stays[component]]
+        return np.stack([((others - own) ** 2).sum(axis=-1).min(axis=1) for own in points[0, :4]])
+
+    def seconds(work: Callable[[], object]) -> float:
+        started = time.process_time()
+        work()
+        return time.process_time() - started
+
+    area, lost = distances.loss(0, stays)
+    assert lost / area == pytest.approx(naive().mean(), rel=1e-6)
+    assert min(seconds(lambda: distances.loss(0, stays)) for _ in range(5)) < 0.5 * min(
+        seconds(naive) for _ in range(5)
+    )
 
 
 def test_what_a_part_costs_counts_all_its_poses(device):

@@ -89,3 +89,16 @@ def test_two_ways_to_cut_a_flat_sheet_into_slivers_are_no_distance_apart(seed, d
     other = Delaunay(moved[:, :2].astype(float)).simplices.astype(np.int32)
     other = other[trimesh.triangles.area(moved[other].astype(float)) > 0]
     assert compare(points, faces, moved, other, samples=500, device=device).hausdorff < 1e-4
+
+
+@pytest.mark.parametrize("frame_count", [1, 2])
+def test_large_face_over_thousands_in_its_plane_is_no_further_than_its_points(device, frame_count):
+    """Two faces over 4802: one search gave a face up, and what bounded it was its own size, 16 to 36 % off."""
+    square, pair = meshes.grid(1, 1)
+    points, faces = meshes.grid(49, 49)
+    frames, pairs = (np.stack([one * (1 + 0.1 * frame) for frame in range(frame_count)]) for one in (points, square))
+    found = compare(frames, faces, pairs, pair, device=device)
+    assert found.hausdorff < 1e-4
+    lifted = pairs + np.array([0.0, 0.0, 0.01])
+    found = compare(frames, faces, lifted, pair, device=device)
+    assert found.hausdorff == pytest.approx(100 * 0.01 / np.sqrt(2), rel=1e-3)

@@ -231,6 +231,22 @@ def test_target_beside_the_default_prim_stays_one(tmp_path):
         assert stage.GetPrimAtPath("/Materials").GetRelationship("seen:by").GetTargets() == ["/Root/Cloth"]
 
 
+@pytest.mark.parametrize("specifier", ["over", "class"])
+def test_collection_on_a_root_prim_that_is_not_shown_binds_on_every_level(specifier, tmp_path):
+    stage = cloth_stage(tmp_path / "in.usda")
+    material = UsdShade.Material.Define(stage, "/Root/Red")
+    holder = stage.OverridePrim("/Sets") if specifier == "over" else stage.CreateClassPrim("/Sets")
+    collection = Usd.CollectionAPI.Apply(holder, "cloth")
+    collection.IncludePath("/Root/Cloth")
+    UsdShade.MaterialBindingAPI.Apply(stage.GetPrimAtPath("/Root")).Bind(collection, material)
+    stage.Save()
+    build_levels(tmp_path / "in.usda", tmp_path / "lods.usda")
+    for level in range(3):
+        result = open_level(tmp_path / "lods.usda", level)
+        bound = UsdShade.MaterialBindingAPI(result.GetPrimAtPath("/Root/Cloth"))
+        assert str(bound.ComputeBoundMaterial()[0].GetPath()) == "/Root/Red"
+
+
 def test_mesh_beside_the_default_prim_gets_levels(tmp_path):
     stage = cloth_stage(tmp_path / "in.usda")
     define_cloth(stage, "/Other/Flag")

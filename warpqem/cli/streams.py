@@ -1,4 +1,4 @@
-"""Standard output and error that somebody has stopped reading, as `| head -1` does."""
+"""Standard output and error that somebody has stopped reading, as `| head -1` does, or that have no room left."""
 
 from __future__ import annotations
 
@@ -13,33 +13,37 @@ __all__ = ["ToleratedOutput"]
 
 
 class _Stream(io.FileIO):
-    """A file that takes what nobody reads any more, and remembers that it did."""
+    """A file that takes what nobody reads any more, or has no room for, and remembers that it did."""
 
     is_closed_by_reader = False
+    failure: OSError | None = None
 
     def write(self, data: Any) -> int:
         try:
             return super().write(data) or 0
         except BrokenPipeError:
             self.is_closed_by_reader = True
-            return memoryview(data).nbytes
+        except OSError as error:
+            # Text that is lost, as on a full disk, is no reason to lose the work: it is said when that is done.
+            self.failure = error
+        return memoryview(data).nbytes
 
 
 class ToleratedOutput:
     """The streams of this process from now on: the work goes on when nobody reads what it prints."""
 
     def __init__(self) -> None:
-        self._streams: list[_Stream] = []
+        self._streams: dict[str, _Stream] = {}
         # None where a stream was closed before the command began.
         if sys.stdout is not None:
-            sys.stdout = self._replace(sys.stdout)
+            sys.stdout = self._replace("stdout", sys.stdout)
         if sys.stderr is not None:
-            sys.stderr = self._replace(sys.stderr)
+            sys.stderr = self._replace("stderr", sys.stderr)
 
-    def _replace(self, stream: Any) -> io.TextIOWrapper:
+    def _replace(self, name: str, stream: Any) -> io.TextIOWrapper:
         stream.flush()
         raw = _Stream(stream.fileno(), "w", closefd=False)
-        self._streams.append(raw)
+        self._streams[name] = raw
         return io.TextIOWrapper(
             io.BufferedWriter(raw),
             stream.encoding,
@@ -54,16 +58,12 @@ class ToleratedOutput:
         Args:
             quiet: An error has been printed already.
         """
-        code = EXIT_SIGNAL + signal.SIGPIPE if any(stream.is_closed_by_reader for stream in self._streams) else 0
-        for name in ("stdout", "stderr"):
-            stream = getattr(sys, name)
-            try:
-                if stream is not None:
-                    stream.flush()
-            except OSError as error:
-                # Nothing is to try again when the process ends.
-                setattr(sys, name, None)
+        is_closed = any(stream.is_closed_by_reader for stream in self._streams.values())
+        code = EXIT_SIGNAL + signal.SIGPIPE if is_closed else 0
+        for name, raw in self._streams.items():
+            getattr(sys, name).flush()
+            if raw.failure is not None:
                 if name == "stdout" and not quiet:
-                    print_message("error", f"standard output: cannot be written ({error.strerror})")
+                    print_message("error", f"standard output: cannot be written ({raw.failure.strerror})")
                 code = code or EXIT_FAILED
         return code

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 import warp as wp
 
@@ -49,7 +51,8 @@ class ComponentDistances:
         number = np.arange(self._first[-1]) - np.repeat(self._first[:-1], np.diff(self._first))
         step = np.repeat(count / np.maximum(1, np.minimum(count, MAX_SAMPLES)), np.diff(self._first))
         sample = order[np.repeat(start, np.diff(self._first)) + (number * step).astype(np.int64)]
-        self._points, self._component, self._used, self._sample = points, component, order, sample
+        self._points, self._used, self._sample = points, order, sample
+        self._start, self._count = start, count
         shape = (len(points), len(sample), int(kernels.NEAR_COMPONENTS))
         self._near, self._squared = np.empty(shape, dtype=np.int32), np.empty(shape, dtype=np.float32)
         self._area, self._min_squared = np.empty((len(points), len(count))), np.empty((len(points), len(count)))
@@ -92,15 +95,34 @@ class ComponentDistances:
 
     def _from_vertices(self, rows: slice, stays: np.ndarray) -> np.ndarray:
         """(K', S) squared distances of samples from vertices of components that stay."""
-        left = self._used[stays[self._component[self._used]]]
-        left = left[:: max(1, len(left) // MAX_OTHERS)]
-        others, samples = self._points[:, left], self._points[:, self._sample[rows]]
+        place = self._places_of(stays)
+        # One coordinate after another, each of all vertices together: a tenth of the time of one vertex after another.
+        others, samples = self._axes.take(place, axis=2), self._points[:, self._sample[rows]].transpose(2, 0, 1)
         # Where nothing stays, it is as far as the mesh is large.
-        squared = np.ones(samples.shape[:2])
-        for i, own in enumerate(samples.swapaxes(0, 1)):
-            offset = others - own[:, None]
-            squared[:, i] = (offset**2).sum(axis=-1).min(axis=1, initial=np.inf if len(left) else 1.0)
+        squared = np.ones(samples.shape[1:])
+        for i in range(samples.shape[2]):
+            x, y, z = (axis - own[:, i, None] for axis, own in zip(others, samples, strict=True))
+            squared[:, i] = (x * x + y * y + z * z).min(axis=1, initial=np.inf if len(place) else 1.0)
         return squared
+
+    @cached_property
+    def _axes(self) -> np.ndarray:
+        """(3, K', U) the coordinates of all vertices in use, component after component."""
+        return np.ascontiguousarray(self._points[:, self._used].transpose(2, 0, 1))
+
+    def _places_of(self, chosen: np.ndarray) -> np.ndarray:
+        """Where vertices of chosen components (C,) bool are in :attr:`_axes`.
+
+        At most twice :data:`MAX_OTHERS`, evenly spread over all of them. A look at every vertex, as often as components
+        go, would take the square of the time on a mesh of many.
+        """
+        component = np.flatnonzero(chosen)
+        end = np.cumsum(self._count[component])
+        total = int(end[-1]) if len(end) else 0
+        number = np.arange(0, total, max(1, total // MAX_OTHERS))
+        before = self._start[component] + self._count[component] - end
+        places: np.ndarray = number + before[np.searchsorted(end, number, side="right")]
+        return places
 
 
 def least_losses(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -27,6 +28,9 @@ __all__ = ["Found", "Patches", "bound_frames", "pack_points", "search_patches", 
 MIN_PART = 512
 # Pieces that there is room for at first, for each patch that is searched and each face of the other mesh.
 PIECES_PER_FACE = 3
+# Looks at pieces, for each face of both meshes, that patches may take that are given up at first. Some 4 find what a
+# plane of 2 faces is from one of 100000.
+LOOKS_PER_FACE = 16
 
 Doubles = npt.NDArray[np.float64]
 Singles = npt.NDArray[np.float32]
@@ -56,6 +60,11 @@ class Patches:
         place = np.tile([0.0, 0.0, 1.0, 0.0, 0.0, 1.0], (face_count, 1))
         hint = np.full((face_count, int(HINTS)), -1, dtype=np.int32)
         return cls(np.arange(face_count, dtype=np.int32), place, hint)
+
+    @classmethod
+    def joined(cls, parts: Sequence[Patches]) -> Patches:
+        """One after another."""
+        return cls(*(np.concatenate(values) for values in zip(*(vars(part).values() for part in parts), strict=True)))
 
     def rows(self, chosen: npt.NDArray[np.integer] | npt.NDArray[np.bool_] | slice) -> Patches:
         """Some of them."""
@@ -166,6 +175,58 @@ def search_patches(
 
     With ``cut``, the pieces are kept that the patches had to be cut into.
     """
+    found = _search_once(own, other, patches, frame, floor, device, cut=cut)
+    known = floor.copy()
+    np.maximum.at(known, frame, found.low)
+    item = np.flatnonzero(_is_given_up(found, known[frame]))
+    if not len(item):
+        return found
+    # Large faces over thousands of small ones: what bounds them is their own size, which says nothing. Their pieces
+    # are patches of their own.
+    looks_left = LOOKS_PER_FACE * (own.face_count + other.face_count)
+    low, high, hint = found.low.copy(), found.high.copy(), found.hint
+    high[item] = 0.0
+    is_whole = np.ones(len(patches), dtype=bool)
+    is_whole[item] = False
+    whole = is_whole[found.owner]
+    done = [(found.pieces.rows(whole), found.owner[whole])]
+    rest = patches.rows(item)
+    while len(rest):
+        found = _search_once(own, other, rest, frame[item], known, device, cut=True)
+        np.maximum.at(low, item, found.low)
+        np.maximum.at(known, frame[item], found.low)
+        given_up = _is_given_up(found, known[frame[item]])
+        looks_left -= int(kernels.MAX_PIECES) * int(given_up.sum())
+        if looks_left < 0:
+            given_up[:] = False
+        np.maximum.at(high, item[~given_up], found.high[~given_up])
+        again = given_up[found.owner]
+        done.append((found.pieces.rows(~again), item[found.owner[~again]]))
+        rest, item = found.pieces.rows(again), item[found.owner[again]]
+    if not cut:
+        return Found(low, high, hint, patches.rows(slice(0)), np.zeros(0, dtype=np.int64))
+    owner = np.concatenate([one for _, one in done])
+    order = np.argsort(owner, kind="stable")
+    return Found(low, high, hint, Patches.joined([pieces for pieces, _ in done]).rows(order), owner[order])
+
+
+def _is_given_up(found: Found, known: Doubles) -> npt.NDArray[np.bool_]:
+    """Which patches (n,) the search has given up, where ``known`` (n,) is the largest distance found in their cell."""
+    is_given_up: npt.NDArray[np.bool_] = found.high > known * (1.0 + float(kernels.TOLERANCE)) + float(kernels.ROUNDING)
+    return is_given_up
+
+
+def _search_once(
+    own: Cells,
+    other: Cells,
+    patches: Patches,
+    frame: npt.NDArray[np.integer],
+    floor: Doubles,
+    device: str,
+    *,
+    cut: bool,
+) -> Found:
+    """Search each patch, but give those up that have to be cut into too many pieces."""
     runs = -(-len(patches) // int(kernels.RUN))
     parts = split_range(runs, min(thread_count(device), max(1, len(patches) // MIN_PART)))
     items = kernels.SearchItems()

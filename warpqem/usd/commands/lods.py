@@ -60,7 +60,8 @@ class LevelLayer(ABC):
         # References are to what is in files, without instances that are opened.
         self._stage_of_input = unopened(source)
         held = {path.GetPrefixes()[0] for path in selection.paths()}
-        roots = [prim for prim in self._stage_of_input.GetPseudoRoot().GetAllChildren() if prim.HasDefiningSpecifier()]
+        # Those that nothing defines, too: they can hold collections that materials are bound by.
+        roots = self._stage_of_input.GetPseudoRoot().GetAllChildren()
         self._roots: list[Usd.Prim] = [prim for prim in roots if prim.GetPath() in held]
         if not self._roots:
             raise OptionError("lods: the input has no root prim with meshes that could hold the levels")

@@ -57,7 +57,7 @@ class OutsideTargets:
         self._declarations = Sdf.Layer.CreateAnonymous("targets.usda")
         self._plain: list[_Property] = []
         self._instanced: dict[Sdf.Path, _Instanced] = {}
-        for prim in Usd.PrimRange(root, Usd.TraverseInstanceProxies()):
+        for prim in Usd.PrimRange(root, Usd.TraverseInstanceProxies(Usd.PrimAllPrimsPredicate)):
             for item in prim.GetAuthoredProperties():
                 targets = item.GetTargets() if isinstance(item, Usd.Relationship) else item.GetConnections()
                 if not all(target.HasPrefix(self._root) for target in targets):
