@@ -18,9 +18,9 @@ __all__ = ["split_corners"]
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int32]
 
-# Cosine of 30 degrees: normals further apart than that are an edge, as on a bevel that became one. At 20 pictures are
-# nearer to the input once more, by 0.4 dB, but smooth faces of a few hundred triangles show edges.
-SPLIT_COSINE = float(np.cos(np.radians(30.0)))
+# Cosine of 25 degrees: normals further apart than that are an edge, as on a bevel that became one. At 20 pictures are
+# nearer to the input once more, by 0.3 dB, but smooth faces of a few hundred triangles show edges.
+SPLIT_COSINE = float(np.cos(np.radians(25.0)))
 
 
 def split_corners(faces: Ints, corner_row: Ints, fits: Iterable[Floats]) -> tuple[Ints, Ints]:
