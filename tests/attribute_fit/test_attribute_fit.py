@@ -9,6 +9,7 @@ from tests.support import meshes
 from tests.support.attribute_fit import fitting
 from warpqem.attribute_fit import solve
 from warpqem.attribute_fit.input_samples import MAX_FACES, find_input_samples
+from warpqem.attribute_fit.normal_groups import split_corners
 from warpqem.attribute_fit.partners import FEW_FACES, SAMPLES, SAMPLES_OF_FEW, PartnerSearch
 from warpqem.attribute_fit.values import (
     NormalErrors,
@@ -207,6 +208,21 @@ def test_normals_are_split_where_no_seam_says_so_but_the_input_bends():
     assert len(row) > len(np.unique(fit.layout.corner_row))
     found = fit_normals(layout, missed, start[row])
     np.testing.assert_allclose(np.abs(found[:, 0]), np.sqrt(0.5), atol=0.05)
+
+
+@pytest.mark.parametrize(
+    ("at_edge", "further", "is_split"),
+    [(20, 20, True), (12, 90, False), (20, -90, False)],
+    ids=["both apart", "one at the corner", "one among the samples"],
+)
+def test_normals_are_split_where_fits_are_apart_at_the_corner_and_among_the_samples(at_edge, further, is_split):
+    """Two faces whose fits have these angles, to either side, at their common edge and at the other corner."""
+    faces = np.array([[0, 1, 2], [2, 1, 3]], dtype=np.int32)
+    angles = np.radians([[-further, -at_edge, -at_edge], [at_edge, at_edge, further]])
+    fit = np.stack([np.sin(angles), np.zeros_like(angles), np.cos(angles)], axis=2)
+    corner_row, row = split_corners(faces, faces, [fit])
+    assert len(row) == (6 if is_split else 4)
+    assert (row[corner_row] == faces).all()
 
 
 def test_partners_do_not_cross_a_seam():

@@ -1,8 +1,8 @@
 """Texture coordinates of the output that fit the input's: seams stay on their lines, and no triangle is turned over.
 
-A seam's coordinates are fitted along it, and across it by a part of what it bends: further, one side would show what
-lies beyond its island. None leaves the tiles, squares between whole numbers, that the input has there: beyond them
-another image of a UDIM set shows, or nothing.
+A seam's coordinates are fitted along it, into their island by what the seam bends, and out of it by a part of that:
+further out, one side would show what lies beyond its island. None leaves the tiles, squares between whole numbers, that
+the input has there: beyond them another image of a UDIM set shows, or nothing.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ Flags = npt.NDArray[np.bool_]
 
 # Along a seam a value goes no further than this part of the way to its neighbour on it, so that they keep their order.
 MAX_SLIDE = 0.4
-# Across it no further than this part of its distance from the line between them. Of a circle's chords the best fit lies
-# a sixth of that further out.
-MAX_BEND = 0.25
+# Into its island it goes no further than its distance from the line between them, out of it no further than this part
+# of that. Of a circle's chords the best fit lies a sixth of that further out.
+MAX_BEND_OUT = 0.25
 # Values so near to the border of a tile are on it: means of values there are in single precision.
 ON_BORDER = 1e-6
 
@@ -77,7 +77,7 @@ def fit_texture(faces: Ints, layout: ValueLayout, values: Floats, start: Floats,
         signs: (N',) which way each triangle of the output is to turn, see :func:`reference_signs`.
     """
     outline, tiles = _find_outline(faces, layout.corner_row, len(start)), _find_tiles(layout, values, start)
-    slid = _slide(outline, layout, values, start)
+    slid = _slide(outline, layout, values, start, signs)
     fitted = tiles.clip(fit_smooth_values(layout, values, slid, ~outline.on_seam))
     better = _where_better(layout, values, start, fitted)
     return turned_back(layout.corner_row, better, signs, tiles.clip)
@@ -135,10 +135,12 @@ def _find_outline(faces: Ints, corner_row: Ints, row_count: int) -> _Outline:
     return _Outline(on_seam, np.where(through, before, -1), np.where(through, after, -1))
 
 
-def _slide(outline: _Outline, layout: ValueLayout, values: Floats, start: Floats) -> Floats:
+def _slide(
+    outline: _Outline, layout: ValueLayout, values: Floats, start: Floats, signs: npt.NDArray[np.int8]
+) -> Floats:
     """The start with values of seams moved along them as far as a fit without seams would move them.
 
-    Across a seam they go by a part of what it bends, as straight edges cut its bends off; a straight one stays so.
+    Across a seam they go by what it bends at most, as straight edges cut its bends off; a straight one stays so.
     """
     row = np.flatnonzero(outline.after >= 0)
     if not len(row):
@@ -146,12 +148,16 @@ def _slide(outline: _Outline, layout: ValueLayout, values: Floats, start: Floats
     misfit = misfits(layout.partners, layout.corner_element, values, layout.corner_row, start)
     change = fit_values(layout.partners, misfit, layout.corner_row, np.ones(len(start), dtype=bool))[row]
     back, forth = start[outline.before[row]] - start[row], start[outline.after[row]] - start[row]
+    reach = [MAX_SLIDE * np.linalg.norm(to, axis=1) for to in (back, forth)]
     along = unit_vectors(forth - back)
-    way, reach = (change * along).sum(axis=1), [MAX_SLIDE * np.linalg.norm(to, axis=1) for to in (back, forth)]
-    across = np.stack([-along[:, 1], along[:, 0]], axis=1)
-    out, bend = (change * across).sum(axis=1), MAX_BEND * np.abs((back * across).sum(axis=1))
+    # Seams run as the faces beside them turn, so that the island is on the left of those that turn counter-clockwise.
+    side = np.sign(np.bincount(layout.corner_row.ravel(), np.repeat(signs, 3), len(start)))[row]
+    inwards = side[:, None] * np.stack([-along[:, 1], along[:, 0]], axis=1)
+    bend = np.abs((back * inwards).sum(axis=1))
+    way = np.clip((change * along).sum(axis=1), -reach[0], reach[1])
+    into = np.clip((change * inwards).sum(axis=1), -MAX_BEND_OUT * bend, bend)
     slid = start.copy()
-    slid[row] += np.clip(way, -reach[0], reach[1])[:, None] * along + np.clip(out, -bend, bend)[:, None] * across
+    slid[row] += way[:, None] * along + into[:, None] * inwards
     return slid
 
 

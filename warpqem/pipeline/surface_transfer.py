@@ -111,7 +111,7 @@ def surface_transfer(
     side = owner
     if two_sided or (ends is not None and len(ends)):
         first, second = joined_faces(faces, np.zeros((0, 2), dtype=np.int64) if ends is None else ends, sheets)
-        side = _sides(first, second, cluster, entry_key, len(faces))
+        side = _sides(first, second, cluster, owner, face)
     _, wedge = np.unique(side, return_inverse=True)
     order, wedge_start = group_rows(wedge, int(wedge.max()) + 1)
     wedge_owner = owner[order[wedge_start[:-1]]]
@@ -204,24 +204,20 @@ def check_fit(result: SimplifiedMesh, faces: np.ndarray, vertex_count: int) -> N
 
 
 def _sides(
-    first: np.ndarray, second: np.ndarray, cluster: np.ndarray, entry_key: np.ndarray, face_count: int
+    first: np.ndarray, second: np.ndarray, cluster: np.ndarray, owner: np.ndarray, face: np.ndarray
 ) -> np.ndarray:
     """Per entry, the lowest entry that it is joined to through pairs of faces that go on from each other."""
+    # The entry of each corner of the input's faces, -1 for none.
+    entry = np.full((3, len(cluster)), -1, dtype=np.int64)
+    for corner, at in zip(entry, cluster.T, strict=True):
+        here = np.flatnonzero(at[face] == owner)
+        corner[face[here]] = here
+    one, other = entry[:, first], entry[:, second]
     links = []
-    for k in range(3):
-        owner = cluster[first, k]
-        shared = (owner >= 0) & (cluster[second] == owner[:, None]).any(axis=1)
-        keys = owner[shared].astype(np.int64) * face_count
-        links.append(
-            np.stack(
-                [
-                    np.searchsorted(entry_key, keys + first[shared]),
-                    np.searchsorted(entry_key, keys + second[shared]),
-                ],
-                axis=1,
-            )
-        )
-    return lowest_members(len(entry_key), np.concatenate(links))
+    for k, j in np.ndindex(3, 3):
+        shared = np.flatnonzero((owner[one[k]] == owner[other[j]]) & (one[k] >= 0) & (other[j] >= 0))
+        links.append(np.stack([one[k, shared], other[j, shared]], axis=1))
+    return lowest_members(len(owner), np.concatenate(links))
 
 
 def joined_faces(
