@@ -12,8 +12,8 @@ from tests.support import meshes
 from warpqem.measure.far_points import FacesAround, PointsAndFaces, furthest_from, longest_edges
 from warpqem.measure.surface_places import (
     SAMPLES,
-    FacePoints,
     InputVertices,
+    SampledFaces,
     Side,
     SimplifiedVertices,
     furthest_of,
@@ -56,8 +56,8 @@ def every_place(reference, test, device):
     given = input_side(reference, around, vertex, np.arange(len(FACES)), VERTEX_COUNT)
     return {
         "input vertices": InputVertices(reference, simplified, vertex, vertex),
-        "input faces": FacePoints(reference, FACES, FACES, simplified, around),
-        "faces": FacePoints(test, FACES, FACES, given, around),
+        "input faces": SampledFaces(reference, FACES, FACES, simplified, around),
+        "faces": SampledFaces(test, FACES, FACES, given, around),
         "vertices": SimplifiedVertices(test, given, vertex, around),
     }
 
@@ -76,7 +76,7 @@ def test_a_place_is_as_far_as_two_rings_of_faces_around_its_clusters_show(frame_
     largest = np.zeros(place.count)
     for index, clusters in enumerate(place.clusters):
         points = here[:, clusters]
-        if isinstance(place, FacePoints):
+        if isinstance(place, SampledFaces):
             points = np.einsum("sk,fkc->fsc", SAMPLES, points)
         faces = two_rings(clusters)
         largest[index] = max(distances(points[:, k], there, faces).max() for k in range(points.shape[1]))

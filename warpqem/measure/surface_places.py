@@ -22,9 +22,9 @@ from warpqem.measure.far_points import FacesAround, PointsAndFaces, furthest_fro
 from warpqem.runtime.part_launches import corners_of, launch_in_parts, rows_of
 
 __all__ = [
-    "FacePoints",
     "InputVertices",
     "Places",
+    "SampledFaces",
     "Side",
     "SimplifiedVertices",
     "furthest_of",
@@ -93,7 +93,7 @@ class InputVertices:
 
 
 @dataclass(frozen=True)
-class FacePoints:
+class SampledFaces:
     """Points of faces (m, 3), with the clusters (m, 3) at which a side has what may be nearest.
 
     Attributes:
@@ -193,7 +193,7 @@ class SimplifiedVertices:
         yield PointsAndFaces(self.lanes, side.lanes, side.faces, point, every[:-1], clusters, side.lists)
 
 
-Places = InputVertices | FacePoints | SimplifiedVertices
+Places = InputVertices | SampledFaces | SimplifiedVertices
 
 
 def input_side(

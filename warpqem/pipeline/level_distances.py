@@ -10,9 +10,9 @@ import numpy as np
 
 from warpqem.measure.far_points import FacesAround
 from warpqem.measure.surface_places import (
-    FacePoints,
     InputVertices,
     Places,
+    SampledFaces,
     Side,
     SimplifiedVertices,
     furthest_of,
@@ -76,10 +76,10 @@ class LevelDistances:
         is_large_here = here[corners].all(axis=1)
         self._far_large[~is_large_here] = 0.0
         row = np.flatnonzero(is_near[corners].any(axis=1) & is_large_here)
-        large = FacePoints(input_lanes, corners[row], ordered.root[corners[row]], side, around)
+        large = SampledFaces(input_lanes, corners[row], ordered.root[corners[row]], side, around)
         there = self._input_side(level, near)
         faces, face = ordered.faces[changed], ordered.face_map[changed]
-        own = FacePoints(level_lanes, faces, faces, there, around)
+        own = SampledFaces(level_lanes, faces, faces, there, around)
         kept = SimplifiedVertices(level_lanes, there, np.unique(faces), around)
         if moved is None:
             # How far vertices are decides how closely the rest is looked at.

@@ -186,10 +186,10 @@ PLACE_FACE, PLACE_OUTPUT = 200, 2500
 # A frame of a block, for each output vertex: points and normals packed and not, as float64, as the caller's, and on
 # their way to the sink.
 FRAME_OUTPUT = 120
-# The refit, for each input vertex and key frame: the surface on the device and the host; for each input face and
-# vertex: pairs, search hierarchies, what lies across its edges; for each output vertex: the pairs of its two faces and
-# their equations, 9 blocks of 36 bytes each.
-REFIT_KEY, REFIT_FACE, REFIT_VERTEX, REFIT_OUTPUT = 24, 170, 160, 1700
+# The refit, for each input vertex and key frame: the surface on the device, on the host at first and in lanes then; for
+# each input face and vertex: pairs, search hierarchies, what lies across its edges, lists by vertex and by cluster; for
+# each output vertex: the pairs of its two faces and their equations, 9 blocks of 36 bytes each.
+REFIT_KEY, REFIT_FACE, REFIT_VERTEX, REFIT_OUTPUT = 24, 210, 160, 1700
 # The exchange of collapses, for each input vertex and key frame: what decimation left once more; and frame looked at:
 # the points as read, about the origin and in blocks, and the level's, also in double precision; for each face: corners,
 # distances, lists.

@@ -15,9 +15,9 @@ from warpqem.frames.blocks import pack_frames
 from warpqem.kernels import surface_limits as kernels
 from warpqem.measure.far_points import FacesAround
 from warpqem.measure.surface_places import (
-    FacePoints,
     InputVertices,
     Places,
+    SampledFaces,
     Side,
     SimplifiedVertices,
     furthest_of,
@@ -187,8 +187,8 @@ class _OwnParts:
         corners = self._corners[large]
         return [
             InputVertices(self._reference, output, vertex, self._map[vertex]),
-            FacePoints(self._reference, corners, self._map[corners], output, around),
-            FacePoints(lanes, faces, faces, self._input, around),
+            SampledFaces(self._reference, corners, self._map[corners], output, around),
+            SampledFaces(lanes, faces, faces, self._input, around),
             SimplifiedVertices(lanes, self._input, np.unique(faces), around),
         ]
 

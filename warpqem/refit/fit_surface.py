@@ -62,7 +62,7 @@ SEAM_STIFFNESS = 250.0
 # point got lost. The surfaces themselves are nowhere further apart than about three times that.
 REACH = 4.0
 
-# Places that come further away are held so often, each time with one more ring of vertices around them.
+# Places that come further away are held so often, one that was far before with a ring of vertices more around it.
 ATTEMPTS = 5
 # Then their whole component moves by these shares of what is left, and stays as placed in the end.
 SHARES = (0.75, 0.67, 0.5, 0.5, 0.0)
@@ -120,11 +120,11 @@ def fit_corrections(
     fit.hold_back()
     if roughly:
         return fit.apply
-    for attempt in range(ATTEMPTS):
+    for _ in range(ATTEMPTS):
         far = fit.far_vertices(reach)
         if not far.any():
             return fit.apply
-        fit.hold_places(far, attempt)
+        fit.hold_places(far)
         fit.hold_back()
     for share in SHARES:
         far = fit.far_vertices(reach)
@@ -211,6 +211,7 @@ class _Refit:
         self._hold = new_arrays.uploaded(self._stiffness, dtype=wp.vec3, device=device)
         self._held = np.ones(self._vertex_count, dtype=np.float32)
         self._correction = new_arrays.zeros(self._vertex_count, dtype=wp.vec3, device=device)
+        self._times_far = np.zeros(self._vertex_count, dtype=np.int32)
         self._limits = ComponentLimits(
             self._matching, source.points, self._keys.points, faces, placer.vertex_map, self._faces, device
         )
@@ -350,10 +351,15 @@ class _Refit:
         self._keys.move(self._correction, self._moved)
         return self._limits.far_vertices(self._moved, reach)
 
-    def hold_places(self, marked: np.ndarray, rings: int) -> None:
-        """Stiffen vertices (C,) bool and so many rings around them, as the surfaces were paired last."""
-        for _ in range(rings):
-            marked[self._faces[marked[self._faces].any(axis=1)].ravel()] = True
+    def hold_places(self, far: np.ndarray) -> None:
+        """Stiffen vertices (C,) bool, as the surfaces were paired last; one that was far before with a ring more."""
+        self._times_far[far] += 1
+        times = np.where(far, self._times_far, 0)
+        marked = np.zeros_like(far)
+        for rings in range(int(times.max()) - 1, -1, -1):
+            marked |= times > rings
+            if rings:
+                marked[self._faces[marked[self._faces].any(axis=1)].ravel()] = True
         self._assemble()
         self._stiffen(marked)
 
