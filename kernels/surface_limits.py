@@ -33,6 +33,7 @@ class Sample:
     point: wp.vec3
     face: wp.int32  # of the output: the sample's own, or where the walk ended; -1 for no sample
     is_input: wp.bool
+    vertex: wp.int32  # of the input, at the sample; -1 for one of the output
     squared: wp.float32
 
 
@@ -42,7 +43,8 @@ class Limits:
 
     component: wp.array[wp.int32]  # (N',) of each output face
     squared: wp.array[wp.float32]  # of each component
-    output_squared: wp.array[wp.float32]  # of each component, by samples on itself alone
+    vertex_component: wp.array[wp.int32]  # (V,) the component that each input vertex went to, -1 for none
+    own_squared: wp.array[wp.float32]  # of each component, by samples of itself and of what went to it alone
     far: wp.array[wp.int32]  # (N',) 1 at output faces with a place that is further away
 
 
@@ -52,6 +54,7 @@ def paired_sample(samples: Samples, i: wp.int32) -> Sample:
     t = samples.input_turns.key
     sample = Sample()
     sample.face = wp.int32(-1)
+    sample.vertex = wp.int32(-1)
     sample.is_input = i < samples.input_turns.per_key
     on_output = i - samples.input_turns.per_key
     v = on_output - samples.output_turns.per_key
@@ -64,8 +67,10 @@ def paired_sample(samples: Samples, i: wp.int32) -> Sample:
             sample.squared = samples.input_pairs.squared[pair]
             if own < face_count:
                 sample.point = surface_point(samples.source, t, own, wp.vec3(1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0))
+                sample.vertex = samples.source.corner_vertex[3 * own]
             else:
                 sample.point = samples.source.points[t, own - face_count]
+                sample.vertex = own - face_count
     elif v < 0:
         pair = own_pair(samples.output_turns, t, on_output)
         if pair < samples.output_pairs.squared.shape[0]:
@@ -114,11 +119,17 @@ def raise_limits(
     sample = paired_sample(samples, wp.tid())
     if sample.face >= 0:
         component = limits.component[sample.face]
-        if sample.squared > limits.squared[component]:
+        is_own = sample.vertex < 0
+        if not is_own:
+            is_own = limits.vertex_component[sample.vertex] == component
+        least = limits.squared[component]
+        if is_own:
+            least = wp.min(least, limits.own_squared[component])
+        if sample.squared > least:
             squared = nearest_squared(samples, sample)
             wp.atomic_max(limits.squared, component, squared)
-            if not sample.is_input:
-                wp.atomic_max(limits.output_squared, component, squared)
+            if is_own:
+                wp.atomic_max(limits.own_squared, component, squared)
 
 
 @wp.kernel

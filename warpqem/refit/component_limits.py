@@ -71,9 +71,13 @@ class ComponentLimits:
         self.sampled = sampled = kernels.Limits()
         count = int(self._component.max(initial=-1)) + 1
         sampled.component = wp.array(self._component, dtype=wp.int32, device=device)
-        sampled.squared, sampled.output_squared = (
+        sampled.squared, sampled.own_squared = (
             wp.full(count, SMALLEST_DISTANCE**2, dtype=wp.float32, device=device) for _ in range(2)
         )
+        self._of_vertex = np.zeros(vertex_count, dtype=np.int32)
+        self._of_vertex[faces] = self._component[:, None]
+        of_input = np.where(vertex_map >= 0, self._of_vertex[vertex_map], -1).astype(np.int32)
+        sampled.vertex_component = wp.array(of_input, dtype=wp.int32, device=device)
         sampled.far = wp.zeros(len(faces), dtype=wp.int32, device=device)
         self._own: _OwnParts | None = None
 
@@ -109,17 +113,14 @@ class ComponentLimits:
             self._vertex_map,
             self._placed,
             self._faces,
-            self._component,
-            np.sqrt(self.sampled.output_squared.numpy()),
+            self._of_vertex,
+            np.sqrt(self.sampled.own_squared.numpy()),
             self._device,
         )
 
 
 class _OwnParts:
-    """How far components may be from their own parts of the input.
-
-    Distances from these are no less than from the whole input, so that limits begin with those found there, and are
-    raised to those as placed of components that come further away.
+    """How far components may be from their own parts of the input: what they were as placed, and a little more.
 
     Args:
         source: (K, V) vec3, key frames of the input.
@@ -127,8 +128,8 @@ class _OwnParts:
         vertex_map: (V,) int32, input vertex to output vertex.
         placed: (K, C) vec3, the output as placed.
         faces: (N', 3) int32, its faces.
-        component: (N',) int, of each of these.
-        limits: (n,) float32 of each component, in diagonals; kept.
+        component: (C,) int, of each of its vertices.
+        limits: (n,) float32 of each component, in diagonals: distances that it had at some samples as placed; kept.
         device: Warp device.
     """
 
@@ -144,58 +145,45 @@ class _OwnParts:
         device: str,
     ) -> None:
         self._device, self._corners, self._map, self._faces = device, corners, vertex_map, faces
-        self._limits, self._is_as_placed = limits, np.zeros(len(limits), dtype=bool)
+        self._component, self._limits = component, limits
         vertex_count = placed.shape[1]
-        self._component = np.zeros(vertex_count, dtype=component.dtype)
-        self._component[faces] = component[:, None]
-        self._reference, self._placed = (pack_frames(points, device) for points in (source, placed))
+        self._reference, lanes = (pack_frames(points, device) for points in (source, placed))
         around, self._around_output = FacesAround(corners, len(vertex_map)), FacesAround(faces, vertex_count)
         self._input = input_side(self._reference, around, vertex_map, np.arange(len(corners)), vertex_count)
         is_used = np.zeros(len(vertex_map), dtype=bool)
         is_used[corners] = True
-        self._vertex = np.flatnonzero(is_used)
-        self._large = large_faces(self._reference, around, self._placed, faces, device)
+        self._vertex, self._kept = np.flatnonzero(is_used), np.unique(faces)
+        self._large = corners[large_faces(self._reference, around, lanes, faces, device)]
+        # How far vertices are decides how closely points of faces are looked at.
+        vertices, kept, *sampled = self._places(lanes)
+        for places in ([vertices, kept], sampled):
+            for one, distance in zip(places, self._distances(places), strict=True):
+                np.maximum.at(limits, self._of(one), distance)
+        limits *= GROWTH
 
     def far_vertices(self, moved: wp.array) -> npt.NDArray[np.bool_]:
         """(C,) bool, vertices at places that are further away than any of their component was as placed."""
-        places = self._places(pack_frames(moved, self._device), None)
-        found = self._distances(places)
-        raised = np.zeros(len(self._limits), dtype=bool)
-        for one, distance in zip(places, found, strict=True):
-            raised[self._of(one)[distance > self._limit(one)]] = True
-        raised &= ~self._is_as_placed
-        if raised.any():
-            as_placed = self._places(self._placed, raised)
-            for one, distance in zip(as_placed, self._distances(as_placed), strict=True):
-                np.maximum.at(self._limits, self._of(one), distance)
-            self._limits[raised] *= GROWTH
-            self._is_as_placed |= raised
+        places = self._places(pack_frames(moved, self._device))
         marked = np.zeros(len(self._component), dtype=bool)
-        for one, distance in zip(places, found, strict=True):
+        for one, distance in zip(places, self._distances(places), strict=True):
             marked[one.clusters[distance > self._limit(one)]] = True
         return marked
 
-    def _places(self, lanes: wp.array, wanted: npt.NDArray[np.bool_] | None) -> list[Places]:
-        """The places of the components that are wanted (n,), None for all, with the output in ``lanes``."""
-        vertex, large, faces = self._vertex, self._large, self._faces
-        if wanted is not None:
-            of = wanted[self._component]
-            vertex, large = vertex[of[self._map[vertex]]], large[of[self._map[self._corners[large, 0]]]]
-            faces = faces[of[faces[:, 0]]]
-        around = self._around_output
+    def _places(self, lanes: wp.array) -> list[Places]:
+        """All places, with the output in ``lanes``: vertices first."""
+        around, faces = self._around_output, self._faces
         output = Side(lanes, around, (around.start, around.face))
-        corners = self._corners[large]
         return [
-            InputVertices(self._reference, output, vertex, self._map[vertex]),
-            SampledFaces(self._reference, corners, self._map[corners], output, around),
+            InputVertices(self._reference, output, self._vertex, self._map[self._vertex]),
+            SimplifiedVertices(lanes, self._input, self._kept, around),
+            SampledFaces(self._reference, self._large, self._map[self._large], output, around),
             SampledFaces(lanes, faces, faces, self._input, around),
-            SimplifiedVertices(lanes, self._input, np.unique(faces), around),
         ]
 
     def _distances(self, places: list[Places]) -> list[npt.NDArray[np.float32]]:
         return furthest_of(places, [self._limit(one) for one in places], self._device)
 
-    def _of(self, places: Places) -> np.ndarray:
+    def _of(self, places: Places) -> npt.NDArray[np.integer]:
         """The component of each place."""
         return self._component[places.clusters[:, 0]]
 
