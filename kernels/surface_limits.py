@@ -112,8 +112,9 @@ def raise_limits(
     # in and out
     limits: Limits,
 ):
-    """Raise the limit of each component to the largest squared distance of its samples in a key frame.
+    """Raise the limits of each component to the largest squared distance of its samples in a key frame.
 
+    One counts samples of the input whose nearest face is of the component, the other those alone that went to it.
     Only where a walk ends further away than that a search is needed: at few samples, whatever their order.
     """
     sample = paired_sample(samples, wp.tid())

@@ -41,8 +41,8 @@ class ComponentLimits:
 
     Args:
         matching: pairs the input's key frames with those of the output as it lies.
-        source: (K, V) vec3, the former.
-        placed: (K, C) vec3, these as placed.
+        source: (K, V) vec3, the input's key frames.
+        placed: (K, C) vec3, the output's as placed.
         corners: (N, 3) int32, the input's faces, as ``matching`` has them.
         vertex_map: (V,) int32, input vertex to output vertex.
         faces: (N', 3) int32, the output's.
