@@ -162,4 +162,6 @@ def test_the_longest_edge_of_a_face_is_that_of_the_frame_in_which_it_is_longest(
     own, _, block, _ = blocks(rng, frame_count, device)
     corner = own[:, FACES].astype(np.float64)
     expected = np.linalg.norm(corner - np.roll(corner, 1, axis=2), axis=3).max(axis=(0, 2))
-    np.testing.assert_allclose(longest_edges(block, FACES, device), expected, rtol=1e-5)
+    found = longest_edges([(block, FACES), (block, FACES[5:9])], device)
+    np.testing.assert_allclose(found[0], expected, rtol=1e-5)
+    np.testing.assert_array_equal(found[1], found[0][5:9])

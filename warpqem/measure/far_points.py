@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +12,7 @@ import warp as wp
 from warpqem.kernels import distance_points as kernels
 from warpqem.kernels.lanes import width_of
 from warpqem.mesh.grouping import order_by
+from warpqem.runtime import new_arrays
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.part_launches import corners_of, launch_in_parts, rows_of
 
@@ -153,17 +154,25 @@ def _measure(given: PointsAndFaces, within: wp.array, furthest: wp.array, device
     )
 
 
-def longest_edges(lanes: wp.array, faces: npt.NDArray[np.integer], device: str) -> npt.NDArray[np.float32]:
-    """The length of the longest edge of each face (N, 3) in any frame of blocks (V, B): (N,)."""
-    corner_vertex = wp.array(np.ascontiguousarray(faces).ravel(), dtype=wp.int32, device=device)
-    squared = wp.empty(len(faces), dtype=wp.float32, device=device)
-    launch_in_parts(
-        kernels.longest_edges[width_of(lanes)],
-        len(faces),
-        [lanes, corners_of(corner_vertex)],
-        [rows_of(squared)],
-        device=device,
-        min_items=MIN_POINTS,
-    )
-    length: npt.NDArray[np.float32] = np.sqrt(squared.numpy())
-    return length
+def longest_edges(
+    surfaces: Sequence[tuple[wp.array, npt.NDArray[np.integer]]], device: str
+) -> list[npt.NDArray[np.float32]]:
+    """The length of the longest edge of each face (N, 3) in any frame of blocks (V, B), (N,) of each surface.
+
+    They come to the host at once.
+    """
+    ends = np.cumsum([len(faces) for _, faces in surfaces])
+    squared = new_arrays.empty(int(ends[-1]), dtype=wp.float32, device=device)
+    for (lanes, faces), end in zip(surfaces, ends.tolist(), strict=True):
+        corner_vertex = new_arrays.uploaded(
+            np.ascontiguousarray(faces, dtype=np.int32).ravel(), dtype=wp.int32, device=device
+        )
+        launch_in_parts(
+            kernels.longest_edges[width_of(lanes)],
+            len(faces),
+            [lanes, corners_of(corner_vertex)],
+            [rows_of(squared[end - len(faces) : end])],
+            device=device,
+            min_items=MIN_POINTS,
+        )
+    return np.split(np.sqrt(squared.numpy()), ends[:-1])

@@ -217,9 +217,8 @@ def large_faces(
     reference: wp.array, around: FacesAround, test: wp.array, faces: npt.NDArray[np.integer], device: str
 ) -> npt.NDArray[np.int64]:
     """The input's faces, of blocks ``reference``, that are larger than those of a simplified mesh, ``test``."""
-    own = longest_edges(reference, around.corner_vertex.reshape(-1, 3), device)
-    mean = float(longest_edges(test, faces, device).mean())
-    return np.flatnonzero(own > LARGE * mean)
+    own, simplified = longest_edges([(reference, around.corner_vertex.reshape(-1, 3)), (test, faces)], device)
+    return np.flatnonzero(own > LARGE * float(simplified.mean()))
 
 
 def furthest_of(

@@ -26,6 +26,7 @@ from warpqem.measure.surface_places import (
 )
 from warpqem.mesh.components import lowest_members
 from warpqem.refit.matching import Matching
+from warpqem.runtime.device import device_traits
 
 __all__ = ["ComponentLimits"]
 
@@ -154,9 +155,10 @@ class _OwnParts:
         is_used[corners] = True
         self._vertex, self._kept = np.flatnonzero(is_used), np.unique(faces)
         self._large = corners[large_faces(self._reference, around, lanes, faces, device)]
-        # How far vertices are decides how closely points of faces are looked at.
-        vertices, kept, *sampled = self._places(lanes)
-        for places in ([vertices, kept], sampled):
+        # How far vertices are decides how closely points of faces are looked at. Where the host would wait for that, all
+        # are looked at together, which finds the same.
+        every = self._places(lanes)
+        for places in (every[:2], every[2:]) if device_traits(device).in_order else (every,):
             for one, distance in zip(places, self._distances(places), strict=True):
                 np.maximum.at(limits, self._of(one), distance)
         limits *= GROWTH
