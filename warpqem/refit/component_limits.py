@@ -155,8 +155,8 @@ class _OwnParts:
         is_used[corners] = True
         self._vertex, self._kept = np.flatnonzero(is_used), np.unique(faces)
         self._large = corners[large_faces(self._reference, around, lanes, faces, device)]
-        # How far vertices are decides how closely points of faces are looked at. Where the host would wait for that, all
-        # are looked at together, which finds the same.
+        # How far vertices are decides how closely points of faces are looked at. Where the host would wait for that,
+        # all are looked at together: it finds the same.
         every = self._places(lanes)
         for places in (every[:2], every[2:]) if device_traits(device).in_order else (every,):
             for one, distance in zip(places, self._distances(places), strict=True):
