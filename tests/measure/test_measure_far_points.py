@@ -1,4 +1,4 @@
-"""Vertices far from the faces around, in many frames at once, against the closest points of trimesh."""
+"""Points and places far from the faces around, in many frames at once, against the closest points of trimesh."""
 
 from dataclasses import replace
 

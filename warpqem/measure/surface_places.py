@@ -57,26 +57,35 @@ class Side:
 
 
 @dataclass(frozen=True)
-class InputVertices:
-    """Input vertices (n,), each with its cluster.
+class _Vertices:
+    """Vertices (n,) of one surface, and the other one.
 
     Attributes:
-        lanes: (V, B) blocks of the input.
-        side: the simplified mesh.
+        lanes: (V, B) blocks of its points.
+        side: the other surface.
         vertex: (n,) int.
-        cluster: (n,) int.
     """
 
     lanes: wp.array
     side: Side
     vertex: npt.NDArray[np.integer]
-    cluster: npt.NDArray[np.integer]
     points_of_each: ClassVar[int] = 1
 
     @property
     def count(self) -> int:
         """Vertices n."""
         return len(self.vertex)
+
+
+@dataclass(frozen=True)
+class InputVertices(_Vertices):
+    """Input vertices (n,), each with its cluster.
+
+    Attributes:
+        cluster: (n,) int.
+    """
+
+    cluster: npt.NDArray[np.integer]
 
     @property
     def clusters(self) -> npt.NDArray[np.integer]:
@@ -152,27 +161,15 @@ class SampledFaces:
 
 
 @dataclass(frozen=True)
-class SimplifiedVertices:
+class SimplifiedVertices(_Vertices):
     """Vertices (n,) of the simplified mesh, with the faces of the input at their clusters: one that sticks out of the
     input is further away than any point inside its faces.
 
     Attributes:
-        lanes: (C, B) blocks of the simplified mesh.
-        side: the input.
-        vertex: (n,) int.
         around_clusters: the simplified mesh's faces at each of its clusters.
     """
 
-    lanes: wp.array
-    side: Side
-    vertex: npt.NDArray[np.integer]
     around_clusters: FacesAround
-    points_of_each: ClassVar[int] = 1
-
-    @property
-    def count(self) -> int:
-        """Vertices n."""
-        return len(self.vertex)
 
     @property
     def clusters(self) -> npt.NDArray[np.integer]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -84,26 +85,26 @@ def _is_quick(device: wp.DeviceLike) -> bool:
     return not device_traits(str(device)).own_memory
 
 
+def _over_new_memory(make: Callable[..., Any], shape: Shape, dtype: Any, device: wp.DeviceLike) -> wp.array | None:
+    """A small array on a CPU over bytes that ``make`` makes; None for others."""
+    if not _is_quick(device):
+        return None
+    extents = _shape(shape)
+    kind = _kind(dtype, len(extents))
+    size = math.prod(extents) * kind.item_bytes
+    return kind.over(make(size, dtype=np.uint8), extents) if 0 < size <= SMALL else None
+
+
 def empty(shape: Shape, dtype: Any, device: wp.DeviceLike) -> wp.array:
     """What ``wp.empty`` gives."""
-    if _is_quick(device):
-        extents = _shape(shape)
-        kind = _kind(dtype, len(extents))
-        size = math.prod(extents) * kind.item_bytes
-        if 0 < size <= SMALL:
-            return kind.over(np.empty(size, dtype=np.uint8), extents)
-    return wp.empty(shape, dtype=dtype, device=device)
+    made = _over_new_memory(np.empty, shape, dtype, device)
+    return wp.empty(shape, dtype=dtype, device=device) if made is None else made
 
 
 def zeros(shape: Shape, dtype: Any, device: wp.DeviceLike) -> wp.array:
     """What ``wp.zeros`` gives."""
-    if _is_quick(device):
-        extents = _shape(shape)
-        kind = _kind(dtype, len(extents))
-        size = math.prod(extents) * kind.item_bytes
-        if 0 < size <= SMALL:
-            return kind.over(np.zeros(size, dtype=np.uint8), extents)
-    return wp.zeros(shape, dtype=dtype, device=device)
+    made = _over_new_memory(np.zeros, shape, dtype, device)
+    return wp.zeros(shape, dtype=dtype, device=device) if made is None else made
 
 
 def full(shape: Shape, value: float, dtype: Any, device: wp.DeviceLike) -> wp.array:
