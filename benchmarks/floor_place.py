@@ -83,15 +83,15 @@ def _measure_stiffness(a: Arguments) -> Demand:
     frames, clusters, outputs = frames_of(a["points_in"]), a["clusters"], len(a["area_out"])
     faces, members = clusters.face.size, clusters.member.size
     once = faces * 4 * INT + members * 2 * INT + clusters.border.size * 2 * INT + outputs * 10 * INT
-    # Seven stiffnesses are tried at each place.
-    flops = faces * PLANE_FLOPS + members * 6 + outputs * 7 * (SOLVE_FLOPS + 30)
-    results = size_of(a["error_out"]) + size_of(a["area_out"])
+    # Nine stiffnesses are tried at each place.
+    flops = faces * PLANE_FLOPS + members * 6 + outputs * 9 * (SOLVE_FLOPS + 39)
+    results = sum(size_of(a[name]) for name in ("error_out", "offset_out", "area_out"))
     return Demand(once + size_of(a["points_in"]) + results, frames * flops)
 
 
 def _sum_stiffness(a: Arguments) -> Demand:
-    moved = sum(size_of(a[name]) for name in ("error_in", "area_in", "sum_out"))
-    return Demand(moved, a["error_in"].size + a["area_in"].size)
+    moved = sum(size_of(a[name]) for name in ("error_in", "offset_in", "area_in", "sum_out"))
+    return Demand(moved, 5 * a["error_in"].size + a["area_in"].size)
 
 
 def _finish_anchors(a: Arguments) -> Demand:

@@ -27,6 +27,7 @@ from warpqem.kernels.topology import half_edge_target, next_corner, previous_cor
 # Stiffnesses that are tried at a cluster.
 STEPS = wp.constant(wp.int32(9))
 Steps = wp.types.vector(length=int(STEPS), dtype=wp.float32)
+StepOffsets = wp.types.matrix(shape=(int(STEPS), 4), dtype=wp.float32)
 
 
 @wp.struct
@@ -140,16 +141,19 @@ def measure_stiffness(
     first_cluster: wp.int32,
     # out
     error_out: wp.array3d[wp.float32],
+    offset_out: wp.array3d[wp.vec4],
     area_out: wp.array2d[wp.float32],
 ):
     """What clusters would have of area times squared distance from their planes in blocks of frames, by stiffness.
 
-    ``stiffness_in`` (C, S) and ``error_out`` (C, B, S) are of S = ``STEPS`` choices; ``area_out`` (C, B) is what the
-    planes weigh. All is zero at clusters that are not solved for.
+    ``stiffness_in`` (C, S), ``error_out`` and ``offset_out`` (C, B, S) are of S = ``STEPS`` choices; offsets are sums
+    of how far a vertex is from its anchor, (x, y, z), and of the squares of these distances; ``area_out`` (C, B) is
+    what the planes weigh. All is zero at clusters that are not solved for.
     """
     i, t = wp.tid()
     c = first_cluster + i
     error = Steps()
+    offset = StepOffsets()
     area = wp.float32(0.0)
     if clusters.solved[c] == 1:
         anchor = anchor_position(points_in, clusters, c, t)
@@ -160,30 +164,44 @@ def measure_stiffness(
             x = tangential_minimiser(q, stiffness_in[c, step])
             value = q[9] + lane_dot(x, 2.0 * linear_part(q) + apply_matrix(q, x))
             error[step] = lane_sum(lane_max(value, 0.0))
+            offset[step] = wp.vec4(lane_sum(x[0]), lane_sum(x[1]), lane_sum(x[2]), lane_sum(lane_dot(x, x)))
     for step in range(STEPS):
-        error_out[c, t, step] = error[step]
-    area_out[c, t] = area
+        error_out[i, t, step] = error[step]
+        offset_out[i, t, step] = offset[step]
+    area_out[i, t] = area
 
 
 @wp.kernel
 def sum_stiffness(
     # in
     error_in: wp.array3d[wp.float32],
+    offset_in: wp.array3d[wp.vec4],
     area_in: wp.array2d[wp.float32],
+    frame_count: wp.int32,
     # out
     sum_out: wp.array2d[wp.float32],
 ):
-    """Sums over all frames, (C, S + 1), the area last, of what :func:`measure_stiffness` finds in blocks of them."""
+    """Sums over all frames, (C, 2 S + 1), of what :func:`measure_stiffness` finds in blocks of them.
+
+    Errors come first, then squared distances of vertices from where they are in the mean, beside anchors, then areas.
+    """
     c = wp.tid()
-    for step in range(error_in.shape[2]):
+    steps = error_in.shape[2]
+    for step in range(steps):
         error = wp.float32(0.0)
+        offset = wp.vec4d()
         for t in range(error_in.shape[1]):
             error += error_in[c, t, step]
+            offset += wp.vec4d(offset_in[c, t, step])
+        mean = wp.vec3d(offset[0], offset[1], offset[2]) / wp.float64(frame_count)
         sum_out[c, step] = error
+        sum_out[c, steps + step] = wp.float32(
+            wp.max(offset[3] - wp.float64(frame_count) * wp.length_sq(mean), wp.float64(0.0))
+        )
     area = wp.float32(0.0)
     for t in range(area_in.shape[1]):
         area += area_in[c, t]
-    sum_out[c, error_in.shape[2]] = area
+    sum_out[c, 2 * steps] = area
 
 
 @lane_kernel(blocks_in=POINTS_ARRAY)

@@ -120,13 +120,13 @@ def test_normal_is_the_sum_of_the_faces_cross_products(device):
 CHOICES = np.geomspace(0.6, 0.001, int(STEPS)).astype(np.float32)
 
 
-def measured(points, faces, clusters, device, choices=CHOICES) -> tuple[np.ndarray, float]:
-    """(errors with each choice, area) of the one cluster."""
+def measured(points, faces, clusters, device, choices=CHOICES) -> tuple[np.ndarray, np.ndarray, float]:
+    """(errors with each choice, how far it wanders, area) of the one cluster."""
     position = packed(points, device)
     clusters.stiffness = wp.full(1, EPSILON, dtype=wp.float32, device=device)
     data = ClusterData(wp.array(faces.ravel(), dtype=wp.int32, device=device), rows_of(clusters), *2 * [np.empty(0)])
-    error, area = BlockPlacer(data, device).measure_stiffness(position, choices[None])
-    return error[0], float(area[0])
+    error, wander, area = BlockPlacer(data, device).measure_stiffness(position, len(points), choices[None])
+    return error[0], wander[0], float(area[0])
 
 
 def rows_of(clusters) -> dict[str, wp.array]:
@@ -137,7 +137,7 @@ def rows_of(clusters) -> dict[str, wp.array]:
 @pytest.mark.parametrize("members", [[0, 1], [0, 6, 7, 12]])
 def test_error_of_a_stiffness_is_that_of_the_quadrics_where_it_leaves_the_vertex(name, members, device):
     points, faces = MESHES[name]
-    error, area = np.zeros(len(CHOICES)), 0.0
+    error, area, offsets = np.zeros(len(CHOICES)), 0.0, []
     for frame in points.astype(np.float64):
         anchor = frame[members].mean(axis=0)
         own = oracle.vertex_quadrics(frame, faces, origin=np.repeat(anchor[None], len(frame), axis=0))
@@ -145,10 +145,13 @@ def test_error_of_a_stiffness_is_that_of_the_quadrics_where_it_leaves_the_vertex
         for m in members:
             total += own[m]
         area += np.trace(total.A)
-        error += [total(oracle.tangential_minimiser(total, float(stiffness))) for stiffness in CHOICES]
+        offsets.append([oracle.tangential_minimiser(total, float(stiffness)) for stiffness in CHOICES])
+        error += [total(offset) for offset in offsets[-1]]
     found = measured(points, faces, gathered(faces, members, device), device)
     np.testing.assert_allclose(found[0], error, rtol=1e-3, atol=1e-6)
-    np.testing.assert_allclose(found[1], area, rtol=1e-5)
+    about_mean = np.array(offsets) - np.mean(offsets, axis=0)
+    np.testing.assert_allclose(found[1], (about_mean**2).sum(axis=(0, 2)), rtol=1e-2, atol=1e-6)
+    np.testing.assert_allclose(found[2], area, rtol=1e-5)
 
 
 def test_other_numbers_of_choices_than_the_kernel_has_room_for_are_refused(device):
@@ -159,8 +162,9 @@ def test_other_numbers_of_choices_than_the_kernel_has_room_for_are_refused(devic
 
 def test_a_vertex_that_is_not_solved_has_no_error_by_stiffness(device):
     points, faces = MESHES["closed"]
-    error, area = measured(points, faces, gathered(faces, [0, 1], device, solved=0), device)
+    error, wander, area = measured(points, faces, gathered(faces, [0, 1], device, solved=0), device)
     assert not error.any()
+    assert not wander.any()
     assert area == 0.0
 
 

@@ -11,10 +11,12 @@ from warpqem.kernels.placement import STEPS
 from warpqem.place.stiffness import (
     MAX_ADDED,
     MAX_ADDED_SHARE,
+    MIN_ADDED,
     MIN_STIFFNESS,
-    SHARE_POWER,
+    PRICE_POWER,
+    WANDER_TRADE,
     choose_softness,
-    max_added_share,
+    coherence_price,
     recent_errors,
     softer_choices,
 )
@@ -51,10 +53,16 @@ def descending(values):
     return np.sort(values, axis=1)[:, ::-1]
 
 
-@given(arrays.arrays(np.float32, (CLUSTERS, int(STEPS)), elements=POSITIVE).map(descending), POSITIVE)
+ERRORS = arrays.arrays(np.float32, (CLUSTERS, int(STEPS)), elements=POSITIVE).map(descending)
+WANDERS = arrays.arrays(np.float32, (CLUSTERS, int(STEPS)), elements=POSITIVE)
+# A hundred times as far with each step: more than any error within the share is worth.
+DEAR = np.float32(1e4) ** np.arange(int(STEPS), dtype=np.float32) * np.ones((CLUSTERS, 1), dtype=np.float32)
+
+
+@given(ERRORS, POSITIVE)
 def test_the_choice_is_the_first_that_adds_no_more_than_its_bound(error, recent):
     area = np.full(CLUSTERS, 0.5)
-    chosen = choose_softness(error, area, np.full(CLUSTERS, recent), np.inf)
+    chosen = choose_softness(error, np.zeros_like(error), area, np.full(CLUSTERS, recent), np.inf)
     added = error.astype(np.float64) - error[:, -1:].astype(np.float64)
     bound = max(MAX_ADDED * np.float64(np.float32(recent)), 1e-6) ** 2 * 0.5
     row = np.arange(CLUSTERS)
@@ -64,19 +72,51 @@ def test_the_choice_is_the_first_that_adds_no_more_than_its_bound(error, recent)
 
 
 @pytest.mark.parametrize("epsilon", [0.1, 0.5, 20.0])
-@given(error=arrays.arrays(np.float32, (CLUSTERS, int(STEPS)), elements=POSITIVE).map(descending))
-def test_the_whole_mesh_is_softened_until_stiffness_adds_its_share(epsilon, error):
+@given(error=ERRORS, wander=WANDERS)
+def test_the_whole_mesh_is_softened_until_stiffness_adds_its_share(epsilon, error, wander):
     area = np.full(CLUSTERS, 1e-3)
-    alone = choose_softness(error, area, np.ones(CLUSTERS), np.inf)
-    chosen = choose_softness(error, area, np.ones(CLUSTERS), max_added_share(epsilon))
+    alone = choose_softness(error, wander, area, np.ones(CLUSTERS), np.inf)
+    chosen = choose_softness(error, wander, area, np.ones(CLUSTERS), coherence_price(epsilon))
     assert (chosen >= alone).all()
     total = error[np.arange(CLUSTERS), chosen].sum(dtype=np.float64)
-    assert (
-        total
-        <= (1 + MAX_ADDED_SHARE * max(1, epsilon / 0.5) ** SHARE_POWER) * error[:, -1].sum(dtype=np.float64) + 1e-6
-    )
+    share = MAX_ADDED_SHARE * max(1, epsilon / 0.5) ** PRICE_POWER
+    assert total <= (1 + share) * error[:, -1].sum(dtype=np.float64) + 1e-6
+
+
+@given(error=ERRORS)
+def test_no_mesh_is_softened_beyond_its_share_where_vertices_would_wander_far(error):
+    # So large a recent error that no cluster is softened by itself.
+    area, recent = np.full(CLUSTERS, 1e-3), np.full(CLUSTERS, 1e4)
+    chosen = choose_softness(error, DEAR, area, recent, 1.0)
+    assert len(set(chosen)) == 1
+    most = (1 + MAX_ADDED_SHARE) * (error[:, -1].sum(dtype=np.float64) + MIN_ADDED**2 * area.sum())
+    assert chosen[0] == 0 or error[:, chosen[0] - 1].sum(dtype=np.float64) + MIN_ADDED**2 * area.sum() > most
+
+
+@given(error=ERRORS)
+def test_a_mesh_whose_vertices_wander_no_further_is_as_soft_as_its_error_asks(error):
+    wander, area, recent = np.ones_like(error), np.full(CLUSTERS, 1e-3), np.ones(CLUSTERS)
+    chosen = choose_softness(error, wander, area, recent, 1.0)
+    assert error[np.arange(CLUSTERS), chosen].sum() <= error[:, -1].sum() * (1 + 1e-6) + 1e-6
+
+
+@given(error=ERRORS)
+def test_a_mesh_that_does_not_move_is_softened_for_its_share_alone(error):
+    area, recent = np.full(CLUSTERS, 1e-3), np.ones(CLUSTERS)
+    still, dear = (choose_softness(error, wander, area, recent, 1.0) for wander in (np.zeros_like(error), DEAR))
+    assert (still <= dear).all()
+
+
+def test_a_gain_of_error_is_weighed_against_what_vertices_wander_further():
+    steps = int(STEPS)
+    # Each step gains 1 % of the squared error, all within the share; where nothing wanders further up to the last.
+    error = np.repeat((1.01 ** np.arange(steps, 0, -1.0))[None], CLUSTERS, axis=0).astype(np.float32)
+    area, recent = np.full(CLUSTERS, 1e-3), np.full(CLUSTERS, 1e3)
+    for factor, expected in ((1.01 ** (0.9 / WANDER_TRADE), steps - 1), (1.01 ** (1.1 / WANDER_TRADE), 0)):
+        wander = np.repeat((factor ** np.arange(steps))[None], CLUSTERS, axis=0).astype(np.float32)
+        assert set(choose_softness(error, wander, area, recent, 1.0)) == {expected}
 
 
 def test_no_clusters_have_no_choice():
     error = np.empty((0, int(STEPS)), dtype=np.float32)
-    assert len(choose_softness(error, np.empty(0), np.empty(0, dtype=np.float32), 0.2)) == 0
+    assert len(choose_softness(error, error, np.empty(0), np.empty(0, dtype=np.float32), 1.0)) == 0

@@ -16,7 +16,6 @@ from warpqem.decimation.adjacency import build_adjacency
 from warpqem.kernels.element_solve import Elements
 from warpqem.measure import compare
 from warpqem.pipeline import place_frames, prepare
-from warpqem.place import stiffness
 from warpqem.refit import fit_surface, material_frames
 from warpqem.refit.matching import OUTPUT_SAMPLES
 from warpqem.refit.solve import ElementSolver
@@ -94,12 +93,13 @@ def test_refit_fits_borders_to_borders(device):
     assert border_error(cloth, refitted) < 0.95 * border_error(cloth, placed)
 
 
-def test_refit_leaves_the_ends_of_seams_where_they_are(device):
+def test_refit_leaves_the_ends_of_seams_where_they_are(device, monkeypatch):
+    # Both are placed alike.
+    monkeypatch.setattr(prepare, "coherence_price", lambda _: np.inf)
     points, faces = meshes.waving_grid(20, 4)
     column = np.arange(5, 15) * 21 + 10
     seams = np.stack([column[:-1], column[1:]], axis=1)
     placed, refitted = (
-        # Without coherence, which a refit has place vertices more softly, both are placed alike.
         warpqem.simplify(points, faces, ratio=0.1, seams=seams, refit=r, coherence=0.0, device=device)
         for r in (False, True)
     )
@@ -166,7 +166,7 @@ def test_refit_of_a_mesh_without_area_changes_nothing(device):
 def test_refit_moves_vertices_of_seams_across_the_surface(device, monkeypatch):
     # Of the same vertices, held alike where they are placed.
     monkeypatch.setattr(prepare, "SPARE", 0.0)
-    monkeypatch.setattr(stiffness, "MAX_ADDED_SHARE", np.inf)
+    monkeypatch.setattr(prepare, "coherence_price", lambda _: np.inf)
     points, faces = meshes.icosphere(4)
     seams = np.array(
         [

@@ -72,6 +72,7 @@ class DecimatedMesh:
         face_map: (N',) int32, the input face that each of them was.
         root: (V,) int32, the kept vertex that each input vertex collapsed into.
         key_position: (V, B) points, the input on the key frames, in diagonals.
+        key_count: key frames.
         row: (V,) int32, the row that each input vertex has in ``position`` and ``quadric``.
         position: (V, B) points, where ordering put the kept vertices.
         quadric: (V, B) quadric of each kept vertex's cluster, about ``position``; that of the first key frame holds the
@@ -89,6 +90,7 @@ class DecimatedMesh:
     face_map: np.ndarray
     root: np.ndarray
     key_position: wp.array
+    key_count: int
     row: np.ndarray
     position: wp.array
     quadric: wp.array
@@ -162,6 +164,7 @@ def order_collapses(
         face_map=face_map,
         root=root,
         key_position=mesh.key_position,
+        key_count=mesh.key_count,
         row=row,
         position=frames.position,
         quadric=frames.quadric,

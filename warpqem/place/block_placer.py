@@ -19,9 +19,12 @@ from warpqem.kernels import placement as kernels
 from warpqem.kernels.lanes import width_of
 from warpqem.mesh.mesh_input import AnimatedMesh
 from warpqem.runtime import new_arrays
-from warpqem.runtime.part_launches import FIRST_ITEM, columns_of, launch_in_parts, rows_of
+from warpqem.runtime.part_launches import FIRST_ITEM, PerPart, columns_of, launch_in_parts, rows_of
 
 __all__ = ["BlockPlacer", "ClusterData", "PlacedBlocks", "PlacedFrames", "pack_block"]
+
+# Blocks of frames times clusters times stiffnesses that are measured at once. Each takes 20 bytes: 20 MB at most.
+MAX_MEASURED = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -185,15 +188,21 @@ class BlockPlacer:
             new_arrays.uploaded(values, dtype=wp.int32, device=device) for values in copies
         )
 
-    def measure_stiffness(self, key_position: wp.array, stiffness: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """What clusters would have of area times squared distance from their planes, by stiffness; nothing is changed.
+    def measure_stiffness(
+        self, key_position: wp.array, key_count: int, stiffness: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What clusters would have with each stiffness; nothing is changed.
 
         Args:
             key_position: (V, B) blocks of points, the input on the key frames, in diagonals.
+            key_count: key frames K in these.
             stiffness: (C, STEPS) float32, those to try.
 
         Returns:
-            error: (C, STEPS) float32, sums over the key frames, in diagonals^4.
+            error: (C, STEPS) float32, area times squared distance from their planes, sums over the key frames, in
+                diagonals^4.
+            wander: (C, STEPS) float32, squared distance from where their vertex is in the mean, beside its anchor, in
+                diagonals squared, sums likewise.
             area: (C,) float32, sum of what the planes weigh, in diagonals squared.
 
         Raises:
@@ -203,21 +212,38 @@ class BlockPlacer:
         if steps != int(kernels.STEPS):
             # The kernel would write past the end.
             raise ValueError(f"{steps} stiffnesses of each cluster, {int(kernels.STEPS)} are tried")
-        errors = new_arrays.empty((count, block_count, steps), dtype=wp.float32, device=device)
-        areas = new_arrays.empty((count, block_count), dtype=wp.float32, device=device)
         choices = wp.array(stiffness, dtype=wp.float32, device=device, copy=False)
+        sums = new_arrays.empty((count, 2 * steps + 1), dtype=wp.float32, device=device)
+        at_once = max(1, MAX_MEASURED // max(1, block_count * steps))
+        for first in range(0, count, at_once):
+            part = sums if count <= at_once else sums[first : min(first + at_once, count)]
+            self._sum_stiffness(key_position, key_count, choices, first, part)
+        found = sums.numpy()
+        return found[:, :steps], found[:, steps : 2 * steps], found[:, 2 * steps]
+
+    def _sum_stiffness(
+        self, key_position: wp.array, key_count: int, choices: wp.array, first: int, sums: wp.array
+    ) -> None:
+        """Bring what some clusters from the first on would have into sums (n, 2 STEPS + 1)."""
+        count, block_count, device = len(sums), key_position.shape[1], self._device
+        shape = (count, block_count, int(kernels.STEPS))
+        errors, areas = (new_arrays.empty(size, dtype=wp.float32, device=device) for size in (shape, shape[:2]))
+        offsets = new_arrays.empty(shape, dtype=wp.vec4, device=device)
+        found = [rows_of(errors), rows_of(offsets), rows_of(areas)]
         launch_in_parts(
             kernels.measure_stiffness[width_of(key_position)],
-            (count, block_count),
-            inputs=[key_position, self._corner_vertex, self._clusters, choices, FIRST_ITEM],
-            outputs=[errors, areas],
+            shape[:2],
+            inputs=[
+                key_position,
+                self._corner_vertex,
+                self._clusters,
+                choices,
+                PerPart(lambda part: first + part.start),
+            ],
+            outputs=found,
             device=device,
         )
-        sums = new_arrays.empty((count, steps + 1), dtype=wp.float32, device=device)
-        inputs, outputs = [rows_of(errors), rows_of(areas)], [rows_of(sums)]
-        launch_in_parts(kernels.sum_stiffness, count, inputs, outputs, device=device)
-        found = sums.numpy()
-        return found[:, :steps], found[:, steps]
+        launch_in_parts(kernels.sum_stiffness, count, [*found, key_count], [rows_of(sums)], device=device)
 
     def set_stiffness(self, stiffness: np.ndarray) -> None:
         """Hold clusters to their anchors from now on with this stiffness (C,), relative to their quadrics."""

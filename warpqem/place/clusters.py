@@ -42,9 +42,10 @@ class PlaceSettings:
         endpoint: every output vertex is an input vertex.
         loose: (V,) bool, input vertices whose clusters are placed by their quadrics, with the least
             regularisation; None for none.
-        max_share: soften all clusters until stiffness adds no more than that to the mean squared distance of the whole
-            mesh, relative to it. A cluster's place then depends on the others, so that levels of a progressive mesh,
-            which share clusters, do without: infinite.
+        price: soften all clusters until stiffness adds little to the mean squared distance of the whole mesh, and where
+            vertices then wander no further for it, see :func:`warpqem.place.stiffness.coherence_price`. A cluster's
+            place then depends on the others, so that levels of a progressive mesh, which share clusters, do without:
+            infinite.
         softening: halvings of the stiffness that all clusters have at least.
     """
 
@@ -52,7 +53,7 @@ class PlaceSettings:
     regularisation: float
     endpoint: bool
     loose: np.ndarray | None = None
-    max_share: float = math.inf
+    price: float = math.inf
     softening: int = 0
 
 
@@ -141,9 +142,9 @@ class ClusterPlacer:
         self.copied, self.softening = self._blocks.copied, settings.softening
         if not settings.endpoint:
             choices = softer_choices(stiffness)
-            error, area = self._blocks.measure_stiffness(ordered.key_position, choices)
+            error, wander, area = self._blocks.measure_stiffness(ordered.key_position, ordered.key_count, choices)
             recent = recent_errors(ordered.log, kept)
-            chosen = choose_softness(error, area, recent, settings.max_share, settings.softening)
+            chosen = choose_softness(error, wander, area, recent, settings.price, settings.softening)
             self.softening = int(chosen.min(initial=int(STEPS) - 1))
             self._blocks.set_stiffness(choices[np.arange(len(kept)), chosen])
 

@@ -18,7 +18,7 @@ __all__ = [
     "MIN_REGULARISATION",
     "MIN_STIFFNESS",
     "choose_softness",
-    "max_added_share",
+    "coherence_price",
     "recent_errors",
     "softer_choices",
     "stiffness_by_size",
@@ -42,14 +42,20 @@ MAX_ADDED = 1.5
 # Distances below this, in diagonals, are all the same: ten times what float32 resolves.
 MIN_ADDED = 1e-6
 # Stiffness may add so much to the mean squared distance of a whole mesh. It mostly adds 6 to 20 %, and up to 74 % where
-# deformation travels over the surface, as wrinkles do: there vertices have to go along. With 0.2, slide is 0.7 of what
-# it is, and the error 2.4 % more.
-MAX_ADDED_SHARE = 0.09
-# The stiffness at coherence one half, which that is for. Who asks for more gets it: the share grows with a power of the
+# deformation travels over the surface, as wrinkles do: there vertices have to go along.
+MAX_ADDED_SHARE = 0.15
+# A whole mesh is softened on where one percent less of its error costs less than 1 / 0.06 = 17 percent more of what its
+# vertices wander. Where parts of a mesh move against each other they may wander less, the softer they are held: an
+# anchor of vertices on both sides follows neither.
+WANDER_TRADE = 0.06
+# Root mean square, in diagonals, of what a vertex wanders where nothing does. There a softer mesh would have a 4 %
+# larger largest distance for its error.
+MIN_WANDER = 1e-5
+# The stiffness at coherence one half, which these are for. Who asks for more gets it: both grow with a power of the
 # stiffness, so that at coherence 1 nothing is softened (there stiffness adds two to three times the squared distance,
 # and the share is 3.8).
 SHARED_STIFFNESS = 0.5
-SHARE_POWER = 0.6
+PRICE_POWER = 0.6
 
 
 def stiffness_by_size(size: np.ndarray, epsilon: float, regularisation: float) -> tuple[np.ndarray, np.ndarray]:
@@ -66,13 +72,13 @@ def stiffness_by_size(size: np.ndarray, epsilon: float, regularisation: float) -
     return stiffness.astype(np.float32), evened.astype(np.float32)
 
 
-def max_added_share(epsilon: float) -> float:
-    """What stiffness may add to the mean squared distance of a whole mesh, relative to it.
+def coherence_price(epsilon: float) -> float:
+    """What coherence may cost, relative to what it may at coherence one half and less.
 
     Args:
         epsilon: stiffness as it is set, see :func:`stiffness_by_size`.
     """
-    return MAX_ADDED_SHARE * max(1.0, epsilon / SHARED_STIFFNESS) ** SHARE_POWER
+    return max(1.0, epsilon / SHARED_STIFFNESS) ** PRICE_POWER
 
 
 def softer_choices(stiffness: np.ndarray) -> np.ndarray:
@@ -99,27 +105,39 @@ def recent_errors(log: CollapseRecord, kept: np.ndarray) -> np.ndarray:
 
 
 def choose_softness(
-    error: np.ndarray, area: np.ndarray, recent: np.ndarray, max_share: float, softening: int = 0
+    error: np.ndarray, wander: np.ndarray, area: np.ndarray, recent: np.ndarray, price: float, softening: int = 0
 ) -> np.ndarray:
     """(C,) int, the first of the choices of each cluster that adds little to its distance from the input.
 
     Args:
         error: (C, S) area times squared distance with each choice, the softest last.
+        wander: (C, S) squared distance of the vertex from where it is in the mean, beside its anchor.
         area: (C,) what planes weigh.
         recent: (C,) what the mesh had come to when the cluster came to be, in diagonals.
-        max_share: see :class:`warpqem.place.clusters.PlaceSettings`.
+        price: see :class:`warpqem.place.clusters.PlaceSettings`.
         softening: choices that come before are none.
     """
     bound = np.maximum(MAX_ADDED * recent.astype(np.float64), MIN_ADDED)
     fits = error <= error[:, -1:] + (bound**2 * area)[:, None]
     fits[:, -1] = True
     chosen: np.ndarray = np.maximum(np.argmax(fits, axis=1), softening)
-    if math.isinf(max_share) or not len(chosen):
+    if math.isinf(price) or not len(chosen):
         return chosen
-    most = (1.0 + max_share) * error[:, -1].sum(dtype=np.float64) + MIN_ADDED**2 * area.sum(dtype=np.float64)
-    row = np.arange(len(chosen))
-    for least in range(softening, error.shape[1]):
-        chosen = np.maximum(chosen, least)
-        if error[row, chosen].sum(dtype=np.float64) <= most:
-            break
-    return chosen
+    choices = [np.maximum(chosen, least) for least in range(softening, error.shape[1])]
+    errors = MIN_ADDED**2 * area.sum(dtype=np.float64) + _totals(error, choices)
+    within = errors <= (1.0 + MAX_ADDED_SHARE * price) * errors[-1]
+    # Vertices that are as soft as can be in any case say nothing of the others.
+    others = chosen < error.shape[1] - 1
+    wanders = _totals(wander[others], [choice[others] for choice in choices])
+    if wanders[-1] <= others.sum() * MIN_WANDER**2:
+        return choices[int(np.argmax(within))]
+    # Of clusters without area all errors are zero.
+    logarithms = [np.log(np.maximum(values, np.finfo(np.float64).tiny)) for values in (errors, wanders)]
+    cost = np.dot([1.0, WANDER_TRADE * price], logarithms)
+    return choices[int(np.argmin(np.where(within, cost, np.inf)))]
+
+
+def _totals(values: np.ndarray, choices: list[np.ndarray]) -> np.ndarray:
+    """(n,) sums over all clusters of values (C, S) at each of n choices (C,)."""
+    row = np.arange(len(values))
+    return np.array([values[row, choice].sum(dtype=np.float64) for choice in choices])
