@@ -95,7 +95,7 @@ def test_refit_fits_borders_to_borders(device):
 
 def test_refit_leaves_the_ends_of_seams_where_they_are(device, monkeypatch):
     # Both are placed alike.
-    monkeypatch.setattr(prepare, "coherence_price", lambda _: np.inf)
+    monkeypatch.setattr(prepare, "cost_of_coherence", lambda _: np.inf)
     points, faces = meshes.waving_grid(20, 4)
     column = np.arange(5, 15) * 21 + 10
     seams = np.stack([column[:-1], column[1:]], axis=1)
@@ -166,7 +166,7 @@ def test_refit_of_a_mesh_without_area_changes_nothing(device):
 def test_refit_moves_vertices_of_seams_across_the_surface(device, monkeypatch):
     # Of the same vertices, held alike where they are placed.
     monkeypatch.setattr(prepare, "SPARE", 0.0)
-    monkeypatch.setattr(prepare, "coherence_price", lambda _: np.inf)
+    monkeypatch.setattr(prepare, "cost_of_coherence", lambda _: np.inf)
     points, faces = meshes.icosphere(4)
     seams = np.array(
         [

@@ -34,7 +34,7 @@ from warpqem.pipeline.key_frames import KeyFrameChoice
 from warpqem.pipeline.memory_plan import MemoryNeeds, MemoryPlan, admit_faces, plan_memory
 from warpqem.place.clusters import PlaceSettings
 from warpqem.place.place import Placer
-from warpqem.place.stiffness import MIN_STIFFNESS, coherence_price
+from warpqem.place.stiffness import MIN_STIFFNESS, cost_of_coherence
 from warpqem.repair.mended_mesh import faces_for, repaired_mesh, repaired_options
 from warpqem.runtime.device import resolve_device
 from warpqem.runtime.thread_limit import limit_threads, worthwhile_threads
@@ -127,7 +127,7 @@ class Prepared:
         """What places the vertices that decimation left, to be refitted or not."""
         settings = self.place_settings
         if refit:
-            settings = replace(settings, price=coherence_price(settings.epsilon))
+            settings = replace(settings, coherence_cost=cost_of_coherence(settings.epsilon))
         return Placer(
             self.mesh.faces,
             ordered,

@@ -42,10 +42,10 @@ class PlaceSettings:
         endpoint: every output vertex is an input vertex.
         loose: (V,) bool, input vertices whose clusters are placed by their quadrics, with the least
             regularisation; None for none.
-        price: soften all clusters until stiffness adds little to the mean squared distance of the whole mesh, and where
-            vertices then wander no further for it, see :func:`warpqem.place.stiffness.coherence_price`. A cluster's
-            place then depends on the others, so that levels of a progressive mesh, which share clusters, do without:
-            infinite.
+        coherence_cost: soften all clusters until stiffness adds little to the mean squared distance of the whole mesh,
+            and on where vertices hardly wander further for it, see
+            :func:`warpqem.place.stiffness.cost_of_coherence`. A cluster's place then depends on the others, so that
+            levels of a progressive mesh, which share clusters, do without: infinite.
         softening: halvings of the stiffness that all clusters have at least.
     """
 
@@ -53,7 +53,7 @@ class PlaceSettings:
     regularisation: float
     endpoint: bool
     loose: np.ndarray | None = None
-    price: float = math.inf
+    coherence_cost: float = math.inf
     softening: int = 0
 
 
@@ -144,7 +144,7 @@ class ClusterPlacer:
             choices = softer_choices(stiffness)
             error, wander, area = self._blocks.measure_stiffness(ordered.key_position, ordered.key_count, choices)
             recent = recent_errors(ordered.log, kept)
-            chosen = choose_softness(error, wander, area, recent, settings.price, settings.softening)
+            chosen = choose_softness(error, wander, area, recent, settings.coherence_cost, settings.softening)
             self.softening = int(chosen.min(initial=int(STEPS) - 1))
             self._blocks.set_stiffness(choices[np.arange(len(kept)), chosen])
 

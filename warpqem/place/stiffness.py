@@ -18,7 +18,7 @@ __all__ = [
     "MIN_REGULARISATION",
     "MIN_STIFFNESS",
     "choose_softness",
-    "coherence_price",
+    "cost_of_coherence",
     "recent_errors",
     "softer_choices",
     "stiffness_by_size",
@@ -55,7 +55,7 @@ MIN_WANDER = 1e-5
 # stiffness, so that at coherence 1 nothing is softened (there stiffness adds two to three times the squared distance,
 # and the share is 3.8).
 SHARED_STIFFNESS = 0.5
-PRICE_POWER = 0.6
+COST_POWER = 0.6
 
 
 def stiffness_by_size(size: np.ndarray, epsilon: float, regularisation: float) -> tuple[np.ndarray, np.ndarray]:
@@ -72,13 +72,13 @@ def stiffness_by_size(size: np.ndarray, epsilon: float, regularisation: float) -
     return stiffness.astype(np.float32), evened.astype(np.float32)
 
 
-def coherence_price(epsilon: float) -> float:
+def cost_of_coherence(epsilon: float) -> float:
     """What coherence may cost, relative to what it may at coherence one half and less.
 
     Args:
         epsilon: stiffness as it is set, see :func:`stiffness_by_size`.
     """
-    return max(1.0, epsilon / SHARED_STIFFNESS) ** PRICE_POWER
+    return max(1.0, epsilon / SHARED_STIFFNESS) ** COST_POWER
 
 
 def softer_choices(stiffness: np.ndarray) -> np.ndarray:
@@ -105,7 +105,12 @@ def recent_errors(log: CollapseRecord, kept: np.ndarray) -> np.ndarray:
 
 
 def choose_softness(
-    error: np.ndarray, wander: np.ndarray, area: np.ndarray, recent: np.ndarray, price: float, softening: int = 0
+    error: np.ndarray,
+    wander: np.ndarray,
+    area: np.ndarray,
+    recent: np.ndarray,
+    coherence_cost: float,
+    softening: int = 0,
 ) -> np.ndarray:
     """(C,) int, the first of the choices of each cluster that adds little to its distance from the input.
 
@@ -114,18 +119,18 @@ def choose_softness(
         wander: (C, S) squared distance of the vertex from where it is in the mean, beside its anchor.
         area: (C,) what planes weigh.
         recent: (C,) what the mesh had come to when the cluster came to be, in diagonals.
-        price: see :class:`warpqem.place.clusters.PlaceSettings`.
+        coherence_cost: see :class:`warpqem.place.clusters.PlaceSettings`.
         softening: choices that come before are none.
     """
     bound = np.maximum(MAX_ADDED * recent.astype(np.float64), MIN_ADDED)
     fits = error <= error[:, -1:] + (bound**2 * area)[:, None]
     fits[:, -1] = True
     chosen: np.ndarray = np.maximum(np.argmax(fits, axis=1), softening)
-    if math.isinf(price) or not len(chosen):
+    if math.isinf(coherence_cost) or not len(chosen):
         return chosen
     choices = [np.maximum(chosen, least) for least in range(softening, error.shape[1])]
     errors = MIN_ADDED**2 * area.sum(dtype=np.float64) + _totals(error, choices)
-    within = errors <= (1.0 + MAX_ADDED_SHARE * price) * errors[-1]
+    within = errors <= (1.0 + MAX_ADDED_SHARE * coherence_cost) * errors[-1]
     # Vertices that are as soft as can be in any case say nothing of the others.
     others = chosen < error.shape[1] - 1
     wanders = _totals(wander[others], [choice[others] for choice in choices])
@@ -133,7 +138,7 @@ def choose_softness(
         return choices[int(np.argmax(within))]
     # Of clusters without area all errors are zero.
     logarithms = [np.log(np.maximum(values, np.finfo(np.float64).tiny)) for values in (errors, wanders)]
-    cost = np.dot([1.0, WANDER_TRADE * price], logarithms)
+    cost = np.dot([1.0, WANDER_TRADE * coherence_cost], logarithms)
     return choices[int(np.argmin(np.where(within, cost, np.inf)))]
 
 
