@@ -44,12 +44,8 @@ def _copy_vertices(a: Arguments) -> Demand:
     return Demand(copies * (2 * INT + 2 * POINT * len(a["points_in"])), 3 * copies * len(a["points_in"]))
 
 
-def _count_members(a: Arguments) -> Demand:
-    return Demand(2 * size_of(a["cluster_in"]) + 2 * size_of(a["size"]))
-
-
-def _mark_highest(a: Arguments) -> Demand:
-    return Demand(3 * size_of(a["cluster_in"]) + 2 * size_of(a["highest_rank_in"]))
+def _choose_highest(a: Arguments) -> Demand:
+    return Demand(3 * size_of(a["cluster_in"]) + size_of(a["highest_rank_in"]))
 
 
 def _fill_gram_matrices(a: Arguments) -> Demand:
@@ -104,7 +100,8 @@ def _label_corners(a: Arguments) -> Demand:
 
 
 def _gather_corners(a: Arguments) -> Demand:
-    return Demand(7 * size_of(a["face_in"]))
+    # Of room for more.
+    return Demand(7 * INT * int(a["total_in"].numpy()[0]))
 
 
 PLACE_MODELS: dict[str, Callable[[Arguments], Demand]] = {
@@ -118,8 +115,7 @@ PLACE_MODELS: dict[str, Callable[[Arguments], Demand]] = {
         _gather_log,
         _restore_points,
         _copy_vertices,
-        _count_members,
-        _mark_highest,
+        _choose_highest,
         _fill_gram_matrices,
         _solve_for_weights,
         _measure_reach,

@@ -139,14 +139,10 @@ class ClusterData:
     Attributes:
         corner_vertex: (3N,) int32 on the device, the input's faces.
         rows: the arrays of :class:`warpqem.kernels.placement.Clusters` by their names, on the device or the host.
-        copied_from: (M,) int32, the input vertices that are copied.
-        copied: (M,) int, the clusters that are copies of them.
     """
 
     corner_vertex: wp.array
     rows: dict[str, Any]
-    copied_from: np.ndarray
-    copied: np.ndarray
 
     @property
     def vertex_count(self) -> int:
@@ -180,12 +176,16 @@ class BlockPlacer:
             if isinstance(values, np.ndarray):
                 values = wp.array(values, dtype=kernels.Clusters.vars[name].type.dtype, device=device, copy=False)
             setattr(self._clusters, name, values)
-        copies = (data.copied_from, data.copied)
+        none = np.empty(0, dtype=np.int32)
+        self.copy_vertices(none, none)
+
+    def copy_vertices(self, copied_from: np.ndarray, copied: np.ndarray) -> None:
+        """Copy some clusters (M,) int from input vertices (M,) int from now on, in place of others."""
         self.copied_from, self.copied = (
-            new_arrays.uploaded(values, dtype=wp.int32, device=device) for values in copies
+            new_arrays.uploaded(values, dtype=wp.int32, device=self._device) for values in (copied_from, copied)
         )
 
-    def measure_stiffness(self, key_position: wp.array, stiffness: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def measure_stiffness(self, key_position: wp.array, stiffness: np.ndarray) -> wp.array:
         """What clusters would have of area times squared distance from their planes, by stiffness; nothing is changed.
 
         Args:
@@ -193,8 +193,8 @@ class BlockPlacer:
             stiffness: (C, STEPS) float32, those to try.
 
         Returns:
-            error: (C, STEPS) float32, sums over the key frames, in diagonals^4.
-            area: (C,) float32, sum of what the planes weigh, in diagonals squared.
+            (C, STEPS + 1) float32 on the device: sums over the key frames, in diagonals^4, with each stiffness, and of
+            what the planes weigh, in diagonals squared.
 
         Raises:
             ValueError: more or fewer stiffnesses are given.
@@ -216,8 +216,7 @@ class BlockPlacer:
         sums = new_arrays.empty((count, steps + 1), dtype=wp.float32, device=device)
         inputs, outputs = [rows_of(errors), rows_of(areas)], [rows_of(sums)]
         launch_in_parts(kernels.sum_stiffness, count, inputs, outputs, device=device)
-        found = sums.numpy()
-        return found[:, :steps], found[:, steps]
+        return sums
 
     def set_stiffness(self, stiffness: np.ndarray) -> None:
         """Hold clusters to their anchors from now on with this stiffness (C,), relative to their quadrics."""

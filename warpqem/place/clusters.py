@@ -26,7 +26,9 @@ from warpqem.place.stiffness import (
     stiffness_by_size,
 )
 from warpqem.runtime import new_arrays
-from warpqem.runtime.part_launches import launch_in_parts, rows_of
+from warpqem.runtime.device import device_traits
+from warpqem.runtime.part_launches import FIRST_ITEM, launch_in_parts, rows_of
+from warpqem.runtime.readback import read_together
 
 __all__ = ["ClusterPlacer", "PlaceSettings"]
 
@@ -113,15 +115,12 @@ class ClusterPlacer:
             anchors = fit_anchors(ordered, kept, clusters, regularisation)
             # A vertex alone in its cluster lies on all its planes: it is its own optimum.
             solved, held = ((size > 1) & ~pinned).astype(np.int32), pinned
-        self.nearest, largest, face_count = anchors.finish(kept, held, own_faces.total)
+        heaviest, largest = anchors.finish(kept, held)
         # Corners of seams keep the place that their own planes and seams give them.
         self.free = (solved == 1) & (clusters.highest_rank != 2)
         half_edge = np.flatnonzero(ordered.constrained)
         kind = ordered.constrained[half_edge]
         self.on_seam = _on_seam(faces, half_edge[kind >= 2], cluster, len(kept))
-        # An anchor that is one input vertex, not solved for, is copied, so that it keeps its bits.
-        single = np.flatnonzero((solved == 0) & (largest == 1.0))
-        self.copied_count = len(single)
         weight = np.where(kind == 1, CONSTRAINT_WEIGHT[1], CONSTRAINT_WEIGHT[2])
         self.clusters = ClusterData(
             corner_vertex=corner_vertex,
@@ -129,23 +128,27 @@ class ClusterPlacer:
                 "member_start": anchors.start,
                 "member": anchors.vertex,
                 "member_weight": anchors.weight,
-                **_face_rows(own_faces, corner_vertex, face_count),
+                **_face_rows(own_faces, corner_vertex),
                 **_other_planes(faces, half_edge, weight, cluster, len(kept), quadric_scale, sums),
                 "solved": solved,
                 "stiffness": stiffness,
             },
-            copied_from=self.nearest[single],
-            copied=single,
         )
         self._blocks = BlockPlacer(self.clusters, device)
-        self.copied, self.softening = self._blocks.copied, settings.softening
+        self.softening, found = settings.softening, [heaviest, largest]
         if not settings.endpoint:
             choices = softer_choices(stiffness)
-            error, area = self._blocks.measure_stiffness(ordered.key_position, choices)
+            found.append(self._blocks.measure_stiffness(ordered.key_position, choices))
+        self.nearest, weights, *measured = read_together(*found)
+        for tried in measured:
             recent = recent_errors(ordered.log, kept)
-            chosen = choose_softness(error, area, recent, settings.max_share, settings.softening)
+            chosen = choose_softness(tried[:, :-1], tried[:, -1], recent, settings.max_share, settings.softening)
             self.softening = int(chosen.min(initial=int(STEPS) - 1))
             self._blocks.set_stiffness(choices[np.arange(len(kept)), chosen])
+        # An anchor that is one input vertex, not solved for, is copied, so that it keeps its bits.
+        single = np.flatnonzero((solved == 0) & (weights == 1.0))
+        self._blocks.copy_vertices(self.nearest[single], single)
+        self.copied, self.copied_count = self._blocks.copied, len(single)
 
     def place(self, mesh: AnimatedMesh, points: wp.array, packed: wp.array | None = None) -> PlacedBlocks:
         """Place some frames of the mesh, given about its origin: (n, V) points; see :class:`BlockPlacer`."""
@@ -173,13 +176,15 @@ def _own_faces(
     return ClusterFaces(corner_cluster, corner_weight, cluster_count)
 
 
-def _face_rows(faces: ClusterFaces, corner_vertex: wp.array, count: int) -> dict[str, wp.array]:
-    """What the rows of the faces of clusters are, which are so many."""
-    face, weight = faces.listed(count)
-    corners = new_arrays.empty(count, dtype=wp.vec3i, device=corner_vertex.device)
-    if count:
-        inputs = [rows_of(face), corner_vertex]
-        launch_in_parts(kernels.gather_corners, count, inputs, [rows_of(corners)], device=corner_vertex.device)
+def _face_rows(faces: ClusterFaces, corner_vertex: wp.array) -> dict[str, wp.array]:
+    """What the rows of the faces of clusters are; where the host would wait for how many, with room for any number."""
+    device = corner_vertex.device
+    room = len(corner_vertex) if device_traits(str(device)).own_memory else int(faces.total.numpy()[0])
+    face, weight = faces.listed(room)
+    corners = new_arrays.empty(room, dtype=wp.vec3i, device=device)
+    if room:
+        inputs = [rows_of(face), corner_vertex, faces.total, FIRST_ITEM]
+        launch_in_parts(kernels.gather_corners, room, inputs, [rows_of(corners)], device=device)
     return {"face_start": faces.start, "face": corners, "face_weight": weight}
 
 
