@@ -62,6 +62,12 @@ def _solve_for_weights(a: Arguments) -> Demand:
     return Demand(moved, keys * members * 9 + (size**3 / 3 + 2 * size**2).sum())
 
 
+def _put_in_the_middle(a: Arguments) -> Demand:
+    keys, members = frames_of(a["key_position_in"]), _member_counts(a).sum()
+    moved = members * (keys * POINT + INT) + size_of(a["row_in"]) * (2 + keys * POINT / INT)
+    return Demand(moved, keys * members * 3)
+
+
 def _measure_reach(a: Arguments) -> Demand:
     keys, size = frames_of(a["key_position_in"]), _member_counts(a)
     return Demand(size.sum() * (keys * POINT + 2 * INT) + size_of(a["reach_out"]), keys * size.sum() * 28)
@@ -77,7 +83,8 @@ def _member_counts(a: Arguments) -> np.ndarray:
 
 def _measure_stiffness(a: Arguments) -> Demand:
     frames, clusters, outputs = frames_of(a["points_in"]), a["clusters"], len(a["area_out"])
-    faces, members = clusters.face.size, clusters.member.size
+    # Lists of faces may have room for more.
+    faces, members = int(clusters.face_start.numpy()[-1]), clusters.member.size
     once = faces * 4 * INT + members * 2 * INT + clusters.border.size * 2 * INT + outputs * 10 * INT
     # Seven stiffnesses are tried at each place.
     flops = faces * PLANE_FLOPS + members * 6 + outputs * 7 * (SOLVE_FLOPS + 30)
@@ -92,7 +99,7 @@ def _sum_stiffness(a: Arguments) -> Demand:
 
 def _finish_anchors(a: Arguments) -> Demand:
     members = int(a["start_in"].numpy()[-1] - a["start_in"].numpy()[0])
-    return Demand(members * INT + 5 * size_of(a["heaviest_out"]))
+    return Demand(members * INT + 4 * size_of(a["heaviest_out"]))
 
 
 def _label_corners(a: Arguments) -> Demand:
@@ -118,6 +125,7 @@ PLACE_MODELS: dict[str, Callable[[Arguments], Demand]] = {
         _choose_highest,
         _fill_gram_matrices,
         _solve_for_weights,
+        _put_in_the_middle,
         _measure_reach,
         _keep_within_reach,
         _measure_stiffness,

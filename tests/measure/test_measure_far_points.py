@@ -144,7 +144,8 @@ def test_vertices_put_in_place_some_at_a_time_are_those_put_there_at_once(frame_
     changing, whole = ChangingBlock((frame_count, 10), units, device), UnitBlock(points, units, device)
     order = rng.permutation(10)
     for vertex in (order[:4], order[4:]):
-        changing.put(vertex, points[:, vertex])
+        index = wp.array(vertex, dtype=wp.int32, device=device)
+        changing.put(index, wp.array(points[:, vertex], dtype=wp.vec3, device=device))
     assert np.array_equal(changing.double.numpy(), whole.double.numpy())
     assert np.array_equal(changing.lanes.numpy(), whole.lanes.numpy())
 

@@ -21,7 +21,7 @@ from warpqem.decimation.collapse_nodes import NodeRecorder
 from warpqem.decimation.decimate import DecimatedMesh
 from warpqem.decimation.forest_cut import CollapseForest, Cut
 from warpqem.decimation.order_steps import OrderSteps
-from warpqem.frames.device_frames import to_device
+from warpqem.frames.device_frames import DeviceSink, to_device
 from warpqem.frames.stream import ArrayFrames, ArraySink, counted_frames
 from warpqem.measure.unit_frames import UnitFrames
 from warpqem.mesh.mesh_input import AnimatedMesh
@@ -30,6 +30,7 @@ from warpqem.pipeline.key_frames import looked_frames
 from warpqem.pipeline.level_distances import LevelDistances
 from warpqem.pipeline.prepare import ORDER_END, Prepared, spare_count
 from warpqem.pipeline.result import with_frames, without_frames
+from warpqem.runtime.device import device_traits
 
 __all__ = ["exchanged", "order_with_spare", "spare_faces"]
 
@@ -140,7 +141,8 @@ class _Search:
         placer = self._work.placer(level.ordered, refit=True)
         settings = replace(self._work.place_settings, softening=placer.softening)
         self._work = replace(self._work, place_settings=settings)
-        array = ArraySink()
+        device = self._work.device
+        array = DeviceSink(device) if device_traits(device).own_memory else ArraySink()
         result = without_frames(self._work, placer, level.ordered)
         with_frames(result, self._work, placer, True, sink=array, roughly=True)
         self._frames.put(level, array.points)

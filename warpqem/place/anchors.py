@@ -77,7 +77,7 @@ class Anchors:
     vertex: wp.array
     weight: wp.array
 
-    def finish(self, kept: np.ndarray, pinned: np.ndarray) -> tuple[wp.array, wp.array]:
+    def finish(self, kept: np.ndarray, pinned: np.ndarray) -> wp.array:
         """Anchor each pinned vertex to itself alone, also where it is not among the nearest members of its cluster.
 
         Args:
@@ -85,13 +85,11 @@ class Anchors:
             pinned: (C,) bool.
 
         Returns:
-            Of each the member with the largest weight, (C,) int32 on the device, the nearest of equal ones, and that
-            weight, (C,) float32.
+            Of each the member with the largest weight, (C,) int32 on the device, the nearest of equal ones.
         """
         device, count = self.start.device, len(kept)
         flags = new_arrays.uploaded(pinned, dtype=wp.int32, device=device)
         heaviest = new_arrays.empty(count, dtype=wp.int32, device=device)
-        largest = new_arrays.empty(count, dtype=wp.float32, device=device)
         launch_in_parts(
             kernels.finish_anchors,
             count,
@@ -100,10 +98,10 @@ class Anchors:
                 rows_of(new_arrays.uploaded(kept, dtype=wp.int32, device=device)),
                 rows_of(flags),
             ],
-            outputs=[self.vertex, self.weight, rows_of(heaviest), rows_of(largest)],
+            outputs=[self.vertex, self.weight, rows_of(heaviest)],
             device=device,
         )
-        return heaviest, largest
+        return heaviest
 
 
 def nearest_members(ordered: DecimatedMesh, clusters: Clusters, most: int) -> tuple[np.ndarray, wp.array, wp.array]:

@@ -28,7 +28,6 @@ from warpqem.place.stiffness import (
 from warpqem.runtime import new_arrays
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.part_launches import FIRST_ITEM, launch_in_parts, rows_of
-from warpqem.runtime.readback import read_together
 
 __all__ = ["ClusterPlacer", "PlaceSettings"]
 
@@ -77,7 +76,7 @@ class ClusterPlacer:
         free: (C,) bool, vertices that may leave the place that their quadrics give them: those that stand for several
             input vertices, are not pinned, and no corner of a seam.
         on_seam: (C,) bool, vertices that stand for one on a seam.
-        nearest: (C,) int32, an input vertex of each cluster near to its anchor.
+        nearest: (C,) int32 on the device, an input vertex of each cluster near to its anchor.
         softening: halvings of the stiffness that all clusters have at least.
         copied_count: vertices M that are copies of an input vertex.
         copied: (M,) int32 on the device, these vertices.
@@ -115,7 +114,7 @@ class ClusterPlacer:
             anchors = fit_anchors(ordered, kept, clusters, regularisation)
             # A vertex alone in its cluster lies on all its planes: it is its own optimum.
             solved, held = ((size > 1) & ~pinned).astype(np.int32), pinned
-        heaviest, largest = anchors.finish(kept, held)
+        self.nearest = anchors.finish(kept, held)
         # Corners of seams keep the place that their own planes and seams give them.
         self.free = (solved == 1) & (clusters.highest_rank != 2)
         half_edge = np.flatnonzero(ordered.constrained)
@@ -135,20 +134,20 @@ class ClusterPlacer:
             },
         )
         self._blocks = BlockPlacer(self.clusters, device)
-        self.softening, found = settings.softening, [heaviest, largest]
-        if not settings.endpoint:
-            choices = softer_choices(stiffness)
-            found.append(self._blocks.measure_stiffness(ordered.key_position, choices))
-        self.nearest, weights, *measured = read_together(*found)
-        for tried in measured:
+        self.softening = settings.softening
+        choices = softer_choices(stiffness)
+        # Where no cluster has a choice, the device is not asked.
+        if not settings.endpoint and (choices[:, 0] > choices[:, -1]).any():
+            tried = self._blocks.measure_stiffness(ordered.key_position, choices).numpy()
             recent = recent_errors(ordered.log, kept)
             chosen = choose_softness(tried[:, :-1], tried[:, -1], recent, settings.max_share, settings.softening)
             self.softening = int(chosen.min(initial=int(STEPS) - 1))
             self._blocks.set_stiffness(choices[np.arange(len(kept)), chosen])
-        # An anchor that is one input vertex, not solved for, is copied, so that it keeps its bits.
-        single = np.flatnonzero((solved == 0) & (weights == 1.0))
-        self._blocks.copy_vertices(self.nearest[single], single)
-        self.copied, self.copied_count = self._blocks.copied, len(single)
+        # A vertex that is not solved for is copied, so that it keeps its bits: the one that its anchor is.
+        copied = np.flatnonzero(solved == 0)
+        copied_from = self.nearest.numpy() if settings.endpoint else kept[copied]
+        self._blocks.copy_vertices(copied_from, copied)
+        self.copied, self.copied_count = self._blocks.copied, len(copied)
 
     def place(self, mesh: AnimatedMesh, points: wp.array, packed: wp.array | None = None) -> PlacedBlocks:
         """Place some frames of the mesh, given about its origin: (n, V) points; see :class:`BlockPlacer`."""

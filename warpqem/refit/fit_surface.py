@@ -31,6 +31,7 @@ from warpqem.refit.material_frames import MaterialFrames
 from warpqem.refit.solve import ElementSolver
 from warpqem.runtime import new_arrays
 from warpqem.runtime.launches import launch
+from warpqem.runtime.readback import read_together
 
 __all__ = ["fit_corrections"]
 
@@ -184,7 +185,8 @@ class _Refit:
         self._keys = self._all_frames.of(keys)
         self._equations = self._make_equations()
         self._solver = ElementSolver(self._equations.elements)
-        self._scales = _measure_scales(keys.points, placer.faces)
+        nearest, some = _read_there(placer.nearest, keys.points)
+        self._scales = _measure_scales(some, placer.faces)
         self._turns = max(1, min(len(key_frames), mesh.frame_count // FRAMES_PER_TURN))
         # Of a pruned component nothing is near to the output.
         faces = mesh.faces[placer.vertex_map[mesh.faces[:, 0]] >= 0]
@@ -201,7 +203,7 @@ class _Refit:
             placer.vertex_map,
             faces,
             placer.faces,
-            placer.nearest,
+            nearest,
             self._turns,
             BORDER_WIDTH * self._scales.edge_squared**0.5,
             device,
@@ -384,10 +386,18 @@ class _Refit:
         return marks.numpy() != 0
 
 
-def _measure_scales(points: np.ndarray | wp.array, faces: np.ndarray) -> _Scales:
-    # They hardly change from frame to frame: about eight of them tell enough.
+def _read_there(nearest: wp.array, points: np.ndarray | wp.array) -> tuple[np.ndarray, np.ndarray]:
+    """An array of a device, and about eight of the frames of points (n, C, 3) or (n, C), on the host together."""
     some = points[:: max(1, len(points) // 8)]
-    corner = (some if isinstance(some, np.ndarray) else some.contiguous().numpy())[:, faces]
+    if isinstance(some, np.ndarray):
+        return nearest.numpy(), some
+    there, frames = read_together(nearest, some.contiguous())
+    return there, frames
+
+
+def _measure_scales(points: np.ndarray, faces: np.ndarray) -> _Scales:
+    """The sizes of faces (N', 3) in some frames (n, C, 3); they hardly change from frame to frame."""
+    corner = points[:, faces]
     edge = np.roll(corner, -1, axis=2) - corner
     area = 0.5 * np.linalg.norm(np.cross(edge[:, :, 0], edge[:, :, 1]), axis=2).sum(axis=1)
     return _Scales(float(area.mean()), float((edge.astype(np.float64) ** 2).sum(axis=-1).mean()))
