@@ -172,3 +172,42 @@ def hold_elements(
     for k in range(3):
         hold = hold_in[corner_vertex_in[3 * f + k]]
         block_out[f, 4 * k] = diagonal_in[f, k] + wp.diag(wp.cw_mul(along, hold) + nothing)
+
+
+@wp.kernel
+def raise_holds(
+    # in
+    marked_in: wp.array[wp.int32],
+    stiffness_in: wp.array[wp.vec3],
+    factor: wp.float32,
+    largest: wp.float32,
+    # in and out
+    held: wp.array[wp.float32],
+    hold: wp.array[wp.vec3],
+    any_marked: wp.array[wp.int32],
+):
+    """Hold marked vertices (C,) ``factor`` times as much, and those held so much already without an end.
+
+    ``hold`` is their stiffness times that, or ``largest`` times it; ``any_marked`` (1,) becomes 1 if there are some.
+    """
+    v = wp.tid()
+    if marked_in[v] != 0:
+        more = wp.where(held[v] < factor, factor * held[v], wp.inf)
+        held[v] = more
+        hold[v] = wp.min(more, largest) * stiffness_in[v]
+        any_marked[0] = 1
+
+
+@wp.kernel
+def take_held(
+    # in
+    any_marked_in: wp.array[wp.int32],
+    held_in: wp.array[wp.float32],
+    solution_in: wp.array[wp.vec3],
+    # in and out
+    correction: wp.array[wp.vec3],
+):
+    """The solution, but none of it at vertices held without an end; what there was if none was marked."""
+    v = wp.tid()
+    if any_marked_in[0] != 0:
+        correction[v] = wp.where(wp.isinf(held_in[v]), 0.0, 1.0) * solution_in[v]

@@ -53,13 +53,19 @@ class ClusterStates:
         # The last collapse of the cluster whose state each vertex shows.
         self._shown = self._left.copy()
 
-    def at(self, cut: Cut) -> DecimatedMesh:
-        """A level; the arrays of positions and quadrics are shared by all of them."""
+    def at(self, cut: Cut, known: DecimatedMesh | None = None) -> DecimatedMesh:
+        """A level; the arrays of positions and quadrics are shared by all of them.
+
+        ``known`` is what it was before, for its faces, where there were others since.
+        """
         ordered, log = self._ordered, self._ordered.log.chosen(cut.kept)
         drops = ordered.drops
         drops = drops.chosen(cut.dropped, cut.kept) if len(drops) else drops
         root = log.roots(len(ordered.root))
-        faces, face_map = faces_left(self._corner_vertex, log, root, drops)
+        if known is None:
+            faces, face_map = faces_left(self._corner_vertex, log, root, drops)
+        else:
+            faces, face_map = known.faces, known.face_map
         last = self._forest.last_collapses(cut)
         is_kept = np.zeros(len(root), dtype=bool)
         is_kept[faces] = True

@@ -83,10 +83,10 @@ class ComponentLimits:
         sampled.far = new_arrays.zeros(vertex_count, dtype=wp.int32, device=device)
         self._own: _OwnParts | None = None
 
-    def far_vertices(self, moved: wp.array, reach: float) -> npt.NDArray[np.bool_]:
-        """(C,) bool, vertices of places that are further away than any of their component was as placed.
+    def mark_far(self, moved: wp.array, reach: float) -> wp.array:
+        """(C,) int32 on the device, 1 at vertices of places further away than any of their component was as placed.
 
-        The surfaces are paired anew. All that is found comes to the host at once.
+        The surfaces are paired anew.
 
         Args:
             moved: (K, C) vec3, the key frames of the output as it lies now.
@@ -97,8 +97,7 @@ class ComponentLimits:
         if self._own is None:
             self._own = self._make_own_parts()
         self._own.mark_far(moved, self.sampled.far)
-        marked: npt.NDArray[np.bool_] = self.sampled.far.numpy() != 0
-        return marked
+        return self.sampled.far
 
     def whole_components(self, marked: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
         """(C,) bool, all vertices of the components that some vertices (C,) bool are of."""
