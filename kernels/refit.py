@@ -211,3 +211,26 @@ def take_held(
     v = wp.tid()
     if any_marked_in[0] != 0:
         correction[v] = wp.where(wp.isinf(held_in[v]), 0.0, 1.0) * solution_in[v]
+
+
+@wp.kernel
+def sum_face_sizes(
+    # in
+    points_in: wp.array2d[wp.vec3],
+    corner_vertex_in: wp.array[wp.int32],
+    # out
+    sum_out: wp.array2d[wp.float64],
+):
+    """Areas of faces, and squared lengths of their edges, in some frames: (n, 2), sums over every n-th face each."""
+    first = wp.tid()
+    area = wp.float64(0.0)
+    squared = wp.float64(0.0)
+    for f in range(first, corner_vertex_in.shape[0] / 3, sum_out.shape[0]):
+        for t in range(points_in.shape[0]):
+            a = points_in[t, corner_vertex_in[3 * f]]
+            ab = points_in[t, corner_vertex_in[3 * f + 1]] - a
+            ac = points_in[t, corner_vertex_in[3 * f + 2]] - a
+            area += wp.float64(0.5 * wp.length(wp.cross(ab, ac)))
+            squared += wp.float64(wp.length_sq(ab)) + wp.float64(wp.length_sq(ac)) + wp.float64(wp.length_sq(ac - ab))
+    sum_out[first, 0] = area
+    sum_out[first, 1] = squared

@@ -29,7 +29,7 @@ from warpqem.refit.component_limits import ComponentLimits
 from warpqem.refit.holds import Holds
 from warpqem.refit.matching import Matching, make_surface
 from warpqem.refit.material_frames import MaterialFrames
-from warpqem.refit.scales import Scales, read_some_frames
+from warpqem.refit.scales import read_scales
 from warpqem.refit.solve import ElementSolver
 from warpqem.runtime import new_arrays
 from warpqem.runtime.device import device_traits
@@ -176,8 +176,7 @@ class _Refit:
         self._keys = self._all_frames.of(keys)
         self._equations = self._make_equations()
         self._solver = ElementSolver(self._equations.elements)
-        some, nearest = read_some_frames(keys.points, placer.nearest)
-        self._scales = Scales.of(some, placer.faces)
+        self._scales, nearest = read_scales(keys.points, placer.faces, self._corner_vertex, placer.nearest)
         self._turns = max(1, min(len(key_frames), mesh.frame_count // FRAMES_PER_TURN))
         # Of a pruned component nothing is near to the output.
         faces = mesh.faces[placer.vertex_map[mesh.faces[:, 0]] >= 0]

@@ -7,12 +7,17 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from warpqem.kernels import refit as kernels
+from warpqem.runtime import new_arrays
+from warpqem.runtime.launches import launch
 from warpqem.runtime.readback import read_together
 
-__all__ = ["Scales", "read_some_frames"]
+__all__ = ["Scales", "read_scales"]
 
 # They hardly change from frame to frame: about so many frames tell enough.
 FRAMES = 8
+# Sums that a device with its own memory hands to the host, each by a thread.
+SUMS = 1024
 
 
 @dataclass(frozen=True)
@@ -31,10 +36,24 @@ class Scales:
         return cls(float(area.mean()), float((edge.astype(np.float64) ** 2).sum(axis=-1).mean()))
 
 
-def read_some_frames(points: np.ndarray | wp.array, other: wp.array) -> tuple[np.ndarray, np.ndarray]:
-    """Some of the frames of points (K, C, 3) or (K, C), and another array of the device with them: both on the host."""
+def read_scales(
+    points: np.ndarray | wp.array, faces: np.ndarray, corner_vertex: wp.array, other: wp.array
+) -> tuple[Scales, np.ndarray]:
+    """The scales of faces, and another array of the device, which comes to the host with them.
+
+    Args:
+        points: (K, C, 3) float32, or (K, C) points on the device.
+        faces: (N', 3) int32.
+        corner_vertex: (3N',) int32, the same on the device.
+        other: what else is read.
+    """
     some = points[:: max(1, len(points) // FRAMES)]
     if isinstance(some, np.ndarray):
-        return some, other.numpy()
-    frames, with_them = read_together(some.contiguous(), other)
-    return frames, with_them
+        return Scales.of(some, faces), other.numpy()
+    device = other.device
+    sums = new_arrays.empty((min(SUMS, len(faces)), 2), dtype=wp.float64, device=device)
+    launch(kernels.sum_face_sizes, len(sums), [some, corner_vertex], [sums], device=device)
+    by_thread, with_them = read_together(sums, other)
+    area, squared = by_thread.sum(axis=0)
+    frame_count = len(some)
+    return Scales(float(area) / frame_count, float(squared) / (3 * frame_count * len(faces))), with_them
