@@ -7,8 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from warpqem.frames.device_frames import to_device
 from warpqem.kernels import refit as kernels
 from warpqem.runtime import new_arrays
+from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import launch
 from warpqem.runtime.readback import read_together
 
@@ -47,12 +49,14 @@ def read_scales(
         corner_vertex: (3N',) int32, the same on the device.
         other: what else is read.
     """
-    some = points[:: max(1, len(points) // FRAMES)]
-    if isinstance(some, np.ndarray):
-        return Scales.of(some, faces), other.numpy()
-    device = other.device
+    some, device = points[:: max(1, len(points) // FRAMES)], other.device
+    if not device_traits(str(device)).own_memory:
+        here = some if isinstance(some, np.ndarray) else some.contiguous().numpy()
+        return Scales.of(here, faces), other.numpy()
+    # Wherever the frames are: results are the same.
+    there = to_device(np.ascontiguousarray(some), str(device)) if isinstance(some, np.ndarray) else some
     sums = new_arrays.empty((min(SUMS, len(faces)), 2), dtype=wp.float64, device=device)
-    launch(kernels.sum_face_sizes, len(sums), [some, corner_vertex], [sums], device=device)
+    launch(kernels.sum_face_sizes, len(sums), [there, corner_vertex], [sums], device=device)
     by_thread, with_them = read_together(sums, other)
     area, squared = by_thread.sum(axis=0)
     frame_count = len(some)
