@@ -219,6 +219,12 @@ def _unpack_frames(a: Arguments) -> Demand:
     return Demand(_size(a["blocks_in"]) + _size(a["points_out"]))
 
 
+def _put_points(a: Arguments) -> Demand:
+    # Read once; written in single and in double precision.
+    points = a["points_in"]
+    return Demand(4 * _size(points) + _size(a["vertex_in"]), 12 * points.size)
+
+
 def _gather_rows(a: Arguments) -> Demand:
     return Demand(2 * _size(a["rows_out"]) + _size(a["vertex_in"]))
 
@@ -274,7 +280,8 @@ def _list_faces(a: Arguments) -> Demand:
 
 def _place_vertices(a: Arguments) -> Demand:
     frames, clusters, outputs = _frames(a["points_in"]), a["clusters"], a["points_out"].shape[0]
-    faces, members = clusters.face.size, clusters.member.size
+    # Lists of faces may have room for more.
+    faces, members = int(clusters.face_start.numpy()[-1]), clusters.member.size
     once = faces * 4 * INT + members * 2 * INT + clusters.border.size * 2 * INT + outputs * 4 * INT
     flops = faces * PLANE_FLOPS + members * 6 + outputs * SOLVE_FLOPS
     return Demand(once + _size(a["points_in"]) + _size(a["points_out"]) + _size(a["normal_out"]), frames * flops)
@@ -324,6 +331,7 @@ _MODELS: dict[str, Callable[[Arguments], Demand]] = {
         _move_live_faces,
         _pack_frames,
         _unpack_frames,
+        _put_points,
         _gather_rows,
         _weigh_face_normals,
         _gather_vertex_quadrics,

@@ -146,6 +146,9 @@ _STREAMED: dict[str, tuple[tuple[str, float], ...]] = {
     # A look at every half-edge; few are listed.
     "list_border": (("opposite_in", 1), ("half_edge_out", 2)),
     "mark_long_corrections": (("correction_in", 1), ("marked_out", 1)),
+    "sum_face_sizes": (("points_in", 1), ("corner_vertex_in", 1), ("sum_out", 1)),
+    "raise_holds": (("marked_in", 1),),
+    "take_held": (("held_in", 1), ("solution_in", 1), ("correction", 1)),
     "scale_corrections": (("factor_in", 1), ("correction", 2)),
     "mark_new_flips": (("points_in", 1), ("moved_in", 1), ("normal_in", 1), ("corner_vertex_in", 1)),
 }
@@ -254,6 +257,12 @@ def _look_at_samples(a: Arguments) -> Demand:
     return Demand(count * 2 * INT + samples.vertex_squared.size * 2 * INT)
 
 
+def _look_at_places(a: Arguments) -> Demand:
+    # The first vertex of each place and the squared distance or limit of each of its points.
+    squared = a["squared_out"] if "squared_out" in a else a["squared_in"]
+    return Demand(a["places"].vertex.shape[0] * INT + size_of(squared))
+
+
 OPTION_MODELS: dict[str, Callable[[Arguments], Demand]] = {
     **{kernel: partial(_streamed, kernel) for kernel in _STREAMED},
     "match_input_samples": lambda a: _match(a, "source", "target"),
@@ -261,7 +270,10 @@ OPTION_MODELS: dict[str, Callable[[Arguments], Demand]] = {
     "match_border_samples": _match_border_samples,
     "measure_vertex_distances": _measure_vertex_distances,
     "raise_limits": _look_at_samples,
-    "mark_far_faces": _look_at_samples,
+    "mark_far_samples": _look_at_samples,
+    "gather_limits": _look_at_places,
+    "raise_own_limits": _look_at_places,
+    "mark_far_places": _look_at_places,
     "assemble_elements": _assemble_elements,
     "renew_quadrics": _renew_quadrics,
     "update_neighbourhood_costs": _update_neighbourhood_costs,

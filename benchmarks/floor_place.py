@@ -44,12 +44,8 @@ def _copy_vertices(a: Arguments) -> Demand:
     return Demand(copies * (2 * INT + 2 * POINT * len(a["points_in"])), 3 * copies * len(a["points_in"]))
 
 
-def _count_members(a: Arguments) -> Demand:
-    return Demand(2 * size_of(a["cluster_in"]) + 2 * size_of(a["size"]))
-
-
-def _mark_highest(a: Arguments) -> Demand:
-    return Demand(3 * size_of(a["cluster_in"]) + 2 * size_of(a["highest_rank_in"]))
+def _choose_highest(a: Arguments) -> Demand:
+    return Demand(3 * size_of(a["cluster_in"]) + size_of(a["highest_rank_in"]))
 
 
 def _fill_gram_matrices(a: Arguments) -> Demand:
@@ -64,6 +60,12 @@ def _solve_for_weights(a: Arguments) -> Demand:
     members, entries = size.sum(), (size * (size + 1) / 2).sum()
     moved = members * (keys * POINT + 2 * INT) + len(size) * (keys * POINT + 4 * INT) + 2 * entries * INT
     return Demand(moved, keys * members * 9 + (size**3 / 3 + 2 * size**2).sum())
+
+
+def _put_in_the_middle(a: Arguments) -> Demand:
+    keys, members = frames_of(a["key_position_in"]), _member_counts(a).sum()
+    moved = members * (keys * POINT + INT) + size_of(a["row_in"]) * (2 + keys * POINT / INT)
+    return Demand(moved, keys * members * 3)
 
 
 def _measure_reach(a: Arguments) -> Demand:
@@ -81,7 +83,8 @@ def _member_counts(a: Arguments) -> np.ndarray:
 
 def _measure_stiffness(a: Arguments) -> Demand:
     frames, clusters, outputs = frames_of(a["points_in"]), a["clusters"], len(a["area_out"])
-    faces, members = clusters.face.size, clusters.member.size
+    # Lists of faces may have room for more.
+    faces, members = int(clusters.face_start.numpy()[-1]), clusters.member.size
     once = faces * 4 * INT + members * 2 * INT + clusters.border.size * 2 * INT + outputs * 10 * INT
     # Nine stiffnesses are tried at each place.
     flops = faces * PLANE_FLOPS + members * 6 + outputs * 9 * (SOLVE_FLOPS + 39)
@@ -96,7 +99,7 @@ def _sum_stiffness(a: Arguments) -> Demand:
 
 def _finish_anchors(a: Arguments) -> Demand:
     members = int(a["start_in"].numpy()[-1] - a["start_in"].numpy()[0])
-    return Demand(members * INT + 5 * size_of(a["heaviest_out"]))
+    return Demand(members * INT + 4 * size_of(a["heaviest_out"]))
 
 
 def _label_corners(a: Arguments) -> Demand:
@@ -104,7 +107,8 @@ def _label_corners(a: Arguments) -> Demand:
 
 
 def _gather_corners(a: Arguments) -> Demand:
-    return Demand(7 * size_of(a["face_in"]))
+    # Of room for more.
+    return Demand(7 * INT * int(a["total_in"].numpy()[0]))
 
 
 PLACE_MODELS: dict[str, Callable[[Arguments], Demand]] = {
@@ -118,10 +122,10 @@ PLACE_MODELS: dict[str, Callable[[Arguments], Demand]] = {
         _gather_log,
         _restore_points,
         _copy_vertices,
-        _count_members,
-        _mark_highest,
+        _choose_highest,
         _fill_gram_matrices,
         _solve_for_weights,
+        _put_in_the_middle,
         _measure_reach,
         _keep_within_reach,
         _measure_stiffness,

@@ -131,6 +131,26 @@ def measure_cluster_distances(
     distance_out[v] = total
 
 
+@lane_kernel(key_position_in=POINTS_ARRAY, position=POINTS_ARRAY)
+def put_in_the_middle(
+    # in
+    row_in: wp.array[wp.int32],
+    member_start_in: wp.array[wp.int32],
+    member_in: wp.array[wp.int32],
+    key_position_in: Any,
+    # in and out
+    position: Any,
+):
+    """Put the vertices of some rows (n,) in the middle of the input vertices of their clusters."""
+    cluster, t = wp.tid()
+    first = member_start_in[cluster]
+    last = member_start_in[cluster + 1]
+    total = key_position_in.dtype()
+    for i in range(first, last):
+        total += key_position_in[member_in[i], t]
+    position[row_in[cluster], t] = total / wp.float32(last - first)
+
+
 @wp.func
 def packed(i: wp.int32, j: wp.int32) -> wp.int32:
     """Index of entry ``(i, j)``, ``j <= i``, in a lower triangle stored by rows."""
@@ -281,7 +301,6 @@ def finish_anchors(
     weight: wp.array[wp.float32],
     # out
     heaviest_out: wp.array[wp.int32],
-    largest_out: wp.array[wp.float32],
 ):
     """Anchor each pinned cluster to its own vertex alone; then find the member of each with the largest weight.
 
@@ -301,4 +320,3 @@ def finish_anchors(
         if weight[j] > weight[heaviest]:
             heaviest = j
     heaviest_out[cluster] = vertex[heaviest]
-    largest_out[cluster] = weight[heaviest]

@@ -6,42 +6,19 @@ wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
 
 @wp.kernel
-def count_members(
-    # in
-    cluster_in: wp.array[wp.int32],
-    rank_in: wp.array[wp.int32],
-    # in and out
-    size: wp.array[wp.int32],
-    highest_rank: wp.array[wp.int32],
-):
-    """Add up the vertices of each cluster, and find the highest of their ranks, 0 or more; -1 is no cluster."""
-    v = wp.tid()
-    cluster = cluster_in[v]
-    if cluster >= 0:
-        wp.atomic_add(size, cluster, 1)
-        if rank_in[v] > 0:
-            wp.atomic_max(highest_rank, cluster, rank_in[v])
-
-
-@wp.kernel
-def mark_highest(
+def choose_highest(
     # in
     cluster_in: wp.array[wp.int32],
     rank_in: wp.array[wp.int32],
     highest_rank_in: wp.array[wp.int32],
-    # in and out
-    count: wp.array[wp.int32],
     # out
     cluster_out: wp.array[wp.int32],
 ):
-    """The cluster of each vertex that has the highest rank in it, -1 of others, and add up how many have."""
+    """The cluster of each vertex that has the highest rank in it; -1 of others, and where there is no cluster."""
     v = wp.tid()
     cluster = cluster_in[v]
-    if cluster >= 0:
-        if rank_in[v] == highest_rank_in[cluster]:
-            wp.atomic_add(count, cluster, 1)
-        else:
-            cluster = wp.int32(-1)
+    if cluster >= 0 and rank_in[v] < highest_rank_in[cluster]:
+        cluster = wp.int32(-1)
     cluster_out[v] = cluster
 
 
@@ -137,11 +114,15 @@ def gather_corners(
     # in
     face_in: wp.array[wp.int32],
     corner_vertex_in: wp.array[wp.int32],
+    total_in: wp.array[wp.int32],
+    first: wp.int32,
     # out
     corners_out: wp.array[wp.vec3i],
 ):
-    """The corners of each of some faces."""
+    """The corners of each of some faces, ``total_in`` (1,) of them; the first one here is the ``first`` of all."""
     i = wp.tid()
+    if first + i >= total_in[0]:
+        return
     h = 3 * face_in[i]
     corners_out[i] = wp.vec3i(corner_vertex_in[h], corner_vertex_in[h + 1], corner_vertex_in[h + 2])
 

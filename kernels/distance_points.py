@@ -1,7 +1,8 @@
 """Points of a moving mesh against some faces of another one, in many frames side by side: how far they are at most.
 
-Faces that are not among those given may be nearer, so that a distance found is no less than the real one. Faces whose
-edges become long need points between their vertices, too. See :mod:`warpqem.kernels.lanes` for the layout.
+Looked at are the faces at some clusters of a simplified mesh, and those at the clusters next to these. Others may be
+nearer, so that a distance found is no less than the real one. Faces whose edges become long need points between their
+vertices, too. See :mod:`warpqem.kernels.lanes` for the layout.
 """
 
 from typing import Any
@@ -14,10 +15,58 @@ from warpqem.kernels.lanes import POINTS_ARRAY, lane_dot, lane_kernel
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
 
+@wp.struct
+class Around:
+    """The faces of a simplified mesh at each of its vertices, which are clusters."""
+
+    start: wp.array[wp.int32]  # (C+1,)
+    face: wp.array[wp.int32]
+    vertex: wp.array[wp.int32]  # (3N',) of each corner
+
+
 @wp.func
 def list_length(cluster: wp.array[wp.int32], face_start: wp.array[wp.int32], k: wp.int32) -> wp.int32:
     """Faces at the ``k``-th cluster."""
     return face_start[cluster[k] + 1] - face_start[cluster[k]]
+
+
+@wp.func
+def is_next(
+    around: Around,
+    cluster: wp.array[wp.int32],
+    first: wp.int32,
+    last: wp.int32,
+    k: wp.int32,
+    place: wp.int32,
+    other: wp.int32,
+) -> wp.bool:
+    """Whether a cluster is none of those from ``first`` to ``last``, and no earlier face at the ``k``-th one has it.
+
+    ``place`` in ``around.face`` is that of the face that has it.
+    """
+    for known in range(first, last):
+        if cluster[known] == other:
+            return False
+    for earlier in range(around.start[cluster[k]], place):
+        for corner in range(3):
+            if around.vertex[3 * around.face[earlier] + corner] == other:
+                return False
+    return True
+
+
+@wp.func
+def nearer(near: Any, point: Any, a: Any, b: Any, c: Any, within: wp.float32):
+    """The smaller ones of squared distances ``near`` and those of points from faces; within ``within``, no less."""
+    ab = b - a
+    ac = c - a
+    found = lane_foot_squared(point - a, ab, ac)
+    for lane in range(len(near)):
+        near[lane] = wp.min(near[lane], found[lane])
+    if wp.max(near) > within:
+        found = lane_distance_squared(point - a, ab, ac)
+        for lane in range(len(near)):
+            near[lane] = wp.min(near[lane], found[lane])
+    return near
 
 
 @lane_kernel(own=POINTS_ARRAY, other=POINTS_ARRAY)
@@ -32,6 +81,7 @@ def distances_of_points(
     cluster: wp.array[wp.int32],
     face_start: wp.array[wp.int32],
     face: wp.array[wp.int32],
+    around: Around,
     squared: wp.array[wp.float32],
     shares: wp.int32,
     # in and out
@@ -40,9 +90,10 @@ def distances_of_points(
     """Raise ``furthest`` (n,) to the largest squared distance of each point from its faces, in all frames.
 
     Each of ``shares`` threads of a point has some of the blocks, one after another. The faces are those at the clusters
-    of row ``row`` (n,): lists ``face_start`` (C+1,), ``face`` of lists ``cluster_start`` (R+1,), ``cluster``. Once a
-    point is within its ``squared`` (n,) in all frames of a block, no further faces are looked at there, and the next
-    block begins with the last one: what is near in some frames is near in others.
+    of row ``row`` (n,): lists ``face_start`` (C+1,), ``face`` of lists ``cluster_start`` (R+1,), ``cluster``; then
+    those at the clusters next to these, see :class:`Around`. Once a point is within its ``squared`` (n,) in all frames
+    of a block, no further faces are looked at there, and the next block begins with the last one of its own clusters:
+    what is near in some frames is near in others.
     """
     i, share = wp.tid()
     first = cluster_start[row[i]]
@@ -73,6 +124,7 @@ def distances_of_points(
             a = other[other_vertex[corner], block]
             ab = other[other_vertex[corner + 1], block] - a
             ac = other[other_vertex[corner + 2], block] - a
+            # As in nearer(), whose call takes as long as the work here, where most of it is done.
             found = lane_foot_squared(p - a, ab, ac)
             for lane in range(len(near)):
                 near[lane] = wp.min(near[lane], found[lane])
@@ -84,6 +136,20 @@ def distances_of_points(
                 here = wp.max(near)
             looked += 1
             place += 1
+        if here > within:
+            for k in range(first, last):
+                for join in range(around.start[cluster[k]], around.start[cluster[k] + 1]):
+                    for way in range(3):
+                        neighbour = around.vertex[3 * around.face[join] + way]
+                        if here > within and is_next(around, cluster, first, last, k, join, neighbour):
+                            for further in range(face_start[neighbour], face_start[neighbour + 1]):
+                                if here > within:
+                                    corner = 3 * face[further]
+                                    a = other[other_vertex[corner], block]
+                                    b = other[other_vertex[corner + 1], block]
+                                    c = other[other_vertex[corner + 2], block]
+                                    near = nearer(near, p, a, b, c, within)
+                                    here = wp.max(near)
         furthest_of_all = wp.max(furthest_of_all, here)
     wp.atomic_max(furthest, i, furthest_of_all)
 

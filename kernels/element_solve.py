@@ -128,14 +128,15 @@ def close_curvature(
 def begin_steps(
     # in
     tolerance_squared: wp.float64,
+    wanted_in: wp.array[wp.int32],
     # in and out
     s: Solve,
 ):
-    """One thread: the residual at the beginning, and where it has fallen far enough."""
+    """One thread: the residual at the beginning, and where it has fallen far enough; no step where none is wanted."""
     s.scalar[0] = sum_slices(s)
     s.scalar[1] = wp.float64(0.0)
     s.scalar[3] = tolerance_squared * s.scalar[0]
-    s.report[0] = 1
+    s.report[0] = wanted_in[0]
     s.report[1] = 0
 
 

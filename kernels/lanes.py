@@ -154,3 +154,35 @@ def unpack_frames(
         t = b * width + k
         if t < points_out.shape[0]:
             points_out[t, v] = wp.vec3(block[0, k], block[1, k], block[2, k])
+
+
+@lane_kernel(blocks=POINTS_ARRAY)
+def put_points(
+    # in
+    points_in: wp.array2d[wp.vec3],
+    vertex_in: wp.array[wp.int32],
+    middle_in: wp.array[wp.vec3],
+    unit_in: wp.array[wp.float64],
+    # in and out
+    blocks: Any,
+    precise: wp.array2d[wp.vec3d],
+):
+    """Put points (F, n) where vertices (n,) belong, about the middle of each frame and in its unit.
+
+    In blocks (V, B) of single precision, and (F, V) in double precision. Of single ones the middle goes first, which
+    costs no digit.
+    """
+    i, b = wp.tid()
+    v = vertex_in[i]
+    block = blocks.dtype()
+    width = len(block[0])
+    for k in range(width):
+        t = b * width + k
+        if t < points_in.shape[0]:
+            scale = wp.float64(1.0) / unit_in[t]
+            p = (points_in[t, i] - middle_in[t]) * wp.float32(scale)
+            block[0, k] = p[0]
+            block[1, k] = p[1]
+            block[2, k] = p[2]
+            precise[t, v] = (wp.vec3d(points_in[t, i]) - wp.vec3d(middle_in[t])) * scale
+    blocks[v, b] = block

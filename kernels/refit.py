@@ -172,3 +172,65 @@ def hold_elements(
     for k in range(3):
         hold = hold_in[corner_vertex_in[3 * f + k]]
         block_out[f, 4 * k] = diagonal_in[f, k] + wp.diag(wp.cw_mul(along, hold) + nothing)
+
+
+@wp.kernel
+def raise_holds(
+    # in
+    marked_in: wp.array[wp.int32],
+    stiffness_in: wp.array[wp.vec3],
+    factor: wp.float32,
+    largest: wp.float32,
+    # in and out
+    held: wp.array[wp.float32],
+    hold: wp.array[wp.vec3],
+    any_marked: wp.array[wp.int32],
+):
+    """Hold marked vertices (C,) ``factor`` times as much, and those held so much already without an end.
+
+    ``hold`` is their stiffness times that, or ``largest`` times it; ``any_marked`` (1,) becomes 1 if there are some.
+    """
+    v = wp.tid()
+    if marked_in[v] != 0:
+        more = wp.where(held[v] < factor, factor * held[v], wp.inf)
+        held[v] = more
+        hold[v] = wp.min(more, largest) * stiffness_in[v]
+        any_marked[0] = 1
+
+
+@wp.kernel
+def take_held(
+    # in
+    any_marked_in: wp.array[wp.int32],
+    held_in: wp.array[wp.float32],
+    solution_in: wp.array[wp.vec3],
+    # in and out
+    correction: wp.array[wp.vec3],
+):
+    """The solution, but none of it at vertices held without an end; what there was if none was marked."""
+    v = wp.tid()
+    if any_marked_in[0] != 0:
+        correction[v] = wp.where(wp.isinf(held_in[v]), 0.0, 1.0) * solution_in[v]
+
+
+@wp.kernel
+def sum_face_sizes(
+    # in
+    points_in: wp.array2d[wp.vec3],
+    corner_vertex_in: wp.array[wp.int32],
+    # out
+    sum_out: wp.array2d[wp.float64],
+):
+    """Areas of faces, and squared lengths of their edges, in some frames: (n, 2), sums over every n-th face each."""
+    first = wp.tid()
+    area = wp.float64(0.0)
+    squared = wp.float64(0.0)
+    for f in range(first, corner_vertex_in.shape[0] / 3, sum_out.shape[0]):
+        for t in range(points_in.shape[0]):
+            a = points_in[t, corner_vertex_in[3 * f]]
+            ab = points_in[t, corner_vertex_in[3 * f + 1]] - a
+            ac = points_in[t, corner_vertex_in[3 * f + 2]] - a
+            area += wp.float64(0.5 * wp.length(wp.cross(ab, ac)))
+            squared += wp.float64(wp.length_sq(ab)) + wp.float64(wp.length_sq(ac)) + wp.float64(wp.length_sq(ac - ab))
+    sum_out[first, 0] = area
+    sum_out[first, 1] = squared

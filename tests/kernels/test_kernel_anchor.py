@@ -9,7 +9,8 @@ import warp as wp
 from tests.oracles import quadrics as oracle
 from tests.support import meshes
 from tests.support.mesh_state import build_mesh, packed, packed_quadrics
-from warpqem.kernels.anchor import fill_gram_matrices, measure_cluster_distances
+from warpqem.frames.blocks import pack_frames, unpack_frames
+from warpqem.kernels.anchor import fill_gram_matrices, measure_cluster_distances, put_in_the_middle
 from warpqem.kernels.lanes import width_of
 from warpqem.place.anchors import (
     Anchors,
@@ -354,14 +355,30 @@ def test_pinned_anchors_are_their_own_vertex_and_the_first_heaviest_member_is_fo
     kept, pinned = 1000 + np.arange(40), rng.random(40) < 0.3
     arrays = [wp.array(values, dtype=wp.int32, device=device) for values in (start, vertex)]
     anchors = Anchors(*arrays, wp.array(weight, dtype=wp.float32, device=device))
-    heaviest, largest, number = anchors.finish(kept, pinned, wp.array([7], dtype=wp.int32, device=device))
-    assert number == 7
+    heaviest = anchors.finish(kept, pinned).numpy()
     owner = np.repeat(np.arange(40), size)
     weight[pinned[owner]] = 0.0
     weight[start[:-1][pinned]], vertex[start[:-1][pinned]] = 1.0, kept[pinned]
     found = fetched(anchors)
     np.testing.assert_array_equal(found.vertex, vertex)
     np.testing.assert_array_equal(found.weight, weight)
-    np.testing.assert_array_equal(largest, np.maximum.reduceat(weight, start[:-1]))
     first = [start[c] + np.argmax(weight[start[c] : start[c + 1]]) for c in range(40)]
     np.testing.assert_array_equal(heaviest, vertex[first])
+
+
+def test_vertices_are_put_in_the_middle_of_their_clusters(device):
+    rng = np.random.default_rng(0)
+    points = rng.normal(size=(3, 20, 3)).astype(np.float32)
+    there = pack_frames(points, device)
+    position = pack_frames(np.zeros((3, 5, 3), dtype=np.float32), device)
+    members = [np.array([4, 0, 7]), np.array([11])]
+    arrays = ([3, 1], [0, 3, 4], np.concatenate(members))
+    inputs = [wp.array(np.array(values, dtype=np.int32), device=device) for values in arrays]
+    kernel = put_in_the_middle[width_of(there)]
+    wp.launch(kernel, dim=(2, there.shape[1]), inputs=[*inputs, there], outputs=[position], device=device)
+    found = wp.empty((3, 5), dtype=wp.vec3, device=device)
+    unpack_frames(position, found)
+    expected = np.zeros((3, 5, 3))
+    for row, member in zip((3, 1), members, strict=True):
+        expected[:, row] = points[:, member].mean(axis=1)
+    np.testing.assert_allclose(found.numpy(), expected, atol=1e-6)

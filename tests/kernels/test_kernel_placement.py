@@ -124,7 +124,7 @@ def measured(points, faces, clusters, device, choices=CHOICES) -> tuple[np.ndarr
     """(errors with each choice, how far it wanders, area) of the one cluster."""
     position = packed(points, device)
     clusters.stiffness = wp.full(1, EPSILON, dtype=wp.float32, device=device)
-    data = ClusterData(wp.array(faces.ravel(), dtype=wp.int32, device=device), rows_of(clusters), *2 * [np.empty(0)])
+    data = ClusterData(wp.array(faces.ravel(), dtype=wp.int32, device=device), rows_of(clusters))
     error, wander, area = BlockPlacer(data, device).measure_stiffness(position, len(points), choices[None])
     return error[0], wander[0], float(area[0])
 
@@ -259,10 +259,11 @@ def test_corners_have_the_cluster_and_weight_of_their_vertex(device):
         np.testing.assert_array_equal(found.numpy(), values[faces.ravel()])
 
 
-def test_corners_of_listed_faces_are_gathered(device):
+def test_corners_of_listed_faces_are_gathered_as_many_as_there_are(device):
     faces = MESHES["open"][1]
-    listed = np.array([4, 0, 4, len(faces) - 1], dtype=np.int32)
-    inputs = [wp.array(listed, device=device), wp.array(faces.ravel(), device=device)]
-    out = wp.empty(4, dtype=wp.vec3i, device=device)
-    wp.launch(gather_corners, dim=4, inputs=inputs, outputs=[out], device=device)
-    np.testing.assert_array_equal(out.numpy(), faces[listed])
+    # Four of the list are told, and the launch begins with its second one; what comes after says nothing.
+    listed = np.array([4, 0, 4, len(faces) - 1, 10**8], dtype=np.int32)
+    arrays = [wp.array(values, device=device) for values in (listed[1:], faces.ravel(), np.array([4], dtype=np.int32))]
+    out = wp.zeros(4, dtype=wp.vec3i, device=device)
+    wp.launch(gather_corners, dim=4, inputs=[*arrays, 1], outputs=[out], device=device)
+    np.testing.assert_array_equal(out.numpy(), [*faces[listed[1:4]], [0, 0, 0]])

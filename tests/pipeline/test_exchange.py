@@ -111,7 +111,7 @@ def test_a_hole_between_vertices_that_stay_is_seen_where_input_faces_are_larger(
     search = exchange._Search(work, exchange.order_with_spare(work), 700)
     level = search._first_level()
     ordered = level.ordered
-    at = search._frames.level_points[-1][ordered.faces]
+    at = search._frames.level_points.numpy()[-1][ordered.faces]
     is_hole = (np.abs(at[..., 0].mean(axis=1) - 1.0) < 0.3) & (np.ptp(at[..., 1], axis=1) > 1.0)
     assert is_hole.any()
     torn = replace(ordered, faces=ordered.faces[~is_hole], face_map=ordered.face_map[~is_hole])

@@ -306,7 +306,7 @@ def test_a_solver_solves_again_after_its_elements_have_changed(device):
 @pytest.mark.skipif("CUDA_SEMANTICS" not in os.environ, reason="needs CUDA_SEMANTICS")
 def test_rounds_of_the_fit_wait_for_the_device_no_further(roughly, monkeypatch):
     # For the sizes of faces and the number of half-edges on borders; marks of vertices and faces come after the rounds.
-    monkeypatch.setattr(fit_surface._Refit, "hold_back", lambda *_: None)
+    monkeypatch.setattr(fit_surface._Refit, "hold_back", lambda *_, **__: None)
     monkeypatch.setattr(fit_surface._Refit, "far_vertices", lambda *_: np.zeros(1, dtype=bool))
     monkeypatch.setattr(prepare, "SPARE", 0.0)
     waited, fit = [], place_frames.fit_corrections

@@ -18,6 +18,11 @@ from warpqem.decimation.faces_left import faces_left
 from warpqem.decimation.forest_cut import CollapseForest, Cut, last_collapses
 from warpqem.decimation.memoryless_quadrics import MemorylessQuadrics
 from warpqem.decimation.replay import copy_rows, put_rows
+from warpqem.kernels import anchor as kernels
+from warpqem.kernels.lanes import width_of
+from warpqem.runtime import new_arrays
+from warpqem.runtime.device import device_traits
+from warpqem.runtime.launches import launch
 
 __all__ = ["ClusterStates"]
 
@@ -48,13 +53,19 @@ class ClusterStates:
         # The last collapse of the cluster whose state each vertex shows.
         self._shown = self._left.copy()
 
-    def at(self, cut: Cut) -> DecimatedMesh:
-        """A level; the arrays of positions and quadrics are shared by all of them."""
+    def at(self, cut: Cut, known: DecimatedMesh | None = None) -> DecimatedMesh:
+        """A level; the arrays of positions and quadrics are shared by all of them.
+
+        ``known`` is what it was before, for its faces, where there were others since.
+        """
         ordered, log = self._ordered, self._ordered.log.chosen(cut.kept)
         drops = ordered.drops
         drops = drops.chosen(cut.dropped, cut.kept) if len(drops) else drops
         root = log.roots(len(ordered.root))
-        faces, face_map = faces_left(self._corner_vertex, log, root, drops)
+        if known is None:
+            faces, face_map = faces_left(self._corner_vertex, log, root, drops)
+        else:
+            faces, face_map = known.faces, known.face_map
         last = self._forest.last_collapses(cut)
         is_kept = np.zeros(len(root), dtype=bool)
         is_kept[faces] = True
@@ -111,12 +122,23 @@ class ClusterStates:
         member = member[np.argsort(place[root[member]], kind="stable")]
         cluster = place[root[member]]
         first = np.flatnonzero(np.diff(cluster, prepend=-1))
-        index = wp.array(member.astype(np.int32), dtype=wp.int32, device=self._position.device)
-        points = read_rows(self._ordered.key_position, index)
-        count = np.diff(first, append=len(member)).astype(np.float32)
-        middle = np.add.reduceat(points, first, axis=0) / count[:, None, None, None]
-        put_rows(self._position, self._ordered.row[vertex], middle)
+        self._put_in_the_middle(self._ordered.row[vertex], first, member.astype(np.int32))
         self._renew(vertex, root, face_map)
+
+    def _put_in_the_middle(self, row: np.ndarray, first: np.ndarray, member: np.ndarray) -> None:
+        """Put the vertices of some rows (n,) in the middle of their members, each of which begin at ``first`` (n,)."""
+        position, points = self._position, self._ordered.key_position
+        device = position.device
+        index, start = new_arrays.uploaded(member, dtype=wp.int32, device=device), np.append(first, len(member))
+        if device_traits(str(device)).own_memory:
+            rows, starts = (new_arrays.uploaded(values, dtype=wp.int32, device=device) for values in (row, start))
+            inputs = [rows, starts, index, points]
+            kernel = kernels.put_in_the_middle[width_of(points)]
+            launch(kernel, (len(row), points.shape[1]), inputs, [position], device=device)
+            return
+        count = np.diff(start).astype(np.float32)
+        middle = np.add.reduceat(read_rows(points, index), first, axis=0) / count[:, None, None, None]
+        put_rows(position, row, middle)
 
     def _renew(self, vertex: np.ndarray, root: np.ndarray, face_map: np.ndarray) -> None:
         """Make the quadrics of some vertices those of the faces around them."""

@@ -10,7 +10,10 @@ import numpy.typing as npt
 import warp as wp
 
 from warpqem.frames.blocks import block_width, pack_frames
-from warpqem.kernels.lanes import POINTS
+from warpqem.kernels import lanes as kernels
+from warpqem.kernels.lanes import POINTS, width_of
+from warpqem.runtime import new_arrays
+from warpqem.runtime.part_launches import columns_of, launch_in_parts, rows_of
 
 __all__ = ["ChangingBlock", "UnitBlock", "UnitFrames"]
 
@@ -91,14 +94,17 @@ class ChangingBlock(UnitBlock):
         # Vertices that are not there yet lie in the middle.
         super().__init__(np.broadcast_to(frames.middle[:, None], (*shape, 3)), frames, device)
         width = block_width(len(self), device)
+        self._middle = new_arrays.uploaded(frames.middle.astype(np.float32), dtype=wp.vec3, device=device)
+        self._unit = new_arrays.uploaded(frames.unit, dtype=wp.float64, device=device)
         self.double = wp.zeros(shape, dtype=wp.vec3d, device=device)
         self.lanes = wp.zeros((shape[1], -(-shape[0] // width)), dtype=POINTS[width], device=device)
 
-    def put(self, vertex: npt.NDArray[np.integer], points: npt.NDArray[np.float32]) -> None:
-        """Put some vertices (m,) where they are, (n, m, 3), in the caller's coordinates."""
-        width = block_width(len(self), self._device)
-        single = pack_frames(self._frames.single(points), self._device, width=width)
-        double = wp.array(self._frames.double(points), dtype=wp.vec3d, device=self._device, copy=False)
-        index = wp.array(vertex, dtype=wp.int32, device=self._device)
-        wp.copy(wp.indexedarray(self.lanes, [index]), single)
-        wp.copy(wp.indexedarray(self.double, [None, index]), double)
+    def put(self, vertex: wp.array, points: wp.array) -> None:
+        """Put some vertices (m,) int32 where they are, (n, m) points in the caller's coordinates, all on the device."""
+        launch_in_parts(
+            kernels.put_points[width_of(self.lanes)],
+            (len(vertex), self.lanes.shape[1]),
+            [columns_of(points), rows_of(vertex), self._middle, self._unit],
+            [self.lanes, self.double],
+            device=self._device,
+        )

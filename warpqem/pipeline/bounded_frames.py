@@ -8,12 +8,15 @@ over faces of held vertices is as near as it was: at the worst, all of them are 
 from __future__ import annotations
 
 import numpy as np
+import warp as wp
 
+from warpqem.frames.device_frames import to_device
 from warpqem.frames.stream import FrameSink
 from warpqem.measure.bound import DistanceBound, Excess
 from warpqem.measure.unit_frames import ChangingBlock
 from warpqem.pipeline.bound_sink import LimitFrames
 from warpqem.pipeline.cut_levels import CutLevel
+from warpqem.runtime import new_arrays
 from warpqem.runtime.device import device_turn
 
 __all__ = ["BoundedFrames", "HeldVertices", "SettledFrames"]
@@ -62,7 +65,8 @@ class BoundedFrames:
         with device_turn(self._device):
             units, reference = self._frames.block(frames)
             test = ChangingBlock((len(points), reference.vertex_count), units, self._device)
-            test.put(self._level.kept, points)
+            kept = new_arrays.uploaded(self._level.kept, dtype=wp.int32, device=self._device)
+            test.put(kept, to_device(points, self._device))
             found = self._bound.excess_of_blocks(frames.start, reference, test)
         if found is not None:
             self.excess.append(found)

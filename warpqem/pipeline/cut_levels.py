@@ -5,14 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import warp as wp
 
 from warpqem.decimation.decimate import DecimatedMesh
 from warpqem.decimation.forest_cut import Cut
-from warpqem.frames.device_frames import to_device
+from warpqem.frames.device_frames import take_vertices, to_device
 from warpqem.measure.unit_frames import ChangingBlock, UnitBlock, UnitFrames
 from warpqem.pipeline.prepare import Prepared
 from warpqem.place.block_placer import pack_block
 from warpqem.place.clusters import ClusterPlacer
+from warpqem.runtime import new_arrays
 
 __all__ = ["Choice", "CutLevel", "LevelFrames", "placer_of"]
 
@@ -67,7 +69,7 @@ class LevelFrames:
     Attributes:
         reference: the input at unit size.
         test: the level that was placed last.
-        level_points: (n, V, 3) float32, the same in the caller's coordinates.
+        level_points: (n, V) points on the device, the same in the caller's coordinates.
     """
 
     def __init__(self, work: Prepared, about: np.ndarray, own: np.ndarray, units: UnitFrames) -> None:
@@ -75,7 +77,7 @@ class LevelFrames:
         self._packed = pack_block(work.mesh, self._about, work.device)
         self.reference = UnitBlock(own, units, work.device)
         self.test = ChangingBlock(about.shape[:2], units, work.device)
-        self.level_points = np.empty(about.shape, dtype=np.float32)
+        self.level_points = wp.empty(about.shape[:2], dtype=wp.vec3, device=work.device)
 
     def __len__(self) -> int:
         return len(self.level_points)
@@ -90,19 +92,22 @@ class LevelFrames:
         moved = level.kept if before is None else level.kept[~level.unmoved(before)[level.kept]]
         if len(moved):
             placer = placer_of(self._work, level, moved)
-            points = placer.place(mesh, self._about, self._packed).original_points(mesh)
-            self.level_points[:, moved] = points
-            self.test.put(moved, points)
+            self._put(moved, placer.place(mesh, self._about, self._packed).restored(mesh))
         return moved
 
-    def put(self, level: CutLevel, points: np.ndarray) -> None:
-        """Put a level where it is, (n, C, 3) in the caller's coordinates."""
-        self.level_points[:, level.kept] = points
-        self.test.put(level.kept, points)
+    def put(self, level: CutLevel, points: np.ndarray | wp.array) -> None:
+        """Put a level where it is, (n, C, 3) or (n, C) points on the device, in the caller's coordinates."""
+        self._put(level.kept, to_device(points, self._work.device))
+
+    def _put(self, vertex: np.ndarray, points: wp.array) -> None:
+        index = new_arrays.uploaded(vertex, dtype=wp.int32, device=self._work.device)
+        wp.copy(wp.indexedarray(self.level_points, [None, index]), points)
+        self.test.put(index, points)
 
     def points(self, level: CutLevel) -> np.ndarray:
         """The level, (n, C, 3), in the caller's coordinates."""
-        points: np.ndarray = self.level_points[:, level.kept]
+        kept = new_arrays.uploaded(level.kept, dtype=wp.int32, device=self._work.device)
+        points: np.ndarray = take_vertices(self.level_points, kept).numpy()
         return points
 
 

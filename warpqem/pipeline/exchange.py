@@ -21,7 +21,7 @@ from warpqem.decimation.collapse_nodes import NodeRecorder
 from warpqem.decimation.decimate import DecimatedMesh
 from warpqem.decimation.forest_cut import CollapseForest, Cut
 from warpqem.decimation.order_steps import OrderSteps
-from warpqem.frames.device_frames import to_device
+from warpqem.frames.device_frames import DeviceSink, to_device
 from warpqem.frames.stream import ArrayFrames, ArraySink, counted_frames
 from warpqem.measure.unit_frames import UnitFrames
 from warpqem.mesh.mesh_input import AnimatedMesh
@@ -30,6 +30,7 @@ from warpqem.pipeline.key_frames import looked_frames
 from warpqem.pipeline.level_distances import LevelDistances
 from warpqem.pipeline.prepare import ORDER_END, Prepared, spare_count
 from warpqem.pipeline.result import with_frames, without_frames
+from warpqem.runtime.device import device_traits
 
 __all__ = ["exchanged", "order_with_spare", "spare_faces"]
 
@@ -114,7 +115,7 @@ class _Search:
         left_out = np.empty(0, dtype=np.int64)
         level = self._first_level()
         largest = least = self._distances.renew(level, None)
-        best = level.choice.cut
+        best = level
         for _ in range(ROUNDS):
             chosen = np.setdiff1d(self._collapses_at_spots(level, largest), left_out)
             if not len(chosen):
@@ -129,7 +130,7 @@ class _Search:
             share = FACES_PER_COLLAPSE * (self._step - self._first_step) / self._target
             weighed = largest * math.exp(WORTH * share)
             if weighed < least:
-                best, least = level.choice.cut, weighed
+                best, least = level, weighed
             if progress:
                 progress(ORDER_END, "order")
         return self._settled(best)
@@ -140,7 +141,8 @@ class _Search:
         placer = self._work.placer(level.ordered, refit=True)
         settings = replace(self._work.place_settings, softening=placer.softening)
         self._work = replace(self._work, place_settings=settings)
-        array = ArraySink()
+        device = self._work.device
+        array = DeviceSink(device) if device_traits(device).own_memory else ArraySink()
         result = without_frames(self._work, placer, level.ordered)
         with_frames(result, self._work, placer, True, sink=array, roughly=True)
         self._frames.put(level, array.points)
@@ -168,9 +170,12 @@ class _Search:
                 return None
             self._step = min(self._step + max(1, excess // FACES_PER_COLLAPSE), len(self._steps))
 
-    def _level(self, cut: Cut) -> CutLevel:
-        """A level whose clusters are placed by their planes, but for those that ordering left."""
-        ordered = self._states.at(cut)
+    def _level(self, cut: Cut, known: DecimatedMesh | None = None) -> CutLevel:
+        """A level whose clusters are placed by their planes, but for those that ordering left.
+
+        ``known`` is the same level, if it was made before.
+        """
+        ordered = self._states.at(cut, known)
         loose = np.ones(len(ordered.root), dtype=bool)
         return CutLevel(Choice(cut, loose), ordered, self._forest.last_collapses(cut))
 
@@ -182,9 +187,9 @@ class _Search:
         collapse = np.take_along_axis(last, error.argmax(axis=1)[:, None], axis=1)[:, 0]
         return np.unique(collapse[collapse >= 0])
 
-    def _settled(self, cut: Cut) -> DecimatedMesh:
-        """A level whose new clusters lie where their planes have them in the key frames, for what holds them."""
-        level, mesh, device = self._level(cut), self._whole.mesh, self._whole.device
+    def _settled(self, best: CutLevel) -> DecimatedMesh:
+        """A level, with its new clusters where their planes have them in the key frames, for what holds them."""
+        level, mesh, device = self._level(best.choice.cut, best.ordered), self._whole.mesh, self._whole.device
         vertex = self._states.made(level.kept)
         if len(vertex):
             clip = _clip(mesh, self._whole.key_frames)

@@ -21,6 +21,7 @@ from warpqem.measure.surface_places import (
 )
 from warpqem.pipeline.cut_levels import CutLevel, LevelFrames
 from warpqem.pipeline.prepare import Prepared
+from warpqem.runtime.device import device_traits
 
 __all__ = ["LevelDistances"]
 
@@ -69,7 +70,7 @@ class LevelDistances:
         is_near, here = near[ordered.root], self._here(level)
         around = FacesAround(ordered.faces, len(ordered.root))
         input_lanes, level_lanes = self._frames.reference.lanes, self._frames.test.lanes
-        side = Side(level_lanes, around, (around.start, around.face))
+        side = Side(level_lanes, around, around)
         vertex = np.flatnonzero(is_near & here)
         vertices = InputVertices(input_lanes, side, vertex, ordered.root[vertex])
         corners = self._mesh.faces[self._large]
@@ -81,16 +82,24 @@ class LevelDistances:
         faces, face = ordered.faces[changed], ordered.face_map[changed]
         own = SampledFaces(level_lanes, faces, faces, there, around)
         kept = SimplifiedVertices(level_lanes, there, np.unique(faces), around)
-        if moved is None:
-            # How far vertices are decides how closely the rest is looked at.
+        # How far vertices of the first level are decides how closely the rest is looked at; where the host would wait
+        # for that, all are looked at together, which finds the same.
+        rest = (large, own, kept)
+        if moved is None and not device_traits(self._device).own_memory:
             (self._far_vertex[vertex],) = self._distances(vertices)
-            self.limit = max(self.limit, MIN_SHARE * float(self._far_vertex.max(initial=0.0)))
-            found = self._distances(large, own, kept)
+            self._raise_limit()
+            found = self._distances(*rest)
         else:
-            self._far_vertex[vertex], *found = self._distances(vertices, large, own, kept)
+            self._far_vertex[vertex], *found = self._distances(vertices, *rest)
+            if moved is None:
+                self._raise_limit()
         self._far_large[row], self._far_face[face], self._far_kept[kept.vertex] = found
         parts = self._far_vertex[here], self._far_large, self._far_face[ordered.face_map], self._far_kept[level.kept]
         return max(self.limit, *(float(part.max(initial=0.0)) for part in parts))
+
+    def _raise_limit(self) -> None:
+        """Take no closer a look than a part of the largest distance of the vertices of the input."""
+        self.limit = max(self.limit, MIN_SHARE * float(self._far_vertex.max(initial=0.0)))
 
     def _choose_large(self, level: CutLevel) -> None:
         """The input faces that are larger than those of the first level."""

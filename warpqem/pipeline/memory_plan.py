@@ -183,6 +183,8 @@ LEVEL_FACE = 120
 # Placing, for each face: the rows of the clusters it has a part in, and what sorts them; for each output vertex: its
 # anchor's Gram matrix of 32 x 33 / 2 numbers, and cluster vertices.
 PLACE_FACE, PLACE_OUTPUT = 200, 2500
+# A device that the host would wait for has room for three rows of each face, of 20 bytes, in place of some 1.5.
+ROOM_FACE = 30
 # A frame of a block, for each output vertex: points and normals packed and not, as float64, as the caller's, and on
 # their way to the sink.
 FRAME_OUTPUT = 120
@@ -317,7 +319,8 @@ def _order(needs: MemoryNeeds, device: str) -> int:
 
 def _place(needs: MemoryNeeds, device: str) -> tuple[int, int]:
     """Bytes whatever the block, and bytes for each frame of a block."""
-    fixed = PLACE_FACE * needs.face_count + PLACE_OUTPUT * needs.output_vertices
+    per_face = PLACE_FACE + ROOM_FACE * device_traits(device).own_memory
+    fixed = per_face * needs.face_count + PLACE_OUTPUT * needs.output_vertices
     # The anchors are fitted on what decimation leaves: positions before and after, quadrics.
     anchors = 64 * _padded(needs.key_frames, device) * needs.vertex_count
     if needs.keep_nodes:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
+import warp as wp
 
 from warpqem.frames.device_frames import DeviceSink
 from warpqem.frames.stream import FrameSink, FrameWriter, read_ahead
@@ -17,23 +18,24 @@ from warpqem.place.frame_store import AnyFrameStore, DeviceFrameStore, FrameStor
 from warpqem.place.place import Placer
 from warpqem.refit.fit_surface import fit_corrections
 from warpqem.runtime.device import device_traits
+from warpqem.runtime.readback import read_together
 
 __all__ = ["FinishedFrames", "Placing", "Settling", "place_frames", "place_refitted"]
 
 Progress = Callable[[int], None] | None
 
 
-@dataclass
+@dataclass(frozen=True)
 class FinishedFrames:
     """What is known of the frames once they are with the sink.
 
     Attributes:
-        flips: (F,) int32, output faces of each frame that face away from the input.
+        flips: (F,) int32, output faces of each frame that face away from the input; none where they are not counted.
         first: (1, C, 3) float32, the first frame in the caller's coordinates, where it came to the host.
     """
 
     flips: np.ndarray
-    first: np.ndarray = field(default_factory=lambda: np.empty((1, 0, 3), dtype=np.float32))
+    first: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -81,23 +83,34 @@ class Settling(Protocol):
 class _Finish:
     """Counts flips, brings frames back to the caller's coordinates, and hands them to a sink on a thread."""
 
-    def __init__(self, work: Placing) -> None:
-        self._mesh, self._placer = work.mesh, work.placer
+    def __init__(self, work: Placing, counts_flips: bool = True) -> None:
+        self._mesh, self._placer, self._counts_flips = work.mesh, work.placer, counts_flips
         self._there = work.sink if isinstance(work.sink, DeviceSink) else None
-        self.finished = FinishedFrames(np.empty(work.mesh.frame_count, dtype=np.int32))
+        self._first = np.empty((1, 0, 3), dtype=np.float32)
+        self._flips: list[np.ndarray] = []
+        self._flips_there: list[wp.array] = []
         work.sink.begin(work.mesh.frame_count, work.placer.vertex_count, work.faces)
 
     def take(self, frames: slice, placed: PlacedBlocks, write: FrameWriter[np.ndarray]) -> None:
         """Finish consecutive frames."""
-        flips = self._placer.count_flips(placed)
         if self._there is not None:
             placed.restored(self._mesh, self._there.room(frames))
-            self.finished.flips[frames] = flips.numpy()
+            if self._counts_flips:
+                self._flips_there.append(self._placer.count_flips(placed))
             return
-        points, self.finished.flips[frames] = placed.points_and_numbers(self._mesh, flips)
+        if self._counts_flips:
+            points, flips = placed.points_and_numbers(self._mesh, self._placer.count_flips(placed))
+            self._flips.append(flips)
+        else:
+            points = placed.original_points(self._mesh)
         if frames.start == 0:
-            self.finished.first = points[:1].copy()
+            self._first = points[:1].copy()
         write(frames, points)
+
+    def finished(self) -> FinishedFrames:
+        """What is known of all frames."""
+        flips = read_together(*self._flips_there) if self._flips_there else self._flips
+        return FinishedFrames(np.concatenate(flips or [np.empty(0, dtype=np.int32)]), self._first)
 
 
 def place_frames(work: Placing) -> FinishedFrames:
@@ -106,7 +119,7 @@ def place_frames(work: Placing) -> FinishedFrames:
     with FrameWriter(work.sink.write, len(work.blocks)) as write:
         for frames, placed in work.placed():
             finish.take(frames, placed, write)
-    return finish.finished
+    return finish.finished()
 
 
 def place_refitted(
@@ -128,7 +141,7 @@ def place_refitted(
         recent_error: the root mean square of the errors of the last collapses, in diagonals.
         on_disk: keep the placed frames in a temporary file.
         settling: leaves vertices as placed; the sink begins anew each time that there are more.
-        roughly: see :func:`warpqem.refit.fit_surface.fit_corrections`.
+        roughly: see :func:`warpqem.refit.fit_surface.fit_corrections`; flips are not counted then.
     """
     placer = work.placer
     with _stored(work, on_disk, settling is None) as store:
@@ -136,7 +149,7 @@ def place_refitted(
             work.mesh, placer, store, key_frames, error, recent_error, work.blocks, placer.device, roughly
         )
         while True:
-            finish = _Finish(work)
+            finish = _Finish(work, counts_flips=not roughly)
             with FrameWriter(work.sink.write, len(work.blocks)) as write:
                 for frames, kept in read_ahead(store.read, work.blocks):
                     moved = correct(kept)
@@ -145,7 +158,7 @@ def place_refitted(
                     finish.take(frames, placer.to_blocks(work.mesh, moved), write)
             if settling is None or settling.is_settled():
                 break
-    return finish.finished
+    return finish.finished()
 
 
 @contextlib.contextmanager

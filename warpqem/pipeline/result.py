@@ -261,7 +261,7 @@ def with_frames(
         device: where that array is; None for the host.
         progress: called with the part done and "place".
         settling: decides which vertices a refit leaves as placed; None for those that the refit does.
-        roughly: refit roughly, for a look at where the surface is far from the input.
+        roughly: refit roughly, for a look at where the surface is far from the input; flips are not counted.
     """
     mesh, array = work.mesh, ArraySink() if device is None else DeviceSink(device)
     placed = _place_progress(progress, mesh.frame_count)

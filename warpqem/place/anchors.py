@@ -48,15 +48,19 @@ class Clusters:
 
     @classmethod
     def of(cls, cluster: np.ndarray, line_rank: np.ndarray, cluster_count: int, device: str) -> Clusters:
-        """Count the vertices (V,) of each."""
-        count = len(cluster)
-        given = [wp.array(values, dtype=wp.int32, device=device, copy=False) for values in (cluster, line_rank)]
-        holder = new_arrays.full(-(-count // 3) * 3, -1, dtype=wp.int32, device=device)
-        found = new_arrays.zeros((3, cluster_count), dtype=wp.int32, device=device)
-        size, highest_rank, holder_count = (found[row] for row in range(3))
-        launch(row_kernels.count_members, count, given, [size, highest_rank], device=device)
-        launch(row_kernels.mark_highest, count, [*given, highest_rank], [holder_count, holder], device=device)
-        return cls(given[0], holder, *found.numpy())
+        """Count the vertices (V,) of each; hardly a vertex has a rank above 0."""
+        size = np.bincount(cluster + 1, minlength=cluster_count + 1)[1:].astype(np.int32)
+        ranked = np.flatnonzero((line_rank > 0) & (cluster >= 0))
+        owner, rank = cluster[ranked], line_rank[ranked]
+        highest_rank = np.zeros(cluster_count, dtype=np.int32)
+        np.maximum.at(highest_rank, owner, rank)
+        highest = np.bincount(owner[rank == highest_rank[owner]], minlength=cluster_count)
+        holder_count = np.where(highest_rank > 0, highest, size).astype(np.int32)
+        there, ranks = (wp.array(values, dtype=wp.int32, device=device, copy=False) for values in (cluster, line_rank))
+        holder = new_arrays.full(-(-len(cluster) // 3) * 3, -1, dtype=wp.int32, device=device)
+        inputs = [there, ranks, new_arrays.uploaded(highest_rank, dtype=wp.int32, device=device)]
+        launch(row_kernels.choose_highest, len(cluster), inputs, [holder], device=device)
+        return cls(there, holder, size, highest_rank, holder_count)
 
 
 @dataclass(frozen=True)
@@ -73,21 +77,19 @@ class Anchors:
     vertex: wp.array
     weight: wp.array
 
-    def finish(self, kept: np.ndarray, pinned: np.ndarray, number: wp.array) -> tuple[np.ndarray, np.ndarray, int]:
+    def finish(self, kept: np.ndarray, pinned: np.ndarray) -> wp.array:
         """Anchor each pinned vertex to itself alone, also where it is not among the nearest members of its cluster.
 
         Args:
             kept: (C,) int32, input vertex that each output vertex goes by.
             pinned: (C,) bool.
-            number: (1,) int32 on the device, which comes to the host with the rest.
 
         Returns:
-            The member of each with the largest weight, (C,) int32, the nearest of equal ones; that weight; the number.
+            Of each the member with the largest weight, (C,) int32 on the device, the nearest of equal ones.
         """
         device, count = self.start.device, len(kept)
         flags = new_arrays.uploaded(pinned, dtype=wp.int32, device=device)
-        found = new_arrays.empty(2 * count + 1, dtype=wp.int32, device=device)
-        heaviest, largest = found[:count], found[count : 2 * count].view(wp.float32)
+        heaviest = new_arrays.empty(count, dtype=wp.int32, device=device)
         launch_in_parts(
             kernels.finish_anchors,
             count,
@@ -96,12 +98,10 @@ class Anchors:
                 rows_of(new_arrays.uploaded(kept, dtype=wp.int32, device=device)),
                 rows_of(flags),
             ],
-            outputs=[self.vertex, self.weight, rows_of(heaviest), rows_of(largest)],
+            outputs=[self.vertex, self.weight, rows_of(heaviest)],
             device=device,
         )
-        wp.copy(found[2 * count :], number)
-        brought = found.numpy()
-        return brought[:count], brought[count : 2 * count].view(np.float32), int(brought[-1])
+        return heaviest
 
 
 def nearest_members(ordered: DecimatedMesh, clusters: Clusters, most: int) -> tuple[np.ndarray, wp.array, wp.array]:

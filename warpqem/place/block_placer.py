@@ -142,14 +142,10 @@ class ClusterData:
     Attributes:
         corner_vertex: (3N,) int32 on the device, the input's faces.
         rows: the arrays of :class:`warpqem.kernels.placement.Clusters` by their names, on the device or the host.
-        copied_from: (M,) int32, the input vertices that are copied.
-        copied: (M,) int, the clusters that are copies of them.
     """
 
     corner_vertex: wp.array
     rows: dict[str, Any]
-    copied_from: np.ndarray
-    copied: np.ndarray
 
     @property
     def vertex_count(self) -> int:
@@ -183,9 +179,13 @@ class BlockPlacer:
             if isinstance(values, np.ndarray):
                 values = wp.array(values, dtype=kernels.Clusters.vars[name].type.dtype, device=device, copy=False)
             setattr(self._clusters, name, values)
-        copies = (data.copied_from, data.copied)
+        none = np.empty(0, dtype=np.int32)
+        self.copy_vertices(none, none)
+
+    def copy_vertices(self, copied_from: np.ndarray, copied: np.ndarray) -> None:
+        """Copy some clusters (M,) int from input vertices (M,) int from now on, in place of others."""
         self.copied_from, self.copied = (
-            new_arrays.uploaded(values, dtype=wp.int32, device=device) for values in copies
+            new_arrays.uploaded(values, dtype=wp.int32, device=self._device) for values in (copied_from, copied)
         )
 
     def measure_stiffness(

@@ -86,11 +86,14 @@ class ClusterFaces:
         wp.utils.array_scan(count, self.start, inclusive=False)
         self.total = self.start[cluster_count:]
 
-    def listed(self, total: int) -> tuple[wp.array, wp.array]:
-        """``face`` int32, ascending within a cluster, and ``weight`` float32, the sum over its corners; so many."""
+    def listed(self, room: int) -> tuple[wp.array, wp.array]:
+        """``face`` int32, ascending within a cluster, and ``weight`` float32, the sum over its corners.
+
+        There is room for so many, which are no fewer than there are.
+        """
         device = self.start.device
-        face = new_arrays.empty(total, dtype=wp.int32, device=device)
-        weight = new_arrays.empty(total, dtype=wp.float32, device=device)
+        face = new_arrays.empty(room, dtype=wp.int32, device=device)
+        weight = new_arrays.empty(room, dtype=wp.float32, device=device)
         inputs = [*self._lists, self._corner_weight, starts_of(self.start)]
         launch_in_parts(kernels.list_faces, len(self.start) - 1, inputs, [face, weight], device=device)
         return face, weight

@@ -26,7 +26,8 @@ from warpqem.place.stiffness import (
     stiffness_by_size,
 )
 from warpqem.runtime import new_arrays
-from warpqem.runtime.part_launches import launch_in_parts, rows_of
+from warpqem.runtime.device import device_traits
+from warpqem.runtime.part_launches import FIRST_ITEM, launch_in_parts, rows_of
 
 __all__ = ["ClusterPlacer", "PlaceSettings"]
 
@@ -76,7 +77,7 @@ class ClusterPlacer:
         free: (C,) bool, vertices that may leave the place that their quadrics give them: those that stand for several
             input vertices, are not pinned, and no corner of a seam.
         on_seam: (C,) bool, vertices that stand for one on a seam.
-        nearest: (C,) int32, an input vertex of each cluster near to its anchor.
+        nearest: (C,) int32 on the device, an input vertex of each cluster near to its anchor.
         softening: halvings of the stiffness that all clusters have at least.
         copied_count: vertices M that are copies of an input vertex.
         copied: (M,) int32 on the device, these vertices.
@@ -114,15 +115,12 @@ class ClusterPlacer:
             anchors = fit_anchors(ordered, kept, clusters, regularisation)
             # A vertex alone in its cluster lies on all its planes: it is its own optimum.
             solved, held = ((size > 1) & ~pinned).astype(np.int32), pinned
-        self.nearest, largest, face_count = anchors.finish(kept, held, own_faces.total)
+        self.nearest = anchors.finish(kept, held)
         # Corners of seams keep the place that their own planes and seams give them.
         self.free = (solved == 1) & (clusters.highest_rank != 2)
         half_edge = np.flatnonzero(ordered.constrained)
         kind = ordered.constrained[half_edge]
         self.on_seam = _on_seam(faces, half_edge[kind >= 2], cluster, len(kept))
-        # An anchor that is one input vertex, not solved for, is copied, so that it keeps its bits.
-        single = np.flatnonzero((solved == 0) & (largest == 1.0))
-        self.copied_count = len(single)
         weight = np.where(kind == 1, CONSTRAINT_WEIGHT[1], CONSTRAINT_WEIGHT[2])
         self.clusters = ClusterData(
             corner_vertex=corner_vertex,
@@ -130,23 +128,27 @@ class ClusterPlacer:
                 "member_start": anchors.start,
                 "member": anchors.vertex,
                 "member_weight": anchors.weight,
-                **_face_rows(own_faces, corner_vertex, face_count),
+                **_face_rows(own_faces, corner_vertex),
                 **_other_planes(faces, half_edge, weight, cluster, len(kept), quadric_scale, sums),
                 "solved": solved,
                 "stiffness": stiffness,
             },
-            copied_from=self.nearest[single],
-            copied=single,
         )
         self._blocks = BlockPlacer(self.clusters, device)
-        self.copied, self.softening = self._blocks.copied, settings.softening
-        if not settings.endpoint:
-            choices = softer_choices(stiffness)
+        self.softening = settings.softening
+        choices = softer_choices(stiffness)
+        # Where no cluster has a choice, the device is not asked.
+        if not settings.endpoint and (choices[:, 0] > choices[:, -1]).any():
             error, wander, area = self._blocks.measure_stiffness(ordered.key_position, ordered.key_count, choices)
             recent = recent_errors(ordered.log, kept)
             chosen = choose_softness(error, wander, area, recent, settings.coherence_cost, settings.softening)
             self.softening = int(chosen.min(initial=int(STEPS) - 1))
             self._blocks.set_stiffness(choices[np.arange(len(kept)), chosen])
+        # A vertex that is not solved for is copied, so that it keeps its bits: the one that its anchor is.
+        copied = np.flatnonzero(solved == 0)
+        copied_from = self.nearest.numpy() if settings.endpoint else kept[copied]
+        self._blocks.copy_vertices(copied_from, copied)
+        self.copied, self.copied_count = self._blocks.copied, len(copied)
 
     def place(self, mesh: AnimatedMesh, points: wp.array, packed: wp.array | None = None) -> PlacedBlocks:
         """Place some frames of the mesh, given about its origin: (n, V) points; see :class:`BlockPlacer`."""
@@ -174,13 +176,15 @@ def _own_faces(
     return ClusterFaces(corner_cluster, corner_weight, cluster_count)
 
 
-def _face_rows(faces: ClusterFaces, corner_vertex: wp.array, count: int) -> dict[str, wp.array]:
-    """What the rows of the faces of clusters are, which are so many."""
-    face, weight = faces.listed(count)
-    corners = new_arrays.empty(count, dtype=wp.vec3i, device=corner_vertex.device)
-    if count:
-        inputs = [rows_of(face), corner_vertex]
-        launch_in_parts(kernels.gather_corners, count, inputs, [rows_of(corners)], device=corner_vertex.device)
+def _face_rows(faces: ClusterFaces, corner_vertex: wp.array) -> dict[str, wp.array]:
+    """What the rows of the faces of clusters are; where the host would wait for how many, with room for any number."""
+    device = corner_vertex.device
+    room = len(corner_vertex) if device_traits(str(device)).own_memory else int(faces.total.numpy()[0])
+    face, weight = faces.listed(room)
+    corners = new_arrays.empty(room, dtype=wp.vec3i, device=device)
+    if room:
+        inputs = [rows_of(face), corner_vertex, faces.total, FIRST_ITEM]
+        launch_in_parts(kernels.gather_corners, room, inputs, [rows_of(corners)], device=device)
     return {"face_start": faces.start, "face": corners, "face_weight": weight}
 
 

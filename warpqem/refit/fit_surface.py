@@ -26,11 +26,15 @@ from warpqem.place.block_placer import PlacedFrames
 from warpqem.place.frame_store import AnyFrameStore
 from warpqem.place.place import Placer
 from warpqem.refit.component_limits import ComponentLimits
+from warpqem.refit.holds import Holds
 from warpqem.refit.matching import Matching, make_surface
 from warpqem.refit.material_frames import MaterialFrames
+from warpqem.refit.scales import read_scales
 from warpqem.refit.solve import ElementSolver
 from warpqem.runtime import new_arrays
+from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import launch
+from warpqem.runtime.readback import read_together
 
 __all__ = ["fit_corrections"]
 
@@ -55,9 +59,6 @@ OUTPUT_SHARE = 2.0
 
 # A border counts as a strip beside it, so wide in mean edge lengths of the output.
 BORDER_WIDTH = 0.5
-# Stiffness along the surface of a vertex of a seam, relative to others: values on both sides stay where they are.
-SEAM_STIFFNESS = 250.0
-
 # Pairs further apart than so many times the largest error of a collapse are left out: there the search for the nearest
 # point got lost. The surfaces themselves are nowhere further apart than about three times that.
 REACH = 4.0
@@ -74,10 +75,9 @@ DOUBTED = 5.0
 # At least so far apart, in diagonals: ten times what float32 resolves.
 MIN_DOUBTED = 1e-6
 
-# A vertex that turns a face over gets so much more stiffness; where it still does, it does not move.
-HOLD = 30.0
-# The stiffness of a vertex that does not move, for its neighbours to be solved with.
-MAX_HOLD = 1e6
+# Where the host would wait to see whether vertices are held back, they are held so often before it looks: a time that
+# changes nothing takes the device less than the host would wait. The gallop takes one to four.
+HELD_AT_ONCE = 4
 
 
 def fit_corrections(
@@ -117,7 +117,7 @@ def fit_corrections(
     fit.improve(reach, search=True, take_limits=not roughly)
     for _ in range((ROUGH_ROUNDS if roughly else ROUNDS) - 1):
         fit.improve(reach)
-    fit.hold_back()
+    fit.hold_back(to_the_end=roughly)
     if roughly:
         return fit.apply
     for _ in range(ATTEMPTS):
@@ -152,14 +152,6 @@ class _Equations:
     right: wp.array
 
 
-@dataclass(frozen=True)
-class _Scales:
-    """Mean sizes over the key frames, in diagonals."""
-
-    area: float
-    edge_squared: float
-
-
 class _Refit:
     """The corrections of one mesh, on the device."""
 
@@ -184,7 +176,7 @@ class _Refit:
         self._keys = self._all_frames.of(keys)
         self._equations = self._make_equations()
         self._solver = ElementSolver(self._equations.elements)
-        self._scales = _measure_scales(keys.points, placer.faces)
+        self._scales, nearest = read_scales(keys.points, placer.faces, self._corner_vertex, placer.nearest)
         self._turns = max(1, min(len(key_frames), mesh.frame_count // FRAMES_PER_TURN))
         # Of a pruned component nothing is near to the output.
         faces = mesh.faces[placer.vertex_map[mesh.faces[:, 0]] >= 0]
@@ -201,15 +193,12 @@ class _Refit:
             placer.vertex_map,
             faces,
             placer.faces,
-            placer.nearest,
+            nearest,
             self._turns,
             BORDER_WIDTH * self._scales.edge_squared**0.5,
             device,
         )
-        self._stiffness = np.ones((self._vertex_count, 3), dtype=np.float32)
-        self._stiffness[placer.on_seam, :2] = SEAM_STIFFNESS
-        self._hold = new_arrays.uploaded(self._stiffness, dtype=wp.vec3, device=device)
-        self._held = np.ones(self._vertex_count, dtype=np.float32)
+        self._holds = Holds(placer.on_seam, device)
         self._correction = new_arrays.zeros(self._vertex_count, dtype=wp.vec3, device=device)
         self._times_far = np.zeros(self._vertex_count, dtype=np.int32)
         self._limits = ComponentLimits(
@@ -245,7 +234,7 @@ class _Refit:
         self._keys.move(self._correction, self._moved)
         self._matching.find(reach, search, raise_limits if take_limits else None, self._limits.sampled)
         self._assemble()
-        self._correction = self._solve()
+        wp.copy(self._correction, self._solve())
 
     def _make_equations(self) -> _Equations:
         elements, device, face_count = Elements(), self._device, len(self._faces)
@@ -287,20 +276,20 @@ class _Refit:
             device=self._device,
         )
 
-    def _solve(self) -> wp.array:
-        """What solves the equations with vertices held as far as they are now: (C,) vec3."""
+    def _solve(self, wanted: wp.array | None = None) -> wp.array:
+        """What solves the equations with vertices held as they are now, (C,) vec3; see :class:`ElementSolver`."""
         equations = self._equations
         stiffness = wp.vec3(TANGENT_STIFFNESS, TANGENT_STIFFNESS, NORMAL_STIFFNESS)
         launch(
             kernels.hold_elements,
             dim=len(self._faces),
-            inputs=[self._corner_vertex, equations.diagonal, equations.share, stiffness, self._hold],
+            inputs=[self._corner_vertex, equations.diagonal, equations.share, stiffness, self._holds.stiffness],
             outputs=[equations.elements.block],
             device=self._device,
         )
-        return self._solver.solve(equations.right)
+        return self._solver.solve(equations.right, wanted)
 
-    def hold_back(self) -> None:
+    def hold_back(self, to_the_end: bool = False) -> None:
         """Stiffen vertices that turn a face over in some frame, and at last do not move them.
 
         Likewise those that would go further than an edge is long in the mean: no pair is there, and few faces far off
@@ -308,27 +297,41 @@ class _Refit:
 
         The others are solved for anew each time: a vertex that stays where its neighbours do not expect it would cost
         more than its own share of the fit.
+
+        Args:
+            to_the_end: Wait for the device to be through. Else :meth:`far_vertices` sees to it.
         """
+        # Where frames come one block after another, looking through them takes longer than a wait.
+        ahead = device_traits(self._device).own_memory and self._all_frames.is_kept
         while True:
-            marks = wp.empty(self._vertex_count, dtype=wp.int32, device=self._device)
-            launch(
-                frame_kernels.mark_long_corrections,
-                dim=self._vertex_count,
-                inputs=[self._correction, self._scales.edge_squared],
-                outputs=[marks],
-                device=self._device,
-            )
-            marked = self._turned_over(marks)
-            if not marked.any():
+            for _ in range(HELD_AT_ONCE if ahead else 1):
+                self._hold_once()
+            if (ahead and not to_the_end) or not self._holds.any_marked.numpy()[0]:
                 return
-            self._stiffen(marked)
+
+    def _hold_once(self) -> None:
+        marks = new_arrays.empty(self._vertex_count, dtype=wp.int32, device=self._device)
+        launch(
+            frame_kernels.mark_long_corrections,
+            dim=self._vertex_count,
+            inputs=[self._correction, self._scales.edge_squared],
+            outputs=[marks],
+            device=self._device,
+        )
+        self._mark_turned_over(marks)
+        self._stiffen_there(marks)
 
     def _stiffen(self, marked: np.ndarray) -> None:
         """Solve again with more stiffness at some vertices (C,) bool; at those marked before, without moving them."""
-        self._held[marked] = np.where(self._held[marked] < HOLD, HOLD * self._held[marked], np.inf)
-        self._hold.assign(self._stiffness * np.minimum(self._held, MAX_HOLD)[:, None])
-        self._correction = self._solve()
-        self._scale(np.isinf(self._held), 0.0)
+        self._stiffen_there(new_arrays.uploaded(marked, dtype=wp.int32, device=self._device))
+
+    def _stiffen_there(self, marks: wp.array) -> None:
+        """The same of vertices that are marked in (C,) int32 on the device."""
+        self._holds.hold(marks)
+        any_marked = self._holds.any_marked
+        # Only where the host need not wait.
+        if device_traits(self._device).own_memory or any_marked.numpy()[0]:
+            self._holds.take(self._solve(any_marked), self._correction)
 
     def _scale(self, marked: np.ndarray, share: float) -> None:
         """Let some vertices (C,) bool go a share of their way."""
@@ -346,10 +349,14 @@ class _Refit:
     def far_vertices(self, reach: float) -> np.ndarray:
         """(C,) bool, vertices at places that are further away than any of their component was as placed.
 
-        The surfaces are paired anew.
+        The surfaces are paired anew, when vertices are held back as far as it takes. The host waits once for both.
         """
-        self._keys.move(self._correction, self._moved)
-        return self._limits.far_vertices(self._moved, reach)
+        while True:
+            self._keys.move(self._correction, self._moved)
+            marks, any_marked = read_together(self._limits.mark_far(self._moved, reach), self._holds.any_marked)
+            if not any_marked[0]:
+                return marks != 0
+            self.hold_back()
 
     def hold_places(self, far: np.ndarray) -> None:
         """Stiffen vertices (C,) bool, as the surfaces were paired last; one that was far before with a ring more."""
@@ -369,25 +376,16 @@ class _Refit:
 
     def leave_turned_components(self) -> None:
         """Leave components as placed in which part of the way turns a face over that the whole way does not."""
-        marks = wp.zeros(self._vertex_count, dtype=wp.int32, device=self._device)
-        self.shrink_components(self._turned_over(marks), 0.0)
+        marks = new_arrays.zeros(self._vertex_count, dtype=wp.int32, device=self._device)
+        self._mark_turned_over(marks)
+        self.shrink_components(marks.numpy() != 0, 0.0)
 
     def apply(self, placed: PlacedFrames) -> PlacedFrames:
         """Some frames, moved."""
         moved = self._all_frames.of(placed).moved(self._correction)
         return replace(placed, points=moved.numpy() if isinstance(placed.points, np.ndarray) else moved)
 
-    def _turned_over(self, marks: wp.array) -> np.ndarray:
-        """Which vertices (C,) are in ``marks`` or have a part in a face that turns over in some frame."""
+    def _mark_turned_over(self, marks: wp.array) -> None:
+        """Mark vertices (C,) int32 that have a part in a face that turns over in some frame."""
         for block in self._all_frames.all():
             block.mark_new_flips(self._correction, self._corner_vertex, marks)
-        return marks.numpy() != 0
-
-
-def _measure_scales(points: np.ndarray | wp.array, faces: np.ndarray) -> _Scales:
-    # They hardly change from frame to frame: about eight of them tell enough.
-    some = points[:: max(1, len(points) // 8)]
-    corner = (some if isinstance(some, np.ndarray) else some.contiguous().numpy())[:, faces]
-    edge = np.roll(corner, -1, axis=2) - corner
-    area = 0.5 * np.linalg.norm(np.cross(edge[:, :, 0], edge[:, :, 1]), axis=2).sum(axis=1)
-    return _Scales(float(area.mean()), float((edge.astype(np.float64) ** 2).sum(axis=-1).mean()))

@@ -71,6 +71,9 @@ class MaterialFrames:
         placed: all frames.
         blocks: frames to look at at once.
         device: Warp device.
+
+    Attributes:
+        is_kept: whether they are kept.
     """
 
     def __init__(
@@ -78,7 +81,7 @@ class MaterialFrames:
     ) -> None:
         self._rings, self._placed, self._blocks, self._device = rings, placed, blocks, device
         self._free = wp.array(free.astype(np.int32), dtype=wp.int32, device=device)
-        self._keeps = len(blocks) == 1
+        self.is_kept = len(blocks) == 1
         self._kept: list[MaterialBlock] = []
 
     def of(self, placed: PlacedFrames) -> MaterialBlock:
@@ -102,7 +105,7 @@ class MaterialFrames:
         kept = []
         for _, placed in read_ahead(self._placed.read, self._blocks):
             block = self.of(placed)
-            if self._keeps:
+            if self.is_kept:
                 kept.append(block)
             yield block
         self._kept = kept

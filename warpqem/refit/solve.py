@@ -45,16 +45,19 @@ class ElementSolver:
         step.launch(kernels.end_step, 1, [MAX_STEPS, state])
         # A graph must not end before its work does, so it is kept for all systems.
         self._loop = DeviceLoop(step, state.report, str(device))
+        self._always = new_arrays.full(1, 1, dtype=wp.int32, device=device)
 
-    def solve(self, corner_right: wp.array) -> wp.array:
-        """The solution (C,) vec3 of the elements as they are now.
+    def solve(self, corner_right: wp.array, wanted: wp.array | None = None) -> wp.array:
+        """The solution (C,) vec3 of the elements as they are now, until the next one is asked for.
 
         Args:
             corner_right: (3N',) vec3, the right side in parts, one for each corner of each face.
+            wanted: (1,) int32, 0 where the solution is not wanted: it then says nothing, and takes next to no time.
         """
         state, device = self._state, corner_right.device
         launch(kernels.start_solve, self._vertex_count, [self._elements, corner_right, state], device=device)
         launch(kernels.sum_residual, kernels.SLICES, [state], device=device)
-        launch(kernels.begin_steps, 1, [TOLERANCE**2, state], device=device)
+        wanted = self._always if wanted is None else wanted
+        launch(kernels.begin_steps, 1, [TOLERANCE**2, wanted, state], device=device)
         self._loop.complete()
-        return wp.clone(state.x)
+        return state.x

@@ -1,0 +1,20 @@
+"""Arrays that come to the host together."""
+
+import numpy as np
+import warp as wp
+
+from warpqem.runtime.readback import read_together
+
+
+def test_arrays_that_are_read_together_are_as_each_alone(device):
+    rng = np.random.default_rng(0)
+    given = [
+        wp.array(rng.normal(size=(3, 5, 3)), dtype=wp.vec3, device=device),
+        wp.array(np.arange(7), dtype=wp.int32, device=device),
+        wp.empty(0, dtype=wp.float32, device=device),
+        wp.array(rng.normal(size=3), dtype=wp.float64, device=device),
+        wp.array(rng.normal(size=(2, 3, 3)), dtype=wp.mat33, device=device),
+    ]
+    for array, found in zip(given, read_together(*given), strict=True):
+        assert found.dtype == array.numpy().dtype
+        np.testing.assert_array_equal(found, array.numpy())
