@@ -116,10 +116,12 @@ def simplify_stage(
         selection = find_meshes(stage, options.prims, by_root=bool(options.lods) and not options.lod_files)
         if not selection.paths():
             raise StageError("there is no mesh on the stage")
+        flat = isinstance(output, Path) and _is_flat(output, options)
         context = Context(
             stage,
             selection,
-            options,
+            # A package of one flat layer is one as any other.
+            replace(options, flatten=flat),
             output.parent if isinstance(output, Path) else None,
             listen or (lambda fraction, text: None),
             announce or (lambda name, plan: None),
@@ -135,7 +137,7 @@ def simplify_stage(
                 report.outputs = [os.fspath(file.path) for file in written]
             report.output = report.outputs[0]
             _log.info("%s: written", report.output)
-            if isinstance(output, Path) and _is_flat(output, options):
+            if flat:
                 report.notes += lost_variants(stage)
     report.problems = problems
     report.run = run_info(options, time.perf_counter() - start)
