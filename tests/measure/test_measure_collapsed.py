@@ -9,6 +9,7 @@ from pxr import Usd, UsdGeom
 from typer.testing import CliRunner
 
 import warpqem
+from tests.support.meshes import bumpy_sphere
 from warpqem.cli.main import app
 from warpqem.measure import SurfaceValues, compare, compare_appearance, distance_colors, vertex_distances
 from warpqem.measure.collapsed import collapsed_frames
@@ -92,6 +93,17 @@ def test_mesh_far_from_the_origin_is_not_collapsed():
     assert not collapsed_frames(points[None], faces).any()
     # The same in double precision may be small there.
     assert not collapsed_frames(PYRAMID[None].astype(np.float64) / 3 + 1e9, FACES).any()
+
+
+def test_limit_in_a_frame_that_is_a_point_is_one_of_the_largest_diagonal(device):
+    ball, faces = bumpy_sphere(2)
+    steady = np.float32([2, 2, 2])
+    rounded = np.random.default_rng(0).integers(-2, 3, ball.shape) * np.spacing(np.float32(2)) + steady
+    plain, blinking = (np.stack([ball, middle, ball * 1.5]).astype(np.float32) for middle in (ball, rounded))
+    limited = [warpqem.simplify(points, faces, max_error=3.0, device=device) for points in (plain, blinking)]
+    assert limited[1].measured.collapsed_frames == (1,)
+    assert limited[1].measured.hausdorff <= 3.0
+    assert len(limited[1].faces) < 1.2 * len(limited[0].faces)
 
 
 def test_heat_map_of_a_collapsed_frame_is_by_the_largest_diagonal(device):

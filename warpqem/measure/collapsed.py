@@ -18,6 +18,7 @@ __all__ = [
     "collapsed_in_either",
     "distance_apart",
     "distances_from_box",
+    "sizes",
     "standing_frames",
 ]
 
@@ -65,13 +66,32 @@ def _is_flat(points: npt.NDArray[Any], faces: npt.NDArray[np.integer]) -> bool:
 def _is_line(points: npt.NDArray[Any], used: npt.NDArray[np.integer]) -> bool:
     """Whether points in single precision are on one line, or are one point, up to rounding."""
     own = points[used]
-    reach = STEPS * float(np.spacing(np.abs(own).max().astype(np.float32)))
     away = own.astype(np.float64) - own[0]
     along = away[(away**2).sum(axis=1).argmax()]
     along /= np.linalg.norm(along) or 1.0
-    if np.linalg.norm(away - np.outer(away @ along, along), axis=1).max() > reach:
+    if np.linalg.norm(away - np.outer(away @ along, along), axis=1).max() > _rounding(float(np.abs(own).max())):
         return False
-    return own.dtype == np.float32 or bool((own.astype(np.float32) == own).all())
+    return _is_single(own)
+
+
+def _rounding(reach: float) -> float:
+    """What counts as one point where coordinates reach so far."""
+    return STEPS * float(np.spacing(np.float32(min(reach, float(np.finfo(np.float32).max)))))
+
+
+def _is_single(points: npt.NDArray[Any]) -> bool:
+    return points.dtype == np.float32 or bool((points.astype(np.float32) == points).all())
+
+
+def sizes(points: npt.NDArray[Any], of_point: float) -> npt.NDArray[np.float64]:
+    """Bounding-box diagonals (n,) of frames (n, V, 3); another length for those that are a point, up to rounding."""
+    low, high = (bound.astype(np.float64) for bound in (points.min(axis=1), points.max(axis=1)))
+    diagonal: npt.NDArray[np.float64] = np.linalg.norm(high - low, axis=1)
+    reach = np.maximum(np.abs(low), np.abs(high)).max(axis=1)
+    for frame, own in enumerate(diagonal.tolist()):
+        if own == 0.0 or (own <= _rounding(float(reach[frame])) and _is_single(points[frame])):
+            diagonal[frame] = of_point
+    return diagonal
 
 
 @dataclass(frozen=True)
