@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import warpqem
@@ -14,6 +14,8 @@ from tests.support.skin_fit import FACES, POSES, SKIN, TRANSFORMS, chain, error,
 from warpqem.errors import MeshShapeError, OptionError
 from warpqem.measure import compare
 from warpqem.skinning import LinearSkin, fit_skin, reduce_joints
+from warpqem.skinning.fit_skin import prepare_fit
+from warpqem.skinning.joint_course import joint_removal
 from warpqem.skinning.linear_skin import pose_skin
 from warpqem.skinning.reduce_joints import RemovalPlan, reduce_in_steps
 
@@ -93,9 +95,8 @@ def test_fewer_joints_are_nearer_than_those_of_the_leaves_in_poses_never_seen(re
     assert error(done.skin, result, unseen) <= error(leaves.skin, result, unseen)
 
 
-@settings(max_examples=10, deadline=None)
-@given(seed=st.integers(0, 2**31), influences=st.integers(1, 4), joint_count=st.integers(2, 4))
-def test_error_falls_with_the_number_of_joints(seed, influences, joint_count):
+def random_rig(seed, joint_count):
+    """The first five arguments of `reduce_joints`: a small mesh whose points all joints move by random weights."""
     rng = np.random.default_rng(seed)
     points, faces = bumpy_sphere(1)
     joints = np.tile(np.arange(joint_count, dtype=np.int32), (len(points), 1))
@@ -103,12 +104,34 @@ def test_error_falls_with_the_number_of_joints(seed, influences, joint_count):
     transforms = np.concatenate([TRANSFORMS[:1], random_poses(6, seed)])[:, :joint_count]
     poses = pose_skin(skin, transforms).astype(np.float32)
     mesh = warpqem.simplify(poses, faces, target_faces=40, max_size_error=None, device="cpu")
-    done = reduce_joints(poses, faces, mesh, skin, transforms, joints=1, influences=influences, device="cpu")
+    return poses, faces, mesh, skin, transforms
+
+
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 2**31), influences=st.integers(1, 4), joint_count=st.integers(2, 4))
+# One vertex is 23 % of all that is missed with the joint of its largest weight, and little with another one.
+@example(seed=1166581213, influences=1, joint_count=4)
+# Exchanges of joints start from weights of more joints than one.
+@example(seed=2105353427, influences=1, joint_count=4)
+def test_error_falls_with_the_number_of_joints(seed, influences, joint_count):
+    done = reduce_joints(*random_rig(seed, joint_count), joints=1, influences=influences, device="cpu")
     assert (np.diff(done.joint_counts) < 0).all()
     # A vertex takes a better solution where that gains a percent; less is left.
     assert (done.errors[1:] >= 0.98 * done.errors[:-1]).all()
     np.testing.assert_allclose(done.skin.weights.sum(axis=1, dtype=np.float64), 1.0, atol=1e-6)
     assert (done.skin.weights >= 0).all()
+
+
+@pytest.mark.parametrize("influences", [1, 2])
+def test_what_an_exchange_misses_is_that_of_the_joints_that_count(influences):
+    rig = random_rig(2105353427, 4)
+    removal, _ = joint_removal(prepare_fit(*rig, None, influences, None, None, None, True, "cpu"), PARENTS)
+    vertex = np.arange(len(removal.skin.rest))
+    rest, joints, weights, _, misses = removal._solve_with([1, 2, 3], vertex)
+    assert (np.count_nonzero(weights, axis=1) <= influences).all()
+    # E before a solve that starts there.
+    now = removal._solve(vertex, rest, joints, weights)[3]
+    np.testing.assert_allclose(misses, now, rtol=1e-6)
 
 
 def test_kept_joints_stay(result):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import zipfile
 from pathlib import Path
@@ -12,11 +13,12 @@ from typer.testing import CliRunner
 
 from tests.support.usd_checks import check_stage
 from tests.support.usd_findings import nvidia_findings, usd_findings
-from tests.support.usd_stages import cloth_stage
+from tests.support.usd_stages import cloth_stage, instanced_stage
 from tests.support.usd_validators import new_findings
 from warpqem.cli.app import app
 from warpqem.errors import OptionError, StageError
 from warpqem.usd import SimplifyOptions, simplify_stage
+from warpqem.usd.read.copy_asset import copy_asset
 from warpqem.usd.write import package as package_module
 
 CLOTH, FRAMES = "/Root/Cloth", [1.0, 2.0, 4.0]
@@ -275,3 +277,38 @@ def test_batch_writes_packages_and_resumes_over_level_files(tmp_path):
     assert [statuses(*levels), statuses(*levels)] == [["done"], ["skipped"]]
     (tmp_path / "out" / "in_LOD2.usda").unlink()
     assert statuses(*levels) == ["done"]
+
+
+@pytest.mark.parametrize("suffix", [".usda", ".usdz"])
+@pytest.mark.parametrize(
+    ("output", "options"),
+    [("o.usda", {"flatten": True}), ("o.usdz", {}), ("o.usdz", {"ratio": None, "lods": (0.5, 0.2)})],
+    ids=["flat", "package", "levels"],
+)
+def test_texture_of_a_name_that_is_not_ascii_comes_along(tmp_path, suffix, output, options):
+    (tmp_path / "in").mkdir()
+    (tmp_path / "out").mkdir()
+    (tmp_path / "in" / "Köper 布.png").write_text("woven")
+    stage = cloth_stage(tmp_path / "in" / "in.usda")
+    texture = stage.DefinePrim("/Root/Texture")
+    texture.CreateAttribute("file", Sdf.ValueTypeNames.Asset).Set(Sdf.AssetPath("./Köper 布.png"))
+    stage.Save()
+    source = tmp_path / "in" / f"in{suffix}"
+    if suffix == ".usdz":
+        UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(str(tmp_path / "in" / "in.usda")), str(source))
+    simplified(source, tmp_path / "out" / output, **options)
+    (tmp_path / "in").rename(tmp_path / "gone")
+    written = Usd.Stage.Open(str(tmp_path / "out" / output))
+    found = written.GetAttributeAtPath("/Root/Texture.file").Get()
+    copy = io.BytesIO()
+    copy_asset(found.resolvedPath, copy)
+    assert copy.getvalue() == b"woven"
+
+
+def test_note_of_a_package_does_not_name_classes_that_it_lacks(tmp_path):
+    instanced_stage(tmp_path / "in.usda")
+    report = simplified(tmp_path / "in.usda", tmp_path / "out.usdz")
+    assert report.output
+    assert not any("come from the class" in note for note in report.notes)
+    layered = simplified(tmp_path / "in.usda", tmp_path / "out.usda")
+    assert any("come from the class" in note for note in layered.notes)

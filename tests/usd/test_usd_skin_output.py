@@ -11,6 +11,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
 from tests.support.usd_skin_output import BODY, rms
 from tests.support.usd_stages import FRAMES, skinned_stage
 from warpqem.mesh.smooth_normals import vertex_normals
+from warpqem.pipeline.surface_transfer import surface_transfer
 from warpqem.usd import SimplifyOptions, simplify_stage
 from warpqem.usd.read.mesh_skin import Influences
 from warpqem.usd.write.attribute_transfer import Rows
@@ -200,3 +201,19 @@ def test_influences_are_the_largest_of_the_weighted_mean():
     # Dense: joint 0 0.25, joint 1 0.70, joint 2 0.05, joint 3 0; the two largest, scaled to sum one.
     assert blended.joints.tolist() == [[1, 0]]
     np.testing.assert_allclose(blended.weights, [[0.70 / 0.95, 0.25 / 0.95]], rtol=1e-6)
+
+
+@pytest.mark.parametrize("options", [{}, {"ratio": None, "lods": (0.5, 0.3)}], ids=["one", "levels"])
+def test_skin_is_fitted_and_written_by_one_search_of_the_surface(tmp_path, monkeypatch, options):
+    searches = []
+
+    def counted(points, faces, result, **given):
+        searches.append((id(result), np.asarray(given["seams"]).tobytes(), result))
+        return surface_transfer(points, faces, result, **given)
+
+    monkeypatch.setattr("warpqem.usd.write.attribute_transfer.surface_transfer", counted)
+    skinned_stage(tmp_path / "in.usda")
+    chosen = SimplifyOptions(**{"ratio": 0.4, "device": "cpu", **options})
+    simplify_stage(tmp_path / "in.usda", tmp_path / "out.usda", chosen)
+    keys = [search[:2] for search in searches]
+    assert len(keys) == len(set(keys)) >= len(options.get("lods", (0.4,)))

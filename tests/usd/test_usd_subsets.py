@@ -6,9 +6,13 @@ import math
 from pathlib import Path
 
 import numpy as np
+import pytest
 from pxr import Usd, UsdGeom, UsdShade
 
+from tests.support.usd_findings import usd_findings
 from tests.support.usd_stages import cloth_stage
+from tests.support.usd_topology_runs import capture
+from tests.support.usd_validators import new_findings
 from warpqem.usd import SimplifyOptions, simplify_stage
 
 CLOTH = "/Root/Cloth"
@@ -74,3 +78,45 @@ def test_subset_that_has_no_face_left_is_named(tmp_path):
     result = Usd.Stage.Open(str(tmp_path / "out.usda"))
     assert len(UsdGeom.Subset(result.GetPrimAtPath(f"{CLOTH}/spot")).GetIndicesAttr().Get()) == 0
     assert "all faces of GeomSubset spot" in prim.dropped
+
+
+def cloth_with_spots(tmp_path: Path, spots: dict[str, list[int]], family_type: str, **options) -> Usd.Stage:
+    """A cloth with subsets of some faces, simplified so far that nothing is left of a single face."""
+    stage = cloth_stage(tmp_path / "in.usda")
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath(CLOTH))
+    for name, faces in spots.items():
+        UsdGeom.Subset.CreateGeomSubset(mesh, name, "face", faces, "materialBind", family_type)
+    stage.Save()
+    simplify_stage(tmp_path / "in.usda", tmp_path / "out.usda", SimplifyOptions(ratio=0.06, device="cpu", **options))
+    return Usd.Stage.Open(str(tmp_path / "out.usda"))
+
+
+@pytest.mark.parametrize("family_type", ["nonOverlapping", "unrestricted"])
+def test_family_that_loses_its_last_face_is_no_longer_there(tmp_path, family_type, flatten):
+    stage = cloth_with_spots(tmp_path, {"spot": [27]}, family_type, flatten=flatten)
+    spot = stage.GetPrimAtPath(f"{CLOTH}/spot")
+    assert not spot.IsActive() if spot else flatten
+    assert new_findings(tmp_path / "in.usda", tmp_path / "out.usda", usd_findings) == {}
+
+
+def test_subset_without_faces_stays_where_its_family_has_some(tmp_path):
+    stage = cloth_with_spots(tmp_path, {"spot": [27], "rest": [*range(27), *range(28, 64)]}, "partition")
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath(CLOTH))
+    assert len(UsdGeom.Subset(stage.GetPrimAtPath(f"{CLOTH}/spot")).GetIndicesAttr().Get()) == 0
+    valid, reason = UsdGeom.Subset.ValidateFamily(mesh, "face", "materialBind")
+    assert valid, reason
+
+
+@pytest.mark.parametrize(("second", "stays"), [([0, 1, 2, 3, 4, 5], True), ([14], False)])
+def test_family_over_several_topologies_is_there_where_one_of_them_has_a_face_of_it(tmp_path, second, stays):
+    mesh = capture(tmp_path / "in.usda", [6, 5], 2)
+    half = UsdGeom.Subset(mesh.GetPrim().GetChild("half"))
+    half.GetIndicesAttr().Set([14], 0.0)
+    half.GetIndicesAttr().Set(second, 2.0)
+    mesh.GetPrim().GetStage().Save()
+    simplify_stage(tmp_path / "in.usda", tmp_path / "out.usda", SimplifyOptions(ratio=0.1, device="cpu"))
+    stage = Usd.Stage.Open(str(tmp_path / "out.usda"))
+    half = UsdGeom.Subset(stage.GetPrimAtPath("/Root/Capture/half"))
+    assert half.GetPrim().IsActive() == stays
+    if stays:
+        assert len(half.GetIndicesAttr().Get(0.0)) == 0 < len(half.GetIndicesAttr().Get(2.0))

@@ -171,3 +171,25 @@ def test_level_is_shown_beside_the_input(folder):
     report = stage_report(str(folder / "in.usda"), str(folder / "lods.usda"), variants=("LOD=LOD1",))
     assert [len(level.faces) for level in report.levels] == [64]
     assert len(report.faces) == 128
+
+
+@pytest.mark.parametrize(
+    ("output", "options", "flat"),
+    [
+        ("o.usda", {"flatten": True}, True),
+        ("o.usdz", {}, True),
+        ("o.usda", {}, False),
+        ("o.usdz", {"ratio": None, "lods": (0.5,)}, False),
+    ],
+)
+def test_flat_file_says_which_variants_it_has(tmp_path, output, options, flat):
+    stage = cloth_stage(tmp_path / "in.usda")
+    variants = stage.GetPrimAtPath("/Root").GetVariantSets().AddVariantSet("look")
+    for name in ("red", "blue"):
+        variants.AddVariant(name)
+    variants.SetVariantSelection("red")
+    stage.Save()
+    chosen = SimplifyOptions(**{"ratio": 0.4, "device": "cpu", **options})
+    report = simplify_stage(tmp_path / "in.usda", tmp_path / output, chosen)
+    text = "a flat file has no variant sets; of these it has what is selected: /Root{look=red}"
+    assert (text in report.notes) == flat

@@ -158,6 +158,8 @@ def _show(
     for found in (*pairs, *(scores or ())):
         if found.message is not None:
             print_message("error", found.message)
+    for note in dict.fromkeys(note for pair in pairs for note in pair.notes):
+        print_message("note", note)
     print_table(_table(reference, test, pairs), to_stderr=json == "-")
     if any(pair.appearance for pair in pairs):
         print_table(appearance_table(pairs), to_stderr=json == "-")

@@ -12,9 +12,9 @@ import numpy.typing as npt
 from warpqem.arguments.array_input import real_array
 from warpqem.arguments.json_types import Json
 from warpqem.arguments.number_input import check_function, whole_number
-from warpqem.errors import DegenerateMeshError
 from warpqem.measure.appearance_errors import SEAM_SAMPLES, FieldErrors, MovingPair, UvErrors, UvMeasure, angles
 from warpqem.measure.checked_meshes import CheckedMesh, check_same_frame_count, chosen_frames
+from warpqem.measure.collapsed import standing_frames
 from warpqem.measure.color_difference import color_difference
 from warpqem.measure.followed_points import MovingMesh
 from warpqem.measure.sampling import draw_material_samples
@@ -101,7 +101,8 @@ def compare_appearance(
 ) -> Appearance:
     """Measure what a test mesh is textured, shaded and coloured by against a reference, in all frames.
 
-    Of more than 500 frames so many count, evenly spread. Samples are material points, spread evenly over the area of
+    Of more than 500 frames so many count, evenly spread; frames in which either mesh is collapsed to a point or a line
+    do not count. Samples are material points, spread evenly over the area of
     each mesh. What is compared lies at the nearest point of the other mesh that faces the same way, for texture
     coordinates on the same island; it is searched for in the first frame and followed from there.
 
@@ -126,11 +127,14 @@ def compare_appearance(
     reference = _sequence(reference_points, reference_faces, "reference")
     test = _sequence(test_points, test_faces, "test")
     check_same_frame_count(reference, test)
+    standing = standing_frames(reference, test)
+    reference, test = standing.reference, standing.test
+    both = (reference_values.of_frames(standing.frames), test_values.of_frames(standing.frames))
     frames = chosen_frames(MAX_FRAMES, len(reference.points)).tolist()
     if samples is None:
         samples = min(SAMPLES, SAMPLE_FRAMES // len(frames))
     samples = whole_number(samples, "samples")
-    both, reasons = (reference_values, test_values), dict[str, str]()
+    reasons = dict[str, str]()
     uv_names = shared_names("texture coordinates", "uvs", *both, (both[0].uvs, both[1].uvs), reasons)
     normals = shared_normals(*both, reasons)
     color_names = shared_names("colours", "colors", *both, (both[0].colors, both[1].colors), reasons)
@@ -198,16 +202,9 @@ def _make_pair(reference: CheckedMesh, test: CheckedMesh, samples: int, seed: in
 
 
 def _scale(reference: CheckedMesh) -> tuple[Floats, Floats]:
-    """Centres (F, 3) and diagonals (F,) of the bounding boxes of the vertices in use, frame by frame.
-
-    Raises:
-        DegenerateMeshError: a frame has no extent.
-    """
+    """Centres (F, 3) and diagonals (F,) of the bounding boxes of the vertices in use, frame by frame."""
     boxes = np.empty((len(reference.points), 2, 3))
     for box, points in zip(boxes, reference.points, strict=True):
         used = points[reference.used].astype(np.float64)
         box[0], box[1] = used.min(axis=0), used.max(axis=0)
-    diagonal = np.linalg.norm(boxes[:, 1] - boxes[:, 0], axis=1)
-    if not (diagonal > 0).all():
-        raise DegenerateMeshError(f"reference points: no extent in frame {int(np.argmin(diagonal))}")
-    return boxes.mean(axis=1), diagonal
+    return boxes.mean(axis=1), np.linalg.norm(boxes[:, 1] - boxes[:, 0], axis=1)

@@ -13,13 +13,13 @@ from warpqem.arguments.number_input import check_function, whole_number
 from warpqem.frames.stream import ArrayFrames
 from warpqem.measure.binding import bind, check_vertex_map
 from warpqem.measure.checked_meshes import (
-    CheckedMesh,
     check_same_frame_count,
     check_sequence,
     chosen_frames,
     frame_scale,
 )
 from warpqem.measure.closest_points import ClosestPointSearch
+from warpqem.measure.collapsed import Standing, standing_frames
 from warpqem.measure.measured import Measured, measure_frames, measured_errors
 from warpqem.measure.per_frame import FrameErrors
 from warpqem.measure.sampling import draw_material_samples, place
@@ -66,10 +66,9 @@ class Comparison(Measured):
         return {**super().to_dict(), "per_frame": frames}
 
 
-def _jitter(
-    reference: CheckedMesh, test: CheckedMesh, centre: Doubles, diagonal: Doubles, seed: int, device: str
-) -> float | None:
-    """Jitter over the middle frames in % of the mean diagonal; None below three frames."""
+def _jitter(meshes: Standing, centre: Doubles, diagonal: Doubles, seed: int, device: str) -> float | None:
+    """Jitter over the middle frames in % of the mean diagonal; None below three frames that follow one another."""
+    reference, test = meshes.reference, meshes.test
     frame_count = len(reference.points)
     if frame_count < 3:
         return None
@@ -79,6 +78,8 @@ def _jitter(
     search = ClosestPointSearch(test.faces, device, "test")
     jitter = SecondDifference()
     for frame in range(window.start, window.stop):
+        if not meshes.follows[frame]:
+            jitter.restart()
         p, q = reference.points[frame], test.points[frame]
         scaled = [(points - centre[frame]) / diagonal[frame] for points in (p, q)]
         material = (reference.faces, samples.face, samples.barycentric)
@@ -107,7 +108,8 @@ def compare(
 
     In each frame both surfaces are sampled in proportion to area. As in Cignoni, Rocchini and Scopigno, "Metro:
     Measuring Error on Simplified Surfaces" (1998), both directions are taken. The largest distance is searched for over
-    the whole surfaces, see :mod:`warpqem.kernels.largest_distance`. Equal arguments give equal bits, and the figures of
+    the whole surfaces, see :mod:`warpqem.kernels.largest_distance`. Frames in which either mesh is collapsed to a point
+    or a line have no errors, see :attr:`Measured.collapsed_frames`. Equal arguments give equal bits, and the figures of
     :class:`Measured` are those that :func:`warpqem.simplify` gives for its result.
 
     Args:
@@ -129,7 +131,7 @@ def compare(
         MeshShapeError: an array has the wrong shape or dtype, the frame counts differ, or ``vertex_map`` does not fit.
         NonFinitePointError: a point is NaN or infinite.
         FaceIndexError: a face refers to a vertex that does not exist.
-        DegenerateMeshError: a mesh has no face, or no extent or area in some frame.
+        DegenerateMeshError: a mesh has no face, or is collapsed to a point or a line in all frames.
         OptionError: samples, seed or frames out of range.
         DeviceError: there is no such device.
 
@@ -150,7 +152,8 @@ def compare(
     check_same_frame_count(reference, test)
     device = resolve_device(device)
     chosen = chosen_frames(frames, len(reference.points)).tolist()
-    centre, diagonal = frame_scale(reference)
+    standing = standing_frames(reference, test)
+    centre, diagonal = frame_scale(standing.reference)
     found = measure_frames(
         ArrayFrames(reference.points),
         reference.faces,
@@ -163,12 +166,12 @@ def compare(
         progress=progress,
     )
     record = None if vertex_map is None else check_vertex_map(vertex_map, reference, test)
-    binding = bind(reference, test, centre, diagonal, device, record)
-    bound = binding_errors(reference, test, binding, diagonal)
+    binding = bind(standing.reference, standing.test, centre, diagonal, device, record)
+    bound = binding_errors(standing, binding, diagonal)
     return Comparison(
         **asdict(measured_errors(found)),
         per_frame=found.per_frame(),
-        jitter=_jitter(reference, test, centre, diagonal, seed, device),
+        jitter=_jitter(standing, centre, diagonal, seed, device),
         slide=bound.slide,
         slide_p95=bound.slide_p95,
         edge_length_error=bound.edge_length_error,

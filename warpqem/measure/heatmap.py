@@ -6,8 +6,9 @@ import numpy as np
 import numpy.typing as npt
 
 from warpqem.arguments.number_input import real_number
-from warpqem.measure.checked_meshes import check_same_frame_count, check_sequence, frame_scale
+from warpqem.measure.checked_meshes import check_same_frame_count, check_sequence
 from warpqem.measure.closest_points import ClosestPointSearch
+from warpqem.measure.collapsed import collapsed_in_either, distances_from_box
 from warpqem.runtime.device import on_device, resolve_device
 
 __all__ = ["COLOR_MAP", "distance_colors", "vertex_distances"]
@@ -57,7 +58,8 @@ def vertex_distances(
         device: Warp device name; None takes "cuda:0" where there is one, else "cpu".
 
     Returns:
-        (F, V'), in % of the reference's bounding-box diagonal in the frame.
+        (F, V'), in % of the reference's bounding-box diagonal in the frame. Where either mesh is collapsed to a point
+        or a line, the distance from the reference's bounding box, in % of the largest diagonal.
 
     Raises:
         MeshShapeError, NonFinitePointError, FaceIndexError, DegenerateMeshError, DeviceError: as in ``compare``.
@@ -66,11 +68,20 @@ def vertex_distances(
     test = check_sequence(test_points, test_faces, "test")
     check_same_frame_count(reference, test)
     search = ClosestPointSearch(reference.faces, resolve_device(device), "reference")
-    centre, diagonal = frame_scale(reference)
+    collapsed = collapsed_in_either(reference, test)
     distance = np.empty(test.points.shape[:2])
-    for frame in range(len(distance)):
-        p, q = ((mesh.points[frame] - centre[frame]) / diagonal[frame] for mesh in (reference, test))
+    diagonals = [0.0]
+    for frame in np.flatnonzero(~collapsed).tolist():
+        own = reference.points[frame, reference.used]
+        low, high = own.min(axis=0), own.max(axis=0)
+        diagonals.append(float(np.linalg.norm(high - low)))
+        p, q = ((mesh.points[frame] - (low + high) / 2) / diagonals[-1] for mesh in (reference, test))
         distance[frame] = 100 * search.closest(p, q, frame).distance
+    # Where all frames are collapsed, the reference has no size: that of the test mesh stands for it.
+    size = max(diagonals) or float(np.linalg.norm(np.ptp(test.points[:, test.used], axis=1), axis=1).max()) or 1.0
+    for frame in np.flatnonzero(collapsed).tolist():
+        box = reference.points[frame, reference.used]
+        distance[frame] = 100 * distances_from_box(test.points[frame], box) / size
     return distance
 
 

@@ -15,7 +15,16 @@ from warpqem.measure.surfaces import SurfaceComparison, sample_count
 from warpqem.measure.verdict import Verdict, verdict_of
 from warpqem.runtime.device import device_turn
 
-__all__ = ["ERRORS", "FrameReader", "Measured", "MeasuringSink", "measure_frames", "measured_errors"]
+__all__ = [
+    "ERRORS",
+    "FrameReader",
+    "Measured",
+    "MeasuringSink",
+    "first_frames",
+    "joined_errors",
+    "measure_frames",
+    "measured_errors",
+]
 
 
 @dataclass(frozen=True)
@@ -40,6 +49,8 @@ class Measured:
         sample_count: samples on each surface in each frame.
         frame_count: frames that were measured.
         test_faces: faces of the simplified mesh.
+        collapsed_frames: frames, counted from 0, in which either mesh is collapsed to a point or a line. They are left
+            out of all other figures but the largest distance, which is relative to the largest diagonal there.
     """
 
     rms: float
@@ -54,6 +65,7 @@ class Measured:
     sample_count: int
     frame_count: int
     test_faces: int
+    collapsed_frames: tuple[int, ...]
 
     @property
     def verdict(self) -> Verdict:
@@ -62,7 +74,9 @@ class Measured:
 
     def to_dict(self) -> dict[str, Json]:
         """Plain dictionaries, numbers and text, ready for JSON."""
-        return {**asdict(self), "verdict": self.verdict.word, "reason": self.verdict.reason}
+        frames: list[Json] = list(self.collapsed_frames)
+        verdict = self.verdict
+        return {**asdict(self), "collapsed_frames": frames, "verdict": verdict.word, "reason": verdict.reason}
 
 
 # What is measured of any mesh.
@@ -82,13 +96,30 @@ def joined_errors(parts: Sequence[Measured]) -> Measured:
         **{name: mean(name) for name in means},  # type: ignore[arg-type]  # names of fields that are float
         **{name: max(getattr(part, name) for part in parts) for name in largest},
         frame_count=sum(part.frame_count for part in parts),
+        collapsed_frames=tuple(
+            start + frame
+            for part, start in zip(parts, first_frames(parts), strict=True)
+            for frame in part.collapsed_frames
+        ),
     )
 
 
+def first_frames(parts: Sequence[Measured]) -> list[int]:
+    """The number of each part's first frame in the sequence of parts of which all frames were looked at."""
+    counts = [part.frame_count + len(part.collapsed_frames) for part in parts]
+    return np.cumsum([0, *counts[:-1]]).tolist()
+
+
 def measured_errors(comparison: SurfaceComparison) -> Measured:
-    """The errors over all frames of a comparison that is done."""
+    """The errors over all frames of a comparison that is done.
+
+    Raises:
+        DegenerateMeshError: a mesh is collapsed to a point or a line in all of them.
+    """
     frames, diagonal = comparison.per_frame(), comparison.diagonals()
-    hausdorff = comparison.largest()
+    # A frame in which the reference is a point has no size of its own.
+    apart = 100.0 * max(comparison.collapsed.values(), default=0.0) / float(diagonal.max())
+    hausdorff = max(comparison.largest(), apart)
     return Measured(
         rms=float(frames.rms.mean()),
         rms_forward=float(frames.rms_forward.mean()),
@@ -102,6 +133,7 @@ def measured_errors(comparison: SurfaceComparison) -> Measured:
         sample_count=comparison.sample_count,
         frame_count=len(frames.frame),
         test_faces=comparison.test_faces,
+        collapsed_frames=tuple(comparison.collapsed),
     )
 
 
@@ -141,7 +173,7 @@ def measure_frames(
         overall: see :class:`SurfaceComparison`.
 
     Raises:
-        DegenerateMeshError: no extent or no area in a frame.
+        DegenerateMeshError: all faces of a mesh are too thin in a frame.
     """
     if samples is None:
         samples = sample_count(len(frames), max(len(reference_faces), len(test_faces)))

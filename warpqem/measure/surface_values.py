@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -53,6 +53,10 @@ class CornerValues(ArrayRecord):
         return values
 
 
+def _of_frames(values: CornerValues, frames: npt.NDArray[np.int64]) -> CornerValues:
+    return CornerValues(values.name, lambda frame: values.read(int(frames[frame])))
+
+
 @dataclass(frozen=True)
 class SurfaceValues:
     """The values of one mesh.
@@ -68,6 +72,15 @@ class SurfaceValues:
     normals: CornerValues | None = None
     colors: Mapping[str, CornerValues] = field(default_factory=dict)
     unusable: Mapping[str, str] = field(default_factory=dict)
+
+    def of_frames(self, frames: npt.NDArray[np.int64]) -> SurfaceValues:
+        """The values in some frames (K,), which are numbered from 0 on."""
+        return replace(
+            self,
+            uvs={name: _of_frames(values, frames) for name, values in self.uvs.items()},
+            normals=None if self.normals is None else _of_frames(self.normals, frames),
+            colors={name: _of_frames(values, frames) for name, values in self.colors.items()},
+        )
 
 
 def shared_names(

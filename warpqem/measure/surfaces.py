@@ -15,6 +15,7 @@ from warpqem.errors import DegenerateMeshError
 from warpqem.kernels import surface_distance as kernels
 from warpqem.kernels.lanes import WIDE
 from warpqem.measure.cells import Cells, cell_places
+from warpqem.measure.collapsed import collapsed_frames, distance_apart
 from warpqem.measure.largest import LargestDistance
 from warpqem.measure.per_frame import FrameErrors
 from warpqem.measure.sample_draws import Draws, SampleDraws
@@ -119,6 +120,8 @@ class SurfaceComparison:
 
     Attributes:
         group: frames that are measured at once.
+        collapsed: numbers of the frames so far in which either mesh is collapsed to a point or a line, and how far the
+            two are apart there, in the units of the points: such a frame has no errors.
         sample_count: samples on each surface in each frame.
         test_faces: faces of the test mesh.
     """
@@ -143,6 +146,7 @@ class SurfaceComparison:
         self._largest = LargestDistance(*surfaces, overall=True)
         # In one frame it is the same.
         self._in_frames = None if overall or frame_count == 1 else LargestDistance(*surfaces, like=self._largest)
+        self.collapsed: dict[int, float] = {}
         self._overall = 0.0
         self._draws: list[SampleDraws] = []
         # All samples of a surface, and frames whose samples have been learned from.
@@ -161,15 +165,21 @@ class SurfaceComparison:
             test: (n, W, 3) points of the test mesh.
 
         Raises:
-            DegenerateMeshError: a frame of the reference has no extent, or of either mesh no area.
+            DegenerateMeshError: all faces of a mesh are too thin in a frame.
         """
         own, other = (
             mesh.astype(np.float64)[:, cells.used] for mesh, cells in ((reference, self._reference), (test, self._test))
         )
+        flat = collapsed_frames(own, self._reference.faces) | collapsed_frames(other, self._test.faces)
+        for index in np.flatnonzero(flat).tolist():
+            self.collapsed[int(frames[index])] = distance_apart(own[index], other[index])
+        if flat.all():
+            return
+        if flat.any():
+            frames = [frame for frame, gone in zip(frames, flat.tolist(), strict=True) if not gone]
+            own, other = own[~flat], other[~flat]
         low, high = own.min(axis=1), own.max(axis=1)
         diagonal = np.linalg.norm(high - low, axis=1)
-        if not (diagonal > 0).all():
-            raise DegenerateMeshError(f"reference points: no extent in frame {frames[int(np.argmin(diagonal))]}")
         middle = (low + high)[:, None] / 2
         own, other = ((points - middle) / diagonal[:, None, None] for points in (own, other))
         self._diagonals.append(diagonal)
@@ -310,7 +320,13 @@ class SurfaceComparison:
         return 100 * self._overall
 
     def per_frame(self) -> FrameErrors:
-        """The errors of the frames so far; no largest distance of a frame is above :meth:`largest`."""
+        """The errors of the frames so far; no largest distance of a frame is above :meth:`largest`.
+
+        Raises:
+            DegenerateMeshError: a mesh is collapsed in all of them.
+        """
+        if not self._rows:
+            raise DegenerateMeshError("a mesh is collapsed to a point or a line in every frame")
         found = {name: np.concatenate([row[name] for row in self._rows]) for name in self._rows[0]}
         ahead, back = found["rms_forward"], found["rms_backward"]
         found["hausdorff"] = np.minimum(found["hausdorff"], self.largest())

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from warpqem.measure.binding import Binding
-from warpqem.measure.checked_meshes import CheckedMesh
+from warpqem.measure.collapsed import Standing
 from warpqem.measure.sampling import TINY, normals_and_areas, place
 from warpqem.measure.validity import unique_edges
 
@@ -30,6 +30,10 @@ class SecondDifference:
         self._recent: list[npt.NDArray[np.float64]] = []
         self._sum: npt.NDArray[np.float64] | None = None
         self._count = 0
+
+    def restart(self) -> None:
+        """Forget the frames so far: what comes next does not follow them."""
+        self._recent = []
 
     def add(self, vectors: npt.NDArray[np.float64]) -> None:
         """Take the vectors (S, 3) of the next frame."""
@@ -85,22 +89,22 @@ class BindingErrors:
     edge_length_error: float
 
 
-def binding_errors(
-    reference: CheckedMesh, test: CheckedMesh, binding: Binding, diagonal: npt.NDArray[np.float64]
-) -> BindingErrors:
+def binding_errors(meshes: Standing, binding: Binding, diagonal: npt.NDArray[np.float64]) -> BindingErrors:
     """Slide and edge-length error of the test mesh.
 
     Args:
-        reference: sequence the test mesh is bound to.
-        test: sequence with as many frames.
+        meshes: the sequence the test mesh is bound to, and the test mesh's.
         binding: the material points of the test vertices in use.
         diagonal: (F,) diagonals of the reference frames.
     """
+    reference, test = meshes.reference, meshes.test
     edges = np.searchsorted(test.used, unique_edges(test.faces)[0])
     floor = EDGE_LENGTH_FLOOR * diagonal.mean()
     slide = SecondDifference()
     squared_error = 0.0
-    for reference_points, test_points in zip(reference.points, test.points, strict=True):
+    for reference_points, test_points, follows in zip(reference.points, test.points, meshes.follows, strict=True):
+        if not follows:
+            slide.restart()
         anchor = place(reference_points, reference.faces, binding.face, binding.barycentric)
         vertex = test_points[test.used]
         slide.add(in_face_frame(vertex - anchor, reference_points, reference.faces, binding.face))

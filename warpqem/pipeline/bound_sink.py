@@ -8,6 +8,7 @@ import numpy.typing as npt
 from warpqem.arguments.distance_limit import DistanceLimit
 from warpqem.frames.stream import FrameSink, counted_frames
 from warpqem.measure.bound import DistanceBound, Excess
+from warpqem.measure.collapsed import sizes
 from warpqem.measure.unit_frames import UnitBlock, UnitFrames
 from warpqem.mesh.mesh_input import MeshInput
 from warpqem.runtime.device import device_turn
@@ -32,7 +33,7 @@ class LimitFrames:
     Args:
         mesh: the input.
         limit: distance.
-        diagonal: the largest diagonal, which stands for that of a frame without extent.
+        diagonal: the largest diagonal, which stands for that of a frame without extent beyond rounding.
         device: Warp device.
     """
 
@@ -54,9 +55,7 @@ class LimitFrames:
         """What brings frames (n, V, 3) to unit size, those in which nobody sees the mesh to next to none."""
         used = points if self._mesh.used.all() else points[:, self._mesh.used]
         low, high = used.min(axis=1).astype(np.float64), used.max(axis=1).astype(np.float64)
-        diagonal = np.linalg.norm(high - low, axis=1)
-        diagonal = np.where(diagonal > 0.0, diagonal, self._diagonal)
-        units = self._limit.units(diagonal, self._diagonal)
+        units = self._limit.units(sizes(used, self._diagonal), self._diagonal)
         return UnitFrames((low + high) / 2, np.where(self._counted[frames], units, UNSEEN * units))
 
 
@@ -67,7 +66,7 @@ class BoundSink:
         sink: takes the frames.
         mesh: the input.
         limit: distance.
-        diagonal: the largest diagonal, which stands for that of a frame without extent.
+        diagonal: the largest diagonal, which stands for that of a frame without extent beyond rounding.
         device: Warp device.
     """
 

@@ -250,9 +250,17 @@ def _measures(found: Comparison, thinned: bool, known: Mapping[str, Any]) -> dic
         "slideP95": None if thinned else found.slide_p95,
         "edgeLength": found.edge_length_error,
         "perFrame": {
-            name: [float(f"{value:.4g}") for value in getattr(frames, name)]
+            name: _for_all_frames(getattr(frames, name), found)
             for name in ("rms", "hausdorff", "mean", "normal_deviation", "flips", "degenerate_faces")
         },
         "topology": asdict(found.test_topology),
         "originalTopology": asdict(found.reference_topology),
     }
+
+
+def _for_all_frames(values: np.ndarray, found: Comparison) -> list[float | None]:
+    """Errors of each frame as a page shows them; None where a mesh is collapsed, which has none."""
+    shown: list[float | None] = [None] * (found.frame_count + len(found.collapsed_frames))
+    for frame, value in zip(found.per_frame.frame.tolist(), values, strict=True):
+        shown[frame] = float(f"{value:.4g}")
+    return shown

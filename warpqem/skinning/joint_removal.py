@@ -267,10 +267,31 @@ class JointRemoval:
         joints = np.concatenate([own_joints, others.astype(np.int32)], axis=1)
         weights = np.concatenate([own_weights, started], axis=1)
         allowed = np.concatenate([own_weights > 0, valid], axis=1) & possible[:, None]
-        solved = self._solve(vertex, skin.rest[vertex], joints, weights, allowed)
+        if width == 1:
+            solved = self._solve_singly(vertex, joints, allowed)
+        else:
+            solved = self._solve(vertex, skin.rest[vertex], joints, weights, allowed)
         self._rest[vertex, slot], self._joints[vertex, slot], self._weights[vertex, slot], _, after = solved
         self._misses[vertex, slot] = np.where(possible, after, np.inf)
         self._valid[vertex, slot] = True
+
+    def _solve_singly(self, vertex: np.ndarray, joints: np.ndarray, allowed: np.ndarray) -> tuple[np.ndarray, ...]:
+        """As :meth:`_solve` where one joint alone may move each vertex: each candidate is tried with all of the weight.
+
+        Weights of several that are solved for together say little of which one is best alone.
+        """
+        skin, row = self.skin, np.nonzero(allowed)
+        rest, own, weights = skin.rest[vertex], joints[:, :1].astype(np.int32), np.zeros((len(vertex), 1))
+        before, after = np.zeros((2, len(vertex)))
+        if len(row[0]):
+            of = vertex[row[0]]
+            solved = self._solve(of, skin.rest[of], joints[row][:, None], np.ones((len(of), 1)))
+            # The best of each vertex, of equal ones the first.
+            order = np.lexsort((row[1], solved[4], row[0]))
+            found, first = np.unique(row[0][order], return_index=True)
+            for to, values in zip((rest, own, weights, before, after), solved, strict=True):
+                to[found] = values[order[first]]
+        return rest, own, weights, before, after
 
     def _above(self, joint: np.ndarray) -> np.ndarray:
         """The nearest joint above each that is left; -1 for none."""
@@ -340,7 +361,9 @@ class JointRemoval:
         offsets = None if self._offsets is None else np.ascontiguousarray(self._offsets[:, vertex])
         solved, weight, before, after = self._fit.solve_rows(rows, rest, offsets, stiffness, goal, width)
         row = np.repeat(np.arange(count), np.diff(start))
-        worse = after > before
+        # Weights to start from that are of more joints than may count are no solution to go back to.
+        started = np.bincount(row[rows.weight > 0], minlength=count)
+        worse = (after > before) & (started <= width)
         weight = np.where(worse[row], rows.weight, weight)
         found = largest_influences(row, rows.joint, weight, count, width)
         return np.where(worse[:, None], rest, solved), *found, before, np.where(worse, before, after)

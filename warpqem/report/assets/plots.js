@@ -67,7 +67,10 @@ function plotCard(parent, { title, unit, xName, series, logX = false, dots = fal
   const now = svgNode(svg, "line", { class: "now", visibility: "hidden", x1: 0, x2: 0, y1: top, y2: height - bottom });
   series.forEach((one, index) => {
     const color = LINE_COLORS[index % LINE_COLORS.length];
-    const line = one.x.map((x, i) => `${i ? "L" : "M"}${placeX(x).toFixed(1)} ${placeY(one.y[i]).toFixed(1)}`).join("");
+    // A frame without a value parts the line.
+    const known = (i) => i >= 0 && one.y[i] !== null;
+    const point = (x, i) => `${known(i - 1) ? "L" : "M"}${placeX(x).toFixed(1)} ${placeY(one.y[i]).toFixed(1)}`;
+    const line = one.x.map((x, i) => (known(i) ? point(x, i) : "")).join("");
     svgNode(svg, "path", { d: line, fill: "none", stroke: color, "stroke-width": 1.8, "stroke-linejoin": "round" });
     if (dots || one.x.length === 1) {
       one.x.forEach((x, i) => svgNode(svg, "circle", { cx: placeX(x), cy: placeY(one.y[i]), r: 3, fill: color }));

@@ -26,7 +26,7 @@ from warpqem.usd.read.time_codes import FrameRange
 from warpqem.usd.read.variants import select_variants
 from warpqem.usd.read.visibility import seen_frames
 from warpqem.usd.write.layer_files import check_output_path
-from warpqem.usd.write.stage_report import name_prim
+from warpqem.usd.write.stage_report import collapsed_note, name_prim
 
 if TYPE_CHECKING:
     from warpqem.usd.write.write import OverLayer
@@ -93,6 +93,12 @@ class PairReport:
     heatmap_scale: float | None = None
     message: str | None = None
     level: str | None = None
+
+    @property
+    def notes(self) -> list[str]:
+        """What is worth knowing of how the meshes were compared."""
+        frames = () if self.comparison is None else self.comparison.collapsed_frames
+        return [collapsed_note(self.path, self.times, frames)] if frames else []
 
     def to_dict(self) -> dict[str, Any]:
         """Plain dictionaries, lists, numbers and None, ready for JSON."""

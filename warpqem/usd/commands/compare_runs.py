@@ -14,7 +14,7 @@ from pxr import Usd, UsdGeom
 from warpqem.errors import StageError
 from warpqem.measure import Comparison, Measured, compare, distance_colors
 from warpqem.measure.comparison import FrameErrors
-from warpqem.measure.measured import ERRORS, joined_errors
+from warpqem.measure.measured import ERRORS, first_frames, joined_errors
 from warpqem.usd.read.read_mesh import MeshSource
 from warpqem.usd.read.skeleton_poses import StagePoses
 from warpqem.usd.read.time_codes import FrameRange
@@ -138,12 +138,12 @@ def combine(
 
 
 def _combined(found: Sequence[Comparison]) -> Comparison:
-    starts = np.cumsum([0] + [part.frame_count for part in found])
+    starts = first_frames(found)
     joined = {
         field.name: np.concatenate([getattr(part.per_frame, field.name) for part in found])
         for field in fields(FrameErrors)
     }
-    joined["frame"] = np.concatenate([part.per_frame.frame + start for part, start in zip(found, starts, strict=False)])
+    joined["frame"] = np.concatenate([part.per_frame.frame + start for part, start in zip(found, starts, strict=True)])
     per_frame = FrameErrors(**joined)
     return replace(
         found[0],

@@ -17,7 +17,7 @@ from warpqem.usd.commands.mesh_job import MeshJob
 from warpqem.usd.commands.skin_bound import is_within, largest_diagonal
 from warpqem.usd.read.read_mesh import MeshSource, PoseFrames
 from warpqem.usd.read.skeleton_poses import StagePoses
-from warpqem.usd.write.stage_report import PrimReport, name_prim
+from warpqem.usd.write.stage_report import PrimReport, collapsed_note, name_prim
 
 __all__ = ["measure_written", "written_source", "written_within"]
 
@@ -40,7 +40,10 @@ def measure_written(job: MeshJob, stage: Usd.Stage, report: PrimReport, device: 
         layout = source.layout(job.mesh.times)
         test = PoseFrames(source, job.mesh.times, layout.used_points)
         reference, faces = _reference(job)
-        report.measured = _measure(reference, faces, test, layout.right_handed_faces, device, progress).to_dict()
+        found = _measure(reference, faces, test, layout.right_handed_faces, device, progress)
+        report.measured = found.to_dict()
+        if found.collapsed_frames:
+            report.notes.append(collapsed_note(job.mesh.path, job.mesh.times, found.collapsed_frames))
     except WarpqemError as error:
         report.problems.append(f"not measured: {name_prim(job.mesh.path, error)}")
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import weakref
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from warpqem.frames.blocks import frame_blocks
 from warpqem.frames.stream import ArrayFrames, FrameSource, JoinedFrames, KeptFrames, read_ahead
 from warpqem.pipeline.memory_plan import parse_bytes
 from warpqem.pipeline.result import SimplifiedMesh
+from warpqem.pipeline.surface_transfer import SurfaceTransfer
 from warpqem.repair.mended_mesh import MeshRepair, face_repair
 from warpqem.usd.commands.rig_options import single
 from warpqem.usd.commands.simplify_options import SimplifyOptions
@@ -67,6 +69,21 @@ class RestFit:
         return ((points - self.pose_centre) / self.scale + self.rest_centre).astype(np.float32)
 
 
+class KeptSurfaces:
+    """What was found on the input for the last result that was asked for: a skin is fitted by it, and written by it."""
+
+    def __init__(self) -> None:
+        """Nothing is found yet."""
+        self._result: weakref.ref[SimplifiedMesh] | None = None
+        self._found: dict[bytes, SurfaceTransfer] = {}
+
+    def of(self, result: SimplifiedMesh) -> dict[bytes, SurfaceTransfer]:
+        """By seams, for `AttributeTransfer`."""
+        if self._result is None or self._result() is not result:
+            self._result, self._found = weakref.ref(result), {}
+        return self._found
+
+
 @dataclass(frozen=True)
 class MeshJob:
     """One mesh made ready.
@@ -85,6 +102,7 @@ class MeshJob:
         rest_fit: What brought the rest shape of a mesh with a skin to the poses; None without one.
         repair: What simplifying mends of the topology first; None for nothing.
         examples: The same mesh in example poses; None without any.
+        surfaces: What `transfer` has found.
     """
 
     source: MeshSource
@@ -98,6 +116,7 @@ class MeshJob:
     rest_fit: RestFit | None
     repair: MeshRepair | None = None
     examples: MeshSource | None = None
+    surfaces: KeptSurfaces = field(default_factory=KeptSurfaces)
 
     @classmethod
     def prepare(
@@ -186,7 +205,8 @@ class MeshJob:
     def transfer(self, result: SimplifiedMesh, device: str | None) -> AttributeTransfer:
         """Where the simplified mesh gets its values from."""
         reference = self.frames.read(slice(0, 1))[0]
-        transfer = AttributeTransfer(self.source, self.faces, reference, result, self.seams, device)
+        surfaces = self.surfaces.of(result)
+        transfer = AttributeTransfer(self.source, self.faces, reference, result, self.seams, device, surfaces)
         transfer.read_pose = self._read_written
         if self.skin is not None:
             times = [None] if self.mesh.times is None else self.mesh.times

@@ -77,6 +77,7 @@ def write_simplify_report(
         for prim in report.worst_first
         if prim.measured is not None and prim.measured["reason"]
     ]
+    notes += [note for prim in report.prims for note in prim.notes]
     notes += [f"{prim.path}: dropped: {', '.join(prim.dropped)}" for prim in report.prims if prim.dropped]
     if options.measure:
         tables[2:2] = _appearance_tables(_looks(report, original, levels, options, notes), notes)
@@ -127,7 +128,7 @@ def write_compare_report(
         original, level = (WorldMeshes(name, options.prims, passing=failed, stage=stage) for name, stage in both)
         levels = [(level.name, level)]
     check_stage_outputs([OutputFile("report", path)], [original.stage, *(level.stage for _, level in levels)])
-    notes = [pair.message for pair in pairs if pair.message]
+    notes = [pair.message for pair in pairs if pair.message] + [note for pair in pairs for note in pair.notes]
     looks = [(_name(pair.path, pair.level), pair.appearance) for pair in pairs if pair.appearance is not None]
     tables = [_pair_table(pairs), *_appearance_tables(looks, notes)]
     title = f"{original.name} – {os.path.basename(test)}"

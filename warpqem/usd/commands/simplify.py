@@ -27,6 +27,7 @@ from warpqem.usd.commands.run_info import run_info
 from warpqem.usd.commands.simplify_options import SimplifyOptions
 from warpqem.usd.commands.usd_lod import UsdLodLevels
 from warpqem.usd.read.open_stage import find_meshes, open_input, open_stage
+from warpqem.usd.read.variants import lost_variants
 from warpqem.usd.write.layer_files import check_output_path
 from warpqem.usd.write.layer_output import check_output_layer
 from warpqem.usd.write.package import is_package
@@ -115,10 +116,12 @@ def simplify_stage(
         selection = find_meshes(stage, options.prims, by_root=bool(options.lods) and not options.lod_files)
         if not selection.paths():
             raise StageError("there is no mesh on the stage")
+        flat = isinstance(output, Path) and _is_flat(output, options)
         context = Context(
             stage,
             selection,
-            options,
+            # A package of one flat layer is one as any other.
+            replace(options, flatten=flat),
             output.parent if isinstance(output, Path) else None,
             listen or (lambda fraction, text: None),
             announce or (lambda name, plan: None),
@@ -134,6 +137,8 @@ def simplify_stage(
                 report.outputs = [os.fspath(file.path) for file in written]
             report.output = report.outputs[0]
             _log.info("%s: written", report.output)
+            if flat:
+                report.notes += lost_variants(stage)
     report.problems = problems
     report.run = run_info(options, time.perf_counter() - start)
     return report
@@ -151,6 +156,11 @@ def _checked_output(
         if getattr(options, name):
             raise OptionError(f"{name}: needs a file as output, not the layer {output_path.identifier}")
     return output_path
+
+
+def _is_flat(output: Path, options: SimplifyOptions) -> bool:
+    """Whether one flat layer is written, or one for each level; levels in a package are layers over the input."""
+    return options.flatten or (is_package(output) and (not options.lods or options.lod_files))
 
 
 def _check_files(stage: Usd.Stage) -> list[str]:

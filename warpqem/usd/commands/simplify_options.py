@@ -338,7 +338,7 @@ class SimplifyOptions(RigOptions):
     flatten: bool = option(
         False,
         "Write one self-contained file instead of a layer over IN; textures in packages or other folders are copied to "
-        "NAME_textures beside it.",
+        "NAME_textures beside it. Of variant sets it has what is selected.",
         basic=True,
         panel="Output",
     )

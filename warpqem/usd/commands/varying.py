@@ -150,8 +150,8 @@ def _measured(found: Sequence[PrimReport]) -> dict[str, Any] | None:
     parts = []
     for part in found:
         if part.status == "kept":
-            counts = {"frame_count": part.frames, "test_faces": part.faces_after}
-            parts.append(Measured(**{**dict.fromkeys(ERRORS, 0), **counts}))
+            counts = {"frame_count": part.frames, "test_faces": part.faces_after, "collapsed_frames": ()}
+            parts.append(Measured(**{**dict.fromkeys(ERRORS, 0), **counts}))  # type: ignore[arg-type]  # fields by name
         elif part.measured is None:
             return None
         else:

@@ -10,6 +10,7 @@ from typing import IO
 from pxr import Ar
 
 from warpqem.errors import StageError
+from warpqem.files.archives import archive_files
 from warpqem.files.file_kinds import check_regular
 from warpqem.usd.checks.usd_errors import first_line
 
@@ -49,7 +50,7 @@ def copy_asset(place: str, target: IO[bytes]) -> None:
 def _unpack(package: IO[bytes], inner: str, file: IO[bytes]) -> None:
     """Copy a file out of a package, which may lie in a package there."""
     name, rest = Ar.SplitPackageRelativePathOuter(inner) if Ar.IsPackageRelativePath(inner) else (inner, "")
-    with zipfile.ZipFile(package) as archive, archive.open(str(name)) as entry:
+    with zipfile.ZipFile(package) as archive, archive.open(archive_files(archive)[str(name)]) as entry:
         if rest:
             _unpack(entry, str(rest), file)
         else:

@@ -12,11 +12,14 @@ from pxr import Sdf, Usd
 from warpqem.errors import OptionError
 from warpqem.usd.read.open_stage import open_stage
 
-__all__ = ["VariantChoice", "open_stages", "select_variants"]
+__all__ = ["VariantChoice", "lost_variants", "open_stages", "select_variants"]
 
 # SET=NAME, or /Prim/Path{SET=NAME} as USD writes paths into variants. Names of variants may hold - | and a leading dot.
 CHOICE = re.compile(r"(?P<set>[\w:.|-]+)=(?P<name>[\w.|-]+)")
 CHOICE_OF_PRIM = re.compile(rf"(?P<prim>/[^{{}}]*)\{{{CHOICE.pattern}\}}")
+
+# Variants that a note names.
+MAX_NAMED = 3
 
 
 @dataclass(frozen=True)
@@ -112,6 +115,20 @@ def _select(stage: Usd.Stage, prims: Sequence[Usd.Prim], choice: VariantChoice) 
     with Usd.EditContext(stage, stage.GetSessionLayer()):
         variants.SetVariantSelection(choice.name)
     return VariantChoice(choice.set, choice.name, path)
+
+
+def lost_variants(stage: Usd.Stage) -> list[str]:
+    """A line that names the selected variants, which alone are in a flat file; none where there is no variant set."""
+    prims = Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies(Usd.PrimAllPrimsPredicate))
+    sets = [(prim, prim.GetVariantSet(name)) for prim in prims for name in _set_names(prim)]
+    chosen = [
+        f"{prim.GetPath()}{{{variants.GetName()}={variants.GetVariantSelection()}}}"
+        for prim, variants in sets
+        if len(variants.GetVariantNames()) > 1
+    ]
+    more = f" and {len(chosen) - MAX_NAMED} more" if len(chosen) > MAX_NAMED else ""
+    named = ", ".join(chosen[:MAX_NAMED]) + more
+    return [f"a flat file has no variant sets; of these it has what is selected: {named}"] if chosen else []
 
 
 def open_stages(paths: Sequence[str | os.PathLike[str]], variants: Sequence[str] = ()) -> list[Usd.Stage]:

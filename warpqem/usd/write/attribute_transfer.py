@@ -109,6 +109,7 @@ class AttributeTransfer:
         result: SimplifiedMesh,
         seams: MeshSeams,
         device: str | None = None,
+        surfaces: dict[bytes, SurfaceTransfer] | None = None,
     ) -> None:
         """Prepare for one mesh.
 
@@ -119,6 +120,7 @@ class AttributeTransfer:
             result: What that returned.
             seams: The seams of the input.
             device: Warp device; None for the default.
+            surfaces: What is found for each set of seams, and kept for others of the same result; None for none.
         """
         self.prim = source.prim
         self.input_count = source.element_count
@@ -141,7 +143,7 @@ class AttributeTransfer:
         self.read_shown: Callable[[int], npt.NDArray[np.float32]] = lambda _: reference_points
         self.normals: Literal["fit", "keep", "none"] = "fit"
         self._device = device
-        self._transfers: dict[bytes, SurfaceTransfer] = {}
+        self._transfers = {} if surfaces is None else surfaces
         self._partners: dict[bytes, Partners] = {}
 
     def hard_edges(self) -> npt.NDArray[np.int32]:

@@ -17,6 +17,7 @@ from typing import Any
 from pxr import Sdf, Tf, Usd, UsdUtils
 
 from warpqem.errors import StageError
+from warpqem.files.archives import archive_files
 from warpqem.files.temporary import remove_path, replacing, temporary_path
 from warpqem.usd.checks.usd_errors import first_line
 from warpqem.usd.read.copy_asset import copy_asset
@@ -93,8 +94,7 @@ def write_package_with_layers(layer: Sdf.Layer, output: Path) -> list[str]:
         if not packed.is_file() or not (done or missing):
             raise StageError(f"{output}: USD cannot gather the files that the input names")
         with zipfile.ZipFile(packed) as archive:
-            files = {name: local / name for name in archive.namelist()}
-            archive.extractall(local)
+            files = {name: Path(archive.extract(entry, local)) for name, entry in archive_files(archive).items()}
         _write_archive(files, output)
     lost = [f"{path}: missing, so that the package lacks it" for path in missing]
     return lost + _foreign(files, output)

@@ -2,18 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from warpqem.measure.verdict import rank
 
-__all__ = ["JointsReport", "PrimReport", "RunReport", "ShapesReport", "StageReport", "name_prim"]
+__all__ = ["JointsReport", "PrimReport", "RunReport", "ShapesReport", "StageReport", "collapsed_note", "name_prim"]
+
+# Times that a note names.
+MAX_TIMES = 5
 
 
 def name_prim(path: str, error: Exception) -> str:
     """The text of an error, with the prim it is about in front if it does not name it."""
     text = str(error)
     return text if text.startswith(path) else f"{path}: {text}"
+
+
+def collapsed_note(path: str, times: Sequence[float] | None, frames: Sequence[int]) -> str:
+    """What to say of frames, numbers into the times of a mesh, in which it is collapsed."""
+    shown = [f"time {times[frame]:g}" if times else "its only pose" for frame in frames[:MAX_TIMES]]
+    more = len(frames) - len(shown)
+    names = ", ".join(shown) + (f" and {more} more" if more else "")
+    return f"{path}: collapsed to a point or a line at {names}, left out of its errors"
 
 
 @dataclass

@@ -17,8 +17,12 @@ def transfer_subsets(mesh: UsdGeom.Mesh, transfer: AttributeTransfer, dropped: D
     """Give every face subset the new faces that go on from its faces; subsets of points or edges are deactivated.
 
     Each new face goes on from one authored face, so subsets that do not overlap, or that share out all faces, still do.
+    USD takes a family without any face for damaged, so the subsets of one that loses its last face are deactivated.
     """
     lost, emptied = 0, []
+    families: dict[str, list[UsdGeom.Subset]] = {}
+    # Whether the subsets of a family had any face, and have one.
+    faces_of: dict[str, tuple[bool, bool]] = {}
     for subset in subsets_of(mesh):
         if subset.GetElementTypeAttr().Get() != UsdGeom.Tokens.face:
             if transfer.names_feature_point(subset):
@@ -37,8 +41,17 @@ def transfer_subsets(mesh: UsdGeom.Mesh, transfer: AttributeTransfer, dropped: D
             left += len(faces)
         if not left and any(map(len, members.values())):
             emptied.append(subset.GetPrim().GetName())
+        family = subset.GetFamilyNameAttr().Get() or ""
+        families.setdefault(family, []).append(subset)
+        had, has = faces_of.get(family, (False, False))
+        faces_of[family] = had or any(map(len, members.values())), has or left > 0
         for code in blocked:
             attribute.Set(Sdf.ValueBlock(), code)
+    for family, subsets in families.items():
+        if faces_of[family] == (True, False):
+            for subset in subsets:
+                subset.GetPrim().SetActive(False)
+                dropped.deactivated.append(subset.GetPath())
     if emptied:
         dropped.names.append(f"all faces of GeomSubset{'s' if len(emptied) > 1 else ''} {', '.join(emptied)}")
     if lost:

@@ -68,6 +68,8 @@ class RunOutput:
         # Authored paths, and the indices of the runs that they have values in.
         self._authored: dict[Sdf.Path, set[int]] = {}
         self._still: set[Sdf.Path] = set()
+        # Child prims that each run has no use for.
+        self._deactivated: list[set[Sdf.Path]] = []
 
     def add(self, edits: OverLayer) -> None:
         """Add the next run.
@@ -82,14 +84,14 @@ class RunOutput:
             self._copy_prim(spec)
             for attribute in spec.attributes:
                 self._copy_attribute(edits, attribute, written)
-        for part in edits.dropped if len(self._done) == 1 else ():
-            self._over.add_dropped(str(self._prim.GetPath()), Dropped(deactivated=part.deactivated))
+        self._deactivated.append({path for part in edits.dropped for path in part.deactivated})
 
     def keep(self) -> None:
         """Let the next run be as it is in the input."""
         time = self._runs[len(self._done)].times[0]
         mesh = UsdGeom.Mesh(self._prim)
         points = held_value(mesh.GetPointsAttr(), time)
+        self._deactivated.append(set())
         self._begin(True, len(points or ()), mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr(), time)
 
     def finish(self) -> None:
@@ -101,7 +103,9 @@ class RunOutput:
                         if index not in self._authored[path]:
                             self._fill(path, written)
             self._unify()
-        dropped = Dropped()
+        dropped = Dropped(deactivated=sorted(set.intersection(*self._deactivated)))
+        for path in set.union(*self._deactivated).difference(dropped.deactivated):
+            self._layer.GetPrimAtPath(path).ClearActive()
         for path in self._authored:
             if all(path in written.blocked for written in self._done):
                 spec = self._layer.GetAttributeAtPath(path)

@@ -1,0 +1,152 @@
+"""Frames in which a mesh is collapsed to a point or a line: no error relative to its size exists there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from warpqem.errors import DegenerateMeshError
+from warpqem.measure.checked_meshes import CheckedMesh
+
+__all__ = [
+    "Standing",
+    "collapsed_frames",
+    "collapsed_in_either",
+    "distance_apart",
+    "distances_from_box",
+    "sizes",
+    "standing_frames",
+]
+
+# A mesh no further from a line than so many steps between neighbouring numbers of single precision is that line, or a
+# point: weights that sum to one up to rounding spread what a joint of scale 0 moves over a few steps along each axis.
+STEPS = 8
+# A face lower than this part of its longest edge is a line: single precision leaves about as much.
+LINE_HEIGHT = 1e-7
+# Faces and points that are looked at first, evenly spread: nearly always one of them settles a frame.
+FIRST = 64
+
+Flags = npt.NDArray[np.bool_]
+
+
+def collapsed_frames(points: npt.NDArray[Any], faces: npt.NDArray[np.integer]) -> Flags:
+    """Whether all used points of a frame lie on one line or are the same, up to rounding, or no face has an area, (n,).
+
+    Args:
+        points: (n, V, 3).
+        faces: (N, 3); vertices that none of them uses do not count.
+    """
+    used = np.unique(faces)
+    return np.array([_holds(_is_flat, frame, faces) or _holds(_is_line, frame, used) for frame in points], dtype=bool)
+
+
+def _holds(
+    is_so: Callable[[npt.NDArray[Any], npt.NDArray[np.integer]], bool],
+    points: npt.NDArray[Any],
+    parts: npt.NDArray[np.integer],
+) -> bool:
+    """Whether something is so of all parts of a mesh: if it is of a few."""
+    few = parts[:: -(-len(parts) // FIRST)]
+    return is_so(points, few) and (len(few) == len(parts) or is_so(points, parts))
+
+
+def _is_flat(points: npt.NDArray[Any], faces: npt.NDArray[np.integer]) -> bool:
+    """Whether each face is a line or a point."""
+    corner = points[faces].astype(np.float64)
+    edges = np.roll(corner, -1, axis=1) - corner
+    longest = (edges**2).sum(axis=2).max(axis=1)
+    height_area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+    return bool((height_area <= LINE_HEIGHT * longest).all())
+
+
+def _is_line(points: npt.NDArray[Any], used: npt.NDArray[np.integer]) -> bool:
+    """Whether points in single precision are on one line, or are one point, up to rounding."""
+    own = points[used]
+    away = own.astype(np.float64) - own[0]
+    along = away[(away**2).sum(axis=1).argmax()]
+    along /= np.linalg.norm(along) or 1.0
+    if np.linalg.norm(away - np.outer(away @ along, along), axis=1).max() > _rounding(float(np.abs(own).max())):
+        return False
+    return _is_single(own)
+
+
+def _rounding(reach: float) -> float:
+    """What counts as one point where coordinates reach so far."""
+    return STEPS * float(np.spacing(np.float32(min(reach, float(np.finfo(np.float32).max)))))
+
+
+def _is_single(points: npt.NDArray[Any]) -> bool:
+    return points.dtype == np.float32 or bool((points.astype(np.float32) == points).all())
+
+
+def sizes(points: npt.NDArray[Any], of_point: float) -> npt.NDArray[np.float64]:
+    """Bounding-box diagonals (n,) of frames (n, V, 3); another length for those that are a point, up to rounding."""
+    low, high = (bound.astype(np.float64) for bound in (points.min(axis=1), points.max(axis=1)))
+    diagonal: npt.NDArray[np.float64] = np.linalg.norm(high - low, axis=1)
+    reach = np.maximum(np.abs(low), np.abs(high)).max(axis=1)
+    for frame, own in enumerate(diagonal.tolist()):
+        if own == 0.0 or (own <= _rounding(float(reach[frame])) and _is_single(points[frame])):
+            diagonal[frame] = of_point
+    return diagonal
+
+
+@dataclass(frozen=True)
+class Standing:
+    """Two sequences without the frames in which either is collapsed.
+
+    Attributes:
+        reference: its other frames.
+        test: likewise.
+        frames: (K,) int64, their numbers before, ascending.
+    """
+
+    reference: CheckedMesh
+    test: CheckedMesh
+    frames: npt.NDArray[np.int64]
+
+    @property
+    def follows(self) -> Flags:
+        """(K,) whether the frame before each was the one before it, too."""
+        return np.diff(self.frames, prepend=-1) == 1
+
+
+def collapsed_in_either(reference: CheckedMesh, test: CheckedMesh) -> Flags:
+    """(F,) whether one of two sequences of as many frames is collapsed."""
+    flat = [collapsed_frames(mesh.points, mesh.faces) for mesh in (reference, test)]
+    return flat[0] | flat[1]
+
+
+def standing_frames(reference: CheckedMesh, test: CheckedMesh) -> Standing:
+    """The frames in which neither of two sequences of as many frames is collapsed.
+
+    Raises:
+        DegenerateMeshError: there is none.
+    """
+    both = collapsed_in_either(reference, test)
+    if both.all():
+        raise DegenerateMeshError("reference or test mesh: collapsed to a point or a line in every frame")
+    frames = np.flatnonzero(~both)
+    if not both.any():
+        return Standing(reference, test, frames)
+    left = [replace(mesh, points=mesh.points[frames]) for mesh in (reference, test)]
+    return Standing(left[0], left[1], frames)
+
+
+def distances_from_box(points: npt.NDArray[Any], others: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
+    """Distances (V,) of points (V, 3) from the bounding box of others (W, 3)."""
+    outside = np.maximum(others.min(axis=0) - points, points - others.max(axis=0)).astype(np.float64)
+    distance: npt.NDArray[np.float64] = np.linalg.norm(np.maximum(outside, 0.0), axis=1)
+    return distance
+
+
+def distance_apart(one: npt.NDArray[Any], other: npt.NDArray[Any]) -> float:
+    """How far points (V, 3) of each of two meshes are from the other's bounding box at most.
+
+    Where one of the meshes is a point, this is the Hausdorff distance, which vertices attain; of a line it is no more
+    than that.
+    """
+    return float(max(distances_from_box(one, other).max(), distances_from_box(other, one).max()))
