@@ -82,17 +82,14 @@ class ComponentLimits:
         sampled.far = wp.zeros(len(faces), dtype=wp.int32, device=device)
         self._own: _OwnParts | None = None
 
-    def far_vertices(self, moved: wp.array, reach: float) -> npt.NDArray[np.bool_]:
+    def far_vertices(self, moved: wp.array) -> npt.NDArray[np.bool_]:
         """(C,) bool, vertices of places that are further away than any of their component was as placed.
-
-        The surfaces are paired anew.
 
         Args:
             moved: (K, C) vec3, the key frames of the output as it lies now.
-            reach: points further apart are no pair.
         """
         self.sampled.far.zero_()
-        self._matching.find(reach, True, kernels.mark_far_faces, self.sampled)
+        self._matching.note_far(kernels.mark_far_faces, self.sampled)
         if self._own is None:
             self._own = self._make_own_parts()
         marked = self._own.far_vertices(moved)

@@ -34,8 +34,8 @@ from warpqem.runtime.launches import launch
 
 __all__ = ["fit_corrections"]
 
-# Pairs are found and the system is solved so often: the third round gains 0.5 % for a tenth of the job's time.
-ROUNDS = 3
+# Pairs are found and the system is solved so often.
+ROUNDS = 4
 # For a rough fit: where such a surface is far from the input, that of three rounds is too.
 ROUGH_ROUNDS = 2
 
@@ -121,13 +121,13 @@ def fit_corrections(
     if roughly:
         return fit.apply
     for _ in range(ATTEMPTS):
-        far = fit.far_vertices(reach)
+        far = fit.far_vertices()
         if not far.any():
             return fit.apply
         fit.hold_places(far)
         fit.hold_back()
     for share in SHARES:
-        far = fit.far_vertices(reach)
+        far = fit.far_vertices()
         if not far.any():
             break
         fit.shrink_components(far, share)
@@ -343,16 +343,16 @@ class _Refit:
                 device=self._device,
             )
 
-    def far_vertices(self, reach: float) -> np.ndarray:
-        """(C,) bool, vertices at places that are further away than any of their component was as placed.
-
-        The surfaces are paired anew.
-        """
+    def far_vertices(self) -> np.ndarray:
+        """(C,) bool, vertices at places that are further away than any of their component was as placed."""
         self._keys.move(self._correction, self._moved)
-        return self._limits.far_vertices(self._moved, reach)
+        return self._limits.far_vertices(self._moved)
 
     def hold_places(self, far: np.ndarray) -> None:
-        """Stiffen vertices (C,) bool, as the surfaces were paired last; one that was far before with a ring more."""
+        """Stiffen vertices (C,) bool, as the surfaces were paired last; one that was far before with a ring more.
+
+        They are not paired anew: that would be one more round of the whole fit for a few vertices.
+        """
         self._times_far[far] += 1
         times = np.where(far, self._times_far, 0)
         marked = np.zeros_like(far)
@@ -360,7 +360,6 @@ class _Refit:
             marked |= times > rings
             if rings:
                 marked[self._faces[marked[self._faces].any(axis=1)].ravel()] = True
-        self._assemble()
         self._stiffen(marked)
 
     def shrink_components(self, marked: np.ndarray, share: float) -> None:
