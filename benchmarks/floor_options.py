@@ -266,6 +266,12 @@ def _update_distances(a: Arguments) -> Demand:
     return Demand(count * 3 * INT + samples.vertex_squared.size * 3 * INT + steps)
 
 
+def _look_at_places(a: Arguments) -> Demand:
+    # The first vertex of each place and the squared distance or limit of each of its points.
+    squared = a["squared_out"] if "squared_out" in a else a["squared_in"]
+    return Demand(a["places"].vertex.shape[0] * INT + size_of(squared))
+
+
 OPTION_MODELS: dict[str, Callable[[Arguments], Demand]] = {
     **{kernel: partial(_streamed, kernel) for kernel in _STREAMED},
     "match_input_samples": lambda a: _match(a, "source", "target"),
@@ -273,8 +279,11 @@ OPTION_MODELS: dict[str, Callable[[Arguments], Demand]] = {
     "match_border_samples": _match_border_samples,
     "measure_vertex_distances": _measure_vertex_distances,
     "raise_limits": _look_at_samples,
-    "mark_far_faces": _look_at_samples,
     "update_distances": _update_distances,
+    "mark_far_samples": _look_at_samples,
+    "gather_limits": _look_at_places,
+    "raise_own_limits": _look_at_places,
+    "mark_far_places": _look_at_places,
     "assemble_elements": _assemble_elements,
     "renew_quadrics": _renew_quadrics,
     "update_neighbourhood_costs": _update_neighbourhood_costs,

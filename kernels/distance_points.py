@@ -1,7 +1,8 @@
 """Points of a moving mesh against some faces of another one, in many frames side by side: how far they are at most.
 
-Faces that are not among those given may be nearer, so that a distance found is no less than the real one. Faces whose
-edges become long need points between their vertices, too. See :mod:`warpqem.kernels.lanes` for the layout.
+Looked at are the faces at some clusters of a simplified mesh, and those at the clusters next to these. Others may be
+nearer, so that a distance found is no less than the real one. Faces whose edges become long need points between their
+vertices, too. See :mod:`warpqem.kernels.lanes` for the layout.
 """
 
 from typing import Any
@@ -13,11 +14,83 @@ from warpqem.kernels.lanes import POINTS_ARRAY, lane_dot, lane_kernel
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
+# A squared distance beyond all others.
+FAR = wp.constant(wp.float32(1.0e30))
+# Balls about triangles are looked at with so much more than single precision rounds squared distances by.
+BALL_MARGIN = wp.constant(wp.float32(1.0001))
+# To look for a face to begin with takes half the time of a look at the faces of such a list, one after another.
+LONG_LIST = wp.constant(wp.int32(12))
+
+
+@wp.struct
+class Around:
+    """The faces of a simplified mesh at each of its vertices, which are clusters."""
+
+    start: wp.array[wp.int32]  # (C+1,)
+    face: wp.array[wp.int32]
+    vertex: wp.array[wp.int32]  # (3N',) of each corner
+
 
 @wp.func
 def list_length(cluster: wp.array[wp.int32], face_start: wp.array[wp.int32], k: wp.int32) -> wp.int32:
     """Faces at the ``k``-th cluster."""
     return face_start[cluster[k] + 1] - face_start[cluster[k]]
+
+
+@wp.func
+def is_next(
+    around: Around,
+    cluster: wp.array[wp.int32],
+    first: wp.int32,
+    last: wp.int32,
+    k: wp.int32,
+    place: wp.int32,
+    other: wp.int32,
+) -> wp.bool:
+    """Whether a cluster is none of those from ``first`` to ``last``, and no earlier face at the ``k``-th one has it.
+
+    ``place`` in ``around.face`` is that of the face that has it.
+    """
+    for known in range(first, last):
+        if cluster[known] == other:
+            return False
+    for earlier in range(around.start[cluster[k]], place):
+        for corner in range(3):
+            if around.vertex[3 * around.face[earlier] + corner] == other:
+                return False
+    return True
+
+
+@wp.func
+def may_be_nearer(near: Any, p: Any, e: Any, f: Any, within: wp.float32) -> wp.bool:
+    """Whether a triangle of the origin, e and f may lower one of the squared distances that are above ``within``.
+
+    It lies in the ball about its first corner that its other corners reach.
+    """
+    gain = lane_dot(p, p)
+    ee = lane_dot(e, e)
+    ff = lane_dot(f, f)
+    for lane in range(len(near)):
+        reach = wp.sqrt(wp.max(ee[lane], ff[lane])) + wp.sqrt(near[lane])
+        gain[lane] = wp.where(near[lane] > within, BALL_MARGIN * reach * reach - gain[lane], -1.0)
+    return wp.max(gain) >= 0.0
+
+
+@wp.func
+def nearer(near: Any, point: Any, a: Any, b: Any, c: Any, within: wp.float32):
+    """The smaller ones of squared distances ``near`` and those of points from faces; within ``within``, no less."""
+    p = point - a
+    ab = b - a
+    ac = c - a
+    if wp.max(near) >= FAR or may_be_nearer(near, p, ab, ac, within):
+        found = lane_foot_squared(p, ab, ac)
+        for lane in range(len(near)):
+            near[lane] = wp.min(near[lane], found[lane])
+        if wp.max(near) > within:
+            found = lane_distance_squared(p, ab, ac)
+            for lane in range(len(near)):
+                near[lane] = wp.min(near[lane], found[lane])
+    return near
 
 
 @lane_kernel(own=POINTS_ARRAY, other=POINTS_ARRAY)
@@ -32,59 +105,102 @@ def distances_of_points(
     cluster: wp.array[wp.int32],
     face_start: wp.array[wp.int32],
     face: wp.array[wp.int32],
+    around: Around,
     squared: wp.array[wp.float32],
     shares: wp.int32,
     # in and out
+    nearest: wp.array[wp.int32],
     furthest: wp.array[wp.float32],
 ):
     """Raise ``furthest`` (n,) to the largest squared distance of each point from its faces, in all frames.
 
     Each of ``shares`` threads of a point has some of the blocks, one after another. The faces are those at the clusters
-    of row ``row`` (n,): lists ``face_start`` (C+1,), ``face`` of lists ``cluster_start`` (R+1,), ``cluster``. Once a
-    point is within its ``squared`` (n,) in all frames of a block, no further faces are looked at there, and the next
-    block begins with the last one: what is near in some frames is near in others.
+    of row ``row`` (n,): lists ``face_start`` (C+1,), ``face`` of lists ``cluster_start`` (R+1,), ``cluster``; then
+    those at the clusters next to these, see :class:`Around`. Once a point is within its ``squared`` (n,) in all frames
+    of a block, no further faces are looked at there, and the next block begins with the last one that was nearer: what
+    is near in some frames is near in others. ``nearest`` (n,) says where a single thread of a point begins, and then
+    where it ended; -1 for nowhere: then long lists are looked through for faces whose middles are near in one frame.
     """
     i, share = wp.tid()
     first = cluster_start[row[i]]
     last = cluster_start[row[i] + 1]
-    count = wp.int32(0)
-    for k in range(first, last):
-        count += list_length(cluster, face_start, k)
-    begin = first
-    begin_place = wp.int32(0)
+    begin = wp.int32(-1)
+    if shares == 1:
+        begin = nearest[i]
+    is_long = wp.bool(False)
+    if begin < 0:
+        count = wp.int32(0)
+        for k in range(first, last):
+            count += list_length(cluster, face_start, k)
+        is_long = count > LONG_LIST
     furthest_of_all = wp.float32(0.0)
     within = squared[i]
     for block in range(share * own.shape[1] / shares, (share + 1) * own.shape[1] / shares):
         p = own[point[i], block]
         near = 0.0 * p[0]
         for lane in range(len(near)):
-            near[lane] = wp.float32(1.0e30)
-        here = wp.float32(1.0e30)
-        at = begin
-        place = begin_place
-        looked = wp.int32(0)
-        while looked < count and here > within:
-            while place >= list_length(cluster, face_start, at):
-                at = wp.where(at + 1 < last, at + 1, first)
-                place = 0
-            begin = at
-            begin_place = place
-            corner = 3 * face[face_start[cluster[at]] + place]
-            a = other[other_vertex[corner], block]
-            ab = other[other_vertex[corner + 1], block] - a
-            ac = other[other_vertex[corner + 2], block] - a
-            found = lane_foot_squared(p - a, ab, ac)
-            for lane in range(len(near)):
-                near[lane] = wp.min(near[lane], found[lane])
+            near[lane] = FAR
+        here = wp.float32(FAR)
+        if begin >= 0:
+            a = other[other_vertex[3 * begin], block]
+            b = other[other_vertex[3 * begin + 1], block]
+            c = other[other_vertex[3 * begin + 2], block]
+            near = nearer(near, p, a, b, c, within)
             here = wp.max(near)
-            if here > within:
-                found = lane_distance_squared(p - a, ab, ac)
-                for lane in range(len(near)):
-                    near[lane] = wp.min(near[lane], found[lane])
-                here = wp.max(near)
-            looked += 1
-            place += 1
+        if here > within and is_long:
+            least = wp.float32(FAR)
+            k = first
+            while k < last and here > within:
+                j = face_start[cluster[k]]
+                end = face_start[cluster[k] + 1]
+                while j < end and here > within:
+                    u = other_vertex[3 * face[j]]
+                    v = other_vertex[3 * face[j] + 1]
+                    w = other_vertex[3 * face[j] + 2]
+                    middle = wp.vec3()
+                    for axis in range(3):
+                        corners = other[u, block][axis, 0] + other[v, block][axis, 0] + other[w, block][axis, 0]
+                        middle[axis] = corners - 3.0 * p[axis, 0]
+                    if wp.length_sq(middle) < least:
+                        least = wp.length_sq(middle)
+                        begin = face[j]
+                        near = nearer(near, p, other[u, block], other[v, block], other[w, block], within)
+                        here = wp.max(near)
+                    j += 1
+                k += 1
+        k = first
+        while k < last and here > within:
+            j = face_start[cluster[k]]
+            end = face_start[cluster[k] + 1]
+            while j < end and here > within:
+                a = other[other_vertex[3 * face[j]], block]
+                b = other[other_vertex[3 * face[j] + 1], block]
+                c = other[other_vertex[3 * face[j] + 2], block]
+                near = nearer(near, p, a, b, c, within)
+                if wp.max(near) < here:
+                    here = wp.max(near)
+                    begin = face[j]
+                j += 1
+            k += 1
+        if here > within:
+            for k in range(first, last):
+                for join in range(around.start[cluster[k]], around.start[cluster[k] + 1]):
+                    for way in range(3):
+                        neighbour = around.vertex[3 * around.face[join] + way]
+                        if here > within and is_next(around, cluster, first, last, k, join, neighbour):
+                            for further in range(face_start[neighbour], face_start[neighbour + 1]):
+                                if here > within:
+                                    corner = 3 * face[further]
+                                    a = other[other_vertex[corner], block]
+                                    b = other[other_vertex[corner + 1], block]
+                                    c = other[other_vertex[corner + 2], block]
+                                    near = nearer(near, p, a, b, c, within)
+                                    if wp.max(near) < here:
+                                        here = wp.max(near)
+                                        begin = face[further]
         furthest_of_all = wp.max(furthest_of_all, here)
+    if shares == 1:
+        nearest[i] = begin
     wp.atomic_max(furthest, i, furthest_of_all)
 
 

@@ -44,10 +44,6 @@ MIDDLE_REGULARISATION = wp.constant(wp.float32(1.0e-5))
 # On flat ground every edge costs nothing. This part of area x length^2 makes short edges go first, far below the cost
 # of any visible bend, so that triangles stay compact.
 LENGTH_COST = wp.constant(wp.float32(1.0e-8))
-# Costs beyond so many times the threshold of a pass may be those of faces that have changed since: of 100 edges whose
-# cost was beyond, not one in a thousand is below it when measured again, and half of all costs need not be. From one
-# pass to the next the threshold grows by less.
-REACH = wp.constant(wp.float32(1.5))
 # Threads for the edges around a vertex: most have six faces, and each of their twelve half-edges there a thread.
 RING_SLOTS = wp.constant(wp.int32(16))
 # A collapse that changes how seams run counts as an error of this part of the edge's length, squared: costly enough
@@ -311,67 +307,16 @@ def update_neighbourhood_costs(
     model: CostModel,
     mask_in: wp.array[wp.int32],
     pass_number_in: wp.array[wp.int32],
-    threshold_in: wp.array[wp.float32],
-    reach_in: wp.array[wp.float32],
     work: Work,
 ):
-    """Update the costs that the next pass may look at, of edges with an end among the vertices that this pass masked.
-
-    Costs up to ``reach_in`` were those of the present faces before this pass. Those up to ``REACH`` times its threshold
-    are afterwards; an edge whose cost was beyond that gets it when the threshold comes near, whether its faces have
-    changed or not. An edge that had none may have become the one that stands for two half-edges.
-    """
+    """Update the costs of the edges that have an end among the vertices that this pass masked."""
     half_edge_count = 3 * state.face_count[0]
-    before = reach_in[0]
-    reach = REACH * threshold_in[0]
     for h in range(first_item(half_edge_count, work) + wp.tid(), last_item(half_edge_count, work), work.thread_count):
         u = state.corner_vertex[h]
         if u >= 0:
             v = half_edge_target(state.corner_vertex, h)
-            cost = wp.abs(state.edge_cost[h])
-            is_due = cost > before and cost <= reach and cost < INFINITE_COST
             if mask_in[u] == pass_number_in[0] or mask_in[v] == pass_number_in[0]:
-                is_due = cost <= reach or cost == INFINITE_COST
-                # A suspended edge may be legal now.
-                state.edge_cost[h] = cost
-            if is_due:
                 state.edge_cost[h] = cost_at(state, frames, model, h)
-
-
-@lane_kernel(frames=KEY_FRAMES)
-def update_reached_costs(
-    # in and out
-    state: MeshState,
-    # in
-    frames: AnyKeyFrames,
-    model: CostModel,
-    threshold_in: wp.array[wp.float32],
-    reach_in: wp.array[wp.float32],
-    work: Work,
-):
-    """Update the costs of candidates of this pass beyond what the last one reached, where its threshold is so far."""
-    half_edge_count = 3 * state.face_count[0]
-    before = reach_in[0]
-    threshold = threshold_in[0]
-    if threshold <= before:
-        return
-    for h in range(first_item(half_edge_count, work) + wp.tid(), last_item(half_edge_count, work), work.thread_count):
-        cost = state.edge_cost[h]
-        if cost > before and cost < threshold and state.corner_vertex[h] >= 0:
-            state.edge_cost[h] = cost_at(state, frames, model, h)
-
-
-@wp.kernel
-def note_reach(
-    # in
-    wanted_in: wp.array[wp.int32],
-    threshold_in: wp.array[wp.float32],
-    # out
-    reach_out: wp.array[wp.float32],
-):
-    """Note up to where costs are those of the present faces; nothing after the last pass, which wants no edges."""
-    if wanted_in[0] > 0:
-        reach_out[0] = REACH * threshold_in[0]
 
 
 @wp.kernel

@@ -1,4 +1,4 @@
-"""How far samples of two surfaces are from each other, by component of the output: the most, and where it is more."""
+"""How far places of two surfaces are from each other, by component of the output: the most, and where it is more."""
 
 import warp as wp
 
@@ -51,7 +51,7 @@ class Limits:
     squared: wp.array[wp.float32]  # of each component
     vertex_component: wp.array[wp.int32]  # (V,) the component that each input vertex went to, -1 for none
     own_squared: wp.array[wp.float32]  # of each component, by samples of itself and of what went to it alone
-    far: wp.array[wp.int32]  # (N',) 1 at output faces with a place that is further away
+    far: wp.array[wp.int32]  # (C,) 1 at output vertices of places that are further away
 
 
 @wp.func
@@ -157,19 +157,20 @@ def raise_limits(
 
 
 @wp.kernel
-def mark_far_faces(
+def mark_far_samples(
     # in
     samples: Samples,
     # in and out
     limits: Limits,
 ):
-    """Mark output faces with a sample further away in a key frame than their component may be."""
+    """Mark the vertices of output faces with a sample further away in a key frame than their component may be."""
     t = samples.input_turns.key
     sample = paired_sample(samples, t, wp.tid())
     if sample.face >= 0:
         limit = limits.squared[limits.component[sample.face]]
         if is_beyond(sample.squared, limit) and is_beyond(nearest_squared(samples, t, sample), limit):
-            limits.far[sample.face] = 1
+            for k in range(3):
+                limits.far[samples.target.corner_vertex[3 * sample.face + k]] = 1
 
 
 @wp.kernel
@@ -246,3 +247,65 @@ def update_distances(
     else:
         samples.vertex_near[t, output_vertex(samples, i)] = near
         samples.vertex_squared[t, output_vertex(samples, i)] = squared
+
+
+@wp.struct
+class PlacesOfVertices:
+    """Places, each of them some points, with the output vertices that it belongs to."""
+
+    vertex: wp.array2d[wp.int32]  # (n, 1) or (n, 3)
+    points: wp.int32  # of each place
+    component: wp.array[wp.int32]  # (C,) of each output vertex
+
+
+@wp.func
+def place_component(places: PlacesOfVertices, i: wp.int32) -> wp.int32:
+    """The component that the ``i``-th point is held to."""
+    return places.component[places.vertex[i / places.points, 0]]
+
+
+@wp.kernel
+def gather_limits(
+    # in
+    places: PlacesOfVertices,
+    own_squared_in: wp.array[wp.float32],
+    growth: wp.float32,
+    # out
+    squared_out: wp.array[wp.float32],
+):
+    """The squared limit of each point: ``growth`` times the distance of its component."""
+    i = wp.tid()
+    limit = growth * wp.sqrt(own_squared_in[place_component(places, i)])
+    squared_out[i] = limit * limit
+
+
+@wp.kernel
+def raise_own_limits(
+    # in
+    places: PlacesOfVertices,
+    squared_in: wp.array[wp.float32],
+    # in and out
+    own_squared: wp.array[wp.float32],
+):
+    """Raise the limit of each component to the largest squared distance of its points."""
+    i = wp.tid()
+    component = place_component(places, i)
+    if squared_in[i] > own_squared[component]:
+        wp.atomic_max(own_squared, component, squared_in[i])
+
+
+@wp.kernel
+def mark_far_places(
+    # in
+    places: PlacesOfVertices,
+    squared_in: wp.array[wp.float32],
+    own_squared_in: wp.array[wp.float32],
+    growth: wp.float32,
+    # in and out
+    far: wp.array[wp.int32],
+):
+    """Mark the vertices of places with a point further away than ``growth`` times the distance of their component."""
+    i = wp.tid()
+    if wp.sqrt(squared_in[i]) > growth * wp.sqrt(own_squared_in[place_component(places, i)]):
+        for k in range(places.vertex.shape[1]):
+            far[places.vertex[i / places.points, k]] = 1

@@ -6,7 +6,7 @@ import trimesh
 
 import warpqem
 from tests.support import meshes
-from warpqem.kernels.surface_limits import mark_far_faces
+from warpqem.kernels.surface_limits import mark_far_samples
 from warpqem.measure import compare
 from warpqem.pipeline import prepare
 from warpqem.refit import fit_surface
@@ -138,7 +138,7 @@ def test_places_that_moved_too_far_are_those_that_a_look_at_all_of_them_finds(sh
         limits.far.zero_()
         self._matching.find(1.0)
         self._matching._measure_vertices(0)
-        self._matching._note(mark_far_faces, 0, self._matching._show(0), limits)
+        self._matching._note(mark_far_samples, 0, self._matching._show(0), limits)
         marks.append((carried, limits.far.numpy().copy()))
         return np.zeros_like(far)
 

@@ -153,7 +153,7 @@ class DeviceOrderer(Ordering):
         def begin(recorder: Recorder, _: int) -> None:
             recorder.launch(kernels.begin_pass, 1, [self.log], [control, lists[0]])
 
-        groups = [LaunchGroup(begin), *steps.finding_threshold(histogram, 1), steps.gathering(lists[0], 1)]
+        groups = [LaunchGroup(begin), *steps.collecting(lists[0], histogram, 1)]
         for index in range(ROUNDS):
             now, left = lists[index % 2], lists[1 - index % 2]
 

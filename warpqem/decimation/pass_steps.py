@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -51,7 +50,6 @@ class PassLaunches:
     """The steps of a pass, recorded for a number of parts. Rounds take turns with two lists of candidates."""
 
     collect: RecordedLaunches
-    gather: RecordedLaunches
     choose: tuple[RecordedLaunches, RecordedLaunches]
     commit: tuple[RecordedLaunches, RecordedLaunches]
     build_adjacency: RecordedLaunches
@@ -102,8 +100,6 @@ class PassSteps:
         self.log, self.log_rows = new_log(vertex_count, device)
         self.pass_number, self.pass_begin, self.wanted, self.sample_step = (self.integers(1) for _ in range(4))
         self.cost_threshold = new_arrays.zeros(1, dtype=wp.float32, device=device)
-        # Up to here costs are those of the present faces.
-        self._reach = new_arrays.zeros(1, dtype=wp.float32, device=device)
         self._reservation = new_arrays.full(vertex_count, set_kernels.UNRESERVED, dtype=wp.int64, device=device)
         self.mask, self._updated = self.integers(vertex_count), self.integers(vertex_count)
         # Selected edges share no vertex, so there are V / 2 at most; an edge stands at one of its two half-edges.
@@ -128,7 +124,6 @@ class PassSteps:
                 recorder, cost_kernels.compute_all_costs[self._width], [self.state, self.frames, self.model], work
             )
 
-        self._reach.fill_(math.inf)
         measured = self._measuring(deformation_kernels.measure_all_deformation, [self.state])
         run_once([*measured, LaunchGroup(compute_costs, self.threads)], self.device)
 
@@ -169,11 +164,9 @@ class PassSteps:
                     [
                         LaunchGroup(lambda recorder, _: recorder.copy(self.pass_begin, self.log.count)),
                         self._emptying(candidates[0]),
-                        *self.finding_threshold(histogram, part_count),
-                        self.gathering(candidates[0], part_count),
+                        *self.collecting(candidates[0], histogram, part_count),
                     ]
                 ),
-                gather=self._recorded([self._emptying(candidates[0]), self.gathering(candidates[0], part_count)]),
                 choose=(self._recorded(choose[0]), self._recorded(choose[1])),
                 commit=(self._recorded(commit[0]), self._recorded(commit[1])),
                 build_adjacency=self._recorded(self.adjacency.launch_groups(part_count)),
@@ -196,8 +189,8 @@ class PassSteps:
     def _emptying(edges: EdgeList) -> LaunchGroup:
         return LaunchGroup(lambda recorder, _: recorder.zero(edges.count))
 
-    def finding_threshold(self, histogram: wp.array, part_count: int) -> list[LaunchGroup]:
-        """Find what the cheapest edges cost at most; ``histogram`` is zero between passes."""
+    def collecting(self, candidates: EdgeList, histogram: wp.array, part_count: int) -> list[LaunchGroup]:
+        """Fill an empty list of candidates with the cheapest edges; ``histogram`` is zero between passes."""
         state = self.state
 
         def count(recorder: Recorder, part: int) -> None:
@@ -215,20 +208,11 @@ class PassSteps:
             recorder.launch(set_kernels.find_threshold_by_sums, len(sums), [*inputs, sums], outputs)
             recorder.launch(set_kernels.bound_threshold, 1, [self.wanted, cheapest], [self.cost_threshold])
 
-        groups = [LaunchGroup(count, part_count), LaunchGroup(find_cost_threshold)]
-        if self._memoryless:
-            groups.append(self._updating_costs(cost_kernels.update_reached_costs, []))
-        return groups
-
-    def gathering(self, candidates: EdgeList, part_count: int) -> LaunchGroup:
-        """Fill an empty list of candidates with the edges below the threshold."""
-
-        def gather(recorder: Recorder, part: int) -> None:
+        def collect(recorder: Recorder, part: int) -> None:
             work = part_work(part, part_count, self.device)
-            inputs = [self.state, self.cost_threshold]
-            record_shared(recorder, set_kernels.collect_candidates, inputs, work, [candidates])
+            record_shared(recorder, set_kernels.collect_candidates, [state, self.cost_threshold], work, [candidates])
 
-        return LaunchGroup(gather, part_count)
+        return [LaunchGroup(count, part_count), LaunchGroup(find_cost_threshold), LaunchGroup(collect, part_count)]
 
     def selecting(self, candidates: EdgeList, selected: EdgeList, part_count: int) -> list[LaunchGroup]:
         """Select collapses that share no vertex of their one-rings, into the empty list ``selected``."""
@@ -343,18 +327,9 @@ class PassSteps:
             inputs = [self.state, self.frames, weights, *around]
             record_shared(recorder, memoryless_kernels.renew_quadrics[self._width], inputs, work)
 
-        def note_reach(recorder: Recorder, _: int) -> None:
-            recorder.launch(cost_kernels.note_reach, 1, [self.wanted, self.cost_threshold], [self._reach])
-
-        update_costs = self._updating_costs(cost_kernels.update_neighbourhood_costs, around)
-        return [LaunchGroup(renew, self.threads), update_costs, LaunchGroup(note_reach)]
-
-    def _updating_costs(self, kernels: dict[int, wp.Kernel], chosen: list[wp.array]) -> LaunchGroup:
-        """Update costs by where the threshold and what was reached lie."""
-
         def update_costs(recorder: Recorder, part: int) -> None:
             work = part_work(part, self.threads, self.device)
-            inputs = [self.state, self.frames, self.model, *chosen, self.cost_threshold, self._reach]
-            record_shared(recorder, kernels[self._width], inputs, work)
+            inputs = [self.state, self.frames, self.model, *around]
+            record_shared(recorder, cost_kernels.update_neighbourhood_costs[self._width], inputs, work)
 
-        return LaunchGroup(update_costs, self.threads)
+        return [LaunchGroup(renew, self.threads), LaunchGroup(update_costs, self.threads)]

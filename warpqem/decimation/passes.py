@@ -105,10 +105,8 @@ class Orderer(Ordering):
                 launches.choose[i % 2].run()
                 launches.commit[i % 2].run()
         else:
-            single = self.steps.launches(1)
-            if single is not launches:
-                launches = single
-                launches.gather.run()
+            launches = self.steps.launches(1)
+            candidate_count = self._collect_candidates(launches, candidate_fraction)
             self._run_counted_rounds(launches, remaining)
         end = int(self.log.count.numpy()[0])
         if end > begin:
@@ -116,8 +114,7 @@ class Orderer(Ordering):
             compacted = self._compact()
             overfull = int(self.state.adjacency.used.numpy()[0]) > len(self.state.adjacency.corner)
             (launches.build_adjacency if compacted or overfull else launches.update_adjacency).run()
-        # After a pass without a collapse, too: the next one looks further.
-        launches.renew.run()
+            launches.renew.run()
         return candidate_count, end - begin
 
     def _is_shared(self, remaining: int, candidate_fraction: float) -> bool:

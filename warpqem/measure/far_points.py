@@ -16,14 +16,33 @@ from warpqem.runtime import new_arrays
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.part_launches import corners_of, launch_in_parts, rows_of
 
-__all__ = ["FacesAround", "PointsAndFaces", "furthest_from", "longest_edges", "unique_pairs"]
+__all__ = ["FaceLists", "FacesAround", "PointsAndFaces", "furthest_from", "longest_edges"]
 
 # Points, or faces, that are worth a thread: some hundred nanoseconds each.
 MIN_POINTS = 1024
 
 
-class FacesAround:
-    """The faces at each vertex of a mesh, as compressed rows.
+class FaceLists:
+    """Faces in lists, as compressed rows; on the device that they are first asked for.
+
+    Args:
+        start: (C+1,) int32, where each list starts.
+        face: int32, one list after another.
+    """
+
+    def __init__(self, start: npt.NDArray[np.int32], face: npt.NDArray[np.int32]) -> None:
+        self.start, self.face = start, face
+        self._there: tuple[wp.array, wp.array] | None = None
+
+    def on(self, device: str) -> tuple[wp.array, wp.array]:
+        """Both on the device."""
+        if self._there is None:
+            self._there = _uploaded(self.start, device), _uploaded(self.face, device)
+        return self._there
+
+
+class FacesAround(FaceLists):
+    """The faces at each vertex of a mesh.
 
     Args:
         faces: (N, 3) int.
@@ -32,16 +51,23 @@ class FacesAround:
 
     def __init__(self, faces: npt.NDArray[np.integer], vertex_count: int) -> None:
         self.corner_vertex = np.ascontiguousarray(faces, dtype=np.int32).ravel()
-        self.start = np.zeros(vertex_count + 1, dtype=np.int32)
-        np.cumsum(np.bincount(self.corner_vertex, minlength=vertex_count), out=self.start[1:])
-        self.face = (order_by(self.corner_vertex, vertex_count) // 3).astype(np.int32)
+        start = np.zeros(vertex_count + 1, dtype=np.int32)
+        np.cumsum(np.bincount(self.corner_vertex, minlength=vertex_count), out=start[1:])
+        super().__init__(start, (order_by(self.corner_vertex, vertex_count) // 3).astype(np.int32))
         self._corners: wp.array | None = None
 
     def corners(self, device: str) -> wp.array:
         """(3N,) int32 on the device that it is first asked for, the vertex of each corner."""
         if self._corners is None:
-            self._corners = wp.array(self.corner_vertex, dtype=wp.int32, device=device, copy=False)
+            self._corners = _uploaded(self.corner_vertex, device)
         return self._corners
+
+    def around(self, device: str) -> kernels.Around:
+        """What kernels see of it."""
+        around = kernels.Around()
+        around.start, around.face = self.on(device)
+        around.vertex = self.corners(device)
+        return around
 
     def of(self, vertex: npt.NDArray[np.integer]) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int64]]:
         """The faces at some vertices, and of which of them (n,) each is, one after another."""
@@ -50,105 +76,94 @@ class FacesAround:
         place = np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count) + first[row]
         return self.face[place], row
 
-    def second_ring(self, vertex: npt.NDArray[np.integer]) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
-        """The faces at the faces at some vertices, as compressed rows."""
-        face, row = self.of(vertex)
-        around = unique_pairs(np.repeat(row, 3), self.corner_vertex.reshape(-1, 3)[face].ravel())
-        face, of_around = self.of(around[1])
-        pair = unique_pairs(around[0][of_around], face)
-        start = np.searchsorted(pair[0], np.arange(len(vertex) + 1)).astype(np.int32)
-        return start, pair[1].astype(np.int32)
 
-
-def unique_pairs(
-    first: npt.NDArray[np.integer], second: npt.NDArray[np.integer]
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """The different ones of some pairs of numbers from 0 on (n,), ascending; by keys, ten times as fast as by rows."""
-    count = int(second.max(initial=0)) + 1
-    first_found, second_found = np.divmod(np.unique(first.astype(np.int64) * count + second), count)
-    return first_found, second_found
+def _uploaded(values: npt.NDArray[np.integer], device: str) -> wp.array:
+    return wp.array(values.astype(np.int32, copy=False), dtype=wp.int32, device=device, copy=False)
 
 
 @dataclass(frozen=True)
 class PointsAndFaces:
-    """Points, and the faces that may be nearest to each.
+    """Points, and the faces that may be nearest to each: at its clusters, and at those next to them.
 
     Attributes:
         own: (P, B) blocks of points.
         other: (V, B) blocks of the same frames of the other mesh.
-        around: its faces.
+        faces: its faces.
         point: (n,) int, points of ``own``.
         row: (n,) int, the row of ``clusters`` for each.
         clusters: where each row starts, (R+1,) int, and clusters, int.
-        lists: where each cluster starts, (C+1,) int32, and faces of ``other``, int32.
+        lists: faces of ``other`` at each cluster.
+        around: the simplified mesh's faces at each cluster.
     """
 
     own: wp.array
     other: wp.array
-    around: FacesAround
+    faces: FacesAround
     point: npt.NDArray[np.integer]
     row: npt.NDArray[np.integer]
     clusters: tuple[npt.NDArray[np.integer], npt.NDArray[np.integer]]
-    lists: tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]
+    lists: FaceLists
+    around: FacesAround
 
     @classmethod
     def at(
         cls,
         own: wp.array,
         other: wp.array,
-        around: FacesAround,
+        faces: FacesAround,
         point: npt.NDArray[np.integer],
         cluster: npt.NDArray[np.integer],
-        lists: tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]],
+        lists: FaceLists,
+        around: FacesAround,
     ) -> PointsAndFaces:
         """Points with one cluster (n,) each."""
         every = np.arange(len(point) + 1)
-        return cls(own, other, around, point, every[:-1], (every, cluster), lists)
+        return cls(own, other, faces, point, every[:-1], (every, cluster), lists, around)
 
 
 def furthest_from(
-    given: Iterable[PointsAndFaces], limits: npt.NDArray[np.floating], device: str
-) -> npt.NDArray[np.float32]:
-    """How far points are at most, over the frames, from the nearest of some faces.
+    given: Iterable[PointsAndFaces], within: wp.array, device: str, nearest: wp.array | None = None
+) -> wp.array:
+    """How far points are at most, over the frames, from the nearest of some faces, on the device.
 
     Args:
         given: points and faces, one after another; each may go when the next one comes.
-        limits: (n,) of all points: within its own in all frames of a block, a point is looked at no closer.
+        within: (n,) float32 on the device, squared, of all points: within its own in all frames of a block, a point is
+            looked at no closer.
         device: Warp device.
+        nearest: (n,) int32 on the device, a face of each point's to begin with, -1 for none, and then the one where it
+            ended: for those who look at the same points again after a small move.
 
     Returns:
-        (n,) float32, brought to the host at once; of points within the limit anything that is.
+        (n,) float32, squared; of points within the limit anything that is.
     """
-    if not len(limits):
-        return np.empty(0, dtype=np.float32)
-    furthest = wp.zeros(len(limits), dtype=wp.float32, device=device)
-    within = wp.array(np.square(limits, dtype=np.float32), dtype=wp.float32, device=device)
+    furthest = new_arrays.zeros(len(within), dtype=wp.float32, device=device)
+    if nearest is None:
+        nearest = new_arrays.full(len(within), -1, dtype=wp.int32, device=device)
     first = 0
     for one in given:
         last = first + len(one.point)
         if last > first:
-            _measure(one, within[first:last], furthest[first:last], device)
+            part = slice(first, last)
+            _measure(one, within[part], nearest[part], furthest[part], device)
         first = last
-    found: npt.NDArray[np.float32] = np.sqrt(furthest.numpy())
-    return found
+    return furthest
 
 
-def _measure(given: PointsAndFaces, within: wp.array, furthest: wp.array, device: str) -> None:
+def _measure(given: PointsAndFaces, within: wp.array, nearest: wp.array, furthest: wp.array, device: str) -> None:
     """Raise the squared distances ``furthest`` (n,), zero before, to those found."""
     own, other, count = given.own, given.other, len(given.point)
-    start, face = (wp.array(values, dtype=wp.int32, device=device, copy=False) for values in given.lists)
     point, row, cluster_start, cluster = (
-        wp.array(values.astype(np.int32), dtype=wp.int32, device=device, copy=False)
-        for values in (given.point, given.row, *given.clusters)
+        _uploaded(values, device) for values in (given.point, given.row, *given.clusters)
     )
-    inputs = [own, other, given.around.corners(device), rows_of(point), rows_of(row), cluster_start, cluster]
+    inputs = [own, other, given.faces.corners(device), rows_of(point), rows_of(row), cluster_start, cluster]
     # Where points are too few for the device, frames are shared out, too.
     shares = max(1, min(own.shape[1], device_traits(device).launch_threads // count))
     launch_in_parts(
         kernels.distances_of_points[width_of(own)],
         (count, shares),
-        [*inputs, start, face, rows_of(within), shares],
-        [rows_of(furthest)],
+        [*inputs, *given.lists.on(device), given.around.around(device), rows_of(within), shares],
+        [rows_of(nearest), rows_of(furthest)],
         device=device,
         min_items=MIN_POINTS,
     )

@@ -18,7 +18,7 @@ import warp as wp
 
 from warpqem.kernels import distance_points as kernels
 from warpqem.kernels.lanes import width_of
-from warpqem.measure.far_points import FacesAround, PointsAndFaces, furthest_from, longest_edges, unique_pairs
+from warpqem.measure.far_points import FaceLists, FacesAround, PointsAndFaces, furthest_from, longest_edges
 from warpqem.runtime.part_launches import corners_of, launch_in_parts, rows_of
 
 __all__ = [
@@ -30,6 +30,7 @@ __all__ = [
     "furthest_of",
     "input_side",
     "large_faces",
+    "squared_distances",
 ]
 
 # Points of a face: its middle and those of its edges.
@@ -48,12 +49,12 @@ class Side:
     Attributes:
         lanes: (V, B) blocks of its points.
         faces: what its faces' corners are.
-        lists: where each cluster starts, (C+1,) int32, and its faces, int32.
+        lists: its faces at each cluster.
     """
 
     lanes: wp.array
     faces: FacesAround
-    lists: tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]
+    lists: FaceLists
 
 
 @dataclass(frozen=True)
@@ -92,13 +93,10 @@ class InputVertices(_Vertices):
         """(n, 1) int, where each is."""
         return self.cluster[:, None]
 
-    def around(self, chosen: npt.NDArray[np.integer] | None) -> Iterator[PointsAndFaces]:
-        """The points and the faces around; with one ring more for those that are ``chosen``, indices (m,)."""
-        point, cluster, lists = self.vertex, self.cluster, self.side.lists
-        if chosen is not None:
-            lists = self.side.faces.second_ring(cluster[chosen])
-            point, cluster = point[chosen], np.arange(len(chosen))
-        yield PointsAndFaces.at(self.lanes, self.side.lanes, self.side.faces, point, cluster, lists)
+    def around(self) -> Iterator[PointsAndFaces]:
+        """The points and the faces around."""
+        side = self.side
+        yield PointsAndFaces.at(self.lanes, side.lanes, side.faces, self.vertex, self.cluster, side.lists, side.faces)
 
 
 @dataclass(frozen=True)
@@ -125,23 +123,16 @@ class SampledFaces:
         """Faces m."""
         return len(self.faces)
 
-    def around(self, chosen: npt.NDArray[np.integer] | None) -> Iterator[PointsAndFaces]:
-        """The points and the faces around; with one ring more for those that are ``chosen``, indices (m,)."""
-        simplified = self.around_clusters.corner_vertex.reshape(-1, 3)
-        rows = np.arange(self.count) if chosen is None else chosen
-        for first in range(0, len(rows), FACES_AT_ONCE):
-            part = rows[first : first + FACES_AT_ONCE]
-            cluster = self.clusters[part].ravel()
-            start = np.arange(0, len(cluster) + 1, 3)
-            if chosen is not None:
-                # The nearest face may be at a cluster next to these.
-                face, place = self.around_clusters.of(cluster)
-                row, cluster = unique_pairs(np.repeat(place // 3, 3), simplified[face].ravel())
-                start = np.searchsorted(row, np.arange(len(part) + 1))
-            point = np.arange(len(SAMPLES) * len(part))
+    def around(self) -> Iterator[PointsAndFaces]:
+        """The points and the faces around."""
+        side, around = self.side, self.around_clusters
+        for first in range(0, self.count, FACES_AT_ONCE):
+            part = slice(first, first + FACES_AT_ONCE)
+            clusters = self.clusters[part].ravel()
+            start, point = np.arange(0, len(clusters) + 1, 3), np.arange(len(SAMPLES) * (len(clusters) // 3))
             points = self._points(self.faces[part])
-            clusters, side = (start, cluster), self.side
-            yield PointsAndFaces(points, side.lanes, side.faces, point, point // len(SAMPLES), clusters, side.lists)
+            row = point // len(SAMPLES)
+            yield PointsAndFaces(points, side.lanes, side.faces, point, row, (start, clusters), side.lists, around)
 
     def _points(self, faces: npt.NDArray[np.integer]) -> wp.array:
         """Blocks of the points of some faces (m, 3), one face after another."""
@@ -176,18 +167,12 @@ class SimplifiedVertices(_Vertices):
         """(n, 1) int, where each is."""
         return self.vertex[:, None]
 
-    def around(self, chosen: npt.NDArray[np.integer] | None) -> Iterator[PointsAndFaces]:
-        """The points and the faces around; with one ring more for those that are ``chosen``, indices (m,)."""
+    def around(self) -> Iterator[PointsAndFaces]:
+        """The points and the faces around."""
         side = self.side
-        if chosen is None:
-            yield PointsAndFaces.at(self.lanes, side.lanes, side.faces, self.vertex, self.vertex, side.lists)
-            return
-        point, every = self.vertex[chosen], np.arange(len(chosen) + 1)
-        face, place = self.around_clusters.of(point)
-        simplified = self.around_clusters.corner_vertex.reshape(-1, 3)
-        row, cluster = unique_pairs(np.repeat(place, 3), simplified[face].ravel())
-        clusters = np.searchsorted(row, every), cluster
-        yield PointsAndFaces(self.lanes, side.lanes, side.faces, point, every[:-1], clusters, side.lists)
+        yield PointsAndFaces.at(
+            self.lanes, side.lanes, side.faces, self.vertex, self.vertex, side.lists, self.around_clusters
+        )
 
 
 Places = InputVertices | SampledFaces | SimplifiedVertices
@@ -207,7 +192,7 @@ def input_side(
     """
     corners = cluster[around.corner_vertex.reshape(-1, 3)[faces]]
     at_clusters = FacesAround(corners, count)
-    return Side(lanes, around, (at_clusters.start, faces[at_clusters.face].astype(np.int32)))
+    return Side(lanes, around, FaceLists(at_clusters.start, faces[at_clusters.face].astype(np.int32)))
 
 
 def large_faces(
@@ -223,7 +208,7 @@ def furthest_of(
 ) -> list[npt.NDArray[np.float32]]:
     """How far each place is, in the frames of the blocks, from the nearest of its faces.
 
-    The device is waited for twice, whatever is looked at.
+    They come to the host at once.
 
     Args:
         places: what to look at.
@@ -233,31 +218,27 @@ def furthest_of(
     Returns:
         (n,) of each.
     """
-    found = _found(places, limits, [None] * len(places), device)
-    far = [np.flatnonzero(distance > limit) for distance, limit in zip(found, limits, strict=True)]
-    # The nearest face may be one further on.
-    within = [limit[index] for limit, index in zip(limits, far, strict=True)]
-    for distance, index, again in zip(found, far, _found(places, within, far, device), strict=True):
-        distance[index] = again
-    return found
-
-
-def _found(
-    places: Sequence[Places],
-    limits: Sequence[npt.NDArray[np.floating]],
-    chosen: Sequence[npt.NDArray[np.integer] | None],
-    device: str,
-) -> list[npt.NDArray[np.float32]]:
-    """The distances of those that are chosen, None for all, with the limits of these, from the faces around them."""
-    counts = [len(limit) for limit in limits]
     each = [one.points_of_each for one in places]
-    given = (
-        around
-        for one, index, count in zip(places, chosen, counts, strict=True)
-        if count
-        for around in one.around(index)
-    )
-    within = np.concatenate([np.repeat(limit, number) for limit, number in zip(limits, each, strict=True)])
-    ends = np.cumsum(np.multiply(counts, each))
-    found = np.split(furthest_from(given, within, device), ends[:-1])
+    limit = np.concatenate([np.repeat(limit, number) for limit, number in zip(limits, each, strict=True)])
+    if not len(limit):
+        return [np.empty(0, dtype=np.float32) for _ in places]
+    within = wp.array(np.square(limit, dtype=np.float32), dtype=wp.float32, device=device)
+    distance = np.sqrt(squared_distances(places, within, device).numpy())
+    ends = np.cumsum([one.count * number for one, number in zip(places, each, strict=True)])
+    found = np.split(distance, ends[:-1])
     return [part.reshape(-1, number).max(axis=1) for part, number in zip(found, each, strict=True)]
+
+
+def squared_distances(
+    places: Sequence[Places], within: wp.array, device: str, nearest: wp.array | None = None
+) -> wp.array:
+    """The same squared, (m,) float32 on the device, of all points of all places, one after another.
+
+    Args:
+        places: what to look at.
+        within: (m,) float32 on the device, the limits of the points, squared.
+        device: Warp device.
+        nearest: (m,) int32, see :func:`warpqem.measure.far_points.furthest_from`.
+    """
+    given = (around for one in places if one.count for around in one.around())
+    return furthest_from(given, within, device, nearest)

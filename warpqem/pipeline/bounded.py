@@ -235,7 +235,7 @@ class _Search:
         # A vertex on its own stays where it is.
         vertex = np.flatnonzero(around[root] & (level.last[root] >= 0))
         near = FacesAround(faces, len(root))
-        side = Side(block.test.lanes, near, (near.start, near.face))
+        side = Side(block.test.lanes, near, near)
         limit = self._limit + SINGLE_MARGIN
         places = InputVertices(block.reference.lanes, side, vertex, root[vertex])
         (found,) = furthest_of([places], [np.full(len(vertex), limit)], self._work.device)

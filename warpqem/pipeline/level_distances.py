@@ -69,7 +69,7 @@ class LevelDistances:
         is_near, here = near[ordered.root], self._here(level)
         around = FacesAround(ordered.faces, len(ordered.root))
         input_lanes, level_lanes = self._frames.reference.lanes, self._frames.test.lanes
-        side = Side(level_lanes, around, (around.start, around.face))
+        side = Side(level_lanes, around, around)
         vertex = np.flatnonzero(is_near & here)
         vertices = InputVertices(input_lanes, side, vertex, ordered.root[vertex])
         corners = self._mesh.faces[self._large]

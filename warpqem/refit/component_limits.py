@@ -20,13 +20,14 @@ from warpqem.measure.surface_places import (
     SampledFaces,
     Side,
     SimplifiedVertices,
-    furthest_of,
     input_side,
     large_faces,
+    squared_distances,
 )
 from warpqem.mesh.components import lowest_members
 from warpqem.refit.matching import Matching
-from warpqem.runtime.device import device_traits
+from warpqem.runtime import new_arrays
+from warpqem.runtime.launches import launch
 
 __all__ = ["ComponentLimits"]
 
@@ -79,21 +80,23 @@ class ComponentLimits:
         self._of_vertex[faces] = self._component[:, None]
         of_input = np.where(vertex_map >= 0, self._of_vertex[vertex_map], -1).astype(np.int32)
         sampled.vertex_component = wp.array(of_input, dtype=wp.int32, device=device)
-        sampled.far = wp.zeros(len(faces), dtype=wp.int32, device=device)
+        sampled.far = new_arrays.zeros(vertex_count, dtype=wp.int32, device=device)
         self._own: _OwnParts | None = None
 
     def far_vertices(self, moved: wp.array) -> npt.NDArray[np.bool_]:
         """(C,) bool, vertices of places that are further away than any of their component was as placed.
 
+        All that is found comes to the host at once.
+
         Args:
             moved: (K, C) vec3, the key frames of the output as it lies now.
         """
         self.sampled.far.zero_()
-        self._matching.note_far(kernels.mark_far_faces, self.sampled)
+        self._matching.note_far(kernels.mark_far_samples, self.sampled)
         if self._own is None:
             self._own = self._make_own_parts()
-        marked = self._own.far_vertices(moved)
-        marked[self._faces[self.sampled.far.numpy() != 0]] = True
+        self._own.mark_far(moved, self.sampled.far)
+        marked: npt.NDArray[np.bool_] = self.sampled.far.numpy() != 0
         return marked
 
     def whole_components(self, marked: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
@@ -112,7 +115,7 @@ class ComponentLimits:
             self._placed,
             self._faces,
             self._of_vertex,
-            np.sqrt(self.sampled.own_squared.numpy()),
+            self.sampled.own_squared,
             self._device,
         )
 
@@ -120,14 +123,17 @@ class ComponentLimits:
 class _OwnParts:
     """How far components may be from their own parts of the input: what they were as placed, and a little more.
 
+    Nothing of it comes to the host but which faces are large.
+
     Args:
         source: (K, V) vec3, key frames of the input.
         corners: (N, 3) int32, its faces.
         vertex_map: (V,) int32, input vertex to output vertex.
         placed: (K, C) vec3, the output as placed.
         faces: (N', 3) int32, its faces.
-        component: (C,) int, of each of its vertices.
-        limits: (n,) float32 of each component, in diagonals: distances that it had at some samples as placed; kept.
+        component: (C,) int32, of each of its vertices.
+        limits: (n,) float32 on the device, of each component: squared distances that it had at some samples as placed;
+            kept, and raised to what it had at all places.
         device: Warp device.
     """
 
@@ -139,53 +145,74 @@ class _OwnParts:
         placed: wp.array,
         faces: np.ndarray,
         component: np.ndarray,
-        limits: npt.NDArray[np.float32],
+        limits: wp.array,
         device: str,
     ) -> None:
-        self._device, self._corners, self._map, self._faces = device, corners, vertex_map, faces
-        self._component, self._limits = component, limits
+        self._device, self._limits = device, limits
+        reference, self._lanes = (pack_frames(points, device) for points in (source, placed))
         vertex_count = placed.shape[1]
-        self._reference, lanes = (pack_frames(points, device) for points in (source, placed))
-        around, self._around_output = FacesAround(corners, len(vertex_map)), FacesAround(faces, vertex_count)
-        self._input = input_side(self._reference, around, vertex_map, np.arange(len(corners)), vertex_count)
+        around, around_output = FacesAround(corners, len(vertex_map)), FacesAround(faces, vertex_count)
+        input_faces = input_side(reference, around, vertex_map, np.arange(len(corners)), vertex_count)
+        output = Side(self._lanes, around_output, around_output)
         is_used = np.zeros(len(vertex_map), dtype=bool)
         is_used[corners] = True
-        self._vertex, self._kept = np.flatnonzero(is_used), np.unique(faces)
-        self._large = corners[large_faces(self._reference, around, lanes, faces, device)]
-        # How far vertices are decides how closely points of faces are looked at. Where the host would wait for that,
-        # all are looked at together: it finds the same.
-        every = self._places(lanes)
-        for places in (every[:2], every[2:]) if device_traits(device).in_order else (every,):
-            for one, distance in zip(places, self._distances(places), strict=True):
-                np.maximum.at(limits, self._of(one), distance)
-        limits *= GROWTH
-
-    def far_vertices(self, moved: wp.array) -> npt.NDArray[np.bool_]:
-        """(C,) bool, vertices at places that are further away than any of their component was as placed."""
-        places = self._places(pack_frames(moved, self._device))
-        marked = np.zeros(len(self._component), dtype=bool)
-        for one, distance in zip(places, self._distances(places), strict=True):
-            marked[one.clusters[distance > self._limit(one)]] = True
-        return marked
-
-    def _places(self, lanes: wp.array) -> list[Places]:
-        """All places, with the output in ``lanes``: vertices first."""
-        around, faces = self._around_output, self._faces
-        output = Side(lanes, around, (around.start, around.face))
-        return [
-            InputVertices(self._reference, output, self._vertex, self._map[self._vertex]),
-            SimplifiedVertices(lanes, self._input, self._kept, around),
-            SampledFaces(self._reference, self._large, self._map[self._large], output, around),
-            SampledFaces(lanes, faces, faces, self._input, around),
+        used = np.flatnonzero(is_used)
+        large = corners[large_faces(reference, around, self._lanes, faces, device)]
+        vertices: list[Places] = [
+            InputVertices(reference, output, used, vertex_map[used]),
+            SimplifiedVertices(self._lanes, input_faces, np.unique(faces), around_output),
         ]
+        points_of_faces: list[Places] = [
+            SampledFaces(reference, large, vertex_map[large], output, around_output),
+            SampledFaces(self._lanes, faces, faces, input_faces, around_output),
+        ]
+        components = wp.array(component, dtype=wp.int32, device=device)
+        # How far vertices are decides how closely points of faces are looked at.
+        counts = [sum(one.count * one.points_of_each for one in places) for places in (vertices, points_of_faces)]
+        nearest = new_arrays.full(sum(counts), -1, dtype=wp.int32, device=device)
+        for places, part in ((vertices, nearest[: counts[0]]), (points_of_faces, nearest[counts[0] :])):
+            _Look(places, components, part, device).raise_limits(limits)
+        self._look = _Look([*vertices, *points_of_faces], components, nearest, device)
 
-    def _distances(self, places: list[Places]) -> list[npt.NDArray[np.float32]]:
-        return furthest_of(places, [self._limit(one) for one in places], self._device)
+    def mark_far(self, moved: wp.array, marks: wp.array) -> None:
+        """Mark (C,) vertices at places of (K, C) points further away than any of their component was as placed."""
+        wp.copy(self._lanes, pack_frames(moved, self._device))
+        self._look.mark_far(self._limits, marks)
 
-    def _of(self, places: Places) -> npt.NDArray[np.integer]:
-        """The component of each place."""
-        return self._component[places.clusters[:, 0]]
 
-    def _limit(self, places: Places) -> npt.NDArray[np.float32]:
-        """The limit of each place."""
-        return self._limits[self._of(places)]
+class _Look:
+    """Some places, the components that they are held to, and the faces of the other surface that they are near to."""
+
+    def __init__(self, places: list[Places], component: wp.array, nearest: wp.array, device: str) -> None:
+        self._places, self._nearest, self._device = [one for one in places if one.count], nearest, device
+        self._groups: list[tuple[kernels.PlacesOfVertices, slice]] = []
+        self._count = 0
+        for one in self._places:
+            group = kernels.PlacesOfVertices()
+            group.vertex = wp.array(one.clusters.astype(np.int32), dtype=wp.int32, device=device)
+            group.points, group.component = one.points_of_each, component
+            first, self._count = self._count, self._count + one.count * one.points_of_each
+            self._groups.append((group, slice(first, self._count)))
+
+    def raise_limits(self, limits: wp.array) -> None:
+        """Raise the squared limits (n,) of components to the largest squared distances of their places."""
+        squared = self._distances(limits, 1.0)
+        for group, points in self._groups:
+            part = squared[points]
+            launch(kernels.raise_own_limits, len(part), [group, part], [limits], device=self._device)
+
+    def mark_far(self, limits: wp.array, marks: wp.array) -> None:
+        """Mark vertices (C,) int32 of places that are further away than the squared limits (n,) and growth allow."""
+        squared = self._distances(limits, GROWTH)
+        for group, points in self._groups:
+            part = squared[points]
+            inputs = [group, part, limits, GROWTH]
+            launch(kernels.mark_far_places, len(part), inputs, [marks], device=self._device)
+
+    def _distances(self, limits: wp.array, growth: float) -> wp.array:
+        """The squared distance of each point, no closer than its limit."""
+        within = new_arrays.empty(self._count, dtype=wp.float32, device=self._device)
+        for group, points in self._groups:
+            part = within[points]
+            launch(kernels.gather_limits, len(part), [group, limits, growth], [part], device=self._device)
+        return squared_distances(self._places, within, self._device, self._nearest)

@@ -372,8 +372,8 @@ class _Refit:
         self.shrink_components(self._turned_over(marks), 0.0)
 
     def apply(self, placed: PlacedFrames) -> PlacedFrames:
-        """Some frames, moved."""
-        moved = self._all_frames.of(placed).moved(self._correction)
+        """One of the blocks of frames, moved."""
+        moved = self._all_frames.of_block(placed).moved(self._correction)
         return replace(placed, points=moved.numpy() if isinstance(placed.points, np.ndarray) else moved)
 
     def _turned_over(self, marks: wp.array) -> np.ndarray:
