@@ -85,6 +85,7 @@ _STREAMED: dict[str, tuple[tuple[str, float], ...]] = {
         ("cluster", 1),
         # Lists are of all clusters, of which a launch may need few.
         ("squared", 1),
+        ("nearest", 2),
         ("furthest", 1),
     ),
     "measure_steps": (("points_in", 1), ("before", 2), ("vertex_squared", 2), ("step_out", 1)),

@@ -32,14 +32,14 @@ class Samples:
 
 @wp.struct
 class Sample:
-    """A point of one surface and how far it is at most, squared, from the other one."""
+    """A point of one surface, see :func:`sample_point`, and how far it is at most, squared, from the other one."""
 
-    point: wp.vec3
     face: wp.int32  # of the output: the sample's own, or where the walk ended; -1 for no sample
     near: wp.int32  # of the other surface: where the walk ended
     is_input: wp.bool
     vertex: wp.int32  # of the input, at the sample; -1 for one of the output
     pair: wp.int32  # -1 for a vertex of the output
+    own: wp.int32  # which sample of its surface it is, or which vertex of the output
     squared: wp.float32
 
 
@@ -61,12 +61,6 @@ def is_beyond(squared: wp.float32, limit: wp.float32) -> wp.bool:
 
 
 @wp.func
-def output_vertex(samples: Samples, i: wp.int32) -> wp.int32:
-    """The output vertex that is the ``i``-th place of a key frame; negative for none."""
-    return i - samples.input_turns.per_key - samples.output_turns.per_key
-
-
-@wp.func
 def paired_sample(samples: Samples, t: wp.int32, i: wp.int32) -> Sample:
     """The ``i``-th one of samples of the input, of those of the output and of its vertices in key frame ``t``."""
     sample = Sample()
@@ -75,55 +69,66 @@ def paired_sample(samples: Samples, t: wp.int32, i: wp.int32) -> Sample:
     sample.vertex = wp.int32(-1)
     sample.pair = wp.int32(-1)
     sample.is_input = i < samples.input_turns.per_key
-    v = output_vertex(samples, i)
+    v = i - samples.input_turns.per_key - samples.output_turns.per_key
     if sample.is_input:
         pair = own_pair(samples.input_turns, t, i)
         if pair < samples.input_count and samples.input_pairs.near[pair] >= 0:
             face_count = samples.source.corner_vertex.shape[0] / 3
             own = pair / samples.input_turns.count
             sample.pair = pair
+            sample.own = own
             sample.near = samples.input_pairs.near[pair]
             sample.face = sample.near
             sample.squared = samples.input_pairs.squared[pair]
+            sample.vertex = own - face_count
             if own < face_count:
-                sample.point = surface_point(samples.source, t, own, wp.vec3(1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0))
                 sample.vertex = samples.source.corner_vertex[3 * own]
-            else:
-                sample.point = samples.source.points[t, own - face_count]
-                sample.vertex = own - face_count
     elif v < 0:
         pair = own_pair(samples.output_turns, t, i - samples.input_turns.per_key)
         if pair < samples.output_pairs.squared.shape[0]:
-            own = pair / samples.output_turns.count
-            per_face = samples.barycentric.shape[0]
             sample.pair = pair
+            sample.own = pair / samples.output_turns.count
             sample.near = samples.output_pairs.near[pair]
-            sample.face = own / per_face
+            sample.face = sample.own / samples.barycentric.shape[0]
             sample.squared = samples.output_pairs.squared[pair]
-            sample.point = surface_point(samples.target, t, sample.face, samples.barycentric[own % per_face])
     else:
+        sample.own = v
         sample.near = samples.vertex_near[t, v]
         sample.face = samples.vertex_face[v]
         sample.squared = samples.vertex_squared[t, v]
-        sample.point = samples.target.points[t, v]
     return sample
+
+
+@wp.func
+def sample_point(samples: Samples, t: wp.int32, sample: Sample) -> wp.vec3:
+    """Where a sample is in key frame ``t``."""
+    if sample.is_input:
+        face_count = samples.source.corner_vertex.shape[0] / 3
+        if sample.own < face_count:
+            return surface_point(samples.source, t, sample.own, wp.vec3(1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0))
+        return samples.source.points[t, sample.own - face_count]
+    if sample.pair >= 0:
+        barycentric = samples.barycentric[sample.own % samples.barycentric.shape[0]]
+        return surface_point(samples.target, t, sample.face, barycentric)
+    return samples.target.points[t, sample.own]
 
 
 @wp.func
 def nearest_squared(samples: Samples, t: wp.int32, sample: Sample) -> wp.float32:
     """Squared distance of a sample from the other surface, to whose nearest point a walk need not have come."""
     nearest = sample.squared
+    point = sample_point(samples, t, sample)
     hit = Hit()
     hit.face = wp.int32(-1)
     hit.squared = sample.squared
     if sample.is_input:
-        hit = search_nearer(samples.target_mesh, sample.point, hit)
+        hit = search_nearer(samples.target_mesh, point, hit)
         if hit.face >= 0:
-            nearest = wp.length_sq(sample.point - surface_point(samples.target, t, hit.face, hit.barycentric))
+            nearest = wp.length_sq(point - surface_point(samples.target, t, hit.face, hit.barycentric))
     else:
-        hit = search_nearer(samples.source_mesh, sample.point, hit)
+        hit = search_nearer(samples.source_mesh, point, hit)
         if hit.face >= 0:
-            nearest = wp.length_sq(sample.point - surface_point(samples.source, t, hit.face, hit.barycentric))
+            nearest = wp.length_sq(point - surface_point(samples.source, t, hit.face, hit.barycentric))
     return wp.min(nearest, sample.squared)
 
 
@@ -227,14 +232,15 @@ def update_distances(
     limit = limits.squared[limits.component[sample.face]]
     if is_beyond(squared, limit):
         nowhere = wp.vec3i(-1, -1, -1)
+        point = sample_point(samples, t, sample)
         hit = Hit()
         if sample.is_input:
-            hit = closest_hit(samples.target, t, nowhere, near, sample.point)
-            squared = wp.length_sq(sample.point - surface_point(samples.target, t, hit.face, hit.barycentric))
+            hit = closest_hit(samples.target, t, nowhere, near, point)
+            squared = wp.length_sq(point - surface_point(samples.target, t, hit.face, hit.barycentric))
             limit = limits.squared[limits.component[hit.face]]
         else:
-            hit = closest_hit(samples.source, t, nowhere, near, sample.point)
-            squared = wp.length_sq(sample.point - surface_point(samples.source, t, hit.face, hit.barycentric))
+            hit = closest_hit(samples.source, t, nowhere, near, point)
+            squared = wp.length_sq(point - surface_point(samples.source, t, hit.face, hit.barycentric))
         near = hit.face
         if is_beyond(squared, limit):
             beyond_out[t] = 1
@@ -245,8 +251,8 @@ def update_distances(
         samples.output_pairs.near[sample.pair] = near
         samples.output_pairs.squared[sample.pair] = squared
     else:
-        samples.vertex_near[t, output_vertex(samples, i)] = near
-        samples.vertex_squared[t, output_vertex(samples, i)] = squared
+        samples.vertex_near[t, sample.own] = near
+        samples.vertex_squared[t, sample.own] = squared
 
 
 @wp.struct

@@ -34,8 +34,8 @@ from warpqem.runtime.launches import launch
 
 __all__ = ["fit_corrections"]
 
-# Pairs are found and the system is solved so often.
-ROUNDS = 4
+# Pairs are found and the system is solved so often: the third round gains 0.5 % for a tenth of the job's time.
+ROUNDS = 3
 # For a rough fit: where such a surface is far from the input, that of three rounds is too.
 ROUGH_ROUNDS = 2
 
@@ -64,6 +64,9 @@ REACH = 4.0
 
 # Places that come further away are held so often, one that was far before with a ring of vertices more around it.
 ATTEMPTS = 5
+# Where more than this part of the vertices is at such places, the surfaces are paired anew before, so that others
+# adapt to what is held. For fewer that would be one more round of the whole fit for a handful of vertices.
+MANY_FAR = 0.02
 # Then their whole component moves by these shares of what is left, and stays as placed in the end.
 SHARES = (0.75, 0.67, 0.5, 0.5, 0.0)
 
@@ -115,8 +118,9 @@ def fit_corrections(
     reach = REACH * error
     # The first pairs need the search. Distances decide only whether components come further away.
     fit.improve(reach, search=True, take_limits=not roughly)
-    for _ in range((ROUGH_ROUNDS if roughly else ROUNDS) - 1):
-        fit.improve(reach)
+    for left in reversed(range((ROUGH_ROUNDS if roughly else ROUNDS) - 1)):
+        # So do the last ones: of twelve clips the error is 0.3 % more without, of assemblies 1 %.
+        fit.improve(reach, search=left == 0 and not roughly)
     fit.hold_back()
     if roughly:
         return fit.apply
@@ -124,6 +128,8 @@ def fit_corrections(
         far = fit.far_vertices()
         if not far.any():
             return fit.apply
+        if far.mean() > MANY_FAR:
+            fit.pair_again(reach)
         fit.hold_places(far)
         fit.hold_back()
     for share in SHARES:
@@ -348,11 +354,13 @@ class _Refit:
         self._keys.move(self._correction, self._moved)
         return self._limits.far_vertices(self._moved)
 
-    def hold_places(self, far: np.ndarray) -> None:
-        """Stiffen vertices (C,) bool, as the surfaces were paired last; one that was far before with a ring more.
+    def pair_again(self, reach: float) -> None:
+        """Pair the surfaces as :meth:`far_vertices` looked at them, so that others adapt to what is held."""
+        self._matching.find(reach, search=True)
+        self._assemble()
 
-        They are not paired anew: that would be one more round of the whole fit for a few vertices.
-        """
+    def hold_places(self, far: np.ndarray) -> None:
+        """Stiffen vertices (C,) bool, as the surfaces were paired last; one that was far before with a ring more."""
         self._times_far[far] += 1
         times = np.where(far, self._times_far, 0)
         marked = np.zeros_like(far)
