@@ -23,6 +23,7 @@ from benchmarks.demand import (
     moved_of,
     size_of,
 )
+from warpqem.kernels.surface_limits import Samples
 
 __all__ = ["OPTION_MODELS", "frame_items"]
 
@@ -84,8 +85,10 @@ _STREAMED: dict[str, tuple[tuple[str, float], ...]] = {
         ("cluster", 1),
         # Lists are of all clusters, of which a launch may need few.
         ("squared", 1),
+        ("nearest", 2),
         ("furthest", 1),
     ),
+    "measure_steps": (("points_in", 1), ("before", 2), ("vertex_squared", 2), ("step_out", 1)),
     "points_of_faces": (("position_in", 1), ("corner_vertex_in", 1), ("point_out", 1)),
     "longest_edges": (("position_in", 1), ("corner_vertex_in", 1), ("squared_out", 1)),
     "find_partners": (
@@ -245,7 +248,7 @@ def _move_deformation(a: Arguments) -> Demand:
 
 def _measure_vertex_distances(a: Arguments) -> Demand:
     # One frame of both surfaces, and a walk from each vertex to the faces around where it ends.
-    vertices = a["squared_out"].size
+    vertices = a["squared_out"].shape[1]
     frame = a["source"].points.shape[1] + a["target"].points.shape[1]
     return Demand(frame * POINT + a["source"].corner_vertex.size * INT + vertices * 3 * INT, vertices * VALENCE * 60)
 
@@ -253,8 +256,18 @@ def _measure_vertex_distances(a: Arguments) -> Demand:
 def _look_at_samples(a: Arguments) -> Demand:
     # Where each sample of a key frame is and how far; next to none needs a search.
     samples = a["samples"]
-    count = samples.input_turns.per_key + samples.output_turns.per_key
-    return Demand(count * 2 * INT + samples.vertex_squared.size * 2 * INT)
+    return Demand(_samples_of_key(samples) * 2 * INT + samples.vertex_squared.shape[1] * 2 * INT)
+
+
+def _samples_of_key(samples: Samples) -> int:
+    return int(samples.input_turns.per_key + samples.output_turns.per_key)
+
+
+def _update_distances(a: Arguments) -> Demand:
+    # In every key frame the same, and how far the corners of a sample's face have moved; distances are written, too.
+    samples, steps = a["samples"], size_of(a["step_in"])
+    count = _samples_of_key(samples) * samples.vertex_squared.shape[0]
+    return Demand(count * 3 * INT + samples.vertex_squared.size * 3 * INT + steps)
 
 
 def _look_at_places(a: Arguments) -> Demand:
@@ -270,6 +283,7 @@ OPTION_MODELS: dict[str, Callable[[Arguments], Demand]] = {
     "match_border_samples": _match_border_samples,
     "measure_vertex_distances": _measure_vertex_distances,
     "raise_limits": _look_at_samples,
+    "update_distances": _update_distances,
     "mark_far_samples": _look_at_samples,
     "gather_limits": _look_at_places,
     "raise_own_limits": _look_at_places,

@@ -14,6 +14,13 @@ from warpqem.kernels.lanes import POINTS_ARRAY, lane_dot, lane_kernel
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
+# A squared distance beyond all others.
+FAR = wp.constant(wp.float32(1.0e30))
+# Balls about triangles are looked at with so much more than single precision rounds squared distances by.
+BALL_MARGIN = wp.constant(wp.float32(1.0001))
+# To look for a face to begin with takes half the time of a look at the faces of such a list, one after another.
+LONG_LIST = wp.constant(wp.int32(12))
+
 
 @wp.struct
 class Around:
@@ -55,6 +62,30 @@ def is_next(
 
 
 @wp.func
+def largest_of(x: Any) -> wp.float32:
+    """The largest of numbers (width,). ``wp.max`` looks for what is no number, too: a third of the time of a look."""
+    largest = x[0]
+    for lane in range(1, len(x)):
+        largest = wp.where(x[lane] > largest, x[lane], largest)
+    return largest
+
+
+@wp.func
+def may_be_nearer(near: Any, point: Any, a: Any, b: Any, c: Any, within: wp.float32) -> wp.bool:
+    """Whether a triangle may lower one of the squared distances of points that are above ``within``.
+
+    It lies in the ball about its first corner that its other corners reach.
+    """
+    gain = lane_dot(point - a, point - a)
+    ee = lane_dot(b - a, b - a)
+    ff = lane_dot(c - a, c - a)
+    for lane in range(len(near)):
+        reach = wp.sqrt(wp.max(ee[lane], ff[lane])) + wp.sqrt(near[lane])
+        gain[lane] = wp.where(near[lane] > within, BALL_MARGIN * reach * reach - gain[lane], -1.0)
+    return largest_of(gain) >= 0.0
+
+
+@wp.func
 def nearer(near: Any, point: Any, a: Any, b: Any, c: Any, within: wp.float32):
     """The smaller ones of squared distances ``near`` and those of points from faces; within ``within``, no less."""
     ab = b - a
@@ -62,7 +93,7 @@ def nearer(near: Any, point: Any, a: Any, b: Any, c: Any, within: wp.float32):
     found = lane_foot_squared(point - a, ab, ac)
     for lane in range(len(near)):
         near[lane] = wp.min(near[lane], found[lane])
-    if wp.max(near) > within:
+    if largest_of(near) > within:
         found = lane_distance_squared(point - a, ab, ac)
         for lane in range(len(near)):
             near[lane] = wp.min(near[lane], found[lane])
@@ -85,6 +116,7 @@ def distances_of_points(
     squared: wp.array[wp.float32],
     shares: wp.int32,
     # in and out
+    nearest: wp.array[wp.int32],
     furthest: wp.array[wp.float32],
 ):
     """Raise ``furthest`` (n,) to the largest squared distance of each point from its faces, in all frames.
@@ -92,50 +124,73 @@ def distances_of_points(
     Each of ``shares`` threads of a point has some of the blocks, one after another. The faces are those at the clusters
     of row ``row`` (n,): lists ``face_start`` (C+1,), ``face`` of lists ``cluster_start`` (R+1,), ``cluster``; then
     those at the clusters next to these, see :class:`Around`. Once a point is within its ``squared`` (n,) in all frames
-    of a block, no further faces are looked at there, and the next block begins with the last one of its own clusters:
-    what is near in some frames is near in others.
+    of a block, no further faces are looked at there, and the next block begins with the last one that was nearer: what
+    is near in some frames is near in others. ``nearest`` (n,) says where a single thread of a point begins, and then
+    where it ended; -1 for nowhere: then long lists are looked through for faces whose middles are near in one frame.
     """
     i, share = wp.tid()
     first = cluster_start[row[i]]
     last = cluster_start[row[i] + 1]
-    count = wp.int32(0)
-    for k in range(first, last):
-        count += list_length(cluster, face_start, k)
-    begin = first
-    begin_place = wp.int32(0)
+    begin = wp.int32(-1)
+    if shares == 1:
+        begin = nearest[i]
+    is_long = wp.bool(False)
+    if begin < 0:
+        count = wp.int32(0)
+        for k in range(first, last):
+            count += list_length(cluster, face_start, k)
+        is_long = count > LONG_LIST
     furthest_of_all = wp.float32(0.0)
     within = squared[i]
     for block in range(share * own.shape[1] / shares, (share + 1) * own.shape[1] / shares):
         p = own[point[i], block]
         near = 0.0 * p[0]
         for lane in range(len(near)):
-            near[lane] = wp.float32(1.0e30)
-        here = wp.float32(1.0e30)
-        at = begin
-        place = begin_place
-        looked = wp.int32(0)
-        while looked < count and here > within:
-            while place >= list_length(cluster, face_start, at):
-                at = wp.where(at + 1 < last, at + 1, first)
-                place = 0
-            begin = at
-            begin_place = place
-            corner = 3 * face[face_start[cluster[at]] + place]
-            a = other[other_vertex[corner], block]
-            ab = other[other_vertex[corner + 1], block] - a
-            ac = other[other_vertex[corner + 2], block] - a
-            # As in nearer(), whose call takes as long as the work here, where most of it is done.
-            found = lane_foot_squared(p - a, ab, ac)
-            for lane in range(len(near)):
-                near[lane] = wp.min(near[lane], found[lane])
-            here = wp.max(near)
-            if here > within:
-                found = lane_distance_squared(p - a, ab, ac)
-                for lane in range(len(near)):
-                    near[lane] = wp.min(near[lane], found[lane])
-                here = wp.max(near)
-            looked += 1
-            place += 1
+            near[lane] = FAR
+        here = wp.float32(FAR)
+        if begin >= 0:
+            a = other[other_vertex[3 * begin], block]
+            b = other[other_vertex[3 * begin + 1], block]
+            c = other[other_vertex[3 * begin + 2], block]
+            near = nearer(near, p, a, b, c, within)
+            here = largest_of(near)
+        if here > within and is_long:
+            least = wp.float32(FAR)
+            k = first
+            while k < last and here > within:
+                j = face_start[cluster[k]]
+                end = face_start[cluster[k] + 1]
+                while j < end and here > within:
+                    u = other_vertex[3 * face[j]]
+                    v = other_vertex[3 * face[j] + 1]
+                    w = other_vertex[3 * face[j] + 2]
+                    middle = wp.vec3()
+                    for axis in range(3):
+                        corners = other[u, block][axis, 0] + other[v, block][axis, 0] + other[w, block][axis, 0]
+                        middle[axis] = corners - 3.0 * p[axis, 0]
+                    if wp.length_sq(middle) < least:
+                        least = wp.length_sq(middle)
+                        begin = face[j]
+                        near = nearer(near, p, other[u, block], other[v, block], other[w, block], within)
+                        here = largest_of(near)
+                    j += 1
+                k += 1
+        k = first
+        while k < last and here > within:
+            j = face_start[cluster[k]]
+            end = face_start[cluster[k] + 1]
+            while j < end and here > within:
+                a = other[other_vertex[3 * face[j]], block]
+                b = other[other_vertex[3 * face[j] + 1], block]
+                c = other[other_vertex[3 * face[j] + 2], block]
+                if here >= FAR or may_be_nearer(near, p, a, b, c, within):
+                    near = nearer(near, p, a, b, c, within)
+                    before = here
+                    here = largest_of(near)
+                    if here < before:
+                        begin = face[j]
+                j += 1
+            k += 1
         if here > within:
             for k in range(first, last):
                 for join in range(around.start[cluster[k]], around.start[cluster[k] + 1]):
@@ -148,9 +203,15 @@ def distances_of_points(
                                     a = other[other_vertex[corner], block]
                                     b = other[other_vertex[corner + 1], block]
                                     c = other[other_vertex[corner + 2], block]
-                                    near = nearer(near, p, a, b, c, within)
-                                    here = wp.max(near)
+                                    if may_be_nearer(near, p, a, b, c, within):
+                                        near = nearer(near, p, a, b, c, within)
+                                        before = here
+                                        here = largest_of(near)
+                                        if here < before:
+                                            begin = face[further]
         furthest_of_all = wp.max(furthest_of_all, here)
+    if shares == 1:
+        nearest[i] = begin
     wp.atomic_max(furthest, i, furthest_of_all)
 
 

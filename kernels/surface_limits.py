@@ -3,37 +3,43 @@
 import warp as wp
 
 from warpqem.kernels.surface_pairs import Pairs, Turns, own_pair
-from warpqem.kernels.surface_walk import Hit, Surface, search_nearer, surface_point
+from warpqem.kernels.surface_walk import Hit, Surface, closest_hit, search_nearer, surface_point
 
 wp.set_module_options({"enable_backward": False})  # no gradients are taken
+
+# Distances, their sums and squares may be off by this part of them: ten times what single precision rounds.
+ROUNDING = wp.constant(wp.float32(1.0e-6))
 
 
 @wp.struct
 class Samples:
-    """Samples of both surfaces and vertices of the output, as they were paired in a key frame."""
+    """Samples of both surfaces, as they were paired, and vertices of the output, in the key frames."""
 
     source: Surface
     target: Surface
-    source_mesh: wp.uint64  # hierarchies of both in the frame
+    source_mesh: wp.uint64  # hierarchies of both in the frame that is looked at; 0 for none
     target_mesh: wp.uint64
-    input_turns: Turns  # of all pairs of the frame
+    input_turns: Turns  # of all pairs of a frame
     output_turns: Turns
     input_pairs: Pairs
     output_pairs: Pairs
     input_count: wp.int32  # pairs of samples, without those of borders
     barycentric: wp.array[wp.vec3]  # of the samples of an output face
-    vertex_squared: wp.array[wp.float32]  # (C,) see :func:`measure_vertex_distances`
+    vertex_squared: wp.array2d[wp.float32]  # (K, C) see :func:`measure_vertex_distances`
+    vertex_near: wp.array2d[wp.int32]  # (K, C) likewise
     vertex_face: wp.array[wp.int32]  # (C,) an output face at each output vertex, -1 for none
 
 
 @wp.struct
 class Sample:
-    """A point of one surface and how far it is, squared, from where a walk on the other one ended."""
+    """A point of one surface, see :func:`sample_point`, and how far it is at most, squared, from the other one."""
 
-    point: wp.vec3
     face: wp.int32  # of the output: the sample's own, or where the walk ended; -1 for no sample
+    near: wp.int32  # of the other surface: where the walk ended
     is_input: wp.bool
     vertex: wp.int32  # of the input, at the sample; -1 for one of the output
+    pair: wp.int32  # -1 for a vertex of the output
+    own: wp.int32  # which sample of its surface it is, or which vertex of the output
     squared: wp.float32
 
 
@@ -49,59 +55,80 @@ class Limits:
 
 
 @wp.func
-def paired_sample(samples: Samples, i: wp.int32) -> Sample:
-    """The ``i``-th one of samples of the input, of those of the output and of its vertices."""
-    t = samples.input_turns.key
+def is_beyond(squared: wp.float32, limit: wp.float32) -> wp.bool:
+    """Whether a squared distance is more than one that it may be, and not by rounding."""
+    return squared > (1.0 + ROUNDING) * limit
+
+
+@wp.func
+def paired_sample(samples: Samples, t: wp.int32, i: wp.int32) -> Sample:
+    """The ``i``-th one of samples of the input, of those of the output and of its vertices in key frame ``t``."""
     sample = Sample()
     sample.face = wp.int32(-1)
+    sample.near = wp.int32(-1)
     sample.vertex = wp.int32(-1)
+    sample.pair = wp.int32(-1)
     sample.is_input = i < samples.input_turns.per_key
-    on_output = i - samples.input_turns.per_key
-    v = on_output - samples.output_turns.per_key
+    v = i - samples.input_turns.per_key - samples.output_turns.per_key
     if sample.is_input:
         pair = own_pair(samples.input_turns, t, i)
-        if pair < samples.input_count and samples.input_pairs.squared[pair] > 0.0:
+        if pair < samples.input_count and samples.input_pairs.near[pair] >= 0:
             face_count = samples.source.corner_vertex.shape[0] / 3
             own = pair / samples.input_turns.count
-            sample.face = samples.input_pairs.near[pair]
+            sample.pair = pair
+            sample.own = own
+            sample.near = samples.input_pairs.near[pair]
+            sample.face = sample.near
             sample.squared = samples.input_pairs.squared[pair]
+            sample.vertex = own - face_count
             if own < face_count:
-                sample.point = surface_point(samples.source, t, own, wp.vec3(1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0))
                 sample.vertex = samples.source.corner_vertex[3 * own]
-            else:
-                sample.point = samples.source.points[t, own - face_count]
-                sample.vertex = own - face_count
     elif v < 0:
-        pair = own_pair(samples.output_turns, t, on_output)
+        pair = own_pair(samples.output_turns, t, i - samples.input_turns.per_key)
         if pair < samples.output_pairs.squared.shape[0]:
-            own = pair / samples.output_turns.count
-            per_face = samples.barycentric.shape[0]
-            sample.face = own / per_face
+            sample.pair = pair
+            sample.own = pair / samples.output_turns.count
+            sample.near = samples.output_pairs.near[pair]
+            sample.face = sample.own / samples.barycentric.shape[0]
             sample.squared = samples.output_pairs.squared[pair]
-            sample.point = surface_point(samples.target, t, sample.face, samples.barycentric[own % per_face])
     else:
+        sample.own = v
+        sample.near = samples.vertex_near[t, v]
         sample.face = samples.vertex_face[v]
-        sample.squared = samples.vertex_squared[v]
-        sample.point = samples.target.points[t, v]
+        sample.squared = samples.vertex_squared[t, v]
     return sample
 
 
 @wp.func
-def nearest_squared(samples: Samples, sample: Sample) -> wp.float32:
+def sample_point(samples: Samples, t: wp.int32, sample: Sample) -> wp.vec3:
+    """Where a sample is in key frame ``t``."""
+    if sample.is_input:
+        face_count = samples.source.corner_vertex.shape[0] / 3
+        if sample.own < face_count:
+            return surface_point(samples.source, t, sample.own, wp.vec3(1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0))
+        return samples.source.points[t, sample.own - face_count]
+    if sample.pair >= 0:
+        barycentric = samples.barycentric[sample.own % samples.barycentric.shape[0]]
+        return surface_point(samples.target, t, sample.face, barycentric)
+    return samples.target.points[t, sample.own]
+
+
+@wp.func
+def nearest_squared(samples: Samples, t: wp.int32, sample: Sample) -> wp.float32:
     """Squared distance of a sample from the other surface, to whose nearest point a walk need not have come."""
-    t = samples.input_turns.key
     nearest = sample.squared
+    point = sample_point(samples, t, sample)
     hit = Hit()
     hit.face = wp.int32(-1)
     hit.squared = sample.squared
     if sample.is_input:
-        hit = search_nearer(samples.target_mesh, sample.point, hit)
+        hit = search_nearer(samples.target_mesh, point, hit)
         if hit.face >= 0:
-            nearest = wp.length_sq(sample.point - surface_point(samples.target, t, hit.face, hit.barycentric))
+            nearest = wp.length_sq(point - surface_point(samples.target, t, hit.face, hit.barycentric))
     else:
-        hit = search_nearer(samples.source_mesh, sample.point, hit)
+        hit = search_nearer(samples.source_mesh, point, hit)
         if hit.face >= 0:
-            nearest = wp.length_sq(sample.point - surface_point(samples.source, t, hit.face, hit.barycentric))
+            nearest = wp.length_sq(point - surface_point(samples.source, t, hit.face, hit.barycentric))
     return wp.min(nearest, sample.squared)
 
 
@@ -117,7 +144,8 @@ def raise_limits(
     One counts samples of the input whose nearest face is of the component, the other those alone that went to it.
     Only where a walk ends further away than that a search is needed: at few samples, whatever their order.
     """
-    sample = paired_sample(samples, wp.tid())
+    t = samples.input_turns.key
+    sample = paired_sample(samples, t, wp.tid())
     if sample.face >= 0:
         component = limits.component[sample.face]
         is_own = sample.vertex < 0
@@ -127,7 +155,7 @@ def raise_limits(
         if is_own:
             least = wp.min(least, limits.own_squared[component])
         if sample.squared > least:
-            squared = nearest_squared(samples, sample)
+            squared = nearest_squared(samples, t, sample)
             wp.atomic_max(limits.squared, component, squared)
             if is_own:
                 wp.atomic_max(limits.own_squared, component, squared)
@@ -141,12 +169,90 @@ def mark_far_samples(
     limits: Limits,
 ):
     """Mark the vertices of output faces with a sample further away in a key frame than their component may be."""
-    sample = paired_sample(samples, wp.tid())
+    t = samples.input_turns.key
+    sample = paired_sample(samples, t, wp.tid())
     if sample.face >= 0:
         limit = limits.squared[limits.component[sample.face]]
-        if sample.squared > limit and nearest_squared(samples, sample) > limit:
+        if is_beyond(sample.squared, limit) and is_beyond(nearest_squared(samples, t, sample), limit):
             for k in range(3):
                 limits.far[samples.target.corner_vertex[3 * sample.face + k]] = 1
+
+
+@wp.kernel
+def measure_steps(
+    # in
+    points_in: wp.array2d[wp.vec3],
+    # in and out
+    before: wp.array2d[wp.vec3],
+    vertex_squared: wp.array2d[wp.float32],
+    # out
+    step_out: wp.array2d[wp.float32],
+):
+    """How far each vertex (K, C) has moved from ``before``, which becomes where it is now.
+
+    Its squared distance from the other surface becomes the most that it may be now.
+    """
+    t, c = wp.tid()
+    step = (1.0 + ROUNDING) * wp.length(points_in[t, c] - before[t, c])
+    before[t, c] = points_in[t, c]
+    most = (1.0 + ROUNDING) * (wp.sqrt(vertex_squared[t, c]) + step)
+    vertex_squared[t, c] = most * most
+    step_out[t, c] = step
+
+
+@wp.kernel
+def update_distances(
+    # in
+    first_key: wp.int32,
+    samples: Samples,
+    step_in: wp.array2d[wp.float32],
+    # in and out
+    limits: Limits,
+    # out
+    beyond_out: wp.array[wp.int32],
+):
+    """Bring the distances of all samples and vertices (K, n) to where the output has moved by ``step_in`` (K, C).
+
+    A face takes what is on it, or near to it, no further than its corners go. Where that may be further away than its
+    component may be, a walk begins where the last one ended; 1 for key frames (K,) in which one ends beyond.
+    """
+    k, i = wp.tid()
+    t = first_key + k
+    sample = paired_sample(samples, t, i)
+    if sample.face < 0 or sample.near < 0:
+        return
+    squared = sample.squared
+    if sample.pair >= 0:
+        step = wp.float32(0.0)
+        for corner in range(3):
+            step = wp.max(step, step_in[t, samples.target.corner_vertex[3 * sample.face + corner]])
+        most = (1.0 + ROUNDING) * (wp.sqrt(squared) + step)
+        squared = most * most
+    near = sample.near
+    limit = limits.squared[limits.component[sample.face]]
+    if is_beyond(squared, limit):
+        nowhere = wp.vec3i(-1, -1, -1)
+        point = sample_point(samples, t, sample)
+        hit = Hit()
+        if sample.is_input:
+            hit = closest_hit(samples.target, t, nowhere, near, point)
+            squared = wp.length_sq(point - surface_point(samples.target, t, hit.face, hit.barycentric))
+            limit = limits.squared[limits.component[hit.face]]
+        else:
+            hit = closest_hit(samples.source, t, nowhere, near, point)
+            squared = wp.length_sq(point - surface_point(samples.source, t, hit.face, hit.barycentric))
+        near = hit.face
+        if is_beyond(squared, limit):
+            beyond_out[t] = 1
+    if sample.is_input:
+        samples.input_pairs.near[sample.pair] = near
+        samples.input_pairs.squared[sample.pair] = squared
+    elif sample.pair >= 0:
+        samples.output_pairs.near[sample.pair] = near
+        samples.output_pairs.squared[sample.pair] = squared
+    else:
+        samples.vertex_near[t, sample.own] = near
+        samples.vertex_squared[t, sample.own] = squared
 
 
 @wp.struct

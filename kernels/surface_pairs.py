@@ -278,20 +278,27 @@ def measure_vertex_distances(
     source: Surface,
     target: Surface,
     start_in: wp.array[wp.int32],
+    # in and out
+    near: wp.array2d[wp.int32],
     # out
-    squared_out: wp.array[wp.float32],
+    squared_out: wp.array2d[wp.float32],
 ):
-    """How far each output vertex is in a key frame from where a walk to the input ends, squared; zero for nowhere.
+    """How far each output vertex is in a key frame from where a walk to the input ends, squared, and at which face.
 
-    A vertex that sticks out is further away than any sample of its faces.
+    Of (K, C) arrays row ``t`` is written; zero and face -1 for nowhere. A walk begins where that of the frame before
+    ended. A vertex that sticks out is further away than any sample of its faces.
     """
     v = first_output + wp.tid()
     x = target.points[t, v]
-    hit = closest_hit(source, t, wp.vec3i(start_in[v], -1, -1), -1, x)
+    face = wp.int32(-1)
+    if t > 0:
+        face = near[t - 1, v]
+    hit = closest_hit(source, t, wp.vec3i(start_in[v], -1, -1), face, x)
     squared = wp.float32(0.0)
     if hit.face >= 0:
         squared = wp.length_sq(surface_point(source, t, hit.face, hit.barycentric) - x)
-    squared_out[v] = squared
+    near[t, v] = hit.face
+    squared_out[t, v] = squared
 
 
 @wp.func

@@ -18,6 +18,7 @@ from warpqem.measure.surface_places import (
     SimplifiedVertices,
     furthest_of,
     input_side,
+    squared_distances,
 )
 from warpqem.measure.unit_frames import ChangingBlock, UnitBlock, UnitFrames
 
@@ -127,6 +128,21 @@ def test_points_that_come_one_after_another_are_measured_as_at_once(device):
     )
     found = [furthest_from(given, within, device).numpy() for given in ([whole], parts)]
     np.testing.assert_array_equal(*found)
+
+
+@pytest.mark.parametrize("name", ["input vertices", "faces"])
+def test_a_look_that_begins_where_the_last_one_ended_finds_the_same(name, device):
+    *_, reference, test = blocks(np.random.default_rng(4), 21, device)
+    place = every_place(reference, test, device)[name]
+    count = place.count * place.points_of_each
+    exact = squared_distances([place], wp.zeros(count, dtype=wp.float32, device=device), device).numpy()
+    limit = np.median(exact)
+    within = wp.full(count, limit, dtype=wp.float32, device=device)
+    nearest = wp.full(count, -1, dtype=wp.int32, device=device)
+    for _ in range(2):
+        found = squared_distances([place], within, device, nearest).numpy()
+        np.testing.assert_array_equal(found[exact > limit], exact[exact > limit])
+        assert (found[exact <= limit] <= limit).all()
 
 
 def test_faces_around_a_vertex_are_those_with_a_corner_there():

@@ -6,6 +6,7 @@ import trimesh
 
 import warpqem
 from tests.support import meshes
+from warpqem.kernels.surface_limits import mark_far_samples
 from warpqem.measure import compare
 from warpqem.pipeline import prepare
 from warpqem.refit import fit_surface
@@ -83,7 +84,7 @@ def test_a_component_may_come_as_far_from_the_input_as_its_samples_were(device, 
             samples = self._matching._samples
             near, own = samples.input_pairs.near.numpy(), np.repeat(np.arange(len(self._faces)), len(OUTPUT_SAMPLES))
             face = np.concatenate([near, own, samples.vertex_face.numpy()])
-            parts = samples.input_pairs.squared, samples.output_pairs.squared, samples.vertex_squared
+            parts = samples.input_pairs.squared, samples.output_pairs.squared, samples.vertex_squared[0]
             squared = np.concatenate([part.numpy() for part in parts])
             largest = np.zeros(6, dtype=np.float32)
             np.maximum.at(largest, self._limits.sampled.component.numpy()[face[face >= 0]], squared[face >= 0])
@@ -103,7 +104,7 @@ def test_each_attempt_holds_one_more_ring_around_a_place_that_comes_further_away
     held, stiffen = [], fit_surface._Refit._stiffen
     monkeypatch.setattr(prepare, "SPARE", 0.0)
 
-    def far_vertices(self, reach):
+    def far_vertices(self):
         far = np.zeros(self._vertex_count, dtype=bool)
         far[self._faces[7]] = True
         return far
@@ -121,3 +122,29 @@ def test_each_attempt_holds_one_more_ring_around_a_place_that_comes_further_away
         ring[result.faces[ring[result.faces].any(axis=1)].ravel()] = True
     placed = warpqem.simplify(points, faces, ratio=0.3, refit=False, device=device)
     np.testing.assert_array_equal(result.faces, placed.faces)
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.05])
+def test_places_that_moved_too_far_are_those_that_a_look_at_all_of_them_finds(shift, device, monkeypatch):
+    # Distances are carried along with what moves, and measured anew only where that may be too far.
+    marks, far_vertices = [], fit_surface._Refit.far_vertices
+
+    def look(self):
+        moved = self._correction.numpy()
+        moved[::7] += shift
+        self._correction.assign(moved)
+        far = far_vertices(self)
+        limits, carried = self._limits.sampled, self._limits.sampled.far.numpy().copy()
+        limits.far.zero_()
+        self._matching.find(1.0)
+        self._matching._measure_vertices(0)
+        self._matching._note(mark_far_samples, 0, self._matching._show(0), limits)
+        marks.append((carried, limits.far.numpy().copy()))
+        return np.zeros_like(far)
+
+    monkeypatch.setattr(fit_surface._Refit, "far_vertices", look)
+    monkeypatch.setattr(prepare, "SPARE", 0.0)
+    warpqem.simplify(*bent_tubes(0.1), ratio=0.1, refit=True, keep_components=True, device=device)
+    ((carried, full),) = marks
+    np.testing.assert_array_equal(carried, full)
+    assert 0 < full.sum() < len(full)

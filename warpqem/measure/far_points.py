@@ -121,7 +121,9 @@ class PointsAndFaces:
         return cls(own, other, faces, point, every[:-1], (every, cluster), lists, around)
 
 
-def furthest_from(given: Iterable[PointsAndFaces], within: wp.array, device: str) -> wp.array:
+def furthest_from(
+    given: Iterable[PointsAndFaces], within: wp.array, device: str, nearest: wp.array | None = None
+) -> wp.array:
     """How far points are at most, over the frames, from the nearest of some faces, on the device.
 
     Args:
@@ -129,21 +131,26 @@ def furthest_from(given: Iterable[PointsAndFaces], within: wp.array, device: str
         within: (n,) float32 on the device, squared, of all points: within its own in all frames of a block, a point is
             looked at no closer.
         device: Warp device.
+        nearest: (n,) int32 on the device, a face of each point's to begin with, -1 for none, and then the one where it
+            ended: for those who look at the same points again after a small move.
 
     Returns:
         (n,) float32, squared; of points within the limit anything that is.
     """
     furthest = new_arrays.zeros(len(within), dtype=wp.float32, device=device)
+    if nearest is None:
+        nearest = new_arrays.full(len(within), -1, dtype=wp.int32, device=device)
     first = 0
     for one in given:
         last = first + len(one.point)
         if last > first:
-            _measure(one, within[first:last], furthest[first:last], device)
+            part = slice(first, last)
+            _measure(one, within[part], nearest[part], furthest[part], device)
         first = last
     return furthest
 
 
-def _measure(given: PointsAndFaces, within: wp.array, furthest: wp.array, device: str) -> None:
+def _measure(given: PointsAndFaces, within: wp.array, nearest: wp.array, furthest: wp.array, device: str) -> None:
     """Raise the squared distances ``furthest`` (n,), zero before, to those found."""
     own, other, count = given.own, given.other, len(given.point)
     point, row, cluster_start, cluster = (
@@ -156,7 +163,7 @@ def _measure(given: PointsAndFaces, within: wp.array, furthest: wp.array, device
         kernels.distances_of_points[width_of(own)],
         (count, shares),
         [*inputs, *given.lists.on(device), given.around.around(device), rows_of(within), shares],
-        [rows_of(furthest)],
+        [rows_of(nearest), rows_of(furthest)],
         device=device,
         min_items=MIN_POINTS,
     )

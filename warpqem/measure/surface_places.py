@@ -229,12 +229,16 @@ def furthest_of(
     return [part.reshape(-1, number).max(axis=1) for part, number in zip(found, each, strict=True)]
 
 
-def squared_distances(places: Sequence[Places], within: wp.array, device: str) -> wp.array:
+def squared_distances(
+    places: Sequence[Places], within: wp.array, device: str, nearest: wp.array | None = None
+) -> wp.array:
     """The same squared, (m,) float32 on the device, of all points of all places, one after another.
 
     Args:
         places: what to look at.
         within: (m,) float32 on the device, the limits of the points, squared.
         device: Warp device.
+        nearest: (m,) int32, see :func:`warpqem.measure.far_points.furthest_from`.
     """
-    return furthest_from((around for one in places if one.count for around in one.around()), within, device)
+    given = (around for one in places if one.count for around in one.around())
+    return furthest_from(given, within, device, nearest)

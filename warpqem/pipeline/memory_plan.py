@@ -190,8 +190,9 @@ ROOM_FACE = 30
 FRAME_OUTPUT = 120
 # The refit, for each input vertex and key frame: the surface on the device, on the host at first and in lanes then; for
 # each input face and vertex: pairs, search hierarchies, what lies across its edges, lists by vertex and by cluster; for
-# each output vertex: the pairs of its two faces and their equations, 9 blocks of 36 bytes each.
-REFIT_KEY, REFIT_FACE, REFIT_VERTEX, REFIT_OUTPUT = 24, 210, 160, 1700
+# each output vertex: the pairs of its two faces and their equations, 9 blocks of 36 bytes each; for it and each
+# key frame: where it was, how far it has moved since, its distance and the face that it is near to.
+REFIT_KEY, REFIT_FACE, REFIT_VERTEX, REFIT_OUTPUT, REFIT_STEP = 24, 210, 160, 1700, 24
 # The exchange of collapses, for each input vertex and key frame: what decimation left once more; and frame looked at:
 # the points as read, about the origin and in blocks, and the level's, also in double precision; for each face: corners,
 # distances, lists.
@@ -331,7 +332,7 @@ def _place(needs: MemoryNeeds, device: str) -> tuple[int, int]:
     if needs.refit:
         refit = REFIT_KEY * needs.key_frames * needs.vertex_count
         refit += REFIT_FACE * needs.face_count + REFIT_VERTEX * needs.vertex_count
-        fixed += refit + REFIT_OUTPUT * needs.output_vertices
+        fixed += refit + (REFIT_OUTPUT + REFIT_STEP * needs.key_frames) * needs.output_vertices
         per_frame += FRAME_BYTES * needs.output_vertices
     if needs.exchanges:
         looked = min(MAX_LOOKED_FRAMES, needs.frame_count)

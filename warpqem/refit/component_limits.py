@@ -83,17 +83,14 @@ class ComponentLimits:
         sampled.far = new_arrays.zeros(vertex_count, dtype=wp.int32, device=device)
         self._own: _OwnParts | None = None
 
-    def mark_far(self, moved: wp.array, reach: float) -> wp.array:
+    def mark_far(self, moved: wp.array) -> wp.array:
         """(C,) int32 on the device, 1 at vertices of places further away than any of their component was as placed.
-
-        The surfaces are paired anew.
 
         Args:
             moved: (K, C) vec3, the key frames of the output as it lies now.
-            reach: points further apart are no pair.
         """
         self.sampled.far.zero_()
-        self._matching.find(reach, True, kernels.mark_far_samples, self.sampled)
+        self._matching.note_far(kernels.mark_far_samples, self.sampled)
         if self._own is None:
             self._own = self._make_own_parts()
         self._own.mark_far(moved, self.sampled.far)
@@ -168,9 +165,11 @@ class _OwnParts:
         ]
         components = wp.array(component, dtype=wp.int32, device=device)
         # How far vertices are decides how closely points of faces are looked at.
-        for places in (vertices, points_of_faces):
-            _Look(places, components, device).raise_limits(limits)
-        self._look = _Look([*vertices, *points_of_faces], components, device)
+        counts = [sum(one.count * one.points_of_each for one in places) for places in (vertices, points_of_faces)]
+        nearest = new_arrays.full(sum(counts), -1, dtype=wp.int32, device=device)
+        for places, part in ((vertices, nearest[: counts[0]]), (points_of_faces, nearest[counts[0] :])):
+            _Look(places, components, part, device).raise_limits(limits)
+        self._look = _Look([*vertices, *points_of_faces], components, nearest, device)
 
     def mark_far(self, moved: wp.array, marks: wp.array) -> None:
         """Mark (C,) vertices at places of (K, C) points further away than any of their component was as placed."""
@@ -179,10 +178,10 @@ class _OwnParts:
 
 
 class _Look:
-    """Some places, and the components that they are held to."""
+    """Some places, the components that they are held to, and the faces of the other surface that they are near to."""
 
-    def __init__(self, places: list[Places], component: wp.array, device: str) -> None:
-        self._places, self._device = [one for one in places if one.count], device
+    def __init__(self, places: list[Places], component: wp.array, nearest: wp.array, device: str) -> None:
+        self._places, self._nearest, self._device = [one for one in places if one.count], nearest, device
         self._groups: list[tuple[kernels.PlacesOfVertices, slice]] = []
         self._count = 0
         for one in self._places:
@@ -213,4 +212,4 @@ class _Look:
         for group, points in self._groups:
             part = within[points]
             launch(kernels.gather_limits, len(part), [group, limits, growth], [part], device=self._device)
-        return squared_distances(self._places, within, self._device)
+        return squared_distances(self._places, within, self._device, self._nearest)

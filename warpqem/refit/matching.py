@@ -6,6 +6,7 @@ import numpy as np
 import warp as wp
 
 from warpqem.decimation.adjacency import Adjacency, build_adjacency
+from warpqem.kernels import surface_limits as limit_kernels
 from warpqem.kernels import surface_pairs as kernels
 from warpqem.kernels import surface_walk as walk_kernels
 from warpqem.kernels.surface_limits import Limits, Samples
@@ -13,7 +14,7 @@ from warpqem.kernels.surface_walk import Surface
 from warpqem.runtime import new_arrays
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import launch
-from warpqem.runtime.part_launches import FIRST_ITEM, PerPart, launch_in_parts
+from warpqem.runtime.part_launches import FIRST_ITEM, PerPart, launch_in_parts, rows_of
 
 __all__ = ["OUTPUT_SAMPLES", "Matching", "make_surface"]
 
@@ -116,8 +117,14 @@ class Matching:
         samples.source, samples.target, samples.barycentric = source, target, self._barycentric
         samples.input_pairs, samples.output_pairs = self.input_pairs, self.output_pairs
         samples.input_count = self._sample_count
-        samples.vertex_squared = new_arrays.empty(len(nearest), dtype=wp.float32, device=device)
+        samples.vertex_squared = new_arrays.empty(target.points.shape, dtype=wp.float32, device=device)
+        samples.vertex_near = new_arrays.empty(target.points.shape, dtype=wp.int32, device=device)
         samples.vertex_face = new_arrays.uploaded(face_of_vertex, dtype=wp.int32, device=device)
+        turns_of = (self._turns_of(range(1), count) for count in (self._sample_count, len(self.output_pairs.face)))
+        self._place_count = sum(turns.per_key for turns in turns_of) + len(nearest)
+        # Where the output was when distances were last measured, and what it has moved since.
+        self._before: wp.array | None = None
+        self._step = new_arrays.empty(target.points.shape, dtype=wp.float32, device=device)
 
     def find(
         self, reach: float, search: bool = False, note: wp.Kernel | None = None, limits: Limits | None = None
@@ -135,10 +142,32 @@ class Matching:
                 meshes = self._show(key)
                 self._find_samples(range(key, key + 1), reach, *meshes)
                 if note is not None:
+                    self._measure_vertices(key)
                     self._note(note, key, meshes, limits)
         self._find_borders(reach)
         lists = build_adjacency(self.input_pairs.face, self._face_count)
         self.input_start, self.input_order = lists.start, lists.corner
+        if note is not None:
+            self._before = wp.clone(self._target.points)
+        elif self._before is not None:
+            self._measure_steps()
+
+    def note_far(self, note: wp.Kernel, limits: Limits) -> None:
+        """Look at samples that are further away than their component may be, as the output lies now.
+
+        Pairs stay as they were found, with a ``note`` at some time. Walks are made anew only where what has moved may
+        be too far, and searches in key frames in which one ends there.
+        """
+        self._measure_steps()
+        keys = len(self._target.points)
+        beyond = new_arrays.zeros(keys, dtype=wp.int32, device=self._device)
+        inputs = [FIRST_ITEM, self._samples_of(0), self._step]
+        shape = keys, self._place_count
+        launch_in_parts(limit_kernels.update_distances, shape, inputs, [limits, beyond], device=self._device)
+        # Where the host would wait for them, it looks at all.
+        waits = not device_traits(self._device).in_order
+        for key in range(keys) if waits else np.flatnonzero(beyond.numpy()).tolist():
+            self._note(note, key, self._show(key), limits)
 
     def _show(self, key: int) -> tuple[int, int]:
         """Hierarchies of both surfaces in a key frame."""
@@ -146,18 +175,32 @@ class Matching:
             hierarchy.show(surface, key)
         return self._hierarchies[0].id, self._hierarchies[1].id
 
-    def _note(self, kernel: wp.Kernel, key: int, meshes: tuple[int, int], limits: Limits | None) -> None:
-        """Look at how far samples are in a key frame."""
-        samples, vertex_squared = self._samples, self._samples.vertex_squared
+    def _measure_vertices(self, key: int) -> None:
+        """How far the output's vertices are in a key frame, from where they were in the one before."""
+        samples = self._samples
+        near, squared = samples.vertex_near, samples.vertex_squared
         inputs = [FIRST_ITEM, key, self._source, self._target, self._to_input]
-        kernel_of_vertices = kernels.measure_vertex_distances
-        launch_in_parts(kernel_of_vertices, len(vertex_squared), inputs, [vertex_squared], device=self._device)
+        kernel, count = kernels.measure_vertex_distances, near.shape[1]
+        launch_in_parts(kernel, count, inputs, [near, squared], device=self._device)
+
+    def _measure_steps(self) -> None:
+        """How far vertices have moved since distances were measured last."""
+        points, arrays = self._target.points, (self._before, self._samples.vertex_squared, self._step)
+        kernel = limit_kernels.measure_steps
+        launch_in_parts(kernel, points.shape, [rows_of(points)], [*map(rows_of, arrays)], device=self._device)
+
+    def _samples_of(self, key: int, meshes: tuple[int, int] = (0, 0)) -> Samples:
+        """What kernels know of the samples in a key frame, with its hierarchies."""
+        samples = self._samples
         samples.source_mesh, samples.target_mesh = meshes
         samples.input_turns = self._turns_of(range(key, key + 1), self._sample_count)
         samples.output_turns = self._turns_of(range(key, key + 1), len(self.output_pairs.face))
-        count = samples.input_turns.per_key + samples.output_turns.per_key + len(vertex_squared)
+        return samples
+
+    def _note(self, kernel: wp.Kernel, key: int, meshes: tuple[int, int], limits: Limits | None) -> None:
+        """Look at how far samples are in a key frame."""
         # One thread on a CPU: few samples take more than a look.
-        launch(kernel, count, [samples], [limits], device=self._device)
+        launch(kernel, self._place_count, [self._samples_of(key, meshes)], [limits], device=self._device)
 
     def _find_samples(self, keys: range, reach: float, source_mesh: int, target_mesh: int) -> None:
         """Pair the samples of both surfaces in some key frames; hierarchies of these are 0 for none."""

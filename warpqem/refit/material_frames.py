@@ -97,6 +97,10 @@ class MaterialFrames:
         )
         return MaterialBlock(points, normals, frames)
 
+    def of_block(self, placed: PlacedFrames) -> MaterialBlock:
+        """One of the blocks that frames are looked at in; where it is the only one, as it was kept."""
+        return self._kept[0] if self._kept else self.of(placed)
+
     def all(self) -> Iterator[MaterialBlock]:
         """All frames, block by block."""
         if self._kept:
