@@ -88,7 +88,7 @@ _STREAMED: dict[str, tuple[tuple[str, float], ...]] = {
         ("nearest", 2),
         ("furthest", 1),
     ),
-    "measure_steps": (("points_in", 1), ("before", 2), ("vertex_squared", 2), ("step_out", 1)),
+    "move_vertices": (("points_in", 1), ("before", 2), ("vertex_squared", 2)),
     "points_of_faces": (("position_in", 1), ("corner_vertex_in", 1), ("point_out", 1)),
     "longest_edges": (("position_in", 1), ("corner_vertex_in", 1), ("squared_out", 1)),
     "find_partners": (
@@ -265,9 +265,9 @@ def _samples_of_key(samples: Samples) -> int:
 
 def _update_distances(a: Arguments) -> Demand:
     # In every key frame the same, and how far the corners of a sample's face have moved; distances are written, too.
-    samples, steps = a["samples"], size_of(a["step_in"])
+    samples, before = a["samples"], size_of(a["before_in"])
     count = _samples_of_key(samples) * samples.vertex_squared.shape[0]
-    return Demand(count * 3 * INT + samples.vertex_squared.size * 3 * INT + steps)
+    return Demand(count * 3 * INT + samples.vertex_squared.size * 3 * INT + 2 * before)
 
 
 def _look_at_places(a: Arguments) -> Demand:

@@ -178,40 +178,40 @@ def mark_far_samples(
                 limits.far[samples.target.corner_vertex[3 * sample.face + k]] = 1
 
 
+@wp.func
+def most_squared(squared: wp.float32, step: wp.float32) -> wp.float32:
+    """What a squared distance is at most, when either end has moved by ``step``."""
+    most = (1.0 + ROUNDING) * (wp.sqrt(squared) + (1.0 + ROUNDING) * step)
+    return most * most
+
+
 @wp.kernel
-def measure_steps(
+def move_vertices(
     # in
     points_in: wp.array2d[wp.vec3],
     # in and out
     before: wp.array2d[wp.vec3],
     vertex_squared: wp.array2d[wp.float32],
-    # out
-    step_out: wp.array2d[wp.float32],
 ):
-    """How far each vertex (K, C) has moved from ``before``, which becomes where it is now.
-
-    Its squared distance from the other surface becomes the most that it may be now.
-    """
+    """Bring ``before`` (K, C) to where vertices are now, and squared distances to the most that they may be there."""
     t, c = wp.tid()
-    step = (1.0 + ROUNDING) * wp.length(points_in[t, c] - before[t, c])
+    step = wp.length(points_in[t, c] - before[t, c])
+    vertex_squared[t, c] = most_squared(vertex_squared[t, c], step)
     before[t, c] = points_in[t, c]
-    most = (1.0 + ROUNDING) * (wp.sqrt(vertex_squared[t, c]) + step)
-    vertex_squared[t, c] = most * most
-    step_out[t, c] = step
 
 
 @wp.kernel
 def update_distances(
     # in
     first_key: wp.int32,
-    samples: Samples,
-    step_in: wp.array2d[wp.float32],
-    # in and out
+    before_in: wp.array2d[wp.vec3],
     limits: Limits,
+    # in and out
+    samples: Samples,
     # out
     beyond_out: wp.array[wp.int32],
 ):
-    """Bring the distances of all samples and vertices (K, n) to where the output has moved by ``step_in`` (K, C).
+    """Bring the distances of all samples and vertices (K, n) to where the output is, which was at ``before_in`` (K, C).
 
     A face takes what is on it, or near to it, no further than its corners go. Where that may be further away than its
     component may be, a walk begins where the last one ended; 1 for key frames (K,) in which one ends beyond.
@@ -221,13 +221,14 @@ def update_distances(
     sample = paired_sample(samples, t, i)
     if sample.face < 0 or sample.near < 0:
         return
-    squared = sample.squared
+    step = wp.float32(0.0)
     if sample.pair >= 0:
-        step = wp.float32(0.0)
         for corner in range(3):
-            step = wp.max(step, step_in[t, samples.target.corner_vertex[3 * sample.face + corner]])
-        most = (1.0 + ROUNDING) * (wp.sqrt(squared) + step)
-        squared = most * most
+            c = samples.target.corner_vertex[3 * sample.face + corner]
+            step = wp.max(step, wp.length(samples.target.points[t, c] - before_in[t, c]))
+    else:
+        step = wp.length(samples.target.points[t, sample.own] - before_in[t, sample.own])
+    squared = most_squared(sample.squared, step)
     near = sample.near
     limit = limits.squared[limits.component[sample.face]]
     if is_beyond(squared, limit):

@@ -122,9 +122,8 @@ class Matching:
         samples.vertex_face = new_arrays.uploaded(face_of_vertex, dtype=wp.int32, device=device)
         turns_of = (self._turns_of(range(1), count) for count in (self._sample_count, len(self.output_pairs.face)))
         self._place_count = sum(turns.per_key for turns in turns_of) + len(nearest)
-        # Where the output was when distances were last measured, and what it has moved since.
+        # Where the output was when distances were last measured.
         self._before: wp.array | None = None
-        self._step = new_arrays.empty(target.points.shape, dtype=wp.float32, device=device)
 
     def find(
         self, reach: float, search: bool = False, note: wp.Kernel | None = None, limits: Limits | None = None
@@ -150,7 +149,9 @@ class Matching:
         if note is not None:
             self._before = wp.clone(self._target.points)
         elif self._before is not None:
-            self._measure_steps()
+            points, arrays = self._target.points, (self._before, self._samples.vertex_squared)
+            inputs, outputs = [rows_of(points)], [*map(rows_of, arrays)]
+            launch_in_parts(limit_kernels.move_vertices, points.shape, inputs, outputs, device=self._device)
 
     def note_far(self, note: wp.Kernel, limits: Limits) -> None:
         """Look at samples that are further away than their component may be, as the output lies now.
@@ -158,12 +159,16 @@ class Matching:
         Pairs stay as they were found, with a ``note`` at some time. Walks are made anew only where what has moved may
         be too far, and searches in key frames in which one ends there.
         """
-        self._measure_steps()
+        assert self._before is not None
         keys = len(self._target.points)
         beyond = new_arrays.zeros(keys, dtype=wp.int32, device=self._device)
-        inputs = [FIRST_ITEM, self._samples_of(0), self._step]
-        shape = keys, self._place_count
-        launch_in_parts(limit_kernels.update_distances, shape, inputs, [limits, beyond], device=self._device)
+        shape, inputs, outputs = (
+            (keys, self._place_count),
+            [FIRST_ITEM, self._before, limits],
+            [self._samples_of(0), beyond],
+        )
+        launch_in_parts(limit_kernels.update_distances, shape, inputs, outputs, device=self._device)
+        wp.copy(self._before, self._target.points)
         # Where the host would wait for them, it looks at all.
         waits = not device_traits(self._device).in_order
         for key in range(keys) if waits else np.flatnonzero(beyond.numpy()).tolist():
@@ -182,12 +187,6 @@ class Matching:
         inputs = [FIRST_ITEM, key, self._source, self._target, self._to_input]
         kernel, count = kernels.measure_vertex_distances, near.shape[1]
         launch_in_parts(kernel, count, inputs, [near, squared], device=self._device)
-
-    def _measure_steps(self) -> None:
-        """How far vertices have moved since distances were measured last."""
-        points, arrays = self._target.points, (self._before, self._samples.vertex_squared, self._step)
-        kernel = limit_kernels.measure_steps
-        launch_in_parts(kernel, points.shape, [rows_of(points)], [*map(rows_of, arrays)], device=self._device)
 
     def _samples_of(self, key: int, meshes: tuple[int, int] = (0, 0)) -> Samples:
         """What kernels know of the samples in a key frame, with its hierarchies."""

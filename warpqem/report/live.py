@@ -47,7 +47,7 @@ class LiveLevels:
             device: Warp device; None for the default.
 
         Raises:
-            DegenerateMeshError: there are no faces.
+            DegenerateMeshError: there are no faces, or no extent in any frame.
         """
         self._mesh, self._title, self._device = mesh, title, device
         self._notes = StageNotes(title, extra, mesh.frame_count)
@@ -57,6 +57,8 @@ class LiveLevels:
         shown = chosen_frames(mesh.frame_count, 2 * full.points.shape[1])
         self._shown = slice(0, None, shown.step)
         self._points, self._faces = full.points[self._shown], full.faces
+        if not np.ptp(self._points, axis=1).any():
+            raise DegenerateMeshError(f"{title}: the mesh has no extent in any frame")
         self._grid = Grid.around(self._points)
         faces = np.geomspace(max(mesh.base_face_count, 1), mesh.face_count, STOPS)
         stops = {mesh.splits_for(target_faces=int(np.ceil(count))) for count in faces}
@@ -71,7 +73,6 @@ class LiveLevels:
 
         Raises:
             ProgressiveFileError: what ``extra`` holds of times and stage is not what a build adds.
-            DegenerateMeshError: the mesh has no extent in some frame, or no face with an area.
             DeviceError: there is no such device.
         """
         own, rate, up = self._times_and_units()
@@ -102,11 +103,8 @@ class LiveLevels:
         shares = np.array([faces / self._mesh.face_count for faces, _ in levels])
         first = int(np.abs(np.log(shares / FIRST_SHARE)).argmin())
         found["firstLevel"] = first
-        # The page asks for it at once. All are measured against the finest, so that where one can be packed all can.
-        try:
-            end = self.level(first)["heatEnd"]
-        except DegenerateMeshError as error:
-            raise DegenerateMeshError(f"{self._title}: {error}") from error
+        # The page asks for it at once.
+        end = self.level(first)["heatEnd"]
         # Levels much coarser are yellow all over, and the legend says from where on.
         found["heatEnd"] = scale_end([end])
         found["curve"] = {"faces": [faces for faces, _ in levels], "error": [error for _, error in levels]}
