@@ -66,6 +66,18 @@ def test_test_mesh_that_is_a_point_where_the_reference_is_none_is_that_far_off(d
     assert found.verdict.word == "poor"
 
 
+def test_test_mesh_that_is_a_line_across_the_reference_is_as_far_off_as_that_reaches_from_it(device):
+    reference = frames(1, 1)
+    test = reference.copy()
+    # Its box is that of the square.
+    test[1] = np.linspace(0, 1, 5, dtype=np.float32)[:, None] * np.float32([1, 1, 0])
+    found = compare(reference, FACES, test, FACES, device=device)
+    assert found.collapsed_frames == (1,)
+    assert found.hausdorff == pytest.approx(100 * np.sqrt(0.5) / DIAGONAL, rel=1e-6)
+    distance = vertex_distances(test, FACES, reference, FACES, device=device)[1]
+    assert distance == pytest.approx(100 * np.array([0, np.sqrt(0.5), 0, np.sqrt(0.5), 0.1]) / DIAGONAL, abs=1e-5)
+
+
 def test_frames_before_and_after_do_not_follow_each_other(device):
     # Three frames before and after: differences within either part are 0, across the gap they are not.
     apart = frames(1, 1, 1, 0, 1, 1, 1)
