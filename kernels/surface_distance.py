@@ -95,8 +95,8 @@ def sample_distances(
 
     ``sample_place`` (S,) are the barycentric coordinates of the second and third corner. Of a surface with two sides on
     the same points, the one that faces the sample's way counts. A distance is -1 where the search finds no face of the
-    sample's cell, as all of them are slivers. ``hint`` (N,) are faces of one cell of ``other`` that may be near to each face of ``own``, -1
-    for none: they bound the search, and decide nothing.
+    sample's cell, as all of them are slivers. ``hint`` (N,) are faces of one cell of ``other`` that may be near to each
+    face of ``own``, -1 for none: they bound the search, and decide nothing.
     """
     i = first_sample + wp.tid()
     face = sample_face[i]
