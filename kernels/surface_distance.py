@@ -94,9 +94,9 @@ def sample_distances(
     """Distance of samples from the other surface, and the angle between the normals of both faces, in degrees.
 
     ``sample_place`` (S,) are the barycentric coordinates of the second and third corner. Of a surface with two sides on
-    the same points, the one that faces the sample's way counts. A distance is -1 where the search finds no face, as all
-    of them are slivers. ``hint`` (N,) are faces of one cell of ``other`` that may be near to each face of ``own``, -1
-    for none: they bound the search, and decide nothing.
+    the same points, the one that faces the sample's way counts. A distance is -1 where the search finds no face of the
+    sample's cell, as all of them are slivers. ``hint`` (N,) are faces of one cell of ``other`` that may be near to each
+    face of ``own``, -1 for none: they bound the search, and decide nothing.
     """
     i = first_sample + wp.tid()
     face = sample_face[i]
@@ -118,7 +118,11 @@ def sample_distances(
     near_out[i] = wp.int32(-1)
     distance_out[i] = wp.float64(-1.0)
     angle_out[i] = wp.float64(0.0)
+    # Cells are so far apart that a face of another one is the nearest only where there is none here.
+    is_here = wp.bool(False)
     if found.result:
+        is_here = found.face / other_count == face / own_count
+    if is_here:
         nearest = found.face
         squared = squared_distance(other, nearest, p)
         if squared < EXACT_BELOW * EXACT_BELOW:

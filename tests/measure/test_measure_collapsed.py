@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 import warpqem
 from tests.support.meshes import bumpy_sphere
 from warpqem.cli.main import app
+from warpqem.errors import DegenerateMeshError
 from warpqem.measure import SurfaceValues, compare, compare_appearance, distance_colors, vertex_distances
 from warpqem.measure.collapsed import collapsed_frames
 from warpqem.measure.surface_values import CornerValues
@@ -64,6 +65,26 @@ def test_test_mesh_that_is_a_point_where_the_reference_is_none_is_that_far_off(d
     found = compare(reference, FACES, test, FACES, device=device)
     assert found.hausdorff == pytest.approx(100 * np.sqrt(0.5) / DIAGONAL, rel=1e-6)
     assert found.verdict.word == "poor"
+
+
+def test_test_mesh_that_is_a_line_across_the_reference_is_as_far_off_as_that_reaches_from_it(device):
+    reference = frames(1, 1)
+    test = reference.copy()
+    # Its box is that of the square.
+    test[1] = np.linspace(0, 1, 5, dtype=np.float32)[:, None] * np.float32([1, 1, 0])
+    found = compare(reference, FACES, test, FACES, device=device)
+    assert found.collapsed_frames == (1,)
+    assert found.hausdorff == pytest.approx(100 * np.sqrt(0.5) / DIAGONAL, rel=1e-6)
+    distance = vertex_distances(test, FACES, reference, FACES, device=device)[1]
+    assert distance == pytest.approx(100 * np.array([0, np.sqrt(0.5), 0, np.sqrt(0.5), 0.1]) / DIAGONAL, abs=1e-5)
+
+
+def test_frame_of_needles_beside_others_is_an_error(device):
+    # Too thin for the search, which then finds the faces of the other frame.
+    points = frames(1, [1, 1e-6, 1e-6])[::-1]
+    assert not collapsed_frames(points, FACES).any()
+    with pytest.raises(DegenerateMeshError, match="every face is degenerate in frame 0"):
+        compare(points, FACES, frames(1, 1)[:, :4], SQUARE, device=device)
 
 
 def test_frames_before_and_after_do_not_follow_each_other(device):

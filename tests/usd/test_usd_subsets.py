@@ -99,6 +99,20 @@ def test_family_that_loses_its_last_face_is_no_longer_there(tmp_path, family_typ
     assert new_findings(tmp_path / "in.usda", tmp_path / "out.usda", usd_findings) == {}
 
 
+def test_subset_of_no_family_stays_when_it_loses_its_last_face(tmp_path):
+    stage = cloth_stage(tmp_path / "in.usda")
+    spot = UsdGeom.Subset.Define(stage, f"{CLOTH}/spot")
+    spot.CreateElementTypeAttr("face")
+    spot.CreateIndicesAttr([27])
+    stage.Save()
+    simplify_stage(tmp_path / "in.usda", tmp_path / "out.usda", SimplifyOptions(ratio=0.06, device="cpu"))
+    result = Usd.Stage.Open(str(tmp_path / "out.usda"))
+    spot = UsdGeom.Subset(result.GetPrimAtPath(f"{CLOTH}/spot"))
+    assert spot.GetPrim().IsActive()
+    assert len(spot.GetIndicesAttr().Get()) == 0
+    assert new_findings(tmp_path / "in.usda", tmp_path / "out.usda", usd_findings) == {}
+
+
 def test_subset_without_faces_stays_where_its_family_has_some(tmp_path):
     stage = cloth_with_spots(tmp_path, {"spot": [27], "rest": [*range(27), *range(28, 64)]}, "partition")
     mesh = UsdGeom.Mesh(stage.GetPrimAtPath(CLOTH))

@@ -17,7 +17,7 @@ __all__ = [
     "collapsed_frames",
     "collapsed_in_either",
     "distance_apart",
-    "distances_from_box",
+    "distances_from_hull",
     "sizes",
     "standing_frames",
 ]
@@ -66,12 +66,36 @@ def _is_flat(points: npt.NDArray[Any], faces: npt.NDArray[np.integer]) -> bool:
 def _is_line(points: npt.NDArray[Any], used: npt.NDArray[np.integer]) -> bool:
     """Whether points in single precision are on one line, or are one point, up to rounding."""
     own = points[used]
-    away = own.astype(np.float64) - own[0]
-    along = away[(away**2).sum(axis=1).argmax()]
-    along /= np.linalg.norm(along) or 1.0
-    if np.linalg.norm(away - np.outer(away @ along, along), axis=1).max() > _rounding(float(np.abs(own).max())):
+    if _Line(own).reach > _rounding(float(np.abs(own).max())):
         return False
     return _is_single(own)
+
+
+class _Line:
+    """A line through the first one of points (V, 3) and the one furthest from it.
+
+    Attributes:
+        reach: how far points are from it at most.
+    """
+
+    def __init__(self, points: npt.NDArray[Any]) -> None:
+        self._first = points[0].astype(np.float64)
+        away = points - self._first
+        furthest = away[(away**2).sum(axis=1).argmax()]
+        self._along = furthest / (np.linalg.norm(furthest) or 1.0)
+        place = away @ self._along
+        self._low, self._high = float(place.min()), float(place.max())
+        self.reach = float(self._distances(away, place).max())
+
+    def _distances(
+        self, away: npt.NDArray[np.float64], place: npt.NDArray[np.float64]
+    ) -> npt.NDArray[np.floating[Any]]:
+        return np.linalg.norm(away - np.outer(place, self._along), axis=1)
+
+    def distances(self, points: npt.NDArray[Any]) -> npt.NDArray[np.floating[Any]]:
+        """How far points (n, 3) are from the part of the line that its own points lie along, (n,)."""
+        away = points - self._first
+        return self._distances(away, np.clip(away @ self._along, self._low, self._high))
 
 
 def _rounding(reach: float) -> float:
@@ -136,17 +160,22 @@ def standing_frames(reference: CheckedMesh, test: CheckedMesh) -> Standing:
     return Standing(left[0], left[1], frames)
 
 
-def distances_from_box(points: npt.NDArray[Any], others: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
-    """Distances (V,) of points (V, 3) from the bounding box of others (W, 3)."""
+def distances_from_hull(points: npt.NDArray[Any], others: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
+    """Distances (V,) of points (V, 3) from what others (W, 3) lie in: their bounding box, or a tube about a line.
+
+    So of a line it is the distance from that, up to rounding, and never more than from the nearest one of others.
+    """
     outside = np.maximum(others.min(axis=0) - points, points - others.max(axis=0)).astype(np.float64)
-    distance: npt.NDArray[np.float64] = np.linalg.norm(np.maximum(outside, 0.0), axis=1)
+    from_box = np.linalg.norm(np.maximum(outside, 0.0), axis=1)
+    line = _Line(others)
+    distance: npt.NDArray[np.float64] = np.maximum(from_box, line.distances(points) - line.reach)
     return distance
 
 
 def distance_apart(one: npt.NDArray[Any], other: npt.NDArray[Any]) -> float:
-    """How far points (V, 3) of each of two meshes are from the other's bounding box at most.
+    """How far points (V, 3) of each of two meshes are from what the other's lie in at most.
 
-    Where one of the meshes is a point, this is the Hausdorff distance, which vertices attain; of a line it is no more
-    than that.
+    Where one of the meshes is a point, this is the Hausdorff distance, which vertices attain; of a line without gaps
+    it is the largest distance of the other mesh from it.
     """
-    return float(max(distances_from_box(one, other).max(), distances_from_box(other, one).max()))
+    return float(max(distances_from_hull(one, other).max(), distances_from_hull(other, one).max()))

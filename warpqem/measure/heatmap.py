@@ -8,7 +8,7 @@ import numpy.typing as npt
 from warpqem.arguments.number_input import real_number
 from warpqem.measure.checked_meshes import check_same_frame_count, check_sequence
 from warpqem.measure.closest_points import ClosestPointSearch
-from warpqem.measure.collapsed import collapsed_in_either, distances_from_box
+from warpqem.measure.collapsed import collapsed_in_either, distances_from_hull
 from warpqem.runtime.device import on_device, resolve_device
 
 __all__ = ["COLOR_MAP", "distance_colors", "vertex_distances"]
@@ -59,7 +59,8 @@ def vertex_distances(
 
     Returns:
         (F, V'), in % of the reference's bounding-box diagonal in the frame. Where either mesh is collapsed to a point
-        or a line, the distance from the reference's bounding box, in % of the largest diagonal.
+        or a line, the distance from the reference's bounding box, or from the line that it is, in % of the largest
+        diagonal.
 
     Raises:
         MeshShapeError, NonFinitePointError, FaceIndexError, DegenerateMeshError, DeviceError: as in ``compare``.
@@ -81,7 +82,7 @@ def vertex_distances(
     size = max(diagonals) or float(np.linalg.norm(np.ptp(test.points[:, test.used], axis=1), axis=1).max()) or 1.0
     for frame in np.flatnonzero(collapsed).tolist():
         box = reference.points[frame, reference.used]
-        distance[frame] = 100 * distances_from_box(test.points[frame], box) / size
+        distance[frame] = 100 * distances_from_hull(test.points[frame], box) / size
     return distance
 
 

@@ -18,6 +18,7 @@ def transfer_subsets(mesh: UsdGeom.Mesh, transfer: AttributeTransfer, dropped: D
 
     Each new face goes on from one authored face, so subsets that do not overlap, or that share out all faces, still do.
     USD takes a family without any face for damaged, so the subsets of one that loses its last face are deactivated.
+    Those without a family stay.
     """
     lost, emptied = 0, []
     families: dict[str, list[UsdGeom.Subset]] = {}
@@ -41,12 +42,13 @@ def transfer_subsets(mesh: UsdGeom.Mesh, transfer: AttributeTransfer, dropped: D
             left += len(faces)
         if not left and any(map(len, members.values())):
             emptied.append(subset.GetPrim().GetName())
-        family = subset.GetFamilyNameAttr().Get() or ""
-        families.setdefault(family, []).append(subset)
-        had, has = faces_of.get(family, (False, False))
-        faces_of[family] = had or any(map(len, members.values())), has or left > 0
         for code in blocked:
             attribute.Set(Sdf.ValueBlock(), code)
+        family = subset.GetFamilyNameAttr().Get()
+        if family:
+            families.setdefault(family, []).append(subset)
+            had, has = faces_of.get(family, (False, False))
+            faces_of[family] = had or any(map(len, members.values())), has or left > 0
     for family, subsets in families.items():
         if faces_of[family] == (True, False):
             for subset in subsets:
