@@ -126,7 +126,7 @@ def test_each_attempt_holds_one_more_ring_around_a_place_that_comes_further_away
 
 @pytest.mark.parametrize("shift", [0.0, 0.05])
 def test_places_that_moved_too_far_are_those_that_a_look_at_all_of_them_finds(shift, device, monkeypatch):
-    # Distances are carried along with what moves, and measured anew only where that may be too far.
+    # Distances are updated by what moves, and measured anew only where that may be too far.
     marks, far_vertices = [], fit_surface._Refit.far_vertices
 
     def look(self):
@@ -134,17 +134,17 @@ def test_places_that_moved_too_far_are_those_that_a_look_at_all_of_them_finds(sh
         moved[::7] += shift
         self._correction.assign(moved)
         far = far_vertices(self)
-        limits, carried = self._limits.sampled, self._limits.sampled.far.numpy().copy()
+        limits, updated = self._limits.sampled, self._limits.sampled.far.numpy().copy()
         limits.far.zero_()
         self._matching.find(1.0)
         self._matching._measure_vertices(0)
         self._matching._note(mark_far_samples, 0, self._matching._show(0), limits)
-        marks.append((carried, limits.far.numpy().copy()))
+        marks.append((updated, limits.far.numpy().copy()))
         return np.zeros_like(far)
 
     monkeypatch.setattr(fit_surface._Refit, "far_vertices", look)
     monkeypatch.setattr(prepare, "SPARE", 0.0)
     warpqem.simplify(*bent_tubes(0.1), ratio=0.1, refit=True, keep_components=True, device=device)
-    ((carried, full),) = marks
-    np.testing.assert_array_equal(carried, full)
+    ((updated, full),) = marks
+    np.testing.assert_array_equal(updated, full)
     assert 0 < full.sum() < len(full)

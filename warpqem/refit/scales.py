@@ -16,7 +16,7 @@ from warpqem.runtime.readback import read_together
 
 __all__ = ["Scales", "read_scales"]
 
-# They hardly change from frame to frame: about so many frames tell enough.
+# They hardly change from frame to frame: about so many frames suffice.
 FRAMES = 8
 # Sums that a device with its own memory hands to the host, each by a thread.
 SUMS = 1024
