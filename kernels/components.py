@@ -16,8 +16,8 @@ wp.set_module_options({"enable_backward": False})  # no gradients are taken
 
 # A component of so many faces has hardly an edge left to collapse: a tetrahedron, or a triangle or two.
 MAX_REMNANT_FACES = wp.constant(wp.int32(4))
-# Larger ones are looked at up to so many faces, if no collapse of theirs is cheap. A ring, which has a hole, cannot get
-# below 14 to 24 faces, a plate with 25 holes not below 360.
+# Larger ones are looked at up to so many faces, if no collapse of theirs is cheap, and beyond that if none is legal. A
+# ring, which has a hole, cannot get below 14 to 24 faces, a plate with 25 holes not below 360.
 MAX_STUCK_FACES = wp.constant(wp.int32(1024))
 
 
@@ -182,7 +182,8 @@ def mark_remnants(
     for c in range(wp.tid(), face_count_in.shape[0], work.thread_count):
         faces = face_count_in[c]
         cheapest = wp.cast(INFINITE_BITS - cheapness_in[c], wp.float32)
-        is_stuck = faces <= MAX_REMNANT_FACES or (faces <= MAX_STUCK_FACES and cheapest >= threshold_in[0])
+        is_large = faces > MAX_STUCK_FACES and cheapest < wp.inf
+        is_stuck = faces <= MAX_REMNANT_FACES or (not is_large and cheapest >= threshold_in[0])
         cost = cost_of_loss(least_loss_in[c], faces)
         is_remnant = faces > 0 and is_stuck and cost <= threshold_in[0] and cost < wp.inf
         is_remnant_out[c] = wp.where(is_remnant, 1, 0)

@@ -23,6 +23,11 @@ INFINITE_BIN = wp.constant(wp.int32(0x7F800000 >> 19))
 # On a small mesh, of whose edges a pass looks at a large part, those count whose bins are within ten octaves of that of
 # the cheapest: a collapse that costs nothing goes before one that takes a corner, and others go as they would.
 SPREAD_BINS = wp.constant(wp.int32(160))
+# A pass looks at no more than one in so many of the edges that may be legal, unless those are few. Where most edges are
+# known to be illegal, as on lattices, a share of all edges is all of the others: parts without holes were collapsed to
+# nothing in a few passes, whatever that cost. Thirteen small clips and four assemblies: without it RMS is 1.18 times as
+# large, with 16 in place of 8 1.01 times.
+EDGES_PER_CANDIDATE = wp.constant(wp.int32(8))
 # The multipliers of murmur3's mixer.
 FIRST_MIX = wp.constant(wp.uint32(0x85EBCA6B))
 SECOND_MIX = wp.constant(wp.uint32(0xC2B2AE35))
@@ -77,6 +82,18 @@ def count_costs(
             wp.atomic_add(histogram_out, work.part, cost_bin(cost), 1)
 
 
+@wp.func
+def edges_to_look_at(wanted: wp.int32, sample_step: wp.int32, sampled: wp.int32) -> wp.int32:
+    """How many edges a pass looks at that would like so many, where ``sampled`` of every step-th may be legal."""
+    return wp.min(wanted, wp.max(MIN_CANDIDATES, sampled * sample_step // EDGES_PER_CANDIDATE))
+
+
+@wp.func
+def samples_of(edge_count: wp.int32, sample_step: wp.int32) -> wp.int32:
+    """How many samples stand for so many edges; one at least for some."""
+    return wp.max(wp.min(1, edge_count), edge_count // sample_step)
+
+
 @wp.kernel
 def find_cost_threshold(
     # in
@@ -87,12 +104,17 @@ def find_cost_threshold(
     # out
     threshold_out: wp.array[wp.float32],
 ):
-    """The upper end of the bin of the ``wanted``-th cheapest edge; 0 where none is wanted.
+    """The upper end of the bin of the last edge to look at, of those in order of cost; 0 where none is wanted.
 
-    On a small mesh it is at most so much above the cheapest edge's, see ``SPREAD_BINS``. The histogram is cleared for
-    the next pass.
+    Where few are looked at it is at most so much above the cheapest edge's, see ``SPREAD_BINS``. The histogram is
+    cleared for the next pass.
     """
-    wanted = wp.max(wp.min(1, wanted_in[0]), wanted_in[0] // sample_step_in[0])
+    total = wp.int32(0)
+    for part in range(histogram.shape[0]):
+        for b in range(histogram.shape[1]):
+            total += histogram[part, b]
+    edge_count = edges_to_look_at(wanted_in[0], sample_step_in[0], total)
+    wanted = samples_of(edge_count, sample_step_in[0])
     seen = wp.int32(0)
     cost_threshold = wp.int32(-1)
     highest = wp.int32(histogram.shape[1])
@@ -101,7 +123,7 @@ def find_cost_threshold(
         for part in range(histogram.shape[0]):
             n += histogram[part, b]
             histogram[part, b] = 0
-        if n > 0 and seen == 0 and wanted_in[0] <= MIN_CANDIDATES:
+        if n > 0 and seen == 0 and edge_count <= MIN_CANDIDATES:
             highest = b + SPREAD_BINS
         if n > 0 and seen < wanted and b <= highest:
             cost_threshold = b
@@ -136,20 +158,24 @@ def find_threshold_by_sums(
     # out
     threshold_out: wp.array[wp.float32],
     cheapest_out: wp.array[wp.int32],
+    edge_count_out: wp.array[wp.int32],
 ):
     """The threshold before it is bounded, by as many threads as there are sums, a stretch of bins each.
 
     The cheapest edges end in the bin where their number comes to what is wanted, or else in the last one with an edge:
-    one thread has it. Another one has the bin of the cheapest edge.
+    one thread has it. Another one has the bin of the cheapest edge, and the first one how many edges are looked at.
     """
     i = wp.tid()
-    wanted = wp.max(wp.min(1, wanted_in[0]), wanted_in[0] // sample_step_in[0])
     seen = wp.int32(0)
     total = wp.int32(0)
     for k in range(sum_in.shape[0]):
         if k < i:
             seen += sum_in[k]
         total += sum_in[k]
+    edge_count = edges_to_look_at(wanted_in[0], sample_step_in[0], total)
+    wanted = samples_of(edge_count, sample_step_in[0])
+    if i == 0:
+        edge_count_out[0] = edge_count
     if i == 0 and wp.min(wanted, total) == 0:
         threshold_out[0] = 0.0
     width = histogram.shape[1] // sum_in.shape[0]
@@ -166,13 +192,13 @@ def find_threshold_by_sums(
 @wp.kernel
 def bound_threshold(
     # in
-    wanted_in: wp.array[wp.int32],
+    edge_count_in: wp.array[wp.int32],
     cheapest_in: wp.array[wp.int32],
     # in and out
     threshold: wp.array[wp.float32],
 ):
-    """Bound the threshold on a small mesh, after which it is that of :func:`find_cost_threshold`."""
-    if wanted_in[0] <= MIN_CANDIDATES and threshold[0] > 0.0:
+    """Bound the threshold where few edges are looked at, after which it is that of :func:`find_cost_threshold`."""
+    if edge_count_in[0] <= MIN_CANDIDATES and threshold[0] > 0.0:
         highest = wp.cast(wp.min(cheapest_in[0] + SPREAD_BINS + 1, INFINITE_BIN) << BIN_SHIFT, wp.float32)
         threshold[0] = wp.min(threshold[0], highest)
 

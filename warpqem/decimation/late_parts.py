@@ -15,8 +15,9 @@ from warpqem.kernels.components import MAX_REMNANT_FACES
 
 __all__ = ["without_late_parts"]
 
-# How often a mesh is ordered again at most, each time without one component more.
-MAX_REPEATS = 4
+# How often a mesh is ordered again at most: without one component, which mostly is enough, without two more, and so on
+# to sixteen more.
+MAX_REPEATS = 5
 
 
 def without_late_parts(
@@ -31,9 +32,13 @@ def without_late_parts(
     """
     most = int(MAX_REMNANT_FACES)
     gone = np.zeros(len(ordered.root), dtype=bool)
-    for _ in range(MAX_REPEATS):
-        late = ordered.drops.vertices_of_largest(most)
-        if len(ordered.faces) + most > face_count or not late.any():
+    for repeat in range(MAX_REPEATS):
+        if len(ordered.faces) + most > face_count:
+            break
+        drops = ordered.drops
+        # What collapses leave with more faces than asked for is in no mesh with so few, however many there are of it.
+        late = drops.vertices_of_largest(2**repeat, most) | drops.vertices_of_largest(len(drops), face_count)
+        if not late.any():
             break
         gone |= late
         repeated = again(gone)

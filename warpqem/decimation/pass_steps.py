@@ -202,11 +202,11 @@ class PassSteps:
             if device_traits(self.device).in_order:
                 recorder.launch(set_kernels.find_cost_threshold, 1, inputs, [histogram, self.cost_threshold])
                 return
-            sums, cheapest = self.integers(HISTOGRAM_STRETCHES), self.integers(1)
-            outputs = [histogram, self.cost_threshold, cheapest]
+            sums, cheapest, edge_count = (self.integers(n) for n in (HISTOGRAM_STRETCHES, 1, 1))
+            outputs = [histogram, self.cost_threshold, cheapest, edge_count]
             recorder.launch(set_kernels.sum_bins, len(sums), [histogram], [sums])
             recorder.launch(set_kernels.find_threshold_by_sums, len(sums), [*inputs, sums], outputs)
-            recorder.launch(set_kernels.bound_threshold, 1, [self.wanted, cheapest], [self.cost_threshold])
+            recorder.launch(set_kernels.bound_threshold, 1, [edge_count, cheapest], [self.cost_threshold])
 
         def collect(recorder: Recorder, part: int) -> None:
             work = part_work(part, part_count, self.device)

@@ -23,6 +23,7 @@ from warpqem.decimation.forest_cut import CollapseForest, Cut
 from warpqem.decimation.order_steps import OrderSteps
 from warpqem.frames.device_frames import DeviceSink, to_device
 from warpqem.frames.stream import ArrayFrames, ArraySink, counted_frames
+from warpqem.kernels.components import MAX_REMNANT_FACES
 from warpqem.measure.unit_frames import UnitFrames
 from warpqem.mesh.mesh_input import AnimatedMesh
 from warpqem.pipeline.cut_levels import Choice, CutLevel, LevelFrames, placer_of
@@ -137,7 +138,7 @@ class _Search:
 
     def _first_level(self) -> CutLevel:
         """The order's own level, placed and refitted roughly."""
-        level = self._level(self._prefix())
+        level = self._level(self._filled(self._prefix()))
         placer = self._work.placer(level.ordered, refit=True)
         settings = replace(self._work.place_settings, softening=placer.softening)
         self._work = replace(self._work, place_settings=settings)
@@ -154,6 +155,25 @@ class _Search:
         kept = np.arange(len(self._forest.log)) < collapse_count
         return Cut(kept, np.arange(len(self._forest.drops)) < drop_count)
 
+    def _filled(self, cut: Cut) -> Cut:
+        """A cut without its last collapses, where a part that was pruned took more faces than those left to spare."""
+        forest, none = self._forest, np.empty(0, dtype=np.int64)
+        wanted = len(self._whole.mesh.faces) - self._target
+        missing = forest.faces_removed(cut) - wanted
+        if missing <= int(MAX_REMNANT_FACES):
+            return cut
+        # A part whose collapses were taken back would be there again. The last place is of vertices that stay.
+        owner = forest.drops.vertex_drop[forest.log.kept]
+        kept = np.flatnonzero(cut.kept & ~np.append(cut.dropped, False)[owner])
+        count = missing // FACES_PER_COLLAPSE
+        while count > 0:
+            filled = forest.without(cut, kept[-count:], none)
+            if forest.faces_removed(filled) >= wanted:
+                return filled
+            # What needs them is taken back with them.
+            count //= 2
+        return cut
+
     def _finer(self, left_out: np.ndarray) -> CutLevel | None:
         """The level of the shortest beginning of the order that has few enough faces without some collapses."""
         none = np.empty(0, dtype=np.int64)
@@ -161,7 +181,7 @@ class _Search:
             cut = self._forest.without(self._prefix(), left_out, none)
             excess = len(self._whole.mesh.faces) - self._forest.faces_removed(cut) - self._target
             if excess <= 0:
-                level = self._level(cut)
+                level = self._level(self._filled(cut))
                 # Where collapses around one were taken back, it may take other faces than it took.
                 excess = len(level.ordered.faces) - self._target
                 if excess <= 0:
