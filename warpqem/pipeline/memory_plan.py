@@ -189,11 +189,10 @@ ROOM_FACE = 30
 # their way to the sink.
 FRAME_OUTPUT = 120
 # The refit, for each input vertex and key frame: the surface on the device, on the host at first and in lanes then; for
-# each input face and vertex: pairs, search hierarchies, what lies across its edges, lists by vertex and by cluster, the
-# edges of small parts; for each output vertex: the pairs of its two faces and their equations, 9 blocks of 36 bytes
-# each, and 27 points of its edges and faces; for it and each key frame: where it was, its distance and the face that it
-# is near to.
-REFIT_KEY, REFIT_FACE, REFIT_VERTEX, REFIT_OUTPUT, REFIT_STEP = 24, 300, 160, 2400, 20
+# each input face and vertex: pairs, search hierarchies, what lies across its edges, lists by vertex and by cluster; for
+# each output vertex: the pairs of its two faces and their equations, 9 blocks of 36 bytes each; for it and each
+# key frame: where it was, its distance and the face that it is near to.
+REFIT_KEY, REFIT_FACE, REFIT_VERTEX, REFIT_OUTPUT, REFIT_STEP = 24, 210, 160, 1700, 20
 # The exchange of collapses, for each input vertex and key frame: what decimation left once more; and frame looked at:
 # the points as read, about the origin and in blocks, and the level's, also in double precision; for each face: corners,
 # distances, lists.
