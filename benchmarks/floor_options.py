@@ -89,7 +89,9 @@ _STREAMED: dict[str, tuple[tuple[str, float], ...]] = {
         ("furthest", 1),
     ),
     "move_vertices": (("points_in", 1), ("before", 2), ("vertex_squared", 2)),
-    "points_of_faces": (("position_in", 1), ("corner_vertex_in", 1), ("point_out", 1)),
+    "points_of_faces": (("position_in", 1), ("corner_vertex_in", 1), ("within_in", 1), ("point_out", 1)),
+    "scale_frames": (("blocks", 2),),
+    "largest_steps": (("before_in", 1), ("now_in", 1), ("component_in", 1)),
     "longest_edges": (("position_in", 1), ("corner_vertex_in", 1), ("squared_out", 1)),
     "find_partners": (
         ("source.points", 1),
@@ -271,9 +273,11 @@ def _update_distances(a: Arguments) -> Demand:
 
 
 def _look_at_places(a: Arguments) -> Demand:
-    # The first vertex of each place and the squared distance or limit of each of its points.
+    # The first vertex of each place and the squared distance or limit of each of its points; and how far they are at
+    # most, where that is kept.
     squared = a["squared_out"] if "squared_out" in a else a["squared_in"]
-    return Demand(a["places"].vertex.shape[0] * INT + size_of(squared))
+    kept = 2 * size_of(a["most"]) if "most" in a else 0
+    return Demand(a["places"].vertex.shape[0] * INT + size_of(squared) + kept)
 
 
 OPTION_MODELS: dict[str, Callable[[Arguments], Demand]] = {
@@ -285,6 +289,7 @@ OPTION_MODELS: dict[str, Callable[[Arguments], Demand]] = {
     "raise_limits": _look_at_samples,
     "update_distances": _update_distances,
     "mark_far_samples": _look_at_samples,
+    "begin_at_vertices": lambda a: Demand(3 * size_of(a["nearest_out"])),
     "gather_limits": _look_at_places,
     "raise_own_limits": _look_at_places,
     "mark_far_places": _look_at_places,

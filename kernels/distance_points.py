@@ -127,8 +127,11 @@ def distances_of_points(
     of a block, no further faces are looked at there, and the next block begins with the last one that was nearer: what
     is near in some frames is near in others. ``nearest`` (n,) says where a single thread of a point begins, and then
     where it ended; -1 for nowhere: then long lists are looked through for faces whose middles are near in one frame.
+    Points of a negative ``squared`` are not looked at.
     """
     i, share = wp.tid()
+    if squared[i] < 0.0:
+        return
     first = cluster_start[row[i]]
     last = cluster_start[row[i] + 1]
     begin = wp.int32(-1)
@@ -221,16 +224,61 @@ def points_of_faces(
     position_in: Any,
     corner_vertex_in: wp.array[wp.int32],
     weights_in: wp.array[wp.vec3],
+    within_in: wp.array2d[wp.float32],
     # out
     point_out: Any,
 ):
-    """Points of faces, by S weights of their corners (3n,): (n, S B), the blocks of one point after another."""
+    """Points of faces, by S weights of their corners (3n,): (n, S B), the blocks of one point after another.
+
+    Those of a negative ``within_in`` (n, S) are left out.
+    """
     i, sample, block = wp.tid()
+    if within_in[i, sample] < 0.0:
+        return
     weights = weights_in[sample]
     point = weights[0] * position_in[corner_vertex_in[3 * i], block]
     point += weights[1] * position_in[corner_vertex_in[3 * i + 1], block]
     place = sample * position_in.shape[1] + block
     point_out[i, place] = point + weights[2] * position_in[corner_vertex_in[3 * i + 2], block]
+
+
+@lane_kernel(blocks=POINTS_ARRAY)
+def scale_frames(
+    # in
+    scale_in: wp.array[wp.float32],
+    # in and out
+    blocks: Any,
+):
+    """Multiply points (V, B) of each frame by its factor (F,)."""
+    v, b = wp.tid()
+    block = blocks[v, b]
+    width = len(block[0])
+    for k in range(width):
+        t = b * width + k
+        if t < scale_in.shape[0]:
+            block[0, k] = scale_in[t] * block[0, k]
+            block[1, k] = scale_in[t] * block[1, k]
+            block[2, k] = scale_in[t] * block[2, k]
+    blocks[v, b] = block
+
+
+@lane_kernel(before_in=POINTS_ARRAY, now_in=POINTS_ARRAY)
+def largest_steps(
+    # in
+    before_in: Any,
+    now_in: Any,
+    component_in: wp.array[wp.int32],
+    # in and out
+    step: wp.array[wp.float32],
+):
+    """Raise ``step`` of each component to how far one of its vertices (V,) has gone at most in any frame."""
+    v = wp.tid()
+    longest = wp.float32(0.0)
+    for block in range(before_in.shape[1]):
+        way = now_in[v, block] - before_in[v, block]
+        longest = wp.max(longest, largest_of(lane_dot(way, way)))
+    if longest > 0.0:
+        wp.atomic_max(step, component_in[v], wp.sqrt(longest))
 
 
 @lane_kernel(position_in=POINTS_ARRAY)

@@ -51,6 +51,7 @@ class Limits:
     squared: wp.array[wp.float32]  # of each component
     vertex_component: wp.array[wp.int32]  # (V,) the component that each input vertex went to, -1 for none
     own_squared: wp.array[wp.float32]  # of each component, by samples of itself and of what went to it alone
+    frame_scale: wp.array[wp.float32]  # (K,) what multiplies such distances in each key frame before they are compared
     far: wp.array[wp.int32]  # (C,) 1 at output vertices of places that are further away
 
 
@@ -151,14 +152,14 @@ def raise_limits(
         is_own = sample.vertex < 0
         if not is_own:
             is_own = limits.vertex_component[sample.vertex] == component
-        least = limits.squared[component]
-        if is_own:
-            least = wp.min(least, limits.own_squared[component])
-        if sample.squared > least:
+        scale = limits.frame_scale[t] * limits.frame_scale[t]
+        if sample.squared > limits.squared[component] or (
+            is_own and scale * sample.squared > limits.own_squared[component]
+        ):
             squared = nearest_squared(samples, t, sample)
             wp.atomic_max(limits.squared, component, squared)
             if is_own:
-                wp.atomic_max(limits.own_squared, component, squared)
+                wp.atomic_max(limits.own_squared, component, scale * squared)
 
 
 @wp.kernel
@@ -272,18 +273,40 @@ def place_component(places: PlacesOfVertices, i: wp.int32) -> wp.int32:
 
 
 @wp.kernel
+def begin_at_vertices(
+    # in
+    vertex_nearest_in: wp.array[wp.int32],
+    vertex_in: wp.array[wp.int32],
+    # out
+    nearest_out: wp.array[wp.int32],
+):
+    """Let looks at points begin where that of a vertex (n,) near to each ended."""
+    i = wp.tid()
+    nearest_out[i] = vertex_nearest_in[vertex_in[i]]
+
+
+@wp.kernel
 def gather_limits(
     # in
     places: PlacesOfVertices,
     own_squared_in: wp.array[wp.float32],
     growth: wp.float32,
+    step_in: wp.array[wp.float32],
+    # in and out
+    most: wp.array[wp.float32],
     # out
     squared_out: wp.array[wp.float32],
 ):
-    """The squared limit of each point: ``growth`` times the distance of its component."""
+    """The squared limit of each point: ``growth`` times the distance of its component.
+
+    ``most`` (n,), what each is away at most, squared, grows by how far vertices of the component have gone. Points that
+    are within their limit by that get a negative one.
+    """
     i = wp.tid()
-    limit = growth * wp.sqrt(own_squared_in[place_component(places, i)])
-    squared_out[i] = limit * limit
+    component = place_component(places, i)
+    limit = growth * wp.sqrt(own_squared_in[component])
+    most[i] = most_squared(most[i], step_in[component])
+    squared_out[i] = wp.where(most[i] > limit * limit, limit * limit, -1.0)
 
 
 @wp.kernel
@@ -306,13 +329,18 @@ def mark_far_places(
     # in
     places: PlacesOfVertices,
     squared_in: wp.array[wp.float32],
-    own_squared_in: wp.array[wp.float32],
-    growth: wp.float32,
+    within_in: wp.array[wp.float32],
     # in and out
+    most: wp.array[wp.float32],
     far: wp.array[wp.int32],
 ):
-    """Mark the vertices of places with a point further away than ``growth`` times the distance of their component."""
+    """Mark the vertices of places with a point further away than its limit ``within_in`` (n,), both squared.
+
+    ``most`` (n,) becomes the distance of those that were looked at, see :func:`gather_limits`.
+    """
     i = wp.tid()
-    if wp.sqrt(squared_in[i]) > growth * wp.sqrt(own_squared_in[place_component(places, i)]):
-        for k in range(places.vertex.shape[1]):
-            far[places.vertex[i / places.points, k]] = 1
+    if within_in[i] >= 0.0:
+        most[i] = squared_in[i]
+        if is_beyond(squared_in[i], within_in[i]):
+            for k in range(places.vertex.shape[1]):
+                far[places.vertex[i / places.points, k]] = 1

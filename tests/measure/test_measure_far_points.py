@@ -145,6 +145,33 @@ def test_a_look_that_begins_where_the_last_one_ended_finds_the_same(name, device
         assert (found[exact <= limit] <= limit).all()
 
 
+@pytest.mark.parametrize("name", ["input vertices", "faces"])
+def test_points_of_a_negative_limit_are_not_looked_at(name, device):
+    *_, reference, test = blocks(np.random.default_rng(4), 21, device)
+    place = every_place(reference, test, device)[name]
+    count = place.count * place.points_of_each
+    exact = squared_distances([place], wp.zeros(count, dtype=wp.float32, device=device), device).numpy()
+    is_left_out = np.arange(count) % 3 == 1
+    within = wp.array(np.where(is_left_out, -1.0, 0.0), dtype=wp.float32, device=device)
+    nearest = wp.full(count, -1, dtype=wp.int32, device=device)
+    found = squared_distances([place], within, device, nearest).numpy()
+    np.testing.assert_array_equal(found, np.where(is_left_out, 0.0, exact))
+    assert (nearest.numpy()[is_left_out] == -1).all()
+
+
+def test_points_of_faces_are_where_weights_say(device):
+    own, other, reference, test = blocks(np.random.default_rng(4), 3, device)
+    weights = np.array([[0.5, 0.3, 0.2], [0.1, 0.9, 0.0]])
+    given = Side(reference, FacesAround(FACES, VERTEX_COUNT), FacesAround(FACES, VERTEX_COUNT))
+    place = SampledFaces(test, FACES, FACES, given, FacesAround(FACES, VERTEX_COUNT), weights)
+    (found,) = furthest_of([place], [np.zeros(place.count)], device)
+    points = np.einsum("sk,fnkc->fnsc", weights, other[:, FACES])
+    for index in (0, 7, len(FACES) - 1):
+        faces = two_rings(FACES[index])
+        expected = max(distances(points[:, index, k], own, faces).max() for k in range(len(weights)))
+        np.testing.assert_allclose(found[index], expected, atol=1e-5)
+
+
 def test_faces_around_a_vertex_are_those_with_a_corner_there():
     around = FacesAround(FACES, VERTEX_COUNT)
     face, row = around.of(np.array([7, 48, 0]))

@@ -8,7 +8,7 @@ import warp as wp
 
 from tests.support import meshes
 from warpqem.refit import scales
-from warpqem.refit.scales import Scales, read_scales
+from warpqem.refit.scales import Scales, frame_scale, read_scales
 
 
 @pytest.mark.parametrize("frame_count", [1, 5, 40])
@@ -31,3 +31,10 @@ def test_an_equilateral_triangle_has_its_area_and_edge():
     points = np.array([[[0, 0, 0], [2, 0, 0], [1, 3**0.5, 0]]], dtype=np.float32)
     scales_of_it = Scales.of(points, np.array([[0, 1, 2]]))
     np.testing.assert_allclose([scales_of_it.area, scales_of_it.edge_squared], [3**0.5, 4.0], rtol=1e-6)
+
+
+def test_a_frame_half_as_large_counts_twice_and_one_that_collapses_no_more_than_ten_times():
+    points = np.random.default_rng(0).normal(size=(7, 3)).astype(np.float32)
+    frames = np.stack([points, 0.5 * points, 0.0 * points])
+    np.testing.assert_allclose(frame_scale(frames), [1.0, 2.0, 10.0], rtol=1e-6)
+    np.testing.assert_array_equal(frame_scale(0.0 * frames), np.ones(3))

@@ -9,7 +9,7 @@ simplified mesh at the input faces of the clusters there. So a place is never ne
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
@@ -38,8 +38,8 @@ SAMPLES = np.array([[1, 1, 1], [1.5, 1.5, 0], [0, 1.5, 1.5], [1.5, 0, 1.5]], dty
 # Faces of the input whose longest edge in any frame is so many times the mean of those of the simplified mesh have
 # points of their own. With 0.7 times the same spots are found.
 LARGE = 1.5
-# Faces whose points are looked at at once: some 50 MB of them.
-FACES_AT_ONCE = 8192
+# Points of faces that are looked at at once: some 50 MB of them.
+POINTS_AT_ONCE = 32768
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class InputVertices(_Vertices):
         """(n, 1) int, where each is."""
         return self.cluster[:, None]
 
-    def around(self) -> Iterator[PointsAndFaces]:
+    def around(self, _: wp.array) -> Iterator[PointsAndFaces]:
         """The points and the faces around."""
         side = self.side
         yield PointsAndFaces.at(self.lanes, side.lanes, side.faces, self.vertex, self.cluster, side.lists, side.faces)
@@ -101,14 +101,15 @@ class InputVertices(_Vertices):
 
 @dataclass(frozen=True)
 class SampledFaces:
-    """Points of faces (m, 3), with the clusters (m, 3) at which a side has what may be nearest.
+    """Points of faces (m, 3), with the clusters (m, c) at which a side has what may be nearest.
 
     Attributes:
         lanes: (V, B) blocks of the points of their surface.
         faces: (m, 3) int, its vertices.
-        clusters: (m, 3) int.
+        clusters: (m, c) int.
         side: the other surface.
         around_clusters: the simplified mesh's faces at each of its clusters.
+        weights: (s, 3) float32, of the corners, for each point of a face.
     """
 
     lanes: wp.array
@@ -116,35 +117,43 @@ class SampledFaces:
     clusters: npt.NDArray[np.integer]
     side: Side
     around_clusters: FacesAround
-    points_of_each: ClassVar[int] = len(SAMPLES)
+    weights: npt.NDArray[np.floating] = field(default_factory=lambda: SAMPLES)
+
+    @property
+    def points_of_each(self) -> int:
+        """Points of a face."""
+        return len(self.weights)
 
     @property
     def count(self) -> int:
         """Faces m."""
         return len(self.faces)
 
-    def around(self) -> Iterator[PointsAndFaces]:
-        """The points and the faces around."""
-        side, around = self.side, self.around_clusters
-        for first in range(0, self.count, FACES_AT_ONCE):
-            part = slice(first, first + FACES_AT_ONCE)
-            clusters = self.clusters[part].ravel()
-            start, point = np.arange(0, len(clusters) + 1, 3), np.arange(len(SAMPLES) * (len(clusters) // 3))
-            points = self._points(self.faces[part])
-            row = point // len(SAMPLES)
-            yield PointsAndFaces(points, side.lanes, side.faces, point, row, (start, clusters), side.lists, around)
+    def around(self, within: wp.array) -> Iterator[PointsAndFaces]:
+        """The points and the faces around; points of negative ``within`` (m s,) are not made."""
+        side, around, each = self.side, self.around_clusters, self.points_of_each
+        at_once = max(1, POINTS_AT_ONCE // each)
+        for first in range(0, self.count, at_once):
+            clusters = self.clusters[first : first + at_once]
+            count = len(clusters)
+            start = np.arange(0, clusters.size + 1, clusters.shape[1], dtype=np.int32)
+            point = np.arange(each * count, dtype=np.int32)
+            points = self._points(self.faces[first : first + at_once], within[each * first : each * (first + count)])
+            row = np.repeat(point[:count], each)
+            lists = start, clusters.ravel()
+            yield PointsAndFaces(points, side.lanes, side.faces, point, row, lists, side.lists, around)
 
-    def _points(self, faces: npt.NDArray[np.integer]) -> wp.array:
+    def _points(self, faces: npt.NDArray[np.integer], within: wp.array) -> wp.array:
         """Blocks of the points of some faces (m, 3), one face after another."""
-        device = str(self.lanes.device)
+        device, each = str(self.lanes.device), self.points_of_each
         blocks = self.lanes.shape[1]
-        points = wp.empty((len(faces), len(SAMPLES) * blocks), dtype=self.lanes.dtype, device=device)
+        points = wp.empty((len(faces), each * blocks), dtype=self.lanes.dtype, device=device)
         corner_vertex = wp.array(np.ascontiguousarray(faces, dtype=np.int32).ravel(), dtype=wp.int32, device=device)
-        weights = wp.array(SAMPLES, dtype=wp.vec3, device=device)
+        weights = wp.array(self.weights, dtype=wp.vec3, device=device)
         launch_in_parts(
             kernels.points_of_faces[width_of(self.lanes)],
-            (len(faces), len(SAMPLES), blocks),
-            [self.lanes, corners_of(corner_vertex), weights],
+            (len(faces), each, blocks),
+            [self.lanes, corners_of(corner_vertex), weights, rows_of(within.reshape((len(faces), each)))],
             [rows_of(points)],
             device=device,
         )
@@ -167,7 +176,7 @@ class SimplifiedVertices(_Vertices):
         """(n, 1) int, where each is."""
         return self.vertex[:, None]
 
-    def around(self) -> Iterator[PointsAndFaces]:
+    def around(self, _: wp.array) -> Iterator[PointsAndFaces]:
         """The points and the faces around."""
         side = self.side
         yield PointsAndFaces.at(
@@ -236,9 +245,18 @@ def squared_distances(
 
     Args:
         places: what to look at.
-        within: (m,) float32 on the device, the limits of the points, squared.
+        within: (m,) float32 on the device, the limits of the points, squared; those of a negative one are left out.
         device: Warp device.
         nearest: (m,) int32, see :func:`warpqem.measure.far_points.furthest_from`.
     """
-    given = (around for one in places if one.count for around in one.around())
-    return furthest_from(given, within, device, nearest)
+    return furthest_from(_points_around(places, within), within, device, nearest)
+
+
+def _points_around(places: Sequence[Places], within: wp.array) -> Iterator[PointsAndFaces]:
+    """The points of all places, one after another, with their limits (m,), squared."""
+    first = 0
+    for one in places:
+        last = first + one.count * one.points_of_each
+        if last > first:
+            yield from one.around(within[first:last])
+        first = last

@@ -29,7 +29,7 @@ from warpqem.refit.component_limits import ComponentLimits
 from warpqem.refit.holds import Holds
 from warpqem.refit.matching import Matching, make_surface
 from warpqem.refit.material_frames import MaterialFrames
-from warpqem.refit.scales import read_scales
+from warpqem.refit.scales import frame_scale, read_scales
 from warpqem.refit.solve import ElementSolver
 from warpqem.runtime import new_arrays
 from warpqem.runtime.device import device_traits
@@ -99,7 +99,7 @@ def fit_corrections(
     Pinned vertices, corners of seams and those that stand for one input vertex stay where they are; those on seams move
     hardly but across the surface, and borders are fitted to borders. A face that does not face away from the input in
     some frame does not after the refit. No component comes further from the input than it was, at samples of both
-    surfaces and at vertices in the key frames.
+    surfaces and at vertices in the key frames; nor, by more than a little, from its own part of it.
 
     Args:
         mesh: the input.
@@ -187,8 +187,9 @@ class _Refit:
         # Of a pruned component nothing is near to the output.
         faces = mesh.faces[placer.vertex_map[mesh.faces[:, 0]] >= 0]
         corner_vertex = new_arrays.uploaded(faces.ravel(), dtype=wp.int32, device=device)
+        reference = mesh.to_unit(mesh.chosen_points(key_frames))
         source = make_surface(
-            new_arrays.uploaded(mesh.to_unit(mesh.chosen_points(key_frames)), dtype=wp.vec3, device=device),
+            new_arrays.uploaded(reference, dtype=wp.vec3, device=device),
             corner_vertex,
             build_adjacency(corner_vertex, mesh.vertex_count),
         )
@@ -208,7 +209,14 @@ class _Refit:
         self._correction = new_arrays.zeros(self._vertex_count, dtype=wp.vec3, device=device)
         self._times_far = np.zeros(self._vertex_count, dtype=np.int32)
         self._limits = ComponentLimits(
-            self._matching, source.points, self._keys.points, faces, placer.vertex_map, self._faces, device
+            self._matching,
+            source.points,
+            self._keys.points,
+            faces,
+            placer.vertex_map,
+            self._faces,
+            frame_scale(reference[:, mesh.used]),
+            device,
         )
 
     @property

@@ -14,12 +14,15 @@ from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import launch
 from warpqem.runtime.readback import read_together
 
-__all__ = ["Scales", "read_scales"]
+__all__ = ["Scales", "frame_scale", "read_scales"]
 
 # They hardly change from frame to frame: about so many frames suffice.
 FRAMES = 8
 # Sums that a device with its own memory hands to the host, each by a thread.
 SUMS = 1024
+# A frame is taken for no smaller than this part of the largest one: distances in one that is next to a point say
+# nothing of how the others look.
+SMALLEST_FRAME = 0.1
 
 
 @dataclass(frozen=True)
@@ -61,3 +64,16 @@ def read_scales(
     area, squared = by_thread.sum(axis=0)
     frame_count = len(some)
     return Scales(float(area) / frame_count, float(squared) / (3 * frame_count * len(faces))), with_them
+
+
+def frame_scale(points: np.ndarray) -> np.ndarray:
+    """(K,) float32, by how much the frames of points (K, n, 3) are smaller than the largest one, by their diagonals.
+
+    Distances of measures are in the diagonal of their frame: a figure that crouches may be half as large.
+    """
+    diagonal = np.linalg.norm(np.ptp(points, axis=1), axis=1)
+    largest = diagonal.max(initial=0.0)
+    if not largest > 0.0:
+        return np.ones(len(points), dtype=np.float32)
+    scale: np.ndarray = (largest / np.maximum(diagonal, SMALLEST_FRAME * largest)).astype(np.float32)
+    return scale
