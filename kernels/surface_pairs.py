@@ -10,8 +10,8 @@ from warpqem.kernels.material_frame import first_tangent
 from warpqem.kernels.prefetch import prefetch, prefetch_item
 from warpqem.kernels.surface_walk import (
     Surface,
-    closest_border_hit,
     closest_hit,
+    closest_line_hit,
     face_cross,
     search_nearer,
     surface_point,
@@ -312,7 +312,7 @@ def store_border_pair(
     offset: wp.vec3,
     weight: wp.float32,
 ):
-    """Two pairs at a point of an output border edge: how far the input lies ahead, both ways across the edge."""
+    """Two pairs at a point of an output edge of a border or seam: how far the input is ahead, both ways across it."""
     a = target.points[t, target.corner_vertex[half_edge]]
     b = target.points[t, half_edge_target(target.corner_vertex, half_edge)]
     across = first_tangent(wp.normalize(b - a))
@@ -340,6 +340,7 @@ def match_border_samples(
     moving: Surface,
     fixed: Surface,
     moving_is_output: wp.int32,
+    on_seams: wp.int32,
     half_edge_in: wp.array[wp.int32],
     start_in: wp.array[wp.int32],
     per_edge: wp.int32,
@@ -350,8 +351,8 @@ def match_border_samples(
 ):
     """Pair points of border edges of one surface with the border of the other, each point in two pairs.
 
-    A point stands for its part of the edge's length, times ``width``. ``start_in`` is a vertex of the fixed surface
-    near each vertex of the moving one.
+    Where ``on_seams`` is 1, of seam edges with seams, which run either way. A point stands for its part of the edge's
+    length, times ``width``. ``start_in`` is a vertex of the fixed surface near each vertex of the moving one.
     """
     t = own_key(turns, wp.tid())
     own = own_pair(turns, t, wp.tid())
@@ -366,12 +367,15 @@ def match_border_samples(
     a = moving.points[t, moving.corner_vertex[h]]
     b = moving.points[t, half_edge_target(moving.corner_vertex, h)]
     x = a + along * (b - a)
-    hit = closest_border_hit(fixed, t, start_in[moving.corner_vertex[h]], x)
+    hit = closest_line_hit(fixed, on_seams, t, start_in[moving.corner_vertex[h]], x)
     if hit.half_edge < 0 or hit.squared > reach * reach:
         return
     c = fixed.points[t, fixed.corner_vertex[hit.half_edge]]
     d = fixed.points[t, half_edge_target(fixed.corner_vertex, hit.half_edge)]
-    if wp.dot(wp.normalize(b - a), wp.normalize(d - c)) < SAME_SIDE:
+    along_both = wp.dot(wp.normalize(b - a), wp.normalize(d - c))
+    if on_seams == 1:
+        along_both = wp.abs(along_both)
+    if along_both < SAME_SIDE:
         return
     offset = c + hit.along * (d - c) - x
     weight = width * wp.length(b - a) / wp.float32(per_edge)

@@ -1,4 +1,4 @@
-"""Closest points of a surface that was near a moment ago: walks over its vertices, its faces and its borders.
+"""Closest points of a surface that was near a moment ago: walks over its vertices, faces, borders and seams.
 
 A walk goes downhill in distance and ends where no neighbour is nearer. From a start on the right part of the surface it
 stays there, where a search over the whole mesh may land on the other side of a thin part; it takes a fraction of the
@@ -27,6 +27,7 @@ class Surface:
     opposite: wp.array[wp.int32]  # (3N,) the half-edge of the other direction, -1 at a border
     border_out: wp.array[wp.int32]  # (V,) the border half-edge that leaves a vertex, -1 where there is none
     border_in: wp.array[wp.int32]  # (V,) the one that arrives
+    seam: wp.array[wp.int32]  # (3N,) 1 at both half-edges of a seam; empty where nobody asks for seams
 
 
 @wp.struct
@@ -40,7 +41,7 @@ class Hit:
 
 @wp.struct
 class BorderHit:
-    """A point of a border: half-edge, part of the way along it, and squared distance from the query."""
+    """A point of a border or seam: half-edge, part of the way along it, and squared distance from the query."""
 
     half_edge: wp.int32  # -1: none
     along: wp.float32
@@ -221,7 +222,7 @@ def search_nearer(mesh: wp.uint64, query: wp.vec3, best: Hit) -> Hit:
 
 @wp.func
 def hit_border_edge(s: Surface, t: wp.int32, half_edge: wp.int32, query: wp.vec3) -> BorderHit:
-    """The nearest point of one border edge."""
+    """The nearest point of one edge."""
     a = s.points[t, s.corner_vertex[half_edge]]
     b = s.points[t, half_edge_target(s.corner_vertex, half_edge)]
     hit = BorderHit()
@@ -254,3 +255,41 @@ def closest_border_hit(s: Surface, t: wp.int32, vertex: wp.int32, query: wp.vec3
         if hit.half_edge == here:
             break
     return hit
+
+
+@wp.func
+def hit_seams_about(s: Surface, t: wp.int32, vertex: wp.int32, query: wp.vec3, best: BorderHit) -> BorderHit:
+    """``best``, or a nearer point on the seams that end at a vertex."""
+    hit = best
+    for i in range(s.adjacency_start[vertex], s.adjacency_start[vertex + 1]):
+        half_edge = s.adjacent_corner[i]
+        if s.seam[half_edge] == 1:
+            other = hit_border_edge(s, t, half_edge, query)
+            if hit.half_edge < 0 or other.squared < hit.squared:
+                hit = other
+    return hit
+
+
+@wp.func
+def closest_seam_hit(s: Surface, t: wp.int32, vertex: wp.int32, query: wp.vec3) -> BorderHit:
+    """The nearest point of the seams downhill from a vertex, over forks, too; half-edge -1 where it is on none."""
+    hit = BorderHit()
+    hit.half_edge = wp.int32(-1)
+    hit = hit_seams_about(s, t, vertex, query, hit)
+    if hit.half_edge < 0:
+        return hit
+    for _ in range(MAX_STEPS):
+        here = hit.half_edge
+        hit = hit_seams_about(s, t, s.corner_vertex[here], query, hit)
+        hit = hit_seams_about(s, t, half_edge_target(s.corner_vertex, here), query, hit)
+        if hit.half_edge == here:
+            break
+    return hit
+
+
+@wp.func
+def closest_line_hit(s: Surface, on_seams: wp.int32, t: wp.int32, vertex: wp.int32, query: wp.vec3) -> BorderHit:
+    """The nearest point of the seams downhill from a vertex if ``on_seams`` is 1, else of the border."""
+    if on_seams == 1:
+        return closest_seam_hit(s, t, vertex, query)
+    return closest_border_hit(s, t, vertex, query)

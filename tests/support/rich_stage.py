@@ -146,7 +146,7 @@ def _add_subsets(stage: Usd.Stage, mesh: UsdGeom.Mesh) -> None:
         "partition": ("materialBind", [range(32), range(32, 64)]),
         "nonOverlapping": ("rooms", [[10, 11], [40, 41]]),
     }
-    families["unrestricted"] = ("loose", [range(16), [0, 40], [27]])
+    families["unrestricted"] = ("loose", [range(17), [0, 40], [27]])
     for family_type, (family, parts) in families.items():
         for index, part in enumerate(parts):
             subset = UsdGeom.Subset.CreateGeomSubset(mesh, f"{family}{index}", "face", list(part), family, family_type)

@@ -19,6 +19,7 @@ from warpqem.kernels import memoryless_quadric as kernels
 from warpqem.kernels.lanes import width_of
 from warpqem.kernels.mesh_state import KEY_FRAMES, MeshState
 from warpqem.kernels.topology import BORDER, SEAM
+from warpqem.mesh.seams import image_marks
 from warpqem.runtime import new_arrays
 from warpqem.runtime.cpu_threads import thread_count
 from warpqem.runtime.launches import Recorder
@@ -74,7 +75,7 @@ class MemorylessQuadrics:
         state.adjacency = build_adjacency(state.corner_vertex, len(root)).lists
         state.vertex_flags = wp.array(flags, device=device)
         state.quadric_scale = wp.array(scales, device=device)
-        state.seam = wp.array(_images(row[self._seams], corner_vertex, len(root)), device=device)
+        state.seam = wp.array(image_marks(row[self._seams], corner_vertex.reshape(-1, 3), len(root)), device=device)
         frames.position, frames.quadric = position, quadric
         weights = kernels.LineWeights()
         weights.border, weights.seam = CONSTRAINT_WEIGHT[1], CONSTRAINT_WEIGHT[2]
@@ -87,17 +88,3 @@ class MemorylessQuadrics:
             record_shared(recorder, kernel, [state, frames, weights, chosen, one], work)
 
         run_once([LaunchGroup(renew, part_count)], str(device))
-
-
-def _images(seams: np.ndarray, corner_vertex: np.ndarray, vertex_count: int) -> np.ndarray:
-    """(3M,) int32, 1 at the half-edges that seam edges (S, 2) have become: an edge of two that merged is one if either.
-
-    Both half-edges of an edge are.
-    """
-    faces = corner_vertex.reshape(-1, 3)
-    ends = np.stack([faces.ravel(), np.roll(faces, -1, axis=1).ravel()], axis=1).astype(np.int64)
-    key, image = (
-        np.minimum(pairs[:, 0], pairs[:, 1]).astype(np.int64) * vertex_count + np.maximum(pairs[:, 0], pairs[:, 1])
-        for pairs in (ends, seams)
-    )
-    return np.isin(key, image).astype(np.int32)

@@ -11,7 +11,7 @@ from warpqem.arguments.array_input import first_outside, index_array, is_empty
 from warpqem.errors import OptionError
 from warpqem.mesh.edges import edge_key
 
-__all__ = ["Seams", "read_seams", "seam_ends"]
+__all__ = ["Seams", "half_edge_ends", "image_marks", "read_seams", "seam_ends"]
 
 
 @dataclass(frozen=True)
@@ -73,3 +73,20 @@ def read_seams(seams: Any, faces: np.ndarray, vertex_count: int) -> Seams:
     on_border = np.bincount(border_edges.ravel(), minlength=vertex_count) > 0
     on_seam = degree > 0
     return Seams(is_seam[index].astype(np.int32), on_seam, on_seam & ((degree != 2) | on_border))
+
+
+def half_edge_ends(faces: np.ndarray, half_edge: np.ndarray) -> np.ndarray:
+    """The vertices (S, 2) that half-edges (S,) of faces (N, 3) go from and to."""
+    corner = faces.ravel()
+    return np.stack([corner[half_edge], corner[half_edge - half_edge % 3 + (half_edge + 1) % 3]], axis=1)
+
+
+def image_marks(ends: np.ndarray, faces: np.ndarray, vertex_count: int) -> np.ndarray:
+    """(3N,) int32, 1 at both half-edges of faces (N, 3) that seam edges (S, 2) have become.
+
+    An edge of two that merged is one if either is.
+    """
+    if not len(ends):
+        return np.zeros(faces.size, dtype=np.int32)
+    key = edge_key(faces.ravel(), np.roll(faces, -1, axis=1).ravel(), vertex_count)
+    return np.isin(key, edge_key(ends[:, 0], ends[:, 1], vertex_count)).astype(np.int32)

@@ -30,6 +30,7 @@ from warpqem.refit.holds import Holds
 from warpqem.refit.matching import Matching, make_surface
 from warpqem.refit.material_frames import MaterialFrames
 from warpqem.refit.scales import frame_scale, read_scales
+from warpqem.refit.seam_edges import find_seams
 from warpqem.refit.solve import ElementSolver
 from warpqem.runtime import new_arrays
 from warpqem.runtime.device import device_traits
@@ -96,10 +97,10 @@ def fit_corrections(
 ) -> Callable[[PlacedFrames], PlacedFrames]:
     """What moves placed frames, so that the surface as a whole is nearest to the input.
 
-    Pinned vertices, corners of seams and those that stand for one input vertex stay where they are; those on seams move
-    hardly but across the surface, and borders are fitted to borders. A face that does not face away from the input in
-    some frame does not after the refit. No component comes further from the input than it was, at samples of both
-    surfaces and at vertices in the key frames; nor, by more than a little, from its own part of it.
+    Pinned vertices, corners of seams and those that stand for one input vertex stay where they are; others on seams
+    move less along the surface. Borders are fitted to borders, seams to seams. A face that does not face away from the
+    input in some frame does not after the refit. No component comes further from the input than it was, at samples of
+    both surfaces and at vertices in the key frames; nor, by more than a little, from its own part of it.
 
     Args:
         mesh: the input.
@@ -185,24 +186,28 @@ class _Refit:
         self._scales, nearest = read_scales(keys.points, placer.faces, self._corner_vertex, placer.nearest)
         self._turns = max(1, min(len(key_frames), mesh.frame_count // FRAMES_PER_TURN))
         # Of a pruned component nothing is near to the output.
-        faces = mesh.faces[placer.vertex_map[mesh.faces[:, 0]] >= 0]
+        is_left = placer.vertex_map[mesh.faces[:, 0]] >= 0
+        faces = mesh.faces[is_left]
+        seams = find_seams(placer.seam, mesh.faces, is_left, placer.vertex_map, self._faces, self._vertex_count)
         corner_vertex = new_arrays.uploaded(faces.ravel(), dtype=wp.int32, device=device)
         reference = mesh.to_unit(mesh.chosen_points(key_frames))
         source = make_surface(
             new_arrays.uploaded(reference, dtype=wp.vec3, device=device),
             corner_vertex,
             build_adjacency(corner_vertex, mesh.vertex_count),
+            seams[0].marks,
         )
         self._moved = wp.clone(self._keys.points)
         self._matching = Matching(
             source,
-            make_surface(self._moved, self._corner_vertex, self._adjacency),
+            make_surface(self._moved, self._corner_vertex, self._adjacency, seams[1].marks),
             placer.vertex_map,
             faces,
             placer.faces,
             nearest,
             self._turns,
             BORDER_WIDTH * self._scales.edge_squared**0.5,
+            (seams[0].half_edge, seams[1].half_edge),
             device,
         )
         self._holds = Holds(placer.on_seam, device)
