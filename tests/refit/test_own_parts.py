@@ -21,7 +21,7 @@ class Part:
 
     def __init__(self, device: str) -> None:
         self.points, self.corners = small_washer()
-        self.placed = warpqem.simplify(self.points, self.corners, ratio=0.2, refit=False, device=device)
+        self.placed = warpqem.simplify(self.points, self.corners, ratio=0.3, refit=False, device=device)
         self.distance = self.distance_of(self.placed.points, device)
 
     def distance_of(self, points: np.ndarray, device: str) -> float:
