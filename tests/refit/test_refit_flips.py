@@ -1,5 +1,7 @@
 """A refit turns no face over that placing had not turned over."""
 
+from unittest.mock import patch
+
 import numpy as np
 import trimesh
 from hypothesis import given, settings
@@ -7,6 +9,7 @@ from hypothesis import strategies as st
 
 import warpqem
 from tests.support.meshes import waving_grid
+from warpqem.pipeline import prepare
 
 
 @st.composite
@@ -36,7 +39,9 @@ def test_refit_turns_no_face_over_that_placing_had_not(mesh, ratio):
     # Without coherence, which a refit has place vertices more softly, both are placed alike.
     options = {"coherence": 0.0, "measure": False, "max_size_error": None, "device": "cpu"}
     target = max(2, int(ratio * len(mesh[1])))
-    placed, refitted = (_simplified(mesh, target, refit=refit, **options) for refit in (False, True))
+    # An exchange, which a refit brings with it, may leave other faces.
+    with patch.object(prepare, "SPARE", 0.0):
+        placed, refitted = (_simplified(mesh, target, refit=refit, **options) for refit in (False, True))
     assert np.array_equal(placed.faces, refitted.faces)
     assert (refitted.flips <= placed.flips).all()
 
