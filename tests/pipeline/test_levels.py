@@ -103,6 +103,16 @@ def test_level_out_of_reach_is_the_coarsest_there_is(device):
     assert len(coarse.faces) == 4
 
 
+def test_level_at_which_the_order_ended_is_no_failure(device):
+    points, faces = meshes.perforated_plate(1)
+    order = warpqem.order_levels(points, faces, target_faces=1, device=device)
+    with pytest.raises(UnreachableTargetError) as caught:
+        order.level(1)
+    fewest = len(caught.value.result.faces)
+    level = order.level(fewest)
+    assert (len(level.faces), level.stopped) == (fewest, "target")
+
+
 def test_progress_rises_to_one_over_all_levels(device):
     seen = []
     warpqem.simplify_levels(*SPHERE, ratios=(0.5, 0.1), device=device, progress=lambda *call: seen.append(call))

@@ -91,6 +91,21 @@ def test_sheet_with_two_sides_keeps_both(options, device):
     assert result.flips.max() <= 3
 
 
+def level_alone(points, faces, **options):
+    """What `simplify` gives, by an order for levels."""
+    return warpqem.order_levels(points, faces, **options).level(options["target_faces"])
+
+
+@pytest.mark.parametrize("simplify", [warpqem.simplify, level_alone])
+def test_count_out_of_reach_beside_a_sheet_with_two_sides_is_said_to_be(simplify, device):
+    points, faces = meshes.joined(meshes.grid(4, 4), meshes.back_to_back(), spacing=2)
+    with pytest.raises(warpqem.errors.UnreachableTargetError) as caught:
+        simplify(points, faces, target_faces=10, locked=np.arange(25), device=device)
+    result = caught.value.result
+    assert len(result.faces) == 32
+    assert result.stopped == "no legal collapse"
+
+
 def test_levels_of_doubled_faces_are_those_of_single_runs(device):
     faces = repeated("opposite", 3)
     levels = warpqem.simplify_levels(POINTS, faces, ratios=[0.5, 0.1], device=device)

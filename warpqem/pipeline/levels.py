@@ -113,6 +113,9 @@ class LevelOrder:
             ordered = self._level_of(self._base_faces(target_faces), listen)
             device = self._work.result_device if sink is None else None
             result = finish(self._work, ordered, self._options.refits, sink=sink, device=device, progress=listen)
+        if len(result.faces) <= target_faces:
+            # No matter what ended the order there.
+            result = replace(result, stopped="target")
         if sink is None:
             result = replace(result, measuring=ResultMeasure.of(self._work.mesh, self._work.device))
         return reached(result, target_faces)

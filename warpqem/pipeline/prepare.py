@@ -100,9 +100,13 @@ class Prepared:
         if repair is None or not target or not repair.is_double.any():
             return self.order_to(self.order_settings.target_faces, progress, recorder)
         # Far enough also where all faces that are left have a back.
+        least = max(1, target // 2)
         if repair.is_double.all():
-            return self.order_to(max(1, target // 2), progress, recorder)
-        coarse = self.order_to(max(1, target // 2), progress)
+            return self.order_to(least, progress, recorder)
+        coarse = self.order_to(least, progress)
+        if coarse.stopped != "target" and repair.count_with_backs(coarse.face_map) > target:
+            # As far as it goes, and why it went no further.
+            return coarse if recorder is None else self.order_to(least, recorder=recorder)
         return self.order_to(faces_for(coarse, self.mesh, target), recorder=recorder)
 
     def order_to(
