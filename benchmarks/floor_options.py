@@ -185,8 +185,8 @@ def _match(a: Arguments, *surfaces: str) -> Demand:
     return Demand(frame_items(a) * PAIR + sum(a[name].points.shape[1] * POINT for name in surfaces))
 
 
-def _match_border_samples(a: Arguments) -> Demand:
-    # The pairs of one frame; the points on borders alone.
+def _match_line_samples(a: Arguments) -> Demand:
+    # The pairs of one frame; the points on borders or seams alone.
     return Demand(frame_items(a) * 2 * PAIR + 2 * a["half_edge_in"].size * (INT + POINT))
 
 
@@ -284,7 +284,7 @@ OPTION_MODELS: dict[str, Callable[[Arguments], Demand]] = {
     **{kernel: partial(_streamed, kernel) for kernel in _STREAMED},
     "match_input_samples": lambda a: _match(a, "source", "target"),
     "match_output_samples": lambda a: _match(a, "source", "target"),
-    "match_border_samples": _match_border_samples,
+    "match_line_samples": _match_line_samples,
     "measure_vertex_distances": _measure_vertex_distances,
     "raise_limits": _look_at_samples,
     "update_distances": _update_distances,

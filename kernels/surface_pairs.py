@@ -302,7 +302,7 @@ def measure_vertex_distances(
 
 
 @wp.func
-def store_border_pair(
+def store_line_pair(
     pairs: Pairs,
     first: wp.int32,
     t: wp.int32,
@@ -333,7 +333,7 @@ def store_border_pair(
 
 
 @wp.kernel
-def match_border_samples(
+def match_line_samples(
     # in
     turns: Turns,
     reach: wp.float32,
@@ -380,6 +380,6 @@ def match_border_samples(
     offset = c + hit.along * (d - c) - x
     weight = width * wp.length(b - a) / wp.float32(per_edge)
     if moving_is_output == 1:
-        store_border_pair(pairs, i, t, moving, h, along, offset, weight)
+        store_line_pair(pairs, i, t, moving, h, along, offset, weight)
     else:
-        store_border_pair(pairs, i, t, fixed, hit.half_edge, hit.along, -offset, weight)
+        store_line_pair(pairs, i, t, fixed, hit.half_edge, hit.along, -offset, weight)

@@ -40,7 +40,7 @@ class Hit:
 
 
 @wp.struct
-class BorderHit:
+class LineHit:
     """A point of a border or seam: half-edge, part of the way along it, and squared distance from the query."""
 
     half_edge: wp.int32  # -1: none
@@ -221,11 +221,11 @@ def search_nearer(mesh: wp.uint64, query: wp.vec3, best: Hit) -> Hit:
 
 
 @wp.func
-def hit_border_edge(s: Surface, t: wp.int32, half_edge: wp.int32, query: wp.vec3) -> BorderHit:
+def hit_edge(s: Surface, t: wp.int32, half_edge: wp.int32, query: wp.vec3) -> LineHit:
     """The nearest point of one edge."""
     a = s.points[t, s.corner_vertex[half_edge]]
     b = s.points[t, half_edge_target(s.corner_vertex, half_edge)]
-    hit = BorderHit()
+    hit = LineHit()
     hit.half_edge = half_edge
     hit.along = segment_parameter(query, a, b)
     hit.squared = wp.length_sq(query - a - hit.along * (b - a))
@@ -233,23 +233,23 @@ def hit_border_edge(s: Surface, t: wp.int32, half_edge: wp.int32, query: wp.vec3
 
 
 @wp.func
-def closest_border_hit(s: Surface, t: wp.int32, vertex: wp.int32, query: wp.vec3) -> BorderHit:
+def closest_border_hit(s: Surface, t: wp.int32, vertex: wp.int32, query: wp.vec3) -> LineHit:
     """The nearest point of the border downhill from a vertex; half-edge -1 where the vertex is on none."""
-    hit = BorderHit()
+    hit = LineHit()
     hit.half_edge = s.border_out[vertex]
     if hit.half_edge < 0:
         return hit
-    hit = hit_border_edge(s, t, hit.half_edge, query)
+    hit = hit_edge(s, t, hit.half_edge, query)
     for _ in range(MAX_STEPS):
         here = hit.half_edge
         ahead = s.border_out[half_edge_target(s.corner_vertex, here)]
         behind = s.border_in[s.corner_vertex[here]]
         if ahead >= 0:
-            other = hit_border_edge(s, t, ahead, query)
+            other = hit_edge(s, t, ahead, query)
             if other.squared < hit.squared:
                 hit = other
         if behind >= 0:
-            other = hit_border_edge(s, t, behind, query)
+            other = hit_edge(s, t, behind, query)
             if other.squared < hit.squared:
                 hit = other
         if hit.half_edge == here:
@@ -258,22 +258,22 @@ def closest_border_hit(s: Surface, t: wp.int32, vertex: wp.int32, query: wp.vec3
 
 
 @wp.func
-def hit_seams_about(s: Surface, t: wp.int32, vertex: wp.int32, query: wp.vec3, best: BorderHit) -> BorderHit:
+def hit_seams_about(s: Surface, t: wp.int32, vertex: wp.int32, query: wp.vec3, best: LineHit) -> LineHit:
     """``best``, or a nearer point on the seams that end at a vertex."""
     hit = best
     for i in range(s.adjacency_start[vertex], s.adjacency_start[vertex + 1]):
         half_edge = s.adjacent_corner[i]
         if s.seam[half_edge] == 1:
-            other = hit_border_edge(s, t, half_edge, query)
+            other = hit_edge(s, t, half_edge, query)
             if hit.half_edge < 0 or other.squared < hit.squared:
                 hit = other
     return hit
 
 
 @wp.func
-def closest_seam_hit(s: Surface, t: wp.int32, vertex: wp.int32, query: wp.vec3) -> BorderHit:
+def closest_seam_hit(s: Surface, t: wp.int32, vertex: wp.int32, query: wp.vec3) -> LineHit:
     """The nearest point of the seams downhill from a vertex, over forks, too; half-edge -1 where it is on none."""
-    hit = BorderHit()
+    hit = LineHit()
     hit.half_edge = wp.int32(-1)
     hit = hit_seams_about(s, t, vertex, query, hit)
     if hit.half_edge < 0:
@@ -288,7 +288,7 @@ def closest_seam_hit(s: Surface, t: wp.int32, vertex: wp.int32, query: wp.vec3) 
 
 
 @wp.func
-def closest_line_hit(s: Surface, on_seams: wp.int32, t: wp.int32, vertex: wp.int32, query: wp.vec3) -> BorderHit:
+def closest_line_hit(s: Surface, on_seams: wp.int32, t: wp.int32, vertex: wp.int32, query: wp.vec3) -> LineHit:
     """The nearest point of the seams downhill from a vertex if ``on_seams`` is 1, else of the border."""
     if on_seams == 1:
         return closest_seam_hit(s, t, vertex, query)

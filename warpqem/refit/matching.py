@@ -42,8 +42,8 @@ OUTPUT_SAMPLES = np.array(
 )
 
 # Points on an edge of a border or seam. Output edges are long, and the line leaves them anywhere between their ends.
-INPUT_BORDER_SAMPLES = 1
-OUTPUT_BORDER_SAMPLES = 4
+INPUT_LINE_SAMPLES = 1
+OUTPUT_LINE_SAMPLES = 4
 # What a length of seam counts of what a border of that length does. The whole is 3 % more of the distance on characters
 # for 2 % less of the texture error.
 SEAM_SHARE = 0.3
@@ -226,7 +226,7 @@ class Matching:
     def _find_lines(self, reach: float) -> None:
         source, target, first = self._source, self._target, self._sample_count
         for on_seams, (half_edges, width) in enumerate(self._lines):
-            for is_output, per_edge in enumerate((INPUT_BORDER_SAMPLES, OUTPUT_BORDER_SAMPLES)):
+            for is_output, per_edge in enumerate((INPUT_LINE_SAMPLES, OUTPUT_LINE_SAMPLES)):
                 half_edge = half_edges[is_output]
                 surfaces = [target, source] if is_output else [source, target]
                 start = self._to_input if is_output else self._to_output
@@ -234,7 +234,7 @@ class Matching:
                 inputs = [reach, *surfaces, is_output, on_seams, half_edge, start, per_edge, width, first]
                 if count:
                     keys = range(len(source.points))
-                    self._launch(kernels.match_border_samples, keys, count, inputs, self.input_pairs)
+                    self._launch(kernels.match_line_samples, keys, count, inputs, self.input_pairs)
                 first += 2 * count
 
     def _launch(
@@ -299,7 +299,7 @@ def _border_half_edges(*surfaces: Surface) -> list[wp.array]:
 
 def _line_samples(half_edges: Sequence[wp.array]) -> tuple[int, int]:
     """Samples on the borders or seams of the input, and on those of the output."""
-    return len(half_edges[0]) * INPUT_BORDER_SAMPLES, len(half_edges[1]) * OUTPUT_BORDER_SAMPLES
+    return len(half_edges[0]) * INPUT_LINE_SAMPLES, len(half_edges[1]) * OUTPUT_LINE_SAMPLES
 
 
 def _empty_pairs(count: int, device: str) -> kernels.Pairs:
