@@ -12,7 +12,7 @@ from typing import Any
 import warp as wp
 
 from warpqem.kernels.closest_point import closest_barycentric, offset_squared
-from warpqem.kernels.lanes import lane_dot, lane_sum
+from warpqem.kernels.lanes import POINTS, WIDE, lane_dot, lane_sum
 from warpqem.kernels.mesh_state import AnyKeyFrames, CostModel, MeshState
 from warpqem.kernels.topology import half_edge_target, previous_corner
 
@@ -22,6 +22,13 @@ wp.set_module_options({"enable_backward": False})  # no gradients are taken
 # longest frame alone, or in frames by turns, leave the largest of 49 cells 3 % worse or equal: in the first one, of a
 # rest pose, most of what stands out does.
 MUCH_LONGER = wp.constant(wp.float32(4.0))
+
+
+# Members that are looked at side by side: floats in a 256-bit register.
+MEMBER_WIDTH = wp.constant(WIDE)
+MemberPoints = POINTS[WIDE]
+MemberFloats = wp.types.vector(length=WIDE, dtype=wp.float32)
+MemberLanes = wp.types.vector(length=WIDE, dtype=wp.int32)
 
 
 @wp.struct
@@ -124,18 +131,111 @@ def area_of_member(state: MeshState, longest: CollapsePose, m: wp.int32) -> wp.f
 
 
 @wp.func
+def lower_to_face(near: Any, points: Any, a: wp.vec3, b: wp.vec3, c: wp.vec3):
+    """The smaller ones of squared distances ``near`` (width,) and those of points (3, width) from triangle abc.
+
+    What :func:`offset_squared` gives at :func:`closest_barycentric`, for points side by side: what belongs to the
+    triangle is worked out once, and no point waits for another one's branch.
+    """
+    ab = b - a
+    ac = c - a
+    bc = c - b
+    ca = a - c
+    ab_squared = wp.dot(ab, ab)
+    bc_squared = wp.dot(bc, bc)
+    ca_squared = wp.dot(ca, ca)
+    normal = wp.cross(ab, ac)
+    normal_squared = wp.dot(normal, normal)
+    has_area = normal_squared > 0.0
+    ab_length = wp.where(ab_squared > 0.0, ab_squared, 1.0)
+    bc_length = wp.where(bc_squared > 0.0, bc_squared, 1.0)
+    ca_length = wp.where(ca_squared > 0.0, ca_squared, 1.0)
+    area_length = wp.where(has_area, normal_squared, 1.0)
+    for k in range(len(near)):
+        p = wp.vec3(points[0, k], points[1, k], points[2, k])
+        ap = p - a
+        t = wp.clamp(wp.dot(ap, ab) / ab_length, 0.0, 1.0)
+        r = ap - t * ab
+        best = wp.dot(r, r)
+        t = wp.clamp(wp.dot(p - b, bc) / bc_length, 0.0, 1.0)
+        r = ap - (1.0 - t) * ab - t * ac
+        best = wp.min(best, wp.dot(r, r))
+        t = wp.clamp(wp.dot(p - c, ca) / ca_length, 0.0, 1.0)
+        r = ap - (1.0 - t) * ac
+        best = wp.min(best, wp.dot(r, r))
+        v = wp.dot(wp.cross(ap, ac), normal) / area_length
+        w = wp.dot(wp.cross(ab, ap), normal) / area_length
+        r = ap - v * ab - w * ac
+        inside = has_area and v >= 0.0 and w >= 0.0 and v + w <= 1.0
+        best = wp.where(inside, wp.min(best, wp.dot(r, r)), best)
+        near[k] = wp.min(near[k], best)
+    return near
+
+
+@wp.func
+def ring_distances_squared(
+    state: MeshState, frames: AnyKeyFrames, u: wp.int32, v: wp.int32, pose: CollapsePose, member: MemberLanes
+):
+    """What :func:`ring_distance_squared` gives for members side by side."""
+    points = MemberPoints()
+    near = MemberFloats()
+    for k in range(MEMBER_WIDTH):
+        p = key_point(frames.input, member[k], pose.frame)
+        points[0, k] = p[0]
+        points[1, k] = p[1]
+        points[2, k] = p[2]
+        near[k] = wp.length_sq(p - pose.apex)
+    for side in range(2):
+        a = wp.where(side == 0, u, v)
+        b = wp.where(side == 0, v, u)
+        for i in range(state.adjacency.start[a], state.adjacency.end[a]):
+            h = state.adjacency.corner[i]
+            x = half_edge_target(state.corner_vertex, h)
+            y = state.corner_vertex[previous_corner(h)]
+            if x != b and y != b:
+                q = key_point(frames.position, x, pose.frame)
+                r = key_point(frames.position, y, pose.frame)
+                near = lower_to_face(near, points, pose.apex, q, r)
+    return near
+
+
+@wp.func
 def member_gap(
     state: MeshState, frames: AnyKeyFrames, u: wp.int32, v: wp.int32, first: CollapsePose, longest: CollapsePose
 ) -> wp.vec2:
-    """Sum over the members of ``u`` and ``v`` of area times squared distance, and of their areas."""
+    """Sum over the members of ``u`` and ``v`` of area times squared distance, and of their areas.
+
+    Members are looked at side by side. What :func:`gap_of_member` gives for each, added up one after another.
+    """
     gap = wp.float32(0.0)
     area = wp.float32(0.0)
-    for side in range(2):
-        m = wp.where(side == 0, u, v)
-        while m >= 0:
-            gap += gap_of_member(state, frames, u, v, first, longest, m)
-            area += area_of_member(state, longest, m)
+    m = u
+    on_second = wp.bool(False)
+    while m >= 0:
+        member = MemberLanes()
+        count = wp.int32(0)
+        while m >= 0 and count < MEMBER_WIDTH:
+            member[count] = m
+            count += 1
             m = state.members.following[m]
+            if m < 0 and not on_second:
+                m = v
+                on_second = True
+        for k in range(MEMBER_WIDTH):
+            if k >= count:
+                member[k] = member[0]
+        near = ring_distances_squared(state, frames, u, v, first, member)
+        far_off = MemberFloats()
+        if longest.frame > 0:
+            far_off = ring_distances_squared(state, frames, u, v, longest, member)
+        for k in range(MEMBER_WIDTH):
+            if k < count:
+                here = state.members.area[0, member[k]] * near[k]
+                if longest.frame > 0:
+                    # The mean area is the one there times the share.
+                    here = wp.max(here, state.members.area[1, member[k]] * far_off[k])
+                gap += here
+                area += area_of_member(state, longest, member[k])
     return wp.vec2(gap, area)
 
 
