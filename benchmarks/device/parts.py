@@ -16,7 +16,7 @@ class Part:
 
     Attributes:
         name: on the command line.
-        seconds: that it may take. Time that the parts before it have left over is its own, too.
+        seconds: that it may take, more with ``--quick``. Time that the parts before it have left over is its own, too.
         function: ``module:name`` in this package; it gets :class:`benchmarks.device.findings.Findings`.
         what: it does, in words.
     """

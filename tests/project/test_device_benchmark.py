@@ -171,12 +171,14 @@ def test_a_part_that_fails_is_named_and_the_others_go_on(code, failure, monkeypa
     assert f"probe {failure}" in capfd.readouterr().out
 
 
-def test_time_that_a_part_leaves_over_goes_to_the_next(monkeypatch, tmp_path):
+@pytest.mark.parametrize("quick", [False, True])
+def test_time_that_a_part_leaves_over_goes_to_the_next(monkeypatch, tmp_path, quick):
     limits = []
     monkeypatch.setattr(runner, "run_part", lambda *given: limits.append(given[3]))
-    runner.run(Settings(tmp_path, parts=("probe", "bits", "floors")))
+    runner.run(Settings(tmp_path, quick=quick, parts=("probe", "bits", "floors")))
     by_name = {part.name: part.seconds for part in PARTS}
-    expected = np.cumsum([by_name[name] for name in ("probe", "bits", "floors")])
+    times = runner.QUICK_PATIENCE if quick else 1
+    expected = np.cumsum([times * by_name[name] for name in ("probe", "bits", "floors")])
     np.testing.assert_allclose(limits, expected, atol=1)
 
 

@@ -27,6 +27,7 @@ OTHERS = {
     "turned": np.concatenate([PATCH[:1, ::-1], PATCH[1:]]),
     "pages": meshes.book()[1],
     "touching": meshes.bow_tie()[1],
+    "one-sided": meshes.klein_bottle()[1],
 }
 
 

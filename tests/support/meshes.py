@@ -142,6 +142,20 @@ def moebius(segments: int = 24) -> Mesh:
     return _mesh(points, faces)
 
 
+def klein_bottle(around: int = 48, across: int = 16) -> Mesh:
+    """A figure of eight that makes half a turn on its way around: closed, and without a consistent orientation."""
+    i, j = np.divmod(np.arange(around * across), across)
+    u, v = 2 * np.pi * i / around, 2 * np.pi * j / across
+    radius = 3 + np.cos(u / 2) * np.sin(v) - np.sin(u / 2) * np.sin(2 * v)
+    height = np.sin(u / 2) * np.sin(v) + np.cos(u / 2) * np.sin(2 * v)
+    points = np.stack([radius * np.cos(u), radius * np.sin(u), height], axis=1)
+    aside = i * across + (j + 1) % across
+    further = np.where(i + 1 < around, (i + 1) * across + j, -j % across)
+    both = np.where(i + 1 < around, (i + 1) * across + (j + 1) % across, -(j + 1) % across)
+    here = np.arange(len(points))
+    return _mesh(points, np.concatenate([np.stack([here, aside, both], 1), np.stack([here, both, further], 1)]))
+
+
 def back_to_back() -> Mesh:
     """Two triangles over the same three vertices, facing apart: a closed surface without volume."""
     return _mesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2], [0, 2, 1]])

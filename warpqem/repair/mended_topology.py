@@ -19,8 +19,12 @@ from warpqem.runtime.part_launches import FIRST_ITEM, launch_in_parts
 __all__ = ["TopologyFindings", "TopologyRepair", "repair_topology"]
 
 # Sheets stay joined where no more than this part of the vertices has several, as these then keep their place: of the
-# vertices of a mesh with a tenth of its faces they are a tenth.
-HELD_SHARE = 0.01
+# vertices of a mesh with a tenth of its faces they are ten times as much. With 0.3 to 0.5 % of the vertices held, three
+# meshes had 7 % more RMS at a tenth of the faces, 11 to 14 % at a twentieth, half again to twice as much at a fiftieth;
+# with less than 0.2 % there was no difference.
+HELD_SHARE = 0.002
+# In small meshes so many vertices may be held, where they are no more than this part.
+HELD_COUNT, HELD_SHARE_OF_FEW = 4, 0.01
 # Faces of meshes that are known again: up to so many, a look at the faces takes longer than to compare them.
 REMEMBERED_FACES = 20000
 
@@ -36,7 +40,9 @@ class TopologyFindings:
         turned_faces: faces whose winding was not that of most faces around. They are turned over.
         branching_edges: edges with more than two faces, both sides of one counted once.
         touching_vertices: vertices where parts of the surface meet in nothing but this point.
-        is_cut: whether the surface was cut at these edges and vertices; otherwise they keep their place.
+        one_sided_edges: edges that a surface with one side only, such as a Möbius strip, keeps between faces of unlike
+            winding.
+        is_cut: whether the surface was cut at all these edges and vertices; otherwise they keep their place.
     """
 
     repeated_faces: int = 0
@@ -44,6 +50,7 @@ class TopologyFindings:
     turned_faces: int = 0
     branching_edges: int = 0
     touching_vertices: int = 0
+    one_sided_edges: int = 0
     is_cut: bool = False
 
     def lines(self) -> list[str]:
@@ -55,6 +62,7 @@ class TopologyFindings:
             "faces wound unlike most around them, turned over": self.turned_faces,
             f"edges with more than two faces, {what_then}": self.branching_edges,
             f"vertices where surfaces touch in a point, {what_then}": self.touching_vertices,
+            f"edges where a one-sided surface changes its winding, {what_then}": self.one_sided_edges,
         }
         return [f"{what}: {count}" for what, count in words.items() if count]
 
@@ -85,8 +93,8 @@ def repair_topology(faces: np.ndarray, vertex_count: int, device: str) -> Topolo
 
     Faces that repeat another one are left out, and connected parts get one winding, that of most of their faces. Edges
     and vertices where more than one sheet of the surface meets are cut, each sheet with copies of the vertices, unless
-    they are so few that decimation can go around them. What a surface with one side only, such as a Möbius strip, keeps
-    of unlike winding stays as it is.
+    they are so few that decimation can go around them. So are the edges where a surface with one side only, such as a
+    Möbius strip or a tangle of handles, has faces of unlike winding: their ends could not collapse either.
     """
     if _is_clean(faces, vertex_count, device):
         return None
@@ -96,10 +104,12 @@ def repair_topology(faces: np.ndarray, vertex_count: int, device: str) -> Topolo
     pairs = pair_faces(corner, vertex_count)
     double = back >= 0
     turned = turned_faces(pairs, ~double)
-    fan = _fans(len(corner), pairs)
+    changes = _winding_changes(pairs, turned)
+    fan = _fans(len(corner), pairs.half_edge[~changes], pairs.opposed[~changes])
     split, vertex = _split_vertices(corner, fan, vertex_count)
     joined = len(np.unique(vertex[vertex_count:]))
-    is_cut = joined > HELD_SHARE * len(np.unique(corner))
+    used = len(np.unique(corner))
+    is_cut = joined > max(HELD_SHARE * used, min(HELD_COUNT, HELD_SHARE_OF_FEW * used))
     if not is_cut:
         split, vertex = corner.copy(), np.arange(vertex_count, dtype=np.int32)
     findings = TopologyFindings(
@@ -107,7 +117,8 @@ def repair_topology(faces: np.ndarray, vertex_count: int, device: str) -> Topolo
         int(double.sum()),
         int((turned & ~double).sum()),
         len(pairs.branching),
-        _touching(corner, fan, pairs.branching),
+        _touching(corner, fan, np.append(pairs.branching, _ends(corner, pairs.half_edge[changes, 0]))),
+        int(changes.sum()),
         is_cut,
     )
     split[turned] = split[turned][:, ::-1]
@@ -143,11 +154,22 @@ def _found_clean(faces: np.ndarray, vertex_count: int, device: str) -> bool:
     return not is_unclean.numpy()[0]
 
 
-def _fans(face_count: int, pairs: EdgePairs) -> np.ndarray:
-    """(3M,) the lowest corner of the fan of faces that each corner is in."""
-    one, other = pairs.half_edge.T
+def _winding_changes(pairs: EdgePairs, turned: np.ndarray) -> np.ndarray:
+    """(P,) bool, pairs of faces that have unlike windings also when some faces (M,) bool are turned over."""
+    one, other = (pairs.half_edge // 3).T
+    return np.asarray(pairs.opposed == (turned[one] ^ turned[other]))
+
+
+def _ends(faces: np.ndarray, half_edge: np.ndarray) -> np.ndarray:
+    """The vertices where half-edges of faces (M, 3) begin and end."""
+    return np.append(faces.ravel()[half_edge], np.roll(faces, -1, axis=1).ravel()[half_edge])
+
+
+def _fans(face_count: int, half_edge: np.ndarray, opposed: np.ndarray) -> np.ndarray:
+    """(3M,) the lowest corner of the fan of faces that each corner is in, by pairs as in :class:`EdgePairs`."""
+    one, other = half_edge.T
     next_one, next_other = (h - h % 3 + (h + 1) % 3 for h in (one, other))
-    at_tail, at_head = np.where(pairs.opposed, next_other, other), np.where(pairs.opposed, other, next_other)
+    at_tail, at_head = np.where(opposed, next_other, other), np.where(opposed, other, next_other)
     links = np.concatenate([np.stack([one, at_tail], axis=1), np.stack([next_one, at_head], axis=1)])
     return lowest_members(3 * face_count, links)
 
@@ -165,8 +187,8 @@ def _split_vertices(faces: np.ndarray, fan: np.ndarray, vertex_count: int) -> tu
     return place[fan].reshape(-1, 3).astype(np.int32), vertex.astype(np.int32)
 
 
-def _touching(faces: np.ndarray, fan: np.ndarray, branching: np.ndarray) -> int:
-    """Vertices with more than one fan, none of which ends at an edge that was cut."""
+def _touching(faces: np.ndarray, fan: np.ndarray, cut: np.ndarray) -> int:
+    """Vertices with more than one fan that are no end (n,) of an edge that was cut."""
     heads = np.flatnonzero(fan == np.arange(len(fan)))
     vertex, count = np.unique(faces.ravel()[heads], return_counts=True)
-    return len(np.setdiff1d(vertex[count > 1], branching))
+    return len(np.setdiff1d(vertex[count > 1], cut))
