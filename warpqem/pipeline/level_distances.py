@@ -36,17 +36,18 @@ class LevelDistances:
     Args:
         work: the mesh, with no other frames than those to look at.
         frames: its frames and those of the levels.
+        around: its faces.
         limit: distances within it, in diagonals, are looked at no closer.
 
     Attributes:
         limit: the same, or a part of the largest distance of the first level.
     """
 
-    def __init__(self, work: Prepared, frames: LevelFrames, limit: float) -> None:
+    def __init__(self, work: Prepared, frames: LevelFrames, around: FacesAround, limit: float) -> None:
         self._mesh, self._device = work.mesh, work.device
         self._frames, self.limit = frames, limit
         vertex_count, face_count = work.mesh.vertex_count, len(work.mesh.faces)
-        self._around = FacesAround(work.mesh.faces, vertex_count)
+        self._around = around
         # How far each input vertex is, each large input face, each face of a level, by the input face that it goes on
         # from, and each of its vertices.
         self._far_vertex = np.zeros(vertex_count, dtype=np.float32)
