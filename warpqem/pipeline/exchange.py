@@ -144,8 +144,6 @@ class _Search:
         """The order's own level, placed and refitted roughly."""
         level = self._level(self._filled(self._prefix()))
         placer = self._work.placer(level.ordered, refit=True)
-        settings = replace(self._work.place_settings, softening=placer.softening)
-        self._work = replace(self._work, place_settings=settings)
         device = self._work.device
         array = DeviceSink(device) if device_traits(device).own_memory else ArraySink()
         result = without_frames(self._work, placer, level.ordered)

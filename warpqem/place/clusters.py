@@ -12,15 +12,14 @@ from warpqem.decimation.decimate import DecimatedMesh
 from warpqem.decimation.initial_quadrics import CONSTRAINT_WEIGHT
 from warpqem.decimation.quadric_sums import QuadricSums
 from warpqem.kernels import cluster_rows as kernels
-from warpqem.kernels.placement import STEPS
 from warpqem.mesh.mesh_input import AnimatedMesh
 from warpqem.place.anchors import Clusters, fit_anchors, nearest_anchors
 from warpqem.place.block_placer import BlockPlacer, ClusterData, PlacedBlocks
 from warpqem.place.cluster_rows import ClusterFaces, match_keys, sum_repeated
+from warpqem.place.softness import chosen_stiffness
 from warpqem.place.stiffness import (
     MIN_REGULARISATION,
     MIN_STIFFNESS,
-    choose_softness,
     recent_errors,
     softer_choices,
     stiffness_by_size,
@@ -83,7 +82,6 @@ class ClusterPlacer:
         seam: half-edges of the input's seams, both of each edge.
         on_seam: (C,) bool, vertices that stand for one on a seam.
         nearest: (C,) int32 on the device, an input vertex of each cluster near to its anchor.
-        softening: halvings of the stiffness that all clusters have at least.
         copied_count: vertices M that are copies of an input vertex.
         copied: (M,) int32 on the device, these vertices.
         clusters: what placing a block of frames takes.
@@ -141,20 +139,26 @@ class ClusterPlacer:
             },
         )
         self._blocks = BlockPlacer(self.clusters, device)
-        self.softening = settings.softening
+        self._softest: wp.array | None = None
         choices = softer_choices(stiffness)
         # Where no cluster has a choice, the device is not asked.
         if not settings.endpoint and (choices[:, 0] > choices[:, -1]).any():
-            error, wander, area = self._blocks.measure_stiffness(ordered.key_position, ordered.key_count, choices)
+            there = wp.array(choices, dtype=wp.float32, device=device, copy=False)
+            sums = self._blocks.measure_stiffness(ordered.key_position, ordered.key_count, there)
             recent = recent_errors(ordered.log, kept)
-            chosen = choose_softness(error, wander, area, recent, settings.coherence_cost, settings.softening)
-            self.softening = int(chosen.min(initial=int(STEPS) - 1))
-            self._blocks.set_stiffness(choices[np.arange(len(kept)), chosen])
+            chosen = chosen_stiffness(sums, there, recent, settings.coherence_cost, settings.softening)
+            self._softest = chosen.softest
+            self._blocks.set_stiffness(chosen.stiffness)
         # A vertex that is not solved for is copied, so that it keeps its bits: the one that its anchor is.
         copied = np.flatnonzero(solved == 0)
         copied_from = self.nearest.numpy() if settings.endpoint else kept[copied]
         self._blocks.copy_vertices(copied_from, copied)
         self.copied, self.copied_count = self._blocks.copied, len(copied)
+
+    @property
+    def softening(self) -> int:
+        """Halvings of the stiffness that all clusters have at least; the device is asked."""
+        return self._settings.softening if self._softest is None else int(self._softest.numpy()[0])
 
     def place(self, mesh: AnimatedMesh, points: wp.array, packed: wp.array | None = None) -> PlacedBlocks:
         """Place some frames of the mesh, given about its origin: (n, V) points; see :class:`BlockPlacer`."""
