@@ -152,6 +152,7 @@ _STREAMED: dict[str, tuple[tuple[str, float], ...]] = {
     "list_border": (("opposite_in", 1), ("half_edge_out", 2)),
     "mark_long_corrections": (("correction_in", 1), ("marked_out", 1)),
     "sum_face_sizes": (("points_in", 1), ("corner_vertex_in", 1), ("sum_out", 1)),
+    "weigh_sizes": (("sum_in", 1), ("size_out", 1)),
     "raise_holds": (("marked_in", 1),),
     "take_held": (("held_in", 1), ("solution_in", 1), ("correction", 1)),
     "scale_corrections": (("factor_in", 1), ("correction", 2)),

@@ -29,7 +29,7 @@ from warpqem.refit.component_limits import ComponentLimits
 from warpqem.refit.holds import Holds
 from warpqem.refit.matching import Matching, make_surface
 from warpqem.refit.material_frames import MaterialFrames
-from warpqem.refit.scales import frame_scale, read_scales
+from warpqem.refit.scales import FitSizes, frame_scale
 from warpqem.refit.seam_edges import find_seams
 from warpqem.refit.solve import ElementSolver
 from warpqem.runtime import new_arrays
@@ -48,18 +48,10 @@ ROUGH_ROUNDS = 2
 # no more than the rest of the job. One frame for each sample gives away 0.5 % of the error, as samples take turns.
 FRAMES_PER_TURN = 48
 
-# Stiffness of corrections, relative to the area they stand for: along the surface, across it; and on the relative
-# change of edge lengths. Twice as much fits 0.6 % worse and changes edges 2 % less.
+# Stiffness of corrections, relative to the area they stand for: along the surface, across it.
 TANGENT_STIFFNESS = 0.001
 NORMAL_STIFFNESS = 0.00008
-EDGE_STIFFNESS = 0.002
 
-# Distances from the output to the input count twice: without that the input's many samples in sharp places draw the
-# output inwards there.
-OUTPUT_SHARE = 2.0
-
-# A border counts as a strip beside it, so wide in mean edge lengths of the output.
-BORDER_WIDTH = 0.5
 # Pairs further apart than so many times the largest error of a collapse are left out: there the search for the nearest
 # point got lost. The surfaces themselves are nowhere further apart than about three times that.
 REACH = 4.0
@@ -183,8 +175,8 @@ class _Refit:
         self._keys = self._all_frames.of(keys)
         self._equations = self._make_equations()
         self._solver = ElementSolver(self._equations.elements)
-        self._scales, nearest = read_scales(keys.points, placer.faces, self._corner_vertex, placer.nearest)
-        self._turns = max(1, min(len(key_frames), mesh.frame_count // FRAMES_PER_TURN))
+        turns = max(1, min(len(key_frames), mesh.frame_count // FRAMES_PER_TURN))
+        self._sizes = FitSizes.of(keys.points, placer.faces, self._corner_vertex, self._vertex_count, turns)
         # Of a pruned component nothing is near to the output.
         is_left = placer.vertex_map[mesh.faces[:, 0]] >= 0
         faces = mesh.faces[is_left]
@@ -204,9 +196,9 @@ class _Refit:
             placer.vertex_map,
             faces,
             placer.faces,
-            nearest,
-            self._turns,
-            BORDER_WIDTH * self._scales.edge_squared**0.5,
+            placer.nearest,
+            turns,
+            self._sizes.values,
             (seams[0].half_edge, seams[1].half_edge),
             device,
         )
@@ -226,8 +218,8 @@ class _Refit:
 
     @property
     def has_no_area(self) -> bool:
-        """Whether all faces are lines or points: such a surface says nothing of where to move."""
-        return self._scales.area == 0.0
+        """Whether the host knows that all faces are lines or points: such a surface says nothing of where to move."""
+        return self._sizes.is_flat
 
     def _make_rings(self, first: PlacedFrames) -> frame_kernels.OneRings:
         rings = frame_kernels.OneRings()
@@ -242,18 +234,17 @@ class _Refit:
         """One round: pair the surfaces as they lie now, and solve for the corrections.
 
         A surface without area, such as one that is flattened to a line, stays as it is: it has nothing to fit to.
+        There the device solves nothing where the host does not know.
 
         Args:
             reach: points further apart are no pair.
             search: walks that end at no partner are followed by a search.
             take_limits: let the distances of each component come to what they are now; this needs the search.
         """
-        if not self._scales.area > 0.0:
-            return
         self._keys.move(self._correction, self._moved)
         self._matching.find(reach, search, raise_limits if take_limits else None, self._limits.sampled)
         self._assemble()
-        wp.copy(self._correction, self._solve())
+        wp.copy(self._correction, self._solve(self._sizes.has_area))
 
     def _make_equations(self) -> _Equations:
         elements, device, face_count = Elements(), self._device, len(self._faces)
@@ -269,10 +260,6 @@ class _Refit:
 
     def _assemble(self) -> None:
         """Make the normal equations of the last pairs, found on the surface as it is corrected now."""
-        # One for a vertex's share of the area.
-        unit = self._vertex_count / (self._scales.area * self._turns)
-        mass = (1.0 + OUTPUT_SHARE) * self._turns * unit
-        edge_weight = EDGE_STIFFNESS / 6.0 / len(self._keys.points)
         equations = self._equations
         launch(
             kernels.assemble_elements,
@@ -283,9 +270,7 @@ class _Refit:
                 self._matching.input_start,
                 self._matching.input_order,
                 self._matching.output_pairs,
-                wp.vec3(unit, OUTPUT_SHARE * unit, edge_weight),
-                self._scales.edge_squared,
-                mass,
+                self._sizes.values,
                 self._keys.points,
                 self._keys.frames,
                 self._correction,
@@ -333,7 +318,7 @@ class _Refit:
         launch(
             frame_kernels.mark_long_corrections,
             dim=self._vertex_count,
-            inputs=[self._correction, self._scales.edge_squared],
+            inputs=[self._correction, self._sizes.values],
             outputs=[marks],
             device=self._device,
         )
@@ -372,7 +357,10 @@ class _Refit:
         """
         while True:
             self._keys.move(self._correction, self._moved)
-            marks, any_marked = read_together(self._limits.mark_far(self._moved), self._holds.any_marked)
+            far = self._limits.mark_far(self._moved)
+            marks, any_marked, has_area = read_together(far, self._holds.any_marked, self._sizes.has_area)
+            if not has_area[0]:
+                return np.zeros(self._vertex_count, dtype=bool)
             if not any_marked[0]:
                 return marks != 0
             self.hold_back()
