@@ -147,9 +147,6 @@ _STREAMED: dict[str, tuple[tuple[str, float], ...]] = {
     "move_by_corrections": (("points_in", 1), ("points_out", 1), ("correction_in", 1)),
     # What is written are as many blocks as are read.
     "hold_elements": (("diagonal_in", 2), ("share_in", 1), ("hold_in", 1), ("corner_vertex_in", 1)),
-    "mark_border": (("opposite_in", 1), ("is_border_out", 1)),
-    # A look at every half-edge; few are listed.
-    "list_border": (("opposite_in", 1), ("half_edge_out", 2)),
     "mark_long_corrections": (("correction_in", 1), ("marked_out", 1)),
     "sum_face_sizes": (("points_in", 1), ("corner_vertex_in", 1), ("sum_out", 1)),
     "weigh_sizes": (("sum_in", 1), ("size_out", 1)),

@@ -30,7 +30,7 @@ from warpqem.refit.holds import Holds
 from warpqem.refit.matching import Matching, make_surface
 from warpqem.refit.material_frames import MaterialFrames
 from warpqem.refit.scales import FitSizes, frame_scale
-from warpqem.refit.seam_edges import find_seams
+from warpqem.refit.seam_edges import find_borders, find_seams
 from warpqem.refit.solve import ElementSolver
 from warpqem.runtime import new_arrays
 from warpqem.runtime.device import device_traits
@@ -199,6 +199,7 @@ class _Refit:
             placer.nearest,
             turns,
             self._sizes.values,
+            find_borders(placer.border, is_left, self._faces, placer.is_open),
             (seams[0].half_edge, seams[1].half_edge),
             device,
         )

@@ -85,7 +85,8 @@ class Matching:
         turns: frames in which each sample is paired.
         sizes: (SIZES,) float32 on the device, see :class:`warpqem.refit.scales.FitSizes`: lengths of borders and seams
             count as strips so wide.
-        seams: half-edges of seams of the input and of the output, one of each edge.
+        borders: half-edges without an opposite one of the input and of the output.
+        seams: half-edges of seams of both, one of each edge.
         device: Warp device.
 
     Attributes:
@@ -105,6 +106,7 @@ class Matching:
         nearest: wp.array,
         turns: int,
         sizes: wp.array,
+        borders: tuple[np.ndarray, np.ndarray],
         seams: tuple[np.ndarray, np.ndarray],
         device: str,
     ) -> None:
@@ -113,10 +115,9 @@ class Matching:
         self._to_output = new_arrays.uploaded(vertex_map, dtype=wp.int32, device=device)
         self._to_input, self._sizes = nearest, sizes
         self._hierarchies = _Hierarchy(source), _Hierarchy(target)
-        on_device = [new_arrays.uploaded(half_edge, dtype=wp.int32, device=device) for half_edge in seams]
-        self._lines = (
-            (_border_half_edges(source, target), BORDER_WIDTH),
-            (on_device, SEAM_WIDTH),
+        self._lines = tuple(
+            ([new_arrays.uploaded(half_edge, dtype=wp.int32, device=device) for half_edge in half_edges], width)
+            for half_edges, width in ((borders, BORDER_WIDTH), (seams, SEAM_WIDTH))
         )
         self._sample_count = (len(faces) + len(vertex_map)) * turns
         # Two pairs at each point of a border or seam.
@@ -274,26 +275,6 @@ class _Hierarchy:
         """Fit it to a frame of a surface of the same faces."""
         wp.copy(self._mesh.points, surface.points[key])
         self._mesh.refit()
-
-
-def _border_half_edges(*surfaces: Surface) -> list[wp.array]:
-    """(B,) int32 of each; their numbers come to the host together."""
-    device = surfaces[0].opposite.device
-    found = new_arrays.zeros(len(surfaces), dtype=wp.int32, device=device)
-    before = []
-    for number, surface in enumerate(surfaces):
-        marks = wp.empty_like(surface.opposite)
-        launch(walk_kernels.mark_border, len(marks), [surface.opposite], [marks], device=device)
-        wp.utils.array_scan(marks, marks, inclusive=True)
-        if len(marks):
-            wp.copy(found, marks, dest_offset=number, src_offset=len(marks) - 1, count=1)
-        before.append(marks)
-    lists = [new_arrays.empty(int(count), dtype=wp.int32, device=device) for count in found.numpy()]
-    for surface, marks, half_edge in zip(surfaces, before, lists, strict=True):
-        if len(half_edge):
-            inputs = [surface.opposite, marks]
-            launch(walk_kernels.list_border, len(marks), inputs, [half_edge], device=device)
-    return lists
 
 
 def _line_samples(half_edges: Sequence[wp.array]) -> tuple[int, int]:
