@@ -57,3 +57,50 @@ def gather_log(
         values_out[place] = rows_in[row, slot]
     error = wp.sqrt(wp.cast(rows_in[last, slot], wp.float32))
     values_out[last * count + i] = wp.cast(error, wp.int32)
+
+
+@wp.kernel
+def begin_roots(
+    # out
+    parent_out: wp.array[wp.int32],
+):
+    """Every vertex (V,) goes on as itself."""
+    v = wp.tid()
+    parent_out[v] = v
+
+
+@wp.kernel
+def link_collapses(
+    # in
+    values_in: wp.array[wp.int32],
+    vertex_in: wp.array[wp.int32],
+    # out
+    parent_out: wp.array[wp.int32],
+):
+    """The vertex that each removed one collapsed into, of a log as :func:`gather_log` leaves it.
+
+    ``vertex_in`` (V,) says which vertex of the input the log's are; it may be empty: the same.
+    """
+    i = wp.tid()
+    count = values_in.shape[0] / 8
+    kept = values_in[i]
+    removed = values_in[count + i]
+    if vertex_in.shape[0] > 0:
+        kept = vertex_in[kept]
+        removed = vertex_in[removed]
+    parent_out[removed] = kept
+
+
+@wp.kernel
+def follow_collapses(
+    # in
+    parent_in: wp.array[wp.int32],
+    # out
+    root_out: wp.array[wp.int32],
+):
+    """The vertex that each vertex (V,) ended in."""
+    v = wp.tid()
+    root = v
+    while parent_in[root] != root:
+        root = parent_in[root]
+    root_out[v] = root

@@ -14,6 +14,7 @@ def test_arrays_that_are_read_together_are_as_each_alone(device):
         wp.empty(0, dtype=wp.float32, device=device),
         wp.array(rng.normal(size=3), dtype=wp.float64, device=device),
         wp.array(rng.normal(size=(2, 3, 3)), dtype=wp.mat33, device=device),
+        wp.array(np.arange(8) % 3 == 0, dtype=wp.bool, device=device),
     ]
     for array, found in zip(given, read_together(*given), strict=True):
         assert found.dtype == array.numpy().dtype

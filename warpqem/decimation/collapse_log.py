@@ -15,7 +15,7 @@ from warpqem.runtime import new_arrays
 from warpqem.runtime.device import device_traits
 from warpqem.runtime.launches import launch
 
-__all__ = ["CollapseRecord", "new_log", "read_log"]
+__all__ = ["CollapseRecord", "log_of", "new_log", "ordered_log", "read_log"]
 
 # Share of the collapses so far whose errors say how far the mesh is from the input. Over 68 cells the root mean square
 # of the last sixteenth is 0.2 to 1.6, mostly 0.7 to 1.3, of what the quadrics of all clusters have in the end.
@@ -94,14 +94,22 @@ def new_log(capacity: int, device: str) -> tuple[CollapseLog, wp.array]:
 
 def read_log(rows: wp.array, count: int) -> CollapseRecord:
     """Fetch ``count`` collapses; those of a round, which threads log in any order, are put in order of their cost."""
+    return log_of(ordered_log(rows, count).numpy())
+
+
+def ordered_log(rows: wp.array, count: int) -> wp.array:
+    """The same on the device: (8 C,) int32, for :func:`log_of`."""
     device = rows.device
-    if not count:
-        values = np.empty((len(rows), 0), dtype=np.int32)
-    else:
+    ordered = new_arrays.empty(len(rows) * count, dtype=wp.int32, device=device)
+    if count:
         slot = _order_on_host(rows, count) if device_traits(str(device)).in_order else _order_by_sorts(rows, count)
-        ordered = new_arrays.empty(len(rows) * count, dtype=wp.int32, device=device)
         launch(kernels.gather_log, count, [rows, slot], [ordered], device=device)
-        values = ordered.numpy().reshape(len(rows), count)
+    return ordered
+
+
+def log_of(ordered: np.ndarray) -> CollapseRecord:
+    """The log of (8 C,) int32 that :func:`ordered_log` gives."""
+    values = ordered.reshape(len(_INTEGERS) + len(_NUMBERS), -1)
     by_name = dict(zip(_INTEGERS, values, strict=False))
     cost, error = (row.view(np.float32) for row in values[len(_INTEGERS) :])
     return CollapseRecord(

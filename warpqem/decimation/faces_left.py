@@ -11,7 +11,7 @@ from warpqem.kernels import faces_left as kernels
 from warpqem.runtime import new_arrays
 from warpqem.runtime.launches import launch
 
-__all__ = ["faces_left"]
+__all__ = ["MarkedFaces", "faces_left"]
 
 
 def faces_left(
@@ -30,21 +30,40 @@ def faces_left(
     Returns:
         ``faces`` (N', 3) int32 over the kept vertices, ``face_map`` (N',) int32 ascending, the input face of each.
     """
-    device, count = corner_vertex.device, len(corner_vertex) // 3
-    roots = new_arrays.uploaded(root, dtype=wp.int32, device=device)
-    dropped = new_arrays.uploaded(drops.vertex_drop if len(drops) else [], dtype=wp.int32, device=device)
-    before = new_arrays.empty(count, dtype=wp.int32, device=device)
-    launch(kernels.mark_faces_left, count, [corner_vertex, roots, dropped], [before], device=device)
-    wp.utils.array_scan(before, before, inclusive=True)
-
-    def list_rows(room: int) -> np.ndarray:
-        rows = new_arrays.empty(1 + room, dtype=wp.vec4i, device=device)
-        launch(kernels.list_faces_left, count, [corner_vertex, roots, before], [rows], device=device)
-        return np.array(rows.numpy())
-
     # As many as the collapses say, so that the host waits once; the device knows the number.
-    rows = list_rows(max(0, count - int(log.faces_removed.sum()) - int(drops.face_count.sum())))
-    left = int(rows[0, 0])
-    if left >= len(rows):
-        rows = list_rows(left)
-    return np.ascontiguousarray(rows[1 : 1 + left, 1:]), np.array(rows[1 : 1 + left, 0])
+    room = max(0, len(corner_vertex) // 3 - int(log.faces_removed.sum()) - int(drops.face_count.sum()))
+    roots = new_arrays.uploaded(root, dtype=wp.int32, device=corner_vertex.device)
+    marked = MarkedFaces(corner_vertex, roots, drops)
+    return marked.listed(np.array(marked.rows(room).numpy()))
+
+
+class MarkedFaces:
+    """The faces that are left, on the device.
+
+    Args:
+        corner_vertex: (3N,) int32, the input's faces, one at least.
+        root: (V,) int32, the vertex that each input vertex collapsed into.
+        drops: the pruned components.
+    """
+
+    def __init__(self, corner_vertex: wp.array, root: wp.array, drops: DropRecord) -> None:
+        device, count = corner_vertex.device, len(corner_vertex) // 3
+        self._corner_vertex, self._root = corner_vertex, root
+        dropped = new_arrays.uploaded(drops.vertex_drop if len(drops) else [], dtype=wp.int32, device=device)
+        self._before = new_arrays.empty(count, dtype=wp.int32, device=device)
+        launch(kernels.mark_faces_left, count, [corner_vertex, root, dropped], [self._before], device=device)
+        wp.utils.array_scan(self._before, self._before, inclusive=True)
+
+    def rows(self, room: int) -> wp.array:
+        """(1 + room,) vec4i: how many there are, then as many as there is room for."""
+        device, inputs = self._before.device, [self._corner_vertex, self._root, self._before]
+        rows = new_arrays.empty(1 + room, dtype=wp.vec4i, device=device)
+        launch(kernels.list_faces_left, len(self._before), inputs, [rows], device=device)
+        return rows
+
+    def listed(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What :func:`faces_left` gives, of rows that came to the host; more are fetched where there was no room."""
+        left = int(rows[0, 0])
+        if left >= len(rows):
+            rows = np.array(self.rows(left).numpy())
+        return np.ascontiguousarray(rows[1 : 1 + left, 1:]), np.array(rows[1 : 1 + left, 0])

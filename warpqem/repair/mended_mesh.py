@@ -145,7 +145,7 @@ def _split(source: FrameSource, vertex: np.ndarray) -> FrameSource:
 
 def repaired_mesh(mesh: MeshInput, device: str) -> MeshInput:
     """The same mesh where its topology is fit for decimation, else one with the topology mended, and its ``repair``."""
-    if mesh.repair is not None:
+    if mesh.repair is not None or mesh.is_clean:
         return mesh
     repair = _repair(mesh.faces, mesh.face_index, mesh.input_face_count, mesh.vertex_count, device)
     if repair is None:

@@ -10,7 +10,7 @@ from warpqem.runtime.device import device_traits
 
 __all__ = ["read_together"]
 
-# Bytes of a number that all arrays are whole multiples of.
+# Bytes of a word.
 ITEM = 4
 
 
@@ -18,12 +18,19 @@ def read_together(*arrays: wp.array) -> list[np.ndarray]:
     """What ``numpy()`` of each gives, by one copy to the host.
 
     Args:
-        arrays: those of one device, contiguous, of numbers of four or eight bytes or of vectors of them.
+        arrays: those of one device, contiguous, of whole words: of numbers of four or eight bytes or of vectors of
+            them, or four bytes, eight and so on of smaller ones.
+
+    Raises:
+        ValueError: one is of no whole words.
     """
     device = arrays[0].device
     if len(arrays) == 1 or not device_traits(str(device)).own_memory:
         return [array.numpy() for array in arrays]
-    counts = [array.size * wp.types.type_size_in_bytes(array.dtype) // ITEM for array in arrays]
+    sizes = [array.size * wp.types.type_size_in_bytes(array.dtype) for array in arrays]
+    if any(size % ITEM for size in sizes):
+        raise ValueError(f"arrays of {', '.join(map(str, sizes))} bytes, expected words of {ITEM}")
+    counts = [size // ITEM for size in sizes]
     joined = new_arrays.empty(sum(counts), dtype=wp.int32, device=device)
     ends = np.cumsum(counts)
     for array, count, end in zip(arrays, counts, ends.tolist(), strict=True):
