@@ -70,6 +70,7 @@ class ComponentLimits:
         sampled.vertex_component = wp.array(of_input, dtype=wp.int32, device=device)
         sampled.far = new_arrays.zeros(vertex_count, dtype=wp.int32, device=device)
         self._own: OwnParts | None = None
+        self._room: int | None = None
 
     def mark_far(self, moved: wp.array) -> wp.array:
         """(C,) int32 on the device, 1 at vertices of places further away than any of their component was as placed.
@@ -83,6 +84,18 @@ class ComponentLimits:
             self._own = self._make_own_parts()
         self._own.mark_far(moved, self.sampled.far)
         return self.sampled.far
+
+    @property
+    def large_count(self) -> wp.array | None:
+        """(1,) int32 on the device: what :meth:`mark_far` may not have had room for; None where it has."""
+        return None if self._own is None else self._own.large_count
+
+    def has_room(self, large_count: int) -> bool:
+        """Whether there was room for so many large faces; else there is from now on, and places are looked at again."""
+        if self._own is None or large_count <= self._own.room:
+            return True
+        self._own, self._room = None, large_count
+        return False
 
     def whole_components(self, marked: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
         """(C,) bool, all vertices of the components that some vertices (C,) bool are of."""
@@ -103,4 +116,5 @@ class ComponentLimits:
             self.sampled.own_squared,
             self.sampled.frame_scale,
             self._device,
+            self._room,
         )

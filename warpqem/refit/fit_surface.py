@@ -359,12 +359,16 @@ class _Refit:
         while True:
             self._keys.move(self._correction, self._moved)
             far = self._limits.mark_far(self._moved)
-            marks, any_marked, has_area = read_together(far, self._holds.any_marked, self._sizes.has_area)
+            asked = [self._holds.any_marked, self._sizes.has_area]
+            if self._limits.large_count is not None:
+                asked.append(self._limits.large_count)
+            marks, any_marked, has_area, *large = read_together(far, *asked)
             if not has_area[0]:
                 return np.zeros(self._vertex_count, dtype=bool)
-            if not any_marked[0]:
+            if any_marked[0]:
+                self.hold_back()
+            elif not large or self._limits.has_room(int(large[0][0])):
                 return marks != 0
-            self.hold_back()
 
     def pair_again(self, reach: float) -> None:
         """Pair the surfaces as :meth:`far_vertices` looked at them, so that others adapt to what is held."""
