@@ -9,6 +9,7 @@ every frame were measured too: they gain 2 % more and slide.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -74,6 +75,8 @@ MIN_DOUBTED = 1e-6
 # Where the host would wait to see whether vertices are held back, they are held so often before it looks: a time that
 # changes nothing takes the device less than the host would wait. The gallop takes one to four.
 HELD_AT_ONCE = 4
+# A rough fit is only looked at: it may still turn a face over.
+HELD_ROUGHLY = 4
 
 
 def fit_corrections(
@@ -114,7 +117,7 @@ def fit_corrections(
     for left in reversed(range((ROUGH_ROUNDS if roughly else ROUNDS) - 1)):
         # So do the last ones: of twelve clips the error is 0.3 % more without, of assemblies 1 %.
         fit.improve(reach, search=left == 0 and not roughly)
-    fit.hold_back(to_the_end=roughly)
+    fit.hold_back(HELD_ROUGHLY if roughly else None)
     if roughly:
         return fit.apply
     for _ in range(ATTEMPTS):
@@ -294,7 +297,7 @@ class _Refit:
         )
         return self._solver.solve(equations.right, wanted)
 
-    def hold_back(self, to_the_end: bool = False) -> None:
+    def hold_back(self, most: int | None = None) -> None:
         """Stiffen vertices that turn a face over in some frame, and at last do not move them.
 
         Likewise those that would go further than an edge is long in the mean: no pair is there, and few faces far off
@@ -304,14 +307,18 @@ class _Refit:
         more than its own share of the fit.
 
         Args:
-            to_the_end: Wait for the device to be through. Else :meth:`far_vertices` sees to it.
+            most: So often at most; None for as often as it takes. Where the host would wait to see, :meth:`far_vertices`
+                sees to that.
         """
         # Where frames come one block after another, looking through them takes longer than a wait.
-        ahead = device_traits(self._device).own_memory and self._all_frames.is_kept
-        while True:
-            for _ in range(HELD_AT_ONCE if ahead else 1):
+        if device_traits(self._device).own_memory and self._all_frames.is_kept:
+            for _ in range(HELD_AT_ONCE if most is None else most):
                 self._hold_once()
-            if (ahead and not to_the_end) or not self._holds.any_marked.numpy()[0]:
+            return
+        times = itertools.count() if most is None else range(most)
+        for _ in times:
+            self._hold_once()
+            if not self._holds.any_marked.numpy()[0]:
                 return
 
     def _hold_once(self) -> None:
