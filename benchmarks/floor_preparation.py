@@ -51,7 +51,7 @@ _STREAMED: dict[str, tuple[tuple[str, float], ...]] = {
     "link_collapses": (("values_in", 0.5),),
     "follow_collapses": (("parent_in", 1), ("root_out", 1)),
     "drop_unfit_faces": (("corner_vertex_in", 1), ("corner_vertex_out", 1)),
-    "list_faces_left": (("before_in", 1), ("row_out", 2)),
+    "list_faces_left": (("before_in", 1), ("face_out", 1)),
 }
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import warp as wp
@@ -147,8 +148,12 @@ def order_collapses(
     steps = PassSteps(state, frames, adjacency, _cost_model(mesh, settings), device, settings.memoryless)
     if gone is not None and arrangement is not None:
         gone = gone[arrangement.host_vertex]
-    stopped, orderer, drops = _collapse(steps, settings, kinds.forest, gone, progress, recorder)
-    left = Left(steps.log_rows, orderer.collapse_count(), orderer.live_faces, corner_vertex, arrangement)
+    left = Left(steps, mesh.faces, corner_vertex, arrangement)
+    orderer = _new_ordering(steps)
+    if math.isinf(settings.error_limit) and math.isinf(settings.size_limit) and kinds.forest is None:
+        orderer.along = partial(left.ahead, settings.target_faces, len(edges.half_edge))
+    stopped, drops = _collapse(orderer, settings, kinds.forest, gone, progress, recorder)
+    count, face_count, brought = orderer.collapse_count(), orderer.live_faces, orderer.brought
     if mesh.attributes is not None:
         add_attributes = attribute_kernels.add_attribute_quadrics[width_of(frames.quadric)]
         launch(add_attributes, len(frames.quadric), [state.wedges.quadric], [frames.quadric], device=device)
@@ -158,7 +163,7 @@ def order_collapses(
     if arrangement is not None:
         row, drops = arrangement.host_place, drops.for_vertices(arrangement.host_vertex)
         edges = edges.renumbered(arrangement.restore_half_edges(edges.half_edge), arrangement.host_vertex)
-    log, root, faces, face_map = left.read(vertex_count, drops)
+    log, root, faces, face_map = left.read(count, face_count, drops, brought)
     return DecimatedMesh(
         faces=faces,
         face_map=face_map,
@@ -179,17 +184,16 @@ def order_collapses(
 
 
 def _collapse(
-    steps: PassSteps,
+    orderer: Ordering,
     settings: OrderSettings,
     forest: ComponentForest | None,
     gone: np.ndarray | None,
     progress: Callable[[int], None] | None,
     recorder: NodeRecorder | None,
-) -> tuple[str, Ordering, DropRecord]:
-    """Collapse edges: why it stopped, what did, and the pruned components. The rows of the key frames move along."""
-    state = steps.state
+) -> tuple[str, DropRecord]:
+    """Collapse edges: why it stopped, and the pruned components. The rows of the key frames move along."""
+    steps, state = orderer.steps, orderer.state
     lowest_limit = min(settings.error_limit, settings.size_limit)
-    orderer = _new_ordering(steps)
     components = None
     if forest is not None:
         limits = settings.error_limit**2, lowest_limit**2
@@ -201,7 +205,7 @@ def _collapse(
         stopped = "max_size_error"
     vertex_count = len(state.vertex_flags)
     drops = DropRecord.none(vertex_count) if components is None else components.record(orderer.drops)
-    return stopped, orderer, drops
+    return stopped, drops
 
 
 def _on_device(

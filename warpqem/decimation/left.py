@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import warp as wp
 
 from warpqem.decimation.arrangement import Arrangement
-from warpqem.decimation.collapse_log import CollapseRecord, log_of, ordered_log
+from warpqem.decimation.collapse_log import CollapseRecord, log_of, ordered_log, read_log
 from warpqem.decimation.faces_left import MarkedFaces, faces_left
+from warpqem.decimation.pass_steps import PassSteps
 from warpqem.decimation.pruning import DropRecord
 from warpqem.kernels import collapse_order as kernels
 from warpqem.runtime import new_arrays
@@ -17,59 +20,81 @@ from warpqem.runtime.readback import read_together
 
 __all__ = ["Left"]
 
+# Faces that are left beyond those asked for: room for them costs nothing.
+SPARE_ROOM = 16
+
 
 class Left:
-    """The collapses that ordering made, on the device.
+    """The collapses of an ordering and the faces that they leave.
 
     Args:
-        log_rows: the log, see :func:`warpqem.decimation.collapse_log.new_log`.
-        count: collapses C in it.
-        face_count: faces that are left.
-        corner_vertex: (3N,) int32, the input's faces on the device.
+        steps: the passes that make them.
+        faces: (N, 3) int32, the input's.
+        corner_vertex: (3N,) int32, the same on the device.
         arrangement: what the log's numbers mean; None for those of the input.
     """
 
     def __init__(
-        self,
-        log_rows: wp.array,
-        count: int,
-        face_count: int,
-        corner_vertex: wp.array,
-        arrangement: Arrangement | None,
+        self, steps: PassSteps, faces: np.ndarray, corner_vertex: wp.array, arrangement: Arrangement | None
     ) -> None:
-        self._count, self._face_count = count, face_count
-        self._corner_vertex, self._arrangement = corner_vertex, arrangement
-        self._log = ordered_log(log_rows, count)
+        self._count, self._rows = steps.log.count, steps.log_rows
+        self._faces, self._corner_vertex, self._arrangement = faces, corner_vertex, arrangement
+        self._vertex_count = steps.log_rows.shape[1]
+        self._ahead: MarkedFaces | None = None
+        self._room = 0
+
+    def ahead(self, target_faces: int, edge_count: int) -> list[wp.array]:
+        """All of it on the device, as it comes to the host with the end of an ordering, for :meth:`read`.
+
+        There is room for what collapses leave that reach their target: those inside a surface take two faces each,
+        those of the ``edge_count`` edges of borders one.
+        """
+        excess = max(0, len(self._faces) - target_faces)
+        self._room = min(self._vertex_count, (excess + edge_count) // 2 + SPARE_ROOM)
+        log = ordered_log(self._rows, self._count, self._room)
+        self._ahead = self._marked(log, self._room, DropRecord.none(self._vertex_count))
+        return [log, self._ahead.rows(target_faces + SPARE_ROOM)]
 
     def read(
-        self, vertex_count: int, drops: DropRecord
+        self, count: int, face_count: int, drops: DropRecord, brought: Sequence[np.ndarray] = ()
     ) -> tuple[CollapseRecord, np.ndarray, np.ndarray, np.ndarray]:
         """The log, (V,) int32 the vertex that each one collapsed into, and what :func:`faces_left` gives.
 
-        All is in the input's numbers, as ``drops`` are. The host waits once.
-        """
-        if not device_traits(str(self._log.device)).own_memory:
-            log = self._in_input_terms(self._log.numpy())
-            root = log.roots(vertex_count)
-            return log, root, *faces_left(self._corner_vertex, log, root, drops)
-        marked = MarkedFaces(self._corner_vertex, self._roots(vertex_count), drops)
-        ordered, rows = read_together(self._log, marked.rows(self._face_count))
-        log = self._in_input_terms(ordered)
-        return log, log.roots(vertex_count), *marked.listed(rows)
+        All is in the input's numbers. The host waits once.
 
-    def _in_input_terms(self, ordered: np.ndarray) -> CollapseRecord:
-        log = log_of(ordered)
+        Args:
+            count: collapses.
+            face_count: faces that are left.
+            drops: the pruned components.
+            brought: what :meth:`ahead` gave, where it came to the host.
+        """
+        if self._ahead is not None and brought and count <= self._room:
+            marked, (ordered, rows) = self._ahead, brought
+        elif device_traits(str(self._rows.device)).own_memory:
+            log = ordered_log(self._rows, self._count, count)
+            marked = self._marked(log, count, drops)
+            ordered, rows = read_together(log, marked.rows(face_count))
+        else:
+            log_here = self._in_input_terms(read_log(self._rows, count))
+            root = log_here.roots(self._vertex_count)
+            return log_here, root, *faces_left(self._faces, self._corner_vertex, log_here, root, drops)
+        log_here = self._in_input_terms(log_of(ordered, count))
+        root, face_map = log_here.roots(self._vertex_count), marked.listed(rows)
+        return log_here, root, root[self._faces[face_map]], face_map
+
+    def _in_input_terms(self, log: CollapseRecord) -> CollapseRecord:
         return log if self._arrangement is None else self._arrangement.restore_log(log)
 
-    def _roots(self, vertex_count: int) -> wp.array:
-        """(V,) int32 on the device, the vertex that each one of the input collapsed into."""
-        device = self._log.device
+    def _marked(self, log: wp.array, room: int, drops: DropRecord) -> MarkedFaces:
+        """The faces that a log on the device leaves, with room for so many collapses."""
+        device, vertex_count = log.device, self._vertex_count
         parent, root = (new_arrays.empty(vertex_count, dtype=wp.int32, device=device) for _ in range(2))
         vertex = new_arrays.empty(0, dtype=wp.int32, device=device)
         if self._arrangement is not None:
             vertex = self._arrangement.vertex
         launch(kernels.begin_roots, vertex_count, [], [parent], device=device)
-        if self._count:
-            launch(kernels.link_collapses, self._count, [self._log, vertex], [parent], device=device)
+        if room:
+            inputs = [log, self._count, vertex]
+            launch(kernels.link_collapses, room, inputs, [parent], device=device)
         launch(kernels.follow_collapses, vertex_count, [parent], [root], device=device)
-        return root
+        return MarkedFaces(self._corner_vertex, root, drops)

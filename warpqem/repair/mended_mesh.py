@@ -257,9 +257,8 @@ def faces_for(ordered: DecimatedMesh, mesh: MeshInput, target: int) -> int:
     def left(count: int) -> np.ndarray:
         collapsed = int((event[:count] < len(log)).sum())
         collapses = log.head(collapsed)
-        return faces_left(corner_vertex, collapses, collapses.roots(len(ordered.root)), drops.head(count - collapsed))[
-            1
-        ]
+        root, dropped = collapses.roots(len(ordered.root)), drops.head(count - collapsed)
+        return faces_left(mesh.faces, corner_vertex, collapses, root, dropped)[1]
 
     low, high = 0, len(event)
     while low < high:
