@@ -99,6 +99,7 @@ _STREAMED: dict[str, tuple[tuple[str, float], ...]] = {
     # Of many faces few are listed.
     "list_longer": (("before_in", 1), ("face_out", 1)),
     "leave_out_others": (("within", 1),),
+    "largest_of_points": (("squared_in", 1), ("squared_out", 1)),
     "rows_of_corners": (("corner_in", 1), ("row_out", 1)),
     "find_partners": (
         ("source.points", 1),

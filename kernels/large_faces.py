@@ -1,4 +1,4 @@
-"""Faces of one surface that are larger than those of another one, as a list on the device."""
+"""Faces of one surface that are larger than those of another one, as a list on the device, and their distances."""
 
 import warp as wp
 
@@ -107,3 +107,19 @@ def rows_of_corners(
     """The row (V,) of the corner that each of S points of faces (R, 3) is nearest to: (R, S)."""
     i, sample = wp.tid()
     row_out[i, sample] = row_in[corner_in[i, corner_of_point_in[sample]]]
+
+
+@wp.kernel
+def largest_of_points(
+    # in
+    squared_in: wp.array[wp.float32],
+    points_of_each: wp.int32,
+    # out
+    squared_out: wp.array[wp.float32],
+):
+    """The largest of the squared distances of each face's points (n S,), one face after another: (n,)."""
+    i = wp.tid()
+    largest = wp.float32(0.0)
+    for k in range(points_of_each * i, points_of_each * (i + 1)):
+        largest = wp.max(largest, squared_in[k])
+    squared_out[i] = largest

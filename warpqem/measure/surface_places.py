@@ -18,9 +18,12 @@ import warp as wp
 
 from warpqem.kernels import distance_points as kernels
 from warpqem.kernels.lanes import width_of
+from warpqem.kernels.large_faces import largest_of_points
 from warpqem.measure.far_points import FaceLists, FacesAround, PointsAndFaces, furthest_from
 from warpqem.measure.large_faces import LargeFaces
 from warpqem.runtime import new_arrays
+from warpqem.runtime.device import device_traits
+from warpqem.runtime.launches import launch
 from warpqem.runtime.part_launches import corners_of, launch_in_parts, rows_of
 from warpqem.runtime.readback import read_together
 
@@ -226,7 +229,7 @@ def furthest_of(
     if not len(limit):
         return [np.empty(0, dtype=np.float32) for _ in places]
     within = wp.array(np.square(limit, dtype=np.float32), dtype=wp.float32, device=device)
-    return _by_place(np.sqrt(squared_distances(places, within, device).numpy()), places)
+    return _brought(squared_distances(places, within, device), places)[0]
 
 
 def furthest_with_large(
@@ -240,16 +243,32 @@ def furthest_with_large(
     count = sum(one.count * one.points_of_each for one in together)
     within = new_arrays.full(count, float(np.square(limit, dtype=np.float32)), dtype=wp.float32, device=device)
     listed.leave_out_others(within[count - large.count * large.points_of_each :], large.points_of_each)
-    squared, rows = read_together(squared_distances(together, within, device), listed.rows)
-    return _by_place(np.sqrt(squared), together), rows
+    found, (rows,) = _brought(squared_distances(together, within, device), together, listed.rows)
+    return found, rows
 
 
-def _by_place(distance: npt.NDArray[np.float32], places: Sequence[Places]) -> list[npt.NDArray[np.float32]]:
-    """The largest distance of the points of each place, (n,) of each of ``places``."""
+def _brought(
+    squared: wp.array, places: Sequence[Places], *others: wp.array
+) -> tuple[list[npt.NDArray[np.float32]], list[np.ndarray]]:
+    """The largest distance of the points of each place, (n,) of each of ``places``, of squared ones; and other arrays.
+
+    What takes a wait comes to the host at once, and no more of it than that.
+    """
     each = [one.points_of_each for one in places]
     ends = np.cumsum([one.count * number for one, number in zip(places, each, strict=True)])
-    found = np.split(distance, ends[:-1])
-    return [part.reshape(-1, number).max(axis=1) for part, number in zip(found, each, strict=True)]
+    if not device_traits(str(squared.device)).own_memory:
+        found = np.split(np.sqrt(squared.numpy()), ends[:-1])
+        largest = [part.reshape(-1, number).max(axis=1) for part, number in zip(found, each, strict=True)]
+        return largest, [other.numpy() for other in others]
+    there = []
+    for one, end in zip(places, ends.tolist(), strict=True):
+        of_points = squared[end - one.count * one.points_of_each : end] if one.count else squared[:0]
+        of_places = new_arrays.empty(one.count, dtype=wp.float32, device=squared.device)
+        inputs = [of_points, one.points_of_each]
+        launch(largest_of_points, one.count, inputs, [of_places], device=squared.device)
+        there.append(of_places)
+    brought = read_together(*there, *others)
+    return [np.sqrt(part) for part in brought[: len(places)]], brought[len(places) :]
 
 
 def squared_distances(
