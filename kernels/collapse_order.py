@@ -63,9 +63,9 @@ def gather_log(
 ):
     """Rows (8, C) of a log in the order of ``slot_in``, one after the other; see `warpqem.decimation.collapse_log`.
 
-    The opposite vertices of a collapse come to lie side by side, in the place of both their rows; the faces that go with
-    it and its round become one number, and the last row, squared errors, their roots. What is beyond ``count_in`` (1,)
-    stays.
+    The opposite vertices of a collapse come to lie side by side, in the place of both their rows; the faces that go
+    with it and its round become one number, and the last row, squared errors, their roots. What is beyond ``count_in``
+    (1,) stays.
     """
     i = wp.tid()
     if i >= count_in[0]:

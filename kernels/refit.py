@@ -271,7 +271,7 @@ def weigh_sizes(
     size_out: wp.array[wp.float32],
     has_area_out: wp.array[wp.int32],
 ):
-    """One thread: add the sums (n, 2) of areas and squared edges in order; all that weighs is 0 where there is no area."""
+    """One thread: add the sums (n, 2) of areas and squared edges in order; without an area all that weighs is 0."""
     area = wp.float64(0.0)
     squared = wp.float64(0.0)
     for i in range(sum_in.shape[0]):

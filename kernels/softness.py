@@ -1,4 +1,4 @@
-"""How firmly clusters are held, chosen on the device; :mod:`warpqem.place.stiffness` says why, and does it on a host."""
+"""How firmly clusters are held, chosen on the device: :mod:`warpqem.place.stiffness` says why, and does it too."""
 
 import warp as wp
 

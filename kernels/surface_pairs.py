@@ -353,7 +353,8 @@ def match_line_samples(
     """Pair points of border edges of one surface with the border of the other, each point in two pairs.
 
     Where ``on_seams`` is 1, of seam edges with seams, which run either way. A point stands for its part of the edge's
-    length, times a width of ``width_in``. ``start_in`` is a vertex of the fixed surface near each vertex of the moving one.
+    length, times a width of ``width_in``. ``start_in`` is a vertex of the fixed surface near each vertex of the moving
+    one.
     """
     t = own_key(turns, wp.tid())
     own = own_pair(turns, t, wp.tid())

@@ -268,7 +268,9 @@ def _find_kinds(state: MeshState, border: wp.array, keep_components: bool) -> _K
     forest = None if keep_components else ComponentForest(state.corner_vertex, state.adjacency, counts[1:2])
     launch(count_non_manifold, len(flags), [flags], [counts[2:]], device=device)
     # The first ones come along: most meshes have few.
-    brought, *known = read_together(counts, *([marks.first(FEW_EDGES)] if device_traits(str(device)).own_memory else []))
+    brought, *known = read_together(
+        counts, *([marks.first(FEW_EDGES)] if device_traits(str(device)).own_memory else [])
+    )
     edge_count, component_count, non_manifold_count = brought.tolist()
     non_manifold = np.zeros(len(flags), dtype=bool)
     if non_manifold_count:

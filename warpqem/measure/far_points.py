@@ -190,9 +190,7 @@ def longest_edges(
     return [np.sqrt(brought) for brought in read_together(*squared)]
 
 
-def longest_edges_there(
-    surfaces: Sequence[tuple[wp.array, npt.NDArray[np.integer]]], device: str
-) -> list[wp.array]:
+def longest_edges_there(surfaces: Sequence[tuple[wp.array, npt.NDArray[np.integer]]], device: str) -> list[wp.array]:
     """The same squared, on the device."""
     found = []
     for lanes, faces in surfaces:

@@ -25,13 +25,10 @@ from warpqem.frames.checked_frames import BrokenPoints, check_source
 from warpqem.frames.device_frames import HeldFrames, device_blocks
 from warpqem.frames.device_source import DeviceFrames
 from warpqem.frames.stream import ArrayFrames, FrameSource, counted_frames
-from warpqem.kernels.face_check import drop_unfit_faces, mark_used_vertices
 from warpqem.mesh.first_reading import FirstReading, about_origin
 from warpqem.mesh.rounding import rounding_of
-from warpqem.runtime import new_arrays
-from warpqem.runtime.device import array_device, device_traits
-from warpqem.runtime.launches import launch
-from warpqem.runtime.readback import read_together
+from warpqem.mesh.used_vertices import TopologyLook, used_vertices
+from warpqem.runtime.device import array_device
 
 if TYPE_CHECKING:
     from warpqem.repair.mended_mesh import MeshRepair
@@ -40,7 +37,6 @@ __all__ = [
     "AnimatedMesh",
     "FrameObserver",
     "MeshInput",
-    "TopologyLook",
     "as_vertex_values",
     "finite_points",
     "is_proper",
@@ -157,11 +153,6 @@ def _is_trimesh(value: Any) -> bool:
     return trimesh is not None and isinstance(value, trimesh.Trimesh)
 
 
-# Looks at the topology of corners (3N,) int32 of V vertices on a device, -1 in faces to leave out: gives (1,) int32
-# there, not zero where something is to be mended.
-TopologyLook = Callable[[wp.array, int], wp.array]
-
-
 def read_mesh(
     points: Any,
     faces: Any = None,
@@ -198,7 +189,7 @@ def read_mesh(
     given = index_array(faces, "faces", ("N", 3))
     if admit is not None:
         admit(len(given))
-    found = None if device is None else _used_vertices(given, source.vertex_count, device, look)
+    found = None if device is None else used_vertices(given, source.vertex_count, device, look)
     if found is not None:
         # A copy: the caller's array may change.
         own, (used, is_clean) = given.copy(), found
@@ -207,31 +198,6 @@ def read_mesh(
     # Counting takes half the time of marking.
     used = np.bincount(kept.ravel(), minlength=source.vertex_count) > 0
     return MeshInput(source, kept, face_index, len(given), used)
-
-
-def _used_vertices(
-    faces: np.ndarray, vertex_count: int, device: str, look: TopologyLook | None
-) -> tuple[np.ndarray, bool | None] | None:
-    """(V,) bool, vertices with a face, and whether a look found the topology clean, None for no look.
-
-    None for faces (N, 3) of which some are unfit, or which are no plain int32.
-    """
-    if faces.dtype != np.int32 or not faces.flags.c_contiguous or not len(faces):
-        return None
-    # The vertices, and whether a face is unfit: the host waits once. In whole words.
-    marks = new_arrays.zeros(-(-(vertex_count + 1) // 4) * 4, dtype=wp.bool, device=device)
-    corner_vertex = wp.array(faces.ravel(), dtype=wp.int32, device=device, copy=False)
-    outputs = [marks[:vertex_count], marks[vertex_count : vertex_count + 1]]
-    launch(mark_used_vertices, len(faces), [corner_vertex], outputs, device=device)
-    looked: list[wp.array] = []
-    if look is not None and device_traits(device).own_memory:
-        fit = wp.empty_like(corner_vertex)
-        launch(drop_unfit_faces, len(faces), [corner_vertex, vertex_count], [fit], device=device)
-        looked.append(look(fit, vertex_count))
-    found, *unclean = read_together(marks, *looked)
-    if found[vertex_count]:
-        return None
-    return np.array(found[:vertex_count]), not unclean[0][0] if unclean else None
 
 
 def measure_mesh(

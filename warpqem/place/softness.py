@@ -71,9 +71,7 @@ def _rule(coherence_cost: float, softening: int) -> kernels.SoftnessRule:
     return rule
 
 
-def _chosen_there(
-    sums: wp.array, choices: wp.array, recent: np.ndarray, rule: kernels.SoftnessRule
-) -> ChosenStiffness:
+def _chosen_there(sums: wp.array, choices: wp.array, recent: np.ndarray, rule: kernels.SoftnessRule) -> ChosenStiffness:
     """The same by kernels: the host waits for nothing."""
     device, (count, steps) = sums.device, choices.shape
     recent_there = new_arrays.uploaded(recent, dtype=wp.float32, device=device)

@@ -307,8 +307,8 @@ class _Refit:
         more than its own share of the fit.
 
         Args:
-            most: So often at most; None for as often as it takes. Where the host would wait to see, :meth:`far_vertices`
-                sees to that.
+            most: So often at most; None for as often as it takes. Where the host would wait to see,
+                :meth:`far_vertices` sees to that.
         """
         # Where frames come one block after another, looking through them takes longer than a wait.
         if device_traits(self._device).own_memory and self._all_frames.is_kept:

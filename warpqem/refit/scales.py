@@ -111,7 +111,11 @@ class FitSizes:
         launch(kernels.sum_face_sizes, len(sums), [points, corner_vertex], [sums], device=device)
         shares = kernels.SizeShares()
         shares.vertex_count, shares.turns, shares.output_share = vertex_count, turns, OUTPUT_SHARE
-        shares.edge_weight, shares.border_width, shares.seam_width = edge_weight, BORDER_WIDTH, SEAM_SHARE * BORDER_WIDTH
+        shares.edge_weight, shares.border_width, shares.seam_width = (
+            edge_weight,
+            BORDER_WIDTH,
+            SEAM_SHARE * BORDER_WIDTH,
+        )
         values = new_arrays.empty(int(kernels.SIZES), dtype=wp.float32, device=device)
         has_area = new_arrays.empty(1, dtype=wp.int32, device=device)
         inputs = [sums, float(len(points)), float(3 * face_count), shares]
