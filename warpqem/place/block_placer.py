@@ -7,6 +7,7 @@ so how they are cut into blocks makes no difference to a single bit.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,6 +21,7 @@ from warpqem.kernels.lanes import width_of
 from warpqem.mesh.mesh_input import AnimatedMesh
 from warpqem.runtime import new_arrays
 from warpqem.runtime.part_launches import FIRST_ITEM, PerPart, columns_of, launch_in_parts, rows_of
+from warpqem.runtime.staging import Downloads
 
 __all__ = ["BlockPlacer", "ClusterData", "PlacedBlocks", "PlacedFrames", "pack_block"]
 
@@ -81,15 +83,28 @@ class PlacedBlocks:
         found: np.ndarray = self.restored(mesh).numpy()
         return found
 
-    def points_and_numbers(self, mesh: AnimatedMesh, number: wp.array) -> tuple[np.ndarray, np.ndarray]:
-        """The same, and ``number`` (n,) int32 of the device, by one copy to the host."""
+    def begin_download(
+        self, mesh: AnimatedMesh, number: wp.array | None, downloads: Downloads
+    ) -> Callable[[], tuple[np.ndarray, np.ndarray]]:
+        """Begin to bring the same and ``number`` (n,) int32 of the device to the host, by one copy.
+
+        What gives both, where they are needed: none of the latter where there is none.
+        """
         shape = (len(self.source), len(self.points), 3)
         size = math.prod(shape)
-        rows = new_arrays.empty(size + len(number), dtype=wp.float32, device=self.points.device)
+        rows = new_arrays.empty(
+            size + (0 if number is None else len(number)), dtype=wp.float32, device=self.points.device
+        )
         self.restored(mesh, rows[:size].reshape(shape).view(wp.vec3))
-        wp.copy(rows[size:].view(wp.int32), number)
-        brought = rows.numpy()
-        return brought[:size].reshape(shape), brought[size:].view(np.int32)
+        if number is not None:
+            wp.copy(rows[size:].view(wp.int32), number)
+        download = downloads.begin(rows)
+
+        def brought() -> tuple[np.ndarray, np.ndarray]:
+            numbers = download.result()
+            return numbers[:size].reshape(shape), numbers[size:].view(np.int32)
+
+        return brought
 
     def restored(self, mesh: AnimatedMesh, out: wp.array | None = None) -> wp.array:
         """The same on the device, (n, C) points, in ``out`` if that is given."""
