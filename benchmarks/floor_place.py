@@ -15,6 +15,10 @@ def _measure_bounds(a: Arguments) -> Demand:
     return Demand(size_of(a["points_in"]) + size_of(a["used_in"]), 6 * a["points_in"].size)
 
 
+def _compare_frames(a: Arguments) -> Demand:
+    return Demand(size_of(a["bounds_in"]) + size_of(a["scale_out"]))
+
+
 def _subtract_origin(a: Arguments) -> Demand:
     return Demand(size_of(a["points_in"]) + size_of(a["points_out"]), 3 * a["points_in"].size)
 
@@ -131,6 +135,7 @@ PLACE_MODELS: dict[str, Callable[[Arguments], Demand]] = {
     model.__name__.removeprefix("_"): model
     for model in (
         _measure_bounds,
+        _compare_frames,
         _subtract_origin,
         _mark_used_vertices,
         _key_collapses,

@@ -119,6 +119,11 @@ class BoundsMeter:
 
     def measure_there(self, points: wp.array) -> tuple[np.ndarray, np.ndarray, bool]:
         """The same of points (n, V) on the device, which has memory of its own."""
+        found = self.bounds_there(points).numpy()
+        return found[:, :3], found[:, 3:6], not found[:, 6].any()
+
+    def bounds_there(self, points: wp.array) -> wp.array:
+        """The same on the device, (n, 7) float32: lowest corner, highest corner, 1 where a point is not finite."""
         largest = float(kernels.LARGEST)
         initial = np.array([[*3 * [largest], *3 * [-largest], 0.0]], dtype=np.float32)
         count, vertex_count = points.shape
@@ -126,8 +131,7 @@ class BoundsMeter:
         lanes = max(1, min(device_traits(self._device).launch_threads // count, vertex_count))
         inputs = [points, self._flags, lanes]
         launch(kernels.measure_bounds, (count, lanes), inputs, [bounds], device=self._device)
-        found = bounds.numpy()
-        return found[:, :3], found[:, 3:6], not found[:, 6].any()
+        return bounds
 
 
 class DeviceSink:

@@ -33,7 +33,8 @@ class ComponentLimits:
         corners: (N, 3) int32, the input's faces, as ``matching`` has them.
         vertex_map: (V,) int32, input vertex to output vertex.
         faces: (N', 3) int32, the output's.
-        frame_scale: (K,) float32, what multiplies the distances of each key frame from a component's own part.
+        frame_scale: (K,) float32 on the device, what multiplies the distances of each key frame from a component's own
+            part.
         device: Warp device.
 
     Attributes:
@@ -48,7 +49,7 @@ class ComponentLimits:
         corners: np.ndarray,
         vertex_map: np.ndarray,
         faces: np.ndarray,
-        frame_scale: np.ndarray,
+        frame_scale: wp.array,
         device: str,
     ) -> None:
         self._matching, self._device = matching, device
@@ -59,7 +60,7 @@ class ComponentLimits:
         self._component = np.unique(lowest[faces[:, 0]], return_inverse=True)[1]
         self.sampled = sampled = kernels.Limits()
         count = int(self._component.max(initial=-1)) + 1
-        sampled.frame_scale = new_arrays.uploaded(frame_scale, dtype=wp.float32, device=device)
+        sampled.frame_scale = frame_scale
         sampled.component = wp.array(self._component, dtype=wp.int32, device=device)
         sampled.squared, sampled.own_squared = (
             wp.full(count, SMALLEST_DISTANCE**2, dtype=wp.float32, device=device) for _ in range(2)

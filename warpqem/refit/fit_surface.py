@@ -30,7 +30,8 @@ from warpqem.refit.component_limits import ComponentLimits
 from warpqem.refit.holds import Holds
 from warpqem.refit.matching import Matching, make_surface
 from warpqem.refit.material_frames import MaterialFrames
-from warpqem.refit.scales import FitSizes, frame_scale
+from warpqem.refit.reference import Reference
+from warpqem.refit.scales import FitSizes
 from warpqem.refit.seam_edges import find_borders, find_seams
 from warpqem.refit.solve import ElementSolver
 from warpqem.runtime import new_arrays
@@ -185,9 +186,9 @@ class _Refit:
         faces = mesh.faces[is_left]
         seams = find_seams(placer.seam, mesh.faces, is_left, placer.vertex_map, self._faces, self._vertex_count)
         corner_vertex = new_arrays.uploaded(faces.ravel(), dtype=wp.int32, device=device)
-        reference = mesh.to_unit(mesh.chosen_points(key_frames))
+        reference = Reference.of(mesh, key_frames, device)
         source = make_surface(
-            new_arrays.uploaded(reference, dtype=wp.vec3, device=device),
+            reference.points,
             corner_vertex,
             build_adjacency(corner_vertex, mesh.vertex_count),
             seams[0].marks,
@@ -216,7 +217,7 @@ class _Refit:
             faces,
             placer.vertex_map,
             self._faces,
-            frame_scale(reference[:, mesh.used]),
+            reference.frame_scale,
             device,
         )
 
